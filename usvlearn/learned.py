@@ -215,6 +215,7 @@ class Learned:
         >>> print(round(found["heron"].quantities["steady_speed_full"].value, 1))
         2.6
         """
+        from usvlearn.evaluation.identification import identified_boats
         from usvlearn.logs.recordings import align_fleet
         from usvlearn.model.fit.fitted import fit_boat
         from usvlearn.model.fit.logs import fine, missions_of
@@ -223,7 +224,11 @@ class Learned:
             raise ConfigError("fit: found logs without their messages, expected those that usvlearn.read has made")
         fleet = align_fleet(self.logs.recordings, **fine(self.logs.settings["align"]))
         mass, top = (float(self.logs.settings["vehicle"][name]) for name in ("mass", "surge_max"))
-        return {boat: fit_boat(boat, missions_of(fleet, boat), mass, top, terms) for boat in self.boats}
+        online = identified_boats(self.ensemble, self.state, self.boats)
+        return {
+            boat: fit_boat(boat, missions_of(fleet, boat), mass, top, terms, online=online.get(boat))
+            for boat in self.boats
+        }
 
     def save(self, path: PathLike, boat: str | None = None, fit: Fitted | None = None) -> Path:
         """Write a boat's checkpoint, which `usvlearn.Online.open`, `learn(start=)` and train.py's `resume` take.

@@ -171,10 +171,10 @@ def test_a_fit_that_is_stopped_keeps_the_sets_that_are_done(folder, tmp_path, mo
     monkeypatch.chdir(folder)
     before = Missions.fit
 
-    def interrupted(self, terms, start=None):
+    def interrupted(self, terms, *started):
         if terms == "even":
             raise Stopped(signal.SIGINT)
-        return before(self, terms, start)
+        return before(self, terms, *started)
 
     monkeypatch.setattr(Missions, "fit", interrupted)
     with pytest.raises(SystemExit) as end:

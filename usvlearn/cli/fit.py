@@ -88,7 +88,9 @@ def work(arguments: Sequence[str]) -> None:
                 activity.advance(1)
 
             try:
-                found = fit_boat(boat, rows, mass, top, given.terms, advance, Stopped)
+                last = _last(folder, boat)
+                online = None if last is None else last.online
+                found = fit_boat(boat, rows, mass, top, given.terms, advance, Stopped, online)
                 stopped = None if set(SETS) <= set(found.fits) else was_stopped() or Stopped(signal.SIGINT)
                 if stopped is None and boat not in changed:
                     advance("on half of the missions")
@@ -97,7 +99,6 @@ def work(arguments: Sequence[str]) -> None:
                 stopped = received
                 if found is None or found.boat != boat:
                     break
-            last = _last(folder, boat)
             done.append((found, last, _write(out, found, last, settings)))
             if stopped is not None:
                 break

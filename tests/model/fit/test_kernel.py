@@ -105,3 +105,17 @@ def test_curves_are_those_of_their_nodes():
     )
     assert not ahead.thrust([0.5, -1.0], "right").any()
     np.testing.assert_allclose(ahead.drag(TOP * np.array([0.4, 0.3, 0.6])), [1.0, 0.5, 0.0], atol=1e-12)
+
+
+def test_a_fit_ends_at_the_same_place_wherever_it_starts():
+    rows, theta = mission(3000), boat()
+    rows[1:, SURGE] = simulated(rows, theta)[1:] + 0.02 * np.random.default_rng(0).standard_normal(3000)
+    rows[1:, MODE] = LEARN
+    missions = Missions([rows], TOP)
+    found = missions.fit("cubic")
+    for start in (theta, found.theta, 30 * theta, theta * np.nan):
+        again = missions.fit("cubic", start)
+        assert again.total == pytest.approx(found.total, abs=0.5)
+        for name in ("steady_speed_full", "time_constant"):
+            one, other = (quantities(each.theta, TOP, MASS)[name] for each in (again, found))
+            assert one == pytest.approx(other, rel=5e-3), name

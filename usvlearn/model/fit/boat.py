@@ -19,7 +19,7 @@ from usvlearn.model.fit.gauss_newton import Fit
 from usvlearn.model.fit.intervals import OWN_ERROR, disagreement, intervals, spread
 from usvlearn.model.fit.logs import DT
 from usvlearn.model.fit.quantities import CurvedAhead, quantities
-from usvlearn.model.fit.terms import AT, NAMES, SETS, TIME_CONSTANT, prior
+from usvlearn.model.fit.terms import NAMES, SETS, TIME_CONSTANT, by_name, prior
 from usvlearn.model.surge import SurgeModel
 
 SPEEDS = ("steady_speed_full", "steady_speed_half", "steady_speed_quarter")
@@ -92,9 +92,7 @@ class FittedBoat(Identified):
 
     def every(self, theta: np.ndarray) -> np.ndarray:
         """All parameters by `terms.NAMES` of the fitted ones, `(..., m)`."""
-        found = np.zeros((*theta.shape[:-1], len(NAMES)))
-        found[..., [AT[name] for name in self.names]] = theta
-        return found
+        return by_name(self.names, theta)
 
     def ahead(self, theta: np.ndarray) -> CurvedAhead:
         return CurvedAhead(self.every(theta), self.top)

@@ -11,6 +11,7 @@ import numpy as np
 from usvlearn.core.json_values import finite
 from usvlearn.errors import ConfigError, did_you_mean
 from usvlearn.estimators.joint.lacking import Quantity
+from usvlearn.estimators.joint.reading import Identified
 from usvlearn.estimators.regressors.terms import LAG
 from usvlearn.model.fit.boat import FittedBoat
 from usvlearn.model.fit.choice import WEAR, Score, choose
@@ -19,7 +20,7 @@ from usvlearn.model.fit.gauss_newton import Fit, Missions
 from usvlearn.model.fit.intervals import alike
 from usvlearn.model.fit.logs import lacking
 from usvlearn.model.fit.open_loop import FreeMode
-from usvlearn.model.fit.terms import AT, NAMES, SETS, TIME_CONSTANT
+from usvlearn.model.fit.terms import AT, NAMES, SETS, TIME_CONSTANT, by_name
 from usvlearn.model.fit.wear import worn
 
 
@@ -111,6 +112,7 @@ def fit_boat(
     terms: str | None = None,
     advance: Callable[[str], object] = lambda name: None,
     stop: type[BaseException] = KeyboardInterrupt,
+    online: Identified | None = None,
 ) -> Fitted:
     """Fit every set of terms to a boat's missions, and choose.
 
@@ -122,6 +124,7 @@ def fit_boat(
         terms: the set to use, in place of the one that does best on missions which it has not learned.
         advance: receives the name of each set before it is fitted.
         stop: what ends the fit early: the sets that are done are used. Without any, or the wanted one, it is raised.
+        online: what was identified online, to begin with; by default the prior.
 
     Raises:
         ConfigError: there is no such set, or the commands never changed.
@@ -129,7 +132,8 @@ def fit_boat(
     check_terms(terms)
     terms = None if terms is None else terms.removesuffix(WEAR)
     lacks = lacking(boat, list(rows.values()))
-    missions, fits = Missions(list(rows.values()), top, list(rows)), dict[str, Fit]()
+    missions, fits, deviation = Missions(list(rows.values()), top, list(rows)), dict[str, Fit](), None
+    start = None if online is None else by_name(online.names, online.theta)
 
     def chosen() -> Fitted:
         name, scores = choose(missions, fits, terms, worn)
@@ -139,7 +143,8 @@ def fit_boat(
     try:
         for name in SETS:
             advance(name)
-            fits[name] = missions.fit(name, list(fits.values())[-1] if fits else None)
+            fits[name] = missions.fit(name, start, deviation)
+            start, deviation = fits[name].theta, fits[name].deviation
         advance("wear")
         return chosen()
     except stop:  # the sets that are done are there; the choice among them takes a moment

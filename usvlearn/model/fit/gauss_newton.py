@@ -168,18 +168,21 @@ class Missions:
         simulated = zip(self.rows, self.simulate(fit), strict=True)
         return np.concatenate([(speed - rows[:, SPEED])[scored(rows)] for rows, (speed, _) in simulated])
 
-    def fit(self, terms: str, start: Fit | None = None) -> Fit:
+    def fit(self, terms: str, start: np.ndarray | None = None, deviation: float | None = None) -> Fit:
         """The best parameters of a set of terms.
 
         Args:
             terms: a name of `terms.SETS`.
-            start: of another set, to begin with its parameters; by default those of the prior.
+            start: parameters by `terms.NAMES` to begin with, per unit mass; the prior's, where those simulate better.
+            deviation: σ of a speed to begin with, m/s, as found with another set.
         """
-        known = prior(terms, self.top)
-        theta, deviation, rounds = known.mean.copy(), NOISE, ROUNDS
-        if start is not None:
-            theta[known.active] = start.theta[known.active]
-            theta[PLACE_TIME], deviation, rounds = known.mean[PLACE_TIME], start.deviation, ROUNDS - 1
+        known, rounds = prior(terms, self.top), ROUNDS if deviation is None else ROUNDS - 1
+        theta, deviation = known.mean.copy(), NOISE if deviation is None else deviation
+        if start is not None and np.isfinite(start).all():
+            other = theta.copy()
+            other[known.active] = start[known.active]
+            other[PLACE_TIME] = known.mean[PLACE_TIME]
+            theta = min(theta, _bounded(other), key=lambda each: self.loss(each, deviation))
         now = self.evaluate(terms, _bounded(theta), deviation)
         for _ in range(rounds):
             now = self._steps(now)

@@ -16,7 +16,7 @@ A set of terms says which parameters are fitted; the others are 0.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -56,6 +56,14 @@ SETS: Mapping[str, tuple[str, ...]] = {
     "curves, even": (*NINE, *CUBIC, LAG, *THRUST_CURVES, *DRAG_CURVES, *EVEN),
     "curves, thruster": (*NINE, *CUBIC, TIME_CONSTANT, *THRUST_CURVES, *DRAG_CURVES),
 }  # the terms of each by name
+
+
+def by_name(names: Sequence[str], values: np.ndarray) -> np.ndarray:
+    """All parameters, `(..., parameters)`, of some with their names, `(..., m)`; the others are 0."""
+    found = np.zeros((*values.shape[:-1], len(NAMES)))
+    found[..., [AT[name] for name in names]] = values
+    return found
+
 
 SETTLES = 2.5  # s, time constant of the prior's boat
 THRUST_SHARE, THRUST_LENGTH = 0.15, 0.35  # deviation of a node over full thrust; correlation length, of commands
