@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from usvlearn.core import checkpoint
+from usvlearn.core.json_values import finite
 from usvlearn.engine.online import read_checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.logs.setup import Setup
@@ -64,8 +65,8 @@ class NodeFolder:
         return path
 
     def tell(self, status: Mapping[str, Any]) -> None:
-        """Write the status, which `usvlearn live status` reads."""
-        checkpoint.write_atomically(self.folder / STATUS, json.dumps(status, indent=1).encode())
+        """Write the status, which `usvlearn live status` reads; a number that is not finite becomes null."""
+        checkpoint.write_atomically(self.folder / STATUS, json.dumps(finite(status), indent=1).encode())
 
 
 def unsaved(folder: Path, error: BaseException | None) -> str:

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import usvlearn
-from usvlearn.core.json_values import finite
 from usvlearn.core.lock import Lock
 from usvlearn.errors import ConfigError
 from usvlearn.live import watched
@@ -398,4 +397,4 @@ class Session:
             "middleware": self.middleware.name, "boat": self.options.boat, "began_from": self.sentence,
             "written": time.time(), "last": last,
         }  # fmt: skip
-        self._folder.tell(finite({**health, **facts}))
+        self._folder.tell({**health, **facts})

@@ -20,10 +20,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.core.events import NINETY
-from usvlearn.core.rows import DT, LEARN, LEFT, MODE, PREDICT, RIGHT, SURGE
+from usvlearn.core.rows import DT, LEFT, MODE, PREDICT, RIGHT, SURGE
 from usvlearn.estimators.joint.quantities import SIDES
 from usvlearn.evaluation.metrics import fit as per_cent
-from usvlearn.model.fit.correlations import Correlation, autocorrelation, cross_correlation
+from usvlearn.model.fit.correlations import autocorrelation, cross_correlation
 from usvlearn.model.fit.gauss_newton import ROBUST, Fit, Missions, scored
 from usvlearn.model.fit.intervals import OWN_ERROR, spread
 from usvlearn.model.fit.motion_kernel import REST
@@ -81,8 +81,8 @@ def diagnostics(missions: Missions, fit: Fit, mass: float, others: Sequence[Fit]
     return _plain({
         "missions": rows,
         "worst": [_course(every[k], dt, rows[k]["worst"]["start"]) for k in worst[:SHOWN]],
-        "autocorrelation": _table(autocorrelation(errors, dt)),
-        "cross_correlation": {name: _table(cross_correlation(errors, u, dt)) for name, u in pushes.items()},
+        "autocorrelation": autocorrelation(errors, dt)._asdict(),
+        "cross_correlation": {name: cross_correlation(errors, u, dt)._asdict() for name, u in pushes.items()},
         **_curves(every, fit, mass, others, dt),
     })  # fmt: skip
 
@@ -93,7 +93,7 @@ def simulated(name: str, rows: np.ndarray, speed: np.ndarray, current: np.ndarra
     left, right = (np.where(steps, rows[:, place], np.nan) for place in (LEFT, RIGHT))
     with np.errstate(invalid="ignore"):
         moves = left**2 + right**2 + speed**2 > REST
-    counts = scored(rows) & (rows[:, MODE] == LEARN) & np.isfinite(speed)
+    counts = scored(rows) & np.isfinite(speed)
     return Simulated(
         name, dt * np.arange(len(rows)), np.where(counts, rows[:, SURGE], np.nan), speed, left, right, moves, current
     )
@@ -158,10 +158,6 @@ def _course(each: Simulated, dt: float, start: float) -> dict[str, Any]:
 
     series = {"measured": each.measured, "simulated": each.speed, "left": each.left, "right": each.right}
     return {"name": each.name, "start": start, "time": thinned(each.time)} | {k: thinned(x) for k, x in series.items()}
-
-
-def _table(found: Correlation) -> dict[str, Any]:
-    return dict(found._asdict())
 
 
 def _curves(every: Sequence[Simulated], fit: Fit, mass: float, others: Sequence[Fit], dt: float) -> dict[str, Any]:

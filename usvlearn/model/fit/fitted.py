@@ -69,7 +69,6 @@ class Fitted:
     def json(self) -> dict[str, Any]:
         """What `BOAT.fit.json` has: JSON values; parameters are in units of force, times the mass."""
         mass = self.found.mass
-        theta = self.found.every(self.found.theta)
         forces = {name: mass for name in NAMES} | {LAG: 1.0, TIME_CONSTANT: 1.0}  # neither of these is a force
         return finite({
             "boat": self.boat,
@@ -79,7 +78,7 @@ class Fitted:
             "missions": len(self.fit.count),
             "steps": int(self.fit.count.sum()),
             "deviation": self.fit.deviation,
-            "parameters": {name: forces[name] * float(theta[AT[name]]) for name in self.found.names},
+            "parameters": {name: forces[name] * float(self.fit.theta[AT[name]]) for name in self.found.names},
             "quantities": {name: each._asdict() for name, each in self.found.items()},
             "lacks": list(self.found.lacks),
             "simulation": None if self.simulation is None else self.simulation.json(),
