@@ -21,6 +21,7 @@ def test_the_plan_reaches_the_intervals_of_a_lawn_mower_in_half_of_its_time(pair
     assert sum(ratio(pair, name, pair.plan) <= 0.5 for name in names) > 0.7 * len(names)
 
 
+@pytest.mark.slow
 def test_the_intervals_of_the_plan_hold_the_truth(pair):
     after = pair.plan[-1]
     assert sum(after[name].low <= pair.truth[name] <= after[name].high for name in MAIN) >= 4

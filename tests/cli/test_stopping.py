@@ -52,7 +52,10 @@ def whole(tmp_path_factory) -> Path:
     return folder / "run"
 
 
-@pytest.mark.parametrize(("number", "code", "chunks"), [(signal.SIGINT, 130, 1), (signal.SIGTERM, 143, 3)])
+@pytest.mark.parametrize(
+    ("number", "code", "chunks"),
+    [pytest.param(signal.SIGINT, 130, 1, marks=pytest.mark.slow), (signal.SIGTERM, 143, 3)],
+)
 def test_a_replay_is_saved_and_goes_on_bit_for_bit(number, code, chunks, whole, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     with monkeypatch.context() as patch:

@@ -330,6 +330,7 @@ def test_no_band_of_parameters_stands_without_its_caveat(saved):
     assert not any("±" in text or "band" in text for text in (*section.here, *(d.caption for d in section.figures)))
 
 
+@pytest.mark.slow
 def test_a_report_is_written_twice_without_leftovers(tmp_path):
     ensemble, seasons = boats(np.ones((2, 9)))
     sections, errors = assemble(ensemble, seasons, {})

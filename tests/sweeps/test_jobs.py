@@ -126,7 +126,7 @@ class Probe(Callback):
         (Path(config.hydra.runtime.output_dir) / "probe.json").write_text(json.dumps(told))
 
 
-@pytest.mark.parametrize("launcher", few(["joblib", "submitit_local"], ["joblib"]))
+@pytest.mark.parametrize("launcher", few(["joblib", "submitit_local"], []))
 def test_launchers_do_the_same_in_workers_of_one_thread(launcher, swept, tmp_path):
     pytest.importorskip({"joblib": "joblib", "submitit_local": "submitit"}[launcher])
     arguments = [*GRID, "align.inputs=mean", f"hydra/launcher={launcher}"]

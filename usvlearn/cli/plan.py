@@ -186,7 +186,9 @@ def _intervals(boat: IdentifiedBoat, mower: Identified, plan: Plan, quantities: 
     )  # fmt: skip
     for name in quantities:
         widths = [_width(each, name) / 2 for each in (boat.found, mower, plan.expected.found)]
-        table.add(name, shown(boat.found.told(name).value), *(shown(each) for each in widths), boat.found[name].unit)
+        table.add(
+            name, shown(boat.found.displayed(name).value), *(shown(each) for each in widths), boat.found[name].unit
+        )
     return table
 
 

@@ -48,7 +48,7 @@ def identified(online: Online, one_command: bool = False) -> tuple[dict[str, tup
         return {}, ""
     found: Any = online.identified()
     names = [name for name in found if not (one_command and tells_sides(name))]
-    return {name: tuple(found.told(name)) for name in names}, found.unphysical
+    return {name: tuple(found.displayed(name)) for name in names}, found.unphysical
 
 
 def networks(online: Online) -> dict[str, dict[str, Any]]:

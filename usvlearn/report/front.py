@@ -63,7 +63,7 @@ def _fleet(boats: Sequence[Overview]) -> str:
     rows = []
     for k, boat in enumerate(boats):
         near = next((each for each in boat.ahead if each.what == NEAR), None)
-        own = boat.identified.told("steady_speed_full") if boat.identified else None
+        own = boat.identified.displayed("steady_speed_full") if boat.identified else None
         top = (boat.batch or {}).get("steady_speed_full", own)
         cells = [
             str(len(boat.runs)),
@@ -128,7 +128,7 @@ def _is_wide(found: Quantity | None) -> bool:
 def _online(boat: Overview) -> str:
     if boat.identified is None:
         return "<p>Nothing: the ensemble has no estimator that reads physical quantities.</p>"
-    found = {name: boat.identified.told(name) for name in MAIN if name in boat.identified}
+    found = {name: boat.identified.displayed(name) for name in MAIN if name in boat.identified}
     wrong, scale, lacks = boat.identified.unphysical, boat.identified.scale, boat.identified.lacks
     notes = "".join(f"<p>{escape(in_words(each))}</p>" for each in (scale, *lacks) if each and each != wrong)
     warning = f'<p class="bad"><b>{escape(wrong)}</b></p>' if wrong else ""

@@ -222,15 +222,17 @@ def identified_table(found: Mapping[str, Identified], truth: Mapping[str, Mappin
             table.group(boat)
         known = truth.get(boat, {})
         for name in (name for name in quantities if not (several and name in SURGE)):
-            *numbers, unit = quantities.told(name)
+            *numbers, unit = quantities.displayed(name)
             true = [shown(known[name]) if name in known else "–"] if truth else []
             table.add(name, *map(shown, numbers), *true, unit)
     more = ["The nine parameters of each boat are in results.json and in the report."] if several else []
     if any(each.unknown for each in found.values()):
         more.append("–: not known yet; the interval is wider than what such a boat can have.")
     wrong = [f"WARNING: {boat}: {each.unphysical}" for boat, each in found.items() if each.unphysical]
-    told = [each for each in sentences(found) if not any(each in one for one in wrong)]
-    return Group(Text(), table, *map(Text, [MEANING, *told, *more]), *(Text(f"\n{each}", "bold red") for each in wrong))
+    stated = [each for each in sentences(found) if not any(each in one for one in wrong)]
+    return Group(
+        Text(), table, *map(Text, [MEANING, *stated, *more]), *(Text(f"\n{each}", "bold red") for each in wrong)
+    )
 
 
 def short_settings(settings: Mapping[str, str], keys: Sequence[str]) -> str:

@@ -243,6 +243,7 @@ def test_neither_solver_nor_scipy_is_imported_with_the_module():
     assert done.stdout.strip() == "set()"
 
 
+@pytest.mark.slow
 def test_the_largest_networks_of_two_layers():
     weights = draw(np.random.default_rng(15), 2, 20, 20)
     checked(weights, RELU, smallest_rate(weights, RELU))

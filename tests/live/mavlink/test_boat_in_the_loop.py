@@ -18,7 +18,7 @@ import pytest
 
 pytest.importorskip("pymavlink", reason="needs the package pymavlink")
 
-from tests.support import ROOT, commands
+from tests.support import ROOT, commands, few
 from tests.support.mavboat import MavBoat, Motion, OnTheAir, RecordingSession, mavlink, turning
 from tests.support.voyages import voyage
 from usvlearn.core import checkpoint
@@ -133,6 +133,7 @@ def test_a_boat_in_the_loop_is_learned_as_in_a_replay(tmp_path, start):
     assert [text for _, text in boat.texts if "listening to system 1" in text]
 
 
+@pytest.mark.slow
 def test_a_boat_that_does_everything_wrong_is_learned_all_the_same(tmp_path, start):
     boat, rng, done = MavBoat(sailing(), booted=-100.0), np.random.default_rng(0), set()
     stranger = MavBoat(lambda time: Motion(1.0, 1.0, 1.0, 0.0, 9.0), sender=(9, 1))
@@ -175,6 +176,7 @@ def test_a_boat_that_does_everything_wrong_is_learned_all_the_same(tmp_path, sta
     assert texts.count("the vehicle's clock began anew") == 2 and "system 9" in texts
 
 
+@pytest.mark.slow
 def test_a_boat_at_a_serial_line_is_heard_and_answered():
     other, own = pty.openpty()
     os.set_blocking(other, False)
@@ -195,7 +197,7 @@ def test_a_boat_at_a_serial_line_is_heard_and_answered():
     assert "listening to system 1" in node.said.getvalue() and any("listening to" in text for _, text in boat.texts)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", few([signal.SIGTERM, signal.SIGINT], [signal.SIGTERM]))
 def test_a_signal_saves_and_ends_with_code_0(tmp_path, number):
     port, folder = free_port(), tmp_path / "node"
     command = [sys.executable, "-m", "usvlearn", "live", "mavlink", f"udpin:{HERE}:{port}", "--folder", str(folder),

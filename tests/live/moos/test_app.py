@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from tests.support import ROOT
+from tests.support import ROOT, few
 from tests.support.live import boat, messages
 from tests.support.moos_app import ASK, NAMES, SCALE, at_sea, prior, ready, until
 from tests.support.moosdb import Moosdb
@@ -197,7 +197,7 @@ def test_warped_time(tmp_path):
     asyncio.run(work())
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", few([signal.SIGTERM, signal.SIGINT], [signal.SIGTERM]))
 def test_a_signal_saves_and_leaves(tmp_path, number):
     database = Moosdb()
     with database.in_thread() as call:

@@ -151,7 +151,7 @@ class Identified(Mapping[str, Quantity]):
         """
         return float(self.theta[-1]) * dt, math.sqrt(self.covariance[-1, -1]) * dt
 
-    def told(self, name: str) -> Quantity:
+    def displayed(self, name: str) -> Quantity:
         """A quantity as people are told it: NaN while its interval says nothing."""
         found = self.quantities[name]
         return Quantity(math.nan, math.nan, math.nan, found.unit) if name in self.unknown else found
@@ -173,7 +173,7 @@ class Identified(Mapping[str, Quantity]):
         wide = max(map(len, self.quantities))
         lines = [
             f"{name:{wide}}  {shown(each.value):>9}  {shown(each.low):>9} … {shown(each.high):<9}  {each.unit}"
-            for name, each in ((name, self.told(name)) for name in self)
+            for name, each in ((name, self.displayed(name)) for name in self)
         ]
         return "\n".join(
             [f"{'quantity':{wide}}  {'value':>9}  90 % interval", *lines, self.basis, self.scale, *self.lacks]

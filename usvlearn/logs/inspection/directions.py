@@ -94,19 +94,19 @@ def read_heading(candidate: Candidate, course: Pair | None, convention: str = ""
     name = fit("heading", candidate.label)
     if agree[best] == agree[best] and agree[best] >= AGREES and (not by_size or best.endswith(by_size)):
         margin = agree[best] - agree[ranked[1]]
-        told = f"agrees with the course over ground (mean cosine {agree[best]:.2f})"
+        sentence = f"agrees with the course over ground (mean cosine {agree[best]:.2f})"
         if margin >= MARGIN:
-            return Heading(candidate, best, CERTAIN, told, (), agree[best], name + 2 * agree[best])
+            return Heading(candidate, best, CERTAIN, sentence, (), agree[best], name + 2 * agree[best])
         close = tuple(unit for unit in ranked[1:] if agree[best] - agree[unit] < MARGIN)
         choice = next((unit for unit in (best, *close) if unit == (declared or by_size)), best)
         sure = PROBABLE if declared or (by_size and not choice.startswith("enu")) else UNSURE
-        told += ", which does not tell it from " + " or ".join(unit for unit in (best, *close) if unit != choice)
+        sentence += ", which does not tell it from " + " or ".join(unit for unit in (best, *close) if unit != choice)
         others = tuple(unit for unit in (best, *close) if unit != choice)
-        return Heading(candidate, choice, sure, told, others, agree[choice], name + agree[best])
+        return Heading(candidate, choice, sure, sentence, others, agree[choice], name + agree[best])
     base = by_size or declared.removeprefix("enu_") or ("rad" if np.ptp(candidate.extent) > 1.5 else "deg")
     unit = f"enu_{base}" if enu else base
     others = (f"enu_{base}",) if not enu else (base,)
-    told = why or (
+    sentence = why or (
         f"declared as {declared}"
         if declared
         else f"values within {candidate.extent[0]:.1f} … {candidate.extent[1]:.1f}"
@@ -114,17 +114,17 @@ def read_heading(candidate: Candidate, course: Pair | None, convention: str = ""
     if by_size and declared and not declared.endswith(by_size):
         return Heading(candidate, unit, UNSURE, f"{why}, but declared as {declared}", (declared,), math.nan, name)
     if agree[best] == agree[best] and agree[best] < AGREES:
-        told += f"; it does not follow the course over ground (mean cosine {agree[best]:.2f} at best)"
-        return Heading(candidate, unit, UNSURE, told, others, agree[best], name + min(agree[best], 0) - 1)
+        sentence += f"; it does not follow the course over ground (mean cosine {agree[best]:.2f} at best)"
+        return Heading(candidate, unit, UNSURE, sentence, others, agree[best], name + min(agree[best], 0) - 1)
     if not (by_size or declared):
         others = (*others, "deg" if base == "rad" else "rad")
         return Heading(
-            candidate, unit, UNSURE, told + ": a small range fits degrees and radians", others, math.nan, name
+            candidate, unit, UNSURE, sentence + ": a small range fits degrees and radians", others, math.nan, name
         )
-    told += "" if enu else "; taken as 0 north, clockwise"
+    sentence += "" if enu else "; taken as 0 north, clockwise"
     by_format = enu or convention in NORTH_FORMATS
     sure = PROBABLE if by_format or NORTH & set(words(candidate.label)) else UNSURE
-    return Heading(candidate, unit, sure, told, others, math.nan, name, by_format)
+    return Heading(candidate, unit, sure, sentence, others, math.nan, name, by_format)
 
 
 def orient(places: Places, heading: Heading) -> Places | None:
@@ -172,8 +172,8 @@ def read_any_turn(candidate: Candidate, course: Pair | None, convention: str = "
     scaled = candidate.named(value=candidate.value / span, unit="deg")
     found = read_heading(scaled, course, convention)
     sure = found.certainty if found.certainty == CERTAIN else UNSURE
-    told = f"values reach {candidate.size:.0f}, as {FINE_TURNS[turn]} do; {found.reason}"
-    return found._replace(candidate=candidate, span=span, certainty=sure, reason=told)
+    sentence = f"values reach {candidate.size:.0f}, as {FINE_TURNS[turn]} do; {found.reason}"
+    return found._replace(candidate=candidate, span=span, certainty=sure, reason=sentence)
 
 
 def find_headings(pool: Sequence[Candidate], course: Pair | None, convention: str = "") -> list[Heading]:
@@ -191,10 +191,10 @@ def find_headings(pool: Sequence[Candidate], course: Pair | None, convention: st
                 found.append(read._replace(score=read.score - 1))
         elif over_ground >= 1 and name > -3:
             read = read_any_turn(each, course, convention)
-            told = (
+            sentence = (
                 f"a course over ground, in place of a heading: wrong where the boat drifts or backs up; {read.reason}"
             )
-            found.append(read._replace(score=read.score - 6, certainty=UNSURE, reason=told))
+            found.append(read._replace(score=read.score - 6, certainty=UNSURE, reason=sentence))
     return sorted(found, key=lambda each: -each.score)
 
 
@@ -225,14 +225,14 @@ def find_yaw_rate(pool: Sequence[Candidate], heading: Heading) -> tuple[YawRate 
         follows = abs(relation.correlation) >= (FOLLOWS if name >= 1 else 0.75) and enough
         unit = _rate_unit(relation.slope, RATIO if name >= 1 else 1.3) if follows else ""
         if unit:
-            told = (
+            sentence = (
                 f"follows the heading's derivative: slope {relation.slope:.3g}, correlation {relation.correlation:.2f}"
             )
             sure = CERTAIN if name >= 1 and abs(relation.correlation) >= 0.75 else PROBABLE
             if each.unit and not unit.endswith(each.unit.removeprefix("enu_")):
-                told, sure = f"{told}, but declared as {each.unit}", UNSURE
+                sentence, sure = f"{sentence}, but declared as {each.unit}", UNSURE
             found.append(
-                (abs(relation.correlation) + 0.2 * name, YawRate(each, unit, sure, told, relation.correlation))
+                (abs(relation.correlation) + 0.2 * name, YawRate(each, unit, sure, sentence, relation.correlation))
             )
         elif name >= 2:
             what = (

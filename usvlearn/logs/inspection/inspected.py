@@ -72,8 +72,8 @@ def inspect_logs(given: Sequence[str], name: str | None = None, output: str = "m
     if proposal.missing:
         return Inspected(logs, series, proposal, decisions, {}, "", [], None, notes, [])
     settings = settings_of(logs.path, name or logs.name, logs.reader, proposal.channels, USUAL)
-    recordings, told = _read(settings)
-    notes += [each for each in told if each not in notes]
+    recordings, warned = _read(settings)
+    notes += [each for each in warned if each not in notes]
     lag = None
     if recordings:
         top = _tell_top_speed(settings, recordings, decisions)
@@ -97,10 +97,10 @@ def inspect_logs(given: Sequence[str], name: str | None = None, output: str = "m
 
 def _read(settings: dict[str, Any]) -> tuple[list[Recording], list[str]]:
     """The recordings, and the warnings of reading them, with paths as from here."""
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         recordings = read_settings(settings)
-    return recordings, [str(each.message).replace(f"{Path.cwd()}/", "") for each in told]
+    return recordings, [str(each.message).replace(f"{Path.cwd()}/", "") for each in warned]
 
 
 def _aligned(recordings: Sequence[Recording]) -> Fleet | None:
@@ -116,15 +116,15 @@ def _tell_top_speed(settings: dict[str, Any], recordings: Sequence[Recording], d
     speed = np.concatenate([np.abs(one.channels["surge"].value) for one in recordings])
     greatest = float(np.quantile(speed, 0.998)) if len(speed) else math.nan
     if not 0.05 < greatest < 100:
-        told = "no plausible speed was found; please set it"
-        decisions.append(Decision("vehicle", "surge_max", f"{USUAL:g} m/s", UNSURE, told))
+        sentence = "no plausible speed was found; please set it"
+        decisions.append(Decision("vehicle", "surge_max", f"{USUAL:g} m/s", UNSURE, sentence))
         return USUAL
     top = math.ceil(MARGIN * greatest * 10) / 10
     settings["vehicle"]["surge_max"] = top
     units = [each for each in decisions if each.what == "unit" and each.channel in ("surge", "velocity_north")]
-    sure, told = least(PROBABLE, *(each.certainty for each in units)), f"the greatest speed is {greatest:.2f} m/s"
-    told += f", if {units[0].value} is the unit of the speed" if sure == UNSURE else ""
-    decisions.append(Decision("vehicle", "surge_max", f"{top:g} m/s", sure, told))
+    sure, sentence = least(PROBABLE, *(each.certainty for each in units)), f"the greatest speed is {greatest:.2f} m/s"
+    sentence += f", if {units[0].value} is the unit of the speed" if sure == UNSURE else ""
+    decisions.append(Decision("vehicle", "surge_max", f"{top:g} m/s", sure, sentence))
     return top
 
 
@@ -139,17 +139,17 @@ def _tell_delay(settings: dict[str, Any], lag: Lag, decisions: list[Decision]) -
     between = [each for each in DELAYS if min(lag.equal) <= each <= max(lag.equal)]
     whole = len(lag.equal) > 2 and len(between) == len(lag.equal)
     shown = " … ".join(f"{lag.equal[k]:g}" for k in (0, -1)) if whole else ", ".join(f"{each:g}" for each in lag.equal)
-    told = f"as good: {shown} s" if len(lag.equal) > 1 else "one regression for each delay"
+    sentence = f"as good: {shown} s" if len(lag.equal) > 1 else "one regression for each delay"
     if lag.delay:
-        told = f"surely better than none; {told}"
+        sentence = f"surely better than none; {sentence}"
         if lag.delay > 1:
-            told += "; delays above 1 s are tried in steps of 0.25 s"
+            sentence += "; delays above 1 s are tried in steps of 0.25 s"
         if lag.delay == LONG_DELAYS[-1]:
-            told = f"{lag.delay:g} s or more: it is the longest that is tried"
+            sentence = f"{lag.delay:g} s or more: it is the longest that is tried"
     elif lag.best:
-        told = f"{lag.best:g} s fits best, but not surely; {told}"
+        sentence = f"{lag.best:g} s fits best, but not surely; {sentence}"
     sure = PROBABLE if lag.sure else UNSURE
     decisions += [
-        Decision(side, "delay", f"{lag.delay:g} s", sure, told, (f"{lag.best:g}",) if lag.best != lag.delay else ())
+        Decision(side, "delay", f"{lag.delay:g} s", sure, sentence, (f"{lag.best:g}",) if lag.best != lag.delay else ())
         for side in SIDES
     ]

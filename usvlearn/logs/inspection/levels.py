@@ -21,6 +21,7 @@ STILL = 0.08  # share of the greatest speed, below which a boat stands
 FEWEST = 20  # speeds of a boat that stands
 MIDDLE = 0.3, 0.75  # share of the greatest value, between which the zero of a command without a sign lies, unless at 0
 FUZZ = 0.03  # share of the scale, within which two values are taken as equal
+LIMIT = 0.999  # share of the greatest force, above which full scale is reached
 STEADY = 0.3  # share of the values while the boat stands that lie at the zero
 NEUTRAL_WORDS = {"zero", "neutral", "trim", "mid", "center", "centre", "nullpunkt"}
 
@@ -72,17 +73,32 @@ def _by_size(candidate: Candidate, convention: str) -> Level:
         sure = PROBABLE if size > 50 or unit == "percent" else UNSURE
         return Level(zero[0], 100.0, "percent", *zero[1:], sure, why, (f"{_round(size):g}",))
     if names_moment(candidate.label):
-        return Level(zero[0], _round(size), "N·m", *zero[1:], PROBABLE, "the greatest moment seen", ())
+        return Level(zero[0], _round(size), "N·m", *zero[1:], *_greatest(candidate, "moment"), ())
     if unit == "N" or {"n", "newton", "newtons", "force"} & set(words(candidate.label)):
-        return Level(zero[0], _round(size), "N", *zero[1:], PROBABLE, "the greatest force seen", ())
+        return Level(zero[0], _round(size), "N", *zero[1:], *_greatest(candidate, "force"), ())
     if size <= 1.0 + 1e-9:
         sure = CERTAIN if size > 0.999 else PROBABLE if size > 0 else UNSURE
         return Level(zero[0], 1.0, "share", *zero[1:], sure, f"values reach {size:.3g}", ())
     if 50 < size < 100:
-        told = f"values reach {size:.3g}: percent, if 100 is full scale"
-        return Level(zero[0], 100.0, "raw numbers", *zero[1:], UNSURE, told, (f"{_round(size):g}",))
+        sentence = f"values reach {size:.3g}: percent, if 100 is full scale"
+        return Level(zero[0], 100.0, "raw numbers", *zero[1:], UNSURE, sentence, (f"{_round(size):g}",))
     others = ("100",) if size < 100 else ()
     return Level(zero[0], _round(size), "raw numbers", *zero[1:], UNSURE, "the greatest value seen", others)
+
+
+def _greatest(candidate: Candidate, what: str) -> tuple[str, str]:
+    """How sure the greatest force or moment is that of full scale: a limit is reached again and again.
+
+    >>> time, thrust = np.arange(0.0, 400.0), 30 * np.sin(np.arange(0.0, 400.0) / 20)
+    >>> _greatest(Candidate("a", None, "N", "", time, np.clip(thrust, -20, 20)), "force")
+    ('probable', 'the greatest force seen, several times')
+    >>> _greatest(Candidate("a", None, "N", "", time, thrust * np.exp(-time / 200)), "force")
+    ('unsure', 'the greatest force seen, once')
+    """
+    size = np.abs(candidate.value[np.argsort(candidate.time, kind="stable")])
+    at = size >= LIMIT * size.max()
+    times = int((at[1:] > at[:-1]).sum()) + bool(at[0])
+    return (PROBABLE if times > 1 else UNSURE), f"the greatest {what} seen, {'several times' if times > 1 else 'once'}"
 
 
 def _at_mid_scale(level: Level, candidate: Candidate, speed: tuple[np.ndarray, np.ndarray] | None) -> Level:
@@ -101,24 +117,30 @@ def _at_mid_scale(level: Level, candidate: Candidate, speed: tuple[np.ndarray, n
     if math.isnan(value):  # the boat never stands: the value that comes most often may be its zero
         value = next((each for each in (_rest(candidate), float(np.median(candidate.value))) if each > 0), 0.0)
         if low > 0.05 * full and abs(value - full / 2) < 0.1 * full and _both_sides(candidate, value, FUZZ * full):
-            told = f"by convention, but it stays within {low:g} … {candidate.extent[1]:g}, mostly about {value:.4g}"
-            others = (f"{full / 2:g}", *level.alternatives)
-            return level._replace(
-                zero_certainty=UNSURE, zero_reason=told, zeros=(f"{full / 2:g}",), span_certainty=UNSURE,
-                alternatives=others,
-            )  # fmt: skip
-        return level
+            return _perhaps_at_half(level, f"{low:g} … {candidate.extent[1]:g}, mostly about {value:.4g}")
+        return _perhaps_at_half(level, f"{low:g} … {candidate.extent[1]:g}") if low > MIDDLE[0] * full else level
     if not MIDDLE[0] < value / full < MIDDLE[1]:
         return level
     centred, crossed = abs(value - full / 2) < FUZZ * full, _both_sides(candidate, value, FUZZ * full)
     if not crossed and not (centred and share > STEADY):
         return level
     zero = full / 2 if centred and level.kind != "raw numbers" else value
-    told = f"the boat stands at {value:.4g}, and it " + ("is reached from both sides" if crossed else "is mid-scale")
-    kept = level._replace(zero=float(f"{zero:.4g}"), zero_reason=told, span=_round(full - zero))
+    sentence = f"the boat stands at {value:.4g}, and it " + (
+        "is reached from both sides" if crossed else "is mid-scale"
+    )
+    kept = level._replace(zero=float(f"{zero:.4g}"), zero_reason=sentence, span=_round(full - zero))
     if centred and crossed and share > STEADY:
         return kept._replace(zero_certainty=PROBABLE, alternatives=())
     return kept._replace(zero_certainty=UNSURE, zeros=("0",), span_certainty=UNSURE, alternatives=(f"{full:g}",))
+
+
+def _perhaps_at_half(level: Level, extent: str) -> Level:
+    """A command that never comes near 0 may as well stop the boat at half its scale."""
+    half = f"{level.span / 2:g}"
+    return level._replace(
+        zero_certainty=UNSURE, zero_reason=f"by convention, but it stays within {extent}", zeros=(half,),
+        span_certainty=UNSURE, alternatives=(half, *level.alternatives),
+    )  # fmt: skip
 
 
 def _where_still(candidate: Candidate, speed: tuple[np.ndarray, np.ndarray] | None, near: float) -> tuple[float, float]:
@@ -168,10 +190,10 @@ def _pwm(candidate: Candidate, pool: Sequence[Candidate]) -> Level:
     if reach > 420:
         return Level(zero[0], 500.0, PWM, *zero[1:], PROBABLE, f"values reach {low:.0f} … {high:.0f}", ("400",))
     if reach > 380:
-        told = f"values reach {low:.0f} … {high:.0f}, as of 1100 … 1900"
-        return Level(zero[0], 400.0, PWM, *zero[1:], PROBABLE, told, ("500",))
-    told = f"values stay within {low:.0f} … {high:.0f}; full scale is 400 or 500 by convention"
-    return Level(zero[0], 400.0, PWM, *zero[1:], UNSURE, told, ("500",))
+        sentence = f"values reach {low:.0f} … {high:.0f}, as of 1100 … 1900"
+        return Level(zero[0], 400.0, PWM, *zero[1:], PROBABLE, sentence, ("500",))
+    sentence = f"values stay within {low:.0f} … {high:.0f}; full scale is 400 or 500 by convention"
+    return Level(zero[0], 400.0, PWM, *zero[1:], UNSURE, sentence, ("500",))
 
 
 def sharing(force: Candidate, moment: Candidate, levels: tuple[Level, Level]) -> tuple[Level, Level]:
@@ -180,9 +202,9 @@ def sharing(force: Candidate, moment: Candidate, levels: tuple[Level, Level]) ->
     order = np.argsort(stamps, kind="stable")
     place = np.clip(np.searchsorted(stamps[order], time, side="right") - 1, 0, None)
     both = np.abs(push) / max(force.size, 1e-9) + np.abs(turn[order][place]) / max(moment.size, 1e-9)
-    most, told = float(np.quantile(both, 0.999)), "the greatest sum of both is full scale"
+    most, sentence = float(np.quantile(both, 0.999)), "the greatest sum of both is full scale"
     one, other = (
-        level._replace(span=_round(most * each.size), span_reason=told, span_certainty=PROBABLE, kind=kind)
+        level._replace(span=_round(most * each.size), span_reason=sentence, span_certainty=PROBABLE, kind=kind)
         for level, each, kind in zip(levels, (force, moment), ("N", "N·m"), strict=True)
     )
     return one, other

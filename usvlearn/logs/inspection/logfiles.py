@@ -266,10 +266,10 @@ def _survey(which: Format, files: Sequence[Path]) -> tuple[Any, list[list[Series
         size += bytes_of(file)
         try:
             own, doubts = which.open(file) if reader is None else (reader, doubts)
-            with warnings.catch_warnings(record=True) as told:
+            with warnings.catch_warnings(record=True) as sentence:
                 warnings.simplefilter("always")
                 series = own.survey(file)
-            notes += [str(each.message) for each in told]
+            notes += [str(each.message) for each in sentence]
             if not any(np.isfinite(each.value).any() for each in series):
                 raise LogFormatError(f"{file}: expected numbers, found none in this log: leave it out")
         except LogFormatError as wrong:

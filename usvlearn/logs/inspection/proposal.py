@@ -142,17 +142,17 @@ def _told_azimuths(labels: Sequence[str]) -> str:
     )
 
 
-def _doubted(told: Decision, turned: float) -> Decision:
+def _doubted(decision: Decision, turned: float) -> Decision:
     """The sense of a heading that neither a course over ground nor the thrusters confirm."""
-    if told[:2] not in (("heading", "unit"), ("yaw_rate", "unit")):
-        return told
+    if decision[:2] not in (("heading", "unit"), ("yaw_rate", "unit")):
+        return decision
     reason = "nothing confirms its sense"
     if turned <= -LIKELY:
         reason = "the boat would turn against its thrusters: its sense, or the sides, are wrong"
-    other = told.value.removeprefix("enu_") if told.value.startswith("enu_") else f"enu_{told.value}"
-    reason = f"{told.reason}; {reason}"
-    return told._replace(
-        certainty=UNSURE, reason=reason, alternatives=tuple(dict.fromkeys((*told.alternatives, other)))
+    other = decision.value.removeprefix("enu_") if decision.value.startswith("enu_") else f"enu_{decision.value}"
+    reason = f"{decision.reason}; {reason}"
+    return decision._replace(
+        certainty=UNSURE, reason=reason, alternatives=tuple(dict.fromkeys((*decision.alternatives, other)))
     )
 
 
@@ -208,11 +208,11 @@ def _tell_heading(best: Heading, headings: Sequence[Heading], channels: dict, se
     else:
         sure, why = UNSURE, best.reason
     why += f"; others: {', '.join(close[:3])}" if close else ""
-    told = [
+    decisions = [
         Decision("heading", "series", candidate.label, sure, why, tuple(close)),
         Decision("heading", "unit", best.unit, best.certainty, best.reason, best.alternatives),
     ]
-    return told + [Decision("heading", "span", f"{best.span:g}", best.certainty, best.reason) for _ in scale]
+    return decisions + [Decision("heading", "span", f"{best.span:g}", best.certainty, best.reason) for _ in scale]
 
 
 def _tell_yaw_rate(
@@ -255,18 +255,18 @@ def _tell_speed(speeds: Sequence[Speed], channels: dict, series: dict) -> list[D
         why += "; signed"
     if close:
         why += f"; before {', '.join(each.candidate.label for each in close[:3])}: {_why_better(best, close[0])}"
-    told = [
+    decisions = [
         Decision("surge", "series", candidate.label, sure, why, tuple(each.candidate.label for each in close)),
         Decision("surge", "unit", best.unit, least(best.certainty, sure), best.reason, best.alternatives),
     ]
     period, share = period_of(candidate)
     if period:
-        told.append(
+        decisions.append(
             Decision(
                 "surge", "period", f"{period:g} s", PROBABLE, f"{share:.0%} of the speeds are copies of the one before"
             )
         )
-    return told
+    return decisions
 
 
 def _why_better(best: Speed, other: Speed) -> str:
@@ -286,7 +286,7 @@ def _why_better(best: Speed, other: Speed) -> str:
 def _tell_commands(commands: Sequence[Commands], channels: dict, series: dict) -> list[Decision]:
     if not commands:
         return []
-    best, told = commands[0], []
+    best, decisions = commands[0], []
     for channel, one in zip(SIDES, (best.left, best.right), strict=True):
         channels[channel] = _command_source(one)
         if len(one.parts) == 1:
@@ -303,14 +303,14 @@ def _tell_commands(commands: Sequence[Commands], channels: dict, series: dict) -
         how = "on change: held until the next one" if held else "periodic: window auto"
         rate = f"{one.parts[0].repeats:.0%} repeat the one before; every {one.parts[0].interval:.2g} s"
         span, span_reason = f"{one.sign * level.span:g}", f"{level.kind}: {level.span_reason}"
-        told += [
+        decisions += [
             Decision(channel, "series", label, best.certainty, best.reason, others),
             Decision(channel, "zero", f"{level.zero:g}", level.zero_certainty, level.zero_reason, level.zeros),
             Decision(channel, "span", span, level.span_certainty, span_reason, level.alternatives),
             Decision(channel, "sign", ahead, best.sign_certainty, best.sign_reason, best.alternatives),
             Decision(channel, "posting", how, on_change(one.parts[0])[1], rate),
         ]
-    return told
+    return decisions
 
 
 def _listed(one: Side) -> str:
@@ -353,18 +353,18 @@ def _tell_places(places: Places, channels: dict, series: dict, confirmed: bool, 
         why = "against the names: only with latitude and longitude interchanged, the speed follows their rate"
     if axes != CERTAIN:
         sure, why = least(sure, axes), "which of them is north, is told by the heading, which follows the course then"
-    told = []
+    decisions = []
     for name, candidate in zip(names, (places.first, places.second), strict=True):
         scale = {} if not places.geographic or places.first.size <= 90 else {"span": 1e7}
         channels[name] = _source(candidate, unit="deg" if places.geographic else "m", window=AUTO, **scale)
         series[name] = candidate
-        told.append(Decision(name, "series", candidate.label, sure, why))
-    return told
+        decisions.append(Decision(name, "series", candidate.label, sure, why))
+    return decisions
 
 
 def _tell_velocities(found: Velocities, speeds: Sequence[Speed], channels: dict, series: dict) -> list[Decision]:
     """Both components, from which the surge is computed with the heading."""
-    size, told = found.size, []
+    size, decisions = found.size, []
     others = tuple(each.candidate.label for each in speeds[:3])
     for name, candidate in (("velocity_north", found.north), ("velocity_east", found.east)):
         channels[name] = _source(candidate, unit=size.unit, window=AUTO)
@@ -373,11 +373,11 @@ def _tell_velocities(found: Velocities, speeds: Sequence[Speed], channels: dict,
         why = ("by its direction" if found.guessed else "by name") + (
             "; their size follows the rate of position" if size.confirmed else ""
         )
-        told.append(Decision(name, "series", candidate.label, sure, why))
-        told.append(Decision(name, "unit", size.unit, size.certainty, size.reason, size.alternatives))
+        decisions.append(Decision(name, "series", candidate.label, sure, why))
+        decisions.append(Decision(name, "unit", size.unit, size.certainty, size.reason, size.alternatives))
     why = "velocities and heading give a signed surge" + (f"; before {', '.join(others)}" if others else "")
     sure = UNSURE if found.guessed else PROBABLE
-    return [*told, Decision("surge", "series", "from the velocities", sure, why, others)]
+    return [*decisions, Decision("surge", "series", "from the velocities", sure, why, others)]
 
 
 def _tell_places_as_speed(channels: dict) -> list[Decision]:

@@ -57,9 +57,9 @@ def _logs(found: Inspected) -> Iterator[str]:
     if logs.joined:
         yield logs.joined
     options = {field.name: getattr(logs.reader, field.name) for field in dataclasses.fields(logs.reader)}
-    told = ", ".join(f"{key.replace('_', ' ')} {value!r}" for key, value in options.items() if value != "auto")
-    if told:
-        yield f"Reader: {printable(told)}."
+    sentence = ", ".join(f"{key.replace('_', ' ')} {value!r}" for key, value in options.items() if value != "auto")
+    if sentence:
+        yield f"Reader: {printable(sentence)}."
 
 
 def _series(series: Sequence[Candidate], listed: int) -> Blocks:

@@ -159,17 +159,17 @@ class Decided(NamedTuple):
 
     def facts(self) -> str:
         """What a full command of each side does, as it is logged: the gains nearest to the fit that `best` allows."""
-        told: dict[str, list[str]] = {"left": [], "right": []}
+        effects: dict[str, list[str]] = {"left": [], "right": []}
         order = ("right", "left") if self.taken.swapped else ("left", "right")
         for fits, signs, factor, unit in zip(
             self.fits, _signs(self.best), (1.0, math.degrees(1.0)), ("m/s", "°/s"), strict=True
         ):
             if fits:
                 for side, gain in zip(order, _nearest(fits, signs).nearest(signs), strict=True):
-                    told[side].append(f"{float(f'{factor * gain:.2g}') + 0.0:+g} {unit}")
-        if not told["left"]:
+                    effects[side].append(f"{float(f'{factor * gain:.2g}') + 0.0:+g} {unit}")
+        if not effects["left"]:
             return "neither speed nor turn tells"
-        return "full command, as logged: " + "; ".join(f"{side} {', '.join(each)}" for side, each in told.items())
+        return "full command, as logged: " + "; ".join(f"{side} {', '.join(each)}" for side, each in effects.items())
 
 
 def decide(

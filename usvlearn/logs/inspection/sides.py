@@ -129,13 +129,13 @@ def _commands(sides: Sequence[Side], found: Decided, which: str, reason: str, na
     left, right = signed[::-1] if taken.swapped else signed
     backward = min(taken[1:]) < 0
     sure = _surely(found.signs, *taken[1:])
-    told, rival = found.facts(), _reversed(found.rival)
+    sentence, rival = found.facts(), _reversed(found.rival)
     if found.signs < LIKELY:
-        told = f"{told}; weak evidence" if backward else "too little evidence in speed and turn"
-        told += f"; {'more' if found.signs < 0 else 'almost as'} likely: {rival}"
+        sentence = f"{sentence}; weak evidence" if backward else "too little evidence in speed and turn"
+        sentence += f"; {'more' if found.signs < 0 else 'almost as'} likely: {rival}"
     score = name + 0.08 * found.support - 0.5 * backward
     others = (rival,) if sure == UNSURE else ()
-    return Commands(left, right, which, reason, sure, told, others, score, found.turning)
+    return Commands(left, right, which, reason, sure, sentence, others, score, found.turning)
 
 
 def _reversed(each: Senses) -> str:
@@ -145,9 +145,9 @@ def _reversed(each: Senses) -> str:
     ('left reversed, right not', 'none reversed, and left and right swapped')
     """
     left, right = each[:0:-1] if each.swapped else each[1:]
-    told = {(1, 1): "none reversed", (-1, -1): "both reversed", (-1, 1): "left reversed, right not"}
+    sentence = {(1, 1): "none reversed", (-1, -1): "both reversed", (-1, 1): "left reversed, right not"}
     swap = ", and left and right swapped" if each.swapped else ""
-    return told.get((left, right), "right reversed, left not") + swap
+    return sentence.get((left, right), "right reversed, left not") + swap
 
 
 def _leveled(sides: Sequence[Side]) -> bool:
@@ -259,8 +259,8 @@ def _with_rudder(
         against = (other,) if push == UNSURE else ()
         both = one._replace(sign=ahead)
         if not rudders:
-            told = "one thrust and no rudder: both sides get the same command"
-            yield Commands(both, both, UNSURE, told, UNSURE, f"no side is logged; {pushed}", against, name - 2)
+            sentence = "one thrust and no rudder: both sides get the same command"
+            yield Commands(both, both, UNSURE, sentence, UNSURE, f"no side is logged; {pushed}", against, name - 2)
         for rudder in rudders:
             if names_force(thrust.label) != names_moment(rudder.label):
                 continue
@@ -279,10 +279,10 @@ def _with_rudder(
                 reason = "steering is added to the throttle on the left, and subtracted on the right"
                 if names_moment(rudder.label):
                     reason = "the force ahead is shared by both sides, and the moment turns the boat"
-                told = f"the yaw rate follows {rudder.label}: correlation {relation.correlation:+.2f}"
-                told = told if known else f"too little evidence of the sense of {rudder.label}"
+                sentence = f"the yaw rate follows {rudder.label}: correlation {relation.correlation:+.2f}"
+                sentence = sentence if known else f"too little evidence of the sense of {rudder.label}"
                 sure = least(push, PROBABLE if known else UNSURE)
-                yield Commands(left, right, PROBABLE, reason, sure, f"{pushed}; {told}", against, name + 3)
+                yield Commands(left, right, PROBABLE, reason, sure, f"{pushed}; {sentence}", against, name + 3)
             else:
                 reason = f"one thrust for both sides; the rudder {rudder.label} drives none"
                 mix = " and ".join(f"[{first:g}, {second:g}]" for first, second in weights)
@@ -301,8 +301,8 @@ def find_rudder(candidate: Candidate, level: Level) -> Level:
         return level
     size = max(candidate.size, 1e-9)
     full = next((each for each in (1.0, 30.0, 35.0, 45.0, 90.0, 100.0) if 0.9 * each <= size <= each * 1.001), size)
-    told = f"the greatest angle is {size:.3g}"
-    return Level(0.0, float(f"{full:.3g}"), "rudder", PROBABLE, "by convention", PROBABLE, told, ())
+    sentence = f"the greatest angle is {size:.3g}"
+    return Level(0.0, float(f"{full:.3g}"), "rudder", PROBABLE, "by convention", PROBABLE, sentence, ())
 
 
 def _unnamed(
@@ -324,9 +324,9 @@ def _unnamed(
                 or not min(on_speed.certainty, on_turn.certainty) > CLEAR
             ):
                 continue
-            told = _correlations(on_speed, on_turn)
+            sentence = _correlations(on_speed, on_turn)
             score = on_speed.correlation + on_turn.correlation
-            yield Commands(sides[0], sides[1], UNSURE, f"by its numbers alone: {told}", UNSURE, told, (), score)
+            yield Commands(sides[0], sides[1], UNSURE, f"by its numbers alone: {sentence}", UNSURE, sentence, (), score)
 
 
 def _share(one: Side) -> Pair:

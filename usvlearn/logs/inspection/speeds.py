@@ -103,29 +103,31 @@ def read_speed(candidate: Candidate, relation: Relation | None, convention: str,
         if relation.correlation >= FOLLOWS and (unit := _unit(relation.slope)):
             return _near(candidate, unit, relation, declared, declared or usual, score)
         if relation.correlation >= FOLLOWS:
-            told = f"{relation.slope:.3g} × the rate of position, which is no known unit"
+            sentence = f"{relation.slope:.3g} × the rate of position, which is no known unit"
             others = (*(unit for unit in SPEEDS[:3] if unit != (declared or "m/s")), _by_span(relation))
-            return Speed(candidate, declared or "m/s", UNSURE, told, others, False, True, score - 2)
+            return Speed(candidate, declared or "m/s", UNSURE, sentence, others, False, True, score - 2)
     if relation is not None and relation.seconds >= LONG and relation.correlation >= STEADY:
         unit = _unit(relation.slope, TIGHT)
         if unit and unit == (declared or "m/s"):
-            told = f"{relation.slope:.3g} × the rate of position; the speed varies too little to be certain"
-            return Speed(candidate, unit, PROBABLE, told, (), False, False, score + 1)
+            sentence = f"{relation.slope:.3g} × the rate of position; the speed varies too little to be certain"
+            return Speed(candidate, unit, PROBABLE, sentence, (), False, False, score + 1)
     follows_not = relation is not None and relation.seconds > 120 and relation.correlation < FOLLOWS / 2
     unit = declared or usual or "m/s"
     others = tuple(other for other in SPEEDS[:3] if other != unit)
     doubt = "; it does not follow the rate of position" if follows_not else ""
     if candidate.size * UNITS[unit][0] > PLAUSIBLE:
-        told = f"values reach {candidate.size:.3g}, too much for {unit}{doubt}"
-        return Speed(candidate, unit, UNSURE, told, others, False, follows_not, score - 3)
+        sentence = f"values reach {candidate.size:.3g}, too much for {unit}{doubt}"
+        return Speed(candidate, unit, UNSURE, sentence, others, False, follows_not, score - 3)
     if declared:
-        told = f"the log says {declared}; no position confirms it" if relation is None else f"the log says {declared}"
+        sentence = (
+            f"the log says {declared}; no position confirms it" if relation is None else f"the log says {declared}"
+        )
         sure = UNSURE if follows_not else PROBABLE
         return Speed(
             candidate,
             unit,
             sure,
-            told + doubt,
+            sentence + doubt,
             others if follows_not else (),
             False,
             follows_not,
@@ -136,22 +138,24 @@ def read_speed(candidate: Candidate, relation: Relation | None, convention: str,
         return Speed(
             candidate, unit, sure, f"m/s by convention{doubt}", others, False, follows_not, score - 2 * follows_not
         )
-    told = "neither the name nor a position tells the unit"
-    return Speed(candidate, unit, UNSURE, told + doubt, others, False, follows_not, score - 2 * follows_not)
+    sentence = "neither the name nor a position tells the unit"
+    return Speed(candidate, unit, UNSURE, sentence + doubt, others, False, follows_not, score - 2 * follows_not)
 
 
 def _near(candidate: Candidate, unit: str, relation: Relation, declared: str, expected: str, score: float) -> Speed:
     """A speed that follows the rate of position, in the unit that is nearest; a unit must fit closely to be certain."""
-    told = f"{relation.slope:.3g} × the rate of position (correlation {relation.correlation:.2f})"
+    sentence = f"{relation.slope:.3g} × the rate of position (correlation {relation.correlation:.2f})"
     if declared and declared != unit:
-        return Speed(candidate, unit, UNSURE, f"{told}, but declared as {declared}", (declared,), True, False, score)
+        return Speed(
+            candidate, unit, UNSURE, f"{sentence}, but declared as {declared}", (declared,), True, False, score
+        )
     fits = _unit(relation.slope, FITS) == unit
     score += 2 * relation.correlation
     if fits or unit == expected:
         sure = CERTAIN if fits and relation.correlation > SAME else PROBABLE
-        return Speed(candidate, unit, sure, told, (), True, False, score)
-    told += f", which is no known unit; {unit} would give {1 / UNITS[unit][0]:.3g}"
-    return Speed(candidate, unit, UNSURE, told, (_by_span(relation),), True, False, score)
+        return Speed(candidate, unit, sure, sentence, (), True, False, score)
+    sentence += f", which is no known unit; {unit} would give {1 / UNITS[unit][0]:.3g}"
+    return Speed(candidate, unit, UNSURE, sentence, (_by_span(relation),), True, False, score)
 
 
 def _by_span(relation: Relation) -> str:
@@ -177,8 +181,8 @@ def by_other(speed: Speed, known: Speed) -> Speed:
     unit = _unit(float(np.median(np.abs(own[fast]) / np.abs(other[fast])))) if fast.sum() > 30 else ""
     if not unit:
         return speed
-    told = f"by its ratio to {known.candidate.label}"
-    return speed._replace(unit=unit, certainty=PROBABLE, reason=told, alternatives=())
+    sentence = f"by its ratio to {known.candidate.label}"
+    return speed._replace(unit=unit, certainty=PROBABLE, reason=sentence, alternatives=())
 
 
 def quality(candidate: Candidate) -> float:

@@ -29,7 +29,7 @@ def joined_tables(files: Sequence[Path]) -> tuple[list[Path], str]:
     for file in files:
         folders.setdefault(file.parent, []).append(file)
     logs: list[Path] = []
-    told = ""
+    sentence = ""
     for folder, inside in folders.items():
         if len(inside) < 2:
             logs += inside
@@ -40,7 +40,7 @@ def joined_tables(files: Sequence[Path]) -> tuple[list[Path], str]:
         if whole is not None or not differ:
             logs += inside
             why = f"{whole.name} has all channels" if whole and differ else "they have the same columns"
-            told = told or f"Each file is a run: {why}."
+            sentence = sentence or f"Each file is a run: {why}."
             continue
         if others := [
             each.name for each in tables_of(Table(AUTO), folder) if each not in inside and each.stat().st_size
@@ -52,10 +52,10 @@ def joined_tables(files: Sequence[Path]) -> tuple[list[Path], str]:
         logs.append(folder)
         names = ", ".join(sorted(each.stem for each in columns)[:SHOWN])
         more = ", …" if len(columns) > SHOWN else ""
-        told = (
+        sentence = (
             f"The {len(columns)} tables of a folder are one run, joined by time ({names}{more}): none has all channels."
         )
-    return logs, told
+    return logs, sentence
 
 
 def names_all(columns: Sequence[str]) -> bool:

@@ -84,10 +84,10 @@ def write_text(
     for name, source in data["channels"].items():
         lines.append(f"    {name}:")
         for key, value in source.items():
-            told = reasons.get((name, key))
-            lines.append(f"      {key}: {scalar(value)}" + (f"  # {_comment(told)}" if told else ""))
-            if told and told.certainty == UNSURE:
-                lines += [f"      # or {key}: {_plain(other)}" for other in told.alternatives]
+            sentence = reasons.get((name, key))
+            lines.append(f"      {key}: {scalar(value)}" + (f"  # {_comment(sentence)}" if sentence else ""))
+            if sentence and sentence.certainty == UNSURE:
+                lines += [f"      # or {key}: {_plain(other)}" for other in sentence.alternatives]
     if unsure := [each for each in decisions if each.certainty == UNSURE]:
         lines.append("# Unsure, please check:")
         lines += [f"#   {_plain(f'{each.channel}, {each.what}: {each.value} ({each.reason})')}" for each in unsure]
@@ -96,8 +96,8 @@ def write_text(
     return "\n".join(lines) + "\n"
 
 
-def _comment(told: Decision) -> str:
-    return _plain(f"{told.certainty}: {told.reason}")
+def _comment(sentence: Decision) -> str:
+    return _plain(f"{sentence.certainty}: {sentence.reason}")
 
 
 def _plain(text: str) -> str:

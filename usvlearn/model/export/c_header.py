@@ -47,7 +47,7 @@ def c_header(boat: IdentifiedBoat) -> str:
         *wrap(boat.found.basis, 110), *(line for each in boat.found.lacks for line in wrap(each, 110)), "",
         "Identified, with 90 % intervals; the coefficients are those of motion ahead, where terms are summed:",
         "quantity                       value        from          to  unit",
-        *(_row(quantity, boat.found.told(quantity)) for quantity in boat.found),
+        *(_row(quantity, boat.found.displayed(quantity)) for quantity in boat.found),
     ]  # fmt: skip
     lines = [
         "/*", *(f" * {line}".rstrip() for line in map(_harmless, comment)), " */",

@@ -18,9 +18,9 @@ def tables(found: Fitted, online: Identified | None) -> list[RenderableType]:
     heads = ["fit (use)", "from", "to", *(["online", "from", "to"] if online is not None else []), "unit"]
     table = Blocks(f"{found.boat}: fitted to all missions, with 90 % intervals", ["quantity"], heads)
     for name, each in found.quantities.items():
-        beside = [shown(x) for x in online.told(name)[:3]] if online is not None and name in online else []
+        beside = [shown(x) for x in online.displayed(name)[:3]] if online is not None and name in online else []
         beside = beside or ["–"] * (3 if online is not None else 0)
-        table.add(name, *map(shown, found.found.told(name)[:3]), *beside, each.unit)
+        table.add(name, *map(shown, found.found.displayed(name)[:3]), *beside, each.unit)
     sets = Blocks(
         "Terms, by their loss on missions that they have not learned", ["set"], ["parameters", "worse by", "±", "MAE"]
     )

@@ -62,7 +62,7 @@ def fit_section(
             continue
         last = tree_map(lambda leaf: leaf[-1:], season.state)
         online, known = identified_boats(ensemble, last, [season.boat]).get(season.boat), truth.get(season.boat, {})
-        beside = {name: online.told(name) for name in online} if online is not None else {}
+        beside = {name: online.displayed(name) for name in online} if online is not None else {}
         rows["fit"] += _quantities(season.boat, fit, beside, known)
         rows["fit_sets"] += [
             (

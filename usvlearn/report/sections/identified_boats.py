@@ -36,7 +36,7 @@ def identified_section(seasons: Sequence[Season], ensemble: Ensemble, truth: Tru
             return None
         known = truth.get(season.boat, {})
         for name, (_, low, high, _) in found.items():
-            value, start, end, unit = found.told(name)
+            value, start, end, unit = found.displayed(name)
             rows.append((season.boat, name, unit, value, start, end, known.get(name)))
             if name in known:
                 held.append(low <= known[name] <= high)
