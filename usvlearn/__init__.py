@@ -15,9 +15,11 @@ if TYPE_CHECKING:  # what type checkers and editors see; a test compares it with
     from usvlearn.core.hyper import Positive as Positive
     from usvlearn.core.hyper import UnitInterval as UnitInterval
     from usvlearn.core.plans import Forecast as Forecast
+    from usvlearn.core.plans import Track as Track
     from usvlearn.core.protocol import Estimator as Estimator
     from usvlearn.core.samples import Fleet as Fleet
     from usvlearn.core.samples import Inputs as Inputs
+    from usvlearn.core.samples import PlanarSample as PlanarSample
     from usvlearn.core.samples import Run as Run
     from usvlearn.core.samples import Sample as Sample
     from usvlearn.core.samples import VectorSample as VectorSample
@@ -27,6 +29,8 @@ if TYPE_CHECKING:  # what type checkers and editors see; a test compares it with
     from usvlearn.errors import UsvlearnError as UsvlearnError
     from usvlearn.estimators.aid.layer import AID as AID
     from usvlearn.estimators.arx.layer import ARX as ARX
+    from usvlearn.estimators.axis.layer import SwayEKF as SwayEKF
+    from usvlearn.estimators.axis.layer import YawEKF as YawEKF
     from usvlearn.estimators.baselines.acceleration.layer import Acceleration as Acceleration
     from usvlearn.estimators.baselines.persistence.layer import Persistence as Persistence
     from usvlearn.estimators.ensemble.combiners.layer import BOA as BOA
@@ -41,6 +45,7 @@ if TYPE_CHECKING:  # what type checkers and editors see; a test compares it with
     from usvlearn.estimators.least_squares.projected import Projected as Projected
     from usvlearn.estimators.least_squares.rls import RLS as RLS
     from usvlearn.estimators.least_squares.sift import SIFtRLS as SIFtRLS
+    from usvlearn.estimators.planar.layer import Planar as Planar
     from usvlearn.estimators.regressors.layer import QuasiStatic as QuasiStatic
     from usvlearn.estimators.regressors.layer import SurgeDynamics as SurgeDynamics
     from usvlearn.estimators.rnn.layer import RNN as RNN
@@ -53,6 +58,7 @@ if TYPE_CHECKING:  # what type checkers and editors see; a test compares it with
 _HOME = {
     "Inputs": "core.samples",
     "Sample": "core.samples",
+    "PlanarSample": "core.samples",
     "VectorSample": "core.samples",
     "Run": "core.samples",
     "Fleet": "core.samples",
@@ -60,6 +66,7 @@ _HOME = {
     "rollout": "engine.rollouts",
     "forecast": "engine.rollouts",
     "Forecast": "core.plans",
+    "Track": "core.plans",
     "Positive": "core.hyper",
     "UnitInterval": "core.hyper",
     "AID": "estimators.aid.layer",
@@ -74,6 +81,9 @@ _HOME = {
     "Persistence": "estimators.baselines.persistence.layer",
     "Acceleration": "estimators.baselines.acceleration.layer",
     "JointEKF": "estimators.joint.layer",
+    "YawEKF": "estimators.axis.layer",
+    "SwayEKF": "estimators.axis.layer",
+    "Planar": "estimators.planar.layer",
     "Trial": "estimators.joint.trial",
     "Ensemble": "estimators.ensemble.layer",
     "ForecastSettings": "estimators.ensemble.forecasts.layer",

@@ -35,8 +35,10 @@ from usvlearn import (
     Sample,
     SIFtRLS,
     SurgeDynamics,
+    SwayEKF,
     Trial,
     WithMemory,
+    YawEKF,
 )
 from usvlearn.core.lock import Lock
 
@@ -74,6 +76,8 @@ ESTIMATORS = {
     "joint": lambda: JointEKF(2.5, 28.0),
     "joint_odd": lambda: JointEKF(2.5, 28.0, disturbance=5.0, even=None, lag=0.3, outlier=8.0, read_every=2.0),
     "joint_trial": lambda: JointEKF(2.5, 28.0, read_every=2.0, trial=Trial(threshold=4.0, leads=1.0, steps=9)),
+    "yaw": lambda: YawEKF(2.5),
+    "sway": lambda: SwayEKF(2.5),
     "arx": ARX,
     "arx_gaussian": lambda: ARX(
         lags=1, even=False, turning=True, thrust_speed=True, project=False, walk=1e-2, degrees=None

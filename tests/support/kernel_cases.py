@@ -30,6 +30,7 @@ from usvlearn import (
     SurgeDynamics,
     Trial,
     WithMemory,
+    YawEKF,
 )
 from usvlearn.core.samples import named_leaves, tree_map
 
@@ -283,6 +284,7 @@ LONG = {  # one of every family; four batch elements, which are settings where h
     "joint": lambda: JointEKF(
         1 + _some, 28.0 * _some, disturbance=_some, even=0.1 * _some, outlier=3 + _some, read_every=60.0
     ),
+    "yaw": lambda: YawEKF(1 + _some, turn_max=_some, disturbance=_some, drift_time=100 * _some, outlier=3 + _some),
     "acceleration": lambda: Robust(Acceleration(), 2.0, scale=_some),
     "arx": lambda: ARX(scale=0.3 * _some, walk=1e-4 * _some, degrees=5 * _some),
     "pair": lambda: Ensemble(

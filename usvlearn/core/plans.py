@@ -1,4 +1,4 @@
-"""Forecasts of a plan: what a boat will do if it is commanded so. Imports no torch.
+"""Forecasts of a plan: what a boat will do if it is commanded so, and where it will be. Imports no torch.
 
 A plan is commands, headings and yaw rates for each of the next steps. `Online.forecast` and `usvlearn.forecast` predict
 the speed at the end of each step, with an interval.
@@ -34,6 +34,89 @@ class Forecast(NamedTuple):
     surge: Any  # (time, *batch) m/s
     low: Any  # (time, *batch) m/s
     high: Any
+
+
+class Track(NamedTuple):
+    """Where the boat will be under a plan, from where it is now.
+
+    The ellipses hold the position in 90 % of the cases (the ensemble's `coverage`); `covariance` is the one whose
+    ellipse of 90 % is that. It is infinite where nothing is known yet: before ten tracks have been compared with
+    measured positions, and beyond the longest horizon.
+    """
+
+    time: Any  # (time,) s from now, at the end of each step
+    surge: Any  # (time, *batch) m/s over ground, ahead
+    sway: Any  # (time, *batch) m/s over ground, to starboard
+    yaw_rate: Any  # (time, *batch) rad/s, clockwise
+    heading: Any  # (time, *batch) rad, 0 north, clockwise; not wrapped
+    north: Any  # (time, *batch) m
+    east: Any  # (time, *batch) m
+    covariance: Any  # (time, *batch, 2, 2) m², north and east
+
+    def ellipse(self, level: float = 0.9) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The semi-axes, m, of the ellipse that holds the position with this probability, and the bearing of the major.
+
+        Args:
+            level: 0 … 1. Other levels than 0.9 follow from it as those of a normal distribution.
+
+        Returns:
+            Major and minor semi-axis, m, and the direction of the major, rad from north, `(time, *batch)` each.
+
+        Raises:
+            ConfigError: the level is not between 0 and 1.
+
+        >>> one = np.ones(1)
+        >>> track = Track(one, one, 0 * one, 0 * one, 0 * one, one, 0 * one, np.diag([4.0, 1.0])[None])
+        >>> [float(x[0].round(2)) for x in track.ellipse(0.9)]
+        [4.29, 2.15, 0.0]
+        """
+        if not 0 < level < 1:
+            raise ConfigError(f"level: found {level!r}, expected a probability between 0 and 1, both excluded")
+        C = np.asarray(self.covariance, float)
+        a, b, c = C[..., 0, 0], C[..., 0, 1], C[..., 1, 1]
+        with np.errstate(invalid="ignore"):
+            half, away = (a + c) / 2, np.hypot((a - c) / 2, b)
+        unknown = ~np.isfinite(half)
+        size = -2 * math.log(1 - level)
+        major, minor = (
+            np.where(unknown, np.inf, np.sqrt(size * np.maximum(each, 0))) for each in (half + away, half - away)
+        )
+        return major, minor, np.where(unknown, 0.0, np.arctan2(2 * b, a - c) / 2)
+
+
+def track_of(found: np.ndarray, heading: np.ndarray, coverage: float, dt: np.ndarray) -> Track:
+    """A `Track` from what the kernel has written.
+
+    Args:
+        found: `(time, *batch, 10)`: surge, sway, yaw rate, heading, north, east, shape (3), radius of the ellipse.
+        heading: at the beginning, rad, `(*batch,)`.
+        coverage: of the ellipse.
+        dt: lengths of the steps, s, `(time,)`.
+    """
+    forward, mixed, aside, radius = (found[..., i] for i in range(6, 10))
+    c, s = np.cos(heading), np.sin(heading)
+    size = radius * radius / (-2 * math.log(1 - coverage))
+    with np.errstate(invalid="ignore"):
+        north = size * (c * c * forward - 2 * c * s * mixed + s * s * aside)
+        both = size * (c * s * (forward - aside) + (c * c - s * s) * mixed)
+        east = size * (s * s * forward + 2 * c * s * mixed + c * c * aside)
+    known = np.isfinite(radius)
+    both, north, east = np.where(known, both, 0.0), np.where(known, north, np.inf), np.where(known, east, np.inf)
+    covariance = np.stack([np.stack([north, both], -1), np.stack([both, east], -1)], -2)
+    surge, sway, yaw_rate, turned, at_north, at_east = (found[..., i] for i in range(6))
+    return Track(np.cumsum(dt), surge, sway, yaw_rate, turned, at_north, at_east, covariance)
+
+
+def plan_commands(commands: Any, dt: Any, batch: tuple[int, ...] = ()) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The commands of a plan without headings: left, right and lengths of the steps, `(time, *batch)`.
+
+    Arguments and errors are those of `plan_inputs`.
+
+    >>> plan_commands([[0.5, 0.4]] * 3, 0.4)[2]
+    array([0.4, 0.4, 0.4])
+    """
+    inputs = plan_inputs(commands, 0.0, 0.0, dt, batch)
+    return inputs.command_left, inputs.command_right, inputs.dt
 
 
 def plan_inputs(commands: Any, headings: Any, yaw_rates: Any, dt: Any, batch: tuple[int, ...] = ()) -> Inputs:

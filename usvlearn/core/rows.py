@@ -22,7 +22,7 @@ ABSURD_COMMAND, _, ABSURD_HEADING, ABSURD_YAW_RATE, ABSURD_DT = PLAUSIBLE_INPUTS
 
 @jit
 def prepare(left, right, heading, yaw_rate, dt, surge, fresh, measured, heads, limit, row):
-    """Write one prepared sample; sine and cosine of the heading only where an estimator needs them (`heads`).
+    """Write one prepared sample; sine and cosine of the heading where an estimator needs them (`heads`), else itself.
 
     A speed at or beyond `limit`, m/s, counts as missing.
     """
@@ -33,7 +33,7 @@ def prepare(left, right, heading, yaw_rate, dt, surge, fresh, measured, heads, l
     known = abs(surge) < limit
     if steps:
         row[LEFT], row[RIGHT], row[YAW_RATE], row[DT] = left, right, yaw_rate, dt
-        row[SIN], row[COS] = (np.sin(heading), np.cos(heading)) if heads else (0.0, 0.0)
+        row[SIN], row[COS] = (np.sin(heading), np.cos(heading)) if heads else (heading, 0.0)
         row[MODE] = LEARN if measured and known else PREDICT
     else:
         fill(row[:SURGE], 0.0)

@@ -44,6 +44,20 @@ class Sample(NamedTuple):
     measured: Array  # bool: `fresh`, and the speed arrived inside its window
 
 
+class PlanarSample(NamedTuple):
+    """One aligned time step of a boat that turns: the surge's sample, and what was measured at the end of the step.
+
+    Each number is NaN where none arrived inside its window, so that each has its own freshness.
+    """
+
+    sample: Sample
+    heading: Array  # rad, 0 north, clockwise
+    yaw_rate: Array  # rad/s, clockwise
+    sway: Array  # m/s over ground, to starboard
+    north: Array  # m, of the boat's position on a plane
+    east: Array  # m
+
+
 class VectorSample(NamedTuple):
     """One aligned time step of several components of the velocity: surge, sway and yaw rate, or some of them.
 

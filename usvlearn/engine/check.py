@@ -17,7 +17,7 @@ import numpy as np
 from usvlearn.core.family import WIDTH, Choices, Field, Range
 from usvlearn.core.family import Numbers as Declared
 from usvlearn.engine.kinds import KINDS, WRAPPERS
-from usvlearn.engine.leaves import batch_of, leaves_of
+from usvlearn.engine.leaves import batch_of, filter_of, leaves_of
 from usvlearn.errors import CheckpointError, ShapeError
 from usvlearn.estimators.ensemble import state as ensemble
 from usvlearn.estimators.ensemble.accommodation import state as accommodation
@@ -25,10 +25,13 @@ from usvlearn.estimators.ensemble.combiners.state import RULES
 from usvlearn.estimators.ensemble.conformal import state as conformal
 from usvlearn.estimators.ensemble.forecasts import state as forecasts
 from usvlearn.estimators.ensemble.monitors import state as monitors
+from usvlearn.estimators.planar import state as track
+from usvlearn.estimators.planar.state import AXES, MOST_OVERLAP
 
 LARGEST = 2**20  # numbers of a batch element: its state, its parameters, its table
 CELLS = 3 * WIDTH  # of the table, for each estimator or combiner with its wrappers, without a combiner's members
 SETTINGS = Range(1, LARGEST)  # of a bank
+HORIZONS = Range(1, forecasts.MOST_HORIZONS)  # of forecasts, and of tracks
 DTYPES = (np.dtype(np.float64), np.dtype(np.float32))
 
 
@@ -55,7 +58,10 @@ def check(description: Any, leaves: Mapping[str, np.ndarray]) -> None:
     usvlearn.errors.CheckpointError: kernel.size: found 1, expected 0
     """
     reading = _Reading()
-    reading.whole(description)
+    if _kind("kernel", description) == "planar":
+        reading.planar(description)
+    else:
+        reading.whole(description)
     fields = leaves_of(description)
     total = reading.cells + sum(
         prod(shape) for shape in (*(x.own for x in reading.numbers), *(x.shape for x in fields.values()))
@@ -129,6 +135,30 @@ class _Reading:
         self.numbers: list[Numbers] = []
         self.cells = CELLS
 
+    def planar(self, description: Any) -> None:
+        """Check the three ensembles of a boat in the plane, and its tracks."""
+        _keys("kernel", description, ("kind", *AXES, "numbers", "vectors"))
+        for axis in AXES:
+            own = _Reading()
+            if _kind(f"kernel.{axis}", description[axis]) != "ensemble":
+                raise wrong(f"kernel.{axis}.kind", description[axis]["kind"], "an ensemble")
+            try:
+                own.whole(description[axis])
+            except CheckpointError as error:
+                raise CheckpointError(f"kernel.{axis}: {error}") from error
+            if not description[axis].get("forecasts") or filter_of(axis, description[axis]) is None:
+                raise CheckpointError(f"kernel.{axis}: found no forecasts, or no filter of its kind, expected both")
+            self.cells += own.cells
+            self.numbers += [each._replace(entry=f"kernel.{axis}: {each.entry}") for each in own.numbers]
+        self._parameters("kernel.numbers", description["numbers"], track.Number)
+        _keys("kernel.vectors", description["vectors"], ("horizons",))
+        horizons = _list("kernel.vectors.horizons", description["vectors"]["horizons"], HORIZONS)
+        if any(type(h) not in (int, float) or not h > 0 for h in horizons) or sorted(set(horizons)) != horizons:
+            raise wrong("kernel.vectors.horizons", horizons, "increasing positive numbers")
+        overlap = description["numbers"]["overlap"]
+        if type(overlap) not in (int, float) or not 0 < overlap <= MOST_OVERLAP:
+            raise wrong("kernel.numbers.overlap", overlap, f"a number of 0 … {MOST_OVERLAP:g}")
+
     def whole(self, description: Any) -> None:
         """Check an estimator or an ensemble."""
         if _kind("kernel", description) != "ensemble":
@@ -192,7 +222,7 @@ class _Reading:
             raise wrong(f"{entry}.members", members, "each once")
         slots = _number(f"{entry}.slots", made["slots"], Range(1, forecasts.MOST_SLOTS))
         _keys(f"{entry}.vectors", made["vectors"], [vector.key for vector in forecasts.Vector])
-        horizons = _list(f"{entry}.vectors.horizons", made["vectors"]["horizons"], Range(1, forecasts.MOST_HORIZONS))
+        horizons = _list(f"{entry}.vectors.horizons", made["vectors"]["horizons"], HORIZONS)
         if any(not isinstance(h, int | float) for h in horizons) or sorted(set(horizons)) != horizons:
             raise wrong(f"{entry}.vectors.horizons", horizons, "increasing numbers")
         size = slots, len(horizons), len(members)

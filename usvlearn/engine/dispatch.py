@@ -17,12 +17,14 @@ from usvlearn.core.samples import PLAUSIBLE
 from usvlearn.engine.chains import ALONE, INFLATES, coast, inflate_covariance, learn, predict, run_alone
 from usvlearn.engine.chains import start as start_estimator
 from usvlearn.engine.forecasting import KNOWN_PLACE, PLACE, coasted, forecast_step, forget_forecasts
+from usvlearn.engine.planar import axis_row, tracks
 from usvlearn.estimators.ensemble.accommodation.kernel import accommodate
 from usvlearn.estimators.ensemble.combiners.kernel import combine, fill_inactive, learn_rule
 from usvlearn.estimators.ensemble.conformal.kernel import conformal, published
 from usvlearn.estimators.ensemble.forecasts.state import AT as FORECAST
 from usvlearn.estimators.ensemble.monitors.kernel import observe_innovations, observe_thrusters
 from usvlearn.estimators.ensemble.state import AT, Number
+from usvlearn.estimators.planar.state import NUMBER, PROGRAM, STATE
 from usvlearn.estimators.wrappers.memory.kernel import recall, remember
 from usvlearn.estimators.wrappers.memory.kernel import start as start_memory
 from usvlearn.estimators.wrappers.robust.kernel import inflation, update_scale, within
@@ -174,15 +176,41 @@ def step_once(program, s, q, work, left, right, heading, yaw_rate, dt, surge, fr
     return step(program, s, q, row, row[MODE], work)
 
 
+@jit
+def steps(program, head, s, q, row, pose, mode, work):
+    """One step of all axes; returns the prediction of the surge, m/s."""
+    predicted, own, axes = NAN, work[-2 * ROW : -ROW], len(head) - 1
+    for axis in range(max(axes, 1)):
+        if axis > 0:
+            mode = axis_row(axis, head, s, row, pose, own)
+        at, x = head[axis], row if axis == 0 else own
+        found = step(program[at[PROGRAM] :], s[at[STATE] :], q[at[NUMBER] :], x, mode, work)
+        if axis == 0:
+            predicted = found
+    if axes > 0:
+        tracks(program, head, s, q, row, pose, work)
+    return predicted
+
+
 @jit(entry=True)
-def run(program, states, q, rows, columns, free, picked, predictions, picks, work, first, last):
+def step_planar(program, head, s, q, work, left, right, heading, yaw_rate, dt, surge, fresh, measured, pose):
+    """`steps` of one sample that is not prepared."""
+    row, limit = work[-ROW:], surge_limit(program, q)
+    prepare(left, right, heading, yaw_rate, dt, surge, fresh, measured, program[0, Whole.HEADS] > 0, limit, row)
+    return steps(program, head, s, q, row, pose, row[MODE], work)
+
+
+@jit(entry=True)
+def run(program, head, states, q, rows, poses, columns, free, picked, predictions, picks, work, first, last):
     """Batch elements first … last − 1 through all steps, in place.
 
     Args:
         program: the table.
+        head: places of the axes and of the tracks, (4, …); (1, …), zeros, of the surge alone.
         states: (elements, size).
         q: (elements, numbers), or (1, numbers) for all.
         rows: prepared samples, (columns, time, ROW).
+        poses: what is measured at the end of each step, (columns, time, 5); of the surge alone (1, 1, 0).
         columns: (elements,) the column of `rows` that each batch element sees.
         free: whether nothing is learned.
         picked: places of the state that are recorded after each step.
@@ -193,6 +221,7 @@ def run(program, states, q, rows, columns, free, picked, predictions, picks, wor
     node = program[1]
     wrapped = node[Node.MEMORY] >= 0 or node[Node.ROBUST] >= 0
     bare = program[0, Whole.RULES] == 0 and not wrapped and ALONE >> node[Node.FAMILY] & 1
+    planar = len(head) > 1
     for element in range(first, last):
         s, numbers = states[element], q[element if len(q) > 1 else 0]
         if bare:  # its family has a loop of its own over all steps
@@ -203,6 +232,7 @@ def run(program, states, q, rows, columns, free, picked, predictions, picks, wor
         for k in range(rows.shape[1]):
             row = rows[columns[element], k]
             mode = PREDICT if free and row[MODE] == LEARN else row[MODE]
-            predictions[element, k] = step(program, s, numbers, row, mode, work)
+            pose = poses[columns[element], k] if planar else row
+            predictions[element, k] = steps(program, head, s, numbers, row, pose, mode, work)
             for i in range(len(picked)):
                 picks[element, k, i] = s[picked[i]]

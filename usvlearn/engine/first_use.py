@@ -10,8 +10,9 @@ import numpy as np
 from usvlearn.core.family import WIDTH
 from usvlearn.core.jit import NUMBA, announced
 from usvlearn.core.rows import ROW, prepare_all
-from usvlearn.engine import ahead, dispatch, forecasting
+from usvlearn.engine import ahead, dispatch, forecasting, planar
 from usvlearn.engine.program import Plan, plan_for
+from usvlearn.estimators.planar.state import PLACES
 
 COMPILING = threading.RLock()  # a fork waits for it
 
@@ -42,7 +43,10 @@ def compile_runs(dtype: np.dtype) -> None:
         limit = dispatch.surge_limit(plan.program, numbers[0])
         prepare_all(samples, samples, samples, samples, samples, samples, masks, masks, False, limit, rows)
         states = np.zeros((1, plan.size), dtype)
-        dispatch.run(plan.program, states, numbers, rows, column, False, column, samples, picks, work, 0, 0)
+        none = np.zeros((1, 1, 0), dtype)
+        dispatch.run(
+            plan.program, plan.head, states, numbers, rows, none, column, False, column, samples, picks, work, 0, 0
+        )
     if dispatch.run.stats.cache_misses:  # single steps need the same parts, which only this process has at hand
         compile_steps(dtype)
 
@@ -51,6 +55,31 @@ def _smallest(dtype: np.dtype) -> tuple[Plan, np.ndarray, np.ndarray]:
     """The plan of one estimator without numbers, its numbers, and an array to work in."""
     plan = plan_for({"kind": "persistence", "size": 0, "numbers": {}}, (), dtype)
     return plan, np.zeros((1, 1), dtype), np.zeros(plan.work, dtype)
+
+
+@cache
+def compile_planar(dtype: np.dtype) -> None:
+    """Compile single steps of a boat in the plane, and its tracks, likewise."""
+    compile_steps(dtype)
+    if NUMBA.DISABLE_JIT:
+        return
+    plan, numbers, work = _smallest(dtype)
+    with COMPILING, announced(dispatch.__file__, f"kernels of tracks, {dtype}"):
+        state, pose, none = np.zeros(plan.size, dtype), np.zeros(5, dtype), np.zeros(0, dtype)
+        wide = np.zeros(len(work) + 4 * ROW, dtype)
+        dispatch.step_planar.disable_compile(False)
+        dispatch.step_planar(
+            plan.program, plan.head, state, numbers[0], wide, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False, pose
+        )
+        dispatch.step_planar.disable_compile()
+        zeros, head, program = (
+            np.zeros(1000, dtype),
+            np.zeros((4, PLACES), np.int64),
+            np.zeros((1, 2 * WIDTH), np.int64),
+        )
+        planar.track_plan(
+            program, head, zeros, zeros, zeros, none, none, none, np.zeros((0, planar.FOUND), dtype), zeros
+        )
 
 
 @cache

@@ -90,6 +90,7 @@ def free_totals(
     others, places = states.copy(), plan.places("predictions").ravel()
     totals = np.zeros((plan.elements, len(places) + len(learning), 3), plan.dtype)
     rules, only = np.asarray(learning, np.int64), np.zeros(1, np.int64)
+    none = np.zeros((1, 1, 0), plan.dtype)
 
     def some(first: int, last: int) -> None:
         work, made = np.empty(plan.work, plan.dtype), np.empty((1, CHUNK), plan.dtype)
@@ -100,7 +101,10 @@ def free_totals(
             for begin in range(0, rows.shape[1], CHUNK):
                 part = rows[columns[own], begin : begin + CHUNK]
                 n = part.shape[1]
-                run(plan.program, states[own], q, part, only, True, places, made[:, :n], kept[:, :n], work, 0, 1)
+                run(
+                    plan.program, plan.head, states[own], q, part, none, only, True, places, made[:, :n], kept[:, :n],
+                    work, 0, 1,
+                )  # fmt: skip
                 assess(plan.program, others[element], q[0], part[0], kept[0, :n], rules, totals[element], work)
 
     compile_free_runs(plan.dtype)

@@ -18,6 +18,8 @@ from usvlearn.estimators.ensemble.conditional import state as conditional
 from usvlearn.estimators.ensemble.conformal import state as conformal
 from usvlearn.estimators.ensemble.forecasts import state as forecasts
 from usvlearn.estimators.ensemble.monitors import state as monitors
+from usvlearn.estimators.planar import state as track
+from usvlearn.estimators.planar.state import AXES
 
 Description = Mapping[str, Any]
 KNOWN = "forecasts.conditional."  # prefix of what the intervals of forecasts know of the manoeuvre
@@ -50,6 +52,9 @@ def leaves_of(description: Description) -> dict[str, Field]:
     >>> list(leaves_of({"kind": "robust", "inner": {"kind": "persistence", "size": 0}}))
     ['inner.surge', 'variance', 'run', 'clipped', 'rejected', 'escaped']
     """
+    if description["kind"] == "planar":
+        axes = {f"{axis}.{name}": each for axis in AXES for name, each in leaves_of(description[axis]).items()}
+        return axes | track.FAMILY.leaves(track_size(description), "track.")
     if description["kind"] != "ensemble":
         return _member(description, "")
     found: dict[str, Field] = {}
@@ -84,6 +89,30 @@ def frozen(description: Description) -> dict[str, Field]:
 def forecast_size(made: Description) -> tuple[int, int, int]:
     """Slots, horizons and members of forecasts."""
     return made["slots"], len(made["vectors"]["horizons"]), len(made["members"])
+
+
+def filter_of(axis: str, description: Description) -> str | None:
+    """The name of the member of an axis whose mean is the estimate of the component; None without."""
+    return next((name for name, each in description["members"].items() if each["kind"] == track.FILTERS[axis]), None)
+
+
+def block_size(description: Description) -> int:
+    """Numbers of an ensemble's frozen members."""
+    names = (description["columns"][column] for column in description["forecasts"]["members"])
+    return sum(int(np.prod(each.shape, dtype=int)) for name in names for each in frozen(
+        description["members"][name]).values())  # fmt: skip
+
+
+def track_size(description: Description) -> tuple[int, int, int]:
+    """Slots, horizons, and length of a slot of tracks."""
+    horizons, length = description["vectors"]["horizons"], 0
+    for axis in AXES:
+        _, own, members = forecast_size(description[axis]["forecasts"])
+        length += own * members + block_size(description[axis])
+    count = len(horizons)
+    return track.slots_of(tuple(horizons), description["numbers"]["overlap"]), count, (
+        track.HORIZON + count * track.OF_HORIZON + length
+    )  # fmt: skip
 
 
 def _forecasts(description: Description) -> dict[str, Field]:

@@ -8,18 +8,20 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
 from usvlearn.core import checkpoint
-from usvlearn.core.plans import Forecast, plan_inputs
-from usvlearn.core.samples import Inputs, Sample, named_leaves
+from usvlearn.core.plans import Forecast, Track, plan_inputs
+from usvlearn.core.samples import Inputs, PlanarSample, Sample, named_leaves
 from usvlearn.errors import CheckpointError, ConfigError
 
 if TYPE_CHECKING:
     from usvlearn.core.protocol import Estimator
+    from usvlearn.engine.torch_steps import Stepper
     from usvlearn.estimators.joint.reading import Identified
+    from usvlearn.estimators.planar.layer import Planar
 
 FORMER = {"load": "restore", "published": "last_predictions", "foresee": "predict_members"}  # methods of version 0.2
 
@@ -28,7 +30,8 @@ class Online:
     """Keeps a state and learns one sample at a time, without gradients.
 
     Args:
-        estimator: any `Estimator`; its hyperparameters are read now, so later changes have no effect.
+        estimator: any `Estimator`, or a `Planar`, which runs in compiled code alone; its hyperparameters are read now,
+            so later changes have no effect.
         batch: `()` for one vehicle.
         backend: "kernel", "torch", or "auto", as of `rollout`.
 
@@ -50,14 +53,25 @@ class Online:
     True
     """
 
-    def __init__(self, estimator: Estimator, batch: Sequence[int] = (), backend: str = "auto"):
-        from usvlearn.core.protocol import spec_of
+    description: dict[str, Any] | None
+    _template: Stepper | None
+
+    def __init__(self, estimator: Estimator | Planar, batch: Sequence[int] = (), backend: str = "auto"):
+        from usvlearn.core.protocol import Estimator, spec_of
         from usvlearn.engine.torch_steps import Stepper, live
 
-        self._template: Stepper | None = Stepper(estimator, batch)  # torch's steps, and the shape of the state
-        self._name, self.description = type(estimator).__name__, spec_of(estimator)
-        self._live = live(estimator, self._template.state, backend) or self._template
+        self._name, self._template = type(estimator).__name__, None
         self.setup: Mapping[str, Any] | None = None
+        self._live: Any
+        if isinstance(estimator, Estimator):
+            stepper = self._template = Stepper(estimator, batch)  # torch's steps, and the shape of the state
+            self.description = spec_of(estimator)
+            self._live = live(estimator, stepper.state, backend) or stepper
+        else:
+            from usvlearn.engine.backend import arrays_of
+
+            self.description = own = estimator.spec()
+            self._live = live_of(own, arrays_of(estimator.init(batch)))
 
     @classmethod
     def open(cls, path: str | Path) -> Online:
@@ -81,11 +95,9 @@ class Online:
             leaves: of the state, arrays by dotted name.
             facts: metadata: "estimator", its name; "kernel", its description; perhaps "setup".
         """
-        from usvlearn.engine.single_steps import Live
-
         self = cls.__new__(cls)
         self._template, self._name, self.description = None, facts["estimator"], facts["kernel"]
-        self._live = Live(self.description, leaves)
+        self._live = live_of(facts["kernel"], leaves)
         self._live.current = False  # it may have been saved long ago
         self.setup = facts.get("setup")
         return self
@@ -106,14 +118,17 @@ class Online:
     def names(self) -> tuple[str, ...]:
         if self._template is not None or self.description is None:
             return getattr(getattr(self._template, "estimator", None), "names", ())
-        return (*self.description.get("columns", ()), *self.description.get("rules", ()))
+        own = self.description.get("surge", self.description)
+        return (*own.get("columns", ()), *own.get("rules", ()))
 
     def predict(self, inputs: Inputs) -> float | np.ndarray:
         """The predicted surge at the end of the step, m/s; nothing is learned."""
         return self._live.predict(inputs)
 
-    def step(self, sample: Sample) -> float | np.ndarray:
-        """Predict, then learn from one sample (numbers, arrays or tensors); returns the prediction, m/s.
+    def step(self, sample: Sample | PlanarSample) -> float | np.ndarray:
+        """Predict, then learn from one sample (numbers, arrays or tensors); returns the prediction of the surge, m/s.
+
+        A `Planar` takes a `PlanarSample`.
 
         Raises:
             TypeError: a field is no number, or `fresh` or `measured` is neither a bool nor an integer; the state
@@ -171,12 +186,20 @@ class Online:
         values = zip(surge.tolist(), width.tolist(), strict=True) if surge.ndim == 1 else zip(surge, width, strict=True)
         return dict(zip(self.names, values, strict=True))
 
-    def forecast(self, commands: Any, headings: Any, yaw_rates: Any = None, dt: float = 0.4) -> Forecast:
+    @overload
+    def forecast(self, commands: Any, headings: None = None, yaw_rates: None = None, dt: float = 0.4) -> Track: ...
+
+    @overload
+    def forecast(self, commands: Any, headings: Any, yaw_rates: Any = None, dt: float = 0.4) -> Forecast: ...
+
+    def forecast(self, commands: Any, headings: Any = None, yaw_rates: Any = None, dt: float = 0.4) -> Forecast | Track:
         """The speeds of the next steps under a plan, with intervals; nothing is learned, and the state stays.
+
+        Without headings, a `Planar` forecasts them, too: a `Track` says where the boat will be.
 
         Args:
             commands: shares of full scale, −1 … 1, of left and right, `(time, 2)`, or `(time, *batch, 2)`.
-            headings: rad, at the beginning of each step: one number, `(time,)`, or `(time, *batch)`.
+            headings: rad, at the beginning of each step: one number, `(time,)`, or `(time, *batch)`; None: a track.
             yaw_rates: rad/s, likewise; those of the headings by default.
             dt: length of a step, s.
 
@@ -190,6 +213,13 @@ class Online:
         >>> found.surge.shape, float(found.high[-1])  # no interval before the first measurements
         ((75,), inf)
         """
+        if headings is None:
+            if not hasattr(self._live, "track"):
+                raise ConfigError(
+                    f"headings: found none, and {self._name}, which forecasts speeds alone; expected headings, or "
+                    "Online(Planar(…)), which forecasts where the boat will be"
+                )
+            return self._live.track(commands, dt)
         inputs = plan_inputs(commands, headings, yaw_rates, dt, self._live.batch)
         surge, width = self._live.forecast(inputs)
         time = float(dt) * np.arange(1, len(surge) + 1)
@@ -210,7 +240,11 @@ class Online:
         batch = self._live.batch
         leaves = {name: leaf.reshape(-1, *leaf.shape[len(batch) :]) for name, leaf in self._live.leaves.items()}
         if self.description is not None:
-            members = members_of(self.description)
+            if "surge" in self.description:
+                leaves = {
+                    name.removeprefix("surge."): each for name, each in leaves.items() if name.startswith("surge.")
+                }
+            members = members_of(self.description.get("surge", self.description))
         else:  # an ensemble that runs in torch; its averaged joint EKF alone is described
             from usvlearn.core.protocol import spec_of
 
@@ -232,6 +266,17 @@ class Online:
         self.state, metadata = read(path, self.state, self._name)
         self.setup = metadata.get("setup", self.setup)
         return metadata
+
+
+def live_of(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -> Any:
+    """What makes single steps of a specified estimator, or of a boat in the plane, in compiled code."""
+    if description["kind"] == "planar":
+        from usvlearn.engine.planar_steps import PlanarLive
+
+        return PlanarLive(description, leaves)
+    from usvlearn.engine.single_steps import Live
+
+    return Live(description, leaves)
 
 
 def read_checkpoint(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:

@@ -26,6 +26,7 @@ from usvlearn.estimators.ensemble.conditional import state as conditional
 from usvlearn.estimators.ensemble.conformal import state as conformal
 from usvlearn.estimators.ensemble.forecasts import state as forecasts
 from usvlearn.estimators.ensemble.monitors import state as monitors
+from usvlearn.estimators.planar.state import PLACES
 
 if TYPE_CHECKING:
     from numpy.typing import DTypeLike
@@ -49,7 +50,12 @@ def plan_for(description: Description, batch: Sequence[int], dtype: np.dtype) ->
 
 @lru_cache(maxsize=8)
 def _plan(description: str, batch: tuple[int, ...], dtype: np.dtype) -> Plan:
-    return Plan(json.loads(description), batch, dtype)
+    found = json.loads(description)
+    if found["kind"] == "planar":
+        from usvlearn.engine.planar_plan import PlanarPlan
+
+        return PlanarPlan(found, batch, dtype)
+    return Plan(found, batch, dtype)
 
 
 class Plan:
@@ -62,6 +68,7 @@ class Plan:
 
     Attributes:
         program: the table, int64.
+        head: of the surge alone zeros; else the places of the axes (`estimators.planar.state`).
         numbers: `(1, …)`, or `(elements, …)` where some differ by batch element.
         leaves: where each leaf lies, by dotted name.
         size: of a batch element's row.
@@ -88,12 +95,16 @@ class Plan:
         self._others: list[list[int]] = []
         whole = self._ensemble(description) if description["kind"] == "ensemble" else self._alone(description)
         whole[Whole.KEPT] = self._largest
-        self.program = self._table(whole)
+        self.program, self.head = self._table(whole), np.zeros((1, PLACES), np.int64)
         self.work = self._largest + self._kept + ROW
         elements = max((len(column) for column in self._columns), default=1)
         self.numbers = np.empty((elements, len(self._columns)), self.dtype)
         for place, column in enumerate(self._columns):
             self.numbers[:, place] = column
+        self._lay_out()
+
+    def _lay_out(self) -> None:
+        """Find the places of all leaves in the states of a batch."""
         item = self.dtype.itemsize
         rows = [item * self.size * int(np.prod(self.batch[k + 1 :], dtype=int)) for k in range(len(self.batch))]
         self._layout = {

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from usvlearn.core.rows import ROW, prepare_all
-from usvlearn.core.samples import Sample, named_leaves, tree_map
+from usvlearn.core.samples import PlanarSample, Sample, named_leaves, tree_map
 from usvlearn.engine import dispatch as step
 from usvlearn.engine.first_use import compile_runs
 from usvlearn.engine.leaves import Description
@@ -27,7 +27,7 @@ class Result(NamedTuple):
 def roll(
     description: Description,
     leaves: Mapping[str, np.ndarray],
-    samples: Sample,
+    samples: Sample | PlanarSample,
     free: bool = False,
     record: Sequence[str] = (),
     threads: int = 1,
@@ -42,8 +42,9 @@ def roll(
         record: names of leaves that are recorded after every step.
         threads: how many threads share the batch elements.
     """
-    steps, *batch = samples.surge.shape
-    plan = plan_for(description, batch, samples.surge.dtype)
+    own = samples.sample if isinstance(samples, PlanarSample) else samples
+    steps, *batch = own.surge.shape
+    plan = plan_for(description, batch, own.surge.dtype)
     states = plan.pack(leaves)
     places = {name: plan.places(name) for name in record}
     picked = np.concatenate([np.zeros(0, np.int64), *(x.reshape(-1) for x in places.values())])
@@ -52,10 +53,16 @@ def roll(
 
     def some(first: int, last: int) -> None:
         work = np.empty(plan.work, plan.dtype)
-        step.run(plan.program, states, plan.numbers, rows, columns, free, picked, predictions, picks, work, first, last)
+        step.run(
+            plan.program, plan.head, states, plan.numbers, rows, poses, columns, free, picked, predictions, picks, work,
+            first, last,
+        )  # fmt: skip
 
     compile_runs(plan.dtype)
-    rows, columns = prepared(samples, plan)
+    rows, columns = prepared(own, plan)
+    poses = np.zeros((1, 1, 0), plan.dtype)
+    if isinstance(samples, PlanarSample):  # no batch elements share a pose
+        rows, columns, poses = rows[columns], np.arange(plan.elements), _poses(samples, plan)
     in_parallel(some, plan.elements, threads)
     kept, begin = {}, 0
     for name, place in places.items():
@@ -64,6 +71,12 @@ def roll(
         begin += place.size
     together = np.ascontiguousarray(np.moveaxis(predictions.reshape(*batch, steps), -1, 0))
     return Result(plan.unpack(states), together, kept)
+
+
+def _poses(samples: PlanarSample, plan: Plan) -> np.ndarray:
+    """What is measured at the end of each step, `(elements, time, 5)`."""
+    wide = [np.asarray(x, plan.dtype).reshape(len(x), plan.elements).T for x in samples[1:]]
+    return np.ascontiguousarray(np.stack(wide, -1))
 
 
 def prepared(samples: Sample, plan: Plan) -> tuple[np.ndarray, np.ndarray]:

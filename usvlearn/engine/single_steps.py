@@ -114,7 +114,7 @@ class Live:
             ConfigError: the estimator makes no forecasts.
         """
         plan, dtype = self.plan, self.plan.dtype
-        if not self._description.get("forecasts"):
+        if not self._description.get("surge", self._description).get("forecasts"):
             raise ConfigError(NONE)
         compile_plans(dtype)
         steps, elements = len(inputs.dt), plan.elements

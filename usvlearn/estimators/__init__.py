@@ -9,4 +9,5 @@ COMPILED = (
     "baselines.persistence",
     "baselines.acceleration",
     "arx",
+    "axis",
 )

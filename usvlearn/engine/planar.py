@@ -1,0 +1,409 @@
+"""The steps of sway and yaw rate beside the surge's, and tracks: equations (1) to (3) of `estimators.planar.state`.
+
+`head` is the table of places of `estimators.planar.state`: a row for each axis, and one for the track. Programs, states
+and numbers of the axes lie one behind the other.
+"""
+
+import numpy as np
+
+from usvlearn.core.arrays import fill
+from usvlearn.core.family import Node
+from usvlearn.core.jit import jit
+from usvlearn.core.rows import COS, DT, HOLD, LEARN, LEFT, MODE, PREDICT, RIGHT, ROW, SIN, START, YAW_RATE
+from usvlearn.core.rows import SURGE as TARGET
+from usvlearn.engine.forecasting import PLACE, freeze, step_frozen
+from usvlearn.estimators.ensemble.conditional.kernel import (
+    begin_path,
+    extend_path,
+    group_of,
+    halfwidth_held,
+    hold,
+    learn_error,
+    moves_of,
+)
+from usvlearn.estimators.ensemble.conditional.state import FAR, HELD, NARROWEST, PATH
+from usvlearn.estimators.ensemble.conformal.state import FEW
+from usvlearn.estimators.ensemble.forecasts.kernel import between, combine, judged
+from usvlearn.estimators.ensemble.forecasts.state import AT as FORECASTS
+from usvlearn.estimators.ensemble.forecasts.state import EMPTY, LEAST, MOST, SHARE
+from usvlearn.estimators.ensemble.forecasts.state import Choice as ForecastChoice
+from usvlearn.estimators.ensemble.state import Number as EnsembleNumber
+from usvlearn.estimators.joint.state import EAST as CURRENT_EAST
+from usvlearn.estimators.joint.state import NORTH as CURRENT_NORTH
+from usvlearn.estimators.planar.state import (
+    AT_EAST,
+    AT_NORTH,
+    BEFORE,
+    BLOCK,
+    C_EAST,
+    C_NORTH,
+    CLIP,
+    COMMANDS,
+    CONSTANT,
+    COS_0,
+    COUNT,
+    COVARIANCE,
+    DELAY,
+    DISTANCE,
+    DUE,
+    DUES,
+    EAST,
+    EAST_0,
+    ELAPSED,
+    ERROR,
+    ERRORS,
+    FLOOR,
+    GROUP,
+    HEADING,
+    HEADING_ERROR,
+    HELD_EAST,
+    HELD_NORTH,
+    HELD_RATE,
+    HORIZON,
+    HORIZON_COUNT,
+    LEARNED,
+    LENGTH,
+    LIMIT,
+    MEAN,
+    MEAN_ERROR,
+    MEASURED_SWAY,
+    NORTH,
+    NORTH_0,
+    NUMBER,
+    OF_HORIZON,
+    PROGRAM,
+    PSI,
+    QUANTILE,
+    R_0,
+    RADIUS,
+    REACH,
+    RHO,
+    ROUND,
+    RUN,
+    SIN_0,
+    SINCE,
+    SLOTS,
+    SLOW,
+    STATE,
+    SURGE,
+    SWAY,
+    TURN,
+    U_0,
+    UPDATES,
+    USED,
+    WEIGHTS,
+    YAW,
+    Q,
+    R,
+    U,
+    V,
+    W,
+)
+
+TRACK = 3  # row of the track in `head`
+FOUND = 10  # of a plan's step: surge, sway, yaw rate, heading, north, east, C (3), radius
+BEYOND = 1 + 1e-4  # times the longest horizon, with room for rounding
+
+
+@jit
+def axis_row(axis, head, s, row, pose, own):
+    """Write the prepared sample of the sway or of the yaw rate, after the surge's step; returns its mode."""
+    before, filtered = s[head[TRACK, BEFORE] :], s[head[SURGE, STATE] + head[SURGE, MEAN] :]
+    own[LEFT], own[RIGHT], own[COS], own[YAW_RATE], own[DT] = row[LEFT], row[RIGHT], 0.0, before[0], row[DT]
+    if axis == SWAY:
+        psi, target = pose[HEADING], pose[MEASURED_SWAY]
+        own[SIN] = before[2]
+        target += filtered[CURRENT_NORTH] * np.sin(psi) - filtered[CURRENT_EAST] * np.cos(psi)  # (1)
+    else:
+        target = pose[TURN]
+        own[SIN] = before[1]
+    known, mode = abs(target) < LIMIT, row[MODE]
+    own[TARGET] = target if known else 0.0
+    if mode == LEARN or mode == PREDICT:
+        return LEARN if known else PREDICT
+    return START if mode == START and known else HOLD
+
+
+@jit
+def used(head, s):
+    """Whether the sway has been measured often enough."""
+    return s[head[SWAY, STATE] + head[SWAY, UPDATES]] >= USED
+
+
+@jit
+def end_step(head, s, row, pose):
+    """Keep w, v and r at the end of a step, from which the next one departs."""
+    before, mode = s[head[TRACK, BEFORE] :], row[MODE]
+    filtered = s[head[SURGE, STATE] + head[SURGE, MEAN] :]
+    if mode == HOLD:
+        return
+    last = before[2]
+    if mode == START:
+        along = 0.0
+        if abs(pose[HEADING]) < np.inf:
+            along = filtered[CURRENT_NORTH] * np.cos(pose[HEADING]) + filtered[CURRENT_EAST] * np.sin(pose[HEADING])
+        before[0], before[1] = row[TARGET] - along, 0.0
+        before[2] = pose[TURN] if abs(pose[TURN]) < LIMIT else 0.0
+    else:
+        before[0], before[3], before[4] = filtered[0], row[LEFT], row[RIGHT]
+        before[1] = s[head[SWAY, STATE] + head[SWAY, MEAN]] if used(head, s) else 0.0
+        before[2] = s[head[YAW, STATE] + head[YAW, MEAN]]
+    turned = before[5] + row[DT] * (last + before[2]) / 2  # of the filter alone, where no heading came
+    before[5] = pose[HEADING] if abs(pose[HEADING]) < np.inf else turned
+
+
+@jit
+def mixed(axis, program, head, q, slot, after, own, work):
+    """One step of the frozen members of an axis, and what they predict together, `after` s from the origin."""
+    table, numbers = program[head[axis, PROGRAM] :], q[head[axis, NUMBER] :]
+    node = table[table[0, PLACE]]
+    H, M, length = node[ForecastChoice.HORIZONS], node[ForecastChoice.MEMBERS], node[Node.SIZE]
+    x, weights, rest = work[:M], work[M : 2 * M], work[2 * M :]
+    limit = numbers[table[0, Node.NUMBERS] + EnsembleNumber.SURGE_MAX]
+    block = slot[head[axis, BLOCK] : head[axis, BLOCK] + length]
+    step_frozen(table, node, block, numbers, own, limit, x, rest)
+    k, rise = between(node, numbers, after)
+    below, above = slot[head[axis, WEIGHTS] + k * M :], slot[head[axis, WEIGHTS] + min(k + 1, H - 1) * M :]
+    for m in range(M):
+        weights[m] = (1 - rise) * below[m] + rise * above[m] if rise > 0 else below[m]
+    return combine(node, numbers, weights, x)
+
+
+@jit
+def track_step(program, head, s, q, slot, left, right, h, own, work):
+    """(2): one step of a track, in place."""
+    u, v, r, w, psi = slot[U], slot[V], slot[R], slot[W], slot[PSI]
+    north, east, sways = slot[C_NORTH], slot[C_EAST], used(head, s)
+    after, ahead = slot[ELAPSED] + h, r
+    own[LEFT], own[RIGHT], own[COS], own[DT], own[YAW_RATE] = left, right, 0.0, h, w
+    along, aside, turned = u, 0.0, psi
+    for axis in (YAW, SWAY, SURGE):
+        if axis == YAW:
+            own[SIN] = v
+        elif axis == SWAY:
+            own[SIN] = r
+            if not sways:
+                continue
+        else:
+            middle = (psi + turned) / 2
+            own[SIN], own[COS], own[YAW_RATE] = np.sin(middle), np.cos(middle), (r + ahead) / 2
+        predicted = mixed(axis, program, head, q, slot, after, own, work)
+        if not abs(predicted) < LIMIT:
+            continue
+        if axis == YAW:
+            ahead = predicted
+            turned = psi + h * (r + ahead) / 2
+        elif axis == SWAY:
+            aside = predicted
+        else:
+            along = predicted
+    c, d, cosine, sine = np.cos(psi), np.sin(psi), np.cos(turned), np.sin(turned)
+    lateral, other = (v - north * d + east * c, aside - north * sine + east * cosine) if sways else (0.0, 0.0)
+    slot[AT_NORTH] += h / 2 * (c * u - d * lateral + cosine * along - sine * other)
+    slot[AT_EAST] += h / 2 * (d * u + c * lateral + sine * along + cosine * other)
+    first, last = psi_held(slot, slot[ELAPSED]), psi_held(slot, after)
+    slot[HELD_NORTH] += h / 2 * (np.cos(first) * u + np.cos(last) * along)
+    slot[HELD_EAST] += h / 2 * (np.sin(first) * u + np.sin(last) * along)
+    slot[RUN] += h * abs(u + along) / 2
+    slot[U], slot[V], slot[R], slot[W], slot[PSI] = along, aside, ahead, along - north * cosine - east * sine, turned
+    slot[ELAPSED] = after
+    extend_path(slot[COMMANDS : COMMANDS + PATH], left, right)
+
+
+@jit
+def psi_held(slot, elapsed):
+    """The heading of the boat if it kept the yaw rate of the origin."""
+    return np.arctan2(slot[SIN_0], slot[COS_0]) + slot[R_0] * elapsed
+
+
+@jit
+def origin(program, head, s, q, slot, psi, surge):
+    """Begin a track now, at a heading, rad, and a measured surge, m/s; all but its horizon and its position."""
+    before, filtered = s[head[TRACK, BEFORE] :], s[head[SURGE, STATE] + head[SURGE, MEAN] :]
+    fill(slot[:HORIZON], 0.0)
+    slot[COS_0], slot[SIN_0] = np.cos(psi), np.sin(psi)
+    slot[C_NORTH], slot[C_EAST] = filtered[CURRENT_NORTH], filtered[CURRENT_EAST]
+    slot[U], slot[V], slot[R], slot[W], slot[PSI] = surge, before[1], before[2], before[0], psi
+    slot[U_0], slot[R_0] = surge, before[2]
+    begin_path(slot[COMMANDS : COMMANDS + PATH], before[3], before[4])
+    for axis in range(3):
+        table, own = program[head[axis, PROGRAM] :], s[head[axis, STATE] :]
+        node = table[table[0, PLACE]]
+        H, M, length = node[ForecastChoice.HORIZONS], node[ForecastChoice.MEMBERS], node[Node.SIZE]
+        freeze(node, own, slot[head[axis, BLOCK] : head[axis, BLOCK] + length])
+        for k in range(H):
+            weights = own[node[FORECASTS.rule.weights] + judged(node, own, k) * M :]
+            for m in range(M):
+                slot[head[axis, WEIGHTS] + k * M + m] = weights[m]
+    for k in range(head[TRACK, HORIZON_COUNT]):
+        kept = slot[HORIZON + k * OF_HORIZON :]
+        hold(s, head[TRACK, LEARNED : LEARNED + 6], k, s[head[TRACK, ERRORS] + k], kept[:HELD])
+        kept[HELD] = width_of(head, s, k)
+        shape(head, s, k, kept[HELD + 1 :])
+
+
+@jit
+def width_of(head, s, k):
+    """The radius that does not know the manoeuvre, m; infinite where too few errors are known."""
+    if s[head[TRACK, ERRORS] + k] < FEW:
+        return np.inf
+    return max(s[head[TRACK, QUANTILE] + k] * s[head[TRACK, MEAN_ERROR] + k], NARROWEST)
+
+
+@jit
+def radius_held(slot, k, horizon):
+    """The radius of a track at a horizon, m, of which it knows the distance run and the commands until now.
+
+    Args:
+        slot: the track.
+        k: index of the horizon.
+        horizon: s, where the radius is asked for.
+    """
+    kept, path = slot[HORIZON + k * OF_HORIZON :], slot[COMMANDS : COMMANDS + PATH]
+    return halfwidth_held(kept[:HELD], kept[HELD], slot[RUN], path[FAR], group_of(path))
+
+
+@jit
+def shape(head, s, k, found):
+    """Write S of (3)."""
+    count, C = s[head[TRACK, ERRORS] + k], s[head[TRACK, COVARIANCE] + 3 * k :]
+    round_ = FLOOR + ROUND / (count + ROUND) * (C[0] + C[2]) / 2
+    a, b, c = C[0] + round_, C[1], C[2] + round_
+    root = np.sqrt(max(a * c - b * b, 1e-6 * a * c))
+    found[0], found[1], found[2] = a / root, b / root, c / root
+
+
+@jit
+def rho(S, forward, aside):
+    """√(eᵀ S⁻¹ e), where det S is 1."""
+    return np.sqrt(max(S[2] * forward * forward - 2 * S[1] * forward * aside + S[0] * aside * aside, 0.0))
+
+
+@jit
+def publish_due(head, s, q, slot, k, pose):
+    """A track has become due at its horizon: what it said, what is measured, and what is learned of it."""
+    due = s[head[TRACK, DUES] + k * DUE :]
+    north, east = pose[NORTH] - slot[NORTH_0], pose[EAST] - slot[EAST_0]
+    dn, de = slot[AT_NORTH] - north, slot[AT_EAST] - east
+    if not abs(dn) + abs(de) < np.inf:
+        return
+    forward, aside = slot[COS_0] * dn + slot[SIN_0] * de, slot[COS_0] * de - slot[SIN_0] * dn
+    turned = slot[PSI] - pose[HEADING]
+    turned -= 2 * np.pi * np.floor((turned + np.pi) / (2 * np.pi))
+    path = slot[COMMANDS : COMMANDS + PATH]
+    group, kept = group_of(path), slot[HORIZON + k * OF_HORIZON :]
+    u, r, h = slot[U_0], slot[R_0], slot[ELAPSED]
+    psi = np.arctan2(slot[SIN_0], slot[COS_0])
+    half = r * h / 2
+    chord = u * h * (np.sin(half) / half if abs(half) > 1e-9 else 1.0)
+    due[ERROR], due[HEADING_ERROR] = np.hypot(dn, de), abs(turned)
+    due[CONSTANT] = np.hypot(chord * np.cos(psi + half) - north, chord * np.sin(psi + half) - east)
+    due[HELD_RATE] = np.hypot(slot[HELD_NORTH] - north, slot[HELD_EAST] - east)
+    due[RHO] = rho(kept[HELD + 1 :], forward, aside)
+    due[RADIUS], due[GROUP], due[DISTANCE] = radius_held(slot, k, h), group, slot[RUN]
+    learn_track(head, s, q, k, forward, aside, slot[RUN], path[FAR], group, kept[HELD + 1 :])
+
+
+@jit
+def learn_track(head, s, q, k, forward, aside, run, far, group, S):
+    """(3), and the radius, from an error in the frame of the origin's heading, m; S is written."""
+    C = s[head[TRACK, COVARIANCE] + 3 * k : head[TRACK, COVARIANCE] + 3 * k + 3]
+    numbers, errors, mean = q[head[TRACK, Q] :], head[TRACK, ERRORS] + k, head[TRACK, MEAN_ERROR] + k
+    overlap, alpha, quantile = numbers[1], 1 - numbers[0], head[TRACK, QUANTILE] + k
+    shape(head, s, k, S)
+    e, width = rho(S, forward, aside), max(s[quantile] * s[mean], NARROWEST)
+    count = s[errors] + 1
+    s[errors] = count
+    s[mean] += max(1 / count, SHARE) * (min(e, CLIP * width if count > FEW else e) - s[mean])
+    at, moves = head[TRACK, LEARNED : LEARNED + 6], moves_of(overlap, alpha)
+    learn_error(s, at, k, count, e, width, run, far, group, moves, alpha)
+    miss = 1.0 if e > width else 0.0
+    s[quantile] = min(max(s[quantile] * np.exp((miss - alpha) / (DELAY + overlap)), LEAST), MOST)
+    if count > FEW and e > CLIP * width:
+        forward, aside = forward * (CLIP * width / e), aside * (CLIP * width / e)
+    share = max(1 / (count + 1), SLOW)
+    C[0] += share * (forward * forward - C[0])
+    C[1] += share * (forward * aside - C[1])
+    C[2] += share * (aside * aside - C[2])
+
+
+@jit
+def forget_tracks(head, s, q):
+    """No track is under way, and the next step may begin one of every horizon."""
+    for i in range(head[TRACK, COUNT]):
+        s[head[TRACK, SLOTS] + i * head[TRACK, LENGTH] + ELAPSED] = EMPTY
+    for k in range(head[TRACK, HORIZON_COUNT]):
+        s[head[TRACK, SINCE] + k] = q[head[TRACK, Q] + 2 + k]
+
+
+@jit
+def tracks(program, head, s, q, row, pose, work):
+    """All tracks under way make one step with its commands; what is due is learned, and one may begin."""
+    H, length, horizons = head[TRACK, HORIZON_COUNT], head[TRACK, LENGTH], q[head[TRACK, Q] + 2 :]
+    fill(s[head[TRACK, DUES] : head[TRACK, DUES] + H * DUE], np.nan)
+    mode, overlap = row[MODE], q[head[TRACK, Q] + 1]
+    end_step(head, s, row, pose)
+    if mode == HOLD or mode == START:
+        forget_tracks(head, s, q)
+        return
+    own, rest, half, free = work[:ROW], work[ROW:], row[DT] / 2, -1
+    for i in range(head[TRACK, COUNT]):
+        slot = s[head[TRACK, SLOTS] + i * length : head[TRACK, SLOTS] + (i + 1) * length]
+        if not slot[ELAPSED] >= 0:
+            slot[ELAPSED], free = EMPTY, i
+            continue
+        start = slot[ELAPSED]
+        track_step(program, head, s, q, slot, row[LEFT], row[RIGHT], row[DT], own, rest)
+        for k in range(H):
+            if start + half < horizons[k] <= slot[ELAPSED] + half:
+                publish_due(head, s, q, slot, k, pose)
+        if slot[ELAPSED] + half >= horizons[int(min(max(slot[REACH], 0.0), H - 1.0))]:
+            slot[ELAPSED], free = EMPTY, i
+    for k in range(H):
+        s[head[TRACK, SINCE] + k] += row[DT]
+    if mode != LEARN or free < 0 or not abs(pose[HEADING]) + abs(pose[NORTH]) + abs(pose[EAST]) < np.inf:
+        return
+    if s[head[TRACK, SINCE]] + half < horizons[0] / overlap:
+        return
+    slot = s[head[TRACK, SLOTS] + free * length : head[TRACK, SLOTS] + (free + 1) * length]
+    origin(program, head, s, q, slot, pose[HEADING], row[TARGET])
+    reach = 0
+    for k in range(H):
+        if s[head[TRACK, SINCE] + k] + half >= horizons[k] / overlap:
+            reach = k
+    for k in range(reach + 1):
+        s[head[TRACK, SINCE] + k] = 0.0
+    slot[REACH], slot[NORTH_0], slot[EAST_0] = reach, pose[NORTH], pose[EAST]
+
+
+@jit(entry=True)
+def track_plan(program, head, s, q, slot, left, right, dt, found, work):
+    """The track of a plan, from now; `found` is `(time, FOUND)`.
+
+    `slot` is an array of a slot's length; `left`, `right` and `dt` are `(time,)`.
+    """
+    H, horizons, own, rest = head[TRACK, HORIZON_COUNT], q[head[TRACK, Q] + 2 :], work[:ROW], work[ROW:]
+    filtered, psi = s[head[SURGE, STATE] + head[SURGE, MEAN] :], s[head[TRACK, BEFORE] + 5]
+    along = filtered[CURRENT_NORTH] * np.cos(psi) + filtered[CURRENT_EAST] * np.sin(psi)
+    origin(program, head, s, q, slot, psi, s[head[TRACK, BEFORE]] + along)
+    for j in range(len(left)):
+        track_step(program, head, s, q, slot, left[j], right[j], dt[j], own, rest)
+        row, t = found[j], slot[ELAPSED]
+        row[0], row[1], row[2], row[3] = slot[U], slot[V], slot[R], slot[PSI]
+        if used(head, s):
+            row[1] += slot[C_EAST] * np.cos(slot[PSI]) - slot[C_NORTH] * np.sin(slot[PSI])
+        row[4], row[5] = slot[AT_NORTH], slot[AT_EAST]
+        k = 0
+        while k + 1 < H and horizons[k + 1] <= t:
+            k += 1
+        rise = (t - horizons[k]) / (horizons[k + 1] - horizons[k]) if k + 1 < H and t > horizons[k] else 0.0
+        above = min(k + 1, H - 1)
+        a, b = slot[HORIZON + k * OF_HORIZON + HELD + 1 :], slot[HORIZON + above * OF_HORIZON + HELD + 1 :]
+        for i in range(3):
+            row[6 + i] = (1 - rise) * a[i] + rise * b[i]
+        width = radius_held(slot, k, t)
+        if rise > 0:
+            width = (1 - rise) * width + rise * radius_held(slot, above, t)
+        elif t < horizons[0]:
+            width *= t / horizons[0]
+        row[9] = width if t <= horizons[H - 1] * BEYOND else np.inf

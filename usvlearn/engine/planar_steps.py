@@ -1,0 +1,96 @@
+"""Single steps of a boat in the plane, as `usvlearn.engine.single_steps` makes those of the surge, and its tracks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from usvlearn.core.plans import Track, plan_commands, track_of
+from usvlearn.core.samples import PlanarSample, Sample, check_sample, one_number
+from usvlearn.engine import dispatch
+from usvlearn.engine.first_use import compile_planar
+from usvlearn.engine.leaves import Description
+from usvlearn.engine.planar import FOUND, track_plan
+from usvlearn.engine.planar_plan import PlanarPlan
+from usvlearn.engine.single_steps import Live
+from usvlearn.errors import ShapeError
+from usvlearn.estimators.planar.state import POSE
+
+UNKNOWN = np.full(POSE, math.nan)
+
+
+class PlanarLive(Live):
+    """As `Live`, of a `Planar`. The surge lies first in its states, so that what `Live` does with it holds here, too.
+
+    Args:
+        description: of a `Planar` (`Planar.spec`).
+        leaves: of its state.
+    """
+
+    plan: PlanarPlan
+
+    def __init__(self, description: Description, leaves: Mapping[str, np.ndarray]):
+        super().__init__(description, leaves)
+        compile_planar(self.plan.dtype)
+        self._pose = np.empty(POSE, self.plan.dtype)
+        self._coverage = float(description["numbers"]["coverage"])
+
+    def step(self, sample: Sample | PlanarSample) -> Any:
+        """Predict, then learn; returns the prediction of the surge, m/s. A `Sample` alone measures nothing else."""
+        if isinstance(sample, Sample):
+            sample = PlanarSample(sample, *[math.nan] * POSE)
+        inputs, surge, fresh, measured = sample.sample
+        check_sample(sample.sample, self.plan.batch)
+        poses = [
+            _wide(name, value, self.plan) for name, value in zip(PlanarSample._fields[1:], sample[1:], strict=True)
+        ]
+        numbers = [np.broadcast_to(np.asarray(one_number(x), float), self.plan.batch).ravel() for x in (*inputs, surge)]
+        masks = [np.broadcast_to(np.asarray(one_number(x), bool), self.plan.batch).ravel() for x in (fresh, measured)]
+        found = np.empty(self.plan.elements)
+        with self._lock:
+            self.current = True
+            for k, (program, s, q, work) in enumerate(self._steps):
+                for i, each in enumerate(poses):
+                    self._pose[i] = each[k]
+                left, right, heading, yaw_rate, dt, speed = (float(x[k]) for x in numbers)
+                found[k] = dispatch.step_planar(
+                    program, self.plan.head, s, q, work, left, right, heading, yaw_rate, dt, speed, bool(masks[0][k]),
+                    bool(masks[1][k]), self._pose,
+                )  # fmt: skip
+        return float(found[0]) if not self.plan.batch else found.reshape(self.plan.batch)
+
+    def track(self, commands: Any, dt: float) -> Track:
+        """Where the boat will be under a plan; `Online.forecast`."""
+        plan = self.plan
+        left, right, lengths = plan_commands(commands, dt, plan.batch)
+        steps, count = len(left), plan.elements
+        left, right, lengths = (
+            np.ascontiguousarray(x.reshape(steps, count).T, plan.dtype) for x in (left, right, lengths)
+        )
+        found, slot = np.empty((count, steps, FOUND), plan.dtype), np.empty(plan.length, plan.dtype)
+        with self._lock:
+            for k, (program, s, q, work) in enumerate(self._steps):
+                track_plan(program, plan.head, s, q, slot, left[k], right[k], lengths[k], found[k], work)
+            heading = plan.view(self.states, "track.before")[..., 5].copy()
+        if not self.current:
+            found[..., -1] = np.inf
+        wide = np.moveaxis(found, 0, 1).reshape(steps, *plan.batch, FOUND)
+        return track_of(wide, heading, self._coverage, lengths[0])
+
+    def _pair(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        predictions, widths = (self.plan.view(states, f"surge.{name}").copy() for name in ("predictions", "halfwidths"))
+        return predictions, widths
+
+
+def _wide(name: str, value: Any, plan: PlanarPlan) -> np.ndarray:
+    """A measured number for each batch element."""
+    try:
+        found = np.asarray(one_number(value), float)
+        return np.broadcast_to(found, plan.batch).ravel()
+    except (TypeError, ValueError) as error:
+        if isinstance(error, TypeError) or "broadcast" not in str(error):
+            raise TypeError(f"{name}: found {value!r:.80}, expected a number (NaN where there is none)") from error
+        raise ShapeError(f"{name}: found the shape {np.shape(value)}, expected one number or {plan.batch}") from error

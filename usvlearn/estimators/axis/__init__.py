@@ -1,0 +1,1 @@
+"""The axis EKF: yaw rate or sway, with the parameters of its dynamics."""

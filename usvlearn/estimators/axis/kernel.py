@@ -1,0 +1,248 @@
+"""The axis EKF: the step of `layer`, equations (1) to (4) of `state`.
+
+`predict` leaves g and y⁺ in `work`. A is the leaf `factor`.
+"""
+
+import numpy as np
+
+from usvlearn.core.arrays import clamp, fill
+from usvlearn.core.family import Node
+from usvlearn.core.jit import jit
+from usvlearn.core.rows import DT, LEFT, RIGHT, YAW_RATE
+from usvlearn.core.rows import SIN as OTHER_INPUT
+from usvlearn.estimators.axis.state import (
+    AT,
+    COUPLING,
+    CROSS,
+    DECAYED,
+    EVERY,
+    KINDS,
+    LAG_LEAST,
+    LAG_MOST,
+    LINEAR,
+    LONGEST,
+    LOOSEST,
+    MOST,
+    NOISE_COUNT,
+    NOISE_LEAST,
+    NOISE_MOST,
+    NOISE_SHARE,
+    OTHER,
+    OWN_NOISE,
+    QUADRATIC,
+    REST,
+    SIDE,
+    STEP,
+    SURGE,
+    THETA,
+    B,
+    Number,
+    Vector,
+    Y,
+)
+from usvlearn.estimators.factored.kernel import add, loosen, measure, project, variance, walked
+from usvlearn.estimators.joint.factored_kernel import add_slow
+from usvlearn.estimators.regressors.kernel import phi1
+
+YAW = KINDS.index("yaw")
+
+
+@jit
+def start(node, s, q, surge):
+    """`AxisEKF.start`."""
+    s[node[AT.surge]] = surge
+    s[node[AT.started]] = 1.0
+
+
+@jit
+def predict(node, s, q, x, work):
+    """`AxisEKF.predict`: y⁺ of (3), and the same before its limit."""
+    n, commands = node[Node.SIZE], node[AT.commands]
+    mean, g = s[node[AT.mean] : node[AT.mean] + n], work[:n]
+    y, b, left, right = mean[Y], mean[B], s[commands], s[commands + 1]
+    if s[node[AT.started]] > 0:
+        y, b, left, right = s[node[AT.surge]], 0.0, x[LEFT], x[RIGHT]
+    work[n] = flow(node[Node.KIND] == YAW, mean, y, b, left, right, x, g)
+    predicted = clamp(work[n], MOST)
+    return predicted, predicted
+
+
+@jit
+def coast(node, s, q, x, predicted, work):
+    """The state after `AxisEKF.predict`."""
+    advance(node, s, q, x, work)
+
+
+@jit
+def free_step(node, s, q, x, work):
+    """One step of an open-loop simulation: `predict`, and the leaves `frozen` after it."""
+    commands = node[AT.commands]
+    predicted, _ = predict(node, s, q, x, work)
+    mean = s[node[AT.mean] : node[AT.mean] + node[Node.SIZE]]
+    if s[node[AT.started]] > 0:
+        mean[B], s[node[AT.started]] = 0.0, 0.0
+    mean[Y], mean[B] = predicted, mean[B] * decay(x[DT], q[node[Node.NUMBERS] :][Number.DISTURBANCE_TIME])
+    s[commands], s[commands + 1] = x[LEFT], x[RIGHT]
+    return predicted
+
+
+@jit
+def learn(node, s, q, x, estimate, target, work):
+    """The state after `AxisEKF.learn`."""
+    n, numbers = node[Node.SIZE], q[node[Node.NUMBERS] :]
+    mean, A = blocks(node, s)
+    spread, rest = advance(node, s, q, x, work)
+    if x[DT] > LONGEST:
+        start(node, s, q, target)
+        return
+    f, G, gain = work[:n], work[n : 2 * n], work[2 * n : 3 * n]
+    error, noise, k = target - estimate, s[node[AT.noise]], numbers[Number.OUTLIER]
+    square, S = error * error, spread + noise
+    alpha = measure(A, f, G, square / (k * k) - spread if square > k * k * S else noise, gain)
+    for i in range(n):
+        mean[i] += gain[i] * (error / alpha)
+    if not rest:
+        s[node[AT.updates]] += 1
+        share = max(NOISE_SHARE, 1 / (s[node[AT.updates]] + NOISE_COUNT))
+        learned = noise * (1 + share * (min(square / S, NOISE_MOST) - 1))
+        s[node[AT.noise]] = NOISE_LEAST**2 if learned < NOISE_LEAST**2 else learned
+    for i in range(LINEAR, CROSS + 1):
+        project(mean, A, i, i, 0.0, gain)
+    mu = mean[-1]
+    mean[-1] = LAG_LEAST if mu < LAG_LEAST else (LAG_MOST if mu > LAG_MOST else mu)
+
+
+@jit
+def inflate_covariance(node, s, q, factor):
+    """`AxisEKF.inflate_covariance`: P times `factor`, up to its limit."""
+    n = node[Node.SIZE]
+    A, prior, total = blocks(node, s)[1], q[node[Vector.VARIANCE] :], 0.0
+    for i in range(THETA, n):
+        total += variance(A, i) / prior[i - THETA]
+    loosen(A, factor, LOOSEST * (n - THETA) / total)
+
+
+@jit(inline=True)
+def blocks(node, s):
+    """x and A."""
+    n = node[Node.SIZE]
+    return s[node[AT.mean] : node[AT.mean] + n], s[node[AT.factor] : node[AT.factor] + n * n].reshape(n, n)
+
+
+@jit
+def decay(dt, time):
+    """e^(−h/τ)."""
+    return np.exp(-min(dt / time, DECAYED))
+
+
+@jit
+def flow(yaw, mean, y, b, left_before, right_before, x, g):
+    """y⁺ of (3); writes its gradient to x into g."""
+    mu, h, other, u = mean[-1], x[DT], x[OTHER_INPUT], x[YAW_RATE]
+    size, along, terms = abs(y), abs(u), 6 if yaw else 2
+    f = b + mean[THETA] + (mean[LINEAR] + mean[QUADRATIC] * size + mean[CROSS] * along) * y
+    f += mean[COUPLING] * (u * other) + mean[OTHER] * other + mean[SURGE] * u
+    J, late = mean[LINEAR] + 2 * mean[QUADRATIC] * size + mean[CROSS] * along, 0.0  # late: ∂f/∂μ
+    for side in range(2):
+        now, before = (x[LEFT], left_before) if side == 0 else (x[RIGHT], right_before)
+        xi = (1 - mu) * now + mu * before
+        a, own = abs(xi), mean[SIDE + terms * side : SIDE + terms * (side + 1)]
+        f += own[0] * xi + own[1] * (xi * a)
+        slope = own[0] + 2 * own[1] * a
+        if yaw:
+            f += own[2] * (xi * along) + own[3] * (xi * xi * xi) + own[4] * a + own[5] * (xi * xi)
+            slope += own[2] * along + 3 * own[3] * (xi * xi) + (own[4] if xi >= 0 else -own[4]) + 2 * own[5] * xi
+        late += (before - now) * slope
+    z = h * J
+    z = 1.0 if z > 1 else z
+    value, bend = phi1(z)
+    by_f, by_J = h * value, h * h * bend * f
+    g[Y] = 1 + z * value + by_J * 2 * mean[QUADRATIC] * (1.0 if y >= 0 else -1.0)
+    g[B], g[THETA] = by_f, by_f
+    g[LINEAR], g[QUADRATIC], g[CROSS] = by_f * y + by_J, by_f * y * size + by_J * 2 * size, along * (by_f * y + by_J)
+    g[COUPLING], g[OTHER], g[SURGE] = by_f * (u * other), by_f * other, by_f * u
+    for side in range(2):
+        now, before = (x[LEFT], left_before) if side == 0 else (x[RIGHT], right_before)
+        xi = (1 - mu) * now + mu * before
+        a, k = abs(xi), SIDE + terms * side
+        g[k], g[k + 1] = by_f * xi, by_f * (xi * a)
+        if yaw:
+            g[k + 2], g[k + 3], g[k + 4], g[k + 5] = (
+                by_f * (xi * along),
+                by_f * (xi * xi * xi),
+                by_f * a,
+                by_f * xi * xi,
+            )
+    g[-1] = by_f * late
+    return y + by_f * f
+
+
+@jit
+def advance(node, s, q, x, work):
+    """The time update from what `predict` left in `work`; f and G of the measurement stay there.
+
+    Returns HᵀPH, and whether the boat was at rest.
+    """
+    n, numbers, h, commands = node[Node.SIZE], q[node[Node.NUMBERS] :], x[DT], node[AT.commands]
+    mean, A = blocks(node, s)
+    g, ahead, noise = work[:n], work[n], s[node[AT.noise]]
+    if s[node[AT.started]] > 0:
+        begin(mean, A, s[node[AT.surge]], noise)
+        s[node[AT.started]] = 0.0
+    rest = x[LEFT] * x[LEFT] + x[RIGHT] * x[RIGHT] + x[YAW_RATE] * x[YAW_RATE] + mean[Y] * mean[Y] <= REST
+    if rest:
+        fill(g[THETA:], 0.0)
+    slow = decay(h, numbers[Number.DISTURBANCE_TIME])
+    transition(A, g, slow)
+    span, a = min(h, LONGEST) / STEP, work[n + 1 : 2 * n + 1]
+    add_slow(A, numbers[Number.DISTURBANCE] * noise * span, 1.0, 0.0)
+    A[Y, Y] += OWN_NOISE * noise * span
+    turn, parameters = s[node[AT.turn]], n - THETA
+    if turn < EVERY * parameters:
+        k = int(turn)
+        if k == turn and k % EVERY == 0 and not rest:
+            share = EVERY * parameters * (STEP * span) / numbers[Number.DRIFT_TIME]
+            i, prior = THETA + k // EVERY, q[node[Vector.VARIANCE] + k // EVERY]
+            add(A, i, walked(A, i, prior, share * prior), a)
+    s[node[AT.turn]] = turn + 1 if turn + 1 < EVERY * parameters else 0.0
+    mean[Y], mean[B] = clamp(ahead, MOST), mean[B] * slow
+    if abs(ahead) >= MOST:
+        for j in range(1, n):
+            A[j, Y] = 0.0
+        A[Y, Y] = MOST * MOST
+    s[commands], s[commands + 1] = x[LEFT], x[RIGHT]
+    f, G, spread = work[:n], work[n : 2 * n], A[Y, Y]
+    f[Y], G[Y] = 1.0, A[Y, Y]
+    for j in range(1, n):
+        f[j], G[j] = A[j, Y], A[j, j] * A[j, Y]
+        spread += f[j] * G[j]
+    s[node[AT.deviation]] = np.sqrt(spread + noise)
+    return spread, rest
+
+
+@jit(reorder=True)
+def transition(A, g, slow):
+    """F P Fᵀ."""
+    n = len(g)
+    for j in range(1, n):
+        total = g[j]
+        for i in range(j):
+            total += g[i] * A[j, i]
+        A[j, Y] = total
+    A[B, Y] /= slow
+    for j in range(THETA, n):
+        A[j, B] *= slow
+    A[Y, Y] *= g[Y] * g[Y]
+    A[B, B] *= slow * slow
+
+
+@jit
+def begin(mean, A, measured, noise):
+    """The start of a segment: y is measured, and nothing else is known of it and of b."""
+    disturbed = variance(A, B)
+    for j in range(1, len(mean)):
+        A[j, Y] = 0.0
+    for j in range(2, len(mean)):
+        A[j, B] = 0.0
+    A[Y, Y], A[B, B] = noise, disturbed
+    mean[Y], mean[B] = measured, 0.0

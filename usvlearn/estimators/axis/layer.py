@@ -1,0 +1,304 @@
+"""The axis EKF in torch: equations (1) to (4) of `state`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from usvlearn.core.hyper import Hyper, Positive, as_tensor, check_broadcast
+from usvlearn.core.protocol import Estimator, describe
+from usvlearn.core.samples import Inputs, where
+from usvlearn.errors import ConfigError
+from usvlearn.estimators.axis import state as at
+from usvlearn.estimators.axis.state import CROSS, FAMILY, LINEAR, SIDE, SIZES, THETA, AxisState, B, Y, names
+from usvlearn.estimators.factored.layer import added, loosened, measured, packed, projected, unit, unpacked, variances
+from usvlearn.estimators.joint.flow import moved
+from usvlearn.estimators.regressors.layer import phi1
+
+
+class AxisEKF(Estimator):
+    """Yaw rate or sway, a slow disturbance and the parameters in one extended Kalman filter; see `YawEKF`, `SwayEKF`.
+
+    Args:
+        prior: mean of the parameters, `(m,)` or `(*batch, m)`.
+        scale: their standard deviations, likewise.
+        disturbance: q_b, variance of the disturbance's noise in a step of 0.4 s, in units of σ²; broadcasts, as do the
+            next three.
+        disturbance_time: τ_b, s.
+        drift_time: T_θ, s, after which the parameters' variance has grown by its prior.
+        outlier: k, standard deviations beyond which a measurement is an outlier; None: none is.
+    """
+
+    kind: str
+    prior: Tensor  # (m,) or (*batch, m)
+    scale: Tensor
+    outlier: Tensor
+    signs: Tensor  # (3, n)
+
+    frozen = FAMILY.frozen
+
+    def __init__(
+        self,
+        prior: Tensor,
+        scale: Tensor,
+        disturbance: Hyper,
+        disturbance_time: Hyper,
+        drift_time: Hyper,
+        outlier: Hyper | None,
+    ):
+        super().__init__()
+        self.disturbance = Positive(disturbance, "disturbance")
+        self.disturbance_time = Positive(disturbance_time, "disturbance_time")
+        self.drift_time = Positive(drift_time, "drift_time")
+        self.register_buffer("outlier", as_tensor(torch.inf if outlier is None else outlier, "outlier"))
+        if not bool((self.outlier > 0).all()):
+            raise ConfigError(f"outlier: found {self.outlier.tolist()}, expected a positive number of deviations")
+        self.names = names(self.kind)
+        self.register_buffer("prior", prior)
+        self.register_buffer("scale", scale)
+        self.register_buffer("signs", torch.eye(SIZES[self.kind], dtype=prior.dtype)[LINEAR : CROSS + 1])
+
+    @property
+    def variance(self) -> Tensor:
+        """Prior variance of the parameters, `(m,)` or `(*batch, m)`."""
+        return self.scale * self.scale
+
+    def init(self, batch: Sequence[int] = ()) -> AxisState:
+        batch = tuple(batch)
+        check_broadcast(self, batch)
+        m, zero = len(self.names), self.disturbance.log.new_zeros(batch)
+        first = torch.stack([zero + at.NOISE**2, zero + at.FIRST_DISTURBANCE], -1)
+        wide = zero[..., None].expand(*batch, 2)
+        return AxisState(
+            mean=torch.cat([torch.zeros_like(first), self.prior.expand(*batch, m)], -1),
+            factor=torch.diag_embed(torch.cat([first, self.variance.expand(*batch, m)], -1)),
+            noise=zero + at.NOISE**2,
+            updates=zero,
+            surge=zero,
+            started=zero > 0,
+            commands=wide.clone(),
+            turn=zero,
+            deviation=zero,
+        )
+
+    def predict(self, state: AxisState, inputs: Inputs) -> tuple[AxisState, Tensor]:
+        after, predicted, *_ = self._advanced(state, inputs)
+        return after, predicted
+
+    def free_step(self, state: AxisState, inputs: Inputs) -> tuple[AxisState, Tensor]:
+        """As `predict`, of the mean alone."""
+        mean, predicted, *_ = self._ahead(state, inputs)
+        return self._moved(state, mean, inputs), predicted
+
+    def update(self, state: AxisState, inputs: Inputs, surge: Tensor) -> AxisState:
+        return self.learn(state, inputs, surge)[0]
+
+    def learn(self, state: AxisState, inputs: Inputs, surge: Tensor) -> tuple[AxisState, Tensor]:
+        ahead, predicted, U, D, f, moves = self._advanced(state, inputs)
+        spread, error, noise = (D * f * f).sum(-1), surge - predicted, ahead.noise
+        square, S = error * error, spread + noise
+        limit = self.outlier * self.outlier
+        wild = square > limit * S
+        U, D, gain, alpha = measured(U, D, f, torch.where(wild, square / limit - spread, noise))
+        mean = ahead.mean + gain * (error / alpha)[..., None]
+        updates = ahead.updates + moves
+        share = (1 / (updates + at.NOISE_COUNT)).clamp(min=at.NOISE_SHARE)
+        heard = noise * (1 + share * ((square / S).clamp(max=at.NOISE_MOST) - 1))
+        for d in self.signs:
+            mean = projected(mean, U, D, d)
+        mean = torch.cat([mean[..., :-1], mean[..., -1:].clamp(at.LAG_LEAST, at.LAG_MOST)], -1)
+        learned = ahead._replace(
+            mean=mean, factor=packed(U, D), noise=torch.where(moves, heard.clamp(min=at.NOISE_LEAST**2), noise),
+            updates=updates,
+        )  # fmt: skip
+        jumps, again = inputs.dt > at.LONGEST, self.start(ahead, surge)
+        return AxisState(*(where(jumps, new, old) for new, old in zip(again, learned, strict=True))), predicted
+
+    def start(self, state: AxisState, surge: Tensor) -> AxisState:
+        return state._replace(surge=surge, started=torch.ones_like(state.started))
+
+    def inflate_covariance(self, state: AxisState, factor: Tensor) -> AxisState:
+        """P times `factor`, up to `LOOSEST` times the prior: a direction without excitation would not shrink again."""
+        total = (variances(*unpacked(state.factor))[..., THETA:] / self.variance).sum(-1)
+        return state._replace(factor=loosened(state.factor, factor, at.LOOSEST * len(self.names) / total))
+
+    def spec(self) -> dict[str, Any]:
+        return describe(FAMILY, self, kind=self.kind, size=SIZES[self.kind])
+
+    def monitor(self, state: AxisState) -> dict[str, Tensor]:
+        shown = dict(zip(self.names, state.mean[..., THETA:].unbind(-1), strict=True))
+        return shown | {"disturbance": state.mean[..., B], "noise": state.noise.sqrt(), "deviation": state.deviation}
+
+    def _advanced(self, state: AxisState, inputs: Inputs) -> tuple[AxisState, Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """The state after the time update, the prediction, U, D and f = UᵀH, and whether the boat was not at rest."""
+        h, m = inputs.dt, len(self.names)
+        U, D = unpacked(state.factor)
+        eye = torch.eye(D.shape[-1], dtype=D.dtype, device=D.device)
+        first = torch.stack([state.noise, variances(U, D)[..., B]], -1)
+        opened = unit(U * (1 - eye[Y] - eye[B])[:, None]), torch.cat([first, D[..., 2:]], -1)
+        U, D = (where(state.started, new, old) for new, old in zip(opened, (U, D), strict=True))
+        mean, predicted, ahead, g, y, slow = self._ahead(state, inputs)
+        moves = inputs[0] ** 2 + inputs[1] ** 2 + inputs.yaw_rate**2 + y * y > at.REST
+        g = torch.cat([g[..., :THETA], torch.where(moves[..., None], g[..., THETA:], 0.0)], -1)
+        decays = torch.stack([torch.ones_like(h), slow, *[torch.ones_like(h)] * m], -1)
+        U, D = moved(U, D, g, decays)
+        span = h.clamp(max=at.LONGEST) / at.STEP
+        U, D = added(U, D, eye[B], self.disturbance() * state.noise * span)
+        D = D + (at.OWN_NOISE * state.noise * span)[..., None] * eye[Y]
+        walks = at.EVERY * torch.arange(m, dtype=D.dtype, device=D.device) == state.turn[..., None]
+        prior, share = self.variance, at.EVERY * m * (at.STEP * span) / self.drift_time()
+        grown = torch.minimum(share[..., None] * prior, (prior - variances(U, D)[..., THETA:]).clamp(min=0))
+        growth = torch.where(walks & moves[..., None], grown, 0.0).sum(-1)
+        place = torch.cat([torch.zeros_like(walks[..., :1]).expand(*walks.shape[:-1], THETA), walks], -1)
+        U, D = added(U, D, place.to(D.dtype), growth)
+        turn = torch.where(state.turn + 1 < at.EVERY * m, state.turn + 1, 0.0)
+        beyond = ahead.abs() >= at.MOST
+        U = torch.where(beyond[..., None, None], unit(U * (1 - eye[Y])[:, None]), U)
+        D = torch.where(beyond[..., None], torch.where(eye[Y] > 0, at.MOST**2, D), D)
+        f = U[..., Y, :]
+        deviation = ((D * f * f).sum(-1) + state.noise).sqrt()
+        after = self._moved(state, mean, inputs)._replace(factor=packed(U, D), turn=turn, deviation=deviation)
+        return after, predicted, U, D, f, moves
+
+    def _ahead(self, state: AxisState, inputs: Inputs) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """x after (3), the prediction, y⁺, its gradient, the y from which it departs, and the decay of b."""
+        y = torch.where(state.started, state.surge, state.mean[..., Y])
+        b = torch.where(state.started, 0.0, state.mean[..., B])
+        before = where(state.started, torch.stack([inputs[0], inputs[1]], -1), state.commands)
+        ahead, g = flow(self.kind == "yaw", state.mean, y, b, before, inputs)
+        slow = (-(inputs.dt / self.disturbance_time()).clamp(max=at.DECAYED)).exp()
+        predicted = ahead.clamp(-at.MOST, at.MOST)
+        mean = torch.cat([torch.stack([predicted, b * slow], -1), state.mean[..., THETA:]], -1)
+        return mean, predicted, ahead, g, y, slow
+
+    def _moved(self, state: AxisState, mean: Tensor, inputs: Inputs) -> AxisState:
+        commands = torch.stack([inputs[0], inputs[1]], -1)
+        return state._replace(mean=mean, started=torch.zeros_like(state.started), commands=commands)
+
+
+def flow(yaw: bool, mean: Tensor, y: Tensor, b: Tensor, before: Tensor, inputs: Inputs) -> tuple[Tensor, Tensor]:
+    """y⁺ of (3), `(*batch,)`, and its gradient g to x, `(*batch, n)`.
+
+    Args:
+        yaw: whether y is the yaw rate.
+        mean: x, `(*batch, n)`.
+        y, b: from which it departs.
+        before: commands of the step before, `(*batch, 2)`.
+        inputs: of the step (`axis_inputs`).
+    """
+    left, right, other, u, h = inputs
+    commands, mu = torch.stack([left, right], -1), mean[..., -1:]
+    xi = (1 - mu) * commands + mu * before
+    a, sign, along, zero = xi.abs(), torch.where(xi >= 0, 1.0, -1.0), u.abs(), torch.zeros_like(y)
+    by_parameter = [zero + 1, y, y * y.abs(), along * y, u * other, other, u + zero]
+    by_own = [zero, zero + 1, 2 * y.abs(), along + zero, zero, zero, zero]
+    slope = zero[..., None]
+    for side in range(2):
+        x, size = xi[..., side], a[..., side]
+        own = [x, x * size] + ([x * along, x**3, size, x * x] if yaw else [])
+        slopes = [zero + 1, 2 * size]
+        if yaw:
+            slopes += [along + zero, 3 * x * x, sign[..., side], 2 * x]
+        theta = mean[..., SIDE + len(own) * side : SIDE + len(own) * (side + 1)]
+        slope = torch.cat([slope, (torch.stack(slopes, -1) * theta).sum(-1, keepdim=True)], -1)
+        by_parameter += own
+        by_own += [zero] * len(own)
+    rows, own_rows, theta = torch.stack(by_parameter, -1), torch.stack(by_own, -1), mean[..., THETA:-1]
+    f, J = (rows * theta).sum(-1) + b, (own_rows * theta).sum(-1)
+    z = (h * J).clamp(max=1)
+    value, bend = phi1(z)
+    by_f, by_J = h * value, h * h * bend * f
+    own = 1 + z * value + by_J * 2 * mean[..., at.QUADRATIC] * torch.where(y >= 0, 1.0, -1.0)
+    late = ((before - commands) * slope[..., 1:]).sum(-1)
+    others = by_f[..., None] * rows + by_J[..., None] * own_rows
+    g = torch.cat([torch.stack([own, by_f], -1), others, (by_f * late)[..., None]], -1)
+    return y + by_f * f, g
+
+
+class YawEKF(AxisEKF):
+    """The axis EKF of the yaw rate.
+
+    The prior is a boat whose full differential thrust (left ahead, right astern) turns it to starboard, at `turn_max`
+    after some seconds.
+
+    Args:
+        surge_max: top speed, m/s.
+        turn_max: yaw rate at full differential thrust, rad/s; 0.3 to 3 times the true one does.
+        disturbance, disturbance_time, drift_time, outlier: as of `AxisEKF`.
+
+    >>> yaw = YawEKF(surge_max=2.7)
+    >>> yaw.init((8,)).mean.shape
+    torch.Size([8, 22])
+    """
+
+    kind = "yaw"
+    TIME = 1.0  # s, time constant of the prior's boat
+
+    def __init__(
+        self,
+        surge_max: Hyper,
+        turn_max: Hyper = 1.0,
+        disturbance: Hyper = 5.0,
+        disturbance_time: Hyper = 1.0,
+        drift_time: Hyper = 1e4,
+        outlier: Hyper | None = 5.0,
+    ):
+        u, r = torch.broadcast_tensors(positive("surge_max", surge_max), positive("turn_max", turn_max))
+        zero, push = 0 * r, 0.75 * r / self.TIME
+        prior = [zero, zero - 0.5 / self.TIME, -0.25 / (self.TIME * r), *[zero] * 4]
+        scale = [0.1 * push, zero + 0.5 / self.TIME, 0.5 / (self.TIME * r), 0.5 / (self.TIME * u), 1 / u, zero + 1,
+                 0.1 * push / u]  # fmt: skip
+        for side in (1, -1):
+            prior += [side * push / 2, side * push / 2, *[zero] * 4]
+            scale += [push, push, 0.5 * push / u, push, 0.2 * push, 0.2 * push]
+        prior, scale = [*prior, zero + 0.1], [*scale, zero + 0.3]
+        super().__init__(
+            torch.stack(prior, -1), torch.stack(scale, -1), disturbance, disturbance_time, drift_time, outlier
+        )
+
+    spec = AxisEKF.spec  # a subclass states its own, see `Estimator.spec`
+
+
+class SwayEKF(AxisEKF):
+    """The axis EKF of the sway through the water.
+
+    Args:
+        surge_max: top speed, m/s.
+        disturbance, disturbance_time, drift_time, outlier: as of `AxisEKF`.
+
+    >>> SwayEKF(surge_max=2.7).init((8,)).mean.shape
+    torch.Size([8, 14])
+    """
+
+    kind = "sway"
+    TIME = 1.0  # s
+
+    def __init__(
+        self,
+        surge_max: Hyper,
+        disturbance: Hyper = 5.0,
+        disturbance_time: Hyper = 1.0,
+        drift_time: Hyper = 1e4,
+        outlier: Hyper | None = 5.0,
+    ):
+        u = positive("surge_max", surge_max)
+        zero, most = 0 * u, 0.3 * u
+        prior = [zero, zero - 0.5 / self.TIME, zero, zero, zero - 0.3, *[zero] * 6, zero + 0.1]
+        scale = [zero + 0.02, zero + 0.5 / self.TIME, 0.5 / most, 0.5 / u, zero + 0.5, zero + 0.2, zero + 0.05,
+                 *[zero + 0.1] * 4, zero + 0.3]  # fmt: skip
+        super().__init__(
+            torch.stack(prior, -1), torch.stack(scale, -1), disturbance, disturbance_time, drift_time, outlier
+        )
+
+    spec = AxisEKF.spec  # a subclass states its own, see `Estimator.spec`
+
+
+def positive(name: str, value: Hyper) -> Tensor:
+    """A positive number or tensor, or a ConfigError."""
+    found = as_tensor(value, name)
+    if not bool((found > 0).all()):
+        raise ConfigError(f"{name}: found {found.tolist()}, expected positive numbers")
+    return found

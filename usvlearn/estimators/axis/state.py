@@ -1,0 +1,146 @@
+"""The axis EKF: an extended Kalman filter over the yaw rate or the sway, a disturbance and the parameters.
+
+It is to the other two axes what the joint EKF is to the surge. y is the yaw rate r, rad/s, or the sway v through the
+water, m/s; o is the other one of them; u is the surge through the water. u and o come from other estimators and are
+taken as known. State, per unit mass or inertia (n = 22 for the yaw rate, 14 for the sway):
+
+    x = [y, b, θ, μ],   θ = [bias, linear, quadratic, cross, coupling, other, surge, left's terms, right's]   (1)
+
+With the commands ξ_k, and h the length of the step:
+
+    ξ = (1−μ) ξ_k + μ ξ_{k−1}
+    f = θ·[1, y, y|y|, |u| y, u o, o, u, side terms] + b                                                (2)
+    side terms of the yaw rate   ξ, ξ|ξ|, ξ|u|, ξ³, |ξ|, ξ²
+    side terms of the sway       ξ, ξ|ξ|
+    J = ∂f/∂y,   z = min(hJ, 1),   y⁺ = y + h φ₁(z) f,   b⁺ = e^(−h/τ_b) b                              (3)
+    measured: y + noise of variance σ²                                                                  (4)
+
+(3) is the step of the joint EKF. With g = ∂y⁺/∂x the covariance P goes to F P Fᵀ + Q, where F has the row g, the decay
+of b, and ones; Q is (h/0.4 s) times: 0.05 σ² for y, q_b σ² for b, and for each parameter its prior variance over
+T_θ/0.4 s, up to that variance. The measurement, the noise and the limits of the signs are (5) to (7) of
+`usvlearn.estimators.joint.state`, with θ_linear, θ_quadratic, θ_cross ≤ 0. At rest nothing is learned of the parameters
+and σ². A segment starts at a measured y: there P loses all that joins y and b to others, and b becomes 0.
+
+*Inputs.* These estimators see `Inputs` whose `heading` holds o and whose `yaw_rate` holds u (`axis_inputs`), and a
+`Sample` whose `surge` holds the measured y.
+
+The derivation is in `docs/theory.md`, section 27.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from usvlearn.core.family import (
+    FINITE,
+    NOT_NEGATIVE,
+    POSITIVE,
+    POSITIVE_OR_INFINITE,
+    TRIANGLE,
+    Family,
+    Numbers,
+    Vectors,
+    leaf,
+)
+from usvlearn.core.samples import Inputs
+from usvlearn.estimators.regressors.terms import LAG
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+KINDS = ("yaw", "sway")
+Y, B, THETA = range(3)  # places in x
+BODY = ("bias", "linear", "quadratic", "cross", "coupling", "other", "surge")
+THRUST = {
+    "yaw": ("linear", "quadratic", "speed", "cubic", "even_linear", "even_quadratic"),
+    "sway": ("linear", "quadratic"),
+}
+LINEAR, QUADRATIC, CROSS, COUPLING, OTHER, SURGE = range(THETA + 1, THETA + len(BODY))
+SIDE = THETA + len(BODY)  # place of the left side's first term
+STEP, OWN_NOISE = 0.4, 0.05  # s, for which the noise of y and b is stated; that of y, in σ²
+NOISE, NOISE_LEAST, NOISE_SHARE, NOISE_COUNT, NOISE_MOST = 0.03, 1e-4, 0.005, 20.0, 9.0  # as of the joint EKF
+FIRST_DISTURBANCE = 1e-2  # (m/s²)² or (rad/s²)², before the first step
+REST = 1e-3  # ξ_L² + ξ_R² + u² + y² below which a boat is at rest
+EVERY = 4  # steps from one parameter's walk to the next's
+LONGEST, MOST, DECAYED = 10.0, 20.0, 20.0  # s, of y, exponent of the longest decay
+LAG_LEAST, LAG_MOST = -0.5, 1.5
+LOOSEST = 100.0  # times the prior, to which `inflate_covariance` lifts the mean variance of the parameters at most
+
+
+class AxisState(NamedTuple):
+    """The state of an axis EKF."""
+
+    mean: Tensor  # (*batch, n) x
+    factor: Tensor  # (*batch, n, n) U and D, as of the joint EKF
+    noise: Tensor  # (*batch,) σ²
+    updates: Tensor  # (*batch,) count of update steps, without those at rest
+    surge: Tensor  # (*batch,) measured y with which the last segment started
+    started: Tensor  # (*batch,) bool: no step since then
+    commands: Tensor  # (*batch, 2) of the last step, left and right
+    turn: Tensor  # (*batch,) steps in the round in which each parameter gets random-walk noise once
+    deviation: Tensor  # (*batch,) standard deviation of the last prediction
+
+
+def names(kind: str) -> tuple[str, ...]:
+    """The names of the parameters, in the order of x.
+
+    >>> len(names("yaw")), names("sway")[-3:]
+    (20, ('linear_right', 'quadratic_right', 'command_lag'))
+    """
+    return (*BODY, *(f"{term}_{side}" for side in ("left", "right") for term in THRUST[kind]), LAG)
+
+
+SIZES = {kind: THETA + len(names(kind)) for kind in KINDS}
+
+
+def axis_inputs(command_left: Any, command_right: Any, other: Any, surge: Any, dt: Any) -> Inputs:
+    """The inputs of an axis EKF: the other component in the place of the heading, the surge in that of the yaw rate.
+
+    Args:
+        command_left, command_right: shares of full scale.
+        other: sway, m/s, for the yaw rate; yaw rate, rad/s, for the sway.
+        surge: through the water, m/s.
+        dt: s.
+
+    >>> axis_inputs(0.5, 0.4, 0.1, 1.5, 0.4).yaw_rate
+    1.5
+    """
+    return Inputs(command_left, command_right, heading=other, yaw_rate=surge, dt=dt)
+
+
+class Number(Numbers):
+    """Hyperparameters, in the units of the arguments of `AxisEKF`."""
+
+    DISTURBANCE = POSITIVE  # q_b
+    DISTURBANCE_TIME = POSITIVE  # τ_b
+    DRIFT_TIME = POSITIVE  # T_θ
+    OUTLIER = POSITIVE_OR_INFINITE  # k
+
+
+class Vector(Vectors):
+    """One number for each parameter."""
+
+    VARIANCE = POSITIVE, lambda size: size - THETA  # prior
+    PRIOR = FINITE, lambda size: size - THETA  # mean
+
+
+FAMILY = Family(
+    KINDS,
+    lambda n: AxisState(
+        mean=leaf(n),
+        factor=leaf(n, n, legal=TRIANGLE),
+        noise=leaf(legal=POSITIVE),
+        updates=leaf(legal=NOT_NEGATIVE),
+        surge=leaf(),
+        started=leaf(flag=True),
+        commands=leaf(2),
+        turn=leaf(legal=NOT_NEGATIVE),
+        deviation=leaf(legal=NOT_NEGATIVE),
+    ),
+    Number,
+    vectors=Vector,
+    size=lambda own: SIZES[own["kind"]],
+    work=lambda n: 4 * n + 2,
+    frozen=("mean", "surge", "started", "commands"),
+)
+AT = FAMILY.at

@@ -1,0 +1,1 @@
+"""Surge, sway and yaw rate side by side, and the tracks that they make."""

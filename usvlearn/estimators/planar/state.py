@@ -1,0 +1,126 @@
+"""Tracks: where the boat will be, from the ensembles of surge, sway and yaw rate, with ellipses that learn.
+
+Three ensembles make each step, one after the other: the surge u over ground, as without tracks; the sway v through the
+water; the yaw rate r. w, the surge through the water, and the current c are those of the surge's joint EKF. The sway's
+ensemble sees r and w at the beginning of the step, that of the yaw rate v and w. The measured sway over ground becomes
+
+    v = sway + c_N sin ψ − c_E cos ψ                                                                   (1)
+
+Until the sway has been measured 20 times, v counts as 0, and the lateral current is left out.
+
+*A track* begins at an origin, with members that are frozen as those of a forecast (`ensemble.forecasts`). Each of its
+steps of length h has one command for each side:
+
+    r⁺ from (v, w),   ψ⁺ = ψ + h (r + r⁺)/2,   v⁺ from (r, w),   u⁺ from (ψ + ψ⁺)/2 and (r + r⁺)/2
+    p⁺ = p + h/2 [R(ψ)(u, l) + R(ψ⁺)(u⁺, l⁺)],   l = v − c_N sin ψ + c_E cos ψ                         (2)
+
+where each axis combines its members by the weights of its own forecasts at the origin.
+
+*Ellipses.* At an origin of the horizon H the track goes on with the commands that come. When H s have passed, its error
+e in the frame of the origin's heading is known. C is the running covariance of these errors,
+
+    C ← C + max(1/(k+1), 1/100) (e eᵀ − C),   C' = C + 5/(k+5) tr(C)/2 I,   S = C'/√det C',   ρ = √(eᵀ S⁻¹ e)   (3)
+
+and the radius v that holds 90 % of the ρ, m, is learned as the half-width of a forecast: by (2), (3) of
+`ensemble.forecasts` and (1) to (6) of `ensemble.conditional`, where *spread* is the distance run since the origin, and
+*far* and *group* are those of the commands. The ellipse is pᵀ S⁻¹ p = v². Between horizons S and v are interpolated,
+before the first one v falls to 0 with the time, and beyond the last one it is infinite. An error of more than six
+radii enters (3) as one of six, so that a position that jumps spoils nothing.
+
+The derivation is in `docs/theory.md`, section 28.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from usvlearn.core.family import ANY, NOT_NEGATIVE, POSITIVE, UNIT, Family, Numbers, Vectors, leaf
+from usvlearn.estimators.ensemble.conditional.state import HELD, PATH, LearnedState, learned_leaves
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+AXES = ("surge", "sway", "yaw")
+SURGE, SWAY, YAW = range(3)
+HORIZONS, OVERLAP = (2.0, 5.2, 10.0, 30.0), 2.0  # s, of which each is a whole number of steps of 0.4 s
+MOST_OVERLAP = 20.0
+USED = 20.0  # measurements of the sway, before which it counts as 0
+FILTERS = {"surge": "joint", "sway": "sway", "yaw": "yaw"}  # kind of the member whose mean is a component's estimate
+LIMIT = 20.0  # m/s, rad/s: a sway or yaw rate at or beyond it counts as missing
+SLOW, CLIP, ROUND = 1 / 100, 6.0, 5.0  # of (3)
+FLOOR = 1e-4  # m², added to both variances of C
+DELAY = 9.0
+POSE = 5  # what is measured at the end of a step, beside the speed:
+HEADING, TURN, MEASURED_SWAY, NORTH, EAST = range(POSE)  # rad, rad/s, m/s over ground, m, m
+# A slot: the track of one origin.
+(
+    ELAPSED, REACH, NORTH_0, EAST_0, COS_0, SIN_0, C_NORTH, C_EAST, U, V, R, W, PSI, AT_NORTH, AT_EAST, RUN,
+    U_0, R_0, HELD_NORTH, HELD_EAST, COMMANDS,
+) = range(21)  # fmt: skip  # COMMANDS: the path of `ensemble.conditional`
+HORIZON = COMMANDS + PATH  # then, for each horizon: what (1) to (3) of `ensemble.conditional` need, w, and C
+OF_HORIZON = HELD + 4
+# What is known of a track when it has become due.
+DUE = 8
+ERROR, HEADING_ERROR, CONSTANT, HELD_RATE, RHO, RADIUS, GROUP, DISTANCE = range(DUE)
+# The table of places, a row for each axis and one for the track.
+PROGRAM, STATE, NUMBER, MEAN, UPDATES, BLOCK, WEIGHTS = range(7)
+(
+    SLOTS, SINCE, BEFORE, COVARIANCE, MEAN_ERROR, QUANTILE, ERRORS, DUES, LEARNED, COUNT, HORIZON_COUNT, LENGTH, Q,
+) = (0, 1, 2, 3, 4, 5, 6, 7, 8, 14, 15, 16, 17)  # fmt: skip  # LEARNED: six places
+PLACES = 18
+
+
+class TrackState(NamedTuple):
+    """Tracks under way, and what was learned of earlier ones; H horizons."""
+
+    slots: Tensor  # (*batch, slots, length) see the places above
+    since: Tensor  # (*batch, H) s since the last origin that goes on to the horizon
+    before: Tensor  # (*batch, 6) w, m/s, v, m/s, r, rad/s at the end of the last step, its commands, and ψ, rad
+    covariance: Tensor  # (*batch, H, 3) C of (3), m²: forward, mixed, to starboard
+    error: Tensor  # (*batch, H) running mean of ρ, m
+    quantile: Tensor  # (*batch, H) its multiple that holds 90 %
+    errors: Tensor  # (*batch, H) count
+    learned: LearnedState
+    due: Tensor  # (*batch, H, 8) of the tracks that became due in the last step; NaN where none did
+
+
+class Number(Numbers):
+    """Constants."""
+
+    COVERAGE = UNIT
+    OVERLAP = POSITIVE
+
+
+class Vector(Vectors):
+    """Horizons, s, `(H,)`. A size is (slots, H, length)."""
+
+    HORIZONS = POSITIVE, lambda size: size[1]
+
+
+def _state(size: Any) -> TrackState:
+    slots, H, length = size if isinstance(size, tuple) else (1, 1, 1)
+    return TrackState(
+        slots=leaf(slots, length, legal=ANY),
+        since=leaf(H, legal=NOT_NEGATIVE),
+        before=leaf(6),
+        covariance=leaf(H, 3),
+        error=leaf(H, legal=NOT_NEGATIVE),
+        quantile=leaf(H, legal=POSITIVE),
+        errors=leaf(H, legal=NOT_NEGATIVE),
+        learned=learned_leaves(H),
+        due=leaf(H, DUE, legal=ANY),
+    )
+
+
+FAMILY = Family(("track",), _state, Number, vectors=Vector)
+AT = FAMILY.at
+
+
+def slots_of(horizons: tuple[float, ...], overlap: float) -> int:
+    """How many tracks are under way at the same time.
+
+    >>> slots_of(HORIZONS, OVERLAP)
+    9
+    """
+    begins = (0.0, *horizons[:-1])
+    return sum(int(overlap * (1 - a / b) + 1e-9) + 1 for a, b in zip(begins, horizons, strict=True))
