@@ -21,6 +21,7 @@ from usvlearn.runs.legacy import TARGETS
 
 if TYPE_CHECKING:
     from usvlearn.estimators.ensemble.layer import Ensemble
+    from usvlearn.estimators.planar.layer import Planar
 
 SECTIONS = ("data", "estimators", "combiners", "align", "tuning")
 
@@ -95,6 +96,26 @@ def ensemble_of(cfg: Mapping[str, Any]) -> Ensemble:
     made = cfg.get("forecasts")
     ahead, knows = made and instantiate(made, _convert_="all"), bool(cfg.get("conditional", False))
     return Ensemble(members, rules, cfg["output"], forecasts=ahead, conditional=knows)
+
+
+def planar_of(cfg: Mapping[str, Any], ensemble: Ensemble) -> tuple[Planar | None, str]:
+    """What learns sway and yaw rate beside an ensemble, and makes tracks; None where none is asked for or none can be,
+    with the reason.
+    """
+    if not cfg.get("tracks"):
+        return None, ""
+    from usvlearn.estimators.planar.layer import Planar
+
+    given = dict(cfg["tracks"])
+    if unknown := [name for name in given if name not in ("horizons", "overlap")]:
+        raise ConfigError(f"tracks.{unknown[0]}: found no such option, expected horizons or overlap, or tracks: null")
+    with under("tracks", given):
+        found = Planar(ensemble, surge_max=cfg["vehicle"]["surge_max"], **given)
+    try:
+        found.spec()
+    except ConfigError as error:
+        return None, f"no tracks: {error}"
+    return found, ""
 
 
 def _retell(error: InstantiationException, names: set[str]) -> NoReturn:

@@ -15,7 +15,7 @@ from rich.console import Console
 from usvlearn.cli.checked import CheckedAlignment
 from usvlearn.cli.command import command
 from usvlearn.cli.composition import plain
-from usvlearn.cli.settings import as_written, check_settings, ensemble_of, instantiate
+from usvlearn.cli.settings import as_written, check_settings, ensemble_of, instantiate, planar_of
 from usvlearn.cli.stopping import until_stopped
 from usvlearn.cli.sweep import do_job
 from usvlearn.display import terminal
@@ -29,6 +29,7 @@ from usvlearn.report.tables import (
     identified_table,
     rejection_table,
     summary_lines,
+    track_table,
 )
 from usvlearn.runs.layout import TENSORBOARD
 from usvlearn.sweeps.launchers import set_threads
@@ -74,6 +75,7 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
     align = CheckedAlignment(settings, console)
     with Activity(console):
         ensemble = ensemble_of(cfg)
+        planar, without = planar_of(cfg, ensemble)
         recordings = list(instantiate(cfg.data))
         fleet = align(recordings, **cfg.align)
     if (rejected := rejection_table(fleet.rejected)) is not None:
@@ -82,9 +84,11 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
     run = RunFolder(
         folder, fleet, {"configuration": settings, "kernel": ensemble.spec()}, ensemble.names, ensemble.forecasts,
         align.json, {boat: each.json() for boat, each in setups_of(settings, recordings).items()},
-        ensemble.accommodated,
+        ensemble.accommodated, planar,
     )  # fmt: skip
-    terminal.show((start := run.begin(ensemble.init((len(fleet.boats),)), resume)).note, to=console)
+    start = run.begin(ensemble.init((len(fleet.boats),)), resume)
+    beside, anew = run.planar_start(start)
+    terminal.show(start.note, *filter(None, (without, anew)), to=console)
     truth = quantities_of([settings["data"]], cfg.vehicle.mass)
     logger = TensorBoardLogger(
         folder / TENSORBOARD, fleet, ensemble, start.position, what_differs(overrides), truth, log,
@@ -92,7 +96,7 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
     )  # fmt: skip
     with run, logger, Activity(console) as activity:
         activity.begin("replaying", total=fleet.steps)
-        chunks = replay(ensemble, fleet, start.state, start.position, logger.every, save_every)
+        chunks = replay(ensemble, fleet, start.state, start.position, logger.every, save_every, planar, beside)
         for chunk in until_stopped(chunks, lambda: run.stop(ensemble, began)):
             run.save(chunk)
             logger.show(chunk)
@@ -103,6 +107,8 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
         networks = stability(ensemble, run.state, fleet.boats, found.get("free"))
         logger.finish(settings, found, run.published, networks)
     console.print(error_tables(found["boats"], remarks(ensemble), explained(ensemble), found.get("forecast")))
+    if (tracks := track_table(found.get("tracks"))) is not None:
+        console.print(tracks)
     console.print(*fit_lines(found), sep="\n")
     console.print(identified_table(identified_boats(ensemble, run.state, fleet.boats), truth))
     terminal.show(*event_lines(found["events"]), *networks, "", *summary_lines(found, folder), to=console)

@@ -119,6 +119,7 @@ class Run(NamedTuple):
     names: tuple[str, ...]  # the run's name per boat; "" for a boat that had no such run
     lengths: tuple[int, ...]  # steps per boat; the steps after them are padding, never fresh
     position: np.ndarray | None = None  # (time, boats, 2) m north and east of the first; NaN where unknown
+    poses: np.ndarray | None = None  # (time, boats, 5) of a `PlanarSample`: rad, rad/s, m/s, m, m; NaN likewise
 
 
 class Fleet(NamedTuple):

@@ -8,13 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from usvlearn.core.samples import Fleet, Inputs, Run, Sample, tree_map
+from usvlearn.core.samples import Fleet, Inputs, PlanarSample, Run, Sample, tree_map
 from usvlearn.display.activity import doing
 from usvlearn.errors import ConfigError, LogFormatError, under
 from usvlearn.logs.alignment.align import Aligned, align
 from usvlearn.logs.channels.channel import CHANNELS, COMMANDS, Recording
+from usvlearn.logs.channels.poses import poses
 from usvlearn.logs.channels.positions import track
 
+POSE = len(PlanarSample._fields) - 1  # numbers of a pose
 SHORTEST = 3  # least number of samples in a run
 
 
@@ -54,7 +56,8 @@ def align_fleet(recordings: Iterable[Recording], **options) -> Fleet:
             short.append(f"{recording.boat}, run {recording.run}: {steps} (rejected: {_causes(aligned.rejected)})")
         else:
             position = track(recording.channels, aligned.time)
-            boats.setdefault(recording.boat, []).append(BoatRun(recording.run, aligned, position))
+            pose = poses(recording.channels, aligned.time, aligned.samples)
+            boats.setdefault(recording.boat, []).append(BoatRun(recording.run, aligned, position, pose))
     if not boats:
         raise LogFormatError(
             f"measured steps: expected at least {SHORTEST} in a run, found {'; '.join(short[:3]) or 'no run'}: "
@@ -81,6 +84,7 @@ class BoatRun(NamedTuple):
     name: str
     aligned: Aligned
     position: np.ndarray | None  # (time, 2) m
+    poses: np.ndarray  # (time, 5), see `usvlearn.logs.channels.poses`
 
 
 def _side_by_side(elements: list[BoatRun | None]) -> Run:
@@ -101,17 +105,18 @@ def _side_by_side(elements: list[BoatRun | None]) -> Run:
         empty(False),
         empty(False),
     )
-    time, position = empty(np.nan), np.full((*shape, 2), np.nan)
+    time, position, pose = empty(np.nan), np.full((*shape, 2), np.nan), np.full((*shape, POSE), np.nan)
     for element, one in enumerate(elements):
         if one is not None:
             part = slice(lengths[element]), element
             time[part] = one.aligned.time - one.aligned.time[0]
             tree_map(lambda whole, x, part=part: whole.__setitem__(part, x), padded, one.aligned.samples)
+            pose[part] = one.poses
             if one.position is not None:
                 position[part] = one.position
     names = tuple("" if element is None else element.name for element in elements)
     known = any(element is not None and element.position is not None for element in elements)
-    return Run(time, padded, names, tuple(lengths), position if known else None)
+    return Run(time, padded, names, tuple(lengths), position if known else None, pose)
 
 
 def _causes(rejected: dict[str, dict[str, int]]) -> str:

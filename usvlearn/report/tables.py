@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
@@ -25,6 +26,10 @@ from usvlearn.runs.tensorboard.board_tags import label
 TOGGLE = "Of several boats, the pages IMAGES and TEXT open empty: press TOGGLE ALL RUNS there."
 COVERED = {
     "intervals cover": "covers", "commands stay": "covers_stay", "move": "covers_move", "move much": "covers_move_much",
+}  # fmt: skip
+TRACKS = {
+    "ours, m": "position", "constant turn and speed, m": "position_constant_turn",
+    "forecast speed, held yaw rate, m": "position_held_rate",
 }  # fmt: skip
 COLUMNS = {"mae": "MAE", "median": "median", "rmse": "RMSE", "skill": "skill", "halfwidth": "±", "coverage": "covers",
            "steps": "steps"}  # fmt: skip
@@ -123,6 +128,28 @@ def forecast_table(forecast: Mapping[str, Mapping[str, Mapping[str, Mapping]]]) 
         found = [rows[own][h].get("interval") for h in horizons]
         if any(x is not None for x in found):
             table.add("interval score, m/s", *(_number(x, 3) for x in found))
+    return table
+
+
+def track_table(tracks: Mapping[str, Mapping[str, Mapping[str, Any]]] | None) -> Blocks | None:
+    """Errors of tracks by horizon, one block for each boat; None where nothing became due.
+
+    Args:
+        tracks: of `usvlearn.evaluation.tracks.track_scores`.
+    """
+    if not tracks or not any(row["count"] for rows in tracks.values() for row in rows.values()):
+        return None
+    horizons = list(next(iter(tracks.values())))
+    table = Blocks("Tracks: mean distance from the boat's position by horizon, s", ["track"], horizons)
+    for boat, rows in tracks.items():
+        if len(tracks) > 1:
+            table.group(boat)
+        for words, key in TRACKS.items():
+            table.add(words, *(_number(rows[h][key], 2) for h in horizons), style="bold" if key == "position" else "")
+        turned = [rows[h]["heading"] for h in horizons]
+        table.add("heading error, °", *("–" if x is None else f"{math.degrees(x):.1f}" for x in turned))
+        held = [rows[h]["inside"] for h in horizons]
+        table.add("within the ellipses of 90 %", *("–" if x is None else f"{x:.0%}" for x in held))
     return table
 
 

@@ -3,6 +3,7 @@
 checkpoints/BOAT/RRRRR_SSSSSSS.safetensors   the boat's state after S steps of its run with index R
 predictions/RRRRR_SSSSSSS.npz                what was published of all boats since the previous file: predictions,
                                              half-widths of their intervals, health of the thrusters
+planar/checkpoints/BOAT/                     likewise, with sway, yaw rate and tracks; the newest two
 runs.json                                    names and digests of the runs, digest of the ensemble, start time, and the
                                              number of this run among the runs beside it
 errors.csv                                   the errors of each run of each boat (`usvlearn.evaluation.by_run`)
@@ -26,7 +27,7 @@ from usvlearn.core.checkpoint import write_atomically
 
 CHECKPOINTS, PREDICTIONS, RUNS, RESULTS = "checkpoints", "predictions", "runs.json", "results.json"
 TENSORBOARD, ERRORS, TUNING, JOURNAL = "tensorboard", "errors.csv", "tuning.json", "optuna.log"
-WORKERS, JOB, HYDRA = "workers", "job.json", ".hydra"
+WORKERS, JOB, HYDRA, PLANAR = "workers", "job.json", ".hydra", "planar"
 ESTIMATOR = "Ensemble"  # the kind of state in a checkpoint
 
 

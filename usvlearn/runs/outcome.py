@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from usvlearn.core.samples import Fleet
@@ -16,6 +16,7 @@ from usvlearn.evaluation.identification import Truth, as_results, identified_boa
 from usvlearn.evaluation.measure import measure_of
 from usvlearn.evaluation.metrics import fleet_scores
 from usvlearn.evaluation.networks import verdicts
+from usvlearn.evaluation.tracks import track_scores
 from usvlearn.runs.published import Published
 
 
@@ -27,6 +28,7 @@ def judged(
     halfway: Callable[[int], EnsembleState | None],
     truth: Truth,
     objective: Any = None,
+    horizons: Sequence[float] = (),
 ) -> tuple[dict[str, Any], str]:
     """Scores, events, what was identified, the networks' verdicts, the objective; and the errors of each run, as CSV.
 
@@ -38,6 +40,7 @@ def judged(
         halfway: the state after the first so many runs; None if they were not all replayed.
         truth: of simulated boats, to be written beside what was identified.
         objective: of the configuration.
+        horizons: of tracks, s, if there are any.
     """
     found: dict[str, Any] = {
         "boats": fleet_scores(fleet, published.only("predictions", "halfwidths"), ensemble.names, ensemble.surge_limit),
@@ -47,6 +50,9 @@ def judged(
     }
     if (ahead := ensemble_sums(ensemble, fleet, published.only("forecasts", "forecast_halfwidths"))) is not None:
         found["forecast"] = horizon_scores(ahead, fleet.boats)
+    if horizons:
+        parts = (stretch.arrays["tracks"] for stretch in published.only("predictions", "tracks"))
+        found["tracks"] = track_scores(parts, horizons, fleet.boats)
     if (free := _free(ensemble, fleet, halfway)) is not None:
         found["free"] = free.mae(fleet.boats, ensemble.names)
         found["free_fit"] = free.fit(fleet.boats, ensemble.names)

@@ -12,6 +12,9 @@ steps, b boats and m estimators:
     forecasts        (n, b, h·c) m/s: for each of h horizons what c columns forecast then for this step; NaN where no
                                 forecast was due. The columns are the members weighed, persistence, and the ensemble
     forecast_halfwidths (n, b, h) m/s, of the ensemble's intervals; infinite where none is known
+    tracks           (n, b, k·8) of the tracks that became due then, for each of k horizons: position error, m, heading
+                                error, rad, position error of a constant turn and with the yaw rate held, m, ρ, m, the
+                                ellipse's radius, m, group of the commands, distance run, m; NaN where none was due
     time             (n, b)     s since the run's first step; NaN after the end of a boat's shorter run
     measured_surge   (n, b)     m/s; NaN where it was not measured
     command_left, command_right, heading, yaw_rate, dt    (n, b)    known before each prediction
@@ -19,6 +22,7 @@ steps, b boats and m estimators:
     boats, runs      (b,)       names; the run's name is empty for a boat without this run
     estimators       (m,)       names of the last axis of predictions and halfwidths
     horizons         (h,)       s
+    track_horizons   (k,)       s
     forecast_columns (c,)       names
     filters          (f,)       names of the filters that are given the effectiveness
     units            (k, 2)     name and unit of each array that has one
@@ -41,15 +45,17 @@ import numpy as np
 from usvlearn.core import samples
 from usvlearn.core.samples import Run
 from usvlearn.errors import CheckpointError
+from usvlearn.estimators.planar.state import DUE
 from usvlearn.runs.layout import PREDICTIONS
 
 # what a damaged .npz raises
 DAMAGE = (OSError, ValueError, KeyError, IndexError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error)
-PUBLISHED = ("predictions", "halfwidths", "thrusters", "health", "forecasts", "forecast_halfwidths")
+PUBLISHED = ("predictions", "halfwidths", "thrusters", "health", "forecasts", "forecast_halfwidths", "tracks")
 UNITS = samples.UNITS | {
     "predictions": "m/s", "halfwidths": "m/s", "thrusters": "share of the thrust; evidence; 0 or 1",
     "health": "share of the thrust; 0 or 1; 0 or 1; count",
     "measured_surge": samples.UNITS["surge"], "forecasts": "m/s", "forecast_halfwidths": "m/s", "horizons": "s",
+    "tracks": "m; rad; m; m; m; m; group; m", "track_horizons": "s",
 }  # fmt: skip
 Widths = Mapping[str, int]  # the length of the last axis of each array that may be published
 
@@ -125,13 +131,20 @@ class Published:
         return (self.read(*place, self._names) for place in self.places())
 
 
-def widths_of(names: Sequence[str], forecasts: Any, filters: Sequence[str]) -> dict[str, int]:
-    """The widths of what an ensemble with these `names`, `forecasts` and `accommodated` filters publishes."""
+def widths_of(
+    names: Sequence[str], forecasts: Any, filters: Sequence[str], horizons: Sequence[float] = ()
+) -> dict[str, int]:
+    """The widths of what an ensemble with these `names`, `forecasts` and `accommodated` filters publishes.
+
+    Args:
+        names, forecasts, filters: of the ensemble.
+        horizons: of tracks beside it, s.
+    """
     found = {"predictions": len(names), "halfwidths": len(names), "thrusters": 5, "health": 6 + len(filters)}
     if forecasts is not None:
-        horizons = len(forecasts.horizons)
-        found |= {"forecasts": horizons * len(forecasts.columns), "forecast_halfwidths": horizons}
-    return found
+        count = len(forecasts.horizons)
+        found |= {"forecasts": count * len(forecasts.columns), "forecast_halfwidths": count}
+    return found | ({"tracks": DUE * len(horizons)} if horizons else {})
 
 
 def joined(parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
@@ -147,6 +160,7 @@ def packed(
     estimators: Sequence[str],
     forecasts: Any = None,
     filters: Sequence[str] = (),
+    horizons: Sequence[float] = (),
 ) -> bytes:
     """The content of a file: what was published of the last steps of a run before `end`, with their samples."""
     part = slice(end - len(published["predictions"]), end)
@@ -164,6 +178,8 @@ def packed(
     }
     if forecasts is not None:
         arrays |= {"horizons": forecasts.horizons.numpy(), "forecast_columns": np.array(forecasts.columns, str)}
+    if "tracks" in published:
+        arrays["track_horizons"] = np.array(horizons, float)
     if "health" in published:
         arrays["filters"] = np.array(filters, str)
     arrays["units"] = np.array([(name, unit) for name, unit in UNITS.items() if name in arrays])

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 
 from usvlearn.core.samples import Fleet, masks, tree_map
+from usvlearn.engine.planar_runs import planar_stretches, with_poses
 from usvlearn.engine.rollouts import stretches
 from usvlearn.estimators.ensemble.accommodation.layer import thrust_remaining
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.state import EnsembleState
+from usvlearn.estimators.planar.layer import Planar, PlanarState
 from usvlearn.runs.published import BEGIN, Position
 
 THRUSTERS = tuple(f"monitors.thrusters.{name}" for name in ("evidence", "sums", "raised"))  # leaves of a state
@@ -28,6 +30,7 @@ class Chunk(NamedTuple):
     state: EnsembleState  # at the end; leaves (boats, ...)
     published: dict[str, np.ndarray]  # see `runs.published`, (time, boats, …), NaN where no step was made
     save: bool  # whether checkpoints are saved at the end
+    planar: PlanarState | None = None  # likewise, with sway, yaw rate and tracks
 
 
 def replay(
@@ -37,6 +40,8 @@ def replay(
     begin: Position = BEGIN,
     every: int = 750,
     save_every: int = 750,
+    planar: Planar | None = None,
+    beside: PlanarState | None = None,
 ) -> Iterator[Chunk]:
     """Run a fleet's samples through an ensemble, all boats as batch elements, and yield it in chunks.
 
@@ -49,18 +54,33 @@ def replay(
         begin: the place up to which the replay is already done.
         every: steps in a chunk, at most.
         save_every: steps between two checkpoints; others are saved at the end of each run.
+        planar: learns sway and yaw rate beside this ensemble, and makes tracks; None: without.
+        beside: its state to start from, of which `state` is the surge's; None: that before the first sample.
 
     Yields:
         Chunks in order; together they cover each run once.
     """
     places, filters = list(_places(fleet, begin, every, save_every)), ensemble.accommodated
     parts = (tree_map(lambda x, a=a, b=b: x[a:b], fleet.runs[run].samples) for run, a, b, _ in places)
-    replayed = stretches(ensemble, state, parts, _recorded(state, filters))
-    for (run, done, stop, save), (state, kept) in zip(places, replayed, strict=True):
+    names, whole = _recorded(state, filters), None
+    if planar is None:
+        replayed: Iterator[Any] = stretches(ensemble, state, parts, names)
+    else:
+        first = (planar.init((len(fleet.boats),)) if beside is None else beside)._replace(surge=state)
+        poses = (None if (all_ := fleet.runs[run].poses) is None else all_[a:b] for run, a, b, _ in places)
+        both = (with_poses(part, pose) for part, pose in zip(parts, poses, strict=True))
+        replayed = planar_stretches(planar, first, both, [*(f"surge.{name}" for name in names), "track.due"])
+    for (run, done, stop, save), (after, kept) in zip(places, replayed, strict=True):
+        state = after
+        if planar is not None:
+            whole, state = after, after.surge
+            kept = {name.removeprefix("surge."): x for name, x in kept.items()}
         part = tree_map(lambda x, a=done, b=stop: x[a:b], fleet.runs[run].samples)
         stepped = masks(part, ensemble.surge_limit).steps[..., None]
         published = {name: np.where(stepped, x, np.nan) for name, x in _published(state, kept, filters).items()}
-        yield Chunk(Position(run, done), Position(run, stop), state, published, save)
+        if planar is not None:
+            published["tracks"] = np.where(stepped, flat(kept["track.due"]), np.nan)
+        yield Chunk(Position(run, done), Position(run, stop), state, published, save, whole)
 
 
 def _places(fleet: Fleet, begin: Position, every: int, save_every: int) -> Iterator[tuple[int, int, int, bool]]:

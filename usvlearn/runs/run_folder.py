@@ -22,7 +22,11 @@ from usvlearn.engine.rollouts import stack
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.state import EnsembleState
+from usvlearn.estimators.planar.layer import Planar, PlanarState
+from usvlearn.estimators.planar.state import AXES
 from usvlearn.evaluation.identification import Truth
+from usvlearn.runs.beside import ESTIMATOR as ESTIMATOR_BESIDE
+from usvlearn.runs.beside import forget, planar_path, started
 from usvlearn.runs.index import check_own, digest, no_run, number, own_predictions, same_run
 from usvlearn.runs.layout import CHECKPOINTS, ERRORS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, save_results
 from usvlearn.runs.legacy import first_named
@@ -51,6 +55,7 @@ class RunFolder:
         names: of the estimators, as `Ensemble.names`.
         forecasts: as `Ensemble.forecasts`.
         filters: as `Ensemble.accommodated`.
+        planar: what learns sway and yaw rate beside it; None: nothing does.
         data_check: what the data check found, for `results.json`; None if nothing was checked.
         setups: boat -> `usvlearn.logs.setup.Setup.json`, which its checkpoints contain.
     """
@@ -58,11 +63,14 @@ class RunFolder:
     def __init__(
         self, path: str | Path, fleet: Fleet, metadata: Mapping[str, Any], names: Sequence[str], forecasts: Any = None,
         data_check: Sequence[Mapping[str, str]] | None = None, setups: Mapping[str, Any] | None = None,
-        filters: Sequence[str] = (),
+        filters: Sequence[str] = (), planar: Planar | None = None,
     ):  # fmt: skip
         self.path, self.fleet, self.names = Path(path), fleet, tuple(names)
-        self._forecasts, self._filters = forecasts, tuple(filters)
-        self._resumption = Resumption(self.path, fleet, widths_of(names, forecasts, filters))
+        self._forecasts, self._filters, self._planar = forecasts, tuple(filters), planar
+        self._horizons = () if planar is None else planar.horizons
+        self._resumption = Resumption(self.path, fleet, widths_of(names, forecasts, filters, self._horizons))
+        self.beside: PlanarState | None = None  # the newest, from the first chunk on
+        self._sources = [self.path]  # folders in which to look for it
         self._checked = {} if data_check is None else {"data_check": data_check}
         self._setups = setups or {}
         self.metadata = {"version": usvlearn.__version__, **metadata}
@@ -93,6 +101,7 @@ class RunFolder:
         start, continued = Start(state, BEGIN, "learning from the start"), False
         if resume is not None:
             source = self._resumption.latest() if resume == "latest" else Path(str(resume))
+            self._sources.append(source)
             if source.is_file():
                 start = self._resumption.from_file(source, start)
             elif source.is_dir():
@@ -128,9 +137,20 @@ class RunFolder:
         write_atomically(self.path / RUNS, json.dumps(noted, indent=2).encode())
         return start
 
+    def planar_start(self, start: Start) -> tuple[PlanarState | None, str]:
+        """The state from which sway and yaw rate go on, None for a fresh start; and what to say of it."""
+        if self._planar is None or len(self._sources) < 2:
+            return None, ""
+        places = [start.position] * len(self.fleet.boats)
+        if start.position != BEGIN:
+            run = self.fleet.runs[start.position.run]
+            places = [start.position._replace(step=min(start.position.step, own)) for own in run.lengths]
+        found, reason = started(self._planar, self._sources, self.fleet, places)
+        return found, f"tracks, sway and yaw rate are learned anew: {reason}" if reason else ""
+
     def save(self, chunk: Chunk) -> None:
         """Write what is due after a chunk: predictions first, because a run resumes from a state only with them."""
-        self.state, self._reached = chunk.state, chunk.end
+        self.state, self._reached, self.beside = chunk.state, chunk.end, chunk.planar
         self._pending.append(chunk.published)
         if chunk.save:
             self._hand_on()
@@ -145,6 +165,12 @@ class RunFolder:
             for element, boat in enumerate(self.fleet.boats)
             if run.lengths[element] > before
         ]
+        if self.beside is not None:
+            due += [
+                self._planar_checkpoint(element, boat, Position(index, min(step, run.lengths[element])))
+                for element, boat in enumerate(self.fleet.boats)
+                if run.lengths[element]
+            ]
         self._writing = self._writer.submit(self._write, self._reached, self._pending, due)
         self._pending, self._saved = [], self._reached
 
@@ -152,13 +178,17 @@ class RunFolder:
         """Write the predictions and checkpoints of one place, in a thread, while the replay continues."""
         run = self.fleet.runs[place.run]
         content = packed(
-            joined(published), run, place.step, self.fleet.boats, self.names, self._forecasts, self._filters
-        )
+            joined(published), run, place.step, self.fleet.boats, self.names, self._forecasts, self._filters,
+            self._horizons,
+        )  # fmt: skip
         folder = self.path / PREDICTIONS
         folder.mkdir(exist_ok=True)
         write_atomically(folder / f"{stem(place)}.npz", content)
         for each in due:
+            each.path.parent.mkdir(parents=True, exist_ok=True)
             save_checkpoint(each.path, each.state, **each.facts)
+        if self._planar is not None:
+            forget(self.path, self.fleet.boats)
 
     def _wait(self) -> None:
         """Wait for the thread that writes, and raise its error, if any."""
@@ -196,7 +226,9 @@ class RunFolder:
         """The content of `results.json` and of `errors.csv`."""
         self._wait()
         objective = self.metadata.get("configuration", {}).get("objective")
-        found, errors = judged(ensemble, self.fleet, self.state, self.published, self._after, truth, objective)
+        found, errors = judged(
+            ensemble, self.fleet, self.state, self.published, self._after, truth, objective, self._horizons
+        )
         return found | self._checked | {"seconds": time.perf_counter() - began}, errors
 
     def _after(self, runs: int) -> EnsembleState | None:
@@ -226,6 +258,19 @@ class RunFolder:
         if boat in self._setups:
             built["setup"] = self._setups[boat]
         return Unsaved(checkpoint_path(self.path, boat, place), copied, facts | self.metadata | built)
+
+    def _planar_checkpoint(self, element: int, boat: str, place: Position) -> Unsaved:
+        """As `_checkpoint`, of all axes and the tracks."""
+        assert self._planar is not None and self.beside is not None
+        own = self._checkpoint(self.state, element, boat, place)
+        copied = tree_map(lambda leaf: leaf[element].detach().numpy().copy(), self.beside)
+        built = {"estimator": ESTIMATOR_BESIDE, "kernel": self._planar_kernel(element)}
+        return Unsaved(planar_path(self.path, boat, place), copied, own.facts | built)
+
+    def _planar_kernel(self, element: int) -> dict[str, Any]:
+        assert self._planar is not None
+        found = self._planar.spec()
+        return found | {axis: of_element(found[axis], len(self.fleet.boats), element) for axis in AXES}
 
     @cached_property
     def _runs(self) -> dict[str, Any]:

@@ -120,7 +120,7 @@ def slots_of(horizons: tuple[float, ...], overlap: float) -> int:
     """How many tracks are under way at the same time.
 
     >>> slots_of(HORIZONS, OVERLAP)
-    9
+    8
     """
     begins = (0.0, *horizons[:-1])
     return sum(int(overlap * (1 - a / b) + 1e-9) + 1 for a, b in zip(begins, horizons, strict=True))

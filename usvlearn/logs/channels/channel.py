@@ -23,7 +23,8 @@ AUTO = "auto"  # a period that is found from the logs, a window that follows the
 REQUIRED = ("command_left", "command_right", "heading", "surge")  # yaw_rate can be computed from the heading
 VELOCITIES, COURSES = ("velocity_north", "velocity_east"), ("ground_speed", "course")
 DEGREES, METRES = ("latitude", "longitude"), ("north", "east")
-AUXILIARY = (*VELOCITIES, *COURSES, *DEGREES, *METRES)  # the surge can be computed from a pair, and a track drawn
+SWAY = "sway"  # m/s over ground, to starboard
+AUXILIARY = (SWAY, *VELOCITIES, *COURSES, *DEGREES, *METRES)  # the surge can be computed from a pair, and tracks judged
 
 FORCES = ("N", "kN", "N·m", "kN·m")
 # unit -> (factor, offset): SI value = factor * value + offset
@@ -53,7 +54,7 @@ OWN_UNITS = {  # channel -> the units that it may have, beside "1" for SI
     **dict.fromkeys(COMMANDS, ("percent", *FORCES)),
     **dict.fromkeys(("heading", "course"), ANGLES),
     "yaw_rate": ("rad/s", "deg/s", "enu_rad/s", "enu_deg/s"),
-    **dict.fromkeys(("surge", "ground_speed", *VELOCITIES), SPEEDS),
+    **dict.fromkeys(("surge", SWAY, "ground_speed", *VELOCITIES), SPEEDS),
     **dict.fromkeys(DEGREES, ("deg", "rad")),
     **dict.fromkeys(METRES, ("m",)),
 }

@@ -1,0 +1,64 @@
+"""What learns sway and yaw rate beside a run's ensemble: its checkpoints, which a resumed run goes on from.
+
+They lie in RUN/planar/checkpoints/BOAT, named like those of the ensemble, and hold the ensemble's state, too, so that
+`Online.open(RUN/planar)` forecasts tracks. The newest two of each boat are kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from usvlearn.core.checkpoint import SUFFIX, checkpoints, restore
+from usvlearn.core.samples import Fleet, tree_map
+from usvlearn.engine.rollouts import stack
+from usvlearn.errors import CheckpointError
+from usvlearn.estimators.planar.layer import Planar, PlanarState
+from usvlearn.runs.layout import CHECKPOINTS, PLANAR
+from usvlearn.runs.published import BEGIN, Position, stem
+
+ESTIMATOR = "Planar"  # the kind of state in a checkpoint
+KEPT = 2
+
+
+def planar_path(folder: Path, boat: str, place: Position) -> Path:
+    """The checkpoint of a boat at a place."""
+    return folder / PLANAR / CHECKPOINTS / boat / f"{stem(place)}{SUFFIX}"
+
+
+def started(
+    planar: Planar, folders: Sequence[Path], fleet: Fleet, places: Sequence[Position]
+) -> tuple[PlanarState | None, str]:
+    """The state of all boats from the first folder that has it at these places, or None and why.
+
+    Args:
+        planar: as configured now.
+        folders: of runs.
+        fleet: that is replayed.
+        places: of each boat; at the beginning the newest checkpoint is taken.
+    """
+    template, reason = tree_map(lambda x: x[0], planar.init((1,))), ""
+    for folder in folders:
+        found: list[Any] = []
+        for boat, place in zip(fleet.boats, places, strict=True):
+            paths = checkpoints(folder / PLANAR / CHECKPOINTS / boat)
+            if place != BEGIN:
+                paths = [path for path in paths if path == planar_path(folder, boat, place)]
+            try:
+                if not paths:
+                    raise CheckpointError(f"{folder / PLANAR}: has no checkpoint of {boat} at this place")
+                found.append(restore(paths[-1], template, ESTIMATOR)[0])
+            except CheckpointError as error:
+                reason = str(error)
+                break
+        if len(found) == len(fleet.boats):
+            return stack(found), ""
+    return None, reason
+
+
+def forget(folder: Path, boats: Sequence[str]) -> None:
+    """Remove all but the newest checkpoints of each boat."""
+    for boat in boats:
+        for old in checkpoints(folder / PLANAR / CHECKPOINTS / boat)[:-KEPT]:
+            old.unlink(missing_ok=True)
