@@ -60,13 +60,20 @@ def rates(boat: PlanarBoat, velocity: np.ndarray, shaft: np.ndarray) -> np.ndarr
     return (force - (linear + quadratic * abs(velocity) + lift * abs(u)[..., None]) * velocity) / mass
 
 
-def simulate_planar(boat: PlanarBoat, commands: np.ndarray, dt: float, velocity: np.ndarray | None = None):
+def simulate_planar(
+    boat: PlanarBoat,
+    commands: np.ndarray,
+    dt: float,
+    velocity: np.ndarray | None = None,
+    forces: np.ndarray | None = None,
+) -> np.ndarray:
     """The velocities after each step, `(time, *batch, 3)`, from rest or from a velocity.
 
     Args:
         commands: `(time, *batch, 2)` left and right, share of full scale, each held for `dt`; saturate at −1 and 1.
         dt: s.
         velocity: `(*batch, 3)` at first, m/s, m/s, rad/s.
+        forces: `(time, *batch, 3)` that act on the boat beside (1), per unit mass and inertia; none by default.
 
     Raises:
         ConfigError: dt is not positive.
@@ -79,14 +86,15 @@ def simulate_planar(boat: PlanarBoat, commands: np.ndarray, dt: float, velocity:
     commands = np.clip(commands, -1.0, 1.0)
     x = np.zeros((*commands.shape[1:-1], 3)) if velocity is None else np.asarray(velocity, dtype=np.float64)
     shaft, found = np.zeros(commands.shape[1:]), []
-    for command in commands:
+    others = [0.0] * len(commands) if forces is None else forces
+    for command, other in zip(commands, others, strict=True):
         for _ in range(count):
             after = command + (shaft - command) * np.exp(-h / boat.lag)  # (2)
             middle = command + (shaft - command) * np.exp(-h / (2 * boat.lag))
-            k1 = rates(boat, x, shaft)
-            k2 = rates(boat, x + h / 2 * k1, middle)
-            k3 = rates(boat, x + h / 2 * k2, middle)
-            k4 = rates(boat, x + h * k3, after)
+            k1 = rates(boat, x, shaft) + other
+            k2 = rates(boat, x + h / 2 * k1, middle) + other
+            k3 = rates(boat, x + h / 2 * k2, middle) + other
+            k4 = rates(boat, x + h * k3, after) + other
             x, shaft = x + h / 6 * (k1 + 2 * (k2 + k3) + k4), after
         found.append(x)
     return np.stack(found)
