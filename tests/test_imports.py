@@ -67,6 +67,7 @@ THIRD_PARTY = {"numpy", "safetensors", *CERTIFY}
 NO_TORCH = ("usvlearn.errors", "usvlearn.core", "usvlearn.display", "usvlearn.engine", "usvlearn.logs", "usvlearn.live",
             "usvlearn.evaluation", "usvlearn.model", "usvlearn.cli", "usvlearn.api", "usvlearn.learned")  # fmt: skip
 TORCH = ("usvlearn.core.protocol", "usvlearn.core.hyper", "usvlearn.engine.rollouts", "usvlearn.engine.backend",
+         "usvlearn.engine.planar_runs",
          "usvlearn.engine.torch_steps", "usvlearn.evaluation.crossval")  # fmt: skip
 CONFIGURATION = {"hydra", "omegaconf"}
 MODULES = sorted(p for folder in ("usvlearn", "certify") for p in (ROOT / folder).rglob("*.py"))
@@ -218,7 +219,7 @@ def test_kernels_run_without_torch():
     code = "import usvlearn.engine.free_runs, usvlearn.engine.single_steps, usvlearn.engine.run, usvlearn.engine.online"
     assert not loaded(code) & {*HEAVY, "hydra", "rich"} - {"numba", "scipy"}  # which numba imports where it is there
     for path in MODULES:
-        if within(name_of(path), ["usvlearn.engine"]) and path.stem not in ("rollouts", "backend", "torch_steps"):
+        if within(name_of(path), ["usvlearn.engine"]) and path.stem not in ("rollouts", "planar_runs", "backend", "torch_steps"):
             packages = {found.partition(".")[0] for found in imports(path)}
             assert packages <= {"numpy", "numba", "usvlearn", *sys.stdlib_module_names}, path
 

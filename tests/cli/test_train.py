@@ -96,7 +96,8 @@ def test_tensorboard(whole):
 
 def test_everything_lies_in_the_runs_folder(whole):
     assert sorted(p.name for p in whole.parent.iterdir()) == ["output.txt", "run"]
-    assert {"checkpoints", "predictions", "tensorboard", ".hydra", "errors.csv", "results.json", "runs.json"} == {
+    files = {"errors.csv", "results.json", "runs.json"}
+    assert files | {"checkpoints", "planar", "predictions", "tensorboard", ".hydra"} == {
         p.name for p in whole.iterdir()
     }
     assert "gain: 1.0" in (whole / ".hydra" / "config.yaml").read_text()

@@ -76,12 +76,13 @@ class Track(NamedTuple):
         a, b, c = C[..., 0, 0], C[..., 0, 1], C[..., 1, 1]
         with np.errstate(invalid="ignore"):
             half, away = (a + c) / 2, np.hypot((a - c) / 2, b)
+            bearing = np.arctan2(2 * b, a - c) / 2
         unknown = ~np.isfinite(half)
         size = -2 * math.log(1 - level)
         major, minor = (
             np.where(unknown, np.inf, np.sqrt(size * np.maximum(each, 0))) for each in (half + away, half - away)
         )
-        return major, minor, np.where(unknown, 0.0, np.arctan2(2 * b, a - c) / 2)
+        return major, minor, np.where(unknown, 0.0, bearing)
 
 
 def track_of(found: np.ndarray, heading: np.ndarray, coverage: float, dt: np.ndarray) -> Track:

@@ -44,6 +44,7 @@ from usvlearn.estimators.planar.state import (
     COUNT,
     COVARIANCE,
     DELAY,
+    DEVIATION,
     DISTANCE,
     DUE,
     DUES,
@@ -61,19 +62,23 @@ from usvlearn.estimators.planar.state import (
     HELD_RATE,
     HORIZON,
     HORIZON_COUNT,
+    LARGEST,
     LEARNED,
     LENGTH,
     LIMIT,
     MEAN,
     MEAN_ERROR,
     MEASURED_SWAY,
+    MOST_SURPRISE,
     NORTH,
     NORTH_0,
     NUMBER,
     OF_HORIZON,
+    PREDICTED,
     PROGRAM,
     PSI,
     QUANTILE,
+    QUICK_TIME,
     R_0,
     RADIUS,
     REACH,
@@ -84,14 +89,18 @@ from usvlearn.estimators.planar.state import (
     SINCE,
     SLOTS,
     SLOW,
+    SLOW_TIME,
     STATE,
     SURGE,
+    SURPRISE,
     SWAY,
     TURN,
     U_0,
     UPDATES,
     USED,
+    USUAL,
     WEIGHTS,
+    WIDER,
     YAW,
     Q,
     R,
@@ -224,7 +233,7 @@ def origin(program, head, s, q, slot, psi, surge):
     slot[COS_0], slot[SIN_0] = np.cos(psi), np.sin(psi)
     slot[C_NORTH], slot[C_EAST] = filtered[CURRENT_NORTH], filtered[CURRENT_EAST]
     slot[U], slot[V], slot[R], slot[W], slot[PSI] = surge, before[1], before[2], before[0], psi
-    slot[U_0], slot[R_0] = surge, before[2]
+    slot[U_0], slot[R_0], slot[WIDER] = surge, before[2], surprise(head, s)
     begin_path(slot[COMMANDS : COMMANDS + PATH], before[3], before[4])
     for axis in range(3):
         table, own = program[head[axis, PROGRAM] :], s[head[axis, STATE] :]
@@ -240,6 +249,29 @@ def origin(program, head, s, q, slot, psi, surge):
         hold(s, head[TRACK, LEARNED : LEARNED + 6], k, s[head[TRACK, ERRORS] + k], kept[:HELD])
         kept[HELD] = width_of(head, s, k)
         shape(head, s, k, kept[HELD + 1 :])
+
+
+@jit
+def follow_surprise(head, s, row, pose):
+    """ν and ν̄ of (4) after a step."""
+    found, quick, slow = s[head[TRACK, SURPRISE] :], min(row[DT] / QUICK_TIME, 1.0), min(row[DT] / SLOW_TIME, 1.0)
+    for i in range(2):
+        axis = SURGE if i == 0 else YAW
+        target, own = row[TARGET] if i == 0 else pose[TURN], s[head[axis, STATE] :]
+        z = (target - own[head[axis, PREDICTED]]) / max(own[head[axis, DEVIATION]], NARROWEST)
+        square = min(z * z, LARGEST)
+        if square == square and (i == 1 or row[MODE] == LEARN):
+            found[2 * i] += quick * (square - found[2 * i])
+            found[2 * i + 1] += slow * (square - found[2 * i + 1])
+
+
+@jit
+def surprise(head, s):
+    """The factor of (4)."""
+    found, most = s[head[TRACK, SURPRISE] :], 1.0
+    for i in range(2):
+        most = max(most, found[2 * i] / (USUAL * max(found[2 * i + 1], NARROWEST)))
+    return min(np.sqrt(most), MOST_SURPRISE)
 
 
 @jit
@@ -260,7 +292,7 @@ def radius_held(slot, k, horizon):
         horizon: s, where the radius is asked for.
     """
     kept, path = slot[HORIZON + k * OF_HORIZON :], slot[COMMANDS : COMMANDS + PATH]
-    return halfwidth_held(kept[:HELD], kept[HELD], slot[RUN], path[FAR], group_of(path))
+    return slot[WIDER] * halfwidth_held(kept[:HELD], kept[HELD], slot[RUN], path[FAR], group_of(path))
 
 
 @jit
@@ -301,7 +333,8 @@ def publish_due(head, s, q, slot, k, pose):
     due[HELD_RATE] = np.hypot(slot[HELD_NORTH] - north, slot[HELD_EAST] - east)
     due[RHO] = rho(kept[HELD + 1 :], forward, aside)
     due[RADIUS], due[GROUP], due[DISTANCE] = radius_held(slot, k, h), group, slot[RUN]
-    learn_track(head, s, q, k, forward, aside, slot[RUN], path[FAR], group, kept[HELD + 1 :])
+    wider = slot[WIDER]
+    learn_track(head, s, q, k, forward / wider, aside / wider, slot[RUN], path[FAR], group, kept[HELD + 1 :])
 
 
 @jit
@@ -346,6 +379,7 @@ def tracks(program, head, s, q, row, pose, work):
     if mode == HOLD or mode == START:
         forget_tracks(head, s, q)
         return
+    follow_surprise(head, s, row, pose)
     own, rest, half, free = work[:ROW], work[ROW:], row[DT] / 2, -1
     for i in range(head[TRACK, COUNT]):
         slot = s[head[TRACK, SLOTS] + i * length : head[TRACK, SLOTS] + (i + 1) * length]

@@ -43,7 +43,9 @@ class PlanarPlan(Plan):
                 updates = plan.leaves[f"members.{name}.updates"].place
             _, horizons, members = forecast_size(own["forecasts"])
             weights = block + block_size(own)
-            row[: at.WEIGHTS + 1] = begin, self.size, width, mean, updates, block, weights
+            predicted = plan.leaves["predictions"].place + own["columns"].index(name)
+            deviation = plan.leaves[f"members.{name}.deviation"].place
+            row[: at.DEVIATION + 1] = begin, self.size, width, mean, updates, block, weights, predicted, deviation
             block = weights + horizons * members
             for leaf, each in plan.leaves.items():
                 self.leaves[f"{axis}.{leaf}"] = each._replace(place=each.place + self.size)

@@ -10,6 +10,7 @@ import torch
 from torch import nn
 
 from usvlearn.core.protocol import spec_of
+from usvlearn.core.samples import named_leaves
 from usvlearn.errors import ConfigError, check_positive
 from usvlearn.estimators.arx.layer import ARX
 from usvlearn.estimators.axis.layer import SwayEKF, YawEKF
@@ -79,11 +80,13 @@ class Planar(nn.Module):
 
     def init(self, batch: Sequence[int] = ()) -> PlanarState:
         """The state before the first sample, leaves `(*batch, …)`."""
-        from usvlearn.engine.leaves import track_size
-
-        batch = tuple(batch)
+        batch, H = tuple(batch), len(self.horizons)
         axes = {axis: getattr(self, axis).init(batch) for axis in AXES}
-        slots, H, length = track_size(self.spec())
+        slots, length = at.slots_of(self.horizons, self.overlap), at.HORIZON + H * at.OF_HORIZON
+        for state in axes.values():  # of each member's weights, and what an open-loop simulation needs of it
+            one = [leaf for _, leaf in named_leaves(state.forecasts.frozen)]
+            weights = state.forecasts.weights
+            length += sum(leaf[(0,) * (len(batch) + 1)].numel() for leaf in [weights, *one])
         like = axes["surge"].predictions
         under_way = like.new_zeros((*batch, slots, length))
         under_way[..., at.ELAPSED] = EMPTY
@@ -91,6 +94,7 @@ class Planar(nn.Module):
             slots=under_way,
             since=torch.tensor(self.horizons, dtype=like.dtype).expand(*batch, H).clone(),
             before=like.new_zeros((*batch, 6)),
+            surprise=like.new_ones((*batch, 4)),
             covariance=like.new_zeros((*batch, H, 3)),
             error=like.new_zeros((*batch, H)),
             quantile=like.new_full((*batch, H), FIRST),
@@ -102,14 +106,12 @@ class Planar(nn.Module):
 
     def spec(self) -> dict[str, Any]:
         """The specification by which the engine makes the steps."""
-        from usvlearn.engine.leaves import filter_of
-
         found: dict[str, Any] = {"kind": "planar"}
         for axis in AXES:
             own = spec_of(getattr(self, axis))
             if own is None or not own.get("forecasts"):
                 raise ConfigError(f"{axis}: found an ensemble without compiled code or forecasts, expected both")
-            if filter_of(axis, own) is None:
+            if at.FILTERS[axis] not in [each["kind"] for each in own["members"].values()]:
                 raise ConfigError(
                     f"{axis}: found the members {', '.join(own['members'])}, expected a filter of the kind "
                     f"{at.FILTERS[axis]} among them"

@@ -27,6 +27,14 @@ and the radius v that holds 90 % of the ρ, m, is learned as the half-width of a
 before the first one v falls to 0 with the time, and beyond the last one it is infinite. An error of more than six
 radii enters (3) as one of six, so that a position that jumps spoils nothing.
 
+*Surprise.* After a change of the boat, such as a lost thruster, errors over seconds come late, but the innovations z of
+the filters of surge and yaw rate, in units of their standard deviations, grow at once. With running means of
+min(z², 25) over 3 s and over 300 s, ν and ν̄,
+
+    v ← v min(√max(1, max_axis ν/(2 ν̄)), 4)                                                            (4)
+
+of every radius that is stated from then on.
+
 The derivation is in `docs/theory.md`, section 28.
 """
 
@@ -48,6 +56,7 @@ USED = 20.0  # measurements of the sway, before which it counts as 0
 FILTERS = {"surge": "joint", "sway": "sway", "yaw": "yaw"}  # kind of the member whose mean is a component's estimate
 LIMIT = 20.0  # m/s, rad/s: a sway or yaw rate at or beyond it counts as missing
 SLOW, CLIP, ROUND = 1 / 100, 6.0, 5.0  # of (3)
+QUICK_TIME, SLOW_TIME, USUAL, LARGEST, MOST_SURPRISE = 3.0, 300.0, 2.0, 25.0, 4.0  # of (4): s, s
 FLOOR = 1e-4  # m², added to both variances of C
 DELAY = 9.0
 POSE = 5  # what is measured at the end of a step, beside the speed:
@@ -55,19 +64,20 @@ HEADING, TURN, MEASURED_SWAY, NORTH, EAST = range(POSE)  # rad, rad/s, m/s over 
 # A slot: the track of one origin.
 (
     ELAPSED, REACH, NORTH_0, EAST_0, COS_0, SIN_0, C_NORTH, C_EAST, U, V, R, W, PSI, AT_NORTH, AT_EAST, RUN,
-    U_0, R_0, HELD_NORTH, HELD_EAST, COMMANDS,
-) = range(21)  # fmt: skip  # COMMANDS: the path of `ensemble.conditional`
+    U_0, R_0, HELD_NORTH, HELD_EAST, WIDER, COMMANDS,
+) = range(22)  # fmt: skip  # COMMANDS: the path of `ensemble.conditional`
 HORIZON = COMMANDS + PATH  # then, for each horizon: what (1) to (3) of `ensemble.conditional` need, w, and C
 OF_HORIZON = HELD + 4
 # What is known of a track when it has become due.
 DUE = 8
 ERROR, HEADING_ERROR, CONSTANT, HELD_RATE, RHO, RADIUS, GROUP, DISTANCE = range(DUE)
 # The table of places, a row for each axis and one for the track.
-PROGRAM, STATE, NUMBER, MEAN, UPDATES, BLOCK, WEIGHTS = range(7)
+PROGRAM, STATE, NUMBER, MEAN, UPDATES, BLOCK, WEIGHTS, PREDICTED, DEVIATION = range(9)
 (
-    SLOTS, SINCE, BEFORE, COVARIANCE, MEAN_ERROR, QUANTILE, ERRORS, DUES, LEARNED, COUNT, HORIZON_COUNT, LENGTH, Q,
-) = (0, 1, 2, 3, 4, 5, 6, 7, 8, 14, 15, 16, 17)  # fmt: skip  # LEARNED: six places
-PLACES = 18
+    SLOTS, SINCE, BEFORE, SURPRISE, COVARIANCE, MEAN_ERROR, QUANTILE, ERRORS, DUES, LEARNED,
+) = range(10)  # fmt: skip  # LEARNED: six places
+COUNT, HORIZON_COUNT, LENGTH, Q = range(LEARNED + 6, LEARNED + 10)
+PLACES = Q + 1
 
 
 class TrackState(NamedTuple):
@@ -76,6 +86,7 @@ class TrackState(NamedTuple):
     slots: Tensor  # (*batch, slots, length) see the places above
     since: Tensor  # (*batch, H) s since the last origin that goes on to the horizon
     before: Tensor  # (*batch, 6) w, m/s, v, m/s, r, rad/s at the end of the last step, its commands, and ψ, rad
+    surprise: Tensor  # (*batch, 4) ν and ν̄ of (4), of surge and of yaw rate
     covariance: Tensor  # (*batch, H, 3) C of (3), m²: forward, mixed, to starboard
     error: Tensor  # (*batch, H) running mean of ρ, m
     quantile: Tensor  # (*batch, H) its multiple that holds 90 %
@@ -103,6 +114,7 @@ def _state(size: Any) -> TrackState:
         slots=leaf(slots, length, legal=ANY),
         since=leaf(H, legal=NOT_NEGATIVE),
         before=leaf(6),
+        surprise=leaf(4, legal=NOT_NEGATIVE),
         covariance=leaf(H, 3),
         error=leaf(H, legal=NOT_NEGATIVE),
         quantile=leaf(H, legal=POSITIVE),
