@@ -5,19 +5,24 @@ from __future__ import annotations
 import argparse
 import os
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 from usvlearn.cli.forgiving import without_key
 from usvlearn.cli.without_hydra import out_folder, run_command
 from usvlearn.core.checkpoint import write_atomically
 from usvlearn.errors import ConfigError, UsvlearnError, complain, did_you_mean, printable
-from usvlearn.model.export.formats import FORMATS, file_name
+from usvlearn.model.export.formats import FORMATS, Files, file_name
+from usvlearn.model.export.planar_boat import PlanarBoat, read_planar
 from usvlearn.model.read_boats import IdentifiedBoat, read_boats
-from usvlearn.runs.layout import CHECKPOINTS
+from usvlearn.runs.layout import CHECKPOINTS, PLANAR
 
 ALL = "all"
 
+PLANAR_TOO = "\n\n{} also write the planar model, BOAT_planar, of a run that learned sway and yaw rate".format(
+    ", ".join(name for name, each in FORMATS.items() if each.planar is not None)
+)
 USAGE = "usvlearn export RUN --to FORMAT[,FORMAT …]\n       [--boat NAME] [--out FOLDER] [--force]"
 
 
@@ -28,7 +33,9 @@ def parser() -> argparse.ArgumentParser:
         prog="usvlearn export",
         usage=USAGE,
         description="Write what was learned of each boat, in the formats of other programs.",
-        epilog="formats:\n" + "\n".join(f"  {name:{width}}  {each.what}" for name, each in FORMATS.items()),
+        epilog="formats:\n"
+        + "\n".join(f"  {name:{width}}  {each.what}" for name, each in FORMATS.items())
+        + PLANAR_TOO,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
@@ -84,19 +91,40 @@ def export(
     """
     made: dict[Path, bytes] = {}
     for boat in boats:
-        for name in formats:
+        for what, make in _makers(boat, formats, run).items():
             try:
-                files = FORMATS[name].files(boat, run)
+                files = {out / file_name(boat, end): content for end, content in make().items()}
             except UsvlearnError as error:
                 if not lenient:
                     raise
-                warnings.warn(f"{name} of {printable(boat.name)} is left out: {error}", stacklevel=2)
+                warnings.warn(f"{what} of {printable(boat.name)} is left out: {error}", stacklevel=2)
                 continue
-            made |= {out / file_name(boat, end): content for end, content in files.items()}
+            if twice := made.keys() & files.keys():
+                raise ConfigError(
+                    f"--boat: found two boats whose files would have one name, {min(twice).name}: give one of them, "
+                    "and another folder for the files of each"
+                )
+            made |= files
     out.mkdir(parents=True, exist_ok=True)
     for path, content in made.items():
         write_atomically(path, content)
     return list(made)
+
+
+def _makers(boat: IdentifiedBoat, formats: Sequence[str], run: Path) -> dict[str, Callable[[], Files]]:
+    """What makes the files of a boat, by what they are, in words."""
+    found: dict[str, Callable[[], Files]] = {name: partial(FORMATS[name].files, boat, run) for name in formats}
+    planar = [each for name in formats if (each := FORMATS[name].planar) is not None]
+    return found | ({"the planar model": partial(_planar_files, planar, boat, run)} if planar else {})
+
+
+def _planar_files(makers: Sequence[Callable[[PlanarBoat], Files]], boat: IdentifiedBoat, run: Path) -> Files:
+    found = read_planar(boat, run)
+    if found is None:
+        return {}
+    for sentence in found.lacks:
+        complain(f"{printable(boat.name)}: {sentence}")
+    return {end: content for make in makers for end, content in make(found).items()}
 
 
 def work(arguments: Sequence[str]) -> None:
@@ -104,10 +132,12 @@ def work(arguments: Sequence[str]) -> None:
     given = parser().parse_args(arguments)
     formats = formats_of(given.to)
     out = None if given.out is None else out_folder(given.out)
-    boats = read_boats(given.run, given.boat)
+    run = run_of(path := Path(os.path.expanduser(given.run)))
+    if run.resolve().name == PLANAR and (whole := run.resolve().parent / CHECKPOINTS).is_dir():
+        raise ConfigError(f"{path}: found the part of a run that learned sway and yaw rate: give {whole.parent}")
+    boats = read_boats(path, given.boat)
     for boat in () if given.force else boats:
         boat.check_physical(" To write it all the same, add --force.")
-    run = run_of(Path(os.path.expanduser(given.run)))
     every = ALL in formats
     for each in export(boats, [*FORMATS] if every else formats, run, out or run / "export", lenient=every):
         print(each)

@@ -34,8 +34,8 @@ def told(capsys, *arguments) -> str:
 def test_files_are_written_beside_the_run_and_named(run, capsys):
     assert main(["export", str(run), "--to", "json,c"]) == 0
     paths = capsys.readouterr().out.split()
-    assert paths == [str(run / "export" / name) for name in
-                     ("heron1.json", "heron1_surge.h", "heron2.json", "heron2_surge.h")]  # fmt: skip
+    ends = (".json", "_surge.h", "_planar.json", "_planar.h")  # its boats learned a yaw rate, too
+    assert paths == [str(run / "export" / f"{boat}{end}") for boat in ("heron1", "heron2") for end in ends]
 
 
 def test_a_set_and_a_folder_of_sets_are_one_boat(run, tmp_path, capsys):
@@ -49,7 +49,8 @@ def test_all_writes_every_format(run, tmp_path, capsys):
     for name in ("mcap", "onnx"):
         pytest.importorskip(name, reason=f"needs the package {name}")
     assert main(["export", str(run), "--to", "all", "--boat", "heron1", "--out", str(tmp_path)]) == 0
-    assert len(capsys.readouterr().out.split()) == len(FORMATS)
+    planar = sum(each.planar is not None for each in FORMATS.values())
+    assert len(capsys.readouterr().out.split()) == len(FORMATS) + planar == 10
 
 
 def test_all_leaves_out_what_is_not_there(run, tmp_path, capsys):
@@ -67,7 +68,7 @@ def test_all_leaves_out_what_is_not_there(run, tmp_path, capsys):
 
 def test_formats_are_named_one_by_one_or_together(run, tmp_path, capsys):
     assert main(["export", str(run), "--boat", "heron1", "--to", "json", "--to", "c", "--out", str(tmp_path)]) == 0
-    assert len(capsys.readouterr().out.split()) == 2
+    assert len(capsys.readouterr().out.split()) == 4
 
 
 def test_a_relative_path_of_a_set_finds_its_run(run, tmp_path, capsys, monkeypatch):

@@ -50,7 +50,7 @@ def c_header(boat: IdentifiedBoat) -> str:
         *(_row(quantity, boat.found.displayed(quantity)) for quantity in boat.found),
     ]  # fmt: skip
     lines = [
-        "/*", *(f" * {line}".rstrip() for line in map(_harmless, comment)), " */",
+        "/*", *(f" * {line}".rstrip() for line in map(harmless, comment)), " */",
         f"#ifndef {guard}", f"#define {guard}", "", "#include <math.h>", "",
         *_table_function(boat.model, name),
         "/* The speed through the water after dt, m/s.", " *",
@@ -88,10 +88,10 @@ def ascii_only(text: str) -> str:
     return text.replace("±", "+/-").encode("ascii", "replace").decode()
 
 
-def _harmless(line: str) -> str:
+def harmless(line: str) -> str:
     r"""A line of printable ASCII in which nothing ends a comment, also not through a trigraph or a spliced line.
 
-    >>> _harmless("a*/ b*\\ c??/")
+    >>> harmless("a*/ b*\\ c??/")
     'a./ b./ c../'
     """
     return re.sub("[*?]", ".", re.sub("[^ -~]", ".", ascii_only(line)).replace("\\", "/"))
@@ -99,7 +99,7 @@ def _harmless(line: str) -> str:
 
 def _constants(model: SurgeModel) -> list[str]:
     numbers = zip(model.coefficients, model.per_mass, strict=False)
-    found = [f"    const double {name} = {_number(value)}; /* {UNITS[name]} over kg */" for name, value in numbers]
+    found = [f"    const double {name} = {number(value)}; /* {UNITS[name]} over kg */" for name, value in numbers]
     if model.tables is not None:
         for side, forces in model.tables.thrust.items():
             found += _array(f"thrust_table_{side}", forces / model.mass, "commands -1, -0.875 ... 1; N over kg")
@@ -109,7 +109,7 @@ def _constants(model: SurgeModel) -> list[str]:
 
 
 def _array(name: str, values: np.ndarray, what: str) -> list[str]:
-    rows = wrap(", ".join(map(_number, values)), 100)
+    rows = wrap(", ".join(map(number, values)), 100)
     return [
         f"    static const double {name}[{len(values)}] = {{ /* at {what} */",
         *(f"        {x}" for x in rows),
@@ -138,14 +138,14 @@ def _thruster(model: SurgeModel, name: str) -> list[str]:
         "/* The mean command that acts in a step of dt: the thruster follows a command with a time constant, and",
         " * *state, at first 0, is where it is. The function above takes the result; each side has its own state. */",
         f"static inline double {name}_thruster(double *state, double command, double dt)", "{",
-        f"    const double tau = {_number(model.thruster)}, away = *state - command; /* s */",
+        f"    const double tau = {number(model.thruster)}, away = *state - command; /* s */",
         "    const double share = exp(-dt / tau);",
         "    *state = command + away * share;",
         "    return command + away * tau / dt * (1.0 - share);", "}", "",
     ]  # fmt: skip
 
 
-def _number(value: float) -> str:
+def number(value: float) -> str:
     """A literal that is read as the same number."""
     return repr(float(value))
 
@@ -175,7 +175,7 @@ def _body(model: SurgeModel, name: str) -> list[str]:
 def _tables(tables: Tables, name: str) -> list[str]:
     """What the tables add to f and J."""
     middle = len(TABLE_COMMANDS) // 2
-    apart = _number(tables.speeds[0])
+    apart = number(tables.speeds[0])
     lines = [
         f"    f += {name}_table(thrust_table_{side}, {len(TABLE_COMMANDS)}, {middle}.0 * {side} + {middle}.0, &slope);"
         for side in SIDES

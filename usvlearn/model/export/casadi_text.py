@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from textwrap import wrap
 
 from usvlearn.estimators.regressors.terms import NEAR, UNITS
@@ -17,6 +18,13 @@ EVEN = """
         + p[f"thrust_even_speed_{s}"] * x * v for s, x in sides)
     J += 2 * p["drag_even"] * v + sum(p[f"thrust_even_speed_{s}"] * x for s, x in sides)"""
 
+PHI = f"""\
+    near = ca.fabs(z) < {NEAR}
+    series = 0
+    for k in range({SERIES}, 1, -1):  # 1 + z/2 (1 + z/3 (1 + ...))
+        series = (1 + z * series) / k
+    far = ca.if_else(near, 1, z)  # the branch that is not taken stays finite, its derivative too
+    phi = ca.if_else(near, 1 + z * series, ca.expm1(far) / far)"""
 TABLES = """
     for s, x in sides:
         f += table(THRUST[s], -1, COMMANDS_APART, x)[0]
@@ -43,14 +51,28 @@ def casadi_text(boat: IdentifiedBoat) -> str:
 
     φ₁ is a series near 0, where its quotient and the derivative of it cancel.
     """
+    head = [
+        f"The surge dynamics of the boat {identifier(boat.name)}, identified by usvlearn.", "",
+        *wrap(equation(boat.model), 100), "", *wrap(STEP, 100), "", *wrap(SIGNS, 100), "", *mass_of(boat),
+    ]  # fmt: skip
+    return module_text(head, surge_text(boat))
+
+
+def module_text(head: Sequence[str], body: str) -> str:
+    """A module of ASCII with the lines of its docstring."""
+    return "\n".join(map(ascii_only, ['"""' + head[0], *head[1:], '"""', *body.rstrip().splitlines()])) + "\n"
+
+
+def mass_of(boat: IdentifiedBoat) -> list[str]:
+    """The mass, for a docstring."""
+    return wrap(f"m = {boat.model.mass:.6g} kg, added mass included. {boat.found.scale}", 100)
+
+
+def surge_text(boat: IdentifiedBoat) -> str:
+    """The import of CasADi, the coefficients, and `surge_step`."""
     even, tables = boat.model.even, boat.model.tables
     coefficients = zip(boat.model.coefficients, boat.model.per_mass, strict=False)
-    head = [
-        f'"""The surge dynamics of the boat {identifier(boat.name)}, identified by usvlearn.', "",
-        *wrap(equation(boat.model), 100), "", *wrap(STEP, 100), "", *wrap(SIGNS, 100), "",
-        *wrap(f"m = {boat.model.mass:.6g} kg, added mass included. {boat.found.scale}", 100), '"""',
-    ]  # fmt: skip
-    body = f'''
+    return f'''
 import casadi as ca
 
 PER_MASS = {{  # coefficients over the mass
@@ -69,17 +91,11 @@ def surge_step(name="surge_step"):
     J = 2 * p["drag_quadratic"] * speed + p["drag_linear"] + p["drag_cross"] * turn + ca.if_else(v >= 0, 1, -1) * sum(
         p[f"thrust_speed_{{s}}"] * x for s, x in sides){EVEN if even else ""}{TABLES if tables else ""}
     z = ca.fmin(dt * J, 1)
-    near = ca.fabs(z) < {NEAR}
-    series = 0
-    for k in range({SERIES}, 1, -1):  # 1 + z/2 (1 + z/3 (1 + ...))
-        series = (1 + z * series) / k
-    far = ca.if_else(near, 1, z)  # the branch that is not taken stays finite, its derivative too
-    phi = ca.if_else(near, 1 + z * series, ca.expm1(far) / far)
+{PHI}
     return ca.Function(
         name, [v, left, right, yaw_rate, dt], [v + dt * phi * f],
         ["v", "left", "right", "yaw_rate", "dt"], ["v_next"])
 '''
-    return "\n".join(map(ascii_only, [*head, *body.rstrip().splitlines()])) + "\n"
 
 
 def _tables(tables: Tables, mass: float) -> str:

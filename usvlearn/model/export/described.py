@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import usvlearn
@@ -44,13 +46,11 @@ def described(boat: IdentifiedBoat) -> dict[str, Any]:
         "format": FORMAT,
         "usvlearn": usvlearn.__version__,
         "boat": boat.name,
-        "set": {"file": boat.path.name} | {key: str(boat.facts[key]) for key in ("run", "step") if key in boat.facts},
+        "set": set_of(boat.path, boat.facts),
         "equation": equation(model),
         "step": STEP,
         "signs": SIGNS,
-        "mass": {"value": model.mass, "unit": "kg", "basis": found.scale},
-        "model": {name: {"value": value, "unit": UNITS[name]} for name, value in model.coefficients.items()},
-        **_tables(model),
+        **surge_of(boat),
         "identified": {
             "basis": found.basis,
             "meaning": MEANING,
@@ -68,8 +68,23 @@ def described(boat: IdentifiedBoat) -> dict[str, Any]:
             | {key: values.tolist() for key, values in curve._asdict().items()}
             for name, curve in curves(found).items()
         },
-        "commands": _commands(boat),
+        "commands": commands_of(boat),
         "names": {"note": NOTE, **conventions(model)},
+    }
+
+
+def set_of(path: Path, facts: Mapping[str, Any]) -> dict[str, str]:
+    """Which checkpoint it is: its file, run and step."""
+    return {"file": path.name} | {key: str(facts[key]) for key in ("run", "step") if key in facts}
+
+
+def surge_of(boat: IdentifiedBoat) -> dict[str, Any]:
+    """Mass, coefficients and tables of the surge."""
+    model = boat.model
+    return {
+        "mass": {"value": model.mass, "unit": "kg", "basis": boat.found.scale},
+        "model": {name: {"value": value, "unit": UNITS[name]} for name, value in model.coefficients.items()},
+        **_tables(model),
     }
 
 
@@ -97,7 +112,7 @@ def _tables(model: SurgeModel) -> dict[str, Any]:
     return {"tables": thrust | {"drag_table": drag}, "thruster_time_constant": lag}
 
 
-def _commands(boat: IdentifiedBoat) -> dict[str, Any]:
+def commands_of(boat: IdentifiedBoat) -> dict[str, Any]:
     """How a logged value becomes a command: (value − zero)/span, from the checkpoint's setup; {} if that is unknown."""
     found: dict[str, Any] = {}
     for side in COMMANDS:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from usvlearn.core.json_values import finite
 from usvlearn.model.export.c_header import c_header, identifier
@@ -13,6 +13,10 @@ from usvlearn.model.export.casadi_text import casadi_text
 from usvlearn.model.export.described import described
 from usvlearn.model.export.mat_file import mat_file
 from usvlearn.model.export.onnx_network import onnx_networks
+from usvlearn.model.export.planar_boat import PlanarBoat
+from usvlearn.model.export.planar_c_header import planar_c_header
+from usvlearn.model.export.planar_casadi_text import planar_casadi_text
+from usvlearn.model.export.planar_described import planar_described
 from usvlearn.model.export.predictions_csv import csv_table
 from usvlearn.model.export.predictions_mcap import mcap_file
 from usvlearn.model.export.published_steps import stretches
@@ -26,17 +30,28 @@ class Format(NamedTuple):
 
     files: Callable[[IdentifiedBoat, Path], Files]  # of a boat and the folder of its run
     what: str  # for whom, one phrase
+    planar: Callable[[PlanarBoat], Files] | None = None  # of the planar model, where it has that
 
 
-def _json(boat: IdentifiedBoat, folder: Path) -> Files:
-    return {".json": (json.dumps(finite(described(boat)), indent=1) + "\n").encode()}
+def _json(document: Any) -> bytes:
+    return (json.dumps(finite(document), indent=1) + "\n").encode()
 
 
 FORMATS = {
-    "json": Format(_json, "parameters, intervals, curves, signs, and the names of MSS and Gazebo"),
-    "c": Format(lambda boat, _: {"_surge.h": c_header(boat).encode()}, "a C99 header with one function, the step"),
+    "json": Format(
+        lambda boat, _: {".json": _json(described(boat))},
+        "parameters, intervals, curves, signs, and the names of MSS and Gazebo",
+        lambda planar: {"_planar.json": _json(planar_described(planar))},
+    ),
+    "c": Format(
+        lambda boat, _: {"_surge.h": c_header(boat).encode()},
+        "a C99 header with one function, the step",
+        lambda planar: {"_planar.h": planar_c_header(planar).encode()},
+    ),
     "casadi": Format(
-        lambda boat, _: {"_casadi.py": casadi_text(boat).encode()}, "the step as a function of CasADi, for MPC"
+        lambda boat, _: {"_casadi.py": casadi_text(boat).encode()},
+        "the step as a function of CasADi, for MPC",
+        lambda planar: {"_planar_casadi.py": planar_casadi_text(planar).encode()},
     ),
     "mat": Format(lambda boat, _: {".mat": mat_file(boat)}, "the content of json, for MATLAB, Octave and Simulink"),
     "csv": Format(
