@@ -298,12 +298,14 @@ def matched(paths: Iterable[str | Path]) -> Iterator[Path]:
 
 
 def below(folder: Path) -> list[Path]:
-    """The checkpoints below a folder. Of a run's folder only `checkpoints/` is read, not predictions or reports."""
+    """The checkpoints below a folder. Of a run's folder only `checkpoints/` is read, not predictions, reports, or what
+    holds the same networks beside others (`planar/`).
+    """
     files = sorted(path for path in folder.rglob("*") if path.suffix in SUFFIXES and path.is_file())
     runs = {path.parent for path in [folder / "checkpoints", *folder.rglob("checkpoints")] if path.is_dir()}
 
     def kept(path: Path) -> bool:
-        run = next((parent for parent in path.parents if parent in runs), None)
+        run = next((parent for parent in reversed(path.parents) if parent in runs), None)
         return run is None or path.is_relative_to(run / "checkpoints")
 
     return [path for path in files if kept(path)]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+import usvlearn
 from usvlearn import (
     ARX,
     Ensemble,
@@ -176,6 +177,23 @@ def test_covariance_and_ellipse_are_those_of_the_radius(boats, learned):
     assert (track.ellipse(0.5)[0] < major).all()
     beyond = online.forecast([[0.5, 0.3]] * 80, dt=0.4)
     assert np.isinf(beyond.covariance[-1, 0, 0]) and np.isfinite(beyond.north).all()
+
+
+def test_batches_are_forecast_as_single_boats(boats, learned):
+    own, state, _ = learned
+    plan = torch.rand(20, 2, 2, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    inputs = Inputs(plan[..., 0], plan[..., 1], None, None, torch.full((20, 2), 0.4, dtype=torch.float64))
+    track = usvlearn.forecast(own, state, inputs)
+    for boat in range(2):
+        online = Online(own)
+        online.state = arrays_of(tree_map(lambda x, boat=boat: x[boat], state))
+        alone = online.forecast(plan[:, boat].numpy())
+        for name in ("north", "heading", "covariance"):
+            assert np.array_equal(getattr(track, name)[:, boat], getattr(alone, name)), name
+    with pytest.raises(ConfigError, match=r"inputs\.heading: found None with Ensemble"):
+        usvlearn.forecast(own.surge, state.surge, inputs)
+    with pytest.raises(ConfigError, match=r"inputs\.dt: found 40 lengths that differ"):
+        usvlearn.forecast(own, state, inputs._replace(dt=inputs.dt * plan[..., 0]))
 
 
 def test_before_the_first_tracks_nothing_is_known_of_their_errors(boats):

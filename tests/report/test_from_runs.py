@@ -46,7 +46,7 @@ def test_every_file_is_there_and_replaced(saved):
     figures = {path.name for path in (report / "figures").iterdir()}
     names = {"online", "forecast", "crossval", "fleet", "certificates", "equilibria", "residuals",
              "parameters_heron1", "parameters_heron2",
-             "identified_heron1", "identified_heron2"}  # fmt: skip
+             "identified_heron1", "identified_heron2", "tracks", "tracks_heron1", "tracks_heron2"}  # fmt: skip
     pictures = {"runs_heron1.png", "runs_heron2.png"}  # of many points
     assert figures == {f"{name}.{kind}" for name in names for kind in ("svg", "png")} | pictures
     tables = {

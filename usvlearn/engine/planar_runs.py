@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from usvlearn.core.samples import PlanarSample, Sample, tree_map
+from usvlearn.core.plans import Track
+from usvlearn.core.samples import Inputs, PlanarSample, Sample, tree_map
 from usvlearn.engine.backend import arrays_of, tree_of
+from usvlearn.errors import ConfigError
 
 if TYPE_CHECKING:
     from usvlearn.estimators.planar.layer import Planar, PlanarState
@@ -36,6 +38,21 @@ def planar_stretches(
         own: PlanarSample = tree_map(lambda x: x if x.dtype == bool else x.astype(dtype, copy=False), part)
         leaves, _, kept = roll(description, leaves, own, record=record, threads=torch.get_num_threads())
         yield tree_of(state, leaves), kept
+
+
+def forecast_tracks(planar: Any, state: PlanarState, inputs: Inputs) -> Track:
+    """`usvlearn.forecast` of boats in the plane."""
+    if not hasattr(planar, "yaw"):
+        raise ConfigError(
+            f"inputs.heading: found None with {type(planar).__name__}, expected headings, or a Planar, which forecasts "
+            "them, too"
+        )
+    from usvlearn.engine.planar_steps import PlanarLive
+
+    left, right, dt = (np.asarray(x, float) for x in (inputs.command_left, inputs.command_right, inputs.dt))
+    if dt.size == 0 or not (dt == dt.flat[0]).all():
+        raise ConfigError(f"inputs.dt: found {dt.size} lengths that differ, expected one for all steps, s")
+    return PlanarLive(planar.spec(), arrays_of(state)).track(np.stack([left, right], -1), float(dt.flat[0]))
 
 
 def with_poses(samples: Sample, poses: np.ndarray | None) -> PlanarSample:

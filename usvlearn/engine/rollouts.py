@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usvlearn.core.plans import NONE, Forecast, check_plan
+from usvlearn.core.plans import NONE, Forecast, Track, check_plan
 from usvlearn.core.protocol import EVERY, Estimator, Kinds, State, Step, advance, clean
 from usvlearn.core.samples import (
     Inputs,
@@ -94,17 +94,18 @@ def simulate(
     return _run(estimator, state, steps._replace(learns=torch.zeros_like(steps.learns)), pick)
 
 
-def forecast(estimator: Any, state: State, inputs: Inputs) -> Forecast:
+def forecast(estimator: Any, state: State, inputs: Inputs) -> Forecast | Track:
     """Forecast batch elements under plans, with intervals; the states are unchanged.
 
     Args:
-        estimator: an `Ensemble` with forecasts.
+        estimator: an `Ensemble` with forecasts; or a `Planar`, whose `inputs` have None for headings and yaw rates.
         state: leaves `(*batch, …)`.
         inputs: of the plan's steps, tensors `(time, *batch)` in the state's dtype: commands −1 … 1, headings, rad, yaw
             rates, rad/s, and lengths of the steps, s.
 
     Returns:
-        Tensors; `time` is `(time, *batch)` here, because batch elements may have different steps.
+        Tensors; `time` is `(time, *batch)` here, because batch elements may have different steps. Of a `Planar` a
+        `Track` of arrays, `(time, *batch)`, whose steps are of one length.
 
     Raises:
         ConfigError: the estimator makes no forecasts, or a number is outside its legal range.
@@ -116,6 +117,10 @@ def forecast(estimator: Any, state: State, inputs: Inputs) -> Forecast:
     >>> forecast(ensemble, ensemble.init((8,)), Inputs(t, t, 0 * t, 0 * t, 0 * t + 0.4)).surge.shape
     torch.Size([75, 8])
     """
+    if inputs.heading is None:
+        from usvlearn.engine.planar_runs import forecast_tracks
+
+        return forecast_tracks(estimator, state, inputs)
     if not hasattr(estimator, "forecast"):
         raise ConfigError(NONE)
     check_plan(Inputs(*map(array_of, inputs)), tuple(state.predictions.shape[:-1]))

@@ -18,7 +18,8 @@ import usvlearn
 from usvlearn.errors import CheckpointError, ConfigError
 
 PACKAGES = ("usvlearn.estimators", "usvlearn.logs", "usvlearn.simulate")
-FUNCTIONS = ("usvlearn.logs.read.read_recordings", "usvlearn.simulate.fleet.fleet")
+FUNCTIONS = ("usvlearn.logs.read.read_recordings", "usvlearn.simulate.fleet.fleet",
+             "usvlearn.simulate.planar_fleet.planar_fleet")  # fmt: skip
 DEEPEST = 50  # levels of settings
 
 
