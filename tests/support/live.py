@@ -10,12 +10,20 @@ import numpy as np
 
 import usvlearn
 from tests.support import commands
+from usvlearn import ARX, Ensemble, ForecastSettings, JointEKF, Online, Persistence, Planar
 from usvlearn.live.session import Session
 from usvlearn.live.start import Middleware, Options
-from usvlearn.logs.channels.channel import REQUIRED, Recording
+from usvlearn.logs.channels.channel import DEGREES, REQUIRED, VELOCITIES, Recording
+from usvlearn.logs.setup import Setup, setups_of
 from usvlearn.simulate.fleet import fleet
+from usvlearn.simulate.planar_fleet import planar_fleet
 
 PLAIN = Middleware("test", "usvlearn.logs.formats.moos.alog.Alog", {name: {"name": name.upper()} for name in REQUIRED})
+
+TURNING = PLAIN._replace(
+    channels={**PLAIN.channels, "yaw_rate": {"name": "YAW_RATE"}},
+    auxiliary={name: {"name": name.upper()} for name in (*VELOCITIES, *DEGREES)},
+)
 
 
 @cache
@@ -40,9 +48,36 @@ def learned_set(folder: Path) -> Path:
     return usvlearn.learn(usvlearn.read(data="simulated", hours=0.05)).save(folder / "start.safetensors")
 
 
-def ready(folder: Path, start: Path | None, **options) -> Session:
+@cache
+def turning(hours: float = 0.1) -> Recording:
+    """A simulated boat with compass, gyro and GPS."""
+    return planar_fleet(hours=hours, seed=7)[0]
+
+
+def planar() -> Planar:
+    """A small one, that has learned nothing."""
+    members = {"joint": JointEKF(2.74), "arx": ARX(), "persistence": Persistence()}
+    return Planar(Ensemble(members, forecasts=ForecastSettings()), surge_max=2.74)
+
+
+def planar_setup(recording: Recording) -> Setup:
+    return setups_of({"align": {"dt": 0.4}}, [recording])[recording.boat]
+
+
+def planar_set(folder: Path, reader: str | None = PLAIN.reader) -> Path:
+    """A checkpoint of `planar`, as a run keeps it, and beside it one of its ensemble; returns the run's folder."""
+    own, setup = planar(), planar_setup(turning()).json()
+    setup["reader"] = reader
+    for name in setup["channels"]:
+        setup["channels"][name]["name"] = name.upper()
+    Online(own.surge).save(folder / "checkpoints" / "planar" / "0001_00000001.safetensors", setup=setup)
+    Online(own).save(folder / "planar" / "checkpoints" / "planar" / "0001_00000001.safetensors", setup=setup)
+    return folder
+
+
+def ready(folder: Path, start: Path | None, middleware: Middleware = PLAIN, **options) -> Session:
     """A session that listens."""
-    session = Session(Options(folder, start, **options), PLAIN)
+    session = Session(Options(folder, start, **options), middleware)
     session.start()
     assert session.wait(300)
     return session

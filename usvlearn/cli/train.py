@@ -31,6 +31,7 @@ from usvlearn.report.tables import (
     summary_lines,
     track_table,
 )
+from usvlearn.report.turning_table import turning_table
 from usvlearn.runs.layout import TENSORBOARD
 from usvlearn.sweeps.launchers import set_threads
 from usvlearn.sweeps.seeds import seeded
@@ -57,7 +58,7 @@ def work(cfg: DictConfig, folder: Path, overrides: Sequence[str], resume: str | 
 def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, overrides: Sequence[str] = ()) -> float:
     """Replay what the configuration names into the run's folder; returns the objective."""
     with Activity(console, "loading"):
-        from usvlearn.evaluation.identification import identified_boats
+        from usvlearn.evaluation.identification import identified_boats, identified_planar_boats
         from usvlearn.evaluation.measure import check_measure, measure_of
         from usvlearn.evaluation.members import explained, remarks
         from usvlearn.report.stability import stability
@@ -66,6 +67,7 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
         from usvlearn.runs.tensorboard.board_tags import what_differs
         from usvlearn.runs.tensorboard.logger import TensorBoardLogger, check_log
         from usvlearn.simulate.truth import quantities_of
+        from usvlearn.simulate.turning import turning_of
 
     began, settings = time.perf_counter(), {**plain(cfg), "resume": None}
     set_threads(cfg.threads)
@@ -89,10 +91,10 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
     start = run.begin(ensemble.init((len(fleet.boats),)), resume)
     beside, anew = run.planar_start(start)
     terminal.show(start.note, *filter(None, (without, anew)), to=console)
-    truth = quantities_of([settings["data"]], cfg.vehicle.mass)
+    truth, turns = quantities_of([settings["data"]], cfg.vehicle.mass), turning_of([settings["data"]])
     logger = TensorBoardLogger(
         folder / TENSORBOARD, fleet, ensemble, start.position, what_differs(overrides), truth, log,
-        described(cfg, overrides), alone=not console.quiet,
+        described(cfg, overrides), alone=not console.quiet, tracks=() if planar is None else planar.horizons,
     )  # fmt: skip
     with run, logger, Activity(console) as activity:
         activity.begin("replaying", total=fleet.steps)
@@ -103,14 +105,17 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
             activity.tell(f"replaying run {chunk.end.run + 1} of {len(fleet.runs)}")
             activity.completed(fleet.steps_before(*chunk.end))
         activity.begin("scoring")
-        found = run.finish(ensemble, began, truth)
+        found = run.finish(ensemble, began, truth | turns)
         networks = stability(ensemble, run.state, fleet.boats, found.get("free"))
         logger.finish(settings, found, run.published, networks)
     console.print(error_tables(found["boats"], remarks(ensemble), explained(ensemble), found.get("forecast")))
     if (tracks := track_table(found.get("tracks"))) is not None:
         console.print(tracks)
     console.print(*fit_lines(found), sep="\n")
-    console.print(identified_table(identified_boats(ensemble, run.state, fleet.boats), truth))
+    surge = identified_boats(ensemble, run.state, fleet.boats)
+    console.print(identified_table(surge, truth))
+    if planar is not None and run.beside is not None:
+        console.print(turning_table(identified_planar_boats(planar, run.beside, fleet.boats), turns, surge))
     terminal.show(*event_lines(found["events"]), *networks, "", *summary_lines(found, folder), to=console)
     return found["objective"]
 

@@ -34,7 +34,7 @@ def warm(float32: bool = False, readers: bool = False, live: bool = False) -> Pa
     from usvlearn.core.jit import folder
     from usvlearn.display.event_crc import masked_crc32c
     from usvlearn.engine import dispatch
-    from usvlearn.engine.first_use import compile_plans
+    from usvlearn.engine.first_use import compile_planar, compile_plans
     from usvlearn.engine.free_runs import compile_free_runs
     from usvlearn.logs.alignment.align import Aligner
     from usvlearn.logs.channels.channel import REQUIRED, Source
@@ -47,6 +47,7 @@ def warm(float32: bool = False, readers: bool = False, live: bool = False) -> Pa
         fleet(n=1, hours=0.01)
     for dtype in map(np.dtype, (np.float64, np.float32) if float32 else (np.float64,)):
         compile_plans(dtype)
+        compile_planar(dtype)
         if not live:
             compile_free_runs(dtype)
     if readers:

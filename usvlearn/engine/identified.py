@@ -1,6 +1,7 @@
 """`identified`: the physical quantities of a boat, from the averaged joint EKF of an ensemble. Imports no torch.
 
-That is the first member that is a joint EKF with periodic estimates (`usvlearn.estimators.joint.reading`).
+That is the first member that is a joint EKF with periodic estimates (`usvlearn.estimators.joint.reading`). Of a boat in
+the plane the quantities of turning follow (`usvlearn.estimators.axis.turning_intervals`).
 """
 
 from __future__ import annotations
@@ -11,8 +12,11 @@ from typing import Any
 import numpy as np
 
 from usvlearn.engine import of_element
+from usvlearn.engine.leaves import filter_of
 from usvlearn.errors import ConfigError
+from usvlearn.estimators.axis.turning_intervals import Filter, with_turning
 from usvlearn.estimators.joint.reading import Identified, identify, reader_of
+from usvlearn.estimators.planar.state import USED
 
 Members = Mapping[str, Mapping[str, Any] | None]  # descriptions by name; None of an estimator without one
 
@@ -59,6 +63,47 @@ def identified(members: Members, leaves: Mapping[str, np.ndarray]) -> list[Ident
         identify(of_element(description, boats, element), {key: leaf[element] for key, leaf in own.items()})
         for element in range(boats)
     ]
+
+
+def identified_planar(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -> list[Identified]:
+    """As `identified`, of boats in the plane: the quantities of turning follow those of the surge.
+
+    Args:
+        description: of a `Planar`, as its `spec` gives it.
+        leaves: of its state by dotted name, `(boats, …)`.
+
+    Raises:
+        ConfigError: none of the members of the surge is an averaged joint EKF.
+
+    >>> from usvlearn import Ensemble, ForecastSettings, JointEKF
+    >>> from usvlearn.core.samples import named_leaves
+    >>> from usvlearn.estimators.planar.layer import Planar
+    >>> joint = JointEKF(surge_max=2.7, read_every=600.0)
+    >>> planar = Planar(Ensemble({"joint": joint}, forecasts=ForecastSettings()), surge_max=2.7)
+    >>> leaves = {name: leaf.detach().numpy() for name, leaf in named_leaves(planar.init((1,)))}
+    >>> identified_planar(planar.spec(), leaves)[0].lacks[-1]
+    'Neither heading nor yaw rate was measured under way: nothing is known of turning.'
+    """
+    surge = {name.removeprefix("surge."): leaf for name, leaf in leaves.items() if name.startswith("surge.")}
+    members = members_of(description["surge"])
+    own, _ = reader_leaves(members, surge)
+    found, boats = [], identified(members, surge)
+    for element, each in enumerate(boats):
+        yaw, sway = (_filter(axis, description[axis], leaves, len(boats), element) for axis in ("yaw", "sway"))
+        variance = np.asarray(of_element(own, len(boats), element)["vectors"]["variance"], dtype=np.float64)
+        found.append(with_turning(each, variance, yaw, sway if float(sway[1]["updates"]) >= USED else None))
+    return found
+
+
+def _filter(
+    axis: str, ensemble: Mapping[str, Any], leaves: Mapping[str, np.ndarray], boats: int, element: int
+) -> Filter:
+    """The filter of an axis and its leaves, of one boat."""
+    name = filter_of(axis, ensemble)
+    assert name is not None  # see `Planar.spec`
+    prefix = f"{axis}.members.{name}."
+    own = {key.removeprefix(prefix): leaf[element] for key, leaf in leaves.items() if key.startswith(prefix)}
+    return of_element(ensemble["members"][name], boats, element), own
 
 
 def sentences(found: Mapping[str, Identified]) -> list[str]:

@@ -235,16 +235,15 @@ class Online:
         >>> Online(JointEKF(surge_max=2.7, mass=28.0, read_every=600.0)).identified()["steady_speed_full"].unit
         'm/s'
         """
-        from usvlearn.engine.identified import identified, members_of
+        from usvlearn.engine.identified import identified, identified_planar, members_of
 
         batch = self._live.batch
         leaves = {name: leaf.reshape(-1, *leaf.shape[len(batch) :]) for name, leaf in self._live.leaves.items()}
+        if self.description is not None and "surge" in self.description:
+            turning = identified_planar(self.description, leaves)
+            return turning if batch else turning[0]
         if self.description is not None:
-            if "surge" in self.description:
-                leaves = {
-                    name.removeprefix("surge."): each for name, each in leaves.items() if name.startswith("surge.")
-                }
-            members = members_of(self.description.get("surge", self.description))
+            members = members_of(self.description)
         else:  # an ensemble that runs in torch; its averaged joint EKF alone is described
             from usvlearn.core.protocol import spec_of
 

@@ -8,9 +8,10 @@ from typing import Any
 from usvlearn.core.checkpoint import as_array
 from usvlearn.core.protocol import spec_of
 from usvlearn.core.samples import named_leaves
-from usvlearn.engine.identified import identified
+from usvlearn.engine.identified import identified, identified_planar
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.joint.reading import Identified
+from usvlearn.estimators.planar.layer import Planar
 
 Truth = Mapping[str, Mapping[str, float]]  # boat -> quantity -> value
 
@@ -32,6 +33,20 @@ def identified_boats(
     members = {} if name is None else {name: spec_of(ensemble.members[name])}
     leaves = {key: as_array(leaf) for key, leaf in named_leaves(state.members.get(name, {}), f"members.{name}")}
     return dict(zip(boats, identified(members, leaves), strict=True))
+
+
+def identified_planar_boats(planar: Planar, state: Any, boats: Sequence[str]) -> dict[str, Identified]:
+    """As `identified_boats`, with the quantities of turning.
+
+    Args:
+        planar: with its ensembles.
+        state: leaves `(boats, …)`.
+        boats: their names.
+    """
+    if planar.surge.averaged is None:
+        return {}
+    leaves = {key: as_array(leaf) for key, leaf in named_leaves(state) if ".members." in key}
+    return dict(zip(boats, identified_planar(planar.spec(), leaves), strict=True))
 
 
 def as_results(found: Mapping[str, Identified], truth: Truth) -> dict[str, Any]:

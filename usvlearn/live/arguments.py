@@ -18,7 +18,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--start",
         metavar="CHECKPOINT",
-        help="a checkpoint, a folder of checkpoints or a run's folder, if the node's folder has no checkpoint yet",
+        help="a checkpoint, a folder of checkpoints or a run's folder, if the node's folder has no checkpoint yet; a "
+        "run that has learned tracks starts a node that makes them",
     )
     add("--mass", type=float, help="mass in kg, added mass included; needed only without a checkpoint")
     add("--surge-max", type=float, help="top speed in m/s; needed only without a checkpoint")

@@ -34,7 +34,9 @@ class Listening:
         self._refused: dict[str, str] = {}  # channel -> why none of its last messages could be used
 
     def take(self, part: str) -> None:
-        """A message of a part has come."""
+        """A message of a part has come; others than the sources are not waited for."""
+        if part not in self._sources:
+            return
         self.heard[part] = time.monotonic()
         self._pushed[part.partition("[")[0]] += 1
 

@@ -5,26 +5,29 @@ A message is converted to SI units, mixed with others where a command has severa
 that is replayed gives the same predictions.
 
 At each step two predictions are published: of the speed that was measured, which judges the model, and of the next
-one under the commands in force, which is what planners want.
+one under the commands in force, which is what planners want. Where the estimator is a `Planar`, it also learns from
+heading, yaw rate, sway and position, and makes tracks under the commands in force.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from usvlearn.core.events import Event
-from usvlearn.core.plans import YAW_RATE, Forecast
-from usvlearn.core.samples import Inputs, Sample
+from usvlearn.core.plans import YAW_RATE, Forecast, Track
+from usvlearn.core.samples import Inputs, PlanarSample, Sample
 from usvlearn.engine.online import Online
 from usvlearn.errors import ConfigError, ShapeError
 from usvlearn.live import watched
 from usvlearn.live.held import HeldIntervals
+from usvlearn.live.live_poses import LivePoses
 from usvlearn.live.plan_requests import Plan, answer, parse_plan, sampled
+from usvlearn.live.track_points import Point, points
 from usvlearn.logs.alignment.mixing import LiveMix, Mix
 from usvlearn.logs.channels.channel import CHANNELS, SURGE
 from usvlearn.logs.channels.derived_surge import LiveSurge, pair_of
@@ -51,6 +54,8 @@ class Step(NamedTuple):
     if_held: Ends  # the same, with intervals that hold where the commands stay
     members: dict[str, float]  # the prediction of each member and combiner, m/s
     events: tuple[Event, ...]  # of this step
+    track: Track | None = None  # under the commands in force, with ellipses that hold where these stay
+    places: Mapping[float, Point] = {}  # of it at its horizons, s
 
 
 class Node:
@@ -68,6 +73,7 @@ class Node:
         loss: what is known of it now.
         one_command: whether both sides have the same command, so that nothing tells them apart.
         horizons: s, of the forecasts.
+        track_horizons: s, of the tracks; () where the estimator makes none.
         dt: s, of a step.
         held: the intervals of forecasts, whatever is commanded.
         derived: the surge that the last message completed, m/s; None where it did not, or where surge is received.
@@ -97,13 +103,17 @@ class Node:
         description = online.description
         if description is None:
             raise ConfigError("estimator: found one without compiled code, expected one that has it")
-        self._output = str(description.get("output"))
-        self._watch = watched.event_watch(description)
+        own, _ = watched.surge_of(online)
+        self._output = str(own.get("output"))
+        self._watch = watched.event_watch(own)
         self.origin = math.nan  # stamps are counted from here, s
         self.derived: float | None = None
         self.took: Callable[[str, float, float], None] = lambda *_: None
         self.dt = float(setup.align["dt"])
-        self.horizons = tuple(each for each in watched.horizons(description) if round(each / self.dt) <= LONGEST)
+        self.horizons, self.track_horizons = (
+            tuple(each for each in found if round(each / self.dt) <= LONGEST)
+            for found in (watched.horizons(own), watched.track_horizons(description))
+        )
         self.held = HeldIntervals(self.horizons, self.dt)
         self.last = math.nan  # the end of the last step, s, as the messages are stamped
         self._begin()
@@ -116,6 +126,7 @@ class Node:
         self._mixes = {name: LiveMix(each) for name, each in setup.channels.items() if isinstance(each, Mix)}
         pair = None if SURGE in setup.channels else pair_of(setup.channels)
         self._derived = None if pair is None else LiveSurge(pair, setup.channels["heading"].held)  # type: ignore[union-attr]
+        self._poses = LivePoses(self.parts) if self.track_horizons else None
         self.origin = math.nan
 
     @property
@@ -139,6 +150,8 @@ class Node:
         """Compile all that a step needs, so that none waits for it."""
         if self.horizons:
             self.online.forecast([[0.0, 0.0]], 0.0, 0.0, 0.4)
+        if self.track_horizons:
+            self.online.forecast([[0.0, 0.0]])
 
     def relative(self, stamp: float) -> float:
         """A stamp as the aligner counts it, s since the beginning of the segment."""
@@ -174,6 +187,8 @@ class Node:
                 self.drop(part, "alone")
                 return []
             value = mixed
+        if self._poses is not None:
+            self._poses.take(channel, time, value)
         found = self._feed(channel, time, value) if channel in CHANNELS else []
         self.derived = None
         if self._derived is not None and (channel == "heading" or channel in self._derived.pair):
@@ -200,7 +215,10 @@ class Node:
 
     def _step(self, time: float, sample: Sample) -> Step:
         """Predict, learn, and look ahead."""
-        predicted = float(self.online.step(sample))
+        learnt: Sample | PlanarSample = sample
+        if self._poses is not None:
+            learnt = PlanarSample(sample, *self._poses.at(time, sample).tolist())
+        predicted = float(self.online.step(learnt))
         made = math.isfinite(predicted)
         self.grid += 1
         self.fresh += bool(sample.fresh)
@@ -212,7 +230,7 @@ class Node:
         width = every[self._output][1] if every else math.nan
         events = self._events(time + self.origin) if made else ()
         self.held.compare(time, sample.surge if sample.measured else math.nan)
-        after, after_width, forecasts, if_held = self._outlook()
+        after, after_width, forecasts, if_held, track = self._outlook()
         self.held.expect(time, {horizon: surge for horizon, (surge, _, _) in if_held.items()})
         self.last = time + self.origin
         return Step(
@@ -220,17 +238,17 @@ class Node:
             sample.surge if sample.measured or sample.inputs.dt == 0 else math.nan,
             predicted, predicted - width, predicted + width,
             after, after - after_width, after + after_width,
-            forecasts, if_held, members, events,
+            forecasts, if_held, members, events, track, self._places(track),
         )  # fmt: skip
 
-    def _outlook(self) -> tuple[float, float, Ends, Ends]:
-        """The next speed under the commands in force, the half-width of its interval, and the forecasts."""
-        last = max(self.horizons, default=0.0)
+    def _outlook(self) -> tuple[float, float, Ends, Ends, Track | None]:
+        """The next speed under the commands in force, the half-width of its interval, the forecasts, and the track."""
+        last = max((*self.horizons, *self.track_horizons), default=0.0)
         steps = max(round(last / self.dt), 1)
         ahead = self._aligner.ahead(steps)
         first = Inputs(*(float(x[0]) for x in ahead))
         if not all(map(math.isfinite, first)):
-            return math.nan, math.nan, {}, {}
+            return math.nan, math.nan, {}, {}, None
         if self.online.names:
             foreseen: Any = self.online.predict_members(first)
             surge, width = foreseen[self._output]
@@ -244,7 +262,18 @@ class Node:
                 speed, half = float(found.surge[k]), self.held.halfwidth(horizon)
                 if_held[horizon] = speed, float(found.low[k]), float(found.high[k])
                 forecasts[horizon] = speed, speed - half, speed + half
-        return float(surge), float(width), forecasts, if_held
+        track = self._track(ahead.command_left, ahead.command_right) if self.track_horizons else None
+        return float(surge), float(width), forecasts, if_held, track
+
+    def _places(self, track: Track | None) -> dict[float, Point]:
+        if track is None:
+            return {}
+        steps = [max(round(horizon / self.dt), 1) for horizon in self.track_horizons]
+        return dict(zip(self.track_horizons, points(track, steps), strict=True))
+
+    def _track(self, left: Any, right: Any) -> Track:
+        """Where the boat will be under commands within full scale."""
+        return self.online.forecast(np.clip(np.stack([left, right], -1), -1.0, 1.0), dt=self.dt)
 
     def _forecast(self, left: Any, right: Any, headings: Any, yaw_rates: Any) -> Forecast:
         """A forecast of commands within full scale."""
@@ -257,17 +286,17 @@ class Node:
         A plan that cannot be used is counted; nothing is raised.
         """
         try:
-            found: Forecast | str = self._planned(parse_plan(text))
+            found: Forecast | Track | str = self._planned(parse_plan(text))
         except (ConfigError, ShapeError) as error:
             self.drop("plan", "refused")
             found = str(error)
         return answer(text, self.last, found)
 
-    def _planned(self, plan: Plan) -> Forecast:
+    def _planned(self, plan: Plan) -> Forecast | Track:
         last = float(plan.time[-1]) / self.dt  # steps until then; infinite where t is as large as numbers go
         if last >= LONGEST:
             raise ConfigError(f"plan: found t {plan.time[-1]:g}, expected at most {(LONGEST - 1) * self.dt:g} s")
-        least = round(max(self.horizons, default=0.0) / self.dt)
+        least = round(max((*self.horizons, *self.track_horizons), default=0.0) / self.dt)
         steps = max(least, math.floor(last) + 1)
         ahead = self._aligner.ahead(steps)
         if not all(math.isfinite(float(x[0])) for x in ahead):
@@ -279,6 +308,8 @@ class Node:
             sampled(plan, edges - sources[f"command_{side}"].delay, ahead[k], side)
             for k, side in enumerate(("left", "right"))
         )
+        if plan.heading is None and self.track_horizons:
+            return self._track(left, right)
         if plan.heading is None:
             return self._forecast(left, right, ahead.heading, ahead.yaw_rate)
         time, heading = plan.time, np.asarray(sources["heading"].convert(plan.heading))

@@ -7,8 +7,9 @@ A plan is text, rows `t,left,right` or `t,left,right,heading` that are separated
 
 t is in s from the end of the node's last step. The commands of a row, shares of full scale from −1 to 1, hold until the
 next row; those of the last row hold on. Before the first row the commands in force hold. Headings have the unit of the
-heading channel and are joined by straight lines; without them the boat soon ends its turn (`Aligner.ahead`). The answer
-has the form of the plan.
+heading channel and are joined by straight lines. Without them a node that makes tracks answers with where the boat will
+be, in m and degrees from north (`usvlearn.live.track_points`); to another one the boat soon ends its turn
+(`Aligner.ahead`). The answer has the form of the plan.
 """
 
 from __future__ import annotations
@@ -20,8 +21,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.core.plans import Forecast
+from usvlearn.core.plans import Forecast, Track
 from usvlearn.errors import ConfigError
+from usvlearn.live.track_points import Point, points
 
 KEYS = ("t", "left", "right", "heading")
 MOST_ROWS, MOST_TEXT = 1000, 100_000
@@ -137,13 +139,13 @@ def sampled(plan: Plan, edges: np.ndarray, before: np.ndarray, side: str) -> np.
     return found
 
 
-def answer(text: str, time: float, found: Forecast | str) -> str:
-    """The answer to a plan, in its form: a forecast, or a sentence that says why there is none.
+def answer(text: str, time: float, found: Forecast | Track | str) -> str:
+    """The answer to a plan, in its form: a forecast or a track, or a sentence that says why there is none.
 
     Args:
         text: of the plan.
         time: from which the forecast counts, s, as the messages are stamped.
-        found: speeds after each step, or the sentence.
+        found: speeds or places after each step, or the sentence.
 
     >>> answer("0,1,1", 0.0, Forecast(*np.array([[0.4, 0.8], [1.0, 1.1], [0.9, -np.inf], [1.1, np.inf]])))
     '0.4=1.000:0.900:1.100,0.8=1.100'
@@ -153,6 +155,8 @@ def answer(text: str, time: float, found: Forecast | str) -> str:
     if not is_json(text):
         if isinstance(found, str):
             return f"error: {found}"
+        if isinstance(found, Track):
+            return ",".join(f"{t:.6g}={point.text}" for t, point in zip(found.time, points(found), strict=True))
         return ",".join(
             f"{t:.6g}={v:.3f}" + (f":{low:.3f}:{high:.3f}" if math.isfinite(low) else "")
             for t, v, low, high in zip(*found, strict=True)
@@ -160,8 +164,10 @@ def answer(text: str, time: float, found: Forecast | str) -> str:
     head = {} if (name := identifier(text)) is None else {"id": name}
     if isinstance(found, str):
         return json.dumps({**head, "error": found})
-    columns = {
-        key: [round(float(x), 3) if math.isfinite(x) else None for x in values]
-        for key, values in zip(("t", "surge", "low", "high"), found, strict=True)
-    }
+    if isinstance(found, Track):
+        rows = dict(zip(Point._fields, zip(*points(found), strict=True), strict=True))
+        rows = {"t": found.time, "surge": found.surge, "sway": found.sway, **rows}
+    else:
+        rows = dict(zip(("t", "surge", "low", "high"), found, strict=True))
+    columns = {key: [round(float(x), 3) if math.isfinite(x) else None for x in values] for key, values in rows.items()}
     return json.dumps({**head, "time": round(time, 3), **columns})

@@ -2,7 +2,9 @@
 bit.
 
 Of record 3 of a folder there are `record_0003.alog`, all messages as they came; `record_0003.yaml`, a configuration of
-data; `record_0003.safetensors`, the checkpoint with which it began. Stamps and values have all their digits.
+data; `record_0003.safetensors`, the checkpoint with which it began. Stamps and values have all their digits. Where the
+node makes tracks, a folder `record_0003` stands in place of the checkpoint, laid out as that of a run: it holds the
+checkpoint of the surge's ensemble, and in `planar` that of all axes.
 """
 
 from __future__ import annotations
@@ -16,9 +18,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, TextIO
 
+from usvlearn.core import checkpoint
 from usvlearn.core.checkpoint import SUFFIX, write_atomically
 from usvlearn.errors import printable
-from usvlearn.logs.channels.channel import AUXILIARY, SURGE
+from usvlearn.live.watched import PLANAR
+from usvlearn.logs.channels.channel import SURGE
 from usvlearn.logs.setup import Setup
 
 NAME = re.compile(r"record_(\d{4,9})\.alog")
@@ -41,7 +45,7 @@ class Recorder:
     Args:
         folder: of the records.
         setup: of the messages.
-        save: writes the checkpoint with which the record begins to a path.
+        begins: leaves and metadata of the checkpoint with which the record begins.
         boat: its name.
 
     Attributes:
@@ -49,7 +53,7 @@ class Recorder:
         problem: a sentence; None while all is written.
     """
 
-    def __init__(self, folder: Path, setup: Setup, save: Any, boat: str = "boat"):
+    def __init__(self, folder: Path, setup: Setup, begins: tuple[dict[str, Any], dict[str, Any]], boat: str = "boat"):
         self.problem: str | None = None
         self._file: TextIO | None = None
         self._rows: list[str] = []
@@ -57,12 +61,13 @@ class Recorder:
         names = [NAME.fullmatch(path.name) for path in folder.glob("record_*.alog")]
         number = 1 + max((int(found[1]) for found in names if found), default=0)
         self.path = folder / f"record_{number:04d}.alog"
-        self._logs_speed = SURGE in setup.channels
         try:
-            save(self.path.with_suffix(SUFFIX))
-            write_atomically(self.path.with_suffix(".yaml"), configuration(self.path, setup, boat).encode())
+            start = _begin(self.path, boat, *begins)
+            write_atomically(self.path.with_suffix(".yaml"), configuration(self.path, setup, boat, start).encode())
             self._file = self.path.open("x", encoding="utf-8", newline="\n")
             self._file.write(f"%% LOG FILE: {self.path.name}\n%% LOGSTART {time.time():.3f}\n")
+            for part in setup.parts.keys() - setup.live().parts.keys():  # may never come, and is named in the log
+                self.write(part, 0.0, math.nan)
         except OSError as error:
             self._stop(error)
 
@@ -98,8 +103,20 @@ class Recorder:
         self._file, self._rows = None, []
 
 
-def configuration(path: Path, setup: Setup, boat: str = "boat") -> str:
-    """The YAML that describes a record to train.py; JSON values are YAML.
+def _begin(path: Path, boat: str, leaves: dict[str, Any], facts: dict[str, Any]) -> Path:
+    """Write the checkpoint with which a record begins; returns what train.py resumes from."""
+    if facts["kernel"]["kind"] != PLANAR:
+        return checkpoint.save(path.with_suffix(SUFFIX), leaves, **facts)
+    folder = path.with_suffix("")
+    surge = {name.removeprefix("surge."): each for name, each in leaves.items() if name.startswith("surge.")}
+    own = facts | {"estimator": "Ensemble", "kernel": facts["kernel"]["surge"]}
+    for begin, tree, known in ((folder, surge, own), (folder / PLANAR, leaves, facts)):
+        checkpoint.save(begin / "checkpoints" / printable(boat) / f"start{SUFFIX}", tree, **known)
+    return folder
+
+
+def configuration(path: Path, setup: Setup, boat: str, start: Path) -> str:
+    """The YAML that describes a record to train.py, which resumes from `start`; JSON values are YAML.
 
     A surge that the node has computed is recorded as SURGE, in m/s, and not computed anew.
     """
@@ -113,7 +130,6 @@ def configuration(path: Path, setup: Setup, boat: str = "boat") -> str:
     if SURGE not in channels:
         source = setup.aligned[SURGE]
         channels[SURGE] = {"name": variable(SURGE), "unit": "m/s", "window": source.window, "period": source.period}
-        channels = {name: each for name, each in channels.items() if name not in AUXILIARY}
     data = {
         "_target_": "usvlearn.logs.read.read_recordings", "_convert_": "all", "path": path.name,
         "boat": printable(boat), "reader": {"_target_": "usvlearn.logs.formats.moos.alog.Alog"}, "channels": channels,
@@ -127,7 +143,7 @@ def configuration(path: Path, setup: Setup, boat: str = "boat") -> str:
         [
             "# @package _global_",
             f"# A recorded session. In the folder of this file, `usvlearn train data={stem}.yaml",
-            f"# resume={stem}{SUFFIX}` replays it, with the same predictions.",
+            f"# resume={start.name}` replays it, with the same predictions.",
             *lines,
             "",
         ]

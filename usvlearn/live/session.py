@@ -76,8 +76,9 @@ class Session:
             self._release()
             raise
         self.sources: dict[str, Source] = self.setup.parts
-        self._listening = Listening(self.sources, options.warp)
-        self._usable = Usable(self.sources)
+        needed = self.setup.live().parts  # what tracks alone need is not waited for
+        self._listening = Listening(needed, options.warp)
+        self._usable = Usable(needed)
         self.sentence = self._begin.sentence
         self.one_command = self.setup.one_command
         self.state = "compiling"
@@ -297,13 +298,7 @@ class Session:
         assert self._node is not None
         if self._recorder is not None:
             self._recorder.close()
-        leaves, facts = self._checkpoint()
-        from usvlearn.core import checkpoint
-
-        self._recorder = Recorder(
-            self.options.folder / "records", self.setup, lambda path: checkpoint.save(path, leaves, **facts),
-            self.options.boat,
-        )  # fmt: skip
+        self._recorder = Recorder(self.options.folder / "records", self.setup, self._checkpoint(), self.options.boat)
 
     def _took(self, steps: list[Step]) -> None:
         if steps:

@@ -12,9 +12,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from usvlearn.core.checkpoint import SUFFIX
 from usvlearn.errors import CheckpointError, ConfigError, check_not_negative, check_positive, did_you_mean
 from usvlearn.live.node import PATIENCE
 from usvlearn.live.node_folder import NodeFolder, newest
+from usvlearn.live.watched import PLANAR
 from usvlearn.logs.alignment.mixing import PER_NAME, SOURCE_KEYS, STEERING, THROTTLE, listed, sides_of
 from usvlearn.logs.channels.channel import AUTO, AUXILIARY, CHANNELS, COMMANDS
 from usvlearn.logs.read import sources_of
@@ -31,6 +33,7 @@ class Options:
     Attributes:
         folder: of the node: its checkpoints, status and records.
         start: a checkpoint, a folder of checkpoints or a run's folder, to start from if the folder has no checkpoint.
+            Of a run that has learned tracks, the checkpoints in its folder `planar` come first.
         mass, surge_max: kg and m/s, of a prior, if there is no checkpoint at all.
         channels: changes to the channels: channel -> option of a `Source` -> value. `throttle`, or `throttle` and
             `steering`, stand for the commands of both sides (`usvlearn.logs.alignment.mixing.sides_of`).
@@ -77,6 +80,7 @@ class Middleware(NamedTuple):
     name: str
     reader: str  # the class that reads its logs; the names in a checkpoint that was learned from such logs are its own
     channels: Mapping[str, Mapping[str, Any]]
+    auxiliary: Mapping[str, Mapping[str, Any]] = {}  # likewise, for a node that makes tracks
 
 
 class Begin(NamedTuple):
@@ -113,7 +117,7 @@ def _found(folder: NodeFolder, options: Options) -> tuple[dict[str, np.ndarray],
             damaged = [str(error)]
     if options.start is not None:
         try:
-            leaves, facts, path, told = newest(options.start)
+            leaves, facts, path, told = _newest_of_run(options.start)
         except CheckpointError as error:
             raise CheckpointError(f"start: {error}") from error
         return leaves, facts, f"starting from {path}", [*damaged, *told]
@@ -129,17 +133,31 @@ def _found(folder: NodeFolder, options: Options) -> tuple[dict[str, np.ndarray],
     return leaves, facts, sentence, damaged
 
 
+def _newest_of_run(start: Path) -> tuple[dict[str, np.ndarray], dict[str, Any], Path, list[str]]:
+    """As `newest`; of the folder of a run that has learned tracks, the checkpoint that makes them."""
+    damaged = []
+    if any((start / PLANAR).glob(f"*/*/*{SUFFIX}")):
+        try:
+            return newest(start / PLANAR)
+        except CheckpointError as error:
+            damaged = [f"no tracks: {error}"]
+    leaves, facts, path, told = newest(start)
+    return leaves, facts, path, [*damaged, *told]
+
+
 def _setup(facts: Mapping[str, Any], options: Options, middleware: Middleware) -> Setup:
     """The checkpoint's own setup, with what depends on the middleware, and with the changes of the user."""
     try:
         known = Setup.of_set(facts)
     except ConfigError as error:
         raise CheckpointError(f"the checkpoint's {error}: use another checkpoint") from error
+    planar = facts["kernel"]["kind"] == PLANAR
     own = {} if known is None else known.json()["channels"]
     if known is not None and known.reader == middleware.reader:
         channels = {name: dict(each) for name, each in own.items()}
     else:  # the names in the checkpoint are those of another kind of log
-        channels = {name: dict(each) for name, each in middleware.channels.items()}
+        defaults = {**middleware.channels, **(middleware.auxiliary if planar else {})}
+        channels = {name: dict(each) for name, each in defaults.items()}
         for name, given in own.items():
             if name in channels:
                 own_options = {key: value for key, value in given.items() if key not in NAMES}
@@ -161,7 +179,8 @@ def _setup(facts: Mapping[str, Any], options: Options, middleware: Middleware) -
     align["patience"] = options.patience
     mass = options.mass if known is None or known.mass is None else known.mass
     top = options.surge_max if options.surge_max is not None else None if known is None else known.surge_max
-    return Setup(declared, align, mass, top, middleware.reader).live()
+    found = Setup(declared, align, mass, top, middleware.reader)
+    return found if planar else found.live()
 
 
 def _sided(channels: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:

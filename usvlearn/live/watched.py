@@ -12,6 +12,14 @@ from usvlearn.core.events import EventWatch
 from usvlearn.engine.online import Online
 from usvlearn.estimators.ensemble.monitors.state import DOUBT
 
+PLANAR = "planar"  # kind of the description of a `Planar`, and the folder of a run that holds its checkpoints
+
+
+def surge_of(online: Online) -> tuple[Mapping[str, Any], str]:
+    """The description of what predicts the surge, and what the names of its leaves begin with."""
+    described = online.description or {}
+    return (described["surge"], "surge.") if described.get("kind") == PLANAR else (described, "")
+
 
 def accommodated(description: Mapping[str, Any]) -> list[str]:
     """The filters of a described ensemble that get what the monitor of the thrusters finds."""
@@ -26,12 +34,15 @@ def event_watch(description: Mapping[str, Any]) -> EventWatch | None:
 
 def event_row(online: Online, filters: Sequence[str]) -> np.ndarray:
     """The numbers that `EventWatch` reads, now. Without filters that get an effectiveness, its interval is unknown."""
-    raised, sums = (online.leaf(f"monitors.thrusters.{name}") for name in ("raised", "sums"))
+    begin = surge_of(online)[1]
+    raised, sums = (online.leaf(f"{begin}monitors.thrusters.{name}") for name in ("raised", "sums"))
     share = np.where(raised > 0, 1 + sums[:, 0] / (sums[:, 1] + DOUBT), 1.0)
     deviation = handed = np.zeros(2)
     if filters:
-        share, deviation, handed = (online.leaf(f"accommodation.{name}") for name in ("share", "deviation", "handed"))
-    changes = [np.atleast_1d(online.leaf(f"members.{name}.trial.changes")) for name in filters]
+        share, deviation, handed = (
+            online.leaf(f"{begin}accommodation.{name}") for name in ("share", "deviation", "handed")
+        )
+    changes = [np.atleast_1d(online.leaf(f"{begin}members.{name}.trial.changes")) for name in filters]
     return np.concatenate([share, deviation, raised, handed, *changes])
 
 
@@ -44,7 +55,7 @@ def identified(online: Online, one_command: bool = False) -> tuple[dict[str, tup
     from usvlearn.engine.identified import members_of
     from usvlearn.estimators.joint.reading import reader_of, tells_sides
 
-    if online.description is None or reader_of(members_of(online.description)) is None:
+    if online.description is None or reader_of(members_of(surge_of(online)[0])) is None:
         return {}, ""
     found: Any = online.identified()
     names = [name for name in found if not (one_command and tells_sides(name))]
@@ -61,10 +72,12 @@ def networks(online: Online) -> dict[str, dict[str, Any]]:
 
     if online.description is None:
         return {}
+    own, begin = surge_of(online)
     found = {}
-    for name, description in members_of(online.description).items():
+    for name, description in members_of(own).items():
         if description is not None and description["kind"] == "rnn":
-            found[name] = _network(online, f"members.{name}." if name else "", description["numbers"]["scale"])
+            prefix = f"{begin}members.{name}." if name else begin
+            found[name] = _network(online, prefix, description["numbers"]["scale"])
     return found
 
 
@@ -95,3 +108,8 @@ def _network(online: Online, prefix: str, scale: float) -> dict[str, Any]:
 def horizons(description: Mapping[str, Any]) -> tuple[float, ...]:
     """Of the forecasts of a described ensemble, s."""
     return tuple((description.get("forecasts") or {}).get("vectors", {}).get("horizons", ()))
+
+
+def track_horizons(description: Mapping[str, Any]) -> tuple[float, ...]:
+    """Of the tracks of a described `Planar`, s; () of another estimator."""
+    return tuple(description["vectors"]["horizons"]) if description.get("kind") == PLANAR else ()

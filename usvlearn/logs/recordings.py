@@ -56,7 +56,7 @@ def align_fleet(recordings: Iterable[Recording], **options) -> Fleet:
             short.append(f"{recording.boat}, run {recording.run}: {steps} (rejected: {_causes(aligned.rejected)})")
         else:
             position = track(recording.channels, aligned.time)
-            pose = poses(recording.channels, aligned.time, aligned.samples)
+            pose = poses(recording.channels, aligned.time, aligned.samples, aligned.came)
             boats.setdefault(recording.boat, []).append(BoatRun(recording.run, aligned, position, pose))
     if not boats:
         raise LogFormatError(

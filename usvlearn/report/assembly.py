@@ -30,6 +30,8 @@ from usvlearn.report.sections.online_error import online_section
 from usvlearn.report.sections.parameters import Truth, parameters_section
 from usvlearn.report.sections.residuals import residual_section
 from usvlearn.report.sections.section import Drawn, Section
+from usvlearn.report.sections.tracks import tracks_section
+from usvlearn.report.track_maps import BoatTracks
 from usvlearn.report.viewer_data import viewer_data
 from usvlearn.runs.tensorboard.drawing import RUNS
 from usvlearn.runs.tensorboard.run_figures import Traces, runs_figure
@@ -62,6 +64,7 @@ def assemble(
     advance: Callable[[int], object] = lambda steps: None,
     known: Mapping[str, Mapping[str, float]] | None = None,
     fits: Mapping[str, SavedFit | str] | None = None,
+    tracks: Mapping[str, BoatTracks] | None = None,
 ) -> tuple[list[Section], dict[str, FreeErrors]]:
     """Simulate, compare and draw.
 
@@ -72,6 +75,7 @@ def assemble(
         advance: receives the number of simulated steps, for a progress bar.
         known: true quantities of simulated boats at the end.
         fits: batch fits of the boats (`saved_fits`).
+        tracks: of the boats (`saved_tracks`).
 
     Returns:
         The sections, what a boat's owner asks first, and the errors of every boat's cross-validation.
@@ -92,6 +96,7 @@ def assemble(
         fit_section(seasons, ensemble, fits or {}, known or {}),
         identified_section(seasons, ensemble, known or {}),
         forecast_section(seasons, ensemble),
+        tracks_section(tracks or {}),
         events_section(seasons, ensemble),
         online_section(seasons, ensemble.names, beside, explained(ensemble)),
         residual_section(seasons, ensemble),
@@ -110,11 +115,12 @@ def front_of(
     checks: Sequence[Any],
     advance: Callable[[int], object] = lambda steps: None,
     fits: Mapping[str, SavedFit | str] | None = None,
+    tracks: Mapping[str, BoatTracks] | None = None,
 ) -> Front:
     """The first page: simulate each run free once, and draw the last runs of each boat.
 
     Args:
-        ensemble, seasons, advance, fits: as of `assemble`.
+        ensemble, seasons, advance, fits, tracks: as of `assemble`.
         checks: findings of the data checks, as of `overviews`.
     """
     free = {}
@@ -125,7 +131,8 @@ def front_of(
         each._replace(batch=fit.quantities) if isinstance(fit := (fits or {}).get(each.boat), SavedFit) else each
         for each in overviews(ensemble, seasons, free, checks)
     ]
-    return Front(boats, viewer_data(ensemble, seasons, free), [_picture(ensemble, each) for each in seasons])
+    shown = viewer_data(ensemble, seasons, free, tracks)
+    return Front(boats, shown, [_picture(ensemble, each) for each in seasons])
 
 
 def _picture(ensemble: Ensemble, season: Season) -> Drawn:

@@ -14,7 +14,7 @@ from usvlearn.report.sections.section import Section
 
 TITLE = "What was learned"
 INLINE = 16  # most rows of a table that is shown without a click
-OPEN = ("fit", "identified", "forecast")  # sections that are shown without a click
+OPEN = ("fit", "identified", "forecast", "tracks")  # sections that are shown without a click
 STYLE = Path(__file__).with_name("page.css").read_text()
 SCRIPT = "".join(Path(__file__).with_name(name).read_text() for name in ("viewer_plots.js", "viewer.js"))
 

@@ -23,6 +23,7 @@ from usvlearn.report.page import check_report_folder, write_report
 from usvlearn.report.sections.fit_file import saved_fits
 from usvlearn.report.sections.parameters import Truth
 from usvlearn.report.sections.section import Section
+from usvlearn.report.track_maps import saved_tracks
 from usvlearn.runs.saved import configuration, data_check, read_seasons, results
 
 
@@ -52,6 +53,12 @@ def read(folders: Sequence[Path], tools: Tools, data: Any = None) -> tuple[Ensem
     Raises:
         CheckpointError, ConfigError: the saved files cannot be read, or do not fit the data.
     """
+    ensemble, fleets, truth = _built(folders, tools, data)
+    return ensemble, read_seasons(folders, ensemble, fleets), truth
+
+
+def _built(folders: Sequence[Path], tools: Tools, data: Any) -> tuple[Ensemble, list[Fleet], Truth]:
+    """The ensemble, the aligned logs and the truth; arguments and errors as of `read`."""
     if data is not None and "_target_" not in data:
         raise ConfigError(f"data: found {', '.join(data)} alone, expected a file of configs/data: set data=NAME")
     settings = [configuration(folder, tools.trust) for folder in folders]
@@ -71,7 +78,7 @@ def read(folders: Sequence[Path], tools: Tools, data: Any = None) -> tuple[Ensem
         what = f"{type(error).__name__}: {error}"
         raise CheckpointError(f"{folders[-1]}: its settings cannot be used ({what:.200}): run it again") from error
     truth = tools.truth(sources, last["vehicle"]["mass"]) if data is None else {}  # only for the logs of the runs
-    return ensemble, read_seasons(folders, ensemble, fleets), truth
+    return ensemble, fleets, truth
 
 
 def evaluate(
@@ -103,16 +110,18 @@ def evaluate(
         checks = [data_check(folder) for folder in folders]
         if data is not None and tools.checked is not None:
             align = tools.checked({**configuration(folders[-1], tools.trust), "data": data})
-            ensemble, seasons, truth = read(folders, tools._replace(align=align), data)
+            ensemble, fleets, truth = _built(folders, tools._replace(align=align), data)
             checks = [align.json]
         else:
-            ensemble, seasons, truth = read(folders, tools, data)
+            ensemble, fleets, truth = _built(folders, tools, data)
+        seasons = read_seasons(folders, ensemble, fleets)
         with Activity(tools.console) as activity:
             activity.begin("simulating each checkpoint on each run", total=simulations(ensemble, seasons))
             known = known_quantities(found[-1]) if data is None else {}
             fits = saved_fits(folders, [season.boat for season in seasons]) if data is None else {}
-            sections, errors = assemble(ensemble, seasons, truth, activity.advance, known, fits)
-            front = front_of(ensemble, seasons, checks, activity.advance, fits)
+            tracks = saved_tracks(folders, found, seasons, fleets) if data is None else {}
+            sections, errors = assemble(ensemble, seasons, truth, activity.advance, known, fits, tracks)
+            front = front_of(ensemble, seasons, checks, activity.advance, fits, tracks)
             activity.begin("drawing the report")
             other = "Judged on other logs than those of the runs from which the boats learned."
             notes = [*unfinished, *([] if data is None else [other])]

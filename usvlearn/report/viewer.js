@@ -41,7 +41,7 @@
       const box = axes(canvases.commands, theme, window, sides, "Commands, share of full", true);
       for (const side of ["left", "right"]) curve(box, run, run.of[side], window, data.sides[side], 1.4);
       cursorLine(box, theme, column.cursor);
-      track(canvases.track, theme, column, run.of[error], largest);
+      column.place = track(canvases.track, theme, column, run.of[error], largest, data.colours[own]);
       for (const [name, label] of [["speed", "measured speed, m/s"], ["command", "mean command"]]) {
         const rows = run.bins[`${error} against ${name}`] || [];
         bins(canvases[name], theme, rows, data.colours[own], `Error, m/s, against ${label}`, [-high, high]);
@@ -130,6 +130,19 @@
     });
   }
 
+  /** A click on the track goes to the nearest moment; where a track was forecast, closer, and the next click back. */
+  function pick(column, event) {
+    const { run } = column, box = column.canvases.track.getBoundingClientRect();
+    if (column.near && forecastAt(run, column.cursor)) { column.near = false; later(); return; }
+    let least = Infinity;
+    for (let k = 0; k < run.at.length; k++) {
+      const [x, y] = column.place(k), away = Math.hypot(x - event.clientX + box.left, y - event.clientY + box.top);
+      if (away < least) { least = away; column.cursor = run.at[k]; }
+    }
+    column.near = true;
+    later();
+  }
+
   function element(tag, attributes, ...children) {
     const made = document.createElement(tag);
     for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
@@ -148,12 +161,15 @@
     const made = { run, canvases, window: [...run.ends], cursor: null, readout: element("p", { class: "readout" }) };
     const set = run.learned ? "with the first parameters that were saved, which have learned from it"
       : "with parameters that were saved before it";
+    const ahead = run.ahead?.length ? " Click on the track: it shows the track that was forecast there, with the " +
+      "ellipses of 90 % and where the boat was then. The next click shows the whole track." : "";
     const head = element("h3", {}, `${run.boat}, ${run.name}`);
     made.element = element("div", { class: "column" }, head, area, made.readout,
       element("div", { class: "beside" }, canvas("track", "Track, coloured by the error"),
         canvas("speed", "Error against speed"), canvas("command", "Error against command")),
-      element("p", { class: "facts" }, `The run is simulated ${set}. ${run.track}`));
+      element("p", { class: "facts" }, `The run is simulated ${set}. ${run.track}${ahead}`));
     listen(made, area);
+    canvases.track.addEventListener("click", (event) => pick(made, event));
     return made;
   }
 

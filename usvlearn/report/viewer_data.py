@@ -22,21 +22,29 @@ from usvlearn.display.figures import PAPER, SIDES, colours, main_estimators
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.free_simulation import FreeRun
 from usvlearn.evaluation.season import Season, SeasonRun
+from usvlearn.report.track_maps import Ahead, BoatTracks
 
 BUDGET = 1_500_000  # numbers; 4 MB in a page
 LEVELS = 65534  # of a series
 BINS, FEWEST = 14, 5  # of residuals, and steps without which a bin is left out
+NEAR = 1.2  # s between two points of a forecast track
 LOGGED = "Positions as logged."
 RECKONED = "The log has no positions: the track is reckoned from the measured speed and the heading, so that it drifts."
 
 
-def viewer_data(ensemble: Ensemble, seasons: Sequence[Season], free: Mapping[str, Sequence[FreeRun]]) -> dict[str, Any]:
+def viewer_data(
+    ensemble: Ensemble,
+    seasons: Sequence[Season],
+    free: Mapping[str, Sequence[FreeRun]],
+    tracks: Mapping[str, BoatTracks] | None = None,
+) -> dict[str, Any]:
     """All that the viewer shows, for JSON.
 
     Args:
         ensemble: that was replayed.
         seasons: of all boats.
         free: each boat's open-loop simulations (`usvlearn.evaluation.free_simulation.free_runs`).
+        tracks: of the boats (`usvlearn.report.track_maps.saved_tracks`), shown with the missions that have them.
     """
     own = main_estimators(ensemble.weighed, ensemble.output)
     hidden = [name for name in PAPER if name in ensemble.names and name not in own]
@@ -46,7 +54,7 @@ def viewer_data(ensemble: Ensemble, seasons: Sequence[Season], free: Mapping[str
     total = steps * (8 + 2 * len(shown))
     size = 1 if total <= BUDGET else -(-2 * total // BUDGET)
     runs = [
-        {"boat": season.boat, "name": run.name} | _run(run, made, shown, columns, size)
+        {"boat": season.boat, "name": run.name} | _run(run, made, shown, columns, size, (tracks or {}).get(season.boat))
         for season in seasons
         for run, made in zip(season.runs, free[season.boat], strict=True)
     ]
@@ -54,7 +62,9 @@ def viewer_data(ensemble: Ensemble, seasons: Sequence[Season], free: Mapping[str
     return {**about, "runs": runs}
 
 
-def _run(run: SeasonRun, free: FreeRun, shown: Sequence[str], columns: Sequence[int], size: int) -> dict[str, Any]:
+def _run(
+    run: SeasonRun, free: FreeRun, shown: Sequence[str], columns: Sequence[int], size: int, tracks: BoatTracks | None
+) -> dict[str, Any]:
     known = masks(run.samples, run.surge_limit)
     surge = np.where(run.samples.measured & known.known, run.samples.surge, np.nan)
     counted = np.where(run.steps, run.samples.surge, np.nan)
@@ -85,7 +95,35 @@ def _run(run: SeasonRun, free: FreeRun, shown: Sequence[str], columns: Sequence[
         "time": base64.b64encode(run.time[::size].astype("<f4").tobytes()).decode(),
         "series": series,
         "bins": bins,
+        **_ahead(run, tracks, track),
     }
+
+
+def _ahead(run: SeasonRun, tracks: BoatTracks | None, path: np.ndarray) -> dict[str, Any]:
+    """The tracks that were forecast in this run, from the boat's `path`, m, `(time, 2)`; {} if there are none."""
+    mission = None if tracks is None else tracks.mission
+    if mission is None or mission.run.key != run.key:
+        return {}
+    known = [each for each in mission.ahead if np.isfinite(path[each.step]).all()]
+    return {"ahead": [_track(each, float(run.time[each.step]), path[each.step]) for each in known]}
+
+
+def _track(each: Ahead, time: float, origin: np.ndarray) -> dict[str, Any]:
+    """A track, m, with a point at least each NEAR s, and its ellipses that fit on a map: horizon, index of the
+    centre, semi-axes and bearing.
+    """
+    ends, kept, last = {ellipse.step for ellipse in each.ellipses} | {len(each.time) - 1}, [], 0.0
+    for k, t in enumerate(each.time):
+        if k in ends or t - last >= NEAR - 1e-6:
+            kept.append(k)
+            last = t
+    ellipses = [
+        [ellipse.horizon, 1 + kept.index(ellipse.step), *(round(x, 2) for x in ellipse[2:])] for ellipse in each.drawn
+    ]
+    lines = np.stack([each.north, each.east])[:, kept] + origin[:, None]
+    north, east = np.concatenate([origin[:, None], lines], 1).round(2).tolist()
+    return {"time": round(time, 2), "span": round(float(each.time[-1]), 2), "north": north, "east": east,
+            "ellipses": ellipses}  # fmt: skip
 
 
 def coded(x: np.ndarray) -> list[Any]:

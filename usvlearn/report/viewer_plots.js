@@ -2,6 +2,7 @@
 // What the viewer draws, on canvases, from the numbers in the page (`viewer_data.py` says in which form they are).
 const UNKNOWN = -32768, LEVELS = 65534, GAP = 3; // GAP: s without a number at which a line ends
 const LEFT = 46, RIGHT = 20; // pixels beside a plot, for its labels
+const AHEAD = 15; // s, for which a forecast track is shown
 const ERRORS = [[70, 120, 180], [200, 160, 40], [205, 50, 30]]; // colours from no error to a large one
 
 const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer;
@@ -156,14 +157,29 @@ function shade(share) {
   return `rgb(${ERRORS[k].map((x, j) => Math.round(x + (at - k) * (ERRORS[k + 1][j] - x))).join(" ")})`;
 }
 
-/** The track, coloured by the size of the error within the window, one scale for both runs. */
-function track(canvas, theme, { run, window: [from, to], cursor }, error, largest) {
-  const { north, east } = run.of;
+/** The track that was forecast last at a time, or nothing. */
+function forecastAt(run, time) {
+  const before = time === null ? [] : (run.ahead || []).filter((each) => each.time <= time + run.width);
+  return before.length && time - before[before.length - 1].time < AHEAD ? before[before.length - 1] : null;
+}
+
+/** The track, coloured by the size of the error within the window, one scale for both runs; and a forecast in `fill`.
+ *  Returns where a moment is on the canvas. */
+function track(canvas, theme, { run, window, cursor, near }, error, largest, fill) {
+  const { north, east } = run.of, made = forecastAt(run, cursor), close = near && made;
+  const [from, to] = close ? [made.time - 5, made.time + made.span] : window;
   let [n0, n1, e0, e1] = [Infinity, -Infinity, Infinity, -Infinity];
-  for (let k = 0; k < run.at.length; k++) {
-    if (Number.isNaN(north[k] + east[k])) continue;
-    n0 = Math.min(n0, north[k]); n1 = Math.max(n1, north[k]);
-    e0 = Math.min(e0, east[k]); e1 = Math.max(e1, east[k]);
+  const include = (n, e) => {
+    n0 = Math.min(n0, n); n1 = Math.max(n1, n);
+    e0 = Math.min(e0, e); e1 = Math.max(e1, e);
+  };
+  const [first, last] = close ? [bucket(run, from), bucket(run, to)] : [0, run.at.length];
+  for (let k = first; k < last; k++) if (!Number.isNaN(north[k] + east[k])) include(north[k], east[k]);
+  if (close) {
+    made.north.forEach((n, k) => include(n, made.east[k]));
+    for (const [, k, major] of made.ellipses) {
+      for (const sign of [-1, 1]) include(made.north[k] + sign * major, made.east[k] + sign * major);
+    }
   }
   if (n0 > n1) [n0, n1, e0, e1] = [0, 1, 0, 1];
   const wide = canvas.clientWidth - LEFT - RIGHT, high = canvas.clientHeight - 40;
@@ -171,9 +187,10 @@ function track(canvas, theme, { run, window: [from, to], cursor }, error, larges
   const middle = [(e0 + e1) / 2, (n0 + n1) / 2];
   const box = axes(canvas, theme, [middle[0] - wide * metres / 2, middle[0] + wide * metres / 2],
     [middle[1] - high * metres / 2, middle[1] + high * metres / 2], "Track: m north, m east", false);
-  const dot = (k, fill, size) => {
-    box.g.fillStyle = fill;
-    box.g.fillRect(box.X(east[k]) - size / 2, box.Y(north[k]) - size / 2, size, size);
+  const { g, X, Y } = box;
+  const dot = (k, colour, size) => {
+    g.fillStyle = colour;
+    g.fillRect(X(east[k]) - size / 2, Y(north[k]) - size / 2, size, size);
   };
   for (const inside of [false, true]) {
     for (let k = 0; k < run.at.length; k++) {
@@ -182,7 +199,27 @@ function track(canvas, theme, { run, window: [from, to], cursor }, error, larges
       dot(k, !inside || Number.isNaN(bad) ? theme.line : shade(bad), inside ? 3.5 : 2);
     }
   }
-  if (cursor !== null && run.at.length) dot(Math.min(run.at.length - 1, bucket(run, cursor)), theme.ink, 9);
+  if (made) {
+    g.strokeStyle = g.fillStyle = fill;
+    g.lineWidth = 1.6;
+    g.beginPath();
+    made.north.forEach((n, k) => g.lineTo(X(made.east[k]), Y(n)));
+    g.stroke();
+    for (const [horizon, k, major, minor, bearing] of made.ellipses) {
+      g.beginPath();
+      g.ellipse(X(made.east[k]), Y(made.north[k]), major / metres, minor / metres, bearing - Math.PI / 2, 0, 2 * Math.PI);
+      g.stroke();
+      g.globalAlpha = 0.15;
+      g.fill();
+      g.globalAlpha = 1;
+      const came = bucket(run, made.time + horizon);
+      if (came < run.at.length) dot(came, theme.ink, 6);
+      g.fillStyle = fill;
+    }
+    if (close) dot(Math.min(run.at.length - 1, bucket(run, made.time)), theme.ink, 9);
+  }
+  if (!close && cursor !== null && run.at.length) dot(Math.min(run.at.length - 1, bucket(run, cursor)), theme.ink, 9);
+  return (k) => [X(east[k]), Y(north[k])];
 }
 
 /** Mean error, and the band of 90 % of the errors, against speed or command. */

@@ -1,7 +1,8 @@
 """What learns sway and yaw rate beside a run's ensemble: its checkpoints, which a resumed run goes on from.
 
 They lie in RUN/planar/checkpoints/BOAT, named like those of the ensemble, and hold the ensemble's state, too, so that
-`Online.open(RUN/planar)` forecasts tracks. The newest two of each boat are kept.
+`Online.open(RUN/planar)` forecasts tracks. Of each boat the newest two are kept, and the last of the run before, which
+has not learned from the newest run.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from usvlearn.engine.rollouts import stack
 from usvlearn.errors import CheckpointError
 from usvlearn.estimators.planar.layer import Planar, PlanarState
 from usvlearn.runs.layout import CHECKPOINTS, PLANAR
-from usvlearn.runs.published import BEGIN, Position, stem
+from usvlearn.runs.published import BEGIN, Position, position, stem
 
 ESTIMATOR = "Planar"  # the kind of state in a checkpoint
 KEPT = 2
@@ -58,7 +59,11 @@ def started(
 
 
 def forget(folder: Path, boats: Sequence[str]) -> None:
-    """Remove all but the newest checkpoints of each boat."""
+    """Remove all but the newest checkpoints of each boat, and the last of its run before."""
     for boat in boats:
-        for old in checkpoints(folder / PLANAR / CHECKPOINTS / boat)[:-KEPT]:
-            old.unlink(missing_ok=True)
+        paths = [path for path in checkpoints(folder / PLANAR / CHECKPOINTS / boat) if position(path) is not None]
+        runs = [at.run for at in map(position, paths) if at is not None]
+        before = [path for path, run in zip(paths, runs, strict=True) if run < runs[-1]]
+        for old in paths[:-KEPT]:
+            if old not in before[-1:]:
+                old.unlink(missing_ok=True)

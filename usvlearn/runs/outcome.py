@@ -8,11 +8,12 @@ from typing import Any
 from usvlearn.core.samples import Fleet
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.state import EnsembleState
+from usvlearn.estimators.planar.layer import Planar, PlanarState
 from usvlearn.evaluation.by_run import as_csv, one_step_sums, run_errors
 from usvlearn.evaluation.events import events
 from usvlearn.evaluation.free_simulation import FreeErrors, free_errors, has_halves, middle
 from usvlearn.evaluation.horizons import ensemble_sums, horizon_scores
-from usvlearn.evaluation.identification import Truth, as_results, identified_boats
+from usvlearn.evaluation.identification import Truth, as_results, identified_boats, identified_planar_boats
 from usvlearn.evaluation.measure import measure_of
 from usvlearn.evaluation.metrics import fleet_scores
 from usvlearn.evaluation.networks import verdicts
@@ -29,6 +30,8 @@ def judged(
     truth: Truth,
     objective: Any = None,
     horizons: Sequence[float] = (),
+    planar: Planar | None = None,
+    beside: PlanarState | None = None,
 ) -> tuple[dict[str, Any], str]:
     """Scores, events, what was identified, the networks' verdicts, the objective; and the errors of each run, as CSV.
 
@@ -41,12 +44,17 @@ def judged(
         truth: of simulated boats, to be written beside what was identified.
         objective: of the configuration.
         horizons: of tracks, s, if there are any.
+        planar, beside: what learned sway and yaw rate, and its state at the end; None: nothing did.
     """
+    if planar is None or beside is None:
+        boats = identified_boats(ensemble, state, fleet.boats)
+    else:
+        boats = identified_planar_boats(planar, beside, fleet.boats)
     found: dict[str, Any] = {
         "boats": fleet_scores(fleet, published.only("predictions", "halfwidths"), ensemble.names, ensemble.surge_limit),
         "events": events(fleet, published.only("thrusters", "health"), ensemble.accommodated),
         "rejected": fleet.rejected,
-        **as_results(identified_boats(ensemble, state, fleet.boats), truth),
+        **as_results(boats, truth),
     }
     if (ahead := ensemble_sums(ensemble, fleet, published.only("forecasts", "forecast_halfwidths"))) is not None:
         found["forecast"] = horizon_scores(ahead, fleet.boats)

@@ -227,8 +227,9 @@ class RunFolder:
         self._wait()
         objective = self.metadata.get("configuration", {}).get("objective")
         found, errors = judged(
-            ensemble, self.fleet, self.state, self.published, self._after, truth, objective, self._horizons
-        )
+            ensemble, self.fleet, self.state, self.published, self._after, truth, objective, self._horizons,
+            self._planar, self.beside,
+        )  # fmt: skip
         return found | self._checked | {"seconds": time.perf_counter() - began}, errors
 
     def _after(self, runs: int) -> EnsembleState | None:

@@ -12,11 +12,12 @@ import time
 import pytest
 
 from tests.support import ROOT, few
-from tests.support.live import boat, messages
+from tests.support.live import boat, messages, planar_set
 from tests.support.moos_app import ASK, NAMES, SCALE, at_sea, prior, ready, until
 from tests.support.moosdb import Moosdb
 from usvlearn.live.moos.block import MIDDLEWARE
 from usvlearn.live.session import Session
+from usvlearn.live.start import Options
 from usvlearn.live.status import posts
 from usvlearn.live.status.status_file import status_lines
 
@@ -229,3 +230,25 @@ def test_a_signal_saves_and_leaves(tmp_path, number):
     assert [each.text for each in database.posted if each.key == "EXITED_NORMALLY"] == ["pLearn"]
     assert "starting from the prior" in said and "saved; ends" in said
     assert len(list((tmp_path / "node").glob("live_*.safetensors"))) == 1
+
+
+def test_a_node_that_makes_tracks_posts_them_and_answers_a_plan_by_one(tmp_path):
+    """It subscribes to positions, and does not wait for them."""
+
+    async def work():
+        async with at_sea(Options(tmp_path / "node", planar_set(tmp_path / "run", reader=None))) as sea:
+            await ready(sea)
+            await sea.steps(20)
+            await until(lambda: sea.posted("USV_TRACK"))
+            sea.database.post("USVLEARN_PLAN", '{"id": 5, "t": [0], "left": [0.4], "right": [0.4]}')
+            await until(lambda: sea.posted("USV_PLAN_FORECAST"))
+            return sea
+
+    sea = asyncio.run(work())
+    assert {"NAV_X", "NAV_Y"} <= set(sea.app.client.registered)
+    rows = [dict(row.split("=") for row in each.text.split(",")) for each in sea.posted("USV_TRACK")]
+    assert len(rows) > 20 and all(list(row) == ["2", "5.2", "10", "30"] for row in rows)
+    north, east = map(float, rows[-1]["10"].split(":")[:2])
+    assert 1.0 < math.hypot(north, east) < 30.0
+    found = json.loads(sea.posted("USV_PLAN_FORECAST")[0].text)
+    assert found["id"] == 5 and len(found["north"]) == 75 and found["t"][-1] == 30.0

@@ -5,15 +5,19 @@
 
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from tests.support import over
 from tests.support.ros2 import NotedSession, health, like_rclpy, rclpy_class
+from usvlearn.core.plans import Track
 from usvlearn.errors import ConfigError, LogFormatError
-from usvlearn.live.ros2.inputs import NS, Messages, plan
+from usvlearn.live.ros2 import shell
+from usvlearn.live.ros2.inputs import AUXILIARY, NS, Messages, plan
 from usvlearn.live.ros2.outputs import CLASSES, UNKNOWN, Outputs, message_class
+from usvlearn.live.track_points import Point
 from usvlearn.logs.channels.channel import Source
 from usvlearn.logs.formats.ros.message_fields import FIELDS, default_field, read_field
 from usvlearn.logs.formats.ros.rosbag import Rosbag
@@ -337,3 +341,57 @@ def test_parameters_are_json_without_nan(out):
     content = json.loads(out.parameters(START, told).data, parse_constant=pytest.fail)
     assert content["identified"] == {"lag": {"value": 1.0, "low": None, "high": None, "unit": "s"}}
     assert content["contraction"] == {"rnn": {"contracting": False, "rate": None}}
+
+
+# tracks
+
+
+class Noted:
+    """A node of rclpy that keeps what is published, without rclpy."""
+
+    def __init__(self):
+        self.published: dict[str, list] = {}
+
+    def create_publisher(self, kind, topic, depth):
+        kept = self.published.setdefault(topic, [])
+        return SimpleNamespace(publish=lambda message: kept.append((kind.__name__, message)))
+
+
+def track():
+    """Of two steps: 3 m north and 1 m east with heading 0, then to the east; the second ellipse is not known."""
+    one = np.ones(2)
+    covariance = np.array([[[4.0, 0.5], [0.5, 1.0]], np.full((2, 2), np.inf)])
+    return Track(
+        np.array([0.4, 0.8]), one, 0 * one, 0 * one, np.array([0.0, np.pi / 2]), np.array([3.0, 4.0]),
+        np.array([1.0, 2.0]), covariance,
+    )  # fmt: skip
+
+
+def test_a_track_points_east_and_north(monkeypatch):
+    """A boat that heads north has a yaw of 90 degrees from east, counter-clockwise; variances follow the axes."""
+    monkeypatch.setattr(shell, "message_class", rclpy_class)
+    types = {name: rclpy_class(f"{package}/msg/{name}") for name, package in CLASSES.items()}
+    node, one = Noted(), object.__new__(shell.Shell)
+    one._node, one._types, one._dt, one._publishers, one._outputs = node, types, 0.4, {}, Outputs(types, "hull")
+    point = Point(0.0, 0.0, 0.0, math.inf, math.inf, 0.0)
+    step = SimpleNamespace(time=START + 0.5, track=track(), places={0.4: point, 0.8: point})
+    one._publish_track(step)
+    one._publish_track(step)
+    ((kind, path), _), places = node.published["~/track"], node.published["~/track_pose"]
+    assert kind == "Path" and [name for name, _ in places] == ["PoseWithCovarianceStamped"] * 4
+    assert path.header.frame_id == path.poses[1].header.frame_id == "hull_enu" and len(path.poses) == 2
+    assert (path.header.stamp.nanosec, path.poses[0].header.stamp.nanosec) == (500_000_000, pytest.approx(9e8, abs=1e3))
+    first, second = (message for _, message in places[:2])
+    assert (first.pose.pose.position.x, first.pose.pose.position.y) == (1.0, 3.0)
+    turned = read_field(path.poses[0], "pose.orientation", "heading"), read_field(second, "pose.pose.orientation", "")
+    assert turned == (pytest.approx(math.pi / 2), pytest.approx(0.0))
+    C = np.reshape(first.pose.covariance, (6, 6))
+    assert C[:2, :2].tolist() == [[1.0, 0.5], [0.5, 4.0]] and (np.diag(C)[2:] == UNKNOWN).all()
+    assert (np.diag(np.reshape(second.pose.covariance, (6, 6))) == UNKNOWN).all()
+
+
+def test_the_position_that_tracks_need_is_that_of_an_odometry():
+    message = odometry(0.0)
+    message.pose.pose.position.x, message.pose.pose.position.y = 5.0, 7.0
+    found = {part: read_field(message, given["field"], part) for part, given in AUXILIARY.items()}
+    assert found == {"north": 7.0, "east": 5.0}

@@ -16,7 +16,7 @@ from usvlearn.logs.channels.channel import CHANNELS, Channel, Source
 
 
 def test_grid_of_a_clean_log():
-    time, samples, rejected = align(log())
+    time, samples, rejected, _ = align(log())
     np.testing.assert_allclose(time, 0.4 * np.arange(11), atol=1e-9)
     assert samples.inputs.dt[0] == 0 and not samples.fresh[0]  # the first speed opens the segment
     assert samples.fresh[1:].all() and samples.measured[1:].all()
@@ -79,7 +79,7 @@ def test_delayed_inputs_are_seen_later_never_earlier():
 def test_stale_steps_are_held_and_the_next_speed_starts_anew():
     time = np.arange(41) / 10
     gap = (time < 1.05) | (time > 1.95)  # no commands from 1.1 to 1.9 s
-    _, samples, rejected = align(log(command_left=channel(time[gap], 0.5)))
+    _, samples, rejected, _ = align(log(command_left=channel(time[gap], 0.5)))
     # the targets at 1.6 and 2.0 s lie behind more than 0.2 s of silence, the one at 1.2 s does not yet
     assert samples.fresh.tolist() == [False, True, True, True, False, False, *[True] * 5]
     assert (samples.inputs.dt[[4, 5]] == 0).all()  # the speed was there: it opens a segment each time
@@ -97,7 +97,7 @@ def test_held_channels_do_not_go_stale_unless_declared_otherwise():
 def test_missing_speeds_coast_and_count():
     time = np.arange(41) / 10
     few = channel(time[::10], 0.1 * time[::10])  # 1 Hz
-    _, samples, rejected = align(log(surge=few))
+    _, samples, rejected, _ = align(log(surge=few))
     assert samples.fresh[1:].all() and 0 < samples.measured.sum() < 6
     assert np.isnan(samples.surge[~samples.measured & samples.fresh]).all()
     assert rejected == {"surge": {"stale": int((~samples.measured).sum() - 1)}}
@@ -109,7 +109,7 @@ def test_messages_beyond_the_limits_and_without_numbers_are_counted():
     speed[5], speed[6], command[7] = 99.0, math.nan, -1.3
     channels = log(surge=channel(time, speed), command_left=channel(time, command),
                    yaw_rate=channel(time, np.where(time == 1.0, 9.0, 0.1)))  # fmt: skip
-    _, samples, rejected = align(channels)
+    _, samples, rejected, _ = align(channels)
     assert rejected == {"surge": {"out_of_range": 1, "not_a_number": 1}, "command_left": {"out_of_range": 1},
                         "yaw_rate": {"out_of_range": 1}}  # fmt: skip
     assert np.nanmax(samples.surge) < 5 and samples.measured[1:].all()
@@ -119,7 +119,7 @@ def test_a_heading_that_is_no_angle_is_counted():
     """Less its whole turns, 1e30 is a rounding error. A compass that counts turns is fine."""
     time = np.arange(41) / 10
     turns = np.where(time == 1.0, 1e30, 6283.0 + 0.1 * time)
-    _, samples, rejected = align(log(heading=channel(time, turns)))
+    _, samples, rejected, _ = align(log(heading=channel(time, turns)))
     assert rejected == {"heading": {"out_of_range": 1}}
     np.testing.assert_allclose(samples.inputs.yaw_rate[2:], 0.1, atol=1e-9)
 
@@ -131,7 +131,7 @@ def test_stamps_that_repeat_or_run_backwards():
     time[11], value[11] = time[10], value[10]  # an exact duplicate
     time[13], value[13] = time[12], 0.7  # one stamp, two values: the later one stands
     time[15] = 0.95  # back by half a second
-    _, samples, rejected = align({**channels, "surge": speed._replace(time=time, value=value)})
+    _, samples, rejected, _ = align({**channels, "surge": speed._replace(time=time, value=value)})
     assert rejected["surge"] == {"duplicate": 1, "repeated": 1, "backwards": 1}
     assert samples.surge[3] == 0.7 and samples.measured[1:].all()
 
@@ -140,7 +140,7 @@ def test_stray_stamps_from_another_clock_do_not_move_the_grid():
     channels = log()
     time = channels["heading"].time.copy()
     time[20], time[30] = -67301.668, 1e9
-    stamps, samples, rejected = align({**channels, "heading": channels["heading"]._replace(time=time)})
+    stamps, samples, rejected, _ = align({**channels, "heading": channels["heading"]._replace(time=time)})
     assert rejected["heading"] == {"backwards": 1, "ahead": 1}
     np.testing.assert_allclose(stamps, 0.4 * np.arange(11), atol=1e-9)
     assert samples.measured[1:].all()
@@ -150,7 +150,7 @@ def test_a_stray_speed_from_the_future_is_set_aside():
     channels = log()
     time = channels["surge"].time.copy()
     time[22] = 1e9
-    stamps, samples, rejected = align({**channels, "surge": channels["surge"]._replace(time=time)})
+    stamps, samples, rejected, _ = align({**channels, "surge": channels["surge"]._replace(time=time)})
     assert rejected["surge"] == {"ahead": 1} and stamps[-1] <= 4.0 + 1e-6
     assert samples.measured[1:].all()
 
@@ -159,7 +159,7 @@ def test_one_channel_with_a_late_clock_does_not_reset_the_grid():
     """Only messages of several channels together tell that the clock was set back."""
     channels = log(yaw_rate=channel(np.arange(41) / 10, 0.2))
     skewed = channels["yaw_rate"]._replace(time=channels["yaw_rate"].time - 1.5, order=channels["yaw_rate"].order)
-    _, samples, rejected = align({**channels, "yaw_rate": skewed})
+    _, samples, rejected, _ = align({**channels, "yaw_rate": skewed})
     assert rejected["yaw_rate"]["backwards"] > 20 and (samples.inputs.dt == 0).sum() <= 11
     assert len(samples.surge) == 11
 
@@ -171,7 +171,7 @@ def test_what_is_held_stands_through_an_outage():
                          value=np.concatenate([c.value, second[name].value]))
         for name, c in first.items()
     } | {name: channel([0.0], 0.5, held=True) for name in ("command_left", "command_right")})  # fmt: skip
-    _, samples, _ = align(both)
+    _, samples, *_ = align(both)
     assert samples.measured.sum() == 20
     np.testing.assert_array_equal(samples.inputs.command_left[samples.fresh], 0.5)
 
@@ -187,7 +187,7 @@ def test_a_speed_after_long_silence_opens_a_segment():
     """Twenty seconds of drift are not one step to learn from."""
     time = np.arange(301) / 10
     speed = time[(time < 4.05) | (time > 24.0)]
-    _, samples, _ = align(log(30.0, surge=channel(speed, 0.1 * speed)))
+    _, samples, *_ = align(log(30.0, surge=channel(speed, 0.1 * speed)))
     back = int(np.flatnonzero(samples.inputs.dt == 0)[-1])
     assert samples.surge[back] == pytest.approx(2.4, abs=0.05) and not samples.measured[back]
     assert samples.measured[back + 1 :].all() and samples.fresh[11:back].all()
@@ -203,7 +203,7 @@ def test_a_clock_that_is_set_back_starts_a_new_segment():
         )
         for name, c in first.items()
     }
-    stamps, samples, _ = align(both)
+    stamps, samples, *_ = align(both)
     assert samples.measured.sum() >= 2 * 10 - 1
     assert (samples.inputs.dt == 0).sum() == 2 and (np.diff(stamps) < 0).sum() == 1
 
@@ -240,7 +240,7 @@ def test_an_outage_emits_nothing_and_starts_anew():
         )
         for name, c in first.items()
     })  # fmt: skip
-    stamps, samples, _ = align(both)
+    stamps, samples, *_ = align(both)
     assert len(stamps) == 22 and (samples.inputs.dt == 0).sum() == 2
     assert samples.measured.sum() == 20
 
@@ -249,7 +249,7 @@ def test_bursts_do_not_make_a_wild_yaw_rate():
     """Two headings 0.2 ms apart with 0.01 rad between them are 50 rad/s only to a naive difference."""
     time = np.sort(np.concatenate([np.arange(41) / 10, np.arange(41) / 10 + 2e-4]))
     heading = 0.2 * time + 0.01 * (np.arange(82) % 2)
-    _, samples, rejected = align(log(heading=channel(time, heading)))
+    _, samples, rejected, _ = align(log(heading=channel(time, heading)))
     assert np.abs(samples.inputs.yaw_rate[1:] - 0.2).max() < 0.05 and "yaw_rate" not in rejected
 
 
@@ -265,7 +265,7 @@ def test_heading_turns_through_north():
 def test_a_heading_that_jumps_about_is_rejected():
     time = np.arange(41) / 10
     random = np.random.default_rng(0).uniform(0, 2 * math.pi, 41)
-    _, samples, rejected = align(log(heading=channel(time, random)))
+    _, samples, rejected, _ = align(log(heading=channel(time, random)))
     assert rejected["yaw_rate"]["out_of_range"] > 0
     assert np.abs(samples.inputs.yaw_rate[samples.fresh]).max() <= 3.0
 
@@ -304,11 +304,16 @@ def test_a_boat_that_forgets_makes_the_samples_of_a_whole_log_bit_for_bit(inputs
     channels["surge"] = channels["surge"]._replace(period=0.3)
     whole, live = (Aligner(channels, inputs=inputs, patience=patience, steps=steps) for _ in range(2))
     rows = whole.feed(which, stamps, values, flush=True)
-    pushed = [done for c, t, x in zip(which, stamps, values, strict=True) for done in live.push(CHANNELS[c], t, x)]
+    pushed, came = [], []
+    for k, (c, t, x) in enumerate(zip(which, stamps, values, strict=True)):
+        pushed += live.push(CHANNELS[c], t, x)
+        came += [k] * (len(pushed) - len(came))
     pushed += live.flush()
+    came += [count] * (len(pushed) - len(came))
     assert len(rows) > 200 and whole.rejected == live.rejected and len(whole.rejected) == len(CHANNELS)
     assert whole.rejected["surge"]["copied"] > 10
-    np.testing.assert_array_equal(np.array([(t, *s.inputs, *s[1:]) for t, s in pushed], dtype=float), rows)
+    expected = np.array([(t, *s.inputs, *s[1:], k) for (t, s), k in zip(pushed, came, strict=True)], dtype=float)
+    np.testing.assert_array_equal(expected, rows)
     assert live._times.shape[1] < 1000  # it holds seconds, not the log
 
 

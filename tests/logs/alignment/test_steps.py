@@ -19,7 +19,7 @@ def jittered(seconds: float, hz: float, seed: int = 0) -> np.ndarray:
 @pytest.mark.parametrize("hz", [5, 9, 20, 100])
 def test_each_step_ends_at_the_first_speed_at_least_dt_later(hz):
     stamps = jittered(60, hz)
-    time, samples, rejected = align(log(stamps[-1], surge=channel(stamps, 0.1 * stamps, window=0.3)), steps="speed")
+    time, samples, rejected, _ = align(log(stamps[-1], surge=channel(stamps, 0.1 * stamps, window=0.3)), steps="speed")
     expected = [stamps[0]]
     while len(later := stamps[stamps >= expected[-1] + 0.4]):
         expected.append(later[0])
@@ -35,14 +35,14 @@ def test_a_mean_covers_exactly_the_time_between_two_speeds():
     ramp = np.arange(16) / 10
     commands = {f"command_{side}": channel(ramp, ramp / 2) for side in ("left", "right")}
     for steps, mean in (("speed", (0.5 + 0.6 + 0.7 + 0.8 + 0.9) / 10), ("grid", (0.4 + 0.5 + 0.6 + 0.7) / 8)):
-        _, samples, _ = align(log(1.5, surge=speeds, **commands), steps=steps)
+        _, samples, *_ = align(log(1.5, surge=speeds, **commands), steps=steps)
         assert samples.inputs.command_left[2] == pytest.approx(mean)
 
 
 def test_where_no_speed_comes_a_step_has_the_length_of_the_grid():
     stamps = np.arange(41) / 10
     there = stamps[(stamps < 1.05) | (stamps > 2.95)]
-    time, samples, _ = align(log(4.0, surge=channel(there, 0.1 * there)), steps="speed")
+    time, samples, *_ = align(log(4.0, surge=channel(there, 0.1 * there)), steps="speed")
     np.testing.assert_allclose(np.diff(time), samples.inputs.dt[1:], atol=1e-9)
     missing = samples.fresh & ~samples.measured
     assert missing.sum() >= 3 and np.isnan(samples.surge[missing]).all()
@@ -52,7 +52,7 @@ def test_where_no_speed_comes_a_step_has_the_length_of_the_grid():
 
 def test_a_slow_speed_is_met_exactly_within_its_window():
     stamps = np.arange(30.0)
-    time, samples, _ = align(log(30.0, surge=channel(stamps, 1 + 0.01 * stamps, window=0.4)), steps="speed")
+    time, samples, *_ = align(log(30.0, surge=channel(stamps, 1 + 0.01 * stamps, window=0.4)), steps="speed")
     assert set(np.round(time[samples.measured], 9)) == set(stamps[1:])
 
 

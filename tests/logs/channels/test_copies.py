@@ -112,7 +112,7 @@ def test_a_speed_that_stays_is_measured_again_and_cuts_no_segment(hz):
     for speed, least in ((0.0, 1.0), (1.0, 0.85)):
         channels = log(120, hz)
         surge = channels["surge"]._replace(value=np.full(len(channels["surge"].time), speed), period=0.2)
-        _, samples, rejected = align({**channels, "surge": surge})
+        _, samples, rejected, _ = align({**channels, "surge": surge})
         assert samples.measured[1:].mean() >= least and (samples.inputs.dt == 0).sum() == 1
         assert ("copied" in rejected.get("surge", {})) == (speed > 0)
 

@@ -28,6 +28,7 @@ MIDDLEWARE = Middleware(
         "heading": {"name": "NAV_HEADING", "unit": "deg"},
         "surge": {"name": "NAV_SPEED", "unit": "m/s"},
     },
+    {"north": {"name": "NAV_Y", "unit": "m"}, "east": {"name": "NAV_X", "unit": "m"}},
 )
 NODE = ("folder", "start", "mass", "surge_max", "channels", "boat", "save_period", "keep", "patience", "tensorboard")
 SWITCHES = ("record", "members")
@@ -212,6 +213,8 @@ def interface() -> str:
     """The variables that the app subscribes to and publishes, as text."""
     lines = ["Subscribed, unless the checkpoint or the mission file names others:"]
     lines += [f"  {each['name']:<24} {part}, {each['unit']}" for part, each in MIDDLEWARE.channels.items()]
+    tracks = "of a node that makes tracks"
+    lines += [f"  {each['name']:<24} {part}, {each['unit']}; {tracks}" for part, each in MIDDLEWARE.auxiliary.items()]
     lines += [
         f"  {'APPCAST_REQ':<24} who asks for AppCasts",
         f"  {PLAN:<24} a plan: {PREFIX}{PLANNED} answers it",

@@ -25,6 +25,10 @@ DEFAULTS: dict[str, dict[str, Any]] = {
     "yaw_rate": {"name": "*odometry/filtered", "unit": "enu_rad/s"},
     "surge": {"name": "*odometry/filtered", "unit": "m/s"},
 }
+AUXILIARY: dict[str, dict[str, Any]] = {  # likewise, of a node that makes tracks
+    "north": {"name": "*odometry/filtered", "field": "pose.pose.position.y", "unit": "m"},
+    "east": {"name": "*odometry/filtered", "field": "pose.pose.position.x", "unit": "m"},
+}
 
 
 class Plan(NamedTuple):

@@ -8,11 +8,13 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from usvlearn.core.plans import Track
 from usvlearn.errors import ConfigError
 from usvlearn.live.ros2.inputs import NS
 
 NORMAL90 = 1.6448536269514722  # half-width of a 90 % interval over the standard deviation
-UNKNOWN = 1e6  # (m/s)^2 or (rad/s)^2: the variance of what is not known, which a filter then ignores
+ENU = "_enu"  # behind the name of the boat's frame: the frame of tracks, which does not turn with the boat
+UNKNOWN = 1e6  # (m/s)^2, (rad/s)^2, m^2 or rad^2: the variance of what is not known, which a filter then ignores
 DIAGONAL = range(0, 36, 7)  # of a 6 x 6 covariance
 NAME = "usvlearn"
 WARN = b"\x01"
@@ -26,6 +28,11 @@ CLASSES = {  # type -> package
     "DiagnosticArray": "diagnostic_msgs",
     "DiagnosticStatus": "diagnostic_msgs",
     "KeyValue": "diagnostic_msgs",
+}
+TRACK_CLASSES = {  # likewise, of a node that makes tracks
+    "Path": "nav_msgs",
+    "PoseStamped": "geometry_msgs",
+    "PoseWithCovarianceStamped": "geometry_msgs",
 }
 
 
@@ -50,7 +57,7 @@ class Outputs:
     """Makes messages.
 
     Args:
-        types: name -> class, those of `CLASSES`.
+        types: name -> class, those of `CLASSES`; for tracks those of `TRACK_CLASSES`, too.
         frame: of the boat, as in the `child_frame_id` of its odometry.
     """
 
@@ -92,6 +99,40 @@ class Outputs:
         """The surge at each horizon: rows of horizon (s), surge, low, high (m/s), and the ends if commands stay."""
         rows = [(horizon, *found, *if_held[horizon][1:]) for horizon, found in sorted(forecasts.items())]
         return self.table(rows, "horizon", "horizon_s,surge,low,high,low_if_held,high_if_held")
+
+    def path(self, stamp: float, track: Track) -> Any:
+        """Where the boat will be at the end of each step, as a Path; its frame is that of `place`."""
+        message = self._types["Path"]()
+        message.header.stamp, message.header.frame_id = self.time(stamp), self._frame + ENU
+        message.poses = [self._types["PoseStamped"]() for _ in track.time]
+        for k, each in enumerate(message.poses):
+            self._put(each, each.pose, stamp, track, k)
+        return message
+
+    def place(self, stamp: float, track: Track, k: int) -> Any:
+        """Where the boat will be after a step, numbered from 0, as a PoseWithCovarianceStamped.
+
+        Its origin is where the boat is at `stamp`, s, x points east, y north, and the yaw counts from east, counter-
+        clockwise. What is not known has the variance `UNKNOWN`.
+        """
+        message = self._types["PoseWithCovarianceStamped"]()
+        self._put(message, message.pose.pose, stamp, track, k)
+        (north, both), (_, east) = track.covariance[k].tolist()
+        known = math.isfinite(north) and math.isfinite(east)
+        for place in DIAGONAL:
+            message.pose.covariance[place] = UNKNOWN
+        if known:
+            for place, value in ((0, east), (1, both), (6, both), (7, north)):
+                message.pose.covariance[place] = value
+        return message
+
+    def _put(self, message: Any, pose: Any, stamp: float, track: Track, k: int) -> None:
+        """Fill header, position and orientation."""
+        message.header.stamp = self.time(stamp + float(track.time[k]))
+        message.header.frame_id = self._frame + ENU
+        pose.position.x, pose.position.y = float(track.east[k]), float(track.north[k])
+        yaw = math.pi / 2 - float(track.heading[k])
+        pose.orientation.z, pose.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
 
     def members(self, members: Mapping[str, float]) -> Any:
         """The prediction of each member, m/s; the label of the second dimension names them."""

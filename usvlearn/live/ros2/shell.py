@@ -21,8 +21,8 @@ from typing import Any
 
 from usvlearn.errors import ConfigError
 from usvlearn.live.arguments import add_arguments, options_of
-from usvlearn.live.ros2.inputs import DEFAULTS, NS, Messages, plan
-from usvlearn.live.ros2.outputs import CLASSES, NAME, Outputs, message_class
+from usvlearn.live.ros2.inputs import AUXILIARY, DEFAULTS, NS, Messages, plan
+from usvlearn.live.ros2.outputs import CLASSES, NAME, TRACK_CLASSES, Outputs, message_class
 from usvlearn.live.ros2.parameters import given_by, with_parameters
 from usvlearn.live.session import Session
 from usvlearn.live.start import Middleware
@@ -82,8 +82,8 @@ class Shell:
         self._dt = float(session.setup.align["dt"])  # s
         simulated = bool(node.get_parameter("use_sim_time").value)
         self._messages = Messages(session, clock, simulated)
-        types = {name: message_class(f"{package}/msg/{name}") for name, package in CLASSES.items()}
-        self._outputs = Outputs(types, frame_id)
+        self._types = {name: message_class(f"{package}/msg/{name}") for name, package in CLASSES.items()}
+        self._outputs, types = Outputs(self._types, frame_id), self._types
         self._listen = qos.QoSProfile(
             depth=QUEUE, reliability=qos.ReliabilityPolicy.BEST_EFFORT, durability=qos.DurabilityPolicy.VOLATILE
         )
@@ -173,6 +173,8 @@ class Shell:
                 send["next"].publish(out.speed(step.time + self._dt, step.next, step.next_low, step.next_high))
             if step.forecasts:
                 send["forecast"].publish(out.forecast(step.forecasts, step.if_held))
+            if step.track is not None:
+                self._publish_track(step)
             if "members" in send and step.members:
                 send["members"].publish(out.members(step.members))
             for event in step.events:
@@ -180,6 +182,20 @@ class Shell:
                 if event.is_alarm:
                     send["alarm"].publish(out.text(event.sentence))
                 self._node.get_logger().warning(event.sentence)
+
+    def _publish_track(self, step: Any) -> None:
+        """Publish where the boat will be; the topics are made with the first track."""
+        if "track" not in self._publishers:
+            made = {name: message_class(f"{package}/msg/{name}") for name, package in TRACK_CLASSES.items()}
+            self._types.update(made)
+            for key, topic, name in (
+                ("track", "~/track", "Path"), ("place", "~/track_pose", "PoseWithCovarianceStamped"),
+            ):  # fmt: skip
+                self._publishers[key] = self._node.create_publisher(made[name], topic, DEPTH)
+        self._publishers["track"].publish(self._outputs.path(step.time, step.track))
+        for horizon in step.places:
+            k = max(round(horizon / self._dt), 1) - 1
+            self._publishers["place"].publish(self._outputs.place(step.time, step.track, k))
 
     def plan(self, message: Any) -> None:
         """Answer a plan."""
@@ -275,7 +291,7 @@ def main(arguments: Sequence[str]) -> int:
         node = rclpy.create_node(NAME, automatically_declare_parameters_from_overrides=True)
         parameters = given_by({name: each.value for name, each in node.get_parameters_by_prefix("").items()})
         node.add_on_set_parameters_callback(_refuse)
-        session = Session(with_parameters(options, parameters), Middleware("ros2", READER, DEFAULTS))
+        session = Session(with_parameters(options, parameters), Middleware("ros2", READER, DEFAULTS, AUXILIARY))
         node.get_logger().info(session.sentence)
         if not any(os.environ.get(name) for name in BOUND):
             node.get_logger().info(OPEN)

@@ -11,6 +11,7 @@ from usvlearn.live.node import Step
 
 WIDTH = 78
 QUANTITIES = ("steady_speed_full", "time_constant", "stopping_distance", "thrust_ratio")  # those that are shown
+FAR = 10.0  # s: the place that is shown is that of the first horizon from there on
 COUNTED = 6  # channels with rejected messages
 
 
@@ -53,6 +54,11 @@ def _speeds(step: Step) -> list[str]:
         _, low, high = step.if_held[horizon]
         stays = f", ({low:.2f} ... {high:.2f}) if commands stay" if math.isfinite(low) else ""
         found.append(_line(f"In {horizon:g} s", f"{_interval(*each)} m/s{stays}"))
+    if step.places:
+        horizon, place = next((item for item in step.places.items() if item[0] >= FAR), [*step.places.items()][-1])
+        size = f", within {place.major:.1f} x {place.minor:.1f} m" if math.isfinite(place.major) else ""
+        where = f"{place.north:.1f} m north, {place.east:.1f} m east, heading {place.heading:.0f} deg"
+        found.append(_line(f"Track {horizon:g} s", where + size))
     return found
 
 

@@ -30,7 +30,7 @@ class Published(NamedTuple):
 
 
 STEP, SECOND, SELDOM, RAISED, ASKED = "each step", "each second", "every 5 s", "when raised", "on a plan"
-PLANNED = "PLAN_FORECAST"  # the answer to a plan
+PLANNED, TRACK = "PLAN_FORECAST", "TRACK"  # the answer to a plan; where the boat will be
 TABLE = (
     Published("SPEED_PRED", NUMBER, "m/s", STEP, "predicted speed of the sample that was just measured", "USV_PRED"),
     Published("SPEED_LOW", NUMBER, "m/s", STEP, "lower end of its 90 % interval", "USV_LOW"),
@@ -43,7 +43,10 @@ TABLE = (
     Published("FORECAST", TEXT, "s: m/s", STEP,
               "speeds under the commands in force, intervals whatever is commanded: 10=1.23:1.10:1.36,…"),
     Published("FORECAST_IF_HELD", TEXT, "s: m/s", STEP, "the same, intervals where the commands stay"),
-    Published(PLANNED, TEXT, "s: m/s", ASKED, "speeds under a plan that was posted, or why there are none"),
+    Published(TRACK, TEXT, "s: m, deg", STEP,
+              "places if the commands stay: north, east, heading and ellipse, 10=9.80:1.20:8.5:1.10:0.60:95.0,…"),
+    Published(PLANNED, TEXT, "s: m/s", ASKED,
+              "speeds, or places as above, under a plan that was posted, or why there are none"),
     Published("MEMBERS", TEXT, "m/s", STEP, "prediction of each member and combiner, where members are asked for"),
     Published("ALARM", TEXT, "", RAISED, "a thruster has lost thrust, and how much of it is left"),
     Published("EVENT", TEXT, "", RAISED, "the same, what the filters got, a recovery, or another change of the boat"),
@@ -73,6 +76,9 @@ def of_step(step: Step, members: bool = False) -> list[Post]:
     for name, forecasts in (("FORECAST", step.forecasts), ("FORECAST_IF_HELD", step.if_held)):
         if forecasts:
             found.append(Post(name, ",".join(f"{horizon:g}={_ends(each)}" for horizon, each in forecasts.items())))
+    places = {horizon: point for horizon, point in step.places.items() if all(map(math.isfinite, point[:3]))}
+    if places:
+        found.append(Post(TRACK, ",".join(f"{horizon:g}={point.text}" for horizon, point in places.items())))
     if members and step.members:
         found.append(Post("MEMBERS", ",".join(f"{name}={value:.3f}" for name, value in step.members.items())))
     found += [Post("ALARM", event.sentence) for event in step.events if event.is_alarm]

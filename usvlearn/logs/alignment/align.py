@@ -243,7 +243,7 @@ def _compiled() -> ModuleType:
 def _samples(rows: np.ndarray) -> list[tuple[float, Sample]]:
     return [
         (time, Sample(Inputs(*inputs), surge, fresh > 0, measured > 0))
-        for time, *inputs, surge, fresh, measured in rows.tolist()
+        for time, *inputs, surge, fresh, measured, _ in rows.tolist()
     ]
 
 
@@ -253,6 +253,7 @@ class Aligned(NamedTuple):
     time: np.ndarray  # (time,) s since the log's start
     samples: Sample  # leaves (time,)
     rejected: dict[str, dict[str, int]]  # channel -> cause -> count
+    came: np.ndarray  # (time,) place in the log of the message that completed the step; infinite at the log's end
 
 
 def align(channels: Mapping[str, Channel], **options: Any) -> Aligned:
@@ -270,5 +271,6 @@ def align(channels: Mapping[str, Channel], **options: Any) -> Aligned:
     )
     place = np.argsort(order, kind="stable")
     rows = aligner.feed(which[place], time[place], value[place], flush=True)
-    time, *inputs, surge, fresh, measured = rows.T.copy()
-    return Aligned(time, Sample(Inputs(*inputs), surge, fresh > 0, measured > 0), aligner.rejected)
+    time, *inputs, surge, fresh, measured, completed = rows.T.copy()
+    came = np.append(order[place], np.inf)[completed.astype(np.int64)]
+    return Aligned(time, Sample(Inputs(*inputs), surge, fresh > 0, measured > 0), aligner.rejected, came)

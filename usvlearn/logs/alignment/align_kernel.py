@@ -28,7 +28,8 @@ MEAN, LAST, NEXT = range(3)
 STEPS = ("grid", "speed")
 GRID, SPEED = range(2)
 DROP, TAKE, ANEW = range(3)  # what is done with a message
-COLUMNS = 9  # of a row: time, command left and right, heading, yaw rate, dt, surge, fresh, measured
+COLUMNS = 10  # of a row: time, command left and right, heading, yaw rate, dt, surge, fresh, measured, and COMPLETED
+COMPLETED = 9  # by which of the messages that were fed with it a step was completed; their count: by the end of a log
 
 
 # Records, not tuples of arrays: compiled code counts references to an array whenever it passes one on.
@@ -103,9 +104,11 @@ def feed(settings, memory, times, values, channels, stamps, numbers, flush):
         flush: whether to continue to the newest message, without waiting for late ones.
     """
     settings, memory = settings[0], memory[0]
-    rows, count = np.empty((len(stamps) // 4 + 16, COLUMNS)), 0
+    rows, count, told = np.empty((len(stamps) // 4 + 16, COLUMNS)), 0, 0
     for k in range(len(stamps)):
         channel, time, value = channels[k], stamps[k], numbers[k]
+        if told < count:
+            rows[told:count, COMPLETED], told = k - 1, count
         action = _action(settings, memory, channel, time, value)
         if action == DROP:
             continue
@@ -121,8 +124,10 @@ def feed(settings, memory, times, values, channels, stamps, numbers, flush):
             count += 1
         elif memory.newest > memory.tick + settings.dt + settings.patience:  # false before the first tick, which is NaN
             rows, count = _advance(settings, memory, times, values, memory.newest - settings.patience, rows, count)
+    rows[told:count, COMPLETED], told = len(stamps) - 1, count
     if flush:
         rows, count = _advance(settings, memory, times, values, memory.newest, rows, count)
+        rows[told:count, COMPLETED] = len(stamps)
     return rows[:count]
 
 

@@ -14,6 +14,7 @@ from itertools import zip_longest
 from typing import Any
 
 from usvlearn.display.figures import SEVEN
+from usvlearn.estimators.axis.turning_quantities import QUANTITIES as TURNING
 from usvlearn.estimators.joint.quantities import QUANTITIES
 from usvlearn.estimators.regressors.terms import SURGE
 from usvlearn.evaluation import measure
@@ -49,6 +50,9 @@ WORDS = {  # of a tag: what TensorBoard shows beside it
     "1 overview/": "Over the last 750 steps, or those since the point before. Skill: 1 - MAE/MAE(persistence) over the "
     "same steps. Coverage: share of the measurements in the 90 % intervals.",
     f"1 overview/{ALARMS}": "Alarms of a lost thruster so far.",
+    "1 tracks/": "Over the last 750 steps: mean distance between forecast and measured position; the run persistence "
+    "has that of a constant turn, in which the measured speed and yaw rate go on. Coverage: share of the positions in "
+    "the ellipses of 90 %.",
     "2 identified/": "Value, 90 % interval and, of simulated boats, truth are runs beside each other. An end of the "
     "interval that is farther from the value than 4 times the value is left out.",
     "3 weights/": "The run is the member that is weighed.",
@@ -89,7 +93,7 @@ def shown_horizon(horizons: Sequence[float]) -> int:
 
 def quantity_tag(name: str) -> str:
     """The tag of an identified quantity; the nine single parameters are among the rest."""
-    unit = QUANTITIES[name]
+    unit = (QUANTITIES | TURNING)[name]
     return f"{'9 all' if name in SURGE else '2 identified'}/{name} ({unit})"
 
 

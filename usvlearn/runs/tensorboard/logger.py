@@ -27,6 +27,7 @@ from usvlearn.runs.published import BEGIN, Position, Published
 from usvlearn.runs.replay import Chunk
 from usvlearn.runs.tensorboard import board_tags
 from usvlearn.runs.tensorboard.drawing import Replayed, figures
+from usvlearn.runs.tensorboard.track_curves import TrackCurves, result_scalars
 
 WINDOW = 750  # steps over which errors are averaged
 STEPS_PER_POINT = 100  # and boat: one point of all curves costs about as much as 100 compiled steps
@@ -77,6 +78,7 @@ class TensorBoardLogger:
         log: str = MAIN,
         texts: Mapping[str, str] | None = None,
         alone: bool = True,
+        tracks: Sequence[float] = (),
     ):
         check_log(log)
         self.fleet, self.ensemble, self.truth, self.everything = fleet, ensemble, truth or {}, log == ALL
@@ -95,6 +97,7 @@ class TensorBoardLogger:
         self._near = board_tags.shown_horizon(horizons)
         self.horizon = horizons[self._near] if horizons else None
         self.far = () if made is None else (*made.columns[:-1], ensemble.output)  # the columns of forecasts
+        self._tracks = TrackCurves(tracks, ensemble.output, ensemble.names)
         self._last = np.full(len(fleet.boats), -1 if begin == BEGIN else 0) + self._clock(begin)
         self._plan: list[tuple[str, tuple[str, ...], np.ndarray]] = []  # run of a boat, tags, columns of numbers
         self.folders = dict(zip(fleet.boats, folder_names(fleet.boats), strict=True))
@@ -136,7 +139,8 @@ class TensorBoardLogger:
         run = self.fleet.runs[chunk.end.run]
         samples = tree_map(lambda x: x[part], run.samples)
         surge = np.where(masks(samples, self.ensemble.surge_limit).learns, samples.surge, np.nan)
-        self._errors.append((len(surge), self._sums(chunk.published, surge)))
+        tracks = self._tracks.sums(chunk.published, len(self.fleet.boats))
+        self._errors.append((len(surge), np.concatenate([tracks, self._sums(chunk.published, surge)], -1)))
         while sum(steps for steps, _ in self._errors) - self._errors[0][0] >= WINDOW:
             self._errors.popleft()
         self._counts = self._counts + _count(run, part)
@@ -148,8 +152,9 @@ class TensorBoardLogger:
             return
         self._steps = 0
         shares = self._counts[:, 1:] / np.maximum(self._counts[:, :1], 1)
-        numbers = self._numbers(np.sum([sums for _, sums in self._errors], axis=0))
-        self._points.append(Point(self._clock(chunk.end), np.concatenate([numbers, shares], -1), chunk.state))
+        tracks, sums = np.split(np.sum([sums for _, sums in self._errors], axis=0), [self._tracks.width], -1)
+        numbers = np.concatenate([self._numbers(sums), self._tracks.numbers(tracks), shares], -1)
+        self._points.append(Point(self._clock(chunk.end), numbers, chunk.state))
         if len(self._points) == BATCH or time.monotonic() - self._written > PATIENCE:
             self._write()
 
@@ -193,6 +198,7 @@ class TensorBoardLogger:
         if self.horizon is not None:
             mae, skill, inside = (f"1 overview/{tag}" for tag in board_tags.ahead(self.horizon).values())
             places += [(name, tag) for tag in (mae, skill) for name in self.far] + [(output, inside)]
+        places += self._tracks.places
         places += [(output, f"5 data/{title} (share)") for title in ("measured speed", "stale inputs")]
         return places + [board_tags.place(key, output, self.horizon) for key in found]
 
@@ -291,6 +297,8 @@ class TensorBoardLogger:
                 counts[tag] = counts.get(tag, 0) + count
             if counts and boat in self.folders:
                 self.board.scalars(counts, ends[boat], f"{self.folders[boat]}/{output}")
+        for boat, row in result_scalars(results.get("tracks"), self.everything):
+            self.board.scalars(row, ends[boat], f"{self.folders[boat]}/{output}")
         if networks:
             self.board.text("run/networks", "\n".join(f"- {sentence}" for sentence in networks), run=self.results_run)
         row = board_tags.results_of(results, self.ensemble.output)

@@ -20,7 +20,7 @@ Each is the mean of a turn to starboard and one to port.
 
     time constant   −1/(θ_linear + θ_cross u),   straight ahead at the steady speed u of half command, and at rest  (5)
 
-The derivation is in `docs/theory.md`, section 27.
+The filters are derived in `docs/theory.md`, section 28.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Theta(NamedTuple):
 
     surge: np.ndarray  # (..., m) of a joint EKF
     yaw: np.ndarray  # (..., 20)
-    sway: np.ndarray | None  # (..., 12); None: the sway is not measured
+    sway: np.ndarray | None = None  # (..., 12); None: the sway is not measured
 
 
 def quantities(theta: Theta) -> dict[str, np.ndarray]:
@@ -62,7 +62,7 @@ def quantities(theta: Theta) -> dict[str, np.ndarray]:
     >>> yaw = np.zeros(20)
     >>> yaw[[1, 7, 13]] = -2.0, 1.0, -1.0  # linear drag, and thrust proportional to the commands
     >>> surge = np.array([0.0, -0.5, 0.0, 0.5, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0])
-    >>> found = quantities(Theta(surge, yaw, None))
+    >>> found = quantities(Theta(surge, yaw))
     >>> {name: round(float(each), 3) for name, each in found.items() if "full" in name}
     {'yaw_rate_full_difference': 1.0, 'yaw_rate_full': 0.25, 'turning_radius_full': 6.0}
     """
