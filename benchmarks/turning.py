@@ -1,6 +1,6 @@
 """How true identified yaw rates, turning radii and time constants are, and how often their intervals hold.
 
-python benchmarks/turning.py [--seeds 8001 8002 8003 8004] [--boats 6]        writes docs/benchmarks/turning.md
+python benchmarks/turning.py [--seeds 9101 9102 9103 9104] [--boats 6]        writes docs/benchmarks/turning.md
 
 Simulated boats that turn and drift in a current (`usvlearn/simulate/planar_fleet.py`), with compass, gyro and GPS. The
 truth is that of simulated turns (`usvlearn/simulate/turning.py`). The widths of the intervals were chosen on seeds 5
@@ -31,7 +31,7 @@ from usvlearn.runs.replay import replay
 from usvlearn.simulate.turning import turning_of
 
 ROOT = Path(__file__).parents[1]
-SEEDS, BOATS, HOURS, MINUTES = (8001, 8002, 8003, 8004), 6, 2.0, 10.0
+SEEDS, BOATS, HOURS, MINUTES = (9101, 9102, 9103, 9104), 6, 2.0, 10.0
 AT = (1, 3, 6, 12)  # missions after which the quantities are noted
 
 
