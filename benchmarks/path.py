@@ -89,7 +89,8 @@ def errors(boats: Sequence[Boat], batch: dict[str, list[float]]) -> list[str]:
         rows.append(["constant turn and speed", *(mean(x[:, CONSTANT], 3 if k < 2 else 2) for k, x in enumerate(due))])
         rows.append(["forecast speed, held yaw rate", *(mean(x[:, HELD_RATE]) for x in due)])
         if boat.name in batch:
-            rows.append(["batch output error, of the first half", *(f"{x:.2f}" for x in batch[boat.name])])
+            found = (f"{x:.2f}" if np.isfinite(x) else "–" for x in batch[boat.name])
+            rows.append(["batch output error, of the first half", *found])
         rows.append(["heading error, °", *(mean(np.degrees(x[:, HEADING_ERROR]), 1) for x in due)])
         rows.append(["tracks", *(str(len(x)) for x in due)])
     return table(["mean distance, m", *(f"{h:g} s" for h in HORIZONS)], rows)
@@ -171,7 +172,7 @@ def batch_errors(boat: Boat) -> list[float]:
         return np.concatenate([x, *rest])
 
     fitted = least_squares(residuals, np.zeros(int(free.sum())), loss="soft_l1", max_nfev=25)
-    theta, errors = prior.copy(), [[] for _ in HORIZONS]
+    theta, errors = prior.copy(), [np.zeros(0).tolist() for _ in HORIZONS]
     theta[free] += spread[free] * fitted.x
     for part, k in judged:
         if not np.isfinite(part["state"][k][[0, 2, 3]]).all() or not np.isfinite(part["position"][k]).all():
