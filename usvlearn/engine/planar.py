@@ -57,9 +57,11 @@ from usvlearn.estimators.planar.state import (
     GROUP,
     HEADING,
     HEADING_ERROR,
+    HELD_COS,
     HELD_EAST,
     HELD_NORTH,
     HELD_RATE,
+    HELD_SIN,
     HORIZON,
     HORIZON_COUNT,
     LARGEST,
@@ -77,6 +79,7 @@ from usvlearn.estimators.planar.state import (
     PREDICTED,
     PROGRAM,
     PSI,
+    PSI_0,
     QUANTILE,
     QUICK_TIME,
     R_0,
@@ -108,6 +111,8 @@ from usvlearn.estimators.planar.state import (
     V,
     W,
 )
+from usvlearn.estimators.planar.state import COS as COS_PSI
+from usvlearn.estimators.planar.state import SIN as SIN_PSI
 
 TRACK = 3  # row of the track in `head`
 FOUND = 10  # of a plan's step: surge, sway, yaw rate, heading, north, east, C (3), radius
@@ -206,13 +211,15 @@ def track_step(program, head, s, q, slot, left, right, h, own, work):
             aside = predicted
         else:
             along = predicted
-    c, d, cosine, sine = np.cos(psi), np.sin(psi), np.cos(turned), np.sin(turned)
+    c, d, cosine, sine = slot[COS_PSI], slot[SIN_PSI], np.cos(turned), np.sin(turned)
     lateral, other = (v - north * d + east * c, aside - north * sine + east * cosine) if sways else (0.0, 0.0)
     slot[AT_NORTH] += h / 2 * (c * u - d * lateral + cosine * along - sine * other)
     slot[AT_EAST] += h / 2 * (d * u + c * lateral + sine * along + cosine * other)
-    first, last = psi_held(slot, slot[ELAPSED]), psi_held(slot, after)
-    slot[HELD_NORTH] += h / 2 * (np.cos(first) * u + np.cos(last) * along)
-    slot[HELD_EAST] += h / 2 * (np.sin(first) * u + np.sin(last) * along)
+    held = slot[PSI_0] + slot[R_0] * after
+    held_cosine, held_sine = np.cos(held), np.sin(held)
+    slot[HELD_NORTH] += h / 2 * (slot[HELD_COS] * u + held_cosine * along)
+    slot[HELD_EAST] += h / 2 * (slot[HELD_SIN] * u + held_sine * along)
+    slot[COS_PSI], slot[SIN_PSI], slot[HELD_COS], slot[HELD_SIN] = cosine, sine, held_cosine, held_sine
     slot[RUN] += h * abs(u + along) / 2
     slot[U], slot[V], slot[R], slot[W], slot[PSI] = along, aside, ahead, along - north * cosine - east * sine, turned
     slot[ELAPSED] = after
@@ -220,17 +227,12 @@ def track_step(program, head, s, q, slot, left, right, h, own, work):
 
 
 @jit
-def psi_held(slot, elapsed):
-    """The heading of the boat if it kept the yaw rate of the origin."""
-    return np.arctan2(slot[SIN_0], slot[COS_0]) + slot[R_0] * elapsed
-
-
-@jit
 def origin(program, head, s, q, slot, psi, surge):
     """Begin a track now, at a heading, rad, and a measured surge, m/s; all but its horizon and its position."""
     before, filtered = s[head[TRACK, BEFORE] :], s[head[SURGE, STATE] + head[SURGE, MEAN] :]
     fill(slot[:HORIZON], 0.0)
-    slot[COS_0], slot[SIN_0] = np.cos(psi), np.sin(psi)
+    slot[COS_0], slot[SIN_0], slot[PSI_0] = np.cos(psi), np.sin(psi), psi
+    slot[COS_PSI], slot[SIN_PSI], slot[HELD_COS], slot[HELD_SIN] = slot[COS_0], slot[SIN_0], slot[COS_0], slot[SIN_0]
     slot[C_NORTH], slot[C_EAST] = filtered[CURRENT_NORTH], filtered[CURRENT_EAST]
     slot[U], slot[V], slot[R], slot[W], slot[PSI] = surge, before[1], before[2], before[0], psi
     slot[U_0], slot[R_0], slot[WIDER] = surge, before[2], surprise(head, s)
@@ -325,8 +327,7 @@ def publish_due(head, s, q, slot, k, pose):
     path = slot[COMMANDS : COMMANDS + PATH]
     group, kept = group_of(path), slot[HORIZON + k * OF_HORIZON :]
     u, r, h = slot[U_0], slot[R_0], slot[ELAPSED]
-    psi = np.arctan2(slot[SIN_0], slot[COS_0])
-    half = r * h / 2
+    psi, half = slot[PSI_0], r * h / 2
     chord = u * h * (np.sin(half) / half if abs(half) > 1e-9 else 1.0)
     due[ERROR], due[HEADING_ERROR] = np.hypot(dn, de), abs(turned)
     due[CONSTANT] = np.hypot(chord * np.cos(psi + half) - north, chord * np.sin(psi + half) - east)
