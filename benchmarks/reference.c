@@ -1,8 +1,8 @@
 /* What the compiled steps of usvlearn are measured against: the same mathematics for one boat, in double precision, as
  * a C programmer would write it. Every sample is fresh and measured; p and n are known at run time only.
  *
- * benchmarks/reference.py compiles and calls it, tests/test_reference.py holds it against the estimators. What is here
- * without a word stands in the docstrings of usvlearn/estimators.
+ * benchmarks/reference.py compiles and calls it, tests/benchmarks/test_reference.py holds it against the estimators.
+ * What is here without a word stands in the docstrings of usvlearn/estimators.
  */
 #include <float.h>
 #include <math.h>
@@ -298,22 +298,15 @@ void rnn(long steps, const Samples *s, const Network *net, NetworkState *state, 
     }
 }
 
-/* ---- joint filter, JointEKF, without readings */
+/* ---- what the extended Kalman filters share */
 
-enum { JOINT_MAX = 24 };                                          /* numbers of the state, to whole vectors */
-enum { SPEED, FORCE, NORTH, EAST, THETA, KAPPA = 13, EVEN = 15 }; /* places in it; the last is the lag */
-
-typedef struct {
-    int n; /* 16, or 23 with even terms */
-    double disturbance, disturbance_time, current, current_time, drift_time, outlier;
-    double variance[JOINT_MAX]; /* of the parameters' prior */
-} Joint;
+enum { FILTER_MAX = 24 }; /* numbers of the state, to whole vectors */
 
 typedef struct {
-    double mean[JOINT_MAX], D[JOINT_MAX];
-    double columns[JOINT_MAX][JOINT_MAX]; /* of U, unit upper triangular, P = U D U'; zeros elsewhere */
+    double mean[FILTER_MAX], D[FILTER_MAX];
+    double columns[FILTER_MAX][FILTER_MAX]; /* of U, unit upper triangular, P = U D U'; zeros elsewhere */
     double noise, updates, turn, deviation, commands[2];
-} JointState;
+} FilterState;
 
 /* phi_1(z) = (e^z - 1)/z; its derivative cancels near 0, where it is summed. */
 static inline double phi1(double z, double *slope) {
@@ -330,6 +323,90 @@ static inline double phi1(double z, double *slope) {
     *slope = (e - value) / z;
     return value;
 }
+
+/* P + c e_k e_k'. */
+static inline void widen(double (*U)[FILTER_MAX], double *D, int k, double c) {
+    double a[FILTER_MAX] = {0};
+    a[k] = 1;
+    for (int j = k; j > 0; j--) {
+        double larger = D[j] + c * a[j] * a[j], keep = D[j] / larger, beta = c * a[j] / larger, own = a[j];
+        for (int i = 0; i < j; i++) {
+            double u = U[j][i];
+            U[j][i] = u * keep + beta * a[i];
+            a[i] -= own * u;
+        }
+        D[j] = larger;
+        c *= keep;
+    }
+    D[0] += c * a[0] * a[0];
+}
+
+/* x_i + sign x_k becomes 0 where it is positive; the others follow their covariances with it. */
+static inline void hold(int n, double *x, double (*U)[FILTER_MAX], const double *D, int i, int k, double sign) {
+    double value = x[i] + sign * x[k], t[FILTER_MAX], total = 0;
+    if (value <= 0) return;
+    for (int j = i; j < n; j++) {
+        t[j] = U[j][i] + sign * U[j][k];
+        total += D[j] * t[j] * t[j];
+    }
+    for (int j = i; j < n; j++)
+        for (int l = 0; l <= j; l++) x[l] -= value / total * D[j] * t[j] * U[j][l];
+}
+
+/* At every fourth step one parameter, in turn, gets the noise of all the steps between, up to its prior's variance. */
+static inline void walk(int n, int first, FilterState *state, const double *variance, double share, int rest) {
+    int m = n - first, place = (int)state->turn;
+    if (place % 4 == 0 && !rest) {
+        int i = first + place / 4;
+        double prior = variance[place / 4], room = prior - state->D[i], growth = 4 * m * share * prior;
+        for (int j = i + 1; j < n; j++) room -= state->D[j] * state->columns[j][i] * state->columns[j][i];
+        if (room > 0) widen(state->columns, state->D, i, growth < room ? growth : room);
+    }
+    state->turn = place + 1 < 4 * m ? place + 1 : 0;
+}
+
+/* The measurement of x_0 + cosine x_2 + sine x_3 with the innovation `error`, and the noise. */
+static inline void correct(int n, FilterState *state, double cosine, double sine, double error, double outlier,
+                           int rest) {
+    double(*U)[FILTER_MAX] = state->columns, *D = state->D, noise = state->noise;
+    double f[FILTER_MAX], G[FILTER_MAX], slope[FILTER_MAX], gain[FILTER_MAX] = {0}, spread = 0;
+    for (int j = 0; j < n; j++) {
+        f[j] = U[j][0] + cosine * U[j][2] + sine * U[j][3];
+        G[j] = D[j] * f[j];
+        spread += f[j] * G[j];
+    }
+    double square = error * error, S = spread + noise, limit = outlier * outlier;
+    double alpha = square > limit * S ? square / limit - spread : noise;
+    state->deviation = sqrt(S);
+    for (int j = 0; j < n; j++) {
+        double after = alpha + f[j] * G[j];
+        slope[j] = -f[j] / alpha;
+        D[j] *= alpha / after;
+        alpha = after;
+    }
+    for (int j = 0; j < n; j++) {
+        for (int i = 0; i < ((j + 4) & -4); i++) { /* beyond j all is 0, and stays so; at j, 1 */
+            double u = U[j][i];
+            U[j][i] = u + gain[i] * slope[j];
+            gain[i] += u * G[j];
+        }
+    }
+    for (int i = 0; i < n; i++) state->mean[i] += gain[i] * (error / alpha);
+    if (rest) return;
+    state->updates += 1;
+    noise *= 1 + fmax(0.005, 1 / (state->updates + 20)) * (fmin(square / S, 9) - 1);
+    state->noise = fmax(noise, 1e-8);
+}
+
+/* ---- joint filter, JointEKF, without readings */
+
+enum { SPEED, FORCE, NORTH, EAST, THETA, KAPPA = 13, EVEN = 15 }; /* places in its state; the last is the lag */
+
+typedef struct {
+    int n; /* 16, or 23 with even terms */
+    double disturbance, disturbance_time, current, current_time, drift_time, outlier;
+    double variance[FILTER_MAX]; /* of the parameters' prior */
+} Joint;
 
 /* w+ and its gradient g to the state. */
 static inline double flow(int n, const double *x, const double *now, const double *before, double turn, double h,
@@ -378,44 +455,15 @@ static inline double flow(int n, const double *x, const double *now, const doubl
     return w + F * f;
 }
 
-/* P + c e_k e_k'. */
-static inline void widen(double (*U)[JOINT_MAX], double *D, int k, double c) {
-    double a[JOINT_MAX] = {0};
-    a[k] = 1;
-    for (int j = k; j > 0; j--) {
-        double larger = D[j] + c * a[j] * a[j], keep = D[j] / larger, beta = c * a[j] / larger, own = a[j];
-        for (int i = 0; i < j; i++) {
-            double u = U[j][i];
-            U[j][i] = u * keep + beta * a[i];
-            a[i] -= own * u;
-        }
-        D[j] = larger;
-        c *= keep;
-    }
-    D[0] += c * a[0] * a[0];
-}
-
-/* x_i + sign x_k becomes 0 where it is positive; the others follow their covariances with it. */
-static inline void hold(int n, double *x, double (*U)[JOINT_MAX], const double *D, int i, int k, double sign) {
-    double value = x[i] + sign * x[k], t[JOINT_MAX], total = 0;
-    if (value <= 0) return;
-    for (int j = i; j < n; j++) {
-        t[j] = U[j][i] + sign * U[j][k];
-        total += D[j] * t[j] * t[j];
-    }
-    for (int j = i; j < n; j++)
-        for (int l = 0; l <= j; l++) x[l] -= value / total * D[j] * t[j] * U[j][l];
-}
-
-void joint(long steps, const Samples *s, const Joint *joint, JointState *state, double *predictions) {
-    int n = joint->n, m = n - THETA;
-    double(*U)[JOINT_MAX] = state->columns, *D = state->D, *x = state->mean, g[JOINT_MAX] = {0};
+void joint(long steps, const Samples *s, const Joint *joint, FilterState *state, double *predictions) {
+    int n = joint->n;
+    double(*U)[FILTER_MAX] = state->columns, *D = state->D, *x = state->mean, g[FILTER_MAX] = {0};
     for (long k = 0; k < steps; k++) {
         double h = s->dt[k], now[2] = {s->left[k], s->right[k]}, noise = state->noise, span = h / 0.4;
         double cosine = cos(s->heading[k]), sine = sin(s->heading[k]);
-        double rest = now[0] * now[0] + now[1] * now[1] + x[SPEED] * x[SPEED];
+        int rest = now[0] * now[0] + now[1] * now[1] + x[SPEED] * x[SPEED] <= 1e-3;
         double ahead = flow(n, x, now, state->commands, fabs(s->yaw_rate[k]), h, g);
-        if (rest <= 1e-3) memset(g + THETA, 0, sizeof g - THETA * sizeof *g);
+        if (rest) memset(g + THETA, 0, sizeof g - THETA * sizeof *g);
         double slow = exp(-h / joint->disturbance_time), kept = exp(-h / joint->current_time);
         double scale[4] = {1, slow, kept, kept}, drift = joint->current * joint->current * (1 - kept * kept);
         for (int j = 1; j < n; j++) {
@@ -430,50 +478,100 @@ void joint(long steps, const Samples *s, const Joint *joint, JointState *state, 
         widen(U, D, NORTH, drift);
         widen(U, D, FORCE, joint->disturbance * noise * span);
         D[0] += 0.05 * noise * span;
-        int place = (int)state->turn;
-        if (place % 4 == 0 && rest > 1e-3) {
-            int i = THETA + place / 4;
-            double prior = joint->variance[place / 4], room = prior - D[i], growth = 4 * m * h / joint->drift_time * prior;
-            for (int j = i + 1; j < n; j++) room -= D[j] * U[j][i] * U[j][i];
-            if (room > 0) widen(U, D, i, growth < room ? growth : room);
-        }
-        state->turn = place + 1 < 4 * m ? place + 1 : 0;
+        walk(n, THETA, state, joint->variance, h / joint->drift_time, rest);
         for (int j = 1; j < 4; j++) x[j] *= scale[j];
         x[SPEED] = ahead;
         memcpy(state->commands, now, sizeof now);
         predictions[k] = ahead + cosine * x[NORTH] + sine * x[EAST];
-
-        double f[JOINT_MAX], G[JOINT_MAX], slope[JOINT_MAX], gain[JOINT_MAX] = {0}, spread = 0;
-        for (int j = 0; j < n; j++) {
-            f[j] = U[j][0] + cosine * U[j][NORTH] + sine * U[j][EAST];
-            G[j] = D[j] * f[j];
-            spread += f[j] * G[j];
-        }
-        double error = s->surge[k] - predictions[k], square = error * error, S = spread + noise;
-        double limit = joint->outlier * joint->outlier, alpha = square > limit * S ? square / limit - spread : noise;
-        state->deviation = sqrt(S);
-        for (int j = 0; j < n; j++) {
-            double after = alpha + f[j] * G[j];
-            slope[j] = -f[j] / alpha;
-            D[j] *= alpha / after;
-            alpha = after;
-        }
-        for (int j = 0; j < n; j++) {
-            for (int i = 0; i < ((j + 4) & -4); i++) { /* beyond j all is 0, and stays so; at j, 1 */
-                double u = U[j][i];
-                U[j][i] = u + gain[i] * slope[j];
-                gain[i] += u * G[j];
-            }
-        }
-        for (int i = 0; i < n; i++) x[i] += gain[i] * (error / alpha);
-        if (rest > 1e-3) {
-            state->updates += 1;
-            noise *= 1 + fmax(0.005, 1 / (state->updates + 20)) * (fmin(square / S, 9) - 1);
-            state->noise = fmax(noise, 1e-8);
-        }
+        correct(n, state, cosine, sine, s->surge[k] - predictions[k], joint->outlier, rest);
         for (int i = THETA; i < THETA + 3; i++) hold(n, x, U, D, i, i, 0);
         if (n > 16)
             for (int sign = 1; sign >= -1; sign -= 2) hold(n, x, U, D, THETA, EVEN, sign);
+        x[n - 1] = clamp(x[n - 1], -0.5, 1.5);
+    }
+}
+
+/* ---- filter of the yaw rate or of the sway, YawEKF and SwayEKF
+ *
+ * Its samples hold the other one of the two as heading, the surge through the water as yaw rate, and the measured yaw
+ * rate or sway as surge.
+ */
+
+enum { OWN, SLOW, BIAS, LINEAR, QUADRATIC, CROSS, COUPLING, OTHER, ALONG, SIDE }; /* places; the lag is the last one */
+
+typedef struct {
+    int n; /* 22 of the yaw rate, 14 of the sway */
+    double disturbance, disturbance_time, drift_time, outlier;
+    double variance[FILTER_MAX]; /* of the parameters' prior */
+} Axis;
+
+/* y+ and its gradient g to the state. */
+static inline double axis_flow(int n, const double *x, const double *now, const double *before, double other, double u,
+                               double h, double *g) {
+    int yaw = n == 22, terms = yaw ? 6 : 2;
+    double y = x[OWN], mu = x[n - 1], size = fabs(y), along = fabs(u), xi[2], late = 0;
+    double J = x[LINEAR] + 2 * x[QUADRATIC] * size + x[CROSS] * along;
+    double f = x[SLOW] + x[BIAS] + (x[LINEAR] + x[QUADRATIC] * size + x[CROSS] * along) * y;
+    f += x[COUPLING] * u * other + x[OTHER] * other + x[ALONG] * u;
+    for (int k = 0; k < 2; k++) {
+        const double *a = x + SIDE + terms * k;
+        double c = xi[k] = (1 - mu) * now[k] + mu * before[k], slope = a[0] + 2 * a[1] * fabs(c);
+        f += c * (a[0] + a[1] * fabs(c));
+        if (yaw) {
+            f += c * (a[2] * along + a[3] * c * c + a[5] * c) + a[4] * fabs(c);
+            slope += a[2] * along + 3 * a[3] * c * c + (c >= 0 ? a[4] : -a[4]) + 2 * a[5] * c;
+        }
+        late += (before[k] - now[k]) * slope;
+    }
+    double slope, z = fmin(h * J, 1), value = phi1(z, &slope), F = h * value, G = h * h * slope * f;
+    g[OWN] = 1 + z * value + G * 2 * x[QUADRATIC] * (y >= 0 ? 1 : -1);
+    g[SLOW] = g[BIAS] = F;
+    g[LINEAR] = F * y + G;
+    g[QUADRATIC] = size * (F * y + 2 * G);
+    g[CROSS] = along * (F * y + G);
+    g[COUPLING] = F * u * other;
+    g[OTHER] = F * other;
+    g[ALONG] = F * u;
+    for (int k = 0; k < 2; k++) {
+        double c = xi[k], *a = g + SIDE + terms * k;
+        a[0] = F * c;
+        a[1] = F * c * fabs(c);
+        if (!yaw) continue;
+        a[2] = F * c * along;
+        a[3] = F * c * c * c;
+        a[4] = F * fabs(c);
+        a[5] = F * c * c;
+    }
+    g[n - 1] = F * late;
+    return y + F * f;
+}
+
+void axis(long steps, const Samples *s, const Axis *axis, FilterState *state, double *predictions) {
+    int n = axis->n;
+    double(*U)[FILTER_MAX] = state->columns, *D = state->D, *x = state->mean, g[FILTER_MAX] = {0};
+    for (long k = 0; k < steps; k++) {
+        double h = s->dt[k], now[2] = {s->left[k], s->right[k]}, u = s->yaw_rate[k], noise = state->noise;
+        int rest = now[0] * now[0] + now[1] * now[1] + u * u + x[OWN] * x[OWN] <= 1e-3;
+        double ahead = axis_flow(n, x, now, state->commands, s->heading[k], u, h, g);
+        if (rest) memset(g + BIAS, 0, sizeof g - BIAS * sizeof *g);
+        double slow = exp(-h / axis->disturbance_time), span = h / 0.4;
+        for (int j = 1; j < n; j++) {
+            double sum = 0;
+            for (int i = 0; i < ((j + 4) & -4); i++) sum += g[i] * U[j][i];
+            U[j][0] = sum;
+            if (j > SLOW) U[j][SLOW] *= slow;
+        }
+        U[SLOW][0] /= slow;
+        D[OWN] *= g[OWN] * g[OWN];
+        D[SLOW] *= slow * slow;
+        widen(U, D, SLOW, axis->disturbance * noise * span);
+        D[OWN] += 0.05 * noise * span;
+        walk(n, BIAS, state, axis->variance, h / axis->drift_time, rest);
+        x[SLOW] *= slow;
+        x[OWN] = predictions[k] = ahead;
+        memcpy(state->commands, now, sizeof now);
+        correct(n, state, 0, 0, s->surge[k] - ahead, axis->outlier, rest);
+        for (int i = LINEAR; i <= CROSS; i++) hold(n, x, U, D, i, i, 0);
         x[n - 1] = clamp(x[n - 1], -0.5, 1.5);
     }
 }

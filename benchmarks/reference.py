@@ -18,11 +18,11 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from usvlearn import AID, RLS, RNN, Estimator, JointEKF, QuasiStatic, Sample, SIFtRLS
+from usvlearn import AID, RLS, RNN, Estimator, JointEKF, QuasiStatic, Sample, SIFtRLS, SwayEKF, YawEKF
 
 SOURCE = Path(__file__).with_suffix(".c")
 FLAGS = ("-std=c99", "-O3", "-march=native", "-ffast-math")  # no sample is NaN
-P, N, ROWS, JOINT = 16, 520, 7, 24  # P_MAX, N_MAX, ROWS, JOINT_MAX
+P, N, ROWS, FILTER = 16, 520, 7, 24  # P_MAX, N_MAX, ROWS, FILTER_MAX
 NUMBER, WHOLE = ctypes.c_double, ctypes.c_int
 POINTER = ctypes.POINTER(NUMBER)
 
@@ -62,11 +62,16 @@ class NetworkState(ctypes.Structure):
 
 class Joint(ctypes.Structure):
     _fields_ = [("n", WHOLE), *fields("disturbance disturbance_time current current_time drift_time outlier"),
-                ("variance", NUMBER * JOINT)]  # fmt: skip
+                ("variance", NUMBER * FILTER)]  # fmt: skip
 
 
-class JointState(ctypes.Structure):
-    _fields_ = [*fields("mean D", NUMBER * JOINT), ("columns", NUMBER * JOINT * JOINT),
+class Axis(ctypes.Structure):
+    _fields_ = [("n", WHOLE), *fields("disturbance disturbance_time drift_time outlier"),
+                ("variance", NUMBER * FILTER)]  # fmt: skip
+
+
+class FilterState(ctypes.Structure):
+    _fields_ = [*fields("mean D", NUMBER * FILTER), ("columns", NUMBER * FILTER * FILTER),
                 *fields("noise updates turn deviation"), ("commands", NUMBER * 2)]  # fmt: skip
 
 
@@ -97,11 +102,12 @@ def reference(estimator: Estimator, samples: Sample) -> Reference | None:
     """The same estimator in C, or None where there is none.
 
     Args:
-        estimator: an AID, RLS, SIFtRLS, RNN or JointEKF without periodic estimates; all but the RNN's size, the model
-            and the numbers that are tuned as by default.
-        samples: `(time,)`, as arrays or tensors.
+        estimator: an AID, RLS, SIFtRLS, RNN, YawEKF, SwayEKF, or JointEKF without periodic estimates; all but the
+            RNN's size, the model and the numbers that are tuned as by default.
+        samples: `(time,)`, as arrays or tensors; of a YawEKF or SwayEKF with the inputs that `axis_inputs` gives.
     """
-    makes = {AID: adaptive, RLS: least_squares, SIFtRLS: least_squares, RNN: network, JointEKF: joint}
+    makes = {AID: adaptive, RLS: least_squares, SIFtRLS: least_squares, RNN: network, JointEKF: joint, YawEKF: axis,
+             SwayEKF: axis}  # fmt: skip
     make = makes.get(type(estimator))
     if make is None:
         return None
@@ -175,17 +181,31 @@ def network(rnn: RNN):
 
 
 def joint(filter: JointEKF):
-    begin, n = filter.init(), 4 + len(filter.names)
     tuned = (filter.disturbance, filter.disturbance_time, filter.current, filter.current_time, filter.drift_time)
-    settings = Joint(n, *(float(each()) for each in tuned), float(filter.outlier), numbers(filter.variance, JOINT))
-    first = JointState(noise=float(begin.noise))
-    first.mean, first.D = numbers(begin.mean, JOINT), numbers(begin.factor.diagonal(), JOINT)
+    settings = Joint(4 + len(filter.names), *(float(each()) for each in tuned), float(filter.outlier),
+                     numbers(filter.variance, FILTER))  # fmt: skip
+    return "joint", settings, *filter_state(filter)
+
+
+def axis(filter: YawEKF | SwayEKF):
+    tuned = (filter.disturbance, filter.disturbance_time, filter.drift_time)
+    settings = Axis(2 + len(filter.names), *(float(each()) for each in tuned), float(filter.outlier),
+                    numbers(filter.variance, FILTER))  # fmt: skip
+    return "axis", settings, *filter_state(filter)
+
+
+def filter_state(filter: JointEKF | YawEKF | SwayEKF):
+    """The first state of a filter in C, and what makes the estimator's own of a later one."""
+    begin = filter.init()
+    n, first = len(begin.mean), FilterState(noise=float(begin.noise))
+    first.mean, first.D = numbers(begin.mean, FILTER), numbers(begin.factor.diagonal(), FILTER)
     for k in range(n):
         first.columns[k][k] = 1.0
 
-    def state(here: JointState) -> dict[str, np.ndarray]:
+    def state(here: FilterState) -> dict[str, np.ndarray]:
         found = {name: np.array(getattr(here, name)) for name, _ in here._fields_}
-        U, D = found.pop("columns")[:n, :n].T, found.pop("D")[:n]
-        return {**found, "mean": found["mean"][:n], "covariance": (U * D) @ U.T}
+        factor, D = found.pop("columns")[:n, :n], found.pop("D")[:n]
+        np.fill_diagonal(factor, D)
+        return {**found, "mean": found["mean"][:n], "factor": factor}
 
-    return "joint", settings, first, state
+    return first, state

@@ -28,12 +28,18 @@ from usvlearn import (
     Sample,
     SIFtRLS,
     SurgeDynamics,
+    SwayEKF,
     WithMemory,
+    YawEKF,
     rollout,
 )
 from usvlearn.core.samples import masks, tree_map
+from usvlearn.estimators.axis.layer import AxisEKF
+from usvlearn.estimators.axis.state import axis_inputs
+from usvlearn.estimators.planar.state import MEASURED_SWAY, TURN
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.simulate.fleet import fleet as simulated
+from usvlearn.simulate.planar_fleet import planar_fleet
 
 NEURONS, MEMBERS = (10, 20, 50, 100, 200, 500), (1, 2, 4, 7, 10, 14)
 WAYS = {"C": "C", "streamed": "streamed", "call": "called from Python", "torch": "eager torch"}
@@ -59,19 +65,41 @@ def estimators() -> dict[str, Estimator]:
         "joint, n = 23": of["joint"],
         "rnn, n = 20": of["rnn"],
         "joint, n = 16": JointEKF(2.74, mass, even=None),
+        "yaw, n = 22": YawEKF(2.74),
+        "sway, n = 14": SwayEKF(2.74),
         "default ensemble, no forecasts": accuracy.ensemble(("forecasts=null",)),
         "default ensemble": ensemble,
     }
 
 
 @cache
-def samples(steps: int) -> Sample:
-    """One boat, what can be learned from, `(steps,)`, again and again: C knows no other."""
-    (run,) = align_fleet(simulated(n=1, hours=1.0, mission_minutes=60.0)).runs
-    every = tree_map(lambda x: torch.as_tensor(x[:, 0]), run.samples)
+def samples(steps: int, kind: str = "surge") -> Sample:
+    """One boat, what can be learned from, `(steps,)`, again and again: C knows no other.
+
+    Args:
+        steps: any number.
+        kind: "surge", or that of an axis EKF.
+    """
+    every = surge_samples() if kind == "surge" else axis_samples(kind)
     learned = masks(every).learns
     places = torch.arange(steps) % int(learned.sum())
     return tree_map(lambda x: x[learned][places].contiguous(), every)
+
+
+def surge_samples() -> Sample:
+    """A simulated boat, `(time,)`."""
+    (run,) = align_fleet(simulated(n=1, hours=1.0, mission_minutes=60.0)).runs
+    return tree_map(lambda x: torch.as_tensor(x[:, 0]), run.samples)
+
+
+def axis_samples(kind: str, hours: float = 0.25) -> Sample:
+    """A simulated boat as the axis EKF of a kind sees it, `(time,)`: what is known of the others is one step old."""
+    (run,) = align_fleet(planar_fleet(hours=hours, mission_minutes=60 * hours, current=0.0)).runs
+    every, poses = tree_map(lambda x: torch.as_tensor(x[:, 0]), run.samples), torch.as_tensor(run.poses[:, 0])
+    own, other = poses[:, [TURN, MEASURED_SWAY] if kind == "yaw" else [MEASURED_SWAY, TURN]].unbind(-1)
+    left, right, *_, dt = every.inputs
+    inputs = axis_inputs(left, right, other.roll(1), every.surge.roll(1), dt)
+    return every._replace(inputs=inputs, surge=own)
 
 
 def as_numbers(run: Sample) -> list[Sample]:
@@ -119,7 +147,7 @@ def loop(steps: int) -> Work:
 
 def costs(estimator: Estimator, effort: Effort, ways: Sequence[str]) -> dict[str, list[float]]:
     """Seconds of a step in each way, round by round."""
-    run = samples(effort.steps)
+    run = samples(effort.steps, estimator.kind if isinstance(estimator, AxisEKF) else "surge")
     short, calls = tree_map(lambda x: x[: effort.eager], run), as_numbers(tree_map(lambda x: x[: effort.calls], run))
     works = {
         "streamed": partial(streamed, estimator, run),

@@ -3,15 +3,16 @@
 import pytest
 import torch
 from reference import compiler, reference
+from speed_steps import axis_samples
 
 from tests.support import few
-from usvlearn import AID, RLS, RNN, JointEKF, Persistence, SIFtRLS, SurgeDynamics, rollout
+from usvlearn import AID, RLS, RNN, JointEKF, Persistence, SIFtRLS, SurgeDynamics, SwayEKF, YawEKF, rollout
 from usvlearn.core.protocol import clean
 from usvlearn.core.samples import tree_map
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.simulate.fleet import fleet
 
-MASS, STEPS, EQUAL = 28.0, 2000, 1e-9
+MASS, STEPS, EQUAL, AXES = 28.0, 2000, 1e-9, ("yaw", "sway")
 TWINS = {
     "aid": lambda: AID(MASS),
     "leaking_aid": lambda: AID(MASS, gain=30.0, bound=0.5),
@@ -23,6 +24,8 @@ TWINS = {
     "rnn": RNN,
     "joint": lambda: JointEKF(2.7, MASS),
     "odd_joint": lambda: JointEKF(2.7, MASS, even=None, disturbance=5.0, outlier=2.0, drift_time=300.0),
+    "yaw": lambda: YawEKF(2.7),
+    "sway": lambda: SwayEKF(2.7, disturbance=1.0, outlier=2.0, drift_time=300.0),
     "small_rnn": lambda: RNN(7, contraction_rate=0.9, rate=5e-3),
 }
 
@@ -41,6 +44,10 @@ def samples():
 @pytest.mark.parametrize("name", few(TWINS, {*TWINS} - {"joint", "odd_joint", "small_rnn"}))
 def test_the_reference_is_the_estimator(name, samples):
     estimator = TWINS[name]()
+    if name in AXES:
+        every = axis_samples(name, hours=0.06)
+        samples = tree_map(lambda x: x[clean(every).learns], every)
+        assert len(samples.surge) > 500
     with torch.no_grad():
         state, predictions, _ = rollout(estimator, estimator.init(), samples, backend="torch")
     made = reference(estimator, samples)

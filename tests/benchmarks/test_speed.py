@@ -38,11 +38,11 @@ def test_examples_of_timing():
     assert doctest.testmod(timing) == (0, 4)
 
 
-@pytest.mark.parametrize("name", ["aid", "projected sift", "default ensemble"])
+@pytest.mark.parametrize("name", ["aid", "sway, n = 14", "projected sift", "default ensemble"])
 def test_every_way_of_a_step_is_measured(name):
     estimator = speed_steps.estimators()[name]
     found = speed_steps.costs(estimator, TINY, list(speed_steps.WAYS))
-    twin = {"C"} if name == "aid" and compiler() else set()
+    twin = {"C"} if name in ("aid", "sway, n = 14") and compiler() else set()
     assert set(found) == {"streamed", "call", "torch"} | twin
     assert all(len(each) == TINY.repeats and min(each) > 0 for each in found.values())
 
@@ -52,6 +52,14 @@ def test_the_samples_are_learned_from_every_one():
 
     run = speed_steps.samples(9000)  # more than the log has: it begins again
     assert len(run.surge) == 9000 and bool(clean(run).learns.all())
+
+
+def test_the_axes_see_one_another_a_step_late():
+    yaw, sway = (speed_steps.samples(200, kind) for kind in ("yaw", "sway"))
+    assert torch.equal(sway.inputs.heading[1:], yaw.surge[:-1])
+    assert torch.equal(yaw.inputs.heading[1:], sway.surge[:-1])
+    assert torch.equal(yaw.inputs.yaw_rate, sway.inputs.yaw_rate) and float(yaw.inputs.yaw_rate.max()) > 1
+    assert float(yaw.surge.std()) > 0.05 and float(sway.surge.std()) > 0.05
 
 
 def test_the_peak_of_memory_is_that_since_it_was_reset():

@@ -85,27 +85,16 @@ class Track(NamedTuple):
         return major, minor, np.where(unknown, 0.0, bearing)
 
 
-def track_of(found: np.ndarray, heading: np.ndarray, coverage: float, dt: np.ndarray) -> Track:
+def track_of(found: np.ndarray, dt: np.ndarray) -> Track:
     """A `Track` from what the kernel has written.
 
     Args:
-        found: `(time, *batch, 10)`: surge, sway, yaw rate, heading, north, east, shape (3), radius of the ellipse.
-        heading: at the beginning, rad, `(*batch,)`.
-        coverage: of the ellipse.
+        found: `(time, *batch, 9)`: surge, sway, yaw rate, heading, north, east, and the covariance's three numbers.
         dt: lengths of the steps, s, `(time,)`.
     """
-    forward, mixed, aside, radius = (found[..., i] for i in range(6, 10))
-    c, s = np.cos(heading), np.sin(heading)
-    size = radius * radius / (-2 * math.log(1 - coverage))
-    with np.errstate(invalid="ignore"):
-        north = size * (c * c * forward - 2 * c * s * mixed + s * s * aside)
-        both = size * (c * s * (forward - aside) + (c * c - s * s) * mixed)
-        east = size * (s * s * forward + 2 * c * s * mixed + c * c * aside)
-    known = np.isfinite(radius)
-    both, north, east = np.where(known, both, 0.0), np.where(known, north, np.inf), np.where(known, east, np.inf)
-    covariance = np.stack([np.stack([north, both], -1), np.stack([both, east], -1)], -2)
-    surge, sway, yaw_rate, turned, at_north, at_east = (found[..., i] for i in range(6))
-    return Track(np.cumsum(dt), surge, sway, yaw_rate, turned, at_north, at_east, covariance)
+    covariance = found[..., [6, 7, 7, 8]].reshape(*found.shape[:-1], 2, 2)
+    surge, sway, yaw_rate, heading, north, east = (found[..., i] for i in range(6))
+    return Track(np.cumsum(dt), surge, sway, yaw_rate, heading, north, east, covariance)
 
 
 def plan_commands(commands: Any, dt: Any, batch: tuple[int, ...] = ()) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

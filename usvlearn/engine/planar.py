@@ -115,7 +115,7 @@ from usvlearn.estimators.planar.state import COS as COS_PSI
 from usvlearn.estimators.planar.state import SIN as SIN_PSI
 
 TRACK = 3  # row of the track in `head`
-FOUND = 10  # of a plan's step: surge, sway, yaw rate, heading, north, east, C (3), radius
+FOUND = 9  # of a plan's step: surge, sway, yaw rate, heading, north, east, and the covariance: NN, NE, EE
 BEYOND = 1 + 1e-4  # times the longest horizon, with room for rounding
 
 
@@ -184,8 +184,8 @@ def mixed(axis, program, head, q, slot, after, own, work):
 
 
 @jit
-def track_step(program, head, s, q, slot, left, right, h, own, work):
-    """(2): one step of a track, in place."""
+def track_step(program, head, s, q, slot, left, right, h, own, work, judged):
+    """(2): one step of a track, in place; `judged`: it will be compared with the way at the yaw rate of its origin."""
     u, v, r, w, psi = slot[U], slot[V], slot[R], slot[W], slot[PSI]
     north, east, sways = slot[C_NORTH], slot[C_EAST], used(head, s)
     after, ahead = slot[ELAPSED] + h, r
@@ -215,11 +215,13 @@ def track_step(program, head, s, q, slot, left, right, h, own, work):
     lateral, other = (v - north * d + east * c, aside - north * sine + east * cosine) if sways else (0.0, 0.0)
     slot[AT_NORTH] += h / 2 * (c * u - d * lateral + cosine * along - sine * other)
     slot[AT_EAST] += h / 2 * (d * u + c * lateral + sine * along + cosine * other)
-    held = slot[PSI_0] + slot[R_0] * after
-    held_cosine, held_sine = np.cos(held), np.sin(held)
-    slot[HELD_NORTH] += h / 2 * (slot[HELD_COS] * u + held_cosine * along)
-    slot[HELD_EAST] += h / 2 * (slot[HELD_SIN] * u + held_sine * along)
-    slot[COS_PSI], slot[SIN_PSI], slot[HELD_COS], slot[HELD_SIN] = cosine, sine, held_cosine, held_sine
+    if judged:
+        held = slot[PSI_0] + slot[R_0] * after
+        held_cosine, held_sine = np.cos(held), np.sin(held)
+        slot[HELD_NORTH] += h / 2 * (slot[HELD_COS] * u + held_cosine * along)
+        slot[HELD_EAST] += h / 2 * (slot[HELD_SIN] * u + held_sine * along)
+        slot[HELD_COS], slot[HELD_SIN] = held_cosine, held_sine
+    slot[COS_PSI], slot[SIN_PSI] = cosine, sine
     slot[RUN] += h * abs(u + along) / 2
     slot[U], slot[V], slot[R], slot[W], slot[PSI] = along, aside, ahead, along - north * cosine - east * sine, turned
     slot[ELAPSED] = after
@@ -388,7 +390,7 @@ def tracks(program, head, s, q, row, pose, work):
             slot[ELAPSED], free = EMPTY, i
             continue
         start = slot[ELAPSED]
-        track_step(program, head, s, q, slot, row[LEFT], row[RIGHT], row[DT], own, rest)
+        track_step(program, head, s, q, slot, row[LEFT], row[RIGHT], row[DT], own, rest, True)
         for k in range(H):
             if start + half < horizons[k] <= slot[ELAPSED] + half:
                 publish_due(head, s, q, slot, k, pose)
@@ -421,12 +423,13 @@ def track_plan(program, head, s, q, slot, left, right, dt, found, work):
     filtered, psi = s[head[SURGE, STATE] + head[SURGE, MEAN] :], s[head[TRACK, BEFORE] + 5]
     along = filtered[CURRENT_NORTH] * np.cos(psi) + filtered[CURRENT_EAST] * np.sin(psi)
     origin(program, head, s, q, slot, psi, s[head[TRACK, BEFORE]] + along)
+    c, d, level = slot[COS_0], slot[SIN_0], -2 * np.log(1 - q[head[TRACK, Q]])
     for j in range(len(left)):
-        track_step(program, head, s, q, slot, left[j], right[j], dt[j], own, rest)
+        track_step(program, head, s, q, slot, left[j], right[j], dt[j], own, rest, False)
         row, t = found[j], slot[ELAPSED]
         row[0], row[1], row[2], row[3] = slot[U], slot[V], slot[R], slot[PSI]
         if used(head, s):
-            row[1] += slot[C_EAST] * np.cos(slot[PSI]) - slot[C_NORTH] * np.sin(slot[PSI])
+            row[1] += slot[C_EAST] * slot[COS_PSI] - slot[C_NORTH] * slot[SIN_PSI]
         row[4], row[5] = slot[AT_NORTH], slot[AT_EAST]
         k = 0
         while k + 1 < H and horizons[k + 1] <= t:
@@ -441,4 +444,10 @@ def track_plan(program, head, s, q, slot, left, right, dt, found, work):
             width = (1 - rise) * width + rise * radius_held(slot, above, t)
         elif t < horizons[0]:
             width *= t / horizons[0]
-        row[9] = width if t <= horizons[H - 1] * BEYOND else np.inf
+        if not (t <= horizons[H - 1] * BEYOND and width < np.inf):
+            row[6], row[7], row[8] = np.inf, 0.0, np.inf
+            continue
+        size, forward, both, aside = width * width / level, row[6], row[7], row[8]
+        row[6] = size * (c * c * forward - 2 * c * d * both + d * d * aside)
+        row[7] = size * (c * d * (forward - aside) + (c * c - d * d) * both)
+        row[8] = size * (d * d * forward + 2 * c * d * both + c * c * aside)

@@ -36,7 +36,6 @@ class PlanarLive(Live):
         super().__init__(description, leaves)
         compile_planar(self.plan.dtype)
         self._pose = np.empty(POSE, self.plan.dtype)
-        self._coverage = float(description["numbers"]["coverage"])
 
     def step(self, sample: Sample | PlanarSample) -> Any:
         """Predict, then learn; returns the prediction of the surge, m/s. A `Sample` alone measures nothing else."""
@@ -74,11 +73,10 @@ class PlanarLive(Live):
         with self._lock:
             for k, (program, s, q, work) in enumerate(self._steps):
                 track_plan(program, plan.head, s, q, slot, left[k], right[k], lengths[k], found[k], work)
-            heading = plan.view(self.states, "track.before")[..., 5].copy()
         if not self.current:
-            found[..., -1] = np.inf
+            found[..., 6:] = np.inf, 0.0, np.inf
         wide = np.moveaxis(found, 0, 1).reshape(steps, *plan.batch, FOUND)
-        return track_of(wide, heading, self._coverage, lengths[0])
+        return track_of(wide, lengths[0])
 
     def _pair(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         predictions, widths = (self.plan.view(states, f"surge.{name}").copy() for name in ("predictions", "halfwidths"))
