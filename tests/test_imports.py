@@ -219,7 +219,12 @@ def test_kernels_run_without_torch():
     code = "import usvlearn.engine.free_runs, usvlearn.engine.single_steps, usvlearn.engine.run, usvlearn.engine.online"
     assert not loaded(code) & {*HEAVY, "hydra", "rich"} - {"numba", "scipy"}  # which numba imports where it is there
     for path in MODULES:
-        if within(name_of(path), ["usvlearn.engine"]) and path.stem not in ("rollouts", "planar_runs", "backend", "torch_steps"):
+        if within(name_of(path), ["usvlearn.engine"]) and path.stem not in (
+            "rollouts",
+            "planar_runs",
+            "backend",
+            "torch_steps",
+        ):
             packages = {found.partition(".")[0] for found in imports(path)}
             assert packages <= {"numpy", "numba", "usvlearn", *sys.stdlib_module_names}, path
 

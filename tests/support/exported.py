@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.support.voyages import Voyage
+from tests.support.voyages import EARTH, START, Voyage
 
 KNOTS, KMH, DEG = 3600 / 1852, 3.6, 180 / math.pi
 BEGIN = datetime(2025, 7, 24, 17, 18, 48, tzinfo=UTC)
@@ -276,4 +276,54 @@ def on_change(folder: Path, voyage: Voyage) -> Path:
         "COMPASS_HEADING": scaled(voyage.heading, DEG),
         "LATITUDE": voyage.latitude,
         "LONGITUDE": voyage.longitude,
+    })  # fmt: skip
+
+
+def adrift(voyage: Voyage) -> dict[str, np.ndarray]:
+    """A voyage with a sway, to starboard: stamps, sway, and the position that it makes, m and degrees."""
+    time = rows(voyage)
+    slow = np.convolve(np.random.default_rng(7).normal(0, 1, len(time) + 99), np.ones(100) / 10, "valid")
+    sway = -0.3 * np.interp(time, *voyage.yaw_rate) * voyage.at("surge", time) + 0.1 * slow
+    heading = voyage.at("heading", time)
+    moved = (voyage.at("surge", time) + 1j * sway) * np.exp(1j * heading)
+    place = np.cumsum(moved) * 0.1 + np.random.default_rng(8).normal(0, 0.02, (2, len(time))).T @ [1, 1j]
+    return {
+        "time": time,
+        "sway": sway,
+        "north": place.real,
+        "east": place.imag,
+        "lat": np.round(START[0] + np.degrees(place.real / EARTH), 8),
+        "lon": np.round(START[1] + np.degrees(place.imag / EARTH / math.cos(math.radians(START[0]))), 8),
+    }
+
+
+def sway_table(folder: Path, voyage: Voyage) -> Path:
+    """A sway in knots, under a German name."""
+    own = adrift(voyage)
+    time = own["time"]
+    return write_table(folder / "sway.csv", {
+        "time": time,
+        "Breite": own["lat"],
+        "Länge": own["lon"],
+        "Steuerkurs (°)": DEG * voyage.at("heading", time),
+        "Geschwindigkeit (kn)": KNOTS * voyage.at("surge", time),
+        "Quergeschwindigkeit (kn)": KNOTS * own["sway"],
+        "Schub links (%)": 100 * voyage.at("command_left", time),
+        "Schub rechts (%)": 100 * voyage.at("command_right", time),
+    })  # fmt: skip
+
+
+def port_table(folder: Path, voyage: Voyage) -> Path:
+    """A velocity in the axes of ROS: x ahead, y to port, beside a yaw from east."""
+    own = adrift(voyage)
+    time = own["time"]
+    return write_table(folder / "port.csv", {
+        "time": time,
+        "latitude": own["lat"],
+        "longitude": own["lon"],
+        "yaw": enu(voyage.at("heading", time)),
+        "twist.linear.x": voyage.at("surge", time),
+        "twist.linear.y": -own["sway"],
+        "left_motor": voyage.at("command_left", time),
+        "right_motor": voyage.at("command_right", time),
     })  # fmt: skip

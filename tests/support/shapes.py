@@ -141,6 +141,21 @@ SHAPES = {
         },
         {"commands": "on_change"},
     ),
+    "sway": Shape(
+        exported.sway_table,
+        pair("Schub links (%)", "Schub rechts (%)", zero=0, span=100)
+        | {"heading": [{"name": "Steuerkurs (°)", "unit": "deg"}]}
+        | {"surge": [{"name": "Geschwindigkeit (kn)", "unit": "knots"}]}
+        | {"sway": [{"name": "Quergeschwindigkeit (kn)", "unit": "knots", "span": 1}]}
+        | {"latitude": [{"name": "Breite"}], "longitude": [{"name": "Länge"}]},
+    ),
+    "port": Shape(
+        exported.port_table,
+        pair("left_motor", "right_motor", zero=0, span=1)
+        | {"heading": [{"name": "yaw", "unit": "enu_rad"}], "surge": [{"name": "twist.linear.x", "unit": "m/s"}]}
+        | {"sway": [{"name": "twist.linear.y", "unit": "m/s", "span": -1}]}
+        | {"latitude": [{"name": "latitude"}], "longitude": [{"name": "longitude"}]},
+    ),
     "heron": Shape(
         exported_bags.heron,
         {
@@ -160,7 +175,8 @@ SHAPES = {
         pair("/boat/left_thruster", "/boat/right_thruster", zero=0, span=36.5)
         | {"heading": [{"name": "/boat/ned_pose", "field": "theta", "unit": "rad"}]}
         | {"yaw_rate": [{"name": "/boat/local_vel", "field": "z", "unit": "rad/s"}]}
-        | {"surge": [{"name": "/boat/local_vel", "field": "x", "unit": "m/s"}]},
+        | {"surge": [{"name": "/boat/local_vel", "field": "x", "unit": "m/s"}], "sway": [{"name": None}]}
+        | {"north": [{"name": "/boat/ned_pose", "field": "x"}], "east": [{"name": "/boat/ned_pose", "field": "y"}]},
     ),
 }  # fmt: skip
 
@@ -210,7 +226,7 @@ def _same(own: Any, expected: Any) -> bool:
 
 def _equal(key: str, own: Mapping[str, Any], expected: Mapping[str, Any]) -> bool:
     """Zero and span within 4 % and 20 % of full scale."""
-    value, right = own.get(key), expected[key]
+    value, right = own.get(key, 1.0 if key == "span" else None), expected[key]
     if key in ("zero", "span") and isinstance(value, int | float):
         return abs(value - right) <= (0.2 if key == "span" else 0.04) * abs(expected["span"])
     return _same(value, right)

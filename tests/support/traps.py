@@ -13,6 +13,7 @@ import numpy as np
 from tests.support.exported import (
     DEG,
     KNOTS,
+    adrift,
     enu,
     rows,
     voyage_latitude,
@@ -209,6 +210,48 @@ def vectors_of_the_hull(folder: Path, voyage: Voyage) -> Path:
     return write_table(folder / "a.csv", own)
 
 
+def sway_to_port(folder: Path, voyage: Voyage) -> Path:
+    """Columns u and v, of which v counts to port, beside a heading from north; no position."""
+    own = adrift(voyage)
+    changed = {"speed": None, "u": voyage.at("surge", own["time"]), "v": -own["sway"]}
+    return write_table(folder / "a.csv", columns(voyage, lat=None, lon=None, **changed))
+
+
+def sway_to_port_proved(folder: Path, voyage: Voyage) -> Path:
+    """The same with a position, under a plain name."""
+    own = adrift(voyage)
+    return write_table(folder / "a.csv", columns(voyage, lat=own["lat"], lon=own["lon"], sway=-own["sway"]))
+
+
+def sway_of_another_boat(folder: Path, voyage: Voyage) -> Path:
+    """A sway that has nothing to do with the position."""
+    own = adrift(voyage)
+    return write_table(folder / "a.csv", columns(voyage, lat=own["lat"], lon=own["lon"], sway=own["sway"][::-1]))
+
+
+def axes_interchanged(folder: Path, voyage: Voyage) -> Path:
+    """Local coordinates that are called north and east, and are east and north."""
+    time = rows(voyage)
+    own = columns(voyage, lat=None, lon=None, north=np.interp(time, *voyage.east), east=np.interp(time, *voyage.north))
+    return write_table(folder / "a.csv", own)
+
+
+def unnamed_axes(folder: Path, voyage: Voyage) -> Path:
+    """Local coordinates x and y of which x is north."""
+    time = rows(voyage)
+    own = columns(voyage, lat=None, lon=None, x=np.interp(time, *voyage.north), y=np.interp(time, *voyage.east))
+    return write_table(folder / "a.csv", own)
+
+
+def axes_by_a_wrong_heading(folder: Path, voyage: Voyage) -> Path:
+    """Local coordinates x east and y north, and a yaw from east that is called heading."""
+    time = rows(voyage)
+    own = columns(voyage, lat=None, lon=None, heading=DEG * enu(voyage.at("heading", time)))
+    return write_table(
+        folder / "a.csv", own | {"x": np.interp(time, *voyage.east), "y": np.interp(time, *voyage.north)}
+    )
+
+
 SIDES = pair("thrust_left", "thrust_right", zero=0, span=1)
 HEADING = {"heading": [{"name": "heading", "unit": "deg"}]}
 SPEED = {"surge": [{"name": "speed", "unit": "m/s"}]}
@@ -246,5 +289,14 @@ TRAPS = {
                             | {"surge": [{"name": "u", "unit": "m/s"}]}),
     "vectors_over_ground": Shape(vectors_over_ground, SIDES | HEADING | {"surge": [{"name": None}]}
                                  | {"velocity_north": [{"name": "vx"}], "velocity_east": [{"name": "vy"}]}),
-    "vectors_of_the_hull": Shape(vectors_of_the_hull, SIDES | HEADING | {"surge": [{"name": "vx", "unit": "m/s"}]}),
+    "vectors_of_the_hull": Shape(vectors_of_the_hull, SIDES | HEADING | {"surge": [{"name": "vx", "unit": "m/s"}]}
+                                 | {"sway": [{"name": "vy", "unit": "m/s", "span": 1}]}),
+    "sway_to_port": Shape(sway_to_port, SIDES | HEADING | {"surge": [{"name": "u", "unit": "m/s"}]}
+                          | {"sway": [{"name": "v", "unit": "m/s", "span": -1}]}),
+    "sway_to_port_proved": Shape(sway_to_port_proved, COMMON | {"sway": [{"name": "sway", "unit": "m/s", "span": -1}]}),
+    "sway_of_another_boat": Shape(sway_of_another_boat, COMMON | {"sway": [{"name": None}]}),
+    "axes_interchanged": Shape(axes_interchanged, COMMON | {"north": [{"name": "east"}], "east": [{"name": "north"}]}),
+    "axes_by_a_wrong_heading": Shape(axes_by_a_wrong_heading, SIDES | SPEED | {
+        "heading": [{"name": "heading", "unit": "enu_deg"}], "north": [{"name": "y"}], "east": [{"name": "x"}]}),
+    "unnamed_axes": Shape(unnamed_axes, COMMON | {"north": [{"name": "x"}], "east": [{"name": "y"}]}),
 }  # fmt: skip

@@ -23,7 +23,7 @@ import usvlearn
 from tests.support import REAL_LOGS, few
 from usvlearn.cli.composition import recordings_of
 from usvlearn.errors import ConfigError, LogFormatError
-from usvlearn.logs.channels.channel import COMMANDS, SURGE, Channel, Recording
+from usvlearn.logs.channels.channel import AUXILIARY, COMMANDS, SURGE, Channel, Recording
 from usvlearn.logs.checks.data_check import check_data, check_level, refuse
 from usvlearn.logs.checks.finding import NOTE, WARNING, Finding, override
 from usvlearn.logs.recordings import align_fleet
@@ -350,7 +350,8 @@ def stamps(rng, n):
 
 def test_no_numbers_stop_the_check():
     """Warnings are errors here, too."""
-    others = ("yaw_rate", "north", "east", "latitude", "longitude")
+    others = ("yaw_rate", *AUXILIARY)
+    sources = {name: {"name": name} for name in (*COMMANDS, "heading", *others)}
     for seed in range(300):
         rng = np.random.default_rng(seed)
         channels = {}
@@ -358,5 +359,5 @@ def test_no_numbers_stop_the_check():
             if name not in others or rng.random() < 0.5:
                 n = int(rng.choice([0, 1, 2, 5, 400])) if rng.random() < 0.3 else 600
                 channels[name] = Channel(stamps(rng, n), values(rng, n), np.arange(n))
-        for each in check_data([Recording("boat", "run", channels, {})], None, {}, 2.0):
+        for each in check_data([Recording("boat", "run", channels, {})], None, {}, 2.0, sources if seed % 2 else None):
             assert each.severity in (WARNING, NOTE) and each.found and each.expected

@@ -5,7 +5,7 @@ import yaml
 
 from tests.support import REAL_LOGS, ROOT, few
 from tests.support.shapes import certainties, score
-from usvlearn.logs.channels.channel import CHANNELS, COMMANDS
+from usvlearn.logs.channels.channel import CHANNELS, COMMANDS, SWAY
 from usvlearn.logs.inspection.inspected import inspect_logs
 
 BOATS = {  # boat -> channels that are also right: another name of the same quantity
@@ -29,7 +29,7 @@ def truth(boat):
     """The hand-made configuration, as what is right."""
     channels = yaml.safe_load((ROOT / "configs" / "data" / f"{boat}.yaml").read_text())["data"]["channels"]
     wanted = {}
-    for name in (each for each in CHANNELS if each in channels):
+    for name in (each for each in (*CHANNELS, SWAY) if each in channels):
         source = channels[name]
         full = {**PLAIN, **source}
         keys = ("name", "zero", "span") if name in COMMANDS else ("name", "unit")

@@ -29,6 +29,7 @@ FAST = 0.3  # share of the greatest speed from which a ratio of speeds is taken
 FEW_LAGS = 64  # that are summed one by one; more by Fourier transforms
 REACH = 60.0  # s, lags of an autocorrelation that are summed
 NO_LAG = (0.0, 0.0)
+MINUTE, IMAGE, BETTER = 60.0, 0.9, 5.0  # s, correlation and ratio of squares of a mirror image
 
 
 class Relation(NamedTuple):
@@ -54,6 +55,26 @@ class Offset(NamedTuple):
     sign: float  # -1: the two angles count in opposite directions
     rival: float  # concentration with the other sign; near the first one, the sign is not known
     seconds: float
+
+
+class Motion(NamedTuple):
+    """How the rate of a position follows a measured velocity, both as complex numbers, north + i east.
+
+    NaN where there is too little evidence. Values of `along` and `against` are correlation coefficients: their size is
+    at most 1, and their angle is that by which the rate is turned from the velocity, or from its mirror image.
+    """
+
+    along: complex  # with the velocity
+    against: complex  # with its complex conjugate: one axis is reversed, or both are interchanged
+    scale: float  # standard deviation of the rate over that of the velocity
+    spread: float  # m/s, standard deviation of the velocity
+    seconds: float
+
+    @property
+    def is_mirrored(self) -> bool:
+        """Whether the mirror image fits, and leaves a fifth of the squares that the velocity itself leaves, or less."""
+        rest, of_image = 1 - abs(self.along) ** 2, 1 - abs(self.against) ** 2
+        return self.seconds >= MINUTE and abs(self.against) > IMAGE and rest > BETTER * of_image
 
 
 NOTHING = Relation(math.nan, math.nan, math.nan, math.nan, 0.0)
@@ -170,6 +191,66 @@ def speed_on_positions(north: Series, east: Series, speed: Series, step: float =
     if not found.seconds or not (fast := known & (rate > FAST * np.max(rate[known], initial=0.0))).any():
         return found
     return found._replace(slope=float(np.median(size[fast] / rate[fast])))
+
+
+def position_on_velocity(position: tuple[Series, Series], velocity: tuple[Series, Series], step: float = 5.0) -> Motion:
+    """The rate of a position against a velocity over ground, each north and east.
+
+    >>> time = np.arange(0, 600, 0.2)
+    >>> north, east = np.cos(0.02 * time), np.sin(0.03 * time)
+    >>> way = [np.cumsum(each) * 0.2 / 0.3048 for each in (north, east)]
+    >>> feet = position_on_velocity(((time, way[0]), (time, way[1])), ((time, north), (time, east)))
+    >>> round(abs(feet.along), 2), round(feet.scale, 2)
+    (1.0, 3.28)
+    >>> swapped = position_on_velocity(((time, way[1]), (time, way[0])), ((time, north), (time, east)))
+    >>> round(abs(swapped.against), 2), round(math.degrees(np.angle(swapped.against)))
+    (1.0, 90)
+    >>> swapped.is_mirrored, feet.is_mirrored
+    (True, False)
+    """
+    edges = bin_edges(step, *position, *velocity)
+    rate = _plane([bin_rates(series, edges) for series in position])
+    speed = _plane([bin_means(series, edges) for series in velocity])
+    known = np.isfinite(rate) & np.isfinite(speed)
+    count = int(known.sum())
+    if count < FEWEST:
+        return Motion(math.nan, math.nan, math.nan, math.nan, 0.0)
+    rate, speed = (each[known] - each[known].mean() for each in (rate, speed))
+    of_rate, of_speed = (math.sqrt(float(np.mean(np.abs(each) ** 2))) for each in (rate, speed))
+    both = max(of_rate * of_speed, 1e-12)
+    along, against = (complex(np.mean(rate * each)) / both for each in (speed.conj(), speed))
+    return Motion(along, against, of_rate / max(of_speed, 1e-12), of_speed, step * count)
+
+
+def sway_on_positions(north: Series, east: Series, heading: Series, sway: Series, step: float = 2.0) -> Relation:
+    """The sway against the rate of position across the hull, to starboard, at an equal rate along the hull.
+
+    The slope is 1 where the sway is right, -1 where it counts to port. What a compass error adds to the rate across is
+    a part of the rate along, and left out.
+
+    >>> time = np.arange(0, 900, 0.2)
+    >>> heading, sway = 0.1 * time, 0.2 * np.sin(0.06 * time)
+    >>> north, east = (np.cumsum(each) * 0.2 for each in (-sway * np.sin(heading), sway * np.cos(heading)))
+    >>> found = sway_on_positions((time, north), (time, east), (time, heading), (time, -sway))
+    >>> round(found.slope), round(found.correlation, 1)
+    (-1, -1.0)
+    """
+    edges = bin_edges(step, north, east, heading, sway)
+    time, angle = cleaned(heading)
+    along = bin_means((time, np.cos(angle)), edges) + 1j * bin_means((time, np.sin(angle)), edges)
+    with np.errstate(invalid="ignore"):
+        along /= np.abs(along)
+    rate = _plane([bin_rates(north, edges), bin_rates(east, edges)]) * along.conj()
+    across, own = (_residual(each, rate.real) for each in (rate.imag, clipped(bin_means(sway, edges))))
+    return relate(across, own, step, NO_LAG)
+
+
+def _plane(parts: list[np.ndarray]) -> np.ndarray:
+    """Two components as complex numbers whose size is at most its `EXTREME` quantile."""
+    size = np.hypot(*parts)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.where(size > 0, clipped(size) / size, 1.0)
+    return share * (parts[0] + 1j * parts[1])
 
 
 def angle_offset(one: Series, other: Series, step: float = 1.0) -> Offset:

@@ -2,8 +2,9 @@
 
 Wrong units, reversed sides and delays do not stop a run: it prints plausible numbers. Each check compares channels with
 each other and with physics, on all runs of a boat together (`usvlearn.logs.channels.relations`), and yields a finding
-with the setting that corrects it. The thresholds stand beside the checks: `scales`, `thrusters`, `response`, `frozen`
-and `delivery` of `usvlearn.logs.checks`; `docs/benchmarks/data_check.md` has their rates of false alarms and misses.
+with the setting that corrects it. The thresholds stand beside the checks: `scales`, `track`, `thrusters`, `response`,
+`frozen` and `delivery` of `usvlearn.logs.checks`; `docs/benchmarks/data_check.md` has the rates of false alarms and
+misses.
 
 A check that lacks its evidence is silent: a boat that never turns has no sides to be compared.
 """
@@ -17,24 +18,27 @@ from typing import Any
 from usvlearn.core.samples import Fleet
 from usvlearn.errors import LogFormatError, check_choice
 from usvlearn.logs.channels.channel import Recording
-from usvlearn.logs.checks import delivery, frozen, response, scales, thrusters
+from usvlearn.logs.checks import delivery, frozen, response, scales, thrusters, track
 from usvlearn.logs.checks.evidence import Evidence
 from usvlearn.logs.checks.finding import WARNING, Finding
 
 CHECKS: tuple[Callable[[Evidence], Iterator[Finding]], ...] = (
     scales.zeros, scales.rest, scales.speed_scale, scales.command_scale, scales.heading_unit,
-    scales.heading_sense, scales.yaw_rate,
+    scales.heading_sense, scales.yaw_rate, track.degrees, track.axes, track.follows, track.sway,
     thrusters.sides, thrusters.delay, thrusters.excitation, response.short_delay, frozen.frozen,
     delivery.rejected, delivery.stale, delivery.copies, delivery.clock, delivery.horizons,
 )  # fmt: skip
 # kind of a finding -> kinds that follow from it, and are left out beside it
 CONSEQUENCES = {
-    **dict.fromkeys(("speed unit", "speed scale", "heading unit", "yaw rate unit"), ("rejected", "stale")),
+    **dict.fromkeys(("speed unit", "speed scale", "yaw rate unit"), ("rejected", "stale")),
+    "heading unit": ("rejected", "stale", "position", "position axes"),
     "command scale": ("rejected", "stale", "excitation"),
-    "constant": ("thrust",),
+    "constant": ("thrust", "position"),
     "side reversed": ("thrust",),
-    "delay": ("stale",),
-    "frozen": ("delay",),
+    "delay": ("stale", "position"),
+    "frozen": ("delay", "position"),
+    "position unit": ("speed unit", "heading sense", "heading offset", "position", "position axes"),
+    "velocity axes": ("speed unit", "speed scale", "sides or heading", "side reversed", "thrust"),
 }
 LEVELS = ("warn", "strict", "off")
 

@@ -11,9 +11,32 @@ import numpy as np
 
 from usvlearn.core.samples import Fleet
 from usvlearn.logs.channels.bins import HUGE, OUTAGE, Series, bin_edges, bin_means, bin_rates, cleaned, clipped
-from usvlearn.logs.channels.channel import COMMANDS, DEGREES, METRES, REQUIRED, SURGE, UNITS, Channel, Recording, Source
+from usvlearn.logs.channels.channel import (
+    COMMANDS,
+    COURSES,
+    DEGREES,
+    METRES,
+    REQUIRED,
+    SURGE,
+    SWAY,
+    UNITS,
+    VELOCITIES,
+    Channel,
+    Recording,
+    Source,
+)
+from usvlearn.logs.channels.derived_surge import pair_of
 from usvlearn.logs.channels.positions import in_metres
-from usvlearn.logs.channels.relations import Offset, Relation, angle_offset, in_series, relate, relate_sides
+from usvlearn.logs.channels.relations import (
+    Motion,
+    Offset,
+    Relation,
+    angle_offset,
+    in_series,
+    position_on_velocity,
+    relate,
+    relate_sides,
+)
 
 STEP = 1.0  # s, of the bins: below the time constants of hulls, and few enough that a check takes milliseconds
 TURNS_WITHIN = (0.0, 5.0)  # s, from a command to the yaw rate: the yaw time constant and a delay
@@ -131,13 +154,80 @@ class Evidence:
 
     @cached_property
     def course(self) -> Offset:
-        """By how much the course over ground differs from the heading while the boat moves ahead."""
-        edges = bin_edges(LEG, *(self.series.get(name, NONE) for name in METRES))
-        north, east = (bin_rates(self.series.get(name, NONE), edges) for name in METRES)
+        """By how much the course over ground differs from the heading while the boat moves ahead.
+
+        It comes from positions; without them from the course and speed over ground, or from velocities.
+        """
+        first, second = self._moved
+        edges = bin_edges(LEG, first, second)
+        north, east = ((bin_rates if self.has_position else bin_means)(each, edges) for each in (first, second))
         at = (edges[:-1] + edges[1:]) / 2
         ahead = bin_means(self.series[SURGE], edges) if len(edges) else at
-        moving = (np.hypot(north, east) > MOVING * min(self.surge_max, self.fastest)) & (ahead > 0)
+        computed = self.speeds != (SURGE,)  # with a wrong heading such a surge has a wrong sign
+        moving = (np.hypot(north, east) > MOVING * min(self.surge_max, self.fastest)) & (computed | (ahead > 0))
         return angle_offset((at[moving], np.arctan2(east, north)[moving]), self.series["heading"], LEG)
+
+    @property
+    def _moved(self) -> tuple[Series, Series]:
+        """Positions north and east; without them velocities over ground."""
+        if not self.has_position and all(name in self.series for name in COURSES):
+            (time, speed), (stamps, course) = (cleaned(self.series[name]) for name in COURSES)
+            if len(time) and len(stamps):
+                turned = np.interp(time, stamps, np.unwrap(course))
+                return (time, speed * np.cos(turned)), (time, speed * np.sin(turned))
+        names = METRES if self.has_position else VELOCITIES
+        return self.series.get(names[0], NONE), self.series.get(names[1], NONE)
+
+    @property
+    def has_position(self) -> bool:
+        return all(name in self.series for name in METRES)
+
+    @property
+    def places(self) -> tuple[str, str]:
+        """The channels of the position as they are logged; `METRES` if there is none."""
+        return DEGREES if all(name in self.series for name in DEGREES) else METRES
+
+    @property
+    def speeds(self) -> tuple[str, ...]:
+        """The channels that hold the size of the speed; () if it is computed from the position itself."""
+        if SURGE in self.channels or not self.channels:
+            return (SURGE,)
+        pair = pair_of(self.channels)
+        return VELOCITIES if pair == VELOCITIES else COURSES[:1] if pair == COURSES else ()
+
+    @cached_property
+    def size(self) -> Series:
+        """The speed whose unit is configured: the surge, that over ground, or the size of the velocity, m/s."""
+        if self.speeds == VELOCITIES:
+            (time, north), (stamps, east) = (cleaned(self.series.get(name, NONE)) for name in VELOCITIES)
+            return (time, np.hypot(north, np.interp(time, stamps, east))) if len(time) and len(stamps) else NONE
+        return self.series.get((self.speeds or (SURGE,))[0], NONE)
+
+    @cached_property
+    def over_ground(self) -> tuple[Series, Series]:
+        """The measured velocity to the north and to the east, from surge, sway and heading, m/s.
+
+        The sway counts as 0 where it is not logged; it is also known from velocities to the north and to the east.
+        """
+        time, ahead = cleaned(self.series[SURGE])
+        turned = cleaned(self.series["heading"])
+        if not len(time) or not len(turned[0]):
+            return NONE, NONE
+        heading = np.interp(time, turned[0], np.unwrap(turned[1]))
+        aside = np.zeros(len(time))
+        if SWAY in self.series:
+            aside = np.interp(time, *cleaned(self.series[SWAY]))
+        elif all(name in self.series for name in VELOCITIES):
+            north, east = (np.interp(time, *cleaned(self.series[name])) for name in VELOCITIES)
+            aside = east * np.cos(heading) - north * np.sin(heading)
+        velocity = (ahead + 1j * aside) * np.exp(1j * heading)
+        return (time, velocity.real), (time, velocity.imag)
+
+    @cached_property
+    def motion(self) -> Motion:
+        """The rate of the position against the measured velocity."""
+        north, east = (self.series.get(name, NONE) for name in METRES)
+        return position_on_velocity((north, east), self.over_ground, LEG)
 
     @property
     def sense(self) -> float | None:
@@ -163,6 +253,17 @@ def spread(values: np.ndarray) -> float:
     """
     known = values[np.isfinite(values)]
     return float(known.std()) if len(known) else 0.0
+
+
+def angular(e: Evidence, name: str) -> str:
+    """The unit of a heading or a yaw rate; "1" is SI."""
+    unit = e.settings(name)["unit"]
+    return ("rad" if name == "heading" else "rad/s") if unit == "1" else unit
+
+
+def mirrored(unit: str) -> str:
+    """The unit of the other sense."""
+    return unit.removeprefix("enu_") if unit.startswith("enu_") else f"enu_{unit}"
 
 
 def _series_of(channels: Mapping[str, Channel]) -> dict[str, Series]:

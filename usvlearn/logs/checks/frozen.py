@@ -14,6 +14,7 @@ finding only with a witness, all of them in its own time:
   but is described twice as well by no turn. At the end of its range a command is no witness: an autopilot that steers
   against a dead thruster stays there.
 - Yaw rate: the heading turns.
+- A coordinate: by speed and heading the boat moved by more than 10 m along that axis, at a quarter of its top speed.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from usvlearn.logs.channels.bins import GAP, INTERVALS, Series, bin_rates, cleaned
+from usvlearn.logs.channels.bins import GAP, INTERVALS, Series, bin_means, bin_rates, cleaned
 from usvlearn.logs.channels.channel import COMMANDS, METRES, SURGE
 from usvlearn.logs.checks.evidence import LEG, MOVING, NONE, STEP, Evidence, spread
 from usvlearn.logs.checks.finding import Finding, see
@@ -36,6 +37,7 @@ FOLLOWS, CERTAIN = 0.3, 2.5  # correlation of the turn or the speed with the com
 USED = 0.2  # of full scale, the range of the other command
 TURNING = 0.03  # rad/s, standard deviation of a turn
 UNLIKE = 4.0  # times the squares of residuals elsewhere
+FAR = 10.0  # m
 EDGE = 0.02  # of the range of a command, from its ends
 
 Witness = Callable[[Evidence, str, float, slice], str | None]
@@ -78,9 +80,10 @@ def frozen(e: Evidence) -> Iterator[Finding]:
         run, began = e.place(first)
         share = sum(each[0] for each in found) / max(STEP * np.isfinite(e.means(name)).sum(), lasted)
         number = f"{math.degrees(value):.4g}°" if name == "heading" else f"{value:.4g}"
+        about = dict(zip(METRES, e.places, strict=True)).get(name, name)
         text = f"{number} from {began:.0f} to {began + lasted:.0f} s of {run} ({share:.0%} of the time) while {why}"
         also = f", one of {len(found)} such stretches" if len(found) > 1 else ""
-        yield Finding(e.boat, name, "frozen", text + also, see("a value that changes", name))
+        yield Finding(e.boat, about, "frozen", text + also, see("a value that changes", about))
 
 
 def _speed(e: Evidence, name: str, value: float, part: slice) -> str | None:
@@ -144,6 +147,17 @@ def _command(e: Evidence, name: str, value: float, part: slice) -> str | None:
     return None
 
 
+def _coordinate(e: Evidence, name: str, value: float, part: slice) -> str | None:
+    if not e.speeds:
+        return None  # the speed comes from positions itself
+    speed = bin_means(e.over_ground[METRES.index(name)], e.edges)[part]
+    way = np.cumsum(speed[np.isfinite(speed)]) * STEP
+    moved = float(np.ptp(way)) if len(way) else 0.0
+    if _middle(np.abs(speed)) > CHANGE * min(e.surge_max, e.fastest) and moved > FAR:
+        return f"speed and heading say that the boat moves by {moved:.0f} m"
+    return None
+
+
 def _moves(e: Evidence, part: slice) -> np.ndarray:
     """Rates of the positions north and east over 5 s, `(2, bins)`; NaN where they are not known."""
     return np.stack([_smooth(bin_rates(e.series.get(name, NONE), e.edges)[part]) for name in METRES])
@@ -174,5 +188,6 @@ def _turned(rate: np.ndarray) -> float:
 
 
 WITNESSES: dict[str, Witness] = {
-    SURGE: _speed, "heading": _heading, "yaw_rate": _yaw_rate, **dict.fromkeys(COMMANDS, _command),
+    SURGE: _speed, "heading": _heading, "yaw_rate": _yaw_rate,
+    **dict.fromkeys(COMMANDS, _command), **dict.fromkeys(METRES, _coordinate),
 }  # fmt: skip

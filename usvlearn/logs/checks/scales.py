@@ -18,15 +18,17 @@ Thresholds, and why:
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 
 from usvlearn.logs.channels.bins import HUGE
 from usvlearn.logs.channels.channel import COMMANDS, METRES, SPEEDS, SURGE, UNITS
 from usvlearn.logs.channels.relations import rate_slope, speed_on_positions
-from usvlearn.logs.checks.evidence import Evidence, spread
+from usvlearn.logs.checks.evidence import Evidence, angular, mirrored, spread
 from usvlearn.logs.checks.finding import NOTE, Finding, override, see
+from usvlearn.logs.checks.track import half_turn_fix, heading_is_right, mirror_fix, position_unit
 
 SURE, LIKELY_TURN = 4.0, 2.5  # standard errors; less beside headings of a wrong range
 TOO_FAST, CURRENT, FASTEST = 1.3, 0.5, 15.0  # of the top speed; m/s; m/s
@@ -68,12 +70,15 @@ def speed_scale(e: Evidence) -> Iterator[Finding]:
     """The speed against the rate of position, or against the boat's top speed."""
     if e.fastest < RESTING:
         return
-    configured = SURGE in e.channels or not e.channels  # else it was computed from positions itself
-    if configured and all(name in e.series for name in METRES):
+    if e.speeds and e.has_position:
         north, east = (e.series[name] for name in METRES)
-        relation = speed_on_positions(north, east, e.series[SURGE])
+        relation = speed_on_positions(north, east, e.size)
         if relation.correlation > 0.5 and relation.slope > 0:
             if not 1 / SAME < relation.slope < SAME:
+                fits = bool(_in_other_unit(_other_units(e), relation.slope))
+                if other := position_unit(e, relation.slope, _plausible(e), fits):
+                    yield other
+                    return
                 text = f"{relation.slope:.2f} times the rate of position (r = {relation.correlation:.2f})"
                 yield Finding(e.boat, SURGE, "speed unit", text, "1 times", _in_units(e, relation.slope))
             return
@@ -96,28 +101,45 @@ def speed_scale(e: Evidence) -> Iterator[Finding]:
         yield Finding(e.boat, SURGE, "speed scale", text, f"about {bound}", fix, NOTE)
 
 
+def _plausible(e: Evidence) -> tuple[float, float]:
+    """Between which speeds the greatest of a boat lies that is driven as usual, m/s."""
+    known = math.isfinite(e.surge_max)
+    return (TOO_SLOW * e.surge_max, TOO_FAST * e.surge_max + CURRENT) if known else (RESTING, FASTEST)
+
+
+def _other_units(e: Evidence) -> dict[str, float]:
+    """By how much a speed in each other unit would be less."""
+    now = e.factor(e.speeds[0])
+    return {unit: now / UNITS[unit][0] for unit in SPEEDS if abs(math.log(now / UNITS[unit][0])) > 0.1}
+
+
+def _in_other_unit(ratios: Mapping[str, float], ratio: float) -> list[str]:
+    return [unit for unit in ratios if abs(math.log(ratios[unit] / ratio)) < LIKELY]
+
+
 def _ceil(speed: float) -> str:
     return f"{math.ceil(10 * speed) / 10:g}"
 
 
 def _in_units(e: Evidence, ratio: float, most: float | None = None) -> str:
-    """The override that divides a speed by about `ratio`: a unit where one fits, else a span.
+    """The override that divides a speed by about `ratio`: a unit where one fits, else a span; "" if it is not logged.
 
     Args:
         e: of the boat.
         ratio: of the speed to the right one.
         most: up to this a ratio would do, if the right one is a bound; then the unit of the least factor is taken.
     """
-    now = e.factor(SURGE)
-    units = {unit: now / UNITS[unit][0] for unit in SPEEDS if abs(math.log(now / UNITS[unit][0])) > 0.1}
+    if not e.speeds:
+        return ""
+    units, span = _other_units(e), float(e.settings(e.speeds[0])["span"])
     if most is not None:
         fits = [unit for unit in units if 1 < units[unit] and ratio <= units[unit] * most]
     else:
-        fits = [unit for unit in units if abs(math.log(units[unit] / ratio)) < LIKELY]
+        fits = _in_other_unit(units, ratio)
+    options: dict[str, Any] = {"span": span * ratio}
     if fits:
-        best = min(fits, key=lambda unit: units[unit])
-        return override(SURGE, {"unit": best, **({} if e.settings(SURGE)["span"] == 1 else {"span": 1.0})})
-    return override(SURGE, {"span": float(e.settings(SURGE)["span"] * ratio)})
+        options = {"unit": min(fits, key=lambda unit: units[unit]), **({} if span == 1 else {"span": 1.0})}
+    return " ".join(override(name, options) for name in e.speeds)
 
 
 def command_scale(e: Evidence) -> Iterator[Finding]:
@@ -196,15 +218,19 @@ def _turn_of_commands(e: Evidence) -> float | None:
 def heading_sense(e: Evidence) -> Iterator[Finding]:
     """The heading against the course over ground: sense, and an offset that no current makes."""
     found = e.course
-    if e.sense == -1:
+    if e.sense == -1 and not (e.has_position and heading_is_right(e)):
         text = f"a heading that turns against the course (mean vector {found.concentration:.2f})"
-        yield Finding(e.boat, "heading", "heading sense", text, f"with it ({found.rival:.2f})",
-                      override("heading", {"unit": mirrored(angular(e, "heading"))}))  # fmt: skip
+        fix = override("heading", {"unit": mirrored(angular(e, "heading"))})
+        if not e.turns.correlation < -0.3 and (other := mirror_fix(e, found.offset, e.places)):
+            fix = f"{fix} or {other}"
+        yield Finding(e.boat, "heading", "heading sense", text, f"with it ({found.rival:.2f})", fix)
     elif e.sense == 1 and abs(found.offset) > TURNED_AWAY:
         zero = e.settings("heading")["zero"] - found.offset / e.factor("heading")
         text = f"a course {math.degrees(found.offset):+.0f}° from the heading"
         bound = f"within {math.degrees(TURNED_AWAY):.0f}°"
-        yield Finding(e.boat, "heading", "heading offset", text, bound, override("heading", {"zero": float(zero)}))
+        other = half_turn_fix(e, found.offset)
+        fix = " or ".join(filter(None, [override("heading", {"zero": float(zero)}), other]))
+        yield Finding(e.boat, "heading", "heading offset", text, bound, fix)
 
 
 def yaw_rate(e: Evidence) -> Iterator[Finding]:
@@ -241,14 +267,3 @@ def yaw_rate(e: Evidence) -> Iterator[Finding]:
     if abs(found.lag) >= 1.0:
         text = f"a yaw rate {abs(found.lag):g} s {'behind' if found.lag > 0 else 'before'} the heading"
         yield Finding(e.boat, pair, "yaw rate delay", text, "less than 1 s", without, NOTE)
-
-
-def angular(e: Evidence, name: str) -> str:
-    """The unit of a heading or a yaw rate; "1" is SI."""
-    unit = e.settings(name)["unit"]
-    return ("rad" if name == "heading" else "rad/s") if unit == "1" else unit
-
-
-def mirrored(unit: str) -> str:
-    """The unit of the other sense."""
-    return unit.removeprefix("enu_") if unit.startswith("enu_") else f"enu_{unit}"

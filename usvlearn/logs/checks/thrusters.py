@@ -36,9 +36,8 @@ import numpy as np
 
 from usvlearn.logs.channels.channel import COMMANDS, SURGE
 from usvlearn.logs.channels.relations import Relation
-from usvlearn.logs.checks.evidence import Evidence, spread
+from usvlearn.logs.checks.evidence import Evidence, angular, mirrored, spread
 from usvlearn.logs.checks.finding import NOTE, Finding, override, see
-from usvlearn.logs.checks.scales import angular, mirrored
 
 TURN, MOVE, HALF = 3.0, 2.5, 2.0  # standard errors, of the turn, the speed, and in half of a log
 CLEAR_TURN, CLEAR_MOVE, STRONG = 0.3, 0.25, 0.6  # partial correlations

@@ -6,6 +6,7 @@ import dataclasses
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -123,6 +124,13 @@ class Candidate:
         """The evidence in other units."""
         time, value = self.evidence
         return time, factor * value + offset
+
+    def source(self, **keys: Any) -> dict[str, Any]:
+        """The arguments of a `Source` that reads it."""
+        place: dict[str, Any] = {"name": self.name}
+        if self.field is not None and self.field != "data":
+            place["field"] = self.field
+        return {**place, **keys}
 
     def named(self, **changes) -> Candidate:
         return dataclasses.replace(self, **changes)

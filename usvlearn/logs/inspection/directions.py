@@ -54,6 +54,11 @@ class Heading(NamedTuple):
         factor, offset = UNITS[self.unit]
         return self.candidate.scaled(factor / self.span, offset)
 
+    @property
+    def is_from_north(self) -> bool:
+        """Whether its name says that it counts from north, clockwise."""
+        return bool(NORTH & set(words(self.candidate.label)))
+
     def declared(self, convention: str) -> bool:
         """Whether the log itself says in which direction the heading counts."""
         return convention in NORTH_FORMATS or self.candidate.unit.startswith("enu_")

@@ -68,6 +68,10 @@ ROLES: dict[str, dict[float, str]] = {  # role -> how strongly -> words
                  "draaisnelheid girhastighet girhastighed svinghastighet drejehastighed"},
     "surge": {2.5: "geschwindigkeit fahrt vitesse velocidad velocità velocidade hastighet hastighed fart snelheid "
               "vaart nopeus vauhti prędkość", 1.5: "tempo"},
+    "sway": {3: "seitengeschwindigkeit quergeschwindigkeit querfahrt dwarssnelheid sidofart sidehastighet "
+                "sidehastighed sivuttaisnopeus",
+             2: "seitlich seitliche quer latéral latérale laterale zijwaarts zijwaartse dwars sidledes sideveis "
+                "sidelæns sivuttainen boczna poprzeczna"},
     "latitude": {3: "breite breitengrad latitud latitudine breedte breedtegraad breddgrad breddegrad szerokość leveys "
                  "leveysaste"},
     "longitude": {3: "länge längengrad longitud longitudine lengte lengtegraad längdgrad lengdegrad længdegrad długość "
@@ -85,6 +89,9 @@ UNITS = {  # unit -> words
     "deg": spelled("grad degré degrés grados gradi graus graden grader stopnie stopni asteet"),
     "percent": spelled("prozent pourcent procent prosent percento porcentaje"),
 }
+
+
+SIDEWAYS = {word for text in ROLES["sway"].values() for word in spelled(text)}
 
 
 def weights(role: str) -> dict[str, float]:

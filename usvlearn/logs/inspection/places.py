@@ -9,8 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from usvlearn.logs.channels.relations import speed_on_positions
+from usvlearn.logs.channels.channel import AUTO
+from usvlearn.logs.channels.relations import position_on_velocity, speed_on_positions
 from usvlearn.logs.inspection.candidate import Candidate
+from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.vocabulary import SETPOINT, fit, words
 
 Pair = tuple[np.ndarray, np.ndarray]  # time, s, and value
@@ -108,6 +110,42 @@ def rate_of(places: Places) -> Pair:
     """The speed over ground, m/s."""
     time, north, east = _velocity(places)
     return time, np.hypot(north, east)
+
+
+def is_mirror_image(places: Places, speed: Pair, heading: Pair) -> bool:
+    """Whether the track is the mirror image of that of speed and heading, m/s and rad."""
+    (time, size), (stamps, angle) = _ordered(speed), _ordered(heading)
+    turned = np.interp(time, stamps, np.unwrap(angle))
+    velocity = (time, size * np.cos(turned)), (time, size * np.sin(turned))
+    return position_on_velocity((places.north, places.east), velocity).is_mirrored
+
+
+def tell_places(places: Places, channels: dict, series: dict, confirmed: bool, axes: str, doubt: str) -> list[Decision]:
+    """The position as auxiliary channels, for the track.
+
+    Args:
+        axes: how certain it is which coordinate is north.
+        doubt: why it is not certain.
+    """
+    names = ("latitude", "longitude") if places.geographic else ("north", "east")
+    if not places.oriented:
+        both = f"{places.second.label}, {places.first.label}"
+        why = "neither the names nor the heading tell which of them is north: set data.channels.north and .east"
+        return [Decision("position", "series", both, UNSURE, why)]
+    named = fit(names[0], places.first.label) >= 1 or not places.geographic
+    sure = UNSURE if not named else CERTAIN if confirmed else PROBABLE
+    why = "the speed follows its rate" if confirmed else "by name and range"
+    if fit("longitude", places.first.label) >= 1:
+        why = "against the names: only with latitude and longitude interchanged, the speed follows their rate"
+    if axes != CERTAIN:
+        sure, why = least(sure, axes), doubt
+    decisions = []
+    for name, candidate in zip(names, (places.first, places.second), strict=True):
+        scale = {} if not places.geographic or places.first.size <= 90 else {"span": 1e7}
+        channels[name] = candidate.source(unit="deg" if places.geographic else "m", window=AUTO, **scale)
+        series[name] = candidate
+        decisions.append(Decision(name, "series", candidate.label, sure, why))
+    return decisions
 
 
 def _velocity(places: Places) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

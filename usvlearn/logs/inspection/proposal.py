@@ -8,11 +8,22 @@ from typing import Any, NamedTuple
 from usvlearn.logs.channels.channel import AUTO
 from usvlearn.logs.channels.relations import heading_rate
 from usvlearn.logs.inspection.candidate import Candidate
+from usvlearn.logs.inspection.courses import find_course, tell_course
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.directions import Heading, YawRate, find_headings, find_yaw_rate, orient
-from usvlearn.logs.inspection.places import Pair, Places, course_of, find_places, guess_places, interchanged, rate_of
+from usvlearn.logs.inspection.places import (
+    Pair,
+    Places,
+    course_of,
+    find_places,
+    guess_places,
+    interchanged,
+    is_mirror_image,
+    rate_of,
+    tell_places,
+)
 from usvlearn.logs.inspection.senses import LIKELY
-from usvlearn.logs.inspection.sides import Commands, Side, doubted, find_commands
+from usvlearn.logs.inspection.sides import SWAPPED, Commands, Side, doubted, find_commands
 from usvlearn.logs.inspection.speeds import (
     Speed,
     Velocities,
@@ -23,6 +34,7 @@ from usvlearn.logs.inspection.speeds import (
     norms,
     period_of,
 )
+from usvlearn.logs.inspection.sways import find_sway, tell_sway
 from usvlearn.logs.inspection.vocabulary import (
     WORDS,
     fit,
@@ -76,9 +88,10 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
     course = course_of(oriented) if oriented else None
     headings = find_headings(pool, course, convention)
     heading = headings[0] if headings else None
-    yaw, turn, axes = None, None, CERTAIN
+    yaw, turn, sense, axes, doubt = None, None, CERTAIN, CERTAIN, ""
     if places and heading and not oriented and (found_axes := orient(places[0], heading)):
         places, axes = [found_axes, *places[1:]], least(PROBABLE, heading.certainty)
+        doubt = "which of them is north, is told by the heading, which follows the course then"
     if heading:
         alone = {side(each.label) for each in pool if names_side_alone(each.label)}
         turning = [each for each in pool if len(alone) < 2 or not names_side_alone(each.label)]  # L and R are sides
@@ -99,7 +112,12 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
     if velocities:
         speeds = [velocities.size, *speeds]
     speed = speeds[0].metres if speeds else rate_of(places[0]) if places else None
-    rest = [each for each in left if not (speeds and each is speeds[0].candidate) and not names_state(each)]
+    beside = speeds[0] if speeds and not velocities else None
+    track = places[0] if places and places[0].oriented else None
+    sway = find_sway(left, beside, track, heading)
+    over_ground = None if sway or velocities else find_course(left, speeds, track, heading)
+    used = [each.candidate for each in (beside, sway) if each]
+    rest = [each for each in left if not (any(each is other for other in used) or names_state(each))]
     everything, unfit = found, ""
     if azimuths := [each.label for each in pool if names_azimuth(each.label)]:
         rest, everything = ([each for each in group if _names_whole(each)] for group in (rest, found))
@@ -110,23 +128,48 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
         commands = [doubted(each) for each in commands]
     turned = commands[0].turning if commands else 0.0
     if heading and not proved and turned < (-LIKELY if heading.by_format else LIKELY):
-        decisions = [_doubted(each, turned) for each in decisions]
+        against = "the boat would turn against its thrusters: its sense, or the sides, are wrong"
+        why = against if turned <= -LIKELY else "nothing confirms its sense"
+        decisions = [_doubted(each, why) for each in decisions]
+        sense, axes = UNSURE, axes if axes == CERTAIN else UNSURE
+    if heading and course and not places[0].geographic and _is_contested(heading, commands, places[0], speed):
+        axes, doubt = UNSURE, "the sense that they give the heading is doubtful: north and east may be interchanged"
+        decisions = [_doubted(each, "its name or the sides say the opposite") for each in decisions]
     decisions = _tell_commands(commands, channels, series) + decisions
     if velocities:
         decisions += _tell_velocities(velocities, speeds[1:], channels, series)
     elif speeds:
         decisions += _tell_speed(speeds, channels, series)
     elif places:
-        decisions += _tell_places_as_speed(channels)
+        decisions += _tell_places_as_speed()
+    if sway:
+        decisions += tell_sway(sway, channels, series, least(sense, axes))
+    elif over_ground and least(sense, axes) == CERTAIN:
+        decisions += tell_course(over_ground, channels, series)
     if places:
-        decisions += _tell_places(
-            places[0], channels, series, bool(speeds and speeds[0].confirmed and speeds[0].certainty == CERTAIN), axes
+        decisions += tell_places(
+            places[0],
+            channels,
+            series,
+            bool(speeds and speeds[0].confirmed and speeds[0].certainty == CERTAIN),
+            axes,
+            doubt,
         )
     missing = [name for name in (*SIDES, "heading") if name not in channels]
     missing += [] if speeds or places else ["surge"]
     order = [*SIDES, "heading", "yaw_rate", "surge"]
     ordered = {name: channels[name] for name in (*order, *channels) if name in channels}
     return Proposal(ordered, series, decisions, speed, heading, yaw, missing, unfit)
+
+
+def _is_contested(heading: Heading, commands: Sequence[Commands], places: Places, speed: Pair | None) -> bool:
+    """Whether the sides, the name of the heading, or speed and heading contradict the names of local coordinates."""
+    if speed is not None and is_mirror_image(places, speed, heading.radians):
+        return True
+    if commands and commands[0].reason == SWAPPED:
+        return True
+    odd = heading.unit.startswith("enu_") and not heading.candidate.unit.startswith("enu_") and heading.is_from_north
+    return odd and not (commands and commands[0].certainty == CERTAIN)
 
 
 def _names_whole(candidate: Candidate) -> bool:
@@ -142,18 +185,13 @@ def _told_azimuths(labels: Sequence[str]) -> str:
     )
 
 
-def _doubted(decision: Decision, turned: float) -> Decision:
+def _doubted(decision: Decision, why: str) -> Decision:
     """The sense of a heading that neither a course over ground nor the thrusters confirm."""
     if decision[:2] not in (("heading", "unit"), ("yaw_rate", "unit")):
         return decision
-    reason = "nothing confirms its sense"
-    if turned <= -LIKELY:
-        reason = "the boat would turn against its thrusters: its sense, or the sides, are wrong"
     other = decision.value.removeprefix("enu_") if decision.value.startswith("enu_") else f"enu_{decision.value}"
-    reason = f"{decision.reason}; {reason}"
-    return decision._replace(
-        certainty=UNSURE, reason=reason, alternatives=tuple(dict.fromkeys((*decision.alternatives, other)))
-    )
+    others = tuple(dict.fromkeys((*decision.alternatives, other)))
+    return decision._replace(certainty=UNSURE, reason=f"{decision.reason}; {why}", alternatives=others)
 
 
 def _unnamed(pool: Sequence[Candidate]) -> tuple[list[Candidate], list[Candidate]]:
@@ -179,13 +217,6 @@ def _turn(heading: Heading, yaw: YawRate | None) -> Pair:
     return heading_rate(heading.radians)
 
 
-def _source(candidate: Candidate, **keys: Any) -> dict[str, Any]:
-    place = {"name": candidate.name}
-    if candidate.field is not None and candidate.field != "data":
-        place["field"] = candidate.field
-    return {**place, **keys}
-
-
 def on_change(candidate: Candidate) -> tuple[bool, str]:
     """Whether values are posted only when they differ from the one before, and how certain that is."""
     ratio = candidate.slow / candidate.interval if candidate.interval > 0 else 1.0
@@ -197,7 +228,7 @@ def on_change(candidate: Candidate) -> tuple[bool, str]:
 def _tell_heading(best: Heading, headings: Sequence[Heading], channels: dict, series: dict) -> list[Decision]:
     candidate = best.candidate
     scale = {} if best.span == 1 else {"span": best.span}
-    channels["heading"] = _source(candidate, unit=best.unit, window=AUTO, **scale)
+    channels["heading"] = candidate.source(unit=best.unit, window=AUTO, **scale)
     series["heading"] = candidate
     close = [each.candidate.label for each in headings[1:] if each.score > best.score - 1]
     named = fit("heading", candidate.label)
@@ -223,7 +254,7 @@ def _tell_yaw_rate(
         sure = UNSURE if rivals else PROBABLE
         why = "no series follows the heading's derivative"
         return [Decision("yaw_rate", "series", "from the heading", sure, why, tuple(rivals[:3]))]
-    channels["yaw_rate"] = _source(yaw.candidate, unit=yaw.unit, window=AUTO)
+    channels["yaw_rate"] = yaw.candidate.source(unit=yaw.unit, window=AUTO)
     series["yaw_rate"] = yaw.candidate
     return [
         Decision("yaw_rate", "series", yaw.candidate.label, yaw.certainty, yaw.reason),
@@ -234,7 +265,7 @@ def _tell_yaw_rate(
 def _tell_speed(speeds: Sequence[Speed], channels: dict, series: dict) -> list[Decision]:
     best = speeds[0]
     candidate = best.candidate
-    channels["surge"] = _source(candidate, unit=best.unit, window=AUTO, period="auto")
+    channels["surge"] = candidate.source(unit=best.unit, window=AUTO, period="auto")
     series["surge"] = candidate
     close = [each for each in speeds[1:] if each.score > best.score - 1.5 and not each.contradicted]
     sure = (
@@ -322,7 +353,7 @@ def _command_source(one: Side) -> dict[str, Any]:
     keys = {"held": held, "window": AUTO, "delay": 0.0}
     zeros, spans = [each.zero for each in one.levels], [one.sign * each.span for each in one.levels]
     if len(one.parts) == 1:
-        return _source(one.parts[0], unit="1", zero=zeros[0], span=spans[0], **keys)
+        return one.parts[0].source(unit="1", zero=zeros[0], span=spans[0], **keys)
     source: dict[str, Any] = {"name": [each.name for each in one.parts]}
     if any(each.field not in (None, "data") for each in one.parts):
         source["field"] = [each.field or "data" for each in one.parts]
@@ -337,37 +368,12 @@ def _command_source(one: Side) -> dict[str, Any]:
     return source | keys
 
 
-def _tell_places(places: Places, channels: dict, series: dict, confirmed: bool, axes: str) -> list[Decision]:
-    """The position as auxiliary channels, for the track.
-
-    Args:
-        axes: how certain it is which coordinate is north.
-    """
-    names = ("latitude", "longitude") if places.geographic else ("north", "east")
-    if not places.oriented:
-        return []
-    named = fit(names[0], places.first.label) >= 1 or not places.geographic
-    sure = UNSURE if not named else CERTAIN if confirmed else PROBABLE
-    why = "the speed follows its rate" if confirmed else "by name and range"
-    if fit("longitude", places.first.label) >= 1:
-        why = "against the names: only with latitude and longitude interchanged, the speed follows their rate"
-    if axes != CERTAIN:
-        sure, why = least(sure, axes), "which of them is north, is told by the heading, which follows the course then"
-    decisions = []
-    for name, candidate in zip(names, (places.first, places.second), strict=True):
-        scale = {} if not places.geographic or places.first.size <= 90 else {"span": 1e7}
-        channels[name] = _source(candidate, unit="deg" if places.geographic else "m", window=AUTO, **scale)
-        series[name] = candidate
-        decisions.append(Decision(name, "series", candidate.label, sure, why))
-    return decisions
-
-
 def _tell_velocities(found: Velocities, speeds: Sequence[Speed], channels: dict, series: dict) -> list[Decision]:
     """Both components, from which the surge is computed with the heading."""
     size, decisions = found.size, []
     others = tuple(each.candidate.label for each in speeds[:3])
     for name, candidate in (("velocity_north", found.north), ("velocity_east", found.east)):
-        channels[name] = _source(candidate, unit=size.unit, window=AUTO)
+        channels[name] = candidate.source(unit=size.unit, window=AUTO)
         series[name] = candidate
         sure = UNSURE if found.guessed else CERTAIN if size.confirmed else PROBABLE
         why = ("by its direction" if found.guessed else "by name") + (
@@ -380,7 +386,7 @@ def _tell_velocities(found: Velocities, speeds: Sequence[Speed], channels: dict,
     return [*decisions, Decision("surge", "series", "from the velocities", sure, why, others)]
 
 
-def _tell_places_as_speed(channels: dict) -> list[Decision]:
+def _tell_places_as_speed() -> list[Decision]:
     return [
         Decision(
             "surge",

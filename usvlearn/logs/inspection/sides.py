@@ -60,6 +60,9 @@ class Commands(NamedTuple):
     middle: Candidate | None = None  # a thruster between both sides, which is in neither
 
 
+SWAPPED = "swapped against the names: only so the boat moves as it is steered, by a heading that is proved"
+
+
 def find_commands(pool: Sequence[Candidate], everything: Sequence[Candidate], speed: Pair | None, turn: Pair | None,
                   convention: str, proved: bool = False) -> list[Commands]:  # fmt: skip
     """Commands of both sides, the best first.
@@ -103,7 +106,7 @@ def judge(left: Sequence[Candidate], right: Sequence[Candidate], levels: dict[in
     name = float(np.mean([fit("command", each.label) for each in (*left, *right)]))
     which, reason = UNSURE, "by name; too little in the motion confirms the sides"
     if found.taken.swapped:
-        reason = "swapped against the names: only so the boat moves as it is steered, by a heading that is proved"
+        reason = SWAPPED
     elif found.best.swapped:
         reason = "by name, but the motion fits swapped sides better, or a heading that counts the other way"
     elif found.sides < 0:

@@ -100,14 +100,14 @@ def read_speed(candidate: Candidate, relation: Relation | None, convention: str,
     usual = next((unit for kind, unit in CONVENTIONS.items() if kind in candidate.kind or kind == convention), "")
     score = name + quality(candidate) + 0.3 * ("nav" in words(candidate.name))
     if relation is not None and _enough(relation):
-        if relation.correlation >= FOLLOWS and (unit := _unit(relation.slope)):
+        if relation.correlation >= FOLLOWS and (unit := unit_of(relation.slope)):
             return _near(candidate, unit, relation, declared, declared or usual, score)
         if relation.correlation >= FOLLOWS:
             sentence = f"{relation.slope:.3g} × the rate of position, which is no known unit"
             others = (*(unit for unit in SPEEDS[:3] if unit != (declared or "m/s")), _by_span(relation))
             return Speed(candidate, declared or "m/s", UNSURE, sentence, others, False, True, score - 2)
     if relation is not None and relation.seconds >= LONG and relation.correlation >= STEADY:
-        unit = _unit(relation.slope, TIGHT)
+        unit = unit_of(relation.slope, TIGHT)
         if unit and unit == (declared or "m/s"):
             sentence = f"{relation.slope:.3g} × the rate of position; the speed varies too little to be certain"
             return Speed(candidate, unit, PROBABLE, sentence, (), False, False, score + 1)
@@ -149,7 +149,7 @@ def _near(candidate: Candidate, unit: str, relation: Relation, declared: str, ex
         return Speed(
             candidate, unit, UNSURE, f"{sentence}, but declared as {declared}", (declared,), True, False, score
         )
-    fits = _unit(relation.slope, FITS) == unit
+    fits = unit_of(relation.slope, FITS) == unit
     score += 2 * relation.correlation
     if fits or unit == expected:
         sure = CERTAIN if fits and relation.correlation > SAME else PROBABLE
@@ -178,7 +178,7 @@ def by_other(speed: Speed, known: Speed) -> Speed:
     own_time, own = speed.candidate.evidence
     other = np.interp(own_time, time, value)
     fast = np.abs(other) > 0.3 * np.quantile(np.abs(other), 0.99)
-    unit = _unit(float(np.median(np.abs(own[fast]) / np.abs(other[fast])))) if fast.sum() > 30 else ""
+    unit = unit_of(float(np.median(np.abs(own[fast]) / np.abs(other[fast])))) if fast.sum() > 30 else ""
     if not unit:
         return speed
     sentence = f"by its ratio to {known.candidate.label}"
@@ -215,7 +215,8 @@ def find_velocities(
         time, fast = x.time, np.hypot(x.value, y.value) > 0.3 * math.hypot(x.size, y.size)
         for north, east in ((y, x), (x, y)):
             direction = np.arctan2(east.value, north.value)[fast]
-            if agreement(heading, (time[fast], direction)) >= ALONG:
+            ahead = float(np.cos(np.arctan2(y.value, x.value)[fast]).mean())  # 1 of a vector along the hull
+            if max(ALONG, ahead) <= agreement(heading, (time[fast], direction)):
                 turns = 1 - abs(np.exp(1j * direction).mean())  # 0 if it is constant, as along a hull
                 return _velocities(north, east, places, convention)._replace(guessed=bool(turns < TURNS))
     return None
@@ -260,10 +261,10 @@ def along_hull(pool: Sequence[Candidate]) -> list[Candidate]:
     return [each for each in pool if not any(each is part for part in parts)]
 
 
-def _unit(slope: float, tolerance: float = RATIO) -> str:
+def unit_of(slope: float, tolerance: float = RATIO) -> str:
     """The unit in which a speed is `slope` times the speed in m/s; "" if there is none.
 
-    >>> _unit(1.95), _unit(3.7), _unit(1.4)
+    >>> unit_of(1.95), unit_of(3.7), unit_of(1.4)
     ('knots', 'km/h', '')
     """
     ratios = {unit: abs(math.log(max(slope, 1e-9) * UNITS[unit][0])) for unit in SPEEDS}

@@ -25,8 +25,8 @@ DERIVED = {"error", "err", "sigma", "gain", "bias", "var", "variance", "std", "a
            "gap", "age"}  # fmt: skip
 FOREIGN = {"wind", "water", "solar", "sun", "battery", "batt", "voltage", "volt", "current", "temp",
            "temperature", "depth", "pressure", "sway", "roll", "pitch", "heave", "wave", "altitude", "alt", "mag",
-           "camera", "rssi", "cpu", "air", "wp", "waypoint", "rc", "vertical", "climb", "down", "lateral", "rollspeed",
-           "pitchspeed"} | languages.FOREIGN  # fmt: skip
+           "camera", "rssi", "cpu", "air", "wp", "waypoint", "rc", "vertical", "climb", "down", "lateral", "sideways",
+           "transverse", "rollspeed", "pitchspeed"} | languages.FOREIGN | languages.SIDEWAYS  # fmt: skip
 
 ENGLISH: dict[str, dict[str, float]] = {  # role -> word -> how strongly it names the role
     "heading": {"heading": 3, "hdg": 3, "hdt": 3, "yaw": 3, "psi": 2, "theta": 1.5, "compass": 2, "orientation": 2,
@@ -36,6 +36,7 @@ ENGLISH: dict[str, dict[str, float]] = {  # role -> word -> how strongly it name
     "yaw_rate": {"yawrate": 3, "rate": 1, "rot": 2, "r": 1, "gyroz": 2.5, "gyrz": 2.5, "wz": 2, "yawspeed": 3},
     "surge": {"surge": 3.5, "speed": 2.5, "spd": 2.5, "sog": 2.5, "velocity": 2, "vel": 2, "u": 1.5, "vx": 2,
               "stw": 2, "groundspeed": 2.5, "v": 1, "knots": 1.5, "kn": 1, "sow": 2},
+    "sway": {"sway": 3.5, "lateral": 2, "sideways": 2, "transverse": 2, "vy": 1.5},
     "latitude": {"latitude": 3, "lat": 3},
     "longitude": {"longitude": 3, "lon": 3, "lng": 3, "long": 3},
     "north": {"north": 3, "northing": 3, "n": 1},
@@ -165,6 +166,8 @@ def fit(role: str, name: str) -> float:
     elif role.startswith("velocity"):
         axis = {"north", "n", "nord"} if role == "velocity_north" else {"east", "e", "ost"}
         score = 3 if axis & found and ({"v", "vel", "velocity", "speed"} | languages.RATES) & found else score
+    elif role == "sway":
+        score -= 5 * bool({"angle", "error", "x", "z", "angular"} & found) + 4 * rate
     elif role == "surge":
         score -= 4 * rate + 4 * bool({"angular", "gyro", "gyr", "omega"} & found)
         across = {"y", "z", "d", "vy", "vz", "vd", "east", "north", "ost", "nord", "delta", "imu"}
@@ -182,7 +185,8 @@ def fit(role: str, name: str) -> float:
         score -= 4 * bool(DRIVES & found)
         score -= 6 * bool(SETPOINT & found) + 3 * bool(COMMANDED & found)
     derived = DERIVED - ({"dot"} if role == "yaw_rate" else set()) - ({"max", "min"} & WORDS[role].keys())
-    return score - 5 * bool(derived & found and not (role == "yaw_rate" and rate)) - 4 * bool(FOREIGN & found)
+    foreign = FOREIGN - WORDS["sway"].keys() if role == "sway" else FOREIGN
+    return score - 5 * bool(derived & found and not (role == "yaw_rate" and rate)) - 4 * bool(foreign & found)
 
 
 def side(name: str) -> str:

@@ -1,0 +1,234 @@
+"""Positions, from which tracks are judged, against the measured velocity; and the sway against both.
+
+The rate of a position over 5 s, as a complex number north + i east, is compared with the velocity
+(u + i v) exp(i ψ) of surge u, sway v and heading ψ, both less their means (`usvlearn.logs.channels.relations`):
+
+    mistake                                correlation with    with its mirror image, and its angle
+    none                                   1                   below 1
+    north and east interchanged            below 1             1, +90°
+    north reversed, east reversed          below 1             1, 180°, 0°
+    another boat's position                near 0              near 0
+
+A heading that counts counter-clockwise makes the mirror image, too. The position is named where the boat turns as its
+thrusters demand, and no gyro contradicts. Where nothing tells which of the two is wrong, both keys are given.
+
+Thresholds, and why:
+
+- A mirror image is believed from a correlation of 0.9 on, if it leaves a fifth of the squares that the velocity itself
+  leaves; on straight tracks both fit. Real and simulated boats have 0.9 to 1 with the velocity itself.
+- A position does not follow if both correlations, and that of the two sizes, are below 0.4 over two minutes, in which
+  the velocity changes by 0.2 of the greatest speed and 0.15 m/s (standard deviation). Below, currents and noise rule.
+- A position has another unit if it differs by 1.39 from the speed, as in `scales`, and the ratio is within 15 % of
+  that of a unit of length, while the speed is plausible as it is, or is in no unit of a speed.
+- A sway is reversed from a correlation of −0.5 and 5 standard errors on, and has another unit from 1.6 times on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from usvlearn.logs.channels.bins import HUGE, bin_edges, bin_means, bin_rates
+from usvlearn.logs.channels.channel import DEGREES, METRES, SWAY, UNITS, VELOCITIES
+from usvlearn.logs.channels.relations import angle_offset, rate_slope, speed_on_positions, sway_on_positions
+from usvlearn.logs.checks.evidence import LEG, MOVING, NONE, Evidence, angular, mirrored
+from usvlearn.logs.checks.finding import Finding, override, see
+
+UNLIKE, LONG = 0.4, 120.0  # correlation below which nothing follows; s of evidence
+CHANGES, LEAST = 0.2, 0.15  # of the greatest speed; m/s
+LENGTHS = (0.3048, 0.01, 0.001, 1000.0, 1852.0)  # m: feet, centimetres, millimetres, kilometres, nautical miles
+LIKELY = 0.15  # by which a ratio may differ from that of a unit
+COARSE = 0.7  # likewise of degrees: the longitudes shrink by the cosine of a wrong latitude
+SURE, TURNS = 4.0, 0.3  # standard errors, and correlation, of a turn that follows the commands, or of a yaw rate
+REVERSED, CERTAIN, CLOSE = 0.5, 5.0, 0.9  # correlation and standard errors of a sway; correlation that tells its unit
+OTHER = 1.6  # times the rate across the hull, from which a sway is in another unit
+QUARTER = math.pi / 2
+TOLERANCE = math.radians(30)  # of the angle of a mirror image
+POLE = math.pi / 2 + 1e-6  # rad, the greatest latitude
+WHOLE = 1e6  # from which a number is a latitude in parts of 1e-7 degrees
+
+
+def degrees(e: Evidence) -> Iterator[Finding]:
+    """Latitudes of more than 90°."""
+    value = np.abs(e.values.get(DEGREES[0], np.empty(0)))
+    if not len(value) or (greatest := float(np.quantile(value, 0.995))) <= POLE:
+        return
+    raw, other = (_raw(e, name) for name in DEGREES)
+    fix = ""
+    if raw <= 90:
+        fix = _both(DEGREES, unit="deg")
+    elif raw >= WHOLE:
+        fix = _both(DEGREES, unit="deg", span=1e7)
+    elif raw <= 180 and other <= 90:
+        fix = _interchange(e, DEGREES)
+    text = f"latitudes up to {math.degrees(greatest):.4g}°"
+    yield Finding(e.boat, DEGREES[0], "position unit", text, "at most 90°", fix if e.channels else "")
+
+
+def axes(e: Evidence) -> Iterator[Finding]:
+    """A position, or a velocity, whose axes are interchanged or reversed, where not the heading is the reason."""
+    angle = mirrored_by(e)
+    if angle is None:
+        return
+    text = f"a track that is the mirror image of heading and speed (r = {abs(e.motion.against):.2f})"
+    expected = f"the track of heading and speed (r = {abs(e.motion.along):.2f})"
+    if e.speeds == VELOCITIES and _velocity_is_mirrored(e):
+        fix = mirror_fix(e, angle, VELOCITIES)
+        yield Finding(e.boat, ", ".join(VELOCITIES), "velocity axes", text, expected, fix)
+        return
+    right = heading_is_right(e)
+    if e.speeds == VELOCITIES or right or (e.sense is None and not e.turns.correlation < -TURNS):
+        fixes = [mirror_fix(e, angle, e.places)]
+        if e.channels and e.speeds != VELOCITIES and not (right and "yaw_rate" in e.series):  # the heading may be wrong
+            fixes.append(override("heading", {"unit": mirrored(angular(e, "heading"))}))
+        yield Finding(e.boat, ", ".join(e.places), "position axes", text, expected, " or ".join(filter(None, fixes)))
+
+
+def mirrored_by(e: Evidence) -> float | None:
+    """The angle from the mirror image of the measured velocity to that of the track, rad; None if it is no image."""
+    found = e.motion
+    if found.is_mirrored:
+        return float(np.angle(found.against))
+    return e.course.offset if e.sense == -1 and abs(found.against) > abs(found.along) else None
+
+
+def _velocity_is_mirrored(e: Evidence) -> bool:
+    """Whether the direction of the velocities to the north and to the east turns against the heading."""
+    edges = bin_edges(LEG, *(e.series[name] for name in VELOCITIES))
+    north, east = (bin_means(e.series[name], edges) for name in VELOCITIES)
+    moving = np.hypot(north, east) > MOVING * np.nanmax(np.hypot(north, east), initial=0.0)
+    at = (edges[:-1] + edges[1:]) / 2
+    return angle_offset((at[moving], np.arctan2(east, north)[moving]), e.series["heading"], LEG).sign < 0
+
+
+def heading_is_right(e: Evidence) -> bool:
+    """Whether the thrusters, and a gyro if there is one, tell that the heading counts clockwise."""
+    if not (e.turns.correlation > TURNS and e.turns.certainty > SURE):
+        return False
+    if "yaw_rate" not in e.series:
+        return True
+    gyro = rate_slope(e.series["heading"], e.series["yaw_rate"])
+    return not (gyro.correlation < -TURNS and gyro.certainty < -SURE)
+
+
+def mirror_fix(e: Evidence, angle: float, names: tuple[str, str]) -> str:
+    """The overrides that turn the mirror image of a track into the track; "" where there are none.
+
+    Args:
+        e: of the boat.
+        angle: of `Motion.against`, rad.
+        names: the channels that are changed, north and east.
+    """
+    if not (e.channels and e.has_position):
+        return ""
+    turns = round(angle / QUARTER)
+    if abs(angle - turns * QUARTER) > TOLERANCE:
+        return ""
+    if turns in (1, -1):
+        return _interchange(e, names, reverse=turns < 0)
+    wrong = names[1] if turns == 0 else names[0]
+    return override(wrong, {"span": -_span(e, wrong)})
+
+
+def half_turn_fix(e: Evidence, offset: float) -> str:
+    """The overrides that reverse both axes, where the heading is half a turn off the course; else ""."""
+    half = bool(e.channels) and e.has_position and e.places == METRES and math.pi - abs(offset) < TOLERANCE
+    return " ".join(override(name, {"span": -_span(e, name)}) for name in METRES) if half else ""
+
+
+def follows(e: Evidence) -> Iterator[Finding]:
+    """A position that has nothing to do with the measured velocity."""
+    found, logged = e.motion, e.places
+    if found.seconds < LONG or not e.speeds or found.spread < max(CHANGES * e.fastest, LEAST):
+        return
+    north, east = (e.series.get(name, NONE) for name in METRES)
+    of_speed = speed_on_positions(north, east, e.size)
+    both = max(abs(found.along), abs(found.against))
+    if both < UNLIKE and not of_speed.correlation >= UNLIKE:
+        still = f"stands still (its rate changes by {found.scale * found.spread:.2g} m/s)"
+        text = still if found.scale < 0.1 else f"does not follow speed and heading (r = {both:.2f})"
+        expected = see("one that follows them", *logged)
+        yield Finding(e.boat, ", ".join(logged), "position", f"a position that {text}", expected)
+
+
+def position_unit(e: Evidence, slope: float, plausible: tuple[float, float], fits: bool) -> Finding | None:
+    """The position in another unit, if rather it than the speed is the reason for their ratio.
+
+    Args:
+        e: of the boat.
+        slope: the speed over the rate of position.
+        plausible: least and greatest of plausible top speeds, m/s.
+        fits: whether another unit of the speed would explain the ratio.
+    """
+    fix = _length(e, slope)
+    if not fix or not e.channels or next(degrees(e), None):
+        return None
+    edges = bin_edges(LEG, *(e.series[name] for name in METRES))
+    rate = np.hypot(*(bin_rates(e.series[name], edges) for name in METRES))
+    fastest = float(np.nanquantile(rate, 0.995)) if np.isfinite(rate).any() else math.nan
+    speed, moved = (plausible[0] < each < plausible[1] for each in (e.fastest, fastest))
+    if (moved and not speed) or (moved == speed and fits):
+        return None
+    text = f"a rate {1 / slope:.3g} times the speed"
+    return Finding(e.boat, ", ".join(e.places), "position unit", text, "1 times", fix)
+
+
+def _length(e: Evidence, slope: float) -> str:
+    """The overrides that multiply the position by about `slope`; "" if no unit of a length does that."""
+    logged = e.places
+    if logged == DEGREES:
+        now = UNITS[e.settings(DEGREES[0])["unit"]][0]
+        other = "deg" if now == 1 else "rad"
+        return _both(DEGREES, unit=other) if _near(slope * now, UNITS[other][0], COARSE) else ""
+    scale = e.factor(METRES[0])
+    wanted = next((each for each in (1.0, *LENGTHS) if _near(slope * scale, each)), None)
+    return _both(METRES, span=1 / wanted) if wanted and not _near(scale, wanted) else ""
+
+
+def sway(e: Evidence) -> Iterator[Finding]:
+    """A logged sway against the rate of position across the hull: sense and unit."""
+    if SWAY not in e.series or not e.has_position or mirrored_by(e) is not None:
+        return
+    north, east = (e.series[name] for name in METRES)
+    found = sway_on_positions(north, east, e.series["heading"], e.series[SWAY])
+    if abs(found.correlation) < REVERSED or not abs(found.certainty) > CERTAIN:
+        return
+    text = f"{found.slope:.2g} times the rate of position across the hull (r = {found.correlation:.2f})"
+    sign = -1.0 if found.slope < 0 else 1.0
+    if abs(math.log(abs(found.slope))) > math.log(OTHER) and abs(found.correlation) > CLOSE:
+        fix = override(SWAY, {"span": float(f"{found.slope * _span(e, SWAY):.3g}")})
+        yield Finding(e.boat, SWAY, "sway unit", text, "1 times", fix)
+    elif sign < 0:
+        fix = override(SWAY, {"span": -_span(e, SWAY)})
+        yield Finding(e.boat, SWAY, "sway sense", text, "1 times, to starboard", fix)
+
+
+def _raw(e: Evidence, name: str) -> float:
+    """The greatest size of a number as it stands in the log, without outliers."""
+    value = e.values.get(name, np.empty(0))
+    return float(np.quantile(np.abs(value), 0.995)) / abs(e.factor(name)) if len(value) else HUGE
+
+
+def _span(e: Evidence, name: str) -> float:
+    return float(e.settings(name)["span"])
+
+
+def _near(one: float, other: float, within: float = LIKELY) -> bool:
+    return one > 0 and abs(math.log(one / other)) < within
+
+
+def _place(e: Evidence, name: str) -> dict[str, object]:
+    """Where a channel is logged."""
+    settings = e.settings(name)
+    return {key: settings[key] for key in ("name", "field") if settings[key] is not None}
+
+
+def _interchange(e: Evidence, names: tuple[str, str], reverse: bool = False) -> str:
+    turned = {"span": -_span(e, names[0])} if reverse else {}
+    return " ".join(override(one, {**_place(e, other), **turned}) for one, other in (names, names[::-1]))
+
+
+def _both(names: tuple[str, ...], **options: object) -> str:
+    return " ".join(override(name, options) for name in names)

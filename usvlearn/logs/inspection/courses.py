@@ -1,0 +1,89 @@
+"""Speed and course over ground as what the sway comes from, v = V sin(χ − ψ), where none is logged.
+
+A course that a receiver smooths comes late, and then tells a sway in each turn that is none. So both are written only
+where the sway that they give follows the rate of position across the hull.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from usvlearn.logs.channels.channel import AUTO, COURSES
+from usvlearn.logs.channels.relations import Relation, sway_on_positions
+from usvlearn.logs.inspection.candidate import Candidate
+from usvlearn.logs.inspection.decision import CERTAIN, Decision, least
+from usvlearn.logs.inspection.directions import Heading, read_any_turn
+from usvlearn.logs.inspection.places import Pair, Places, course_of
+from usvlearn.logs.inspection.speeds import RATIO, Speed
+from usvlearn.logs.inspection.sways import FOLLOWS, SURE
+from usvlearn.logs.inspection.vocabulary import fit
+
+MOST = 4  # speeds that are tried
+SIGNED = 0.03  # share of the greatest size below zero, from which a speed is signed
+
+
+class Course(NamedTuple):
+    """A course and a speed over ground that tell the sway."""
+
+    course: Heading
+    speed: Speed
+    relation: Relation  # of the sway that they give to the rate across the hull
+
+
+def find_course(
+    pool: Sequence[Candidate], speeds: Sequence[Speed], places: Places | None, heading: Heading | None
+) -> Course | None:
+    """The course and the speed over ground whose sway follows the position best, if one does.
+
+    Args:
+        pool: series that are not yet taken.
+        speeds: series that may be the speed, the best first.
+        places: of the boat, oriented.
+        heading: of the boat.
+    """
+    if places is None or heading is None:
+        return None
+    known = course_of(places)
+    found: list[Course] = []
+    for each in pool:
+        if fit("course", each.label) < 2:
+            continue
+        course = read_any_turn(each, known)
+        for speed in speeds[:MOST] if course.certainty == CERTAIN else ():
+            if speed.candidate.extent[0] < -SIGNED * speed.candidate.size:
+                continue
+            sway = _across(speed.metres, course.radians, heading.radians)
+            relation = sway_on_positions(places.north, places.east, heading.radians, sway)
+            follows = relation.correlation >= FOLLOWS and relation.certainty >= SURE
+            if follows and 1 / RATIO < relation.slope < RATIO:
+                found.append(Course(course, speed, relation))
+    return max(found, key=lambda each: each.relation.correlation, default=None)
+
+
+def _across(speed: Pair, course: Pair, heading: Pair) -> Pair:
+    """The sway at the times of the course, m/s; speed and heading are interpolated."""
+    order = [np.argsort(time, kind="stable") for time, _ in (speed, course, heading)]
+    (at, size), (time, angle), (stamps, turned) = (
+        (pair[0][k], pair[1][k]) for pair, k in zip((speed, course, heading), order, strict=True)
+    )
+    return time, np.interp(time, at, size) * np.sin(angle - np.interp(time, stamps, np.unwrap(turned)))
+
+
+def tell_course(found: Course, channels: dict[str, dict[str, Any]], series: dict[str, Candidate]) -> list[Decision]:
+    """Both as channels, and what is said about them."""
+    course, speed = found.course, found.speed
+    scale = {} if course.span == 1 else {"span": course.span}
+    sources = speed.candidate.source(unit=speed.unit), course.candidate.source(unit=course.unit, **scale)
+    why = f"the sway that both give is {found.relation.slope:.3g} × the rate of position across the hull"
+    why += f" (correlation {found.relation.correlation:.2f})"
+    told = []
+    both: tuple[Speed | Heading, ...] = speed, course
+    for name, source, each in zip(COURSES, sources, both, strict=True):
+        channels[name], series[name] = {**source, "window": AUTO}, each.candidate
+        sure = least(course.certainty, each.certainty)
+        told.append(Decision(name, "series", each.candidate.label, course.certainty, why))
+        told.append(Decision(name, "unit", each.unit, sure, each.reason, each.alternatives))
+    return told
