@@ -100,8 +100,8 @@ def report(found: dict[int, dict[str, list[Found]]], made_by: str) -> list[str]:
         f"Made by `{made_by}`: {count} simulated boats that turn and drift, in missions of {MINUTES:.0f} min. Their "
         "quantities were identified online, from compass, gyro and GPS. What sets the widths of the intervals "
         "(`SURGE` and `OWN_ERROR` of `usvlearn/estimators/axis/turning_intervals.py`) was chosen on 24 boats of the "
-        "seeds 5 and 11, in a second round after a look at boats of seeds 8001 to 8004. These boats are of seeds 9101 to "
-        "9104, which were used for nothing else.", "",
+        "seeds 5 and 11, in a second round after a look at boats of seeds 8001 to 8004. These boats are of seeds "
+        "9101 to 9104, which were used for nothing else.", "",
         MEANING, "",
         "## Intervals of 90 %", "",
         "Share of the truths that the intervals hold, and the median half-width at the end, relative to the value.", "",

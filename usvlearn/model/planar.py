@@ -82,9 +82,8 @@ class PlanarModel:
     sway: Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
-        for kind in KINDS:
-            given = getattr(self, kind)
-            if given is None and kind == "sway":
+        for kind, given in (("yaw", self.yaw), ("sway", self.sway)):
+            if given is None:
                 continue
             if tuple(given) != COEFFICIENTS[kind]:
                 raise ConfigError(

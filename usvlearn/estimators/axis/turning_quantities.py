@@ -147,4 +147,7 @@ def acceleration(kind: str, theta: np.ndarray, y, other, surge, left, right) -> 
         size = np.abs(x)
         terms += [x, x * size] + ([x * along, x**3, size, x * x] if kind == "yaw" else [])
     assert len(terms) == SIZES[kind] - THETA - 1  # all but the lag
-    return sum(theta[..., k] * each for k, each in enumerate(terms))
+    total = np.zeros(())
+    for k, each in enumerate(terms):
+        total = total + theta[..., k] * each
+    return total

@@ -72,7 +72,7 @@ def poses(
     came = np.full(len(time), np.inf) if came is None else came
     found, begins = np.empty((len(time), 5)), [0, *(np.flatnonzero(np.diff(time) < 0) + 1), len(time)]
     for begin, end in pairwise(begins):
-        since = came[begin] if begin else -math.inf
+        since = float(came[begin]) if begin else -math.inf
         found[begin:end] = _rising(channels, time[begin:end], came[begin:end], since)
     way, known = _reckoned(time, found[:, 0], np.where(samples.measured, samples.surge, np.nan), found[:, 2])
     for begin, end in pairwise(begins):
