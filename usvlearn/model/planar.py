@@ -134,7 +134,10 @@ class PlanarModel:
 
         Args:
             motion: at the beginning.
-            left, right, dt, current: as of `step`, each a number or `(time, …)`.
+            left: share of full scale, a number or `(time, …)`, as are the next three.
+            right: likewise.
+            dt: s.
+            current: m/s, north and east.
         """
         given = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, np.float64)) for x in (left, right, dt, *current)))
         found = []

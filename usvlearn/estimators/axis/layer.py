@@ -227,7 +227,11 @@ class YawEKF(AxisEKF):
     Args:
         surge_max: top speed, m/s.
         turn_max: yaw rate at full differential thrust, rad/s; 0.3 to 3 times the true one does.
-        disturbance, disturbance_time, drift_time, outlier: as of `AxisEKF`.
+        disturbance: q_b, variance of the disturbance's noise in a step of 0.4 s, in units of σ²; broadcasts against the
+            batch, as do the next three.
+        disturbance_time: τ_b, s.
+        drift_time: T_θ, s, after which the parameters' variance has grown by its prior.
+        outlier: k, standard deviations beyond which a measurement is an outlier; None: none is.
 
     >>> yaw = YawEKF(surge_max=2.7)
     >>> yaw.init((8,)).mean.shape
@@ -267,7 +271,11 @@ class SwayEKF(AxisEKF):
 
     Args:
         surge_max: top speed, m/s.
-        disturbance, disturbance_time, drift_time, outlier: as of `AxisEKF`.
+        disturbance: q_b, variance of the disturbance's noise in a step of 0.4 s, in units of σ²; broadcasts against the
+            batch, as do the next three.
+        disturbance_time: τ_b, s.
+        drift_time: T_θ, s, after which the parameters' variance has grown by its prior.
+        outlier: k, standard deviations beyond which a measurement is an outlier; None: none is.
 
     >>> SwayEKF(surge_max=2.7).init((8,)).mean.shape
     torch.Size([8, 14])
