@@ -207,7 +207,8 @@ BAD = {
     "no yaw rate": ("yaw_rate", math.nan, 300),
     "a yaw rate that is none": ("yaw_rate", math.inf, 5), "a sway that is none": ("sway", 1e30, 50),
     "a compass that is off by 20°": ("heading", 0.35, 300), "a jump of 30 m": ("north", 30.0, 600),
-    "positions that are none": ("east", -math.inf, 100),
+    "positions that are none": ("east", -math.inf, 100), "a position on another continent": ("north", 5e6, 10),
+    "a number beyond all": ("east", 1e300, 10),
 }  # fmt: skip
 
 
@@ -228,7 +229,10 @@ def test_bad_poses_are_survived(name, boats, learned):
     for leaf, found in spoilt.state.items():
         if not leaf.endswith((".due", "predictions", "halfwidths", "slots")):
             assert np.isfinite(found).all() or found.dtype == bool, leaf
-    assert np.isfinite(spoilt.forecast([[0.5, 0.3]] * 20).north).all()
+    track, other = (each.forecast([[0.5, 0.3]] * 20) for each in (spoilt, ends[0]))
+    assert np.isfinite(track.north).all()
+    if steps <= 10:
+        assert np.allclose(track.ellipse()[0], other.ellipse()[0], rtol=0.5)
     scale = np.concatenate([getattr(learned[0], x).members[x].scale.numpy() for x in ("yaw", "sway")])
     assert np.abs((parameters(spoilt) - parameters(ends[0])) / scale).max() < 0.5
 

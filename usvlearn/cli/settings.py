@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import hydra
 from hydra.errors import InstantiationException
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from usvlearn.cli.mistakes import in_one_sentence
 from usvlearn.errors import ConfigError, UsvlearnError, did_you_mean, under
@@ -106,7 +106,11 @@ def planar_of(cfg: Mapping[str, Any], ensemble: Ensemble) -> tuple[Planar | None
         return None, ""
     from usvlearn.estimators.planar.layer import Planar
 
-    given = dict(cfg["tracks"])
+    if not isinstance(cfg["tracks"], Mapping):
+        raise ConfigError(f"tracks: found {cfg['tracks']!r}, expected horizons and overlap, or null: without tracks")
+    given: dict[str, Any] = {
+        str(name): list(x) if isinstance(x, ListConfig) else x for name, x in cfg["tracks"].items()
+    }
     if unknown := [name for name in given if name not in ("horizons", "overlap")]:
         raise ConfigError(f"tracks.{unknown[0]}: found no such option, expected horizons or overlap, or tracks: null")
     with under("tracks", given):
@@ -114,7 +118,7 @@ def planar_of(cfg: Mapping[str, Any], ensemble: Ensemble) -> tuple[Planar | None
     try:
         found.spec()
     except ConfigError as error:
-        return None, f"no tracks: {error}"
+        return None, f"no tracks: {error} (tracks=null asks for none)"
     return found, ""
 
 

@@ -70,7 +70,7 @@ class Track(NamedTuple):
         >>> [float(x[0].round(2)) for x in track.ellipse(0.9)]
         [4.29, 2.15, 0.0]
         """
-        if not 0 < level < 1:
+        if isinstance(level, bool) or not isinstance(level, int | float) or not 0 < level < 1:
             raise ConfigError(f"level: found {level!r}, expected a probability between 0 and 1, both excluded")
         C = np.asarray(self.covariance, float)
         a, b, c = C[..., 0, 0], C[..., 0, 1], C[..., 1, 1]

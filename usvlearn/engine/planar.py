@@ -33,6 +33,7 @@ from usvlearn.estimators.joint.state import NORTH as CURRENT_NORTH
 from usvlearn.estimators.planar.state import (
     AT_EAST,
     AT_NORTH,
+    AWAY,
     BEFORE,
     BLOCK,
     C_EAST,
@@ -321,7 +322,7 @@ def publish_due(head, s, q, slot, k, pose):
     due = s[head[TRACK, DUES] + k * DUE :]
     north, east = pose[NORTH] - slot[NORTH_0], pose[EAST] - slot[EAST_0]
     dn, de = slot[AT_NORTH] - north, slot[AT_EAST] - east
-    if not abs(dn) + abs(de) < np.inf:
+    if not np.hypot(north, east) < LIMIT * slot[ELAPSED] + AWAY:  # no boat moves so: it is no position
         return
     forward, aside = slot[COS_0] * dn + slot[SIN_0] * de, slot[COS_0] * de - slot[SIN_0] * dn
     turned = slot[PSI] - pose[HEADING]
@@ -350,13 +351,13 @@ def learn_track(head, s, q, k, forward, aside, run, far, group, S):
     e, width = rho(S, forward, aside), max(s[quantile] * s[mean], NARROWEST)
     count = s[errors] + 1
     s[errors] = count
-    s[mean] += max(1 / count, SHARE) * (min(e, CLIP * width if count > FEW else e) - s[mean])
+    if count > FEW and e > CLIP * width:
+        forward, aside, e = forward * (CLIP * width / e), aside * (CLIP * width / e), CLIP * width
+    s[mean] += max(1 / count, SHARE) * (e - s[mean])
     at, moves = head[TRACK, LEARNED : LEARNED + 6], moves_of(overlap, alpha)
     learn_error(s, at, k, count, e, width, run, far, group, moves, alpha)
     miss = 1.0 if e > width else 0.0
     s[quantile] = min(max(s[quantile] * np.exp((miss - alpha) / (DELAY + overlap)), LEAST), MOST)
-    if count > FEW and e > CLIP * width:
-        forward, aside = forward * (CLIP * width / e), aside * (CLIP * width / e)
     share = max(1 / (count + 1), SLOW)
     C[0] += share * (forward * forward - C[0])
     C[1] += share * (forward * aside - C[1])

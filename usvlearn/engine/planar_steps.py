@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numba.core.errors import NumbaError
 
 from usvlearn.core.plans import Track, plan_commands, track_of
 from usvlearn.core.samples import PlanarSample, Sample, check_sample, one_number
@@ -41,6 +42,8 @@ class PlanarLive(Live):
         """Predict, then learn; returns the prediction of the surge, m/s. A `Sample` alone measures nothing else."""
         if isinstance(sample, Sample):
             sample = PlanarSample(sample, *[math.nan] * POSE)
+        if not self.plan.batch and (predicted := self._plain(sample)) is not None:
+            return predicted
         inputs, surge, fresh, measured = sample.sample
         check_sample(sample.sample, self.plan.batch)
         poses = [
@@ -60,6 +63,24 @@ class PlanarLive(Live):
                     bool(masks[1][k]), self._pose,
                 )  # fmt: skip
         return float(found[0]) if not self.plan.batch else found.reshape(self.plan.batch)
+
+    def _plain(self, sample: PlanarSample) -> float | None:
+        """`step` of plain numbers; None where some are of other types, and nothing is done."""
+        (left, right, heading, yaw_rate, dt), surge, fresh, measured = sample.sample
+        if not type(fresh) is bool is type(measured) or not all(type(x) is float for x in sample[1:]):
+            return None
+        program, s, q, work = self._steps[0]
+        with self._lock:
+            self._pose[:] = sample[1:]
+            try:
+                found = dispatch.step_planar(
+                    program, self.plan.head, s, q, work, left, right, heading, yaw_rate, dt, surge, fresh, measured,
+                    self._pose,
+                )  # fmt: skip
+            except (TypeError, ValueError, OverflowError, NumbaError):
+                return None
+            self.current = True
+        return found
 
     def track(self, commands: Any, dt: float) -> Track:
         """Where the boat will be under a plan; `Online.forecast`."""

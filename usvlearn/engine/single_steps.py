@@ -12,7 +12,7 @@ import numpy as np
 from numba.core.errors import NumbaError
 
 from usvlearn.core.plans import NONE
-from usvlearn.core.samples import Inputs, Sample, check_sample, one_number
+from usvlearn.core.samples import Inputs, PlanarSample, Sample, check_sample, one_number
 from usvlearn.engine import dispatch as step
 from usvlearn.engine.first_use import COMPILING, compile_plans, compile_steps
 from usvlearn.engine.forecasting import forecast_plan
@@ -80,8 +80,10 @@ class Live:
         with self._lock:
             return self.plan.typed(name, self.plan.view(self.states, name).copy())
 
-    def step(self, sample: Sample) -> Any:
+    def step(self, sample: Sample | PlanarSample) -> Any:
         """Predict, then learn; returns the prediction, m/s: a float, or an array `(*batch,)`."""
+        if isinstance(sample, PlanarSample):  # of which the surge's part is used
+            sample = sample.sample
         with self._lock:
             self.current = True
             return self._advance(self._steps, *sample)

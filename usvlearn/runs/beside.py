@@ -46,16 +46,37 @@ def started(
             paths = checkpoints(folder / PLANAR / CHECKPOINTS / boat)
             if place != BEGIN:
                 paths = [path for path in paths if path == planar_path(folder, boat, place)]
-            try:
-                if not paths:
-                    raise CheckpointError(f"{folder / PLANAR}: has no checkpoint of {boat} at this place")
-                found.append(restore(paths[-1], template, ESTIMATOR)[0])
-            except CheckpointError as error:
-                reason = str(error)
-                break
+            reason = f"{folder / PLANAR}: has no checkpoint of {boat} at this place"
+            for path in reversed(paths):
+                try:
+                    found.append(restore(path, template, ESTIMATOR)[0])
+                    break
+                except CheckpointError as error:
+                    reason = str(error)
         if len(found) == len(fleet.boats):
             return stack(found), ""
     return None, reason
+
+
+def beside_of(checkpoint: Path) -> Path:
+    """Where the checkpoint of all axes lies that was saved with an ensemble's.
+
+    >>> str(beside_of(Path("run/checkpoints/heron/00000_0000750.safetensors")))
+    'run/planar/checkpoints/heron/00000_0000750.safetensors'
+    """
+    boat = checkpoint.parent
+    return boat.parent.parent / PLANAR / CHECKPOINTS / boat.name / checkpoint.name
+
+
+def started_from(planar: Planar, path: Path, boats: int) -> tuple[PlanarState | None, str]:
+    """The state of so many boats that all start from one checkpoint, or None and why."""
+    if not path.is_file():
+        return None, f"there is no {path}"
+    try:
+        one = restore(path, tree_map(lambda x: x[0], planar.init((1,))), ESTIMATOR)[0]
+    except CheckpointError as error:
+        return None, str(error)
+    return stack([one] * boats), ""
 
 
 def forget(folder: Path, boats: Sequence[str]) -> None:

@@ -59,7 +59,8 @@ def judged(
     if (ahead := ensemble_sums(ensemble, fleet, published.only("forecasts", "forecast_halfwidths"))) is not None:
         found["forecast"] = horizon_scores(ahead, fleet.boats)
     if horizons:
-        parts = (stretch.arrays["tracks"] for stretch in published.only("predictions", "tracks"))
+        parts = (stretch.arrays["tracks"] for stretch in published.only("predictions", "tracks")
+                 if "tracks" in stretch.arrays)  # fmt: skip
         found["tracks"] = track_scores(parts, horizons, fleet.boats)
     if (free := _free(ensemble, fleet, halfway)) is not None:
         found["free"] = free.mae(fleet.boats, ensemble.names)

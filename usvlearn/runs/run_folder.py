@@ -26,7 +26,7 @@ from usvlearn.estimators.planar.layer import Planar, PlanarState
 from usvlearn.estimators.planar.state import AXES
 from usvlearn.evaluation.identification import Truth
 from usvlearn.runs.beside import ESTIMATOR as ESTIMATOR_BESIDE
-from usvlearn.runs.beside import forget, planar_path, started
+from usvlearn.runs.beside import beside_of, forget, planar_path, started, started_from
 from usvlearn.runs.index import check_own, digest, no_run, number, own_predictions, same_run
 from usvlearn.runs.layout import CHECKPOINTS, ERRORS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, save_results
 from usvlearn.runs.legacy import first_named
@@ -141,6 +141,10 @@ class RunFolder:
         """The state from which sway and yaw rate go on, None for a fresh start; and what to say of it."""
         if self._planar is None or len(self._sources) < 2:
             return None, ""
+        if self._sources[-1].is_file():
+            beside = beside_of(self._sources[-1])
+            found, reason = started_from(self._planar, beside, len(self.fleet.boats))
+            return found, f"tracks, sway and yaw rate are learned anew: {reason}" if reason else ""
         places = [start.position] * len(self.fleet.boats)
         if start.position != BEGIN:
             run = self.fleet.runs[start.position.run]

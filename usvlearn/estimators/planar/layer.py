@@ -71,6 +71,8 @@ class Planar(nn.Module):
         self.surge = surge
         self.sway = axis_ensemble(sway_members(top)) if sway is None else sway
         self.yaw = axis_ensemble(yaw_members(top)) if yaw is None else yaw
+        if not isinstance(horizons, Sequence) or isinstance(horizons, str):
+            raise ConfigError(f"horizons: found {horizons!r}, expected a list of times, s")
         self.horizons = tuple(check_positive("horizons", h, "of s") for h in horizons)
         if not self.horizons or sorted(set(self.horizons)) != list(self.horizons):
             raise ConfigError(f"horizons: found {list(horizons)}, expected times, s, increasing")
@@ -110,7 +112,9 @@ class Planar(nn.Module):
         for axis in AXES:
             own = spec_of(getattr(self, axis))
             if own is None or not own.get("forecasts"):
-                raise ConfigError(f"{axis}: found an ensemble without compiled code or forecasts, expected both")
+                raise ConfigError(
+                    f"{axis}: found an ensemble without compiled code or forecasts, expected both: set forecasts"
+                )
             if at.FILTERS[axis] not in [each["kind"] for each in own["members"].values()]:
                 raise ConfigError(
                     f"{axis}: found the members {', '.join(own['members'])}, expected a filter of the kind "

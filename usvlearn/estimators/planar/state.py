@@ -25,7 +25,7 @@ and the radius v that holds 90 % of the ρ, m, is learned as the half-width of a
 `ensemble.forecasts` and (1) to (6) of `ensemble.conditional`, where *spread* is the distance run since the origin, and
 *far* and *group* are those of the commands. The ellipse is pᵀ S⁻¹ p = v². Between horizons S and v are interpolated,
 before the first one v falls to 0 with the time, and beyond the last one it is infinite. An error of more than six
-radii enters (3) as one of six, so that a position that jumps spoils nothing.
+radii is learned as one of six, and a position that no boat reaches (20 m/s, and 10 m) is none.
 
 *Surprise.* After a change of the boat, such as a lost thruster, errors over seconds come late, but the innovations z of
 the filters of surge and yaw rate, in units of their standard deviations, grow at once. With running means of
@@ -57,6 +57,7 @@ FILTERS = {"surge": "joint", "sway": "sway", "yaw": "yaw"}  # kind of the member
 LIMIT = 20.0  # m/s, rad/s: a sway or yaw rate at or beyond it counts as missing
 SLOW, CLIP, ROUND = 1 / 100, 6.0, 5.0  # of (3)
 QUICK_TIME, SLOW_TIME, USUAL, LARGEST, MOST_SURPRISE = 3.0, 300.0, 2.0, 25.0, 4.0  # of (4): s, s
+AWAY = 10.0  # m
 FLOOR = 1e-4  # m², added to both variances of C
 DELAY = 9.0
 POSE = 5  # what is measured at the end of a step, beside the speed:
