@@ -86,7 +86,7 @@ PLANS = {
     "none": (([], 0.0), {}, ShapeError, "commands: found the shape"),
     "one_side": (([0.5, 0.5, 0.5], 0.0), {}, ShapeError, r"commands: found the shape \(3,\), expected \(time, 2\)"),
     "turns": (([[0.5, 0.5]], 0.0, 30.0), {}, ConfigError, "yaw_rates: found 30 in step 1, expected -10 … 10, rad/s"),
-    "nothing": (([[0.5, 0.5]], None), {}, ShapeError, "headings: found None, expected numbers"),
+    "nothing": (([[0.5, 0.5]], None), {}, ConfigError, r"headings: found none.*Online\(Planar\(…\)\)"),
     "text": ((["left"], 0.0), {}, ShapeError, "commands: found .* expected numbers"),
     "rates": (([[0.5, 0.5]], 0.0, [0.1, 0.2]), {}, ShapeError, r"yaw_rates: found the shape \(2,\)"),
 }

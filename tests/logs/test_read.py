@@ -164,7 +164,9 @@ def configured(name: str, path: Path) -> list:
     return hydra.instantiate(config)
 
 
-@pytest.mark.parametrize(("name", "count"), [("alog", 13), ("ardupilot", 9), ("csv", 13), ("rosbag", 13), ("tlog", 9)])
+@pytest.mark.parametrize(
+    ("name", "count"), [("alog", 14), ("ardupilot", 10), ("csv", 14), ("rosbag", 14), ("tlog", 10)]
+)
 def test_generic_configs_list_every_option_of_every_channel(name, count):
     omegaconf = pytest.importorskip("omegaconf", reason="needs the package omegaconf")
     channels = omegaconf.OmegaConf.load(CONFIGS / f"{name}.yaml").data.channels

@@ -62,6 +62,7 @@ def test_every_file_is_there_and_replaced(saved):
         "parameters",
         "cost",
         "residuals",
+        "tracks",
     }
     assert {path.name for path in (report / "tables").iterdir()} == {f"{t}.{k}" for t in tables for k in ("csv", "md")}
     assert "The paper found" not in (report / "report.md").read_text()  # it stands where a study is judged

@@ -160,6 +160,7 @@ def test_an_estimator_of_the_users_own_is_opened_by_trust_alone(saved, tmp_path,
         check_settings("a", {"_target_": "boats.own.loads", "s": "1"}, "boats")
 
 
+@pytest.mark.slow
 def test_trust_is_a_key_of_evaluate(saved, tmp_path):
     (tmp_path / "my_boats.py").write_text(
         "from usvlearn import Persistence\nclass Mine(Persistence):\n    '''Another name.'''\nprint('imported')\n"
