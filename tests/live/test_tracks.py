@@ -181,7 +181,7 @@ def test_a_record_is_replayed_with_its_tracks(tmp_path):
         session._node.finish()
         learned = session._node.online.state
     records = tmp_path / "node" / "records"
-    overrides = ("data=record_0001.yaml", "resume=record_0001", "hydra.run.dir=again", *commands.QUICK[1:])
+    overrides = ("data=record_0001.yaml", "resume=record_0001", "hydra.run.dir=again", *quick)
     done = commands.run(*overrides, folder=records)
     assert done.returncode == 0, done.stderr
     found, _ = checkpoint.load(checkpoint.checkpoints(records / "again" / "planar" / "checkpoints" / "boat")[-1])
