@@ -1,6 +1,6 @@
 """The paper's matrix inequality and the slope-restricted one as semidefinite programs: a check of the closed forms.
 
-With the corner c (1: the paper's theorem III.3, slopes in [0, 2]; 2: Revay & Manchester 2020, slopes in [0, 1]),
+With the corner c (1: the paper's theorem IV.1, slopes in [0, 2]; 2: Revay & Manchester 2020, slopes in [0, 1]),
 
     M(p, Λ) = [2 − p, 0, −aᵀ/κ; 0, p, −w₁ᵀΛ; −a/κ, −Λw₁, cΛ]    solve: maximise t, M(p, Λ) ⪰ t I                   (1)
     T(k, Λ) = [1,     0, −aᵀ;   0, k, −w₁ᵀΛ; −a,   −Λw₁, cΛ]    smallest_rate: minimise k = κ², T(k, Λ) ⪰ 0        (2)

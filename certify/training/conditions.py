@@ -3,9 +3,9 @@
 With s_i = a_i w_{1i}, P = Σ max(s_i, 0), N = Σ max(−s_i, 0), the slope of x ↦ x⁺ is the sum of s_i over the active
 neurons, so that K = max(P, N) is the exact rate over all activation patterns. From the narrowest to the widest:
 
-    simple      (n+1)|a_i| + |w_{1i}| < 1 for all i                    paper, theorem III.6 (RNNSimple)   (1)
-    gershgorin  |w_{1i}| < 1 for all i, Σ |a_i|/(1 − |w_{1i}|) < 2     paper, lemma III.5                 (2)
-    lmi         2K < 1          the paper's matrix M(p, Λ) ≻ 0         paper, theorem III.3               (3)
+    simple      (n+1)|a_i| + |w_{1i}| < 1 for all i                    paper, theorem IV.3 (RNNSimple)    (1)
+    gershgorin  |w_{1i}| < 1 for all i, Σ |a_i|/(1 − |w_{1i}|) < 2     paper, lemma IV.2                  (2)
+    lmi         2K < 1          the paper's matrix M(p, Λ) ≻ 0         paper, theorem IV.1                (3)
     tight       K < 1           with 2Λ in the corner: slopes in [0, 1]    Revay & Manchester 2020        (4)
     interval    (4) on a box, neurons whose sign is fixed there counted as such                           (5)
 

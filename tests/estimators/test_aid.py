@@ -153,7 +153,7 @@ def test_signs_of_physics_are_kept():
 
 
 def test_unnormalised_euler_step_diverges_where_this_one_does_not():
-    """θ − Γφe alone is unstable once φᵀΓφ > 2 (`docs/theory.md`, section 4)."""
+    """θ − Γφe alone is unstable once φᵀΓφ > 2 (`docs/theory/estimators.md#aid`)."""
     samples, gain = plant(300), 50.0
     aid = AID(MASS, gain=gain, spread=[MASS] * 9, project=False)
     end, surge, _ = rollout(aid, aid.init(), samples)

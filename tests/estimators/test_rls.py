@@ -47,7 +47,7 @@ def test_dynamic_rls_equals_batch_least_squares_on_the_increment():
 
 
 def test_textbook_covariance_diverges_where_the_square_root_form_does_not():
-    """Rounding asymmetry grows by 1/λ a step in P − K φᵀP (`docs/theory.md`, section 6)."""
+    """Rounding asymmetry grows by 1/λ a step in P − K φᵀP (`docs/theory/estimators.md#rls`)."""
     lam, steps = 0.98, 4000
     phi = torch.randn(steps, 9, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     textbook = 100 * torch.eye(9, dtype=torch.float64)

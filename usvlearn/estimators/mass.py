@@ -20,7 +20,7 @@ the drag of a towed hull. With d the known values, A their rows of coefficients,
 
 with P the covariance of η. Where none is given C = I: every known quantity counts equally, whatever its unit.
 
-The derivation is in `docs/theory.md`, section 5.
+The derivation is in `docs/theory/identification.md#mass`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Paired differences between two settings, with intervals over boats and runs, and over seeds.
 
-The mathematics is in `docs/theory.md`, section 23; the equations (1) to (3) are from there.
+The mathematics is in `docs/theory/ensemble.md#comparing-settings`; the equations (1) to (3) are from there.
 """
 
 from __future__ import annotations

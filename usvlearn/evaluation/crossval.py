@@ -1,7 +1,7 @@
 """Cross-validation: saved checkpoints, simulated free on runs that they were not saved in (paper, section VI-B).
 
-The definitions are in `docs/theory.md`, section 16. Each pair of a checkpoint and a run is an element of one batch. A
-simulation uses the inputs, and the speed at which each segment starts.
+The definitions are in `docs/theory/ensemble.md#scores`. Each pair of a checkpoint and a run is an element of one batch.
+A simulation uses the inputs, and the speed at which each segment starts.
 
 A combiner that weighs the members has two rows in the tables: with the saved weights, and as NAME+, with weights that
 continue to learn along the run, each prediction before its measurement. The paper's weighted ensemble was evaluated in

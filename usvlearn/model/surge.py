@@ -7,8 +7,8 @@ With the speed v through the water, commands ξ as shares of full scale, the yaw
     v⁺ = v + h φ₁(z) f,   φ₁(z) = (e^z − 1)/z                                                              (2)
 
 (2) is the step of the joint EKF (`usvlearn.estimators.joint.state`, equation (3)) without disturbance, current and
-lag of the commands. See `docs/theory.md`, section 19. A batch fit (`usvlearn.model.fit`) adds tables of thrust and drag
-to (1), linear between their points.
+lag of the commands. See `docs/theory/model.md#surge-model`. A batch fit (`usvlearn.model.fit`) adds tables of thrust
+and drag to (1), linear between their points.
 """
 
 from __future__ import annotations

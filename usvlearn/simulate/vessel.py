@@ -1,4 +1,4 @@
-"""A thruster-driven vessel in surge and yaw, differentiable and batched (`docs/theory.md`, section 18).
+"""A thruster-driven vessel in surge and yaw, differentiable and batched (`docs/theory/model.md#simulation`).
 
     m surge_dot = c_q |v| v + c_l v + c_x |r| v + sum_{i=L,R} tau_i          c_q, c_l, c_x <= 0       (1)
     tau_i = table_i(xi_i) + alpha_i xi_i + beta_i xi_i |xi_i| + gamma_i xi_i |v|                      (2)

@@ -37,7 +37,7 @@ the last term negative.
 
 The mass only scales the parameters. Surge data cannot identify it; `mass` recovers it from known quantities.
 
-The derivation is in `docs/theory.md`, section 4.
+The derivation is in `docs/theory/estimators.md#aid`.
 """
 
 from __future__ import annotations

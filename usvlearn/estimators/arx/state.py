@@ -39,7 +39,7 @@ it, and its increment is the predicted one.
 The covariance is kept as P = U D Uᵀ (`usvlearn.estimators.factored`), with H = φ and α_0 = 1/w in (2). The first σ, and
 the share and the least of (3), are those of least squares.
 
-The derivation is in `docs/theory.md`, section 20.
+The derivation is in `docs/theory/estimators.md#arx`.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ and σ². A segment starts at a measured y: there P loses all that joins y and b
 *Inputs.* These estimators see `Inputs` whose `heading` holds o and whose `yaw_rate` holds u (`axis_inputs`), and a
 `Sample` whose `surge` holds the measured y.
 
-The derivation is in `docs/theory.md`, section 28.
+The derivation is in `docs/theory/identification.md#yaw-rate-and-sway`.
 """
 
 from __future__ import annotations

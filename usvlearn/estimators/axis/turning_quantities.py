@@ -20,7 +20,7 @@ Each is the mean of a turn to starboard and one to port.
 
     time constant   −1/(θ_linear + θ_cross u),   straight ahead at the steady speed u of half command, and at rest  (5)
 
-The filters are derived in `docs/theory.md`, section 28.
+The derivation is in `docs/theory/identification.md#turning`.
 """
 
 from __future__ import annotations

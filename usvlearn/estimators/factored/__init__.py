@@ -17,5 +17,5 @@ stays positive, in float32 too. Where dᵀx > 0 must not be, the nearest x with 
 
     x − P d dᵀx/(dᵀP d)                                                                                  (3)
 
-The derivation is in `docs/theory.md`, section 19.
+The derivation is in `docs/theory/estimators.md#factored-covariance`.
 """

@@ -15,7 +15,7 @@ With q, l, γ and the thrust at standstill T(ξ) = Σ (α ξ + β ξ² + κ ξ³
 
 (5) is the way from V with both thrusters off until a tenth of V is left. With quadratic drag alone a boat never rests.
 
-The derivation is in `docs/theory.md`, section 21.
+The derivation is in `docs/theory/identification.md#quantities`.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ Where it is large for the drag or for the thrust of both sides together (of the 
 the interval contains the prior's, too. Where the steady speed is far from the prior's top speed, the variance is
 multiplied by their ratio.
 
-The derivation is in `docs/theory.md`, section 21.
+The derivation is in `docs/theory/identification.md#periodic-estimates`.
 """
 
 from __future__ import annotations

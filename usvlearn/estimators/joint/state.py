@@ -61,7 +61,7 @@ D > `confirmed` it replaces the first, and the periodic estimates begin anew. It
 falls by `fallen` below its greatest value, and after `trial_steps`. The filter that predicts lies in `mean`, `factor`,
 `noise` and `updates`; the other one lies in `trial`.
 
-The derivation is in `docs/theory.md`, section 19.
+The derivation is in `docs/theory/estimators.md#joint-ekf`.
 """
 
 from __future__ import annotations

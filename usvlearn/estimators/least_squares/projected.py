@@ -19,7 +19,7 @@ known to about cond(P) ε, relative to its largest entry, ε = 2.2e-16. On usual
 of 99.9, whose terms differ by a factor of 1e4, bring it to 1e13: torch and the kernel then differ by up to 1e-4,
 neither being nearer to (1). A test holds both to this bound.
 
-The derivation is in `docs/theory.md`, section 8.
+The derivation is in `docs/theory/estimators.md#signs`.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ then the measurement update of S̄ with noise 1 (see `rls`): p² operations in a
 
 λ is per direction: where n directions are excited in turn, a memory τ is like the memory n τ of exponential forgetting.
 
-The derivation is in `docs/theory.md`, section 7.
+The derivation is in `docs/theory/estimators.md#sift`.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ pauses wherever it would lift the trace of P over a limit. `SIFtRLS` (see `sift`
 P is in units of the noise's variance σ², which is estimated from the innovations. The variance of a prediction is
 σ² (1 + φᵀPφ)   (3).
 
-The derivation is in `docs/theory.md`, section 6.
+The derivation is in `docs/theory/estimators.md#rls`.
 """
 
 from __future__ import annotations

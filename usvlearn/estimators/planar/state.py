@@ -35,7 +35,7 @@ min(z², 25) over 3 s and over 300 s, ν and ν̄,
 
 of every radius that is stated from then on.
 
-The derivation is in `docs/theory.md`, section 29.
+The derivation is in `docs/theory/ensemble.md#tracks`.
 """
 
 from __future__ import annotations

@@ -11,12 +11,12 @@ curves that a parabola cannot: a dead band, saturation.
 The step is Euler's, v⁺ = v + h f with h = dt and f = Wᵀθ/m, or exponential (Rosenbrock–Euler; Hochbruck & Ostermann
 2010), which is of second order and stays stable however strong the drag is:
 
-    v⁺ = v + h φ1(z) f,   z = h ∂f/∂v,   φ1(z) = (e^z − 1)/z                                (1)
+    v⁺ = v + h φ1(z) f,   z = h ∂f/∂v,   φ1(z) = (e^z − 1)/z                                (2)
 
 Its φ is h φ1(z) W/m. z comes from the present parameters and is held within −20 … 1. An estimator that learns takes
 φ1(z) as known: it leaves out ∂z/∂θ, so that the model stays linear in θ.
 
-The derivation is in `docs/theory.md`, section 2.
+The derivation is in `docs/theory/model.md#surge-model`.
 """
 
 from __future__ import annotations

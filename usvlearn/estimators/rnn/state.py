@@ -40,7 +40,7 @@ segments. A counter c alone says which are learned. Of f kept samples, B times,
 1998, section 6.4). With `unroll` 2 the step before is the sample one place earlier, if it led to this one and is still
 kept.
 
-The derivation is in `docs/theory.md`, section 9; its contraction, section 10.
+The derivation is in `docs/theory/estimators.md#rnn`; its contraction is in `docs/certification.md`.
 """
 
 from __future__ import annotations

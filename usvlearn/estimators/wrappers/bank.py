@@ -1,6 +1,6 @@
 """One estimator with several settings, as a member of an ensemble.
 
-The derivation is in `docs/theory.md`, section 12.
+The derivation is in `docs/theory/estimators.md#memory-and-banks`.
 """
 
 from __future__ import annotations

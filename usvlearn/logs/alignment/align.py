@@ -1,7 +1,8 @@
 """Asynchronous channels to samples on a grid of `dt`, message by message: live on a boat, or in a loop over a log.
 
 The step k → k+1 runs from the grid time t_k to t_{k+1} = t_k + dt. Its *target* is the last speed message stamped in
-(t_k, t_{k+1}], at s. There are three choices of what a prediction may see of each input (`docs/theory.md`, section 3):
+(t_k, t_{k+1}], at s. There are three choices of what a prediction may see of each input
+(`docs/theory/model.md#inputs-and-causality`):
 
     mean   time-weighted mean of the held signal over [t_k, s): nothing stamped at or after the target (the default)
     last   the value in force at t_k: a true forecast

@@ -13,7 +13,7 @@ x = (p, ṗ), driven by white acceleration of density q over the time h between 
 
 The variance r of a position is a running mean of squared differences between a position and the parabola through the
 three before it, divided by the sum of the squared weights; for equal steps the weights are 1, −3, 3, −1. Such a speed
-lags behind by some tenths of a second. It is over ground, as a GPS's is. See `docs/theory.md`, section 25.
+lags behind by some tenths of a second. It is over ground, as a GPS's is. See `docs/theory/model.md#derived-speed`.
 """
 
 from __future__ import annotations

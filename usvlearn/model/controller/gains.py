@@ -14,7 +14,7 @@ boat's own pole, or 4/ω_c where that is faster (Skogestad 2003):
 (3) takes the geometric means of a and b over all corners: the ends of their 90 % intervals, at each operating speed.
 The loop (k_p + k_i/s) b e^(−sL)/(s − a) is then judged at every corner.
 
-The derivation is in `docs/theory.md`, section 26.
+The derivation is in `docs/theory/identification.md#controller`.
 """
 
 from __future__ import annotations

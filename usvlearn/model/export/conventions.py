@@ -1,7 +1,7 @@
 """The drag and the mass of a boat under the names and with the signs of other simulators.
 
-All three have a linear and a quadratic drag of motion ahead. Here (`docs/theory.md`, section 2) and in Fossen's MSS a
-drag is a force and therefore negative. In Gazebo there are two plugins with opposite signs:
+All three have a linear and a quadratic drag of motion ahead. Here (`docs/theory/model.md#surge-model`) and in Fossen's
+MSS a drag is a force and therefore negative. In Gazebo there are two plugins with opposite signs:
 
     MSS                          (m − Xudot) du/dt = Xu u + Xuu |u| u + τ           Xu, Xuu, Xudot ≤ 0
     gz-sim Hydrodynamics         m du/dt = xDotU du/dt + (xU + xUabsU |u|) u + τ    all ≤ 0

@@ -1,7 +1,7 @@
 """The recurrent network of a boat as ONNX: one step, in double precision.
 
 With h = 1/(2 v_max), the scaled speed x = h v and u = [½ + ½ sin θ_h, ½ + ½ cos θ_h, ξ_L, ξ_R], as of
-`docs/theory.md`, section 9:
+`docs/theory/estimators.md#rnn`:
 
     v⁺ = aᵀ relu(w₁ x + W₂ u + b)/h
 """

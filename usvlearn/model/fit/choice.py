@@ -10,6 +10,8 @@ missions, not one fit for each. Where missions are few, one step would be too fa
 single steps, are left out: errors of neighbouring steps are alike. A larger set is taken only if its losses are lower
 than those of the smaller one by more than their standard error over the missions. Of one or two missions the set with
 the largest evidence is taken, which is a weaker reason.
+
+The derivation is in `docs/theory/identification.md#batch-fit-choice`.
 """
 
 from __future__ import annotations

@@ -13,6 +13,8 @@ of errors (Ljung 1999, section 16.6: P = Σ_l R_e(l) R_u(l)), hence
 
 where n_l is the number of pairs of errors. It is at least that of white errors, 1/n_k. 99 % are within 2.58 deviations.
 Lags with few pairs, as those near the length of short missions, are left out: r is no correlation there, and large.
+
+The derivation is in `docs/theory/identification.md#batch-fit-residuals`.
 """
 
 from __future__ import annotations

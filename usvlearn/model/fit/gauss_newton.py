@@ -9,6 +9,8 @@ thrust that grows with speed have no boat: after each step the parameters go to 
 q ± e₀ ≤ 0 and γ + e₃ ≤ 0, in the metric of Σ H + I₀. The variance of a speed comes from the errors of the simulation
 itself, between rounds (`scale_of`). The median of their sizes would be too small where a boat lies still for long: its
 moving hours would count as outliers.
+
+The derivation is in `docs/theory/identification.md#batch-fit-minimum`.
 """
 
 from __future__ import annotations

@@ -9,6 +9,8 @@ A alone supposes that the model is true and that errors are independent; A B A, 
 mission to mission (White 1982). q' is the value, farthest from q, by another set of terms that does about as well on
 missions which it has not learned. The own error is what no log shows, such as what every set lacks: gusts make drag and
 thrust look more linear than they are. SCATTER and the own errors were chosen on simulated boats.
+
+The derivation is in `docs/theory/identification.md#batch-fit-intervals`.
 """
 
 from __future__ import annotations

@@ -14,6 +14,8 @@ mission has
     loss = ½ Σ (ρ(e²/S) + log S),   g = −Σ ω e J/S,   H = Σ ω J Jᵀ/S                                   (2)
 
 with Huber's ρ, quadratic up to `robust` deviations and linear beyond, and its weight ω (Huber 1964).
+
+The derivation is in `docs/theory/identification.md#batch-fit-simulation`.
 """
 
 import numpy as np

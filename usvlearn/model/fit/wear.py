@@ -8,6 +8,8 @@ describe. With the columns B = ∂θ/∂δ, and g_k and H_k of `motion_kernel` a
     Σ_k [g_kᵀ e_k + ½ e_kᵀ H_k e_k] + ½ (θ − θ₀)ᵀ I₀ (θ − θ₀) + ½ Σ_k |δ_{k+1} − δ_k|²/WALK²,   e_k = Δ + B δ_k   (1)
 
 which is a linear system. Without the terms of mission k it predicts that mission, and its loss says whether wear helps.
+
+The derivation is in `docs/theory/identification.md#batch-fit-wear`.
 """
 
 from __future__ import annotations

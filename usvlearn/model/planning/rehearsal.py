@@ -3,7 +3,7 @@
 The covariance recursion of the joint EKF (`usvlearn.estimators.joint.state`) depends on the inputs and on the mean,
 and not on what is measured. So each step predicts the speed and learns that prediction: the mean stays at the model's,
 and the covariance falls by the Fisher information of the step, as if the step had been measured. The noise σ² stays as
-it is. `identify` makes the intervals, as after a mission. See `docs/theory.md`, section 27.
+it is. `identify` makes the intervals, as after a mission. See `docs/theory/identification.md#input-design`.
 """
 
 from __future__ import annotations

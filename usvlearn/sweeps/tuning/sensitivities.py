@@ -1,4 +1,4 @@
-"""Hyperparameters by the exact gradient: sensitivities carried forward along all runs (`docs/theory.md`, section 17).
+"""Hyperparameters by the exact gradient: sensitivities carried along all runs (`docs/theory/ensemble.md#tuning`).
 
 With the state s_k, the step s_{k+1} = f(s_k, z_k, x) and hyperparameters x on their scale (logarithm or logit), the
 sensitivity S_k = ds_k/dx is carried along the run with the state (Williams & Zipser 1989):

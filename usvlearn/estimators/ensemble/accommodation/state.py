@@ -25,7 +25,7 @@ are not independent:
 
     1/s² = Σ 1/s_j²,   η = s² Σ η_j/s_j²                                                                  (3)
 
-The derivation is in `docs/theory.md`, section 15.
+The derivation is in `docs/theory/ensemble.md#accommodation`.
 """
 
 from __future__ import annotations

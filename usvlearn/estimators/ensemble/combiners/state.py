@@ -14,10 +14,10 @@ learning rate η:
     w_k ∝ w0_k η_k exp(−η_k L_k)                                                              (4)
 
 κ = exp(−dt/memory) forgets, and the bound with it: the best member in calm water is not the best in a turn, and one
-outlier would hold the rates down for ever. κ = 1 is the published rule, except that η in (2) uses the new E. A small
+outlier would hold the rates down for ever. The page names what differs from the published rule where κ = 1. A small
 share of the weight is distributed by the priors.
 
-The derivation is in `docs/theory.md`, section 13.
+The derivation is in `docs/theory/ensemble.md#combiners`.
 """
 
 from __future__ import annotations

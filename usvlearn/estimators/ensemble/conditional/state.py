@@ -33,7 +33,7 @@ ten times, with a ridge of 1.
 A forecast keeps what (1) to (3) need as they were at its origin: errors that become known later do not enter. A plan
 knows its commands, and its half-width is that of the present state.
 
-The derivation is in `docs/theory.md`, sections 14 and 22.
+The derivation is in `docs/theory/ensemble.md#conditional-intervals`.
 """
 
 from __future__ import annotations

@@ -6,13 +6,13 @@ as adaptive conformal inference does (Gibbs & Candès 2021; Angelopoulos, Candè
 
     log q ← log q + (η + η₀/k) (miss − α)                                                  (1)
 
-Nothing is assumed about the errors: the sum of (1) over K steps gives |misses/K − α| ≤ |log(q_K/q_0)|/(η K) where
+Bounded errors suffice: the sum of (1) over K steps gives |misses/K − α| ≤ |log(q_K/q_0)|/(η K) where
 η₀ = 0 and q has not met its least value. The second term finds the scale during the first samples. Before ten
 innovations q is no quantile of anything yet, and the published half-width is infinite.
 
 By choice the published half-width knows the manoeuvre (`conditional.state`); q goes on beside it.
 
-The derivation is in `docs/theory.md`, section 14.
+The derivation is in `docs/theory/ensemble.md#intervals`.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ measured speed.
 *After steps without measured speed* the ensemble's own prediction has the weights of the time since the last measured
 speed, because it is a forecast over that time. So has an open-loop simulation.
 
-The derivation is in `docs/theory.md`, section 22.
+The derivation is in `docs/theory/ensemble.md#forecasts`.
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ positive definite, since nine such errors add up to less than it; in float64 it 
 
 Where the factorisation breaks down nevertheless, the model says nothing in that step: ϑ = 0, ℓ = 0.
 
-The derivation is in `docs/theory.md`, section 15.
+The derivation is in `docs/theory/ensemble.md#monitors`.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 A thruster takes time to spin up, and some water moves with the hull, so the next increment depends on the last one.
 `SurgeDynamics(memory=True)` has terms for this, and the wrapper supplies their inputs.
 
-The derivation is in `docs/theory.md`, section 12.
+The derivation is in `docs/theory/estimators.md#memory-and-banks`.
 """
 
 from __future__ import annotations

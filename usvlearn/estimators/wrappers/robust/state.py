@@ -15,7 +15,7 @@ scale still follows (2): an innovation that is not clipped there would open the 
 
 *Gate.* A sample that would make a finite state not finite leaves the estimator's state unchanged, bit for bit.
 
-The derivation is in `docs/theory.md`, section 11.
+The derivation is in `docs/theory/estimators.md#robust`.
 """
 
 from __future__ import annotations
