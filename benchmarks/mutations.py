@@ -91,7 +91,12 @@ GROUPS = {
         ),
     ),
     "export": Group(("usvlearn/model/export/*.py",), 7, named("model/export", "formats command")),
-    "joint": Group(("usvlearn/estimators/joint/*.py",), 6, named("estimators", "joint identified quantities"), False),
+    "joint": Group(
+        ("usvlearn/estimators/joint/*.py", "usvlearn/estimators/augmented/*.py"),
+        6,
+        named("estimators", "joint identified quantities"),
+        False,
+    ),
     "forecasts": Group(
         ("usvlearn/estimators/ensemble/forecasts/*.py",),
         4,

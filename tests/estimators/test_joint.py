@@ -16,8 +16,10 @@ from usvlearn.core.protocol import clean
 from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.engine.rollouts import simulate
 from usvlearn.errors import CheckpointError, ConfigError
+from usvlearn.estimators.augmented import state as augmented
+from usvlearn.estimators.axis.state import FAMILY as AXIS
 from usvlearn.estimators.joint.flow import flow as moved_by
-from usvlearn.estimators.joint.state import SIZES
+from usvlearn.estimators.joint.state import AT, SIZES, JointState
 
 pytestmark = pytest.mark.usefixtures("no_gradients")
 
@@ -357,3 +359,9 @@ def test_the_covariance_of_a_batch_is_that_of_each_element():
     for i, j in itertools.product(range(2), range(3)):
         L = factor[i, j].tril(-1) + torch.eye(factor.shape[-1], dtype=torch.float64)  # Uᵀ
         torch.testing.assert_close(found[i, j], L.mT @ torch.diag(factor[i, j].diagonal()) @ L)
+
+
+def test_the_kernels_that_both_filters_share_find_their_leaves():
+    leaves = augmented.FilterState._fields
+    assert JointState._fields[: len(leaves)] == leaves == AXIS.at._fields
+    assert AT[: len(leaves)] == augmented.AT == AXIS.at

@@ -11,8 +11,9 @@ from usvlearn import JointEKF
 from usvlearn.core.rows import COS, LEARN, LEFT, MODE, RIGHT, SIN, SURGE
 from usvlearn.core.samples import named_leaves
 from usvlearn.errors import CheckpointError, ConfigError
+from usvlearn.estimators.augmented.state import LAG_MOST
 from usvlearn.estimators.joint.reading import covariance_of, identify
-from usvlearn.estimators.joint.state import LAG_MOST, THETA, names
+from usvlearn.estimators.joint.state import THETA, names
 from usvlearn.model.fit.boat import FITTED, FittedBoat
 from usvlearn.model.fit.fitted import fit_boat
 from usvlearn.model.fit.hand_over import factored, handed_over

@@ -10,38 +10,32 @@ from usvlearn.core.family import Node
 from usvlearn.core.jit import jit
 from usvlearn.core.rows import DT, LEFT, RIGHT, YAW_RATE
 from usvlearn.core.rows import SIN as OTHER_INPUT
+from usvlearn.estimators.augmented.kernel import (
+    add_noise,
+    blocks,
+    correct,
+    decay,
+    inflate,
+    isolate,
+    limit,
+    limit_lag,
+    transition,
+)
+from usvlearn.estimators.augmented.state import AT, LONGEST, MOST, REST, B, Y
 from usvlearn.estimators.axis.state import (
-    AT,
     COUPLING,
     CROSS,
-    DECAYED,
-    EVERY,
     KINDS,
-    LAG_LEAST,
-    LAG_MOST,
     LINEAR,
-    LONGEST,
-    LOOSEST,
-    MOST,
-    NOISE_COUNT,
-    NOISE_LEAST,
-    NOISE_MOST,
-    NOISE_SHARE,
     OTHER,
-    OWN_NOISE,
     QUADRATIC,
-    REST,
     SIDE,
-    STEP,
     SURGE,
     THETA,
-    B,
     Number,
     Vector,
-    Y,
 )
-from usvlearn.estimators.factored.kernel import add, loosen, measure, project, variance, walked
-from usvlearn.estimators.joint.factored_kernel import add_slow
+from usvlearn.estimators.factored.kernel import project
 from usvlearn.estimators.regressors.kernel import phi1
 
 YAW = KINDS.index("yaw")
@@ -95,44 +89,16 @@ def learn(node, s, q, x, estimate, target, work):
     if x[DT] > LONGEST:
         start(node, s, q, target)
         return
-    f, G, gain = work[:n], work[n : 2 * n], work[2 * n : 3 * n]
-    error, noise, k = target - estimate, s[node[AT.noise]], numbers[Number.OUTLIER]
-    square, S = error * error, spread + noise
-    alpha = measure(A, f, G, square / (k * k) - spread if square > k * k * S else noise, gain)
-    for i in range(n):
-        mean[i] += gain[i] * (error / alpha)
-    if not rest:
-        s[node[AT.updates]] += 1
-        share = max(NOISE_SHARE, 1 / (s[node[AT.updates]] + NOISE_COUNT))
-        learned = noise * (1 + share * (min(square / S, NOISE_MOST) - 1))
-        s[node[AT.noise]] = NOISE_LEAST**2 if learned < NOISE_LEAST**2 else learned
+    correct(node, s, target - estimate, spread, numbers[Number.OUTLIER], rest, work)
     for i in range(LINEAR, CROSS + 1):
-        project(mean, A, i, i, 0.0, gain)
-    mu = mean[-1]
-    mean[-1] = LAG_LEAST if mu < LAG_LEAST else (LAG_MOST if mu > LAG_MOST else mu)
+        project(mean, A, i, i, 0.0, work[2 * n : 3 * n])
+    limit_lag(mean)
 
 
 @jit
 def inflate_covariance(node, s, q, factor):
     """`AxisEKF.inflate_covariance`: P times `factor`, up to its limit."""
-    n = node[Node.SIZE]
-    A, prior, total = blocks(node, s)[1], q[node[Vector.VARIANCE] :], 0.0
-    for i in range(THETA, n):
-        total += variance(A, i) / prior[i - THETA]
-    loosen(A, factor, LOOSEST * (n - THETA) / total)
-
-
-@jit(inline=True)
-def blocks(node, s):
-    """x and A."""
-    n = node[Node.SIZE]
-    return s[node[AT.mean] : node[AT.mean] + n], s[node[AT.factor] : node[AT.factor] + n * n].reshape(n, n)
-
-
-@jit
-def decay(dt, time):
-    """e^(−h/τ)."""
-    return np.exp(-min(dt / time, DECAYED))
+    inflate(node, s, q[node[Vector.VARIANCE] :], THETA, factor)
 
 
 @jit
@@ -187,29 +153,17 @@ def advance(node, s, q, x, work):
     mean, A = blocks(node, s)
     g, ahead, noise = work[:n], work[n], s[node[AT.noise]]
     if s[node[AT.started]] > 0:
-        begin(mean, A, s[node[AT.surge]], noise)
-        s[node[AT.started]] = 0.0
+        isolate(A, noise)
+        mean[Y], mean[B], s[node[AT.started]] = s[node[AT.surge]], 0.0, 0.0
     rest = x[LEFT] * x[LEFT] + x[RIGHT] * x[RIGHT] + x[YAW_RATE] * x[YAW_RATE] + mean[Y] * mean[Y] <= REST
     if rest:
         fill(g[THETA:], 0.0)
     slow = decay(h, numbers[Number.DISTURBANCE_TIME])
-    transition(A, g, slow)
-    span, a = min(h, LONGEST) / STEP, work[n + 1 : 2 * n + 1]
-    add_slow(A, numbers[Number.DISTURBANCE] * noise * span, 1.0, 0.0)
-    A[Y, Y] += OWN_NOISE * noise * span
-    turn, parameters = s[node[AT.turn]], n - THETA
-    if turn < EVERY * parameters:
-        k = int(turn)
-        if k == turn and k % EVERY == 0 and not rest:
-            share = EVERY * parameters * (STEP * span) / numbers[Number.DRIFT_TIME]
-            i, prior = THETA + k // EVERY, q[node[Vector.VARIANCE] + k // EVERY]
-            add(A, i, walked(A, i, prior, share * prior), a)
-    s[node[AT.turn]] = turn + 1 if turn + 1 < EVERY * parameters else 0.0
+    transition(A, g, slow, 1.0)
+    disturbance, drift_time, a = numbers[Number.DISTURBANCE], numbers[Number.DRIFT_TIME], work[n + 1 : 2 * n + 1]
+    add_noise(node, s, A, q[node[Vector.VARIANCE] :], THETA, disturbance, drift_time, h, rest, a)
+    limit(A, ahead)
     mean[Y], mean[B] = clamp(ahead, MOST), mean[B] * slow
-    if abs(ahead) >= MOST:
-        for j in range(1, n):
-            A[j, Y] = 0.0
-        A[Y, Y] = MOST * MOST
     s[commands], s[commands + 1] = x[LEFT], x[RIGHT]
     f, G, spread = work[:n], work[n : 2 * n], A[Y, Y]
     f[Y], G[Y] = 1.0, A[Y, Y]
@@ -218,31 +172,3 @@ def advance(node, s, q, x, work):
         spread += f[j] * G[j]
     s[node[AT.deviation]] = np.sqrt(spread + noise)
     return spread, rest
-
-
-@jit(reorder=True)
-def transition(A, g, slow):
-    """F P Fᵀ."""
-    n = len(g)
-    for j in range(1, n):
-        total = g[j]
-        for i in range(j):
-            total += g[i] * A[j, i]
-        A[j, Y] = total
-    A[B, Y] /= slow
-    for j in range(THETA, n):
-        A[j, B] *= slow
-    A[Y, Y] *= g[Y] * g[Y]
-    A[B, B] *= slow * slow
-
-
-@jit
-def begin(mean, A, measured, noise):
-    """The start of a segment: y is measured, and nothing else is known of it and of b."""
-    disturbed = variance(A, B)
-    for j in range(1, len(mean)):
-        A[j, Y] = 0.0
-    for j in range(2, len(mean)):
-        A[j, B] = 0.0
-    A[Y, Y], A[B, B] = noise, disturbed
-    mean[Y], mean[B] = measured, 0.0

@@ -12,10 +12,20 @@ from usvlearn.core.hyper import Hyper, Positive, as_tensor, check_broadcast
 from usvlearn.core.protocol import Estimator, describe
 from usvlearn.core.samples import Inputs, where
 from usvlearn.errors import ConfigError
-from usvlearn.estimators.axis import state as at
-from usvlearn.estimators.axis.state import CROSS, FAMILY, LINEAR, SIDE, SIZES, THETA, AxisState, B, Y, names
-from usvlearn.estimators.factored.layer import added, loosened, measured, packed, projected, unit, unpacked, variances
-from usvlearn.estimators.joint.flow import moved
+from usvlearn.estimators.augmented.layer import (
+    advanced,
+    corrected,
+    decay,
+    inflated,
+    initial,
+    isolated,
+    limited,
+    moved,
+    noisy,
+)
+from usvlearn.estimators.augmented.state import FIRST_DISTURBANCE, LONGEST, MOST, NOISE, REST, B, FilterState, Y
+from usvlearn.estimators.axis.state import CROSS, FAMILY, LINEAR, QUADRATIC, SIDE, SIZES, THETA, names
+from usvlearn.estimators.factored.layer import packed, unpacked
 from usvlearn.estimators.regressors.layer import phi1
 
 
@@ -66,117 +76,74 @@ class AxisEKF(Estimator):
         """Prior variance of the parameters, `(m,)` or `(*batch, m)`."""
         return self.scale * self.scale
 
-    def init(self, batch: Sequence[int] = ()) -> AxisState:
+    def init(self, batch: Sequence[int] = ()) -> FilterState:
         batch = tuple(batch)
         check_broadcast(self, batch)
-        m, zero = len(self.names), self.disturbance.log.new_zeros(batch)
-        first = torch.stack([zero + at.NOISE**2, zero + at.FIRST_DISTURBANCE], -1)
-        wide = zero[..., None].expand(*batch, 2)
-        return AxisState(
-            mean=torch.cat([torch.zeros_like(first), self.prior.expand(*batch, m)], -1),
-            factor=torch.diag_embed(torch.cat([first, self.variance.expand(*batch, m)], -1)),
-            noise=zero + at.NOISE**2,
-            updates=zero,
-            surge=zero,
-            started=zero > 0,
-            commands=wide.clone(),
-            turn=zero,
-            deviation=zero,
-        )
+        zero = self.disturbance.log.new_zeros(batch)
+        first = torch.stack([zero + NOISE**2, zero + FIRST_DISTURBANCE], -1)
+        return initial(first, self.prior, self.variance)
 
-    def predict(self, state: AxisState, inputs: Inputs) -> tuple[AxisState, Tensor]:
+    def predict(self, state: FilterState, inputs: Inputs) -> tuple[FilterState, Tensor]:
         after, predicted, *_ = self._advanced(state, inputs)
         return after, predicted
 
-    def free_step(self, state: AxisState, inputs: Inputs) -> tuple[AxisState, Tensor]:
+    def free_step(self, state: FilterState, inputs: Inputs) -> tuple[FilterState, Tensor]:
         """As `predict`, of the mean alone."""
         mean, predicted, *_ = self._ahead(state, inputs)
-        return self._moved(state, mean, inputs), predicted
+        return advanced(state, mean, inputs), predicted
 
-    def update(self, state: AxisState, inputs: Inputs, surge: Tensor) -> AxisState:
+    def update(self, state: FilterState, inputs: Inputs, surge: Tensor) -> FilterState:
         return self.learn(state, inputs, surge)[0]
 
-    def learn(self, state: AxisState, inputs: Inputs, surge: Tensor) -> tuple[AxisState, Tensor]:
+    def learn(self, state: FilterState, inputs: Inputs, surge: Tensor) -> tuple[FilterState, Tensor]:
         ahead, predicted, U, D, f, moves = self._advanced(state, inputs)
-        spread, error, noise = (D * f * f).sum(-1), surge - predicted, ahead.noise
-        square, S = error * error, spread + noise
-        limit = self.outlier * self.outlier
-        wild = square > limit * S
-        U, D, gain, alpha = measured(U, D, f, torch.where(wild, square / limit - spread, noise))
-        mean = ahead.mean + gain * (error / alpha)[..., None]
-        updates = ahead.updates + moves
-        share = (1 / (updates + at.NOISE_COUNT)).clamp(min=at.NOISE_SHARE)
-        heard = noise * (1 + share * ((square / S).clamp(max=at.NOISE_MOST) - 1))
-        for d in self.signs:
-            mean = projected(mean, U, D, d)
-        mean = torch.cat([mean[..., :-1], mean[..., -1:].clamp(at.LAG_LEAST, at.LAG_MOST)], -1)
-        learned = ahead._replace(
-            mean=mean, factor=packed(U, D), noise=torch.where(moves, heard.clamp(min=at.NOISE_LEAST**2), noise),
-            updates=updates,
-        )  # fmt: skip
-        jumps, again = inputs.dt > at.LONGEST, self.start(ahead, surge)
-        return AxisState(*(where(jumps, new, old) for new, old in zip(again, learned, strict=True))), predicted
+        learned, _ = corrected(ahead, U, D, f, surge - predicted, self.outlier, self.signs, moves)
+        jumps, again = inputs.dt > LONGEST, self.start(ahead, surge)
+        return FilterState(*(where(jumps, new, old) for new, old in zip(again, learned, strict=True))), predicted
 
-    def start(self, state: AxisState, surge: Tensor) -> AxisState:
+    def start(self, state: FilterState, surge: Tensor) -> FilterState:
         return state._replace(surge=surge, started=torch.ones_like(state.started))
 
-    def inflate_covariance(self, state: AxisState, factor: Tensor) -> AxisState:
-        """P times `factor`, up to `LOOSEST` times the prior: a direction without excitation would not shrink again."""
-        total = (variances(*unpacked(state.factor))[..., THETA:] / self.variance).sum(-1)
-        return state._replace(factor=loosened(state.factor, factor, at.LOOSEST * len(self.names) / total))
+    def inflate_covariance(self, state: FilterState, factor: Tensor) -> FilterState:
+        """P times `factor`, up to its limit."""
+        return inflated(state, factor, self.variance)
 
     def spec(self) -> dict[str, Any]:
         return describe(FAMILY, self, kind=self.kind, size=SIZES[self.kind])
 
-    def monitor(self, state: AxisState) -> dict[str, Tensor]:
+    def monitor(self, state: FilterState) -> dict[str, Tensor]:
         shown = dict(zip(self.names, state.mean[..., THETA:].unbind(-1), strict=True))
         return shown | {"disturbance": state.mean[..., B], "noise": state.noise.sqrt(), "deviation": state.deviation}
 
-    def _advanced(self, state: AxisState, inputs: Inputs) -> tuple[AxisState, Tensor, Tensor, Tensor, Tensor, Tensor]:
+    def _advanced(
+        self, state: FilterState, inputs: Inputs
+    ) -> tuple[FilterState, Tensor, Tensor, Tensor, Tensor, Tensor]:
         """The state after the time update, the prediction, U, D and f = UᵀH, and whether the boat was not at rest."""
-        h, m = inputs.dt, len(self.names)
+        h, one = inputs.dt, torch.ones_like(inputs.dt)
         U, D = unpacked(state.factor)
-        eye = torch.eye(D.shape[-1], dtype=D.dtype, device=D.device)
-        first = torch.stack([state.noise, variances(U, D)[..., B]], -1)
-        opened = unit(U * (1 - eye[Y] - eye[B])[:, None]), torch.cat([first, D[..., 2:]], -1)
+        opened = isolated(U, D, state.noise)
         U, D = (where(state.started, new, old) for new, old in zip(opened, (U, D), strict=True))
         mean, predicted, ahead, g, y, slow = self._ahead(state, inputs)
-        moves = inputs[0] ** 2 + inputs[1] ** 2 + inputs.yaw_rate**2 + y * y > at.REST
+        moves = inputs[0] ** 2 + inputs[1] ** 2 + inputs.yaw_rate**2 + y * y > REST
         g = torch.cat([g[..., :THETA], torch.where(moves[..., None], g[..., THETA:], 0.0)], -1)
-        decays = torch.stack([torch.ones_like(h), slow, *[torch.ones_like(h)] * m], -1)
-        U, D = moved(U, D, g, decays)
-        span = h.clamp(max=at.LONGEST) / at.STEP
-        U, D = added(U, D, eye[B], self.disturbance() * state.noise * span)
-        D = D + (at.OWN_NOISE * state.noise * span)[..., None] * eye[Y]
-        walks = at.EVERY * torch.arange(m, dtype=D.dtype, device=D.device) == state.turn[..., None]
-        prior, share = self.variance, at.EVERY * m * (at.STEP * span) / self.drift_time()
-        grown = torch.minimum(share[..., None] * prior, (prior - variances(U, D)[..., THETA:]).clamp(min=0))
-        growth = torch.where(walks & moves[..., None], grown, 0.0).sum(-1)
-        place = torch.cat([torch.zeros_like(walks[..., :1]).expand(*walks.shape[:-1], THETA), walks], -1)
-        U, D = added(U, D, place.to(D.dtype), growth)
-        turn = torch.where(state.turn + 1 < at.EVERY * m, state.turn + 1, 0.0)
-        beyond = ahead.abs() >= at.MOST
-        U = torch.where(beyond[..., None, None], unit(U * (1 - eye[Y])[:, None]), U)
-        D = torch.where(beyond[..., None], torch.where(eye[Y] > 0, at.MOST**2, D), D)
+        U, D = moved(U, D, g, torch.stack([one, slow, *[one] * len(self.names)], -1))
+        U, D, turn = noisy(U, D, state, self.variance, self.disturbance(), self.drift_time(), h, moves)
+        U, D = limited(U, D, ahead)
         f = U[..., Y, :]
         deviation = ((D * f * f).sum(-1) + state.noise).sqrt()
-        after = self._moved(state, mean, inputs)._replace(factor=packed(U, D), turn=turn, deviation=deviation)
+        after = advanced(state, mean, inputs)._replace(factor=packed(U, D), turn=turn, deviation=deviation)
         return after, predicted, U, D, f, moves
 
-    def _ahead(self, state: AxisState, inputs: Inputs) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+    def _ahead(self, state: FilterState, inputs: Inputs) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
         """x after (3), the prediction, y⁺, its gradient, the y from which it departs, and the decay of b."""
         y = torch.where(state.started, state.surge, state.mean[..., Y])
         b = torch.where(state.started, 0.0, state.mean[..., B])
         before = where(state.started, torch.stack([inputs[0], inputs[1]], -1), state.commands)
         ahead, g = flow(self.kind == "yaw", state.mean, y, b, before, inputs)
-        slow = (-(inputs.dt / self.disturbance_time()).clamp(max=at.DECAYED)).exp()
-        predicted = ahead.clamp(-at.MOST, at.MOST)
+        slow = decay(inputs.dt, self.disturbance_time())
+        predicted = ahead.clamp(-MOST, MOST)
         mean = torch.cat([torch.stack([predicted, b * slow], -1), state.mean[..., THETA:]], -1)
         return mean, predicted, ahead, g, y, slow
-
-    def _moved(self, state: AxisState, mean: Tensor, inputs: Inputs) -> AxisState:
-        commands = torch.stack([inputs[0], inputs[1]], -1)
-        return state._replace(mean=mean, started=torch.zeros_like(state.started), commands=commands)
 
 
 def flow(yaw: bool, mean: Tensor, y: Tensor, b: Tensor, before: Tensor, inputs: Inputs) -> tuple[Tensor, Tensor]:
@@ -211,7 +178,7 @@ def flow(yaw: bool, mean: Tensor, y: Tensor, b: Tensor, before: Tensor, inputs: 
     z = (h * J).clamp(max=1)
     value, bend = phi1(z)
     by_f, by_J = h * value, h * h * bend * f
-    own = 1 + z * value + by_J * 2 * mean[..., at.QUADRATIC] * torch.where(y >= 0, 1.0, -1.0)
+    own = 1 + z * value + by_J * 2 * mean[..., QUADRATIC] * torch.where(y >= 0, 1.0, -1.0)
     late = ((before - commands) * slope[..., 1:]).sum(-1)
     others = by_f[..., None] * rows + by_J[..., None] * own_rows
     g = torch.cat([torch.stack([own, by_f], -1), others, (by_f * late)[..., None]], -1)

@@ -29,27 +29,15 @@ The derivation is in `docs/theory/identification.md#yaw-rate-and-sway`.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any
 
-from usvlearn.core.family import (
-    FINITE,
-    NOT_NEGATIVE,
-    POSITIVE,
-    POSITIVE_OR_INFINITE,
-    TRIANGLE,
-    Family,
-    Numbers,
-    Vectors,
-    leaf,
-)
+from usvlearn.core.family import FINITE, POSITIVE, POSITIVE_OR_INFINITE, Family, Numbers, Vectors
 from usvlearn.core.samples import Inputs
+from usvlearn.estimators.augmented.state import FROZEN, leaves
 from usvlearn.estimators.regressors.terms import LAG
 
-if TYPE_CHECKING:
-    from torch import Tensor
-
 KINDS = ("yaw", "sway")
-Y, B, THETA = range(3)  # places in x
+THETA = 2  # place of the first parameter in x, behind y and b
 BODY = ("bias", "linear", "quadratic", "cross", "coupling", "other", "surge")
 THRUST = {
     "yaw": ("linear", "quadratic", "speed", "cubic", "even_linear", "even_quadratic"),
@@ -57,28 +45,6 @@ THRUST = {
 }
 LINEAR, QUADRATIC, CROSS, COUPLING, OTHER, SURGE = range(THETA + 1, THETA + len(BODY))
 SIDE = THETA + len(BODY)  # place of the left side's first term
-STEP, OWN_NOISE = 0.4, 0.05  # s, for which the noise of y and b is stated; that of y, in σ²
-NOISE, NOISE_LEAST, NOISE_SHARE, NOISE_COUNT, NOISE_MOST = 0.03, 1e-4, 0.005, 20.0, 9.0  # as of the joint EKF
-FIRST_DISTURBANCE = 1e-2  # (m/s²)² or (rad/s²)², before the first step
-REST = 1e-3  # ξ_L² + ξ_R² + u² + y² below which a boat is at rest
-EVERY = 4  # steps from one parameter's walk to the next's
-LONGEST, MOST, DECAYED = 10.0, 20.0, 20.0  # s, of y, exponent of the longest decay
-LAG_LEAST, LAG_MOST = -0.5, 1.5
-LOOSEST = 100.0  # times the prior, to which `inflate_covariance` lifts the mean variance of the parameters at most
-
-
-class AxisState(NamedTuple):
-    """The state of an axis EKF."""
-
-    mean: Tensor  # (*batch, n) x
-    factor: Tensor  # (*batch, n, n) U and D, as of the joint EKF
-    noise: Tensor  # (*batch,) σ²
-    updates: Tensor  # (*batch,) count of update steps, without those at rest
-    surge: Tensor  # (*batch,) measured y with which the last segment started
-    started: Tensor  # (*batch,) bool: no step since then
-    commands: Tensor  # (*batch, 2) of the last step, left and right
-    turn: Tensor  # (*batch,) steps in the round in which each parameter gets random-walk noise once
-    deviation: Tensor  # (*batch,) standard deviation of the last prediction
 
 
 def names(kind: str) -> tuple[str, ...]:
@@ -126,21 +92,10 @@ class Vector(Vectors):
 
 FAMILY = Family(
     KINDS,
-    lambda n: AxisState(
-        mean=leaf(n),
-        factor=leaf(n, n, legal=TRIANGLE),
-        noise=leaf(legal=POSITIVE),
-        updates=leaf(legal=NOT_NEGATIVE),
-        surge=leaf(),
-        started=leaf(flag=True),
-        commands=leaf(2),
-        turn=leaf(legal=NOT_NEGATIVE),
-        deviation=leaf(legal=NOT_NEGATIVE),
-    ),
+    leaves,
     Number,
     vectors=Vector,
     size=lambda own: SIZES[own["kind"]],
     work=lambda n: 4 * n + 2,
-    frozen=("mean", "surge", "started", "commands"),
+    frozen=FROZEN,
 )
-AT = FAMILY.at

@@ -29,7 +29,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from usvlearn.estimators.axis.state import CROSS, LINEAR, MOST, QUADRATIC, SIZES, THETA
+from usvlearn.estimators.augmented.state import MOST
+from usvlearn.estimators.axis.state import CROSS, LINEAR, QUADRATIC, SIZES, THETA
 from usvlearn.estimators.joint.quantities import COMMANDS, SIDES, Ahead
 
 INNER = 0.5  # command of the inner side of a turn, relative to that of the outer one

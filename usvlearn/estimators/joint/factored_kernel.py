@@ -5,26 +5,8 @@ A is the leaf `factor`: U_ij at A[j, i] for i < j, D_j at A[j, j].
 
 from usvlearn.core.jit import jit
 from usvlearn.core.rows import COS, SIN
+from usvlearn.estimators.augmented.kernel import add_slow
 from usvlearn.estimators.joint.state import EAST, NORTH, B, W
-
-
-@jit(reorder=True)
-def transition(A, g, slow, current):
-    """F P Fᵀ."""
-    n = len(g)
-    for j in range(1, n):
-        total = g[j]
-        for i in range(j):
-            total += g[i] * A[j, i]
-        A[j, W] = total
-    A[B, W] /= slow
-    A[NORTH, W], A[EAST, W] = A[NORTH, W] / current, A[EAST, W] / current
-    A[NORTH, B], A[EAST, B] = A[NORTH, B] * (slow / current), A[EAST, B] * (slow / current)
-    for j in range(EAST + 1, n):
-        A[j, B], A[j, NORTH], A[j, EAST] = A[j, B] * slow, A[j, NORTH] * current, A[j, EAST] * current
-    A[W, W] *= g[W] * g[W]
-    A[B, B] *= slow * slow
-    A[NORTH, NORTH], A[EAST, EAST] = A[NORTH, NORTH] * (current * current), A[EAST, EAST] * (current * current)
 
 
 @jit
@@ -47,18 +29,6 @@ def add_north(A, c, north, slow, fast):
     keep, beta = d * inverse, c * north * inverse
     A[NORTH, NORTH], A[NORTH, B], A[NORTH, W] = larger, v * keep + beta * slow, u * keep + beta * fast
     add_slow(A, c * keep, slow - north * v, fast - north * u)
-
-
-@jit
-def add_slow(A, c, slow, fast):
-    """P + c a aᵀ with a = [fast, slow, 0, …]."""
-    d, u = A[B, B], A[B, W]
-    larger = d + c * slow * slow
-    inverse = 1 / larger
-    keep, beta = d * inverse, c * slow * inverse
-    A[B, B], A[B, W] = larger, u * keep + beta * fast
-    fast -= slow * u
-    A[W, W] += c * keep * fast * fast
 
 
 @jit

@@ -6,7 +6,6 @@ import torch
 from torch import Tensor
 
 from usvlearn.core.samples import Inputs
-from usvlearn.estimators.factored.layer import unit
 from usvlearn.estimators.joint.state import KAPPA, THETA, E
 from usvlearn.estimators.regressors.layer import phi1
 
@@ -57,17 +56,3 @@ def flow(mean: Tensor, w: Tensor, b: Tensor, before: Tensor, inputs: Inputs, eve
     others = by_f[..., None] * by_parameter + by_J[..., None] * by_speed
     g = torch.cat([torch.stack(own, -1), others, (by_f * late + by_J * later)[..., None]], -1)
     return w + by_f * f, g
-
-
-def moved(U: Tensor, D: Tensor, g: Tensor, decays: Tensor) -> tuple[Tensor, Tensor]:
-    """F P Fᵀ, where F has the first row g and the decays on the rest of its diagonal.
-
-    Args:
-        U, D: of P.
-        g: `(*batch, n)`.
-        decays: `(*batch, n)`, the first 1.
-    """
-    first = (g[..., None] * U).sum(-2, keepdim=True) / decays[..., None, :]
-    others = U[..., 1:, :] * decays[..., 1:, None] / decays[..., None, :]
-    scales = torch.cat([g[..., :1], decays[..., 1:]], -1)
-    return unit(torch.cat([first, others], -2)), D * scales * scales

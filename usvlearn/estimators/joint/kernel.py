@@ -9,32 +9,30 @@ from usvlearn.core.arrays import clamp, fill
 from usvlearn.core.family import Node
 from usvlearn.core.jit import jit
 from usvlearn.core.rows import COS, DT, LEFT, RIGHT, SIN, YAW_RATE
-from usvlearn.estimators.factored.kernel import add, loosen, measure, project, variance, walked
-from usvlearn.estimators.joint.factored_kernel import add_current, add_slow, seen, transition
+from usvlearn.estimators.augmented.kernel import (
+    add_noise,
+    blocks,
+    correct,
+    decay,
+    inflate,
+    isolate,
+    limit,
+    limit_lag,
+    transition,
+)
+from usvlearn.estimators.augmented.state import LONGEST, MOST, REST
+from usvlearn.estimators.factored.kernel import measure, project
+from usvlearn.estimators.joint.factored_kernel import add_current, seen
 from usvlearn.estimators.joint.state import (
     AGEING,
     AT,
     AT_TRIAL,
     CURRENT_VARIANCE,
-    DECAYED,
     DROPPED,
     EAST,
-    EVERY,
     KAPPA,
-    LAG_LEAST,
-    LAG_MOST,
-    LONGEST,
-    LOOSEST,
-    NOISE_COUNT,
-    NOISE_LEAST,
-    NOISE_MOST,
-    NOISE_SHARE,
     NORTH,
-    REST,
-    SPEED_MAX,
-    SPEED_NOISE,
     SPEED_VARIANCE,
-    STEP,
     THETA,
     B,
     Choice,
@@ -118,19 +116,10 @@ def update(node, s, q, x, estimate, target, work):
     spread, rest = advance(node, s, q, x, mean, A, work)
     if x[DT] > LONGEST:
         return spread, rest
-    f, G, gain = work[:n], work[n : 2 * n], work[2 * n : 3 * n]
-    error, noise, k = target - estimate, s[node[AT.noise]], numbers[Number.OUTLIER]
-    square, S = error * error, spread + noise
-    alpha = measure(A, f, G, square / (k * k) - spread if square > k * k * S else noise, gain)
-    for i in range(n):
-        mean[i] += gain[i] * (error / alpha)
+    S = correct(node, s, target - estimate, spread, numbers[Number.OUTLIER], rest, work)
     if not rest:
-        s[node[AT.updates]] += 1
-        share = max(NOISE_SHARE, 1 / (s[node[AT.updates]] + NOISE_COUNT))
-        learned = noise * (1 + share * (min(square / S, NOISE_MOST) - 1))  # (6)
-        s[node[AT.noise]] = NOISE_LEAST**2 if learned < NOISE_LEAST**2 else learned
         s[node[AT.learned]] += x[DT]
-    project_signs(mean, A, node[Choice.EVEN], gain)
+    project_signs(mean, A, node[Choice.EVEN], work[2 * n : 3 * n])
     return S, rest
 
 
@@ -182,25 +171,7 @@ def compare(node, s, q, x, z, S, target, rest, before, work):
 @jit
 def inflate_covariance(node, s, q, factor):
     """`JointEKF.inflate_covariance`: P times `factor`, up to its limit."""
-    n = node[Node.SIZE]
-    A, prior = blocks(node, s)[1], q[node[Vector.VARIANCE] :]
-    total = 0.0
-    for i in range(THETA, n):
-        total += variance(A, i) / prior[i - THETA]
-    loosen(A, factor, LOOSEST * (n - THETA) / total)
-
-
-@jit(inline=True)
-def blocks(node, s):
-    """x and A."""
-    n = node[Node.SIZE]
-    return s[node[AT.mean] : node[AT.mean] + n], s[node[AT.factor] : node[AT.factor] + n * n].reshape(n, n)
-
-
-@jit
-def decay(dt, time):
-    """e^(−h/τ)."""
-    return np.exp(-min(dt / time, DECAYED))
+    inflate(node, s, q[node[Vector.VARIANCE] :], THETA, factor)
 
 
 @jit
@@ -214,7 +185,7 @@ def forecast(node, s, q, x, work):
         w, b, left, right = s[node[AT.surge]] - along, 0.0, x[LEFT], x[RIGHT]
     speed, moved = flow(node[Choice.EVEN], mean, w, b, left, right, x, g), decay(x[DT], numbers[Number.CURRENT_TIME])
     work[n], work[n + 1] = speed, moved
-    return clamp(speed, SPEED_MAX) + moved * along
+    return clamp(speed, MOST) + moved * along
 
 
 @jit
@@ -285,24 +256,11 @@ def advance(node, s, q, x, mean, A, work):
         fill(g[THETA:], 0.0)
     slow = decay(h, numbers[Number.DISTURBANCE_TIME])
     transition(A, g, slow, current)
-    span, a = min(h, LONGEST) / STEP, work[n + 2 : 2 * n + 2]
-    drift = numbers[Number.CURRENT] ** 2 * (1 - current * current)
-    add_current(A, drift)
-    add_slow(A, numbers[Number.DISTURBANCE] * noise * span, 1.0, 0.0)
-    A[W, W] += SPEED_NOISE * noise * span
-    turn, parameters = s[node[AT.turn]], n - THETA
-    if turn < EVERY * parameters:
-        k = int(turn)
-        if k == turn and k % EVERY == 0 and not rest:
-            share = EVERY * parameters * (STEP * span) / numbers[Number.DRIFT_TIME]
-            i, prior = THETA + k // EVERY, q[node[Vector.VARIANCE] + k // EVERY]
-            add(A, i, walked(A, i, prior, share * prior), a)
-    s[node[AT.turn]] = turn + 1 if turn + 1 < EVERY * parameters else 0.0
+    add_current(A, numbers[Number.CURRENT] ** 2 * (1 - current * current))
+    disturbance, drift_time, a = numbers[Number.DISTURBANCE], numbers[Number.DRIFT_TIME], work[n + 2 : 2 * n + 2]
+    add_noise(node, s, A, q[node[Vector.VARIANCE] :], THETA, disturbance, drift_time, h, rest, a)
+    limit(A, speed)
     move(mean, speed, slow, current)
-    if abs(speed) >= SPEED_MAX:
-        for j in range(1, n):
-            A[j, W] = 0.0
-        A[W, W] = SPEED_MAX * SPEED_MAX
     s[node[AT.commands]], s[node[AT.commands] + 1] = x[LEFT], x[RIGHT]
     spread = seen(A, x, work[:n], work[n : 2 * n])
     s[node[AT.deviation]] = np.sqrt(spread + noise)
@@ -313,7 +271,7 @@ def advance(node, s, q, x, mean, A, work):
 def move(mean, speed, slow, current):
     """The states of (3), of which w⁺ is `speed`."""
     mean[B], mean[NORTH], mean[EAST] = mean[B] * slow, mean[NORTH] * current, mean[EAST] * current
-    mean[W] = clamp(speed, SPEED_MAX)
+    mean[W] = clamp(speed, MOST)
 
 
 @jit
@@ -321,12 +279,7 @@ def begin(mean, A, surge, noise, x, work):
     """The start of a segment, with the heading of its first step."""
     n = len(mean)
     f, G, gain = work[:n], work[n : 2 * n], work[2 * n : 3 * n]
-    A[B, B] = variance(A, B)
-    for j in range(1, n):
-        A[j, W] = 0.0
-    for j in range(2, n):
-        A[j, B] = 0.0
-    A[W, W] = SPEED_VARIANCE
+    isolate(A, SPEED_VARIANCE)
     add_current(A, CURRENT_VARIANCE)
     mean[W], mean[B] = surge - x[COS] * mean[NORTH] - x[SIN] * mean[EAST], 0.0
     seen(A, x, f, G)
@@ -341,8 +294,7 @@ def project_signs(mean, A, even, t):
     if even:
         for sign in (1.0, -1.0):
             project(mean, A, THETA, E, sign, t)
-    mu = mean[-1]
-    mean[-1] = LAG_LEAST if mu < LAG_LEAST else (LAG_MOST if mu > LAG_MOST else mu)
+    limit_lag(mean)
 
 
 @jit

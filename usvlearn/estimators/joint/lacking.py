@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from usvlearn.estimators.augmented.state import NOISE_LEAST
 from usvlearn.estimators.joint.quantities import EVEN_BESIDE, SIDES
-from usvlearn.estimators.joint.state import NOISE_LEAST, NORTH, THETA, names
+from usvlearn.estimators.joint.state import NORTH, THETA, names
 from usvlearn.estimators.regressors.terms import SURGE
 
 SILENT = 2 * NOISE_LEAST  # m/s, of the noise: no sensor is as good

@@ -14,19 +14,21 @@ from usvlearn.core.hyper import Hyper, Positive, as_tensor, check_broadcast
 from usvlearn.core.protocol import Estimator, describe
 from usvlearn.core.samples import Inputs, where
 from usvlearn.errors import ConfigError, check_positive
-from usvlearn.estimators.factored.layer import (
-    added,
-    loosened,
-    measured,
-    packed,
-    projected,
-    rotated,
-    unit,
-    unpacked,
-    variances,
+from usvlearn.estimators.augmented.layer import (
+    advanced,
+    corrected,
+    decay,
+    inflated,
+    initial,
+    isolated,
+    limited,
+    moved,
+    noisy,
 )
+from usvlearn.estimators.augmented.state import FIRST_DISTURBANCE, LONGEST, MOST, REST
+from usvlearn.estimators.factored.layer import added, measured, packed, rotated, unpacked
 from usvlearn.estimators.joint import state as at
-from usvlearn.estimators.joint.flow import flow, moved
+from usvlearn.estimators.joint.flow import flow
 from usvlearn.estimators.joint.quantities import KNOWN_SIGNS, sums
 from usvlearn.estimators.joint.state import EAST, FAMILY, NORTH, THETA, B, E, JointState, W, names
 from usvlearn.estimators.joint.trial import Stepped, Trial, chosen, exchanged, of
@@ -165,21 +167,10 @@ class JointEKF(Estimator):
         batch = tuple(batch)
         check_broadcast(self, batch)
         m, zero = len(self.names), self.lag.log.new_zeros(batch)
-        first = torch.stack(
-            [zero + at.SPEED_VARIANCE, zero + at.FIRST_DISTURBANCE, *[zero + self.current() ** 2] * 2], -1
-        )
-        D = torch.cat([first, self.variance.expand(*batch, m)], -1)
+        first = [zero + at.SPEED_VARIANCE, zero + FIRST_DISTURBANCE, *[zero + self.current() ** 2] * 2]
         wide = zero[..., None].expand(*batch, m)
         state = JointState(
-            mean=torch.cat([torch.zeros_like(first), self.prior.expand(*batch, m)], -1),
-            factor=torch.diag_embed(D),
-            noise=zero + at.NOISE**2,
-            updates=zero,
-            surge=zero,
-            started=zero > 0,
-            commands=wide[..., :2].clone(),
-            turn=zero,
-            deviation=zero,
+            *initial(torch.stack(first, -1), self.prior, self.variance),
             learned=zero,
             readings=zero,
             weight=zero,
@@ -204,14 +195,14 @@ class JointEKF(Estimator):
     def free_step(self, state: JointState, inputs: Inputs) -> tuple[JointState, Tensor]:
         """As `predict`, of the mean alone."""
         mean, predicted, *_ = self._ahead(state, inputs)
-        return self._moved(state, mean, inputs), predicted
+        return advanced(state, mean, inputs), predicted
 
     def update(self, state: JointState, inputs: Inputs, surge: Tensor) -> JointState:
         return self.learn(state, inputs, surge)[0]
 
     def learn(self, state: JointState, inputs: Inputs, surge: Tensor) -> tuple[JointState, Tensor]:
         first = self._learned(state, inputs, surge)
-        after, jumps = first.state, inputs.dt > at.LONGEST
+        after, jumps = first.state, inputs.dt > LONGEST
         due = ~jumps
         if self.trial is not None:
             step = partial(self._learned, inputs=inputs, surge=surge)
@@ -223,32 +214,18 @@ class JointEKF(Estimator):
     def _learned(self, state: JointState, inputs: Inputs, surge: Tensor) -> Stepped:
         """One filter after a measurement; after a step of more than 10 s, which is predicted only, before it."""
         state, predicted, U, D, f, moves = self._advanced(state, inputs)
-        spread, error, noise = (D * f * f).sum(-1), surge - predicted, state.noise
-        square, S = error * error, spread + noise
-        limit = self.outlier * self.outlier
-        wild = square > limit * S
-        U, D, gain, alpha = measured(U, D, f, torch.where(wild, square / limit - spread, noise))  # (5)
-        mean = state.mean + gain * (error / alpha)[..., None]
-        updates = state.updates + moves
-        share = (1 / (updates + at.NOISE_COUNT)).clamp(min=at.NOISE_SHARE)
-        heard = noise * (1 + share * ((square / S).clamp(max=at.NOISE_MOST) - 1))  # (6)
-        learned = state._replace(
-            mean=self._projected(mean, U, D),
-            factor=packed(U, D),
-            noise=torch.where(moves, heard.clamp(min=at.NOISE_LEAST**2), noise),
-            updates=updates,
-            learned=state.learned + torch.where(moves, inputs.dt, 0.0),
-        )
-        return Stepped(chosen(inputs.dt > at.LONGEST, state, learned), predicted, error / S.sqrt(), S, moves)
+        error = surge - predicted
+        learned, S = corrected(state, U, D, f, error, self.outlier, self.signs, moves)
+        learned = learned._replace(learned=state.learned + torch.where(moves, inputs.dt, 0.0))
+        return Stepped(chosen(inputs.dt > LONGEST, state, learned), predicted, error / S.sqrt(), S, moves)
 
     def start(self, state: JointState, surge: Tensor) -> JointState:
         state = state._replace(surge=surge, started=torch.ones_like(state.started))
         return state if self.trial is None else self.trial.started(state)
 
     def inflate_covariance(self, state: JointState, factor: Tensor) -> JointState:
-        """P times `factor`, up to `LOOSEST` times the prior: a direction without excitation would not shrink again."""
-        total = (variances(*unpacked(state.factor))[..., THETA:] / self.variance).sum(-1)
-        return state._replace(factor=loosened(state.factor, factor, at.LOOSEST * len(self.names) / total))
+        """P times `factor`, up to its limit."""
+        return inflated(state, factor, self.variance)
 
     def spec(self) -> dict[str, Any]:
         even = self.even is not None
@@ -277,28 +254,18 @@ class JointEKF(Estimator):
         U, D = (where(state.started, new, old) for new, old in zip(opened, (U, D), strict=True))
         mean, predicted, speed, g, w, slow, current = self._ahead(state, inputs)
         decays = torch.stack([torch.ones_like(h), slow, current, current, *[zero + 1] * len(self.names)], -1)
-        moves = inputs.command_left**2 + inputs.command_right**2 + w * w > at.REST
+        moves = inputs.command_left**2 + inputs.command_right**2 + w * w > REST
         g = torch.cat([g[..., :THETA], torch.where(moves[..., None], g[..., THETA:], 0.0)], -1)
         U, D = moved(U, D, g, decays)
-        span, eye = h.clamp(max=at.LONGEST) / at.STEP, torch.eye(D.shape[-1], dtype=D.dtype, device=D.device)
         drift = self.current() ** 2 * (1 - current * current)
-        for place, noise in ((EAST, drift), (NORTH, drift), (B, self.disturbance() * state.noise * span)):
-            U, D = added(U, D, eye[place], noise)
-        D = D + (at.SPEED_NOISE * state.noise * span)[..., None] * eye[W]
-        m = len(self.names)
-        walks = at.EVERY * torch.arange(m, dtype=D.dtype, device=D.device) == state.turn[..., None]
-        prior, share = self.variance, at.EVERY * m * (at.STEP * span) / self.drift_time()
-        grown = torch.minimum(share[..., None] * prior, (prior - variances(U, D)[..., THETA:]).clamp(min=0))
-        growth = torch.where(walks & moves[..., None], grown, 0.0).sum(-1)
-        unit_vector = torch.cat([torch.zeros_like(walks[..., :1]).expand(*walks.shape[:-1], THETA), walks], -1)
-        U, D = added(U, D, unit_vector.to(D.dtype), growth)
-        turn = torch.where(state.turn + 1 < at.EVERY * m, state.turn + 1, 0.0)
-        beyond = speed.abs() >= at.SPEED_MAX
-        U = torch.where(beyond[..., None, None], unit(U * (1 - eye[W])[:, None]), U)
-        D = torch.where(beyond[..., None], torch.where(eye[W] > 0, at.SPEED_MAX**2, D), D)
+        eye = torch.eye(D.shape[-1], dtype=D.dtype, device=D.device)
+        for place in (EAST, NORTH):
+            U, D = added(U, D, eye[place], drift)
+        U, D, turn = noisy(U, D, state, self.variance, self.disturbance(), self.drift_time(), h, moves)
+        U, D = limited(U, D, speed)
         f = rotated(U, H)
         deviation = ((D * f * f).sum(-1) + state.noise).sqrt()
-        ahead = self._moved(state, mean, inputs)._replace(factor=packed(U, D), turn=turn, deviation=deviation)
+        ahead = advanced(state, mean, inputs)._replace(factor=packed(U, D), turn=turn, deviation=deviation)
         return ahead, predicted, U, D, f, moves
 
     def _ahead(self, state: JointState, inputs: Inputs) -> tuple[Tensor, ...]:
@@ -309,31 +276,18 @@ class JointEKF(Estimator):
         b = torch.where(started, 0.0, mean[..., B])
         commands = torch.stack([inputs.command_left, inputs.command_right], -1)
         speed, g = flow(mean, w, b, where(started, commands, state.commands), inputs, self.even is not None)
-        current = (-(h / self.current_time()).clamp(max=at.DECAYED)).exp()
-        slow = (-(h / self.disturbance_time()).clamp(max=at.DECAYED)).exp()
-        limited = speed.clamp(-at.SPEED_MAX, at.SPEED_MAX)
-        states = torch.stack([limited, b * slow, mean[..., NORTH] * current, mean[..., EAST] * current], -1)
-        return torch.cat([states, mean[..., THETA:]], -1), limited + current * along, speed, g, w, slow, current
-
-    def _moved(self, state: JointState, mean: Tensor, inputs: Inputs) -> JointState:
-        commands = torch.stack([inputs.command_left, inputs.command_right], -1)
-        return state._replace(mean=mean, started=torch.zeros_like(state.started), commands=commands)
+        current, slow = decay(h, self.current_time()), decay(h, self.disturbance_time())
+        ahead = speed.clamp(-MOST, MOST)
+        states = torch.stack([ahead, b * slow, mean[..., NORTH] * current, mean[..., EAST] * current], -1)
+        return torch.cat([states, mean[..., THETA:]], -1), ahead + current * along, speed, g, w, slow, current
 
     def _begun(self, U: Tensor, D: Tensor, H: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
         """The covariance at the start of a segment, after its speed was measured."""
         eye = torch.eye(D.shape[-1], dtype=D.dtype, device=D.device)
-        disturbed = variances(U, D)[..., B]
-        U = unit(U * (1 - eye[W] - eye[B])[:, None])
-        D = torch.cat([torch.full_like(D[..., :1], at.SPEED_VARIANCE), disturbed[..., None], D[..., 2:]], -1)
+        U, D = isolated(U, D, torch.full_like(noise, at.SPEED_VARIANCE))
         for place in (EAST, NORTH):
             U, D = added(U, D, eye[place], torch.full_like(noise, at.CURRENT_VARIANCE))
         return measured(U, D, rotated(U, H), noise)[:2]
-
-    def _projected(self, mean: Tensor, U: Tensor, D: Tensor) -> Tensor:
-        """x after (7), with the limits of μ."""
-        for d in self.signs:
-            mean = projected(mean, U, D, d)
-        return torch.cat([mean[..., :-1], mean[..., -1:].clamp(at.LAG_LEAST, at.LAG_MOST)], -1)
 
     def _read(self, state: JointState) -> JointState:
         """With one periodic estimate of the parameters more, where it is time for one."""

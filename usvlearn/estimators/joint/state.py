@@ -83,6 +83,7 @@ from usvlearn.core.family import (
     Vectors,
     leaf,
 )
+from usvlearn.estimators.augmented.state import FROZEN, leaves
 from usvlearn.estimators.regressors.terms import CUBIC, EVEN, LAG, SURGE
 
 if TYPE_CHECKING:
@@ -92,20 +93,12 @@ W, B, NORTH, EAST, THETA = range(5)  # places in x; κ, e and μ follow the nine
 KAPPA = THETA + len(SURGE)
 E = KAPPA + len(CUBIC)
 SIZES = (E + 1, E + len(EVEN) + 1)  # n without and with fore-aft asymmetry terms
-SPEED_VARIANCE, CURRENT_VARIANCE, FIRST_DISTURBANCE = 4.0, 0.05**2, 1e-2  # m²/s² at a start; (m/s²)² before the first
-NOISE, NOISE_LEAST, NOISE_SHARE, NOISE_COUNT, NOISE_MOST = 0.03, 1e-4, 0.005, 20.0, 9.0  # m/s, m/s; of (6)
-STEP, SPEED_NOISE = 0.4, 0.05  # s, for which the noise of w and b is stated; that of w, in σ²
-REST = 1e-3  # u_L² + u_R² + w² below which a boat is at rest
-EVERY = 4  # steps from one parameter's walk to the next's
-LONGEST, SPEED_MAX = 10.0, 20.0  # s, m/s
-DECAYED = 20.0  # exponent of the longest decay, so that no factor of P is 0
-LAG_LEAST, LAG_MOST = -0.5, 1.5
+SPEED_VARIANCE, CURRENT_VARIANCE = 4.0, 0.05**2  # m²/s² at a start
 DROPPED, AGEING = 3.0, 0.9  # periodic estimates; their weight from one to the next
 INNOVATION_MOST, USUAL_MOST, USUAL_SHARE, OFFSET, USUALLY = 25.0, 4.0, 0.005, 0.5, 2.0  # of (8)
 SUSPECT, WARM, KEPT = 2.0, 150.0, 20.0  # g from which the second filter runs; update steps before; steps to begin in
 TRUSTED = 100.0  # D from which open-loop simulations depart from the second filter
 ROOM = 4.0  # times its prior: the most to which (9) lifts a variance
-LOOSEST = 100.0  # times the prior, to which `inflate_covariance` lifts the mean variance of the parameters at most
 
 
 class TrialState(NamedTuple):
@@ -236,15 +229,7 @@ def trial(n: int, steps: int) -> TrialState | dict[str, Any]:
 FAMILY = Family(
     ("joint",),
     lambda n, steps: JointState(
-        mean=leaf(n),
-        factor=leaf(n, n, legal=TRIANGLE),
-        noise=leaf(legal=POSITIVE),
-        updates=leaf(legal=NOT_NEGATIVE),
-        surge=leaf(),
-        started=leaf(flag=True),
-        commands=leaf(2),
-        turn=leaf(legal=NOT_NEGATIVE),
-        deviation=leaf(legal=NOT_NEGATIVE),
+        *leaves(n),
         learned=leaf(legal=NOT_NEGATIVE),
         readings=leaf(legal=NOT_NEGATIVE),
         weight=leaf(legal=NOT_NEGATIVE),
@@ -261,7 +246,7 @@ FAMILY = Family(
     lengths=(Choice.TRIAL_STEPS,),
     work=lambda n: 4 * n + 2,
     heading=lambda own: True,
-    frozen=("mean", "surge", "started", "commands"),
+    frozen=FROZEN,
     instead={"mean": ("trial.mean", "trial.early")},
 )
 AT = FAMILY.at

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from usvlearn.core.hyper import Hyper, Positive, as_tensor, numbers
 from usvlearn.core.samples import tree_map, where
 from usvlearn.errors import ConfigError
+from usvlearn.estimators.augmented.state import LONGEST
 from usvlearn.estimators.factored.layer import added, packed, unpacked, variances
 from usvlearn.estimators.joint import state as at
 from usvlearn.estimators.joint.state import KAPPA, THETA, E, JointState, TrialState
@@ -118,7 +119,7 @@ class Trial(nn.Module):
             dt: s since the measurement before.
             variance: of the prior, `(m,)` or `(*batch, m)`.
         """
-        trial, jumps = of(before), dt > at.LONGEST
+        trial, jumps = of(before), dt > LONGEST
         quiet, counts = ~(trial.run > 0), first.moves & ~jumps
         watched = counts & ~(trial.tried > 0)
         trial = chosen(watched, self._detected(trial, first.z), trial)

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from usvlearn.engine.identified import members_of
+from usvlearn.estimators.augmented.state import LAG_LEAST, LAG_MOST
 from usvlearn.estimators.joint.reading import covariance_of
-from usvlearn.estimators.joint.state import DROPPED, LAG_LEAST, LAG_MOST, THETA, names
+from usvlearn.estimators.joint.state import DROPPED, THETA, names
 from usvlearn.estimators.regressors.terms import LAG
 from usvlearn.model.fit.boat import FITTED
 from usvlearn.model.fit.choice import WEAR
