@@ -13,7 +13,8 @@ in which they build on each other:
     check         checks a specification and a state from a file
     first_use     compiles what runs and live steps need together
     run, single_steps, free_runs    runs over samples, single steps, scored simulations, of arrays
-    planar, planar_plan, planar_steps, planar_runs    likewise of surge, sway and yaw rate together, and their tracks
+    planar, planar_ellipses    surge, sway and yaw rate together, their tracks, and the ellipses of these
+    planar_plan, planar_steps, planar_runs    as program, single_steps and rollouts, of these three
     backend, torch_steps    who makes the steps, and single steps by torch
     rollouts, online, identified    what the rest of the library calls
 """

@@ -1,4 +1,4 @@
-"""The steps of sway and yaw rate beside the surge's, and tracks: equations (1) to (3) of `estimators.planar.state`.
+"""The steps of sway and yaw rate beside the surge's, and tracks: equations (1) and (2) of `estimators.planar.state`.
 
 `head` is the table of places of `estimators.planar.state`: a row for each axis, and one for the track. Programs, states
 and numbers of the axes lie one behind the other.
@@ -12,20 +12,12 @@ from usvlearn.core.jit import jit
 from usvlearn.core.rows import COS, DT, HOLD, LEARN, LEFT, MODE, PREDICT, RIGHT, ROW, SIN, START, YAW_RATE
 from usvlearn.core.rows import SURGE as TARGET
 from usvlearn.engine.forecasting import PLACE, freeze, step_frozen
-from usvlearn.estimators.ensemble.conditional.kernel import (
-    begin_path,
-    extend_path,
-    group_of,
-    halfwidth_held,
-    hold,
-    learn_error,
-    moves_of,
-)
-from usvlearn.estimators.ensemble.conditional.state import FAR, HELD, NARROWEST, PATH
-from usvlearn.estimators.ensemble.conformal.state import FEW
+from usvlearn.engine.planar_ellipses import ellipse, follow_surprise, keep_ellipses, publish_due
+from usvlearn.estimators.ensemble.conditional.kernel import begin_path, extend_path
+from usvlearn.estimators.ensemble.conditional.state import PATH
 from usvlearn.estimators.ensemble.forecasts.kernel import between, combine, judged
 from usvlearn.estimators.ensemble.forecasts.state import AT as FORECASTS
-from usvlearn.estimators.ensemble.forecasts.state import EMPTY, LEAST, MOST, SHARE
+from usvlearn.estimators.ensemble.forecasts.state import EMPTY
 from usvlearn.estimators.ensemble.forecasts.state import Choice as ForecastChoice
 from usvlearn.estimators.ensemble.state import Number as EnsembleNumber
 from usvlearn.estimators.joint.state import EAST as CURRENT_EAST
@@ -33,78 +25,50 @@ from usvlearn.estimators.joint.state import NORTH as CURRENT_NORTH
 from usvlearn.estimators.planar.state import (
     AT_EAST,
     AT_NORTH,
-    AWAY,
     BEFORE,
     BLOCK,
     C_EAST,
     C_NORTH,
-    CLIP,
     COMMANDS,
-    CONSTANT,
     COS_0,
     COUNT,
-    COVARIANCE,
-    DELAY,
-    DEVIATION,
-    DISTANCE,
     DUE,
     DUES,
     EAST,
     EAST_0,
     ELAPSED,
-    ERROR,
-    ERRORS,
-    FLOOR,
-    GROUP,
     HEADING,
-    HEADING_ERROR,
     HELD_COS,
     HELD_EAST,
     HELD_NORTH,
-    HELD_RATE,
     HELD_SIN,
     HORIZON,
     HORIZON_COUNT,
-    LARGEST,
-    LEARNED,
     LENGTH,
     LIMIT,
     MEAN,
-    MEAN_ERROR,
     MEASURED_SWAY,
-    MOST_SURPRISE,
     NORTH,
     NORTH_0,
     NUMBER,
-    OF_HORIZON,
-    PREDICTED,
     PROGRAM,
     PSI,
     PSI_0,
-    QUANTILE,
-    QUICK_TIME,
     R_0,
-    RADIUS,
     REACH,
-    RHO,
-    ROUND,
     RUN,
     SIN_0,
     SINCE,
     SLOTS,
-    SLOW,
-    SLOW_TIME,
     STATE,
     SURGE,
-    SURPRISE,
     SWAY,
+    TRACK,
     TURN,
     U_0,
     UPDATES,
     USED,
-    USUAL,
     WEIGHTS,
-    WIDER,
     YAW,
     Q,
     R,
@@ -115,9 +79,7 @@ from usvlearn.estimators.planar.state import (
 from usvlearn.estimators.planar.state import COS as COS_PSI
 from usvlearn.estimators.planar.state import SIN as SIN_PSI
 
-TRACK = 3  # row of the track in `head`
 FOUND = 9  # of a plan's step: surge, sway, yaw rate, heading, north, east, and the covariance: NN, NE, EE
-BEYOND = 1 + 1e-4  # times the longest horizon, with room for rounding
 
 
 @jit
@@ -238,7 +200,7 @@ def origin(program, head, s, q, slot, psi, surge):
     slot[COS_PSI], slot[SIN_PSI], slot[HELD_COS], slot[HELD_SIN] = slot[COS_0], slot[SIN_0], slot[COS_0], slot[SIN_0]
     slot[C_NORTH], slot[C_EAST] = filtered[CURRENT_NORTH], filtered[CURRENT_EAST]
     slot[U], slot[V], slot[R], slot[W], slot[PSI] = surge, before[1], before[2], before[0], psi
-    slot[U_0], slot[R_0], slot[WIDER] = surge, before[2], surprise(head, s)
+    slot[U_0], slot[R_0] = surge, before[2]
     begin_path(slot[COMMANDS : COMMANDS + PATH], before[3], before[4])
     for axis in range(3):
         table, own = program[head[axis, PROGRAM] :], s[head[axis, STATE] :]
@@ -249,119 +211,7 @@ def origin(program, head, s, q, slot, psi, surge):
             weights = own[node[FORECASTS.rule.weights] + judged(node, own, k) * M :]
             for m in range(M):
                 slot[head[axis, WEIGHTS] + k * M + m] = weights[m]
-    for k in range(head[TRACK, HORIZON_COUNT]):
-        kept = slot[HORIZON + k * OF_HORIZON :]
-        hold(s, head[TRACK, LEARNED : LEARNED + 6], k, s[head[TRACK, ERRORS] + k], kept[:HELD])
-        kept[HELD] = width_of(head, s, k)
-        shape(head, s, k, kept[HELD + 1 :])
-
-
-@jit
-def follow_surprise(head, s, row, pose):
-    """ν and ν̄ of (4) after a step."""
-    found, quick, slow = s[head[TRACK, SURPRISE] :], min(row[DT] / QUICK_TIME, 1.0), min(row[DT] / SLOW_TIME, 1.0)
-    for i in range(2):
-        axis = SURGE if i == 0 else YAW
-        target, own = row[TARGET] if i == 0 else pose[TURN], s[head[axis, STATE] :]
-        z = (target - own[head[axis, PREDICTED]]) / max(own[head[axis, DEVIATION]], NARROWEST)
-        square = min(z * z, LARGEST)
-        if square == square and (i == 1 or row[MODE] == LEARN):
-            found[2 * i] += quick * (square - found[2 * i])
-            found[2 * i + 1] += slow * (square - found[2 * i + 1])
-
-
-@jit
-def surprise(head, s):
-    """The factor of (4)."""
-    found, most = s[head[TRACK, SURPRISE] :], 1.0
-    for i in range(2):
-        most = max(most, found[2 * i] / (USUAL * max(found[2 * i + 1], NARROWEST)))
-    return min(np.sqrt(most), MOST_SURPRISE)
-
-
-@jit
-def width_of(head, s, k):
-    """The radius that does not know the manoeuvre, m; infinite where too few errors are known."""
-    if s[head[TRACK, ERRORS] + k] < FEW:
-        return np.inf
-    return max(s[head[TRACK, QUANTILE] + k] * s[head[TRACK, MEAN_ERROR] + k], NARROWEST)
-
-
-@jit
-def radius_held(slot, k, horizon):
-    """The radius of a track at a horizon, m, of which it knows the distance run and the commands until now.
-
-    Args:
-        slot: the track.
-        k: index of the horizon.
-        horizon: s, where the radius is asked for.
-    """
-    kept, path = slot[HORIZON + k * OF_HORIZON :], slot[COMMANDS : COMMANDS + PATH]
-    return slot[WIDER] * halfwidth_held(kept[:HELD], kept[HELD], slot[RUN], path[FAR], group_of(path))
-
-
-@jit
-def shape(head, s, k, found):
-    """Write S of (3)."""
-    count, C = s[head[TRACK, ERRORS] + k], s[head[TRACK, COVARIANCE] + 3 * k :]
-    round_ = FLOOR + ROUND / (count + ROUND) * (C[0] + C[2]) / 2
-    a, b, c = C[0] + round_, C[1], C[2] + round_
-    root = np.sqrt(max(a * c - b * b, 1e-6 * a * c))
-    found[0], found[1], found[2] = a / root, b / root, c / root
-
-
-@jit
-def rho(S, forward, aside):
-    """√(eᵀ S⁻¹ e), where det S is 1."""
-    return np.sqrt(max(S[2] * forward * forward - 2 * S[1] * forward * aside + S[0] * aside * aside, 0.0))
-
-
-@jit
-def publish_due(head, s, q, slot, k, pose):
-    """A track has become due at its horizon: what it said, what is measured, and what is learned of it."""
-    due = s[head[TRACK, DUES] + k * DUE :]
-    north, east = pose[NORTH] - slot[NORTH_0], pose[EAST] - slot[EAST_0]
-    dn, de = slot[AT_NORTH] - north, slot[AT_EAST] - east
-    if not np.hypot(north, east) < LIMIT * slot[ELAPSED] + AWAY:  # no boat moves so: it is no position
-        return
-    forward, aside = slot[COS_0] * dn + slot[SIN_0] * de, slot[COS_0] * de - slot[SIN_0] * dn
-    turned = slot[PSI] - pose[HEADING]
-    turned -= 2 * np.pi * np.floor((turned + np.pi) / (2 * np.pi))
-    path = slot[COMMANDS : COMMANDS + PATH]
-    group, kept = group_of(path), slot[HORIZON + k * OF_HORIZON :]
-    u, r, h = slot[U_0], slot[R_0], slot[ELAPSED]
-    psi, half = slot[PSI_0], r * h / 2
-    chord = u * h * (np.sin(half) / half if abs(half) > 1e-9 else 1.0)
-    due[ERROR], due[HEADING_ERROR] = np.hypot(dn, de), abs(turned)
-    due[CONSTANT] = np.hypot(chord * np.cos(psi + half) - north, chord * np.sin(psi + half) - east)
-    due[HELD_RATE] = np.hypot(slot[HELD_NORTH] - north, slot[HELD_EAST] - east)
-    due[RHO] = rho(kept[HELD + 1 :], forward, aside)
-    due[RADIUS], due[GROUP], due[DISTANCE] = radius_held(slot, k, h), group, slot[RUN]
-    wider = slot[WIDER]
-    learn_track(head, s, q, k, forward / wider, aside / wider, slot[RUN], path[FAR], group, kept[HELD + 1 :])
-
-
-@jit
-def learn_track(head, s, q, k, forward, aside, run, far, group, S):
-    """(3), and the radius, from an error in the frame of the origin's heading, m; S is written."""
-    C = s[head[TRACK, COVARIANCE] + 3 * k : head[TRACK, COVARIANCE] + 3 * k + 3]
-    numbers, errors, mean = q[head[TRACK, Q] :], head[TRACK, ERRORS] + k, head[TRACK, MEAN_ERROR] + k
-    overlap, alpha, quantile = numbers[1], 1 - numbers[0], head[TRACK, QUANTILE] + k
-    shape(head, s, k, S)
-    e, width = rho(S, forward, aside), max(s[quantile] * s[mean], NARROWEST)
-    count = s[errors] + 1
-    s[errors] = count
-    if count > FEW and e > CLIP * width:
-        forward, aside, e = forward * (CLIP * width / e), aside * (CLIP * width / e), CLIP * width
-    s[mean] += max(1 / count, SHARE) * (e - s[mean])
-    at, moves = head[TRACK, LEARNED : LEARNED + 6], moves_of(overlap, alpha)
-    learn_error(s, at, k, count, e, width, run, far, group, moves, alpha)
-    miss = 1.0 if e > width else 0.0
-    s[quantile] = min(max(s[quantile] * np.exp((miss - alpha) / (DELAY + overlap)), LEAST), MOST)
-    share = max(1 / (count + 1), SLOW)
-    C[0] += share * (forward * forward - C[0])
-    C[1] += share * (forward * aside - C[1])
-    C[2] += share * (aside * aside - C[2])
+    keep_ellipses(head, s, slot)
 
 
 @jit
@@ -420,35 +270,15 @@ def track_plan(program, head, s, q, slot, left, right, dt, found, work):
 
     `slot` is an array of a slot's length; `left`, `right` and `dt` are `(time,)`.
     """
-    H, horizons, own, rest = head[TRACK, HORIZON_COUNT], q[head[TRACK, Q] + 2 :], work[:ROW], work[ROW:]
+    own, rest = work[:ROW], work[ROW:]
     filtered, psi = s[head[SURGE, STATE] + head[SURGE, MEAN] :], s[head[TRACK, BEFORE] + 5]
     along = filtered[CURRENT_NORTH] * np.cos(psi) + filtered[CURRENT_EAST] * np.sin(psi)
     origin(program, head, s, q, slot, psi, s[head[TRACK, BEFORE]] + along)
-    c, d, level = slot[COS_0], slot[SIN_0], -2 * np.log(1 - q[head[TRACK, Q]])
     for j in range(len(left)):
         track_step(program, head, s, q, slot, left[j], right[j], dt[j], own, rest, False)
-        row, t = found[j], slot[ELAPSED]
+        row = found[j]
         row[0], row[1], row[2], row[3] = slot[U], slot[V], slot[R], slot[PSI]
         if used(head, s):
             row[1] += slot[C_EAST] * slot[COS_PSI] - slot[C_NORTH] * slot[SIN_PSI]
         row[4], row[5] = slot[AT_NORTH], slot[AT_EAST]
-        k = 0
-        while k + 1 < H and horizons[k + 1] <= t:
-            k += 1
-        rise = (t - horizons[k]) / (horizons[k + 1] - horizons[k]) if k + 1 < H and t > horizons[k] else 0.0
-        above = min(k + 1, H - 1)
-        a, b = slot[HORIZON + k * OF_HORIZON + HELD + 1 :], slot[HORIZON + above * OF_HORIZON + HELD + 1 :]
-        for i in range(3):
-            row[6 + i] = (1 - rise) * a[i] + rise * b[i]
-        width = radius_held(slot, k, t)
-        if rise > 0:
-            width = (1 - rise) * width + rise * radius_held(slot, above, t)
-        elif t < horizons[0]:
-            width *= t / horizons[0]
-        if not (t <= horizons[H - 1] * BEYOND and width < np.inf):
-            row[6], row[7], row[8] = np.inf, 0.0, np.inf
-            continue
-        size, forward, both, aside = width * width / level, row[6], row[7], row[8]
-        row[6] = size * (c * c * forward - 2 * c * d * both + d * d * aside)
-        row[7] = size * (c * d * (forward - aside) + (c * c - d * d) * both)
-        row[8] = size * (d * d * forward + 2 * c * d * both + c * c * aside)
+        ellipse(head, q, slot, row[6:9])

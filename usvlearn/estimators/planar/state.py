@@ -79,6 +79,7 @@ PROGRAM, STATE, NUMBER, MEAN, UPDATES, BLOCK, WEIGHTS, PREDICTED, DEVIATION = ra
 ) = range(10)  # fmt: skip  # LEARNED: six places
 COUNT, HORIZON_COUNT, LENGTH, Q = range(LEARNED + 6, LEARNED + 10)
 PLACES = Q + 1
+TRACK = len(AXES)  # row of the track
 
 
 class TrackState(NamedTuple):
