@@ -35,8 +35,8 @@ class AxisEKF(Estimator):
     Args:
         prior: mean of the parameters, `(m,)` or `(*batch, m)`.
         scale: their standard deviations, likewise.
-        disturbance: q_b, variance of the disturbance's noise in a step of 0.4 s, in units of σ²; broadcasts, as do the
-            next three.
+        disturbance: q_b, variance of the disturbance's noise in a step of 0.4 s, in units of σ²; broadcasts against the
+            batch, as do the next three.
         disturbance_time: τ_b, s.
         drift_time: T_θ, s, after which the parameters' variance has grown by its prior.
         outlier: k, standard deviations beyond which a measurement is an outlier; None: none is.
@@ -54,10 +54,10 @@ class AxisEKF(Estimator):
         self,
         prior: Tensor,
         scale: Tensor,
-        disturbance: Hyper,
-        disturbance_time: Hyper,
-        drift_time: Hyper,
-        outlier: Hyper | None,
+        disturbance: Hyper = 5.0,
+        disturbance_time: Hyper = 1.0,
+        drift_time: Hyper = 1e4,
+        outlier: Hyper | None = 5.0,
     ):
         super().__init__()
         self.disturbance = Positive(disturbance, "disturbance")
@@ -194,11 +194,7 @@ class YawEKF(AxisEKF):
     Args:
         surge_max: top speed, m/s.
         turn_max: yaw rate at full differential thrust, rad/s; 0.3 to 3 times the true one does.
-        disturbance: q_b, variance of the disturbance's noise in a step of 0.4 s, in units of σ²; broadcasts against the
-            batch, as do the next three.
-        disturbance_time: τ_b, s.
-        drift_time: T_θ, s, after which the parameters' variance has grown by its prior.
-        outlier: k, standard deviations beyond which a measurement is an outlier; None: none is.
+        **options: the last four arguments of `AxisEKF`.
 
     >>> yaw = YawEKF(surge_max=2.7)
     >>> yaw.init((8,)).mean.shape
@@ -208,15 +204,7 @@ class YawEKF(AxisEKF):
     kind = "yaw"
     TIME = 1.0  # s, time constant of the prior's boat
 
-    def __init__(
-        self,
-        surge_max: Hyper,
-        turn_max: Hyper = 1.0,
-        disturbance: Hyper = 5.0,
-        disturbance_time: Hyper = 1.0,
-        drift_time: Hyper = 1e4,
-        outlier: Hyper | None = 5.0,
-    ):
+    def __init__(self, surge_max: Hyper, turn_max: Hyper = 1.0, **options: Any):
         u, r = torch.broadcast_tensors(positive("surge_max", surge_max), positive("turn_max", turn_max))
         zero, push = 0 * r, 0.75 * r / self.TIME
         prior = [zero, zero - 0.5 / self.TIME, -0.25 / (self.TIME * r), *[zero] * 4]
@@ -226,9 +214,7 @@ class YawEKF(AxisEKF):
             prior += [side * push / 2, side * push / 2, *[zero] * 4]
             scale += [push, push, 0.5 * push / u, push, 0.2 * push, 0.2 * push]
         prior, scale = [*prior, zero + 0.1], [*scale, zero + 0.3]
-        super().__init__(
-            torch.stack(prior, -1), torch.stack(scale, -1), disturbance, disturbance_time, drift_time, outlier
-        )
+        super().__init__(torch.stack(prior, -1), torch.stack(scale, -1), **options)
 
     spec = AxisEKF.spec  # a subclass states its own, see `Estimator.spec`
 
@@ -238,11 +224,7 @@ class SwayEKF(AxisEKF):
 
     Args:
         surge_max: top speed, m/s.
-        disturbance: q_b, variance of the disturbance's noise in a step of 0.4 s, in units of σ²; broadcasts against the
-            batch, as do the next three.
-        disturbance_time: τ_b, s.
-        drift_time: T_θ, s, after which the parameters' variance has grown by its prior.
-        outlier: k, standard deviations beyond which a measurement is an outlier; None: none is.
+        **options: the last four arguments of `AxisEKF`.
 
     >>> SwayEKF(surge_max=2.7).init((8,)).mean.shape
     torch.Size([8, 14])
@@ -251,22 +233,13 @@ class SwayEKF(AxisEKF):
     kind = "sway"
     TIME = 1.0  # s
 
-    def __init__(
-        self,
-        surge_max: Hyper,
-        disturbance: Hyper = 5.0,
-        disturbance_time: Hyper = 1.0,
-        drift_time: Hyper = 1e4,
-        outlier: Hyper | None = 5.0,
-    ):
+    def __init__(self, surge_max: Hyper, **options: Any):
         u = positive("surge_max", surge_max)
         zero, most = 0 * u, 0.3 * u
         prior = [zero, zero - 0.5 / self.TIME, zero, zero, zero - 0.3, *[zero] * 6, zero + 0.1]
         scale = [zero + 0.02, zero + 0.5 / self.TIME, 0.5 / most, 0.5 / u, zero + 0.5, zero + 0.2, zero + 0.05,
                  *[zero + 0.1] * 4, zero + 0.3]  # fmt: skip
-        super().__init__(
-            torch.stack(prior, -1), torch.stack(scale, -1), disturbance, disturbance_time, drift_time, outlier
-        )
+        super().__init__(torch.stack(prior, -1), torch.stack(scale, -1), **options)
 
     spec = AxisEKF.spec  # a subclass states its own, see `Estimator.spec`
 
