@@ -17,7 +17,7 @@ import numpy as np
 from usvlearn.core.family import WIDTH, Choices, Field, Range
 from usvlearn.core.family import Numbers as Declared
 from usvlearn.engine.kinds import KINDS, WRAPPERS
-from usvlearn.engine.leaves import batch_of, filter_of, leaves_of
+from usvlearn.engine.leaves import batch_of, leaves_of
 from usvlearn.errors import CheckpointError, ShapeError
 from usvlearn.estimators.ensemble import state as ensemble
 from usvlearn.estimators.ensemble.accommodation import state as accommodation
@@ -26,7 +26,7 @@ from usvlearn.estimators.ensemble.conformal import state as conformal
 from usvlearn.estimators.ensemble.forecasts import state as forecasts
 from usvlearn.estimators.ensemble.monitors import state as monitors
 from usvlearn.estimators.planar import state as track
-from usvlearn.estimators.planar.state import AXES, MOST_OVERLAP
+from usvlearn.estimators.planar.state import AXES, MOST_OVERLAP, filter_of
 
 LARGEST = 2**20  # numbers of a batch element: its state, its parameters, its table
 CELLS = 3 * WIDTH  # of the table, for each estimator or combiner with its wrappers, without a combiner's members

@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 
 from usvlearn.engine import of_element
-from usvlearn.engine.leaves import filter_of
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.axis.turning_intervals import Filter, with_turning
 from usvlearn.estimators.joint.reading import Identified, identify, reader_of
-from usvlearn.estimators.planar.state import USED
+from usvlearn.estimators.planar.state import USED, filter_of
 
 Members = Mapping[str, Mapping[str, Any] | None]  # descriptions by name; None of an estimator without one
 

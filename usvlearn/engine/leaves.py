@@ -91,11 +91,6 @@ def forecast_size(made: Description) -> tuple[int, int, int]:
     return made["slots"], len(made["vectors"]["horizons"]), len(made["members"])
 
 
-def filter_of(axis: str, description: Description) -> str | None:
-    """The name of the member of an axis whose mean is the estimate of the component; None without."""
-    return next((name for name, each in description["members"].items() if each["kind"] == track.FILTERS[axis]), None)
-
-
 def block_size(description: Description) -> int:
     """Numbers of an ensemble's frozen members."""
     names = (description["columns"][column] for column in description["forecasts"]["members"])
@@ -105,14 +100,12 @@ def block_size(description: Description) -> int:
 
 def track_size(description: Description) -> tuple[int, int, int]:
     """Slots, horizons, and length of a slot of tracks."""
-    horizons, length = description["vectors"]["horizons"], 0
+    horizons, blocks = description["vectors"]["horizons"], []
     for axis in AXES:
         _, own, members = forecast_size(description[axis]["forecasts"])
-        length += own * members + block_size(description[axis])
-    count = len(horizons)
-    return track.slots_of(tuple(horizons), description["numbers"]["overlap"]), count, (
-        track.HORIZON + count * track.OF_HORIZON + length
-    )  # fmt: skip
+        blocks.append(own * members + block_size(description[axis]))
+    slots = track.slots_of(tuple(horizons), description["numbers"]["overlap"])
+    return slots, len(horizons), track.slot_length(len(horizons), blocks)
 
 
 def _forecasts(description: Description) -> dict[str, Field]:

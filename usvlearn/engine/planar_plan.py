@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from usvlearn.core.rows import ROW
-from usvlearn.engine.leaves import Description, block_size, filter_of, forecast_size, track_size
+from usvlearn.engine.leaves import Description, block_size, forecast_size, track_size
 from usvlearn.engine.program import Leaf, Plan, plan_for
 from usvlearn.estimators.planar import state as at
-from usvlearn.estimators.planar.state import AXES, FAMILY, TrackState
+from usvlearn.estimators.planar.state import AXES, FAMILY, TrackState, filter_of
 
 if TYPE_CHECKING:
     from numpy.typing import DTypeLike
@@ -31,7 +31,7 @@ class PlanarPlan(Plan):
         self.leaves: dict[str, Leaf] = {}
         self.size, self.head = 0, np.zeros((len(AXES) + 1, at.PLACES), np.int64)
         slots, count, length = track_size(description)
-        block = at.HORIZON + count * at.OF_HORIZON
+        block = at.slot_length(count, ())
         tables: list[np.ndarray] = []
         numbers: list[np.ndarray] = []
         begin = width = work = 0

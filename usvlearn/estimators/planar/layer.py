@@ -84,11 +84,12 @@ class Planar(nn.Module):
         """The state before the first sample, leaves `(*batch, …)`."""
         batch, H = tuple(batch), len(self.horizons)
         axes = {axis: getattr(self, axis).init(batch) for axis in AXES}
-        slots, length = at.slots_of(self.horizons, self.overlap), at.HORIZON + H * at.OF_HORIZON
-        for state in axes.values():  # of each member's weights, and what an open-loop simulation needs of it
-            one = [leaf for _, leaf in named_leaves(state.forecasts.frozen)]
-            weights = state.forecasts.weights
-            length += sum(leaf[(0,) * (len(batch) + 1)].numel() for leaf in [weights, *one])
+        blocks = (  # each member's weights, and what an open-loop simulation needs of it, of the first slot
+            leaf[(0,) * (len(batch) + 1)].numel()
+            for state in axes.values()
+            for leaf in [state.forecasts.weights, *(leaf for _, leaf in named_leaves(state.forecasts.frozen))]
+        )
+        slots, length = at.slots_of(self.horizons, self.overlap), at.slot_length(H, blocks)
         like = axes["surge"].predictions
         under_way = like.new_zeros((*batch, slots, length))
         under_way[..., at.ELAPSED] = EMPTY
@@ -115,7 +116,7 @@ class Planar(nn.Module):
                 raise ConfigError(
                     f"{axis}: found an ensemble without compiled code or forecasts, expected both: set forecasts"
                 )
-            if at.FILTERS[axis] not in [each["kind"] for each in own["members"].values()]:
+            if at.filter_of(axis, own) is None:
                 raise ConfigError(
                     f"{axis}: found the members {', '.join(own['members'])}, expected a filter of the kind "
                     f"{at.FILTERS[axis]} among them"

@@ -40,6 +40,7 @@ The derivation is in `docs/theory/ensemble.md#tracks`.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from usvlearn.core.family import ANY, NOT_NEGATIVE, POSITIVE, UNIT, Family, Numbers, Vectors, leaf
@@ -128,6 +129,16 @@ def _state(size: Any) -> TrackState:
 
 FAMILY = Family(("track",), _state, Number, vectors=Vector)
 AT = FAMILY.at
+
+
+def slot_length(horizons: int, blocks: Iterable[int]) -> int:
+    """The length of a slot of so many horizons, from the numbers of each axis: frozen members, and their weights."""
+    return HORIZON + horizons * OF_HORIZON + sum(blocks)
+
+
+def filter_of(axis: str, description: Mapping[str, Any]) -> str | None:
+    """The name of the member of an axis whose mean is the estimate of the component; None without."""
+    return next((name for name, each in description["members"].items() if each["kind"] == FILTERS[axis]), None)
 
 
 def slots_of(horizons: tuple[float, ...], overlap: float) -> int:

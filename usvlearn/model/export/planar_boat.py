@@ -10,10 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.core import checkpoint
-from usvlearn.engine.leaves import filter_of
 from usvlearn.engine.online import read_checkpoint
 from usvlearn.errors import CheckpointError, ConfigError, printable
-from usvlearn.estimators.planar.state import USED
+from usvlearn.estimators.planar.state import USED, filter_of
 from usvlearn.model.planar import PlanarModel
 from usvlearn.model.read_boats import IdentifiedBoat
 from usvlearn.runs.layout import CHECKPOINTS, PLANAR
