@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -54,33 +54,31 @@ class PlanarLive(Live):
         found = np.empty(self.plan.elements)
         with self._lock:
             self.current = True
-            for k, (program, s, q, work) in enumerate(self._steps):
-                for i, each in enumerate(poses):
-                    self._pose[i] = each[k]
-                left, right, heading, yaw_rate, dt, speed = (float(x[k]) for x in numbers)
-                found[k] = dispatch.step_planar(
-                    program, self.plan.head, s, q, work, left, right, heading, yaw_rate, dt, speed, bool(masks[0][k]),
-                    bool(masks[1][k]), self._pose,
-                )  # fmt: skip
+            for k in range(len(found)):
+                *own, speed = (float(x[k]) for x in numbers)
+                found[k] = self._element(k, own, speed, bool(masks[0][k]), bool(masks[1][k]), [x[k] for x in poses])
         return float(found[0]) if not self.plan.batch else found.reshape(self.plan.batch)
 
     def _plain(self, sample: PlanarSample) -> float | None:
         """`step` of plain numbers; None where some are of other types, and nothing is done."""
-        (left, right, heading, yaw_rate, dt), surge, fresh, measured = sample.sample
+        inputs, surge, fresh, measured = sample.sample
         if not type(fresh) is bool is type(measured) or not all(type(x) is float for x in sample[1:]):
             return None
-        program, s, q, work = self._steps[0]
         with self._lock:
-            self._pose[:] = sample[1:]
             try:
-                found = dispatch.step_planar(
-                    program, self.plan.head, s, q, work, left, right, heading, yaw_rate, dt, surge, fresh, measured,
-                    self._pose,
-                )  # fmt: skip
+                found = self._element(0, inputs, surge, fresh, measured, sample[1:])
             except (TypeError, ValueError, OverflowError, NumbaError):
                 return None
             self.current = True
         return found
+
+    def _element(
+        self, k: int, inputs: Sequence[float], surge: float, fresh: bool, measured: bool, pose: Sequence[float]
+    ) -> float:
+        """One step of one batch element."""
+        program, s, q, work = self._steps[k]
+        self._pose[:] = pose
+        return dispatch.step_planar(program, self.plan.head, s, q, work, *inputs, surge, fresh, measured, self._pose)
 
     def track(self, commands: Any, dt: float) -> Track:
         """Where the boat will be under a plan; `Online.forecast`."""
