@@ -15,6 +15,7 @@ import numpy as np
 from usvlearn.errors import ConfigError, check_not_negative, check_positive
 from usvlearn.logs.channels.channel import Channel, Recording
 from usvlearn.simulate.planar import HERON, PlanarBoat, courses, simulate_planar
+from usvlearn.simulate.sensors import ranks
 
 HZ = 10.0  # of the motion, the commands and the compass
 MOST_HOURS = 1e3  # of all boats together
@@ -125,12 +126,11 @@ def logged(rng: np.random.Generator, truth: Voyage) -> dict[str, Channel]:
     }
     psi = found["heading"][1][fixes]
     found["surge"] = at, speed[:, 0] * np.cos(psi) + speed[:, 1] * np.sin(psi)
-    order = np.argsort(np.concatenate([time for time, _ in found.values()]), kind="stable")
-    place, begin, channels = np.argsort(order, kind="stable"), 0, {}
-    for name, (time, value) in found.items():
-        channels[name] = Channel(time, value, place[begin : begin + len(time)], window=0.5)
-        begin += len(time)
-    return channels
+    orders = ranks([time for time, _ in found.values()])
+    return {
+        name: Channel(time, value, order, window=0.5)
+        for (name, (time, value)), order in zip(found.items(), orders, strict=True)
+    }
 
 
 def planar_fleet(

@@ -122,7 +122,7 @@ def measure(
         kept = np.flatnonzero(kept)
         kept = kept[np.argsort(arrival[kept], kind="stable")]
         arrived.append((time[kept], value[kept], arrival[kept]))
-    orders = _ranks([arrival for _, _, arrival in arrived])
+    orders = ranks([arrival for _, _, arrival in arrived])
     channels = {
         name: Channel(time, value, order, held and name.startswith("command"), window[i])
         for i, (name, (time, value, _), order) in enumerate(zip(names, arrived, orders, strict=True))
@@ -187,7 +187,7 @@ def _kept(
     return ~(lost | out), {"lost": int((lost & ~out).sum()), "outage": int(out.sum())}
 
 
-def _ranks(arrivals: list[np.ndarray]) -> list[np.ndarray]:
+def ranks(arrivals: list[np.ndarray]) -> list[np.ndarray]:
     """The place of each message in the log of all channels."""
     by_arrival = np.argsort(np.concatenate(arrivals), kind="stable")
     rank = np.empty(by_arrival.size, dtype=np.int64)
