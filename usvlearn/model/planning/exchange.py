@@ -3,9 +3,9 @@
 The criterion is the mean logarithm of the widths of the intervals that are still wide. With a normal distribution it is
 a compound of c-optimality criteria, one for each quantity (Atkinson, Donev & Tobias 2007, chapters 10 and 11); it has
 no unit, so that newtons and seconds can be added. Coordinate exchange (Meyer & Nachtsheim 1995) goes through the
-segments in turn, tries each throttle and each heading for one segment while the others stay, and keeps the best, until a whole
-round changes nothing. It finds a local optimum, so it begins from several courses. A course outside the area is worse
-than any inside it.
+segments in turn, tries each throttle and each heading for one segment while the others stay, and keeps the best, until
+a whole round changes nothing. It finds a local optimum, so it begins from several courses. A course outside the area
+is worse than any inside it.
 """
 
 from __future__ import annotations
