@@ -27,7 +27,11 @@ UNPACKED = 2**28  # bytes to which an archive may unpack: 30 million weights
 
 
 class ShallowWeights(NamedTuple):
-    """The weights; arrays or tensors."""
+    """The weights of x⁺ = aᵀ relu(w₁ x + W₂ u + b), n neurons and m inputs; arrays or tensors.
+
+    >>> ShallowWeights(a=[0.5], w1=[1.0], W2=[[0.0]], b=[0.0]).w1
+    [1.0]
+    """
 
     a: Any  # (*batch, n)
     w1: Any  # (*batch, n)
@@ -198,8 +202,21 @@ def load(path: str | Path) -> list[Network]:
 
     No pickled code is run, whatever the file holds.
 
+    Args:
+        path: of the file.
+
+    Returns:
+        The networks, one for each checkpoint that the file holds.
+
     Raises:
         CertifyError: no such file, of another kind, damaged, or without a shallow network.
+
+    >>> import tempfile
+    >>> import numpy as np
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     np.savez(f"{folder}/net.npz", a=[0.5], w1=[1.0], W2=[[0.0]], b=[0.0])
+    ...     load(f"{folder}/net.npz")[0].weights.a
+    array([0.5])
     """
     return from_tensors(read_tensors(path), str(path))
 

@@ -37,7 +37,14 @@ MOST_DIGITS = 60  # of a leak
 
 
 class VectorWeights(NamedTuple):
-    """The weights; arrays or tensors. V and c are None where there is one hidden layer."""
+    """The weights of a network of q states, n neurons and m inputs; arrays or tensors.
+
+    V and c are None where there is one hidden layer.
+
+    >>> net = VectorWeights(R=[[0.9]], A=[[0.1]], W=[[1.0]], W2=[[0.0]], b=[0.0])
+    >>> net.V is None
+    True
+    """
 
     R: Any  # (*batch, q, q)
     A: Any  # (*batch, q, n), of the last hidden layer
@@ -66,30 +73,41 @@ RELU = Activation("relu", Fraction(0))
 
 
 class VectorNetwork(NamedTuple):
-    """One checkpoint, and the place from which it was read."""
+    """One checkpoint, and the place from which it was read.
 
-    path: str
+    >>> net = VectorNetwork("", check(VectorWeights([[0.9]], [[0.1]], [[1.0]], [[0.0]], [0.0])))
+    >>> net.states, net.inputs, net.neurons
+    (1, 1, 1)
+    """
+
+    path: str  # of the file; "" where there is none
     weights: VectorWeights  # float64 arrays, no batch
-    activation: Activation = RELU
+    activation: Activation = RELU  # φ, see `activation`
 
     @property
     def states(self) -> int:
-        """q."""
+        """q, the number of components of the state."""
         return int(self.weights.W.shape[-1])
 
     @property
     def inputs(self) -> int:
-        """m."""
+        """m, the number of inputs."""
         return int(self.weights.W2.shape[-1])
 
     @property
     def neurons(self) -> int:
-        """Of all hidden layers."""
+        """The number of neurons of all hidden layers."""
         return int(self.weights.b.shape[-1] + (0 if self.weights.c is None else self.weights.c.shape[-1]))
 
 
 def activation(text: str) -> Activation:
     """φ by its name: `relu`, `tanh`, or `leaky:α` with a slope α in [0, 1) for negative arguments.
+
+    Args:
+        text: the name.
+
+    Returns:
+        φ, with its least slope as a fraction.
 
     Raises:
         CertifyError: another name, or no such slope.
@@ -266,8 +284,21 @@ def read_both(
 def load(path: str | Path, phi: Activation = RELU) -> list[VectorNetwork]:
     """The networks (1) in a file, as `certify.networks.shallow.load` reads it: no pickled code is run.
 
+    Args:
+        path: of the file.
+        phi: the activation of the networks, which a file does not name.
+
+    Returns:
+        The networks, one for each checkpoint that the file holds.
+
     Raises:
         CertifyError: no such file, of another kind, damaged, or without such a network.
+
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     np.savez(f"{folder}/net.npz", A=[[0.5]], W=[[1.0]], W2=[[0.0]], b=[0.0])
+    ...     load(f"{folder}/net.npz")[0].weights.A
+    array([[0.5]])
     """
     tensors = read_tensors(path)
     if found := from_tensors(tensors, str(path), phi):

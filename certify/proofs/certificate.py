@@ -72,16 +72,22 @@ def make(
     invariance_tree: str | None = None,
     path: str = "",
 ) -> dict[str, Any] | None:
-    """A certificate, ready for JSON; None where the condition does not hold, or the tree does not prove it.
+    """A certificate, ready for JSON.
 
     Args:
         weights: of one network.
         condition: `simple`, `gershgorin`, `lmi`, `tight`; or `interval`, `box`, with a box.
-        rate: κ at which it is to hold, at most 1; by default a short decimal just above the smallest.
+        rate: κ at which it is to hold, no unit, at most 1; by default a short decimal just above the smallest.
         box: of `interval` and `box`.
         tree: of `box`, from `certify.search.box.certify`.
         invariance_tree: likewise, where f maps the box into its interval of x.
         path: of the file that holds the weights.
+
+    Returns:
+        The certificate; None where the condition does not hold, or the tree does not prove it.
+
+    Raises:
+        CertifyError: weights that are no network, an unknown condition, a rate that is not in (0, 1], or no box.
 
     >>> made = make(ShallowWeights([0.5], [1.0], [[0.0]], [0.0]))
     >>> made["condition"], made["rate"], verify(made, ShallowWeights([0.5], [1.0], [[0.0]], [0.0])).valid
@@ -117,6 +123,13 @@ def verify(certificate: Mapping[str, Any], weights: ShallowWeights) -> Verificat
     """Check a certificate against weights: its keys, its checksum, the weights it names, every claim, and the proof.
 
     A certificate may come from anybody. The time to check it is bounded by its length, whatever it contains.
+
+    Args:
+        certificate: such as `read` returns.
+        weights: of one network.
+
+    Returns:
+        Whether it is valid; and the claim that is proved, or the reason why it is not.
 
     >>> made = make(ShallowWeights([0.5], [1.0], [[0.0]], [0.0]))
     >>> verify(made, ShallowWeights([0.75], [1.0], [[0.0]], [0.0])).reason
@@ -295,8 +308,21 @@ def _versions() -> dict[str, str]:
 def write(path: str | Path, certificate: Mapping[str, Any]) -> Path:
     """Write a certificate to a file, completely or not at all.
 
+    Args:
+        path: of the file; missing folders are made.
+        certificate: such as `make` returns.
+
+    Returns:
+        The path.
+
     Raises:
         CertifyError: it cannot be written.
+
+    >>> import tempfile
+    >>> made = make(ShallowWeights([0.5], [1.0], [[0.0]], [0.0]))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     read(write(f"{folder}/half.json", made)) == made
+    True
     """
     path = Path(path)
     unfinished = path.with_name(f".{path.name}.unfinished")
@@ -314,8 +340,18 @@ def write(path: str | Path, certificate: Mapping[str, Any]) -> Path:
 def read(path: str | Path) -> dict[str, Any]:
     """Read a certificate. Only repeated keys are checked here; `verify` checks the rest.
 
+    Args:
+        path: of the file.
+
+    Returns:
+        The certificate as it stands in the file.
+
     Raises:
         CertifyError: no such file, too large, or not a JSON object.
+
+    >>> read("nowhere.json")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    certify.errors.CertifyError: nowhere.json: cannot be read (No such file or directory): give ...
     """
     try:
         with open(path, "rb") as file:

@@ -54,18 +54,23 @@ ATTRACTING = ("deadbeat", "stable", "stable oscillatory")
 
 
 class Equilibrium(NamedTuple):
-    """An isolated equilibrium, or an interval of them."""
+    """An isolated equilibrium, or an interval of them.
 
-    lo: float  # first x with f(x) = x
-    hi: float  # last one; equal to `lo` but for an interval
+    >>> (found,) = equilibria(ShallowWeights([0.5], [1.0], [[0.0]], [0.25]), [0.0])
+    >>> found.x, found.slope_left, found.attracts
+    (0.25, 0.5, True)
+    """
+
+    lo: float  # first x with f(x) = x; no unit
+    hi: float  # last one, no unit; equal to `lo` but for an interval
     kind: str  # its class, of CLASSES
-    slope_left: float  # of f, just below `lo`
-    slope_right: float  # of f, just above `hi`
+    slope_left: float  # of f, just below `lo`; no unit
+    slope_right: float  # of f, just above `hi`; no unit
     attracts: bool  # all states near it come to it; for an interval, to some point of it
 
     @property
     def x(self) -> float:
-        """The position of the equilibrium; the middle of an interval."""
+        """The position of the equilibrium, no unit; the middle of an interval."""
         return self.lo if self.lo == self.hi else self.lo + (self.hi - self.lo) / 2
 
 
@@ -103,8 +108,11 @@ def equilibria(weights: ShallowWeights, u: ArrayLike, lo: float = 0.0, hi: float
     Args:
         weights: of one network.
         u: `(m,)`; all zeros in the paper's definition, although no heading gives that (see `surge_inputs`).
-        lo: least x.
-        hi: greatest x.
+        lo: least x, no unit.
+        hi: greatest x, no unit.
+
+    Returns:
+        The equilibria, each with its position, its class and the slopes beside it.
 
     Raises:
         CertifyError: shapes that do not fit, values that are not finite, lo > hi.

@@ -57,7 +57,14 @@ class Condition(NamedTuple):
 
 
 def conditions(a: ArrayLike, w1: ArrayLike) -> dict[str, Condition]:
-    """The result of every condition of `certify.training.conditions` for one network; a, w₁ are `(n,)`.
+    """The result of every condition of `certify.training.conditions` for one network, in exact arithmetic.
+
+    Args:
+        a: `(n,)`.
+        w1: `(n,)`.
+
+    Returns:
+        The margin and the rate of each condition, fractions without a unit, by its name.
 
     >>> [(name, float(found.margin)) for name, found in conditions([0.5], [0.5]).items()]
     [('simple', -0.5), ('gershgorin', 0.5), ('lmi', 0.5), ('tight', 0.75)]
@@ -108,7 +115,16 @@ def best_gauge(a: ArrayLike, w1: ArrayLike) -> dict[str, Fraction]:
 
 
 def multipliers(name: str, a: ArrayLike, w1: ArrayLike, rate: Fraction | float = ONE) -> Multipliers | None:
-    """p and Λ that prove a condition at a rate, in closed form; None where it does not hold.
+    """p and Λ that prove a condition at a rate, in closed form.
+
+    Args:
+        name: of the condition: `simple`, `gershgorin`, `lmi` or `tight`.
+        a: `(n,)`.
+        w1: `(n,)`.
+        rate: κ, no unit.
+
+    Returns:
+        p and the diagonal of Λ; None where the condition does not hold at the rate.
 
     >>> multipliers("tight", [0.9], [1.0])
     Multipliers(metric=Fraction(1, 1), multipliers=[Fraction(8106479329266893, 9007199254740992)])
@@ -204,6 +220,16 @@ def _cost(*values: Fraction) -> float:
 
 def proves(condition: str, a: ArrayLike, w1: ArrayLike, found: Multipliers, rate: Fraction = ONE) -> bool:
     """Whether p and Λ prove a condition at a rate: (1) is positive definite, and the paper's inequalities hold.
+
+    Args:
+        condition: `simple`, `gershgorin`, `lmi` or `tight`.
+        a: `(n,)`.
+        w1: `(n,)`.
+        found: p and the diagonal of Λ, such as from `multipliers`.
+        rate: κ, no unit.
+
+    Returns:
+        True after the proof, in rational arithmetic. False says nothing about other p and Λ.
 
     >>> proves("tight", [0.9], [1.0], multipliers("tight", [0.9], [1.0]))
     True

@@ -45,18 +45,27 @@ HALF = Fraction(1, 2)
 
 
 class Loss(NamedTuple):
-    """What the conditions in their best gauge lose to the LMI on one network."""
+    """What the conditions in their best gauge lose to the LMI on one network.
 
-    ratio: Fraction  # σ/K, best-gauge Gershgorin over LMI
-    simple: Fraction  # best-gauge simple over LMI
+    >>> loss([0.5, 0.25], [1.0, 1.0]).ratio
+    Fraction(1, 1)
+    """
+
+    ratio: Fraction  # σ/K, best-gauge Gershgorin over LMI; no unit
+    simple: Fraction  # best-gauge simple over LMI; no unit
     rarer: Fraction  # share of the s_i ≠ 0 that have the rarer sign, 0 … ½
     false: tuple[str, ...]  # statements of the proof that do not hold on it; none
 
 
 def loss(a: ArrayLike, w1: ArrayLike) -> Loss | None:
-    """(1) and (2) for one network, each step of the proof evaluated in fractions; a, w₁ are `(n,)`.
+    """(1) and (2) for one network, each step of the proof evaluated in fractions.
 
-    None where K = 0: the network has no slope, and every condition holds in some gauge at every rate.
+    Args:
+        a: `(n,)`.
+        w1: `(n,)`.
+
+    Returns:
+        What is lost. None where K = 0: the network has no slope, and every condition holds in some gauge at every rate.
 
     >>> found = loss([0.5, -0.25], [1.0, 1.0])
     >>> found.ratio, found.simple, found.rarer, found.false

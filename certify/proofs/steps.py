@@ -65,7 +65,16 @@ class Steps(NamedTuple):
 
 
 def steps(weights: VectorWeights, slopes: Sequence[Slopes], norm: str = "inf", scaling: Matrix | None = None) -> Steps:
-    """μ and ν, exact over all slopes; with two hidden layers bounds from above. Arguments as of `vector_exact.rate`.
+    """μ and ν, exact over all slopes; with two hidden layers bounds from above.
+
+    Args:
+        weights: of one network, checked.
+        slopes: of each hidden layer, see `everywhere`.
+        norm: "inf" or "one".
+        scaling: T, `(q, q)`; the identity by default.
+
+    Returns:
+        μ and ν, fractions; `largest` is the least step of the network that does not contract.
 
     >>> from certify.networks.vector import RELU, ShallowWeights, of_shallow
     >>> net = of_shallow(ShallowWeights([0.5, -0.25], [1.0, 1.0], [[], []], [0.0, 1.0]))
@@ -84,6 +93,13 @@ def stepped(weights: VectorWeights, eta: Fraction) -> VectorWeights:
     `certify.proofs.vector_exact`.
 
     `certify.proofs.vector_box_proof.proves` accepts it, too, and so proves the rate of all steps up to η on a box.
+
+    Args:
+        weights: of one network with one or two hidden layers.
+        eta: η, a number of steps of the network.
+
+    Returns:
+        The weights of f_η, with fractions.
 
     >>> net = VectorWeights([[0.0]], [[0.5]], [[1.0]], [[]], [0.0])
     >>> stepped(net, Fraction(1, 3)).R, stepped(net, Fraction(1, 3)).A
@@ -123,11 +139,14 @@ def proves(
     Args:
         weights: of one network, checked.
         phi: its activation.
-        eta: η_max.
-        kappa: the rate at η_max.
+        eta: η_max, a number of steps of the network.
+        kappa: the rate at η_max, no unit.
         norm: "inf" or "one".
         scaling: T, `(q, q)`; the identity by default.
         slopes: of each hidden layer, such as those on a box; all slopes of φ by default.
+
+    Returns:
+        True after the proof, in rational arithmetic.
 
     >>> from certify.networks.vector import RELU, ShallowWeights, of_shallow
     >>> net = of_shallow(ShallowWeights([0.5, -0.25], [1.0, 1.0], [[], []], [0.0, 1.0]))

@@ -59,20 +59,26 @@ def make(
     tree: str = ".",
     invariance_tree: str | None = None,
 ) -> dict[str, Any] | None:
-    """A certificate, ready for JSON; None where the condition does not hold, or the proof does not prove it.
+    """A certificate, ready for JSON.
 
     Args:
         network: one network.
         condition: one of `CONDITIONS`.
-        rate: κ at which it is to hold, at most 1. By default, of `gershgorin` and `exact`, a short decimal just above
-            the smallest one; otherwise 1.
+        rate: κ at which it is to hold, no unit, at most 1. By default, of `gershgorin` and `exact`, a short decimal
+            just above the smallest one; otherwise 1.
         proof: P and Λ, of `lmi` and `tight` from `certify.search.vector_lmi`; of `gershgorin` they are computed here.
         norm: "inf" or "one", of `exact` and `box`.
         scaling: T of them, `(q, q)`; the identity by default.
-        step: η of `exact`, in steps of the network; 1 by default.
+        step: η of `exact`, a number of steps of the network; 1 by default.
         box: of `box`.
         tree: of `box`, from `certify.search.vector_box.certify`.
         invariance_tree: likewise, where f maps the box into its intervals of x.
+
+    Returns:
+        The certificate; None where the condition does not hold, or the proof does not prove it.
+
+    Raises:
+        CertifyError: weights that are no network, an unknown condition, a rate that is not in (0, 1], or no box.
 
     >>> import numpy as np
     >>> from certify.networks.vector import RELU
@@ -136,6 +142,13 @@ def verify(certificate: Mapping[str, Any], network: VectorNetwork) -> Verificati
 
     A certificate may come from anybody. The time to check it is bounded by its length and by the size of the network.
     The activation that it names must be that of the network.
+
+    Args:
+        certificate: such as `certify.proofs.certificate.read` returns.
+        network: one network.
+
+    Returns:
+        Whether it is valid; and the claim that is proved, or the reason why it is not.
 
     >>> verify({"format": FORMAT}, VectorNetwork("", VectorWeights(None, [[0.5]], [[1.0]], [[0.0]], [0.0]))).valid
     False

@@ -132,6 +132,9 @@ def rate(
         norm: "inf" or "one".
         scaling: T, `(q, q)`; the identity by default.
 
+    Returns:
+        K, an exact fraction without a unit.
+
     Raises:
         CertifyError: T is singular.
 
@@ -188,11 +191,17 @@ def over_one_denominator(X: Matrix) -> tuple[list[list[int]], int]:
 
 
 def gershgorin(weights: VectorWeights) -> tuple[Fraction, Fraction | None]:
-    """The paper's lemma for a vector state: its margin, and the smallest rate at which it holds; None if there is none.
+    """The paper's lemma for a vector state.
 
     With one hidden layer of relu, ‖W_i‖₁ < 1 for all i, and for all r
 
         Σ_k (|R_rk| + |R_kr|) + Σ_i |A_ri| + Σ_i |W_ir| ‖A_·i‖₁ / (1 − ‖W_i‖₁) < 2.
+
+    Args:
+        weights: of one network, checked.
+
+    Returns:
+        Its margin, and the smallest rate at which it holds, no unit; None in place of the rate if there is none.
 
     >>> from certify.networks.vector import check
     >>> gershgorin(check(VectorWeights(None, [[0.5]], [[0.5]], np.zeros((1, 0)), [0.0])))
@@ -308,7 +317,15 @@ def proves(
 ) -> bool:
     """Whether P and Λ prove the rate κ: shapes that fit, Λ ≻ 0, M ≻ 0 (3), which contains P ≻ 0.
 
-    False also where LDLᵀ takes longer than about 5 s.
+    Args:
+        weights: of one network, checked.
+        phi: its activation.
+        proof: P and Λ.
+        kappa: the rate κ, no unit.
+        most: β, the largest slope of φ, no unit; by default that of `phi`.
+
+    Returns:
+        True after the proof, in rational arithmetic. False also where LDLᵀ takes longer than about 5 s.
 
     >>> from certify.networks.vector import RELU, check
     >>> net = check(VectorWeights(None, [[0.5]], [[1.0]], np.zeros((1, 0)), [0.0]))

@@ -45,29 +45,41 @@ class Witness(NamedTuple):
 
 
 class BoxRate(NamedTuple):
-    """A bracket of K_box."""
+    """A bracket of K_box.
 
-    lower: float  # the slope at the witness
-    upper: float  # proved with outward rounding
+    >>> fold = ShallowWeights(np.array([0.5, 0.5]), np.array([1.0, -1.0]), np.zeros((2, 0)), np.array([-0.5, 0.5]))
+    >>> found = rate(fold, operating_box(0))
+    >>> found.closed, found.lower <= 0.5 <= found.upper
+    (True, True)
+    """
+
+    lower: float  # the slope at the witness, no unit
+    upper: float  # proved with outward rounding, no unit
     witness: Witness | None  # None only where lower is 0
     closed: bool  # whether the gap is as small as asked
-    nodes: int
-    seconds: float
+    nodes: int  # number of boxes that were looked at
+    seconds: float  # wall time, s
 
 
 class BoxVerdict(NamedTuple):
-    """Whether |slope| < rate on the box, and whether f maps the box into its interval of x."""
+    """Whether |slope| < rate on the box, and whether f maps the box into its interval of x.
+
+    >>> half = ShallowWeights(np.array([0.5]), np.array([1.0]), np.zeros((1, 0)), np.zeros(1))
+    >>> found = certify(half, operating_box(0), rate=0.75)
+    >>> found.verdict, found.invariant, found.lower
+    ('certified', 'yes', 0.5)
+    """
 
     verdict: str  # "certified" (the tree proves it), "refuted" (the witness has |slope| ≥ rate) or "unknown"
-    rate: float  # the rate asked for
-    lower: float  # of K_box
-    upper: float
+    rate: float  # the rate asked for, no unit
+    lower: float  # of K_box, no unit
+    upper: float  # of K_box, no unit
     witness: Witness | None  # of lower
     tree: str | None  # for box_proof.proves
     invariant: str  # "yes" (its tree proves it), "no" (f leaves at escape) or "unknown"
     invariance_tree: str | None  # for box_proof.proves_range
     escape: np.ndarray | None  # (1 + m,)
-    seconds: float
+    seconds: float  # wall time, s
 
 
 def box(given: Any, m: int, states: int = 1) -> Box:
@@ -123,8 +135,14 @@ def rate(weights: ShallowWeights, box: Box, gap: float = 1e-6, seconds: float = 
     Args:
         weights: arrays without a batch.
         box: of the network's x and inputs.
-        gap: relative, at which to stop.
-        seconds: after which to stop with the bracket reached so far.
+        gap: relative width of the bracket at which to stop, no unit.
+        seconds: s after which to stop with the bracket reached so far.
+
+    Returns:
+        The bracket, a point where the lower end is reached, and how long it took.
+
+    Raises:
+        CertifyError: weights that are no network, or a box that does not fit them.
 
     >>> fold = ShallowWeights(np.array([0.5, 0.5]), np.array([1.0, -1.0]), np.zeros((2, 0)), np.array([-0.5, 0.5]))
     >>> rate(fold, operating_box(0)).lower
@@ -151,8 +169,14 @@ def certify(weights: ShallowWeights, box: Box, rate: float = 1.0, seconds: float
     Args:
         weights: arrays without a batch.
         box: of the network's x and inputs.
-        rate: the rate asked for.
-        seconds: about how long to search and to prove.
+        rate: the rate asked for, no unit.
+        seconds: about how long to search and to prove, s.
+
+    Returns:
+        The verdict on the rate, with its proof or its witness; and whether the box is forward invariant.
+
+    Raises:
+        CertifyError: weights that are no network, a box that does not fit them, or a rate that is not above 0.
 
     >>> half = ShallowWeights(np.array([0.5]), np.array([1.0]), np.zeros((1, 0)), np.zeros(1))
     >>> certify(half, operating_box(0)).verdict, certify(half, operating_box(0), rate=0.5).verdict
@@ -183,7 +207,18 @@ def certify(weights: ShallowWeights, box: Box, rate: float = 1.0, seconds: float
 
 @QUIET
 def invariance(weights: ShallowWeights, box: Box, seconds: float = 3.0) -> tuple[str, str | None, np.ndarray | None]:
-    """Whether f maps the box into its interval of x: "yes" and a proof, "no" and a point, or "unknown".
+    """Whether f maps the box into its interval of x.
+
+    Args:
+        weights: arrays without a batch.
+        box: of the network's x and inputs.
+        seconds: about how long to search and to prove, s.
+
+    Returns:
+        "yes", its proof and None; "no", None and a point `(1 + m,)` that leaves the interval; or "unknown", None, None.
+
+    Raises:
+        CertifyError: weights that are no network, or a box that does not fit them.
 
     >>> identity = ShallowWeights(np.ones(1), np.ones(1), np.zeros((1, 0)), np.zeros(1))
     >>> invariance(identity, operating_box(0))

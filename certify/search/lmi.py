@@ -32,17 +32,22 @@ USABLE = ("optimal", "optimal_inaccurate")
 
 
 class Solution(NamedTuple):
-    """The answer of a solver, and the result of checking it exactly."""
+    """The answer of a solver, and the result of checking it exactly.
+
+    >>> found = LMI(1, "tight").solve([0.5], [1.0])
+    >>> found.verdict, found.rate, found.multipliers.shape
+    ('certified', 1.0, (1,))
+    """
 
     condition: str  # lmi or tight
     verdict: str  # certified, not certified or unknown; of a plain problem: feasible, infeasible or unknown
-    margin: float  # t of (1), of the balanced network; of a plain problem the least eigenvalue of M as returned
-    rate: float  # the κ that was asked for
-    metric: float  # p; NaN where the solver returned none, as the margin and Λ
+    margin: float  # no unit: t of (1) of the balanced network; of a plain problem the least eigenvalue of M
+    rate: float  # the κ that was asked for, no unit
+    metric: float  # p, no unit; NaN where the solver returned none, as the margin and Λ
     multipliers: np.ndarray  # Λ's diagonal, (n,), for the weights as given
     status: str  # as the solver reports it
-    solver: str
-    seconds: float  # wall time of the solver's call, with cvxpy's own work
+    solver: str  # its name in cvxpy
+    seconds: float  # wall time of the solver's call, s, with cvxpy's own work
 
 
 class LMI:
@@ -53,7 +58,7 @@ class LMI:
     *Unknown*: the solver failed, or its answer proves nothing.
 
     Args:
-        n: neurons.
+        n: number of neurons.
         condition: `lmi` (Λ in the corner) or `tight` (2Λ).
         solver: any installed solver of cvxpy that takes semidefinite programs.
         strict: False solves plain M ⪰ 0 for the weights as given, without margin and check, as one would type the
@@ -94,7 +99,18 @@ class LMI:
         self.rate_problem = cp.Problem(cp.Minimize(cp.sum(self._square)), [T >> 0])  # (2)
 
     def solve(self, a: Any, w1: Any, rate: float | Fraction = 1.0) -> Solution:
-        """Whether the condition holds at a rate; a, w₁ are `(n,)` floats.
+        """Whether the condition holds at a rate.
+
+        Args:
+            a: `(n,)` floats.
+            w1: `(n,)` floats.
+            rate: κ, no unit.
+
+        Returns:
+            The solver's answer, and the result of checking it.
+
+        Raises:
+            CertifyError: a and w₁ that do not fit n, values that are not finite, or a rate that is not above 0.
 
         >>> found = LMI(1, "lmi").solve([0.25], [1.0])
         >>> found.verdict, found.margin > 0.2
@@ -120,9 +136,19 @@ class LMI:
         return Solution(self.condition, verdict, margin, float(rate), metric, multipliers, status, self.solver, seconds)
 
     def smallest_rate(self, a: Any, w1: Any) -> tuple[float, Solution]:
-        """The smallest κ at which the condition holds according to the solver, and the result of `solve` 5e-6 above it.
+        """The smallest κ at which the condition holds according to the solver.
 
-        The rate is NaN where the solver fails. `tight` must agree with K = max(P, N), `lmi` with 2K.
+        `tight` must agree with K = max(P, N), `lmi` with 2K.
+
+        Args:
+            a: `(n,)` floats.
+            w1: `(n,)` floats.
+
+        Returns:
+            The rate, no unit, NaN where the solver fails; and the result of `solve` 5e-6 above it.
+
+        Raises:
+            CertifyError: a and w₁ that do not fit n, or values that are not finite.
 
         >>> rate, found = LMI(1, "tight").smallest_rate([0.5], [1.0])
         >>> round(rate, 6), found.verdict

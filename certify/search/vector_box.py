@@ -88,10 +88,13 @@ def certify(
         weights: of one network, see `certify.networks.vector.check`.
         phi: its activation.
         box: `(q + m,)`, the intervals of x and u; every component of x has a width.
-        rate: the rate asked for.
+        rate: the rate asked for, no unit.
         norm: "inf" or "one".
         scaling: T, `(q, q)` fractions; the identity by default.
-        seconds: about how long to search and to prove.
+        seconds: about how long to search and to prove, s.
+
+    Returns:
+        The verdict on the rate, with its proof or its witness; and whether the box is forward invariant.
 
     Raises:
         CertifyError: a box, a rate, a norm or a scaling that does not fit.
@@ -140,7 +143,22 @@ def rate(
     gap: float = 1e-3,
     seconds: float = 10.0,
 ) -> VectorRate:
-    """K on a box as a bracket. `gap` is the relative width at which to stop; the other arguments are as of `certify`.
+    """K on a box as a bracket.
+
+    Args:
+        weights: of one network, see `certify.networks.vector.check`.
+        phi: its activation.
+        box: `(q + m,)`, the intervals of x and u; every component of x has a width.
+        norm: "inf" or "one".
+        scaling: T, `(q, q)` fractions; the identity by default.
+        gap: relative width of the bracket at which to stop, no unit.
+        seconds: about how long to search, s.
+
+    Returns:
+        The bracket, a point where the lower end is reached, the tree that proves the upper end, and how long it took.
+
+    Raises:
+        CertifyError: a box, a norm or a scaling that does not fit.
 
     >>> from certify.networks.vector import RELU, VectorWeights
     >>> net = VectorWeights(None, [[0.5, 0.0], [0.25, 0.5]], [[1.0, 0.0], [0.0, 1.0]], [[0.0], [0.0]], [0.0, 0.0])
@@ -168,7 +186,20 @@ def rate(
 def invariance(
     weights: VectorWeights, phi: Activation, box: Box, seconds: float = 3.0
 ) -> tuple[str, str | None, np.ndarray | None]:
-    """Whether f maps the box into its intervals of x: "yes" and a proof, "no" and a point, or "unknown".
+    """Whether f maps the box into its intervals of x.
+
+    Args:
+        weights: of one network, see `certify.networks.vector.check`.
+        phi: its activation.
+        box: `(q + m,)`, the intervals of x and u.
+        seconds: about how long to search and to prove, s.
+
+    Returns:
+        "yes", its proof and None; "no", None and a point `(q + m,)` that leaves the intervals; or "unknown", None,
+        None.
+
+    Raises:
+        CertifyError: a box that does not fit.
 
     >>> from certify.networks.vector import RELU, VectorWeights
     >>> identity = VectorWeights(None, [[1.0]], [[1.0]], np.zeros((1, 0)), [0.0])

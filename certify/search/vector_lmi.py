@@ -62,8 +62,11 @@ def smallest_rate(weights: VectorWeights, phi: Activation, most: int = 1, solver
     Args:
         weights: of one network, one or two hidden layers.
         phi: gives the least slope α.
-        most: β. 1: the slopes of relu. 2: the paper's Λ in place of 2Λ, slopes up to 2.
+        most: β, no unit. 1: the slopes of relu. 2: the paper's Λ in place of 2Λ, slopes up to 2.
         solver: CLARABEL, or any installed solver of cvxpy that takes semidefinite programs.
+
+    Returns:
+        The verdict, the solver's rate, and the κ that is proved exactly, with its P and Λ.
 
     Raises:
         CertifyError: weights that are no network or too large, a `most` other than 1 and 2, no such solver.
@@ -107,7 +110,20 @@ def smallest_rate(weights: VectorWeights, phi: Activation, most: int = 1, solver
 def certify(
     weights: VectorWeights, phi: Activation, rate: float | Fraction = 1, most: int = 1, solver: str = "CLARABEL"
 ) -> Solved:
-    """Whether (1) proves a rate; arguments and errors as in `smallest_rate`.
+    """Whether (1) proves a rate.
+
+    Args:
+        weights: of one network, one or two hidden layers.
+        phi: gives the least slope α.
+        rate: the rate asked for, no unit.
+        most: β, no unit, as in `smallest_rate`.
+        solver: CLARABEL, or any installed solver of cvxpy that takes semidefinite programs.
+
+    Returns:
+        The verdict, with P and Λ where the rate is proved.
+
+    Raises:
+        CertifyError: as in `smallest_rate`, or a rate that is not above 0.
 
     >>> from certify.networks.vector import RELU
     >>> net = VectorWeights(None, [[0.5, -1.0]], [[1.0], [0.75]], np.zeros((2, 0)), [0.0, 0.0])

@@ -87,7 +87,18 @@ class Values:
 
 @QUIET
 def best_diagonal(weights: VectorWeights, phi: Activation = RELU, norm: str = "inf") -> np.ndarray:
-    """The diagonal of T for which K is smallest, `(q,)`, with the geometric mean 1.
+    """The diagonal of T for which K is smallest, with the geometric mean 1.
+
+    Args:
+        weights: of one network.
+        phi: gives the slopes.
+        norm: "inf" or "one".
+
+    Returns:
+        The diagonal, `(q,)`.
+
+    Raises:
+        CertifyError: weights that are no network.
 
     >>> zero = np.zeros((1, 2))
     >>> best_diagonal(VectorWeights([[0.5, 1.0], [0.01, 0.5]], zero.T, zero, [[0.0]], [0.0])).round(2).tolist()
@@ -174,9 +185,12 @@ def best_scaling(
     Args:
         weights: of one network, checked.
         phi: gives the slopes.
-        seconds: after which no further program is started. A search that ends before gives equal results every time.
+        seconds: s after which no further program is started. A search that ends before gives equal results every time.
         metric: P of a quadratic norm to start from, `(q, q)`.
         full: False tries no full T, and needs no scipy.
+
+    Returns:
+        The norm, T, the exact rate in that norm, and the kind of T.
 
     >>> from certify.networks.vector import RELU, check
     >>> net = check(VectorWeights([[0.5, 8.0], [0.0, 0.5]], np.zeros((2, 1)), np.zeros((1, 2)), [[0.0]], [0.0]))

@@ -25,14 +25,26 @@ from certify.networks.shallow import ShallowWeights
 
 
 class Condition(NamedTuple):
-    """The result of a condition for each network."""
+    """The result of a condition for each network.
+
+    >>> found = tight(torch.tensor([0.5]), torch.tensor([0.5]))
+    >>> found.margin, found.rate
+    (tensor(0.7500), tensor(0.2500))
+    """
 
     margin: Tensor  # (*batch,) > 0 where it holds
     rate: Tensor  # (*batch,) the smallest rate at which it holds; inf if there is none
 
 
 def extreme_slopes(a: Tensor, w1: Tensor) -> tuple[Tensor, Tensor]:
-    """P and N, `(*batch,)`: over all activation patterns the slope of x ↦ x⁺ lies in [−N, P]; a, w₁ `(*batch, n)`.
+    """P and N: over all activation patterns the slope of x ↦ x⁺ lies in [−N, P].
+
+    Args:
+        a: `(*batch, n)`.
+        w1: `(*batch, n)`.
+
+    Returns:
+        P and N, `(*batch,)` each.
 
     >>> extreme_slopes(torch.tensor([0.5, -1.0]), torch.tensor([1.0, 0.75]))
     (tensor(0.5000), tensor(0.7500))
@@ -42,7 +54,14 @@ def extreme_slopes(a: Tensor, w1: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def rate(a: Tensor, w1: Tensor) -> Tensor:
-    """K = max(P, N), the exact contraction rate over all activation patterns, `(*batch,)`.
+    """K = max(P, N), the exact contraction rate over all activation patterns.
+
+    Args:
+        a: `(*batch, n)`.
+        w1: `(*batch, n)`.
+
+    Returns:
+        K, `(*batch,)`.
 
     >>> rate(torch.tensor([0.5, -1.0]), torch.tensor([1.0, 0.75]))
     tensor(0.7500)
@@ -52,7 +71,14 @@ def rate(a: Tensor, w1: Tensor) -> Tensor:
 
 
 def simple(a: Tensor, w1: Tensor) -> Condition:
-    """(1): the paper's theorem with p = 1, λ = 1/(n+1); a, w₁ are `(*batch, n)`. It proves no rate K above ¼.
+    """(1): the paper's theorem with p = 1, λ = 1/(n+1). It proves no rate K above ¼.
+
+    Args:
+        a: `(*batch, n)`.
+        w1: `(*batch, n)`.
+
+    Returns:
+        Its margin and its rate, `(*batch,)` each.
 
     >>> simple(torch.tensor([0.25]), torch.tensor([0.25])).margin
     tensor(0.2500)
@@ -66,6 +92,13 @@ def simple(a: Tensor, w1: Tensor) -> Condition:
 def gershgorin(a: Tensor, w1: Tensor) -> Condition:
     """(2): the paper's lemma, with the best p and Λ. It proves no rate K above ½.
 
+    Args:
+        a: `(*batch, n)`.
+        w1: `(*batch, n)`.
+
+    Returns:
+        Its margin and its rate, `(*batch,)` each.
+
     >>> gershgorin(torch.tensor([0.5]), torch.tensor([0.5]))
     Condition(margin=tensor(0.5000), rate=tensor(0.5000))
     """
@@ -78,6 +111,13 @@ def gershgorin(a: Tensor, w1: Tensor) -> Condition:
 
 def lmi(a: Tensor, w1: Tensor) -> Condition:
     """(3): the paper's LMI is feasible ⇔ 2K < 1. The factor is 2 because Λ in its corner allows slopes in [0, 2].
+
+    Args:
+        a: `(*batch, n)`.
+        w1: `(*batch, n)`.
+
+    Returns:
+        Its margin and its rate, `(*batch,)` each.
 
     >>> lmi(torch.tensor([0.5]), torch.tensor([0.5])).margin
     tensor(0.5000)
@@ -96,6 +136,9 @@ def tight(a: Tensor, w1: Tensor, skip: Tensor | float = 0.0, leak: float = 0.0) 
         leak: α, the slope of leaky relu for negative arguments. Each s_i counts with a slope in [α, 1], so that
             K = max(|ρ + P − αN|, |ρ + αP − N|).
 
+    Returns:
+        Its margin and its rate, `(*batch,)` each.
+
     >>> tight(torch.tensor([0.5]), torch.tensor([0.5])).margin
     tensor(0.7500)
     >>> tight(torch.tensor([-0.5]), torch.tensor([0.5]), skip=0.5, leak=0.5).rate
@@ -112,7 +155,10 @@ def interval(weights: ShallowWeights, lo: Tensor, hi: Tensor) -> Condition:
     Args:
         weights: `(*batch, …)`.
         lo: least x, u₁ … u_m, `(1 + m,)`.
-        hi: greatest.
+        hi: greatest x, u₁ … u_m, `(1 + m,)`.
+
+    Returns:
+        Its margin and its rate, `(*batch,)` each.
 
     >>> one = torch.ones(1)
     >>> interval(ShallowWeights(one, -one, 0 * one[:, None], -one), torch.zeros(2), torch.ones(2)).rate
@@ -127,7 +173,20 @@ def interval(weights: ShallowWeights, lo: Tensor, hi: Tensor) -> Condition:
 
 
 def fixed_signs(weights: ShallowWeights, lo: Tensor, hi: Tensor) -> tuple[Tensor, Tensor]:
-    """The neurons that are on everywhere in a box, and those that are off everywhere: `(*batch, n)` bool each."""
+    """The neurons that are on everywhere in a box, and those that are off everywhere.
+
+    Args:
+        weights: `(*batch, …)`.
+        lo: least x, u₁ … u_m, `(1 + m,)`.
+        hi: greatest x, u₁ … u_m, `(1 + m,)`.
+
+    Returns:
+        Always on, and never on: bool, `(*batch, n)` each.
+
+    >>> one = torch.ones(1)
+    >>> fixed_signs(ShallowWeights(one, one, 0 * one[:, None], one), torch.zeros(2), torch.ones(2))
+    (tensor([True]), tensor([False]))
+    """
     centre, radius = (lo + hi) / 2, (hi - lo) / 2
     w1, W2, b = weights.w1, weights.W2, weights.b
     z = w1 * centre[0] + W2 @ centre[1:] + b
@@ -141,6 +200,13 @@ def fixed_signs(weights: ShallowWeights, lo: Tensor, hi: Tensor) -> tuple[Tensor
 def simple_best_gauge(a: Tensor, w1: Tensor) -> Condition:
     """(1) of the best of the equal networks (a_i/c_i, c_i w_{1i}, …), c > 0: 4(n+1) max |s_i| < 1.
 
+    Args:
+        a: `(*batch, n)`.
+        w1: `(*batch, n)`.
+
+    Returns:
+        Its margin and its rate, `(*batch,)` each.
+
     >>> simple_best_gauge(torch.tensor([10.0]), torch.tensor([0.01])).rate
     tensor(0.8000)
     """
@@ -150,6 +216,13 @@ def simple_best_gauge(a: Tensor, w1: Tensor) -> Condition:
 
 def gershgorin_best_gauge(a: Tensor, w1: Tensor) -> Condition:
     """(2) of the best of the equal networks: 2 Σ |s_i| < 1, at c_i = 1/(2|w_{1i}|).
+
+    Args:
+        a: `(*batch, n)`.
+        w1: `(*batch, n)`.
+
+    Returns:
+        Its margin and its rate, `(*batch,)` each.
 
     >>> gershgorin_best_gauge(torch.tensor([10.0]), torch.tensor([0.01])).rate
     tensor(0.2000)

@@ -53,6 +53,9 @@ def project(
         gauge: "literal", or "best": of the equal networks (a_i/c_i, c_i w_{1i}, …), for `simple` and `gershgorin`.
         bounds: of the box, for `interval`.
 
+    Returns:
+        The projected weights, `(*batch, …)`.
+
     Raises:
         CertifyError: an unknown condition or gauge, a rate outside (0, 1], or `interval` without bounds.
 

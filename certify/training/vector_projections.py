@@ -61,7 +61,10 @@ def project(
         scaling: the diagonal of T, `(q,)`, positive; ones by default. Distances are those of T R T⁻¹ and T A. The
             condition `gershgorin` has no scaling.
         condition: `exact`, in the norm ‖T x‖_∞; or `gershgorin`, in an elliptic norm.
-        rounds: see (3). More of them come nearer; the rate holds after any number.
+        rounds: number of rounds of (3). More of them come nearer; the rate holds after any number.
+
+    Returns:
+        The projected weights, `(*batch, …)`.
 
     Raises:
         CertifyError: an unknown condition, a rate outside (0, 1], two hidden layers, or a scaling that is not positive.

@@ -32,12 +32,15 @@ def row_rates(weights: VectorWeights, leak: float = 0.0) -> Tensor:
 
 
 def rate(weights: VectorWeights, scaling: Tensor | None = None, leak: float = 0.0) -> Tensor:
-    """K_∞, the exact rate in the norm ‖T x‖_∞ over all activation patterns, `(*batch,)`.
+    """K_∞, the exact rate in the norm ‖T x‖_∞ over all activation patterns.
 
     Args:
         weights: `(*batch, …)`, one hidden layer; b and W₂ are not used.
         scaling: T, `(q, q)`; the identity by default.
-        leak: slope of φ for negative arguments.
+        leak: slope of φ for negative arguments, no unit.
+
+    Returns:
+        K_∞, `(*batch,)`.
 
     >>> one = torch.ones(1)
     >>> rate(VectorWeights(torch.zeros(1, 1), torch.tensor([[0.5, -1.0]]), torch.tensor([[1.0], [0.75]]), one, one))
