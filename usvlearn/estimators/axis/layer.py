@@ -191,6 +191,8 @@ class YawEKF(AxisEKF):
     The prior is a boat whose full differential thrust (left ahead, right astern) turns it to starboard, at `turn_max`
     after some seconds.
 
+    Derived in `docs/theory/identification.md`.
+
     Args:
         surge_max: top speed, m/s.
         turn_max: yaw rate at full differential thrust, rad/s; 0.3 to 3 times the true one does.
@@ -221,6 +223,8 @@ class YawEKF(AxisEKF):
 
 class SwayEKF(AxisEKF):
     """The axis EKF of the sway through the water.
+
+    Derived in `docs/theory/identification.md`.
 
     Args:
         surge_max: top speed, m/s.
