@@ -76,6 +76,9 @@ def read(
         **settings: arrays by name; or further keys of `data`, such as `boat`, `reader` or, simulated, `n`, `hours` and
             `seed`.
 
+    Returns:
+        The aligned runs of all boats, the configuration, and what the data check has found.
+
     Raises:
         ConfigError: an option outside its legal values, a path that is none or finds no log, or an array that is
             missing, of another length or not of numbers.
@@ -148,6 +151,9 @@ def learn(
         estimator: an `Ensemble`, or another estimator, to which persistence is added; by default the ensemble
             of configs/train.yaml for the boat's mass and top speed.
         start: a checkpoint to start from, or a folder of them, of which the newest is used; or boat -> either.
+
+    Returns:
+        The ensemble, its state after the last step, and all predictions with their scores.
 
     Raises:
         ConfigError: `logs` were not made by `read`, or `estimator` is not an estimator.

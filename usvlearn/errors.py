@@ -72,30 +72,74 @@ def complain(text: str) -> None:
 
 
 class UsvlearnError(ValueError):
-    """Any bad input that the user can fix. `train.py` prints it in one sentence and exits with code 2."""
+    """Any bad input that the user can fix. `train.py` prints it in one sentence and exits with code 2.
+
+    >>> from usvlearn import AID
+    >>> try:
+    ...     AID(gain=-1.0)
+    ... except UsvlearnError as error:
+    ...     print(error)
+    gain: found -1.0, expected a positive number
+    """
 
 
 class LogFormatError(UsvlearnError):
-    """A log that cannot be read as it was declared. The message may quote the log: see `printable`."""
+    """A log that cannot be read as it was declared. The message may quote the log: see `printable`.
+
+    Args:
+        message: one sentence; what may not be printed is escaped.
+
+    >>> from pathlib import Path
+    >>> from usvlearn.logs.formats.csv.table import Table
+    >>> issubclass(LogFormatError, UsvlearnError), str(LogFormatError("a.csv: found no rows"))
+    (True, 'a.csv: found no rows')
+    """
 
     def __init__(self, message: str):
         super().__init__(printable(message))
 
 
 class CheckpointError(UsvlearnError):
-    """A checkpoint that is damaged, or that belongs to another estimator or schema."""
+    """A checkpoint that is damaged, or that belongs to another estimator or schema.
+
+    >>> from usvlearn import Online
+    >>> Online.open("nowhere.safetensors")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    usvlearn.errors.CheckpointError: nowhere.safetensors: ...
+    """
 
 
 class ConfigError(UsvlearnError):
-    """An option outside its legal values."""
+    """An option outside its legal values.
+
+    >>> from usvlearn import AID
+    >>> AID(dead_zone=-1.0)
+    Traceback (most recent call last):
+    usvlearn.errors.ConfigError: dead_zone: found -1.0, expected a number of 0 or more of m/s
+    """
 
 
 class ShapeError(UsvlearnError):
-    """Arrays whose shape or dtype do not fit together."""
+    """Arrays whose shape or dtype do not fit together.
+
+    >>> from usvlearn import AID
+    >>> AID(gain=[0.5, 1.0]).init((3,))  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    usvlearn.errors.ShapeError: gain: found the shape (2,), expected one that broadcasts against the batch (3,): ...
+    """
 
 
 class MissingExtraError(UsvlearnError, ImportError):
-    """An optional dependency that is not installed."""
+    """An optional dependency that is not installed.
+
+    Args:
+        package: that is missing.
+        extra: of usvlearn or certify, which installs it.
+        purpose: what it is needed for.
+
+    >>> print(MissingExtraError("rosbags", "logs", "reading a bag"))
+    reading a bag needs the package rosbags, which is not installed: run `pip install 'usvlearn[logs]'`
+    """
 
     def __init__(self, package: str, extra: str, purpose: str):
         name = f"{_distribution(extra)}[{extra}]"

@@ -26,16 +26,23 @@ PathLike = str | os.PathLike[str]
 
 
 class AlignedRun(NamedTuple):
-    """A run of one boat on a grid of time."""
+    """A run of one boat on a grid of time.
 
-    boat: str
-    name: str
+    >>> from usvlearn import read
+    >>> run = read(data="simulated", hours=0.05).runs[0]
+    >>> run.boat, run.time.shape == run.columns["surge"].shape
+    ('heron', True)
+    """
+
+    boat: str  # its name
+    name: str  # of the run, within its boat
     time: np.ndarray  # (time,) s since its first step
     samples: Sample  # leaves (time,)
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
-        """All arrays by name, as `pandas.DataFrame` takes them; `usvlearn.core.samples.UNITS` has their units.
+        """All arrays by name, `(time,)` each, as `pandas.DataFrame` takes them; `usvlearn.core.samples.UNITS` has their
+        units.
 
         A `dt` of 0 starts a segment; `surge` is NaN where it was not measured.
         """
@@ -53,6 +60,11 @@ class AlignedLogs:
         findings: of the data check, warnings first; see `usvlearn.logs.checks.data_check`.
         setups: boat -> how its messages became samples.
         recordings: the messages themselves, which a fit aligns again on a finer grid.
+
+    >>> from usvlearn import read
+    >>> logs = read(data="simulated", n=2, hours=0.1)
+    >>> logs.boats, logs.runs[0].boat, len(logs.fleet.runs)
+    (('heron1', 'heron2'), 'heron1', 1)
     """
 
     fleet: Fleet
@@ -63,6 +75,7 @@ class AlignedLogs:
 
     @property
     def boats(self) -> tuple[str, ...]:
+        """The names of the boats."""
         return self.fleet.boats
 
     @property
@@ -97,17 +110,36 @@ class AlignedLogs:
 
 @dataclass(frozen=True)
 class Predictions:
-    """Predictions of the speed over one run of one boat, each made before that speed was used."""
+    """Predictions of the speed over one run of one boat, each made before that speed was used.
 
-    boat: str
-    run: str
+    >>> time, x = np.array([0.0, 0.4]), np.array([1.0, 1.1])
+    >>> found = Predictions("heron", "001", time, x, {"ensemble": x}, {"ensemble": np.array([np.inf, 0.25])})
+    >>> low, high = found.interval("ensemble")
+    >>> round(float(low[1]), 2), round(float(high[1]), 2)
+    (0.85, 1.35)
+    """
+
+    boat: str  # its name
+    run: str  # its name, within the boat
     time: np.ndarray  # (time,) s since its first step
     measured: np.ndarray  # (time,) m/s, NaN where it was not measured
     predicted: dict[str, np.ndarray]  # member or combiner -> (time,) m/s, NaN where no step was made
-    halfwidth: dict[str, np.ndarray]  # of its interval, infinite before ten measurements; empty in a simulation
+    halfwidth: dict[
+        str, np.ndarray
+    ]  # (time,) m/s, of its interval; infinite before ten measurements; empty in a simulation
 
     def interval(self, name: str = "ensemble") -> tuple[np.ndarray, np.ndarray]:
-        """The lower and the upper end of the 90 % interval of a member or combiner, m/s, `(time,)`."""
+        """The 90 % interval of a member or combiner.
+
+        Args:
+            name: of the member or combiner.
+
+        Returns:
+            The lower and the upper end, m/s, `(time,)` each.
+
+        Raises:
+            ConfigError: there is no such name.
+        """
         if name not in self.halfwidth:
             hint = did_you_mean(name, self.halfwidth)
             raise ConfigError(f"interval: found {name!r}, expected one of {', '.join(self.halfwidth) or 'none'}{hint}")
@@ -121,6 +153,12 @@ class Simulated:
     Attributes:
         predictions: per run and boat.
         scores: boat -> member or combiner -> MAE and others, m/s; see `usvlearn.evaluation.metrics.scores`.
+
+    >>> from usvlearn import AID, learn, read
+    >>> logs = read(data="simulated", hours=0.1)
+    >>> simulated = learn(logs, AID(mass=28.0)).simulate(logs)
+    >>> len(simulated.predictions) == len(logs.runs), simulated.predictions[0].halfwidth
+    (True, {})
     """
 
     predictions: tuple[Predictions, ...]
@@ -147,6 +185,14 @@ class Learned:
             `usvlearn.evaluation.metrics.scores`.
         events: boat -> losses of thrust, recoveries and other changes; see `usvlearn.evaluation.events.events`.
         forecast_scores: boat -> estimator -> horizon -> scores; see `usvlearn.evaluation.horizons.horizon_scores`.
+
+    >>> from usvlearn import AID, learn, read
+    >>> logs = read(data="simulated", hours=0.1)
+    >>> learned = learn(logs, AID(mass=28.0))
+    >>> sorted(learned.scores["heron"]), learned.predictions[0].boat
+    (['aid', 'ensemble', 'persistence'], 'heron')
+    >>> learned.simulate(logs).scores["heron"]["aid"]["mae"] < 0.5
+    True
     """
 
     logs: AlignedLogs
@@ -159,10 +205,17 @@ class Learned:
 
     @property
     def boats(self) -> tuple[str, ...]:
+        """The names of the boats."""
         return self.logs.boats
 
     def simulate(self, logs: AlignedLogs) -> Simulated:
         """Simulate each run of some logs with its boat's parameters. Parameters of a single boat serve all boats.
+
+        Args:
+            logs: of the same boats, such as those of another day.
+
+        Returns:
+            The simulated speeds of each run, and their scores.
 
         Raises:
             ConfigError: the logs were not made by `read`, or nothing was learned of one of their boats.
@@ -188,8 +241,16 @@ class Learned:
     def identified(self) -> dict[str, Identified]:
         """The physical quantities of each boat by name, with 90 % intervals; `print` shows one as a table.
 
+        Returns:
+            Of each boat by name.
+
         Raises:
             ConfigError: the ensemble has no averaged joint EKF (`configs/estimator/joint_averaged.yaml`).
+
+        >>> from usvlearn import AID, learn, read
+        >>> learn(read(data="simulated", hours=0.05), AID(mass=28.0)).identified()  # doctest: +ELLIPSIS
+        Traceback (most recent call last):
+        usvlearn.errors.ConfigError: ...
         """
         from usvlearn.evaluation.identification import identified_boats
 
@@ -205,6 +266,9 @@ class Learned:
         Args:
             terms: a name of `usvlearn.model.fit.terms.SETS`, in place of the set that does best on missions which it
                 has not learned.
+
+        Returns:
+            Of each boat by name.
 
         Raises:
             ConfigError: there is no such set; the logs have no messages, as those of a `Fleet`; too little was
@@ -238,8 +302,18 @@ class Learned:
             boat: its name; not needed if there is only one.
             fit: of this boat, from which its joint EKFs are to go on.
 
+        Returns:
+            The path.
+
         Raises:
             ConfigError: there is no such boat, or there are several and none is named.
+
+        >>> from tempfile import TemporaryDirectory
+        >>> from usvlearn import AID, Online, learn, read
+        >>> learned = learn(read(data="simulated", hours=0.05), AID(mass=28.0))
+        >>> with TemporaryDirectory() as folder:
+        ...     Online.open(learned.save(f"{folder}/heron.safetensors")).names
+        ('aid', 'persistence', 'ensemble')
         """
         import usvlearn
         from usvlearn.core import checkpoint

@@ -29,7 +29,8 @@ class Positive(nn.Module):
     """A positive number, stored as its logarithm.
 
     Args:
-        value: number or tensor of any shape that broadcasts against the batch, as `(grid, 1)`.
+        value: number or tensor of any shape that broadcasts against the batch, as `(grid, 1)`; in the unit of what it
+            is.
         name: its name in an error.
         learnable: whether gradients reach it.
 
@@ -53,6 +54,11 @@ class Positive(nn.Module):
 
 class UnitInterval(nn.Module):
     """A number strictly between 0 and 1, stored as its logit.
+
+    Args:
+        value: number or tensor of any shape that broadcasts against the batch, as `(grid, 1)`; no unit.
+        name: its name in an error.
+        learnable: whether gradients reach it.
 
     Raises:
         ConfigError: a value is not inside (0, 1).

@@ -28,12 +28,17 @@ class Forecast(NamedTuple):
     An end is infinite where no interval is known: beyond the longest horizon after the last measured speed, before ten
     forecasts over the horizon have been compared with measurements, and after `Online.open` until the first step. The
     intervals hold for the mix of manoeuvres that was sailed: less often while commands change much, more often else.
+
+    >>> from usvlearn import AID, Ensemble, ForecastSettings, Online
+    >>> online = Online(Ensemble({"aid": AID(mass=28.0)}, forecasts=ForecastSettings()))
+    >>> online.forecast([[0.5, 0.5]] * 3, headings=0.0).time.round(1).tolist()
+    [0.4, 0.8, 1.2]
     """
 
     time: Any  # (time,) s from now, at the end of each step
     surge: Any  # (time, *batch) m/s
     low: Any  # (time, *batch) m/s
-    high: Any
+    high: Any  # (time, *batch) m/s
 
 
 class Track(NamedTuple):
@@ -42,6 +47,12 @@ class Track(NamedTuple):
     The ellipses hold the position in 90 % of the cases (the ensemble's `coverage`); `covariance` is the one whose
     ellipse of 90 % is that. It is infinite where nothing is known yet: before ten tracks have been compared with
     measured positions, and beyond the longest horizon.
+
+    >>> one = np.ones(1)
+    >>> track = Track(one, one, 0 * one, 0 * one, 0 * one, one, 0 * one, np.diag([4.0, 1.0])[None])
+    >>> major, minor, bearing = track.ellipse(0.9)
+    >>> float(major[0] / minor[0])
+    2.0
     """
 
     time: Any  # (time,) s from now, at the end of each step
@@ -57,7 +68,7 @@ class Track(NamedTuple):
         """The semi-axes, m, of the ellipse that holds the position with this probability, and the bearing of the major.
 
         Args:
-            level: 0 … 1. Other levels than 0.9 follow from it as those of a normal distribution.
+            level: probability, no unit, 0 … 1. Other levels than 0.9 follow from it as those of a normal distribution.
 
         Returns:
             Major and minor semi-axis, m, and the direction of the major, rad from north, `(time, *batch)` each.

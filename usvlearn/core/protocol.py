@@ -31,6 +31,15 @@ class Estimator(nn.Module, abc.ABC):
     Attributes:
         surge_limit: a measured speed at or beyond it, m/s, counts as missing.
         frozen: the leaves of the state, by dotted name, that an open-loop simulation needs; None: all of them.
+
+    >>> from usvlearn import AID
+    >>> aid, one = AID(mass=28.0), torch.tensor(1.0).double()
+    >>> inputs = Inputs(one, one, 0 * one, 0 * one, 0.4 * one)
+    >>> state = aid.start(aid.init(), one)
+    >>> coasted, predicted = aid.predict(state, inputs)
+    >>> learned = aid.update(state, inputs, 1.2 * one)
+    >>> bool(aid.predict(learned, inputs)[1] > predicted)
+    True
     """
 
     surge_limit: float = PLAUSIBLE
@@ -38,50 +47,148 @@ class Estimator(nn.Module, abc.ABC):
 
     @abc.abstractmethod
     def init(self, batch: Sequence[int] = ()) -> State:
-        """The state before the first sample, leaves `(*batch, ...)`."""
+        """The state before the first sample.
+
+        Args:
+            batch: its shape, a count for each axis; () for one vehicle.
+
+        Returns:
+            The state, leaves `(*batch, ...)`.
+        """
 
     @abc.abstractmethod
     def predict(self, state: State, inputs: Inputs) -> tuple[State, Tensor]:
-        """Time update: the state one step on, without learning, and the predicted surge, m/s, `(*batch,)`."""
+        """Time update: one step on, without learning.
+
+        Args:
+            state: before the step.
+            inputs: of the step, leaves `(*batch,)`.
+
+        Returns:
+            The state after the step, and the predicted surge, m/s, `(*batch,)`.
+        """
 
     @abc.abstractmethod
     def update(self, state: State, inputs: Inputs, surge: Tensor) -> State:
-        """Measurement update by `surge`, m/s, from the state that was given to `predict`."""
+        """Measurement update.
+
+        Args:
+            state: the one that was given to `predict`.
+            inputs: of the step, leaves `(*batch,)`.
+            surge: measured at the end of the step, m/s, `(*batch,)`.
+
+        Returns:
+            The state after the step.
+        """
 
     def start(self, state: State, surge: Tensor) -> State:
-        """The state with `surge`, m/s, as the speed from which the next step departs; nothing is learned."""
+        """Begin a segment: the next step departs from a measured speed; nothing is learned.
+
+        Args:
+            state: before.
+            surge: measured, m/s, `(*batch,)`.
+
+        Returns:
+            The state that has this speed.
+        """
         return state
 
     def open_loop(self, state: State) -> State:
-        """The state from which an open-loop simulation departs; by default the state itself."""
+        """The state from which an open-loop simulation departs.
+
+        Args:
+            state: after a sample.
+
+        Returns:
+            By default the state itself.
+
+        >>> from usvlearn import Persistence
+        >>> float(Persistence().open_loop(Persistence().init()).surge)
+        0.0
+        """
         return state
 
     def free_step(self, state: State, inputs: Inputs) -> tuple[State, Tensor]:
-        """One step of an open-loop simulation: as `predict`, but only the leaves `frozen` of the state need to be
-        right.
+        """One step of an open-loop simulation: as `predict`, but only the leaves `frozen` of the state are needed.
+
+        Args:
+            state: before the step.
+            inputs: of the step, leaves `(*batch,)`.
+
+        Returns:
+            The state after the step, and the predicted surge, m/s, `(*batch,)`.
+
+        >>> from usvlearn import AID
+        >>> aid, zero = AID(mass=28.0), torch.tensor(0.0).double()
+        >>> float(aid.free_step(aid.init(), Inputs(zero, zero, zero, zero, zero + 0.4))[1])
+        0.0
         """
         return self.predict(state, inputs)
 
     def inflate_covariance(self, state: State, factor: Tensor) -> State:
-        """The state with its covariance times `factor`; unchanged by default, for estimators without a covariance."""
+        """Make the parameters less certain; by default, for estimators without a covariance, nothing changes.
+
+        Args:
+            state: before.
+            factor: of the covariance, no unit, `(*batch,)`.
+
+        Returns:
+            The state with its covariance times the factor; an estimator may bound it.
+
+        >>> from usvlearn import RLS
+        >>> state = RLS(covariance=10.0).inflate_covariance(RLS(covariance=10.0).init(), torch.tensor(4.0))
+        >>> round(float(state.covariance[0, 0].detach()), 6)
+        40.0
+        """
         return state
 
     def learn(self, state: State, inputs: Inputs, surge: Tensor) -> tuple[State, Tensor]:
-        """A step on which nothing is masked: `update`'s state and `predict`'s surge.
+        """A step on which nothing is masked.
 
         An estimator whose `update` computes the prediction anyway overrides this, with the same result.
+
+        Args:
+            state: before the step.
+            inputs: of the step, leaves `(*batch,)`.
+            surge: measured at the end of the step, m/s, `(*batch,)`.
+
+        Returns:
+            The state of `update`, and the predicted surge of `predict`, m/s, `(*batch,)`.
+
+        >>> from usvlearn import Persistence
+        >>> rule, one = Persistence(), torch.tensor(1.0)
+        >>> float(rule.learn(rule.start(rule.init(), one), None, 2 * one)[1])
+        1.0
         """
         return self.update(state, inputs, surge), self.predict(state, inputs)[1]
 
     def spec(self) -> dict[str, Any] | None:
-        """The specification by which the engine makes these steps in compiled code (`describe`), or None.
+        """The specification by which the engine makes these steps in compiled code (`describe`).
 
         It is not inherited, since a subclass may change the steps: a subclass without its own runs in torch.
+
+        Returns:
+            Its kind, size, choices and numbers, as JSON stores them; None where there is no compiled code.
+
+        >>> from usvlearn import Acceleration
+        >>> Acceleration().spec()["numbers"]
+        {'surge_dot_max': 2.0, 'surge_max': 10.0}
         """
         return None
 
     def monitor(self, state: State) -> dict[str, Tensor]:
-        """Diagnostics of a state by name, such as physical parameters and margins; `(*batch,)` each."""
+        """Diagnostics of a state, such as physical parameters and margins.
+
+        Args:
+            state: of this estimator.
+
+        Returns:
+            By name, `(*batch,)` each.
+
+        >>> from usvlearn import AID
+        >>> float(AID(mass=28.0).monitor(AID(mass=28.0).init())["drag_linear"])
+        0.0
+        """
         return {}
 
     @final  # type: ignore[misc]  # torch declares `forward` as an attribute, and every module defines it so

@@ -18,10 +18,15 @@ Array = Any  # numpy.ndarray or torch.Tensor
 
 
 class Inputs(NamedTuple):
-    """Everything that a prediction may use. Leaves are `(*batch,)`."""
+    """Everything that a prediction may use. Leaves are `(*batch,)`.
+
+    >>> inputs = Inputs(command_left=0.5, command_right=0.5, heading=0.0, yaw_rate=0.0, dt=0.4)
+    >>> inputs._replace(dt=0.2).dt
+    0.2
+    """
 
     command_left: Array  # xi_L in force over the step, share of full scale, -1 ... 1
-    command_right: Array  # xi_R, likewise
+    command_right: Array  # xi_R, likewise a share
     heading: Array  # rad, 0 north, clockwise
     yaw_rate: Array  # rad/s
     dt: Array  # s since the previous step; 0 starts a segment (see `Sample`)
@@ -36,9 +41,13 @@ class Sample(NamedTuple):
 
     `measured` implies `fresh`. A sample whose `inputs.dt` is 0 makes no step: it starts a segment (the start of a run,
     the end of an outage), and its speed is the one from which the next step departs.
+
+    >>> inputs = Inputs(command_left=0.5, command_right=0.5, heading=0.0, yaw_rate=0.0, dt=0.4)
+    >>> Sample(inputs, surge=1.2, fresh=True, measured=True).surge
+    1.2
     """
 
-    inputs: Inputs
+    inputs: Inputs  # of the step
     surge: Array  # measured forward speed at the end of the step, m/s; NaN where there was none
     fresh: Array  # bool: every input arrived inside its staleness window
     measured: Array  # bool: `fresh`, and the speed arrived inside its window
@@ -48,9 +57,14 @@ class PlanarSample(NamedTuple):
     """One aligned time step of a boat that turns: the surge's sample, and what was measured at the end of the step.
 
     Each number is NaN where none arrived inside its window, so that each has its own freshness.
+
+    >>> inputs = Inputs(command_left=0.5, command_right=0.5, heading=0.0, yaw_rate=0.0, dt=0.4)
+    >>> sample = Sample(inputs, surge=1.2, fresh=True, measured=True)
+    >>> PlanarSample(sample, heading=0.1, yaw_rate=0.0, sway=0.0, north=3.0, east=0.3).north
+    3.0
     """
 
-    sample: Sample
+    sample: Sample  # of the surge
     heading: Array  # rad, 0 north, clockwise
     yaw_rate: Array  # rad/s, clockwise
     sway: Array  # m/s over ground, to starboard
@@ -63,9 +77,13 @@ class VectorSample(NamedTuple):
 
     The components come last, after the axes of the other leaves. A sample whose `inputs.dt` is 0 starts a segment, as
     of `Sample`. `inputs.yaw_rate` is not used where the yaw rate is a component.
+
+    >>> inputs = Inputs(command_left=0.5, command_right=0.5, heading=0.0, yaw_rate=0.0, dt=0.4)
+    >>> VectorSample(inputs, np.array([1.2, 0.0, 0.1]), fresh=True, measured=np.ones(3, bool)).velocity.shape
+    (3,)
     """
 
-    inputs: Inputs
+    inputs: Inputs  # of the step
     velocity: Array  # (..., components) at the end of the step, m/s, m/s, rad/s; NaN where there was none
     fresh: Array  # bool: every input arrived inside its staleness window
     measured: Array  # (..., components) bool: and the component did
@@ -112,30 +130,52 @@ def masks(sample: Sample, surge_limit: float = PLAUSIBLE) -> Masks:
 
 
 class Run(NamedTuple):
-    """A mission of one boat, or of a fleet with one batch element per boat, on the grid of `dt`."""
+    """A mission of one boat, or of a fleet with one batch element per boat, on the grid of `dt`.
+
+    >>> one = np.ones((3, 1))
+    >>> samples = Sample(Inputs(one, one, 0 * one, 0 * one, 0.4 * one), one, one > 0, one > 0)
+    >>> Run(0.4 * np.arange(3.0)[:, None], samples, names=("001",), lengths=(3,)).time[-1]
+    array([0.8])
+    """
 
     time: np.ndarray  # (time, boats) s since each log's first step; NaN where padded
     samples: Sample  # leaves (time, *batch)
     names: tuple[str, ...]  # the run's name per boat; "" for a boat that had no such run
-    lengths: tuple[int, ...]  # steps per boat; the steps after them are padding, never fresh
+    lengths: tuple[int, ...]  # number of steps per boat; the steps after them are padding, never fresh
     position: np.ndarray | None = None  # (time, boats, 2) m north and east of the first; NaN where unknown
     poses: np.ndarray | None = None  # (time, boats, 5) of a `PlanarSample`: rad, rad/s, m/s, m, m; NaN likewise
 
 
 class Fleet(NamedTuple):
-    """All runs of all boats, in the order in which they are replayed."""
+    """All runs of all boats, in the order in which they are replayed.
 
-    boats: tuple[str, ...]
+    >>> one = np.ones((3, 1))
+    >>> samples = Sample(Inputs(one, one, 0 * one, 0 * one, 0.4 * one), one, one > 0, one > 0)
+    >>> run = Run(0.4 * np.arange(3.0)[:, None], samples, names=("001",), lengths=(3,))
+    >>> fleet = Fleet(("heron",), (run, run), {})
+    >>> fleet.steps, fleet.steps_before(1, step=2)
+    (6, 5)
+    """
+
+    boats: tuple[str, ...]  # their names, in the order of the batch
     runs: tuple[Run, ...]  # samples are (time, boats)
     rejected: dict[str, dict[str, dict[str, int]]]  # boat -> channel -> cause -> count
 
     def steps_before(self, run: int, step: int = 0) -> int:
-        """Steps of all earlier runs, and of the run with this index before `step`."""
+        """Steps of all earlier runs, and of one run before a step.
+
+        Args:
+            run: index of the run.
+            step: index of the step in it.
+
+        Returns:
+            The number of steps.
+        """
         return sum(len(one.time) for one in self.runs[:run]) + step
 
     @property
     def steps(self) -> int:
-        """Steps of all runs together; each run counts its longest boat."""
+        """The number of steps of all runs together; each run counts its longest boat."""
         return self.steps_before(len(self.runs))
 
 

@@ -32,13 +32,13 @@ class Online:
     Args:
         estimator: any `Estimator`, or a `Planar`, which runs in compiled code alone; its hyperparameters are read now,
             so later changes have no effect.
-        batch: `()` for one vehicle.
+        batch: shape of the batch, a count for each axis; `()` for one vehicle.
         backend: "kernel", "torch", or "auto", as of `rollout`.
 
     Attributes:
         state: a copy of the estimator's state; it can be set. After `open` it is a dict of arrays by dotted name.
         names: of the predictions in the state's leaf `predictions`, where the estimator is an ensemble.
-        description: how the estimator is built (`Estimator.spec`); None if it has no compiled code.
+        description: how the estimator is built, a dict (`Estimator.spec`); None if it has no compiled code.
         setup: how messages become samples (`usvlearn.logs.setup.Setup.json`), which `save` writes; None if unknown.
 
     Raises:
@@ -80,8 +80,17 @@ class Online:
         Args:
             path: a checkpoint; or a folder of them, or the run's folder if it has one boat: the newest readable one.
 
+        Returns:
+            The estimator, with the state of the checkpoint.
+
         Raises:
             CheckpointError: it cannot be read, or its description of the estimator is missing or not legal.
+
+        >>> from tempfile import TemporaryDirectory
+        >>> from usvlearn import AID
+        >>> with TemporaryDirectory() as folder:
+        ...     Online.open(Online(AID(mass=28.0)).save(f"{folder}/aid.safetensors")).description["kind"]
+        'aid'
         """
         return cls.of(
             *(checkpoint.newest(path, read_checkpoint) if Path(path).is_dir() else read_checkpoint(Path(path)))
@@ -92,8 +101,17 @@ class Online:
         """Continue, without torch, from what `read_checkpoint` has read.
 
         Args:
-            leaves: of the state, arrays by dotted name.
+            leaves: of the state, arrays `(*batch, …)` by dotted name.
             facts: metadata: "estimator", its name; "kernel", its description; perhaps "setup".
+
+        Returns:
+            The estimator, with this state.
+
+        >>> from usvlearn import Persistence
+        >>> facts = {"estimator": "Persistence", "kernel": Persistence().spec()}
+        >>> online = Online.of({"surge": np.array(1.5)}, facts)
+        >>> online.predict(Inputs(0.0, 0.0, 0.0, 0.0, 0.4))
+        1.5
         """
         self = cls.__new__(cls)
         self._template, self._name, self.description = None, facts["estimator"], facts["kernel"]
@@ -107,6 +125,7 @@ class Online:
 
     @property
     def state(self) -> Any:
+        """A copy of the estimator's state; after `open` a dict of arrays by dotted name. It can be set."""
         leaves = self._live.leaves
         return leaves if self._template is None else self._template.tree(leaves)
 
@@ -116,19 +135,33 @@ class Online:
 
     @property
     def names(self) -> tuple[str, ...]:
+        """Of the predictions in the state's leaf `predictions`, where the estimator is an ensemble; else ()."""
         if self._template is not None or self.description is None:
             return getattr(getattr(self._template, "estimator", None), "names", ())
         own = self.description.get("surge", self.description)
         return (*own.get("columns", ()), *own.get("rules", ()))
 
     def predict(self, inputs: Inputs) -> float | np.ndarray:
-        """The predicted surge at the end of the step, m/s; nothing is learned."""
+        """The predicted surge at the end of a step; nothing is learned.
+
+        Args:
+            inputs: of the step; numbers, arrays or tensors, `(*batch,)`.
+
+        Returns:
+            m/s, `(*batch,)`; a number for one vehicle.
+        """
         return self._live.predict(inputs)
 
     def step(self, sample: Sample | PlanarSample) -> float | np.ndarray:
-        """Predict, then learn from one sample (numbers, arrays or tensors); returns the prediction of the surge, m/s.
+        """Predict, then learn from one sample.
 
         A `Planar` takes a `PlanarSample`.
+
+        Args:
+            sample: numbers, arrays or tensors, `(*batch,)`.
+
+        Returns:
+            The predicted surge, m/s, `(*batch,)`; a number for one vehicle; NaN where no step was made.
 
         Raises:
             TypeError: a field is no number, or `fresh` or `measured` is neither a bool nor an integer; the state
@@ -138,10 +171,20 @@ class Online:
         return self._live.step(sample)
 
     def leaf(self, name: str) -> np.ndarray:
-        """A copy of one leaf of the state, `(*batch, …)`; KeyError if there is none.
+        """A copy of one leaf of the state.
 
         Args:
             name: dotted, such as "members.aid.theta".
+
+        Returns:
+            `(*batch, …)`.
+
+        Raises:
+            KeyError: there is no such leaf.
+
+        >>> from usvlearn import AID
+        >>> Online(AID(mass=28.0), batch=(8,)).leaf("theta").shape
+        (8, 9)
         """
         return self._live.leaf(name)
 
@@ -149,7 +192,9 @@ class Online:
         """What each member and combiner of an ensemble predicted in the last step, and the half-width of its 90 %
         interval.
 
-        NaN where a member made no prediction; a half-width is infinite before ten measurements.
+        Returns:
+            Name -> the prediction, NaN where a member made none, and the half-width, infinite before ten measurements;
+            m/s.
 
         Raises:
             ConfigError: the estimator is no ensemble.
@@ -162,7 +207,16 @@ class Online:
         return self._by_name(self._live.last_predictions())
 
     def predict_members(self, inputs: Inputs) -> dict[str, tuple[float | np.ndarray, float | np.ndarray]]:
-        """What each would predict of a step with these inputs, likewise; nothing is learned.
+        """What each member and combiner of an ensemble would predict of a step; nothing is learned.
+
+        Args:
+            inputs: of the step; numbers, arrays or tensors, `(*batch,)`.
+
+        Returns:
+            Name -> the prediction and the half-width of its 90 % interval, m/s, as of `last_predictions`.
+
+        Raises:
+            ConfigError: the estimator is no ensemble.
 
         >>> from usvlearn import AID, Ensemble, Online
         >>> online = Online(Ensemble({"aid": AID(mass=28.0)}))
@@ -203,6 +257,9 @@ class Online:
             yaw_rates: rad/s, likewise; those of the headings by default.
             dt: length of a step, s.
 
+        Returns:
+            The speeds with their intervals; without headings the track with its ellipses.
+
         Raises:
             ConfigError: a number is outside its legal range, or the estimator makes no forecasts.
             ShapeError: the arrays do not fit each other.
@@ -226,7 +283,10 @@ class Online:
         return Forecast(time, surge, surge - width, surge + width)
 
     def identified(self) -> Identified | list[Identified]:
-        """Physical quantities with 90 % intervals; of a batch a list, one entry for each boat.
+        """Physical quantities with 90 % intervals.
+
+        Returns:
+            Of one vehicle; of a batch a list, one entry for each boat.
 
         Raises:
             ConfigError: no member is a joint EKF with `read_every`.
@@ -254,13 +314,38 @@ class Online:
         return found if batch else found[0]
 
     def save(self, path: str | Path, **metadata: Any) -> Path:
-        """Save the state and the description of the estimator; see `usvlearn.core.checkpoint.save`."""
+        """Save the state, the description of the estimator and the setup; see `usvlearn.core.checkpoint.save`.
+
+        Args:
+            path: of the file; missing folders are made.
+            **metadata: further facts, as JSON stores them.
+
+        Returns:
+            The path.
+
+        >>> from tempfile import TemporaryDirectory
+        >>> from usvlearn import Persistence
+        >>> with TemporaryDirectory() as folder:
+        ...     path = Online(Persistence()).save(f"{folder}/boat.safetensors", boat="heron")
+        ...     Online(Persistence()).restore(path)["boat"]
+        'heron'
+        """
         own = {"estimator": self._name, "kernel": self.description}
         facts = own | ({} if self.setup is None else {"setup": self.setup}) | metadata
         return checkpoint.save(path, self.state, **facts)
 
     def restore(self, path: str | Path) -> dict[str, Any]:
-        """Continue from a saved state (the newest readable one if `path` is a folder); returns its metadata."""
+        """Continue from a saved state.
+
+        Args:
+            path: of the file; the newest readable one if it is a folder.
+
+        Returns:
+            The file's metadata.
+
+        Raises:
+            CheckpointError: it cannot be read, or belongs to another estimator.
+        """
         read = checkpoint.restore_newest if Path(path).is_dir() else checkpoint.restore
         self.state, metadata = read(path, self.state, self._name)
         self.setup = metadata.get("setup", self.setup)

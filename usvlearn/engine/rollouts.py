@@ -71,10 +71,18 @@ def simulate(
 ) -> tuple[State, Tensor, Any]:
     """Run an estimator free: it sees the inputs alone, learns nothing, and takes the speed only where a segment starts.
 
-    The arguments are those of `rollout`; `samples.surge` counts only where `inputs.dt` is 0.
+    `samples.surge` counts only where `inputs.dt` is 0.
+
+    Args:
+        estimator: any.
+        state: from which it departs, leaves `(*batch, ...)`.
+        samples: leaves `(time, *batch)`.
+        record: as of `rollout`.
+        backend: as of `rollout`.
 
     Returns:
-        As `rollout`. Where no step was made, `record` picks from the unchanged state.
+        The last state; the simulated speeds, m/s, `(time, *batch)`, NaN where no step was made; and what `record`
+        picked, of an unchanged state where no step was made.
 
     Raises:
         ShapeError, ConfigError: as `rollout`.

@@ -23,9 +23,15 @@ from usvlearn.logs.read import Reader, read_recordings
 
 
 class VectorRun(NamedTuple):
-    """One log on the grid."""
+    """One log on the grid.
 
-    name: str
+    >>> from usvlearn.simulate.planar import planar_runs
+    >>> samples, _ = planar_runs(seed=0, minutes=0.5, runs=1)
+    >>> VectorRun("001", np.cumsum(samples.inputs.dt[:, 0]), samples).name
+    '001'
+    """
+
+    name: str  # of the log, without its suffix
     time: np.ndarray  # (time,) s since the log's start
     samples: VectorSample  # leaves (time,), and (time, components)
 
@@ -50,6 +56,9 @@ def read_velocities(
         boat: as `path`.
         limits: name -> the size beyond which a message is rejected, in SI units; 10 by default.
         **options: of `usvlearn.Aligner`, but for `surge_max`.
+
+    Returns:
+        The runs in the order of the logs.
 
     Raises:
         ConfigError: no component, a surge among the channels, or a limit of something else.

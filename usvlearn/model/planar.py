@@ -63,8 +63,9 @@ class PlanarModel:
 
     Attributes:
         surge: the dynamics of the surge.
-        yaw: coefficients of (1) for the yaw rate, by the names `COEFFICIENTS["yaw"]`, in the units `UNITS["yaw"]`.
-        sway: likewise for the sway; None where it was not learned: v is then 0.
+        yaw: coefficients of (1) for the yaw rate, by the names `COEFFICIENTS["yaw"]`, in SI units, those of
+            `UNITS["yaw"]`.
+        sway: likewise for the sway, in SI units; None where it was not learned: v is then 0.
 
     Raises:
         ConfigError: a coefficient is missing or unknown, or a number is not finite.
@@ -100,11 +101,21 @@ class PlanarModel:
 
         Args:
             surge: of the boat.
-            yaw: x of a `YawEKF`, `(22,)`.
-            sway: x of a `SwayEKF`, `(14,)`; None: not learned.
+            yaw: x of a `YawEKF`, `(22,)`, SI units.
+            sway: x of a `SwayEKF`, `(14,)`, SI units; None: not learned.
+
+        Returns:
+            The model.
 
         Raises:
             ConfigError: a mean has another shape, or is not finite.
+
+        >>> from usvlearn import YawEKF
+        >>> from usvlearn.model.surge import WITHOUT_EVEN
+        >>> surge = SurgeModel(28.0, dict.fromkeys(WITHOUT_EVEN, 0.0) | {"drag_linear": -14.0})
+        >>> model = PlanarModel.of(surge, YawEKF(surge_max=2.7).init().mean.numpy())
+        >>> model.yaw["linear"], model.sway
+        (-0.5, None)
         """
         return cls(surge, _coefficients("yaw", yaw), None if sway is None else _coefficients("sway", sway))
 
@@ -117,6 +128,9 @@ class PlanarModel:
             right: ξ_R, −1 … 1.
             dt: h, s.
             current: c, north and east, m/s.
+
+        Returns:
+            The motion after the step.
         """
         u, v, r, psi, north, east = (np.asarray(each, np.float64) for each in motion)
         v = v if self.sway is not None else 0.0 * v
@@ -130,7 +144,7 @@ class PlanarModel:
         return Motion(*np.broadcast_arrays(along, aside, turned, after, north, east))
 
     def simulate(self, motion: Motion, left: Any, right: Any, dt: Any, current: tuple[Any, Any] = (0.0, 0.0)) -> Motion:
-        """The motion after each of some steps, `(time, …)`.
+        """The motion after each of some steps.
 
         Args:
             motion: at the beginning.
@@ -138,6 +152,16 @@ class PlanarModel:
             right: likewise.
             dt: s.
             current: m/s, north and east.
+
+        Returns:
+            Leaves `(time, …)`.
+
+        >>> from usvlearn.model.surge import WITHOUT_EVEN
+        >>> surge = SurgeModel(28.0, dict.fromkeys(WITHOUT_EVEN, 0.0) | {"drag_linear": -14.0})
+        >>> model = PlanarModel(surge, {**dict.fromkeys(COEFFICIENTS["yaw"], 0.0), "linear": -1.0})
+        >>> found = model.simulate(Motion(1.0, 0.0, 0.0, 0.0, 0.0, 0.0), left=np.zeros(3), right=0.0, dt=0.1)
+        >>> found.north.round(2).tolist()
+        [0.1, 0.19, 0.28]
         """
         given = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, np.float64)) for x in (left, right, dt, *current)))
         found = []

@@ -25,14 +25,23 @@ LONGEST = 100  # bytes of a boat's name in that of a file
 
 
 class IdentifiedBoat(NamedTuple):
-    """A boat as its newest checkpoint knows it."""
+    """A boat as its newest checkpoint knows it.
 
-    name: str
+    >>> from tempfile import TemporaryDirectory
+    >>> from usvlearn import JointEKF, Online
+    >>> joint = JointEKF(surge_max=2.7, mass=28.0, read_every=600.0)
+    >>> with TemporaryDirectory() as folder:
+    ...     (boat,) = read_boats(Online(joint).save(f"{folder}/heron/1.safetensors"))
+    >>> boat.name, boat.model.mass
+    ('heron', 28.0)
+    """
+
+    name: str  # of the boat
     path: Path  # of the checkpoint
-    found: Identified
+    found: Identified  # its identified quantities
     model: SurgeModel  # at the means of the periodic estimates, or of a batch fit
     setup: Setup | None  # None in checkpoints of old versions
-    leaves: dict[str, np.ndarray]  # of the state, by dotted name
+    leaves: dict[str, np.ndarray]  # of the state, arrays (…,) by dotted name
     facts: dict[str, Any]  # the checkpoint's metadata
 
     @property
@@ -46,6 +55,16 @@ class IdentifiedBoat(NamedTuple):
 
         Args:
             remedy: what can be done beside learning anew, for the error.
+
+        Raises:
+            ConfigError: no boat can have what was identified.
+
+        >>> from types import SimpleNamespace
+        >>> found = SimpleNamespace(unphysical="drag pushes the boat.")
+        >>> boat = IdentifiedBoat("heron", None, found, None, None, {}, {})
+        >>> boat.check_physical()
+        Traceback (most recent call last):
+        usvlearn.errors.ConfigError: heron: drag pushes the boat.
         """
         if self.found.unphysical:
             raise ConfigError(f"{printable(self.name)}: {self.found.unphysical}{remedy}")
@@ -64,9 +83,16 @@ def read_boats(path: str | Path, boat: str | None = None) -> list[IdentifiedBoat
         path: of the checkpoint or the folder.
         boat: the name of the only one that is read.
 
+    Returns:
+        The boats, in the order of their names.
+
     Raises:
         CheckpointError: there is no readable checkpoint.
         ConfigError: there is no boat of this name, or nothing of it is identified.
+
+    >>> read_boats("nowhere")
+    Traceback (most recent call last):
+    usvlearn.errors.CheckpointError: nowhere: there is no such file or folder: give the folder of a run, or a checkpoint
     """
     path = Path(os.path.expanduser(path))
     if not path.exists():

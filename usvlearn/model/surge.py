@@ -104,8 +104,16 @@ class SurgeModel:
             found: of a boat.
             theta: other parameters of it per unit mass, `(m,)`, such as a draw from their distribution.
 
+        Returns:
+            The model, with the coefficients of the mean and without a lag.
+
         Raises:
             ConfigError: nothing is identified.
+
+        >>> from usvlearn import JointEKF, Online
+        >>> found = Online(JointEKF(surge_max=2.7, mass=28.0, read_every=600.0)).identified()
+        >>> round(float(SurgeModel.of(found).ahead.steady_speed(1.0)), 2)
+        2.7
         """
         theta = found.theta if theta is None else theta
         mass = float(kilograms_of(theta, found.mass, found.inverse_mass))
@@ -117,9 +125,17 @@ class SurgeModel:
         """The boat of a batch fit.
 
         Args:
-            theta: by `terms.NAMES`, per unit mass.
+            theta: by `terms.NAMES`, per unit mass, `(parameters,)`.
             top: top speed of the nodes of drag, m/s.
             mass: kg.
+
+        Returns:
+            The model, with its tables and the time constant of its thrusters.
+
+        >>> theta = np.zeros(len(terms.NAMES))
+        >>> theta[terms.AT["drag_linear"]] = -0.5
+        >>> SurgeModel.fitted(theta, top=2.7, mass=28.0).coefficients["drag_linear"]
+        -14.0
         """
         even = any(theta[terms.AT[name]] for name in terms.EVEN)
         coefficients = {name: mass * float(theta[terms.AT[name]]) for name in (WITH_EVEN if even else WITHOUT_EVEN)}
@@ -127,7 +143,7 @@ class SurgeModel:
 
     @property
     def theta(self) -> np.ndarray:
-        """All parameters of a batch fit per unit mass, by `terms.NAMES`, without a lag."""
+        """All parameters of a batch fit per unit mass, by `terms.NAMES`, without a lag, `(parameters,)`."""
         found = np.zeros(len(terms.NAMES))
         for name, value in self.coefficients.items():
             found[terms.AT[name]] = value / self.mass
@@ -154,7 +170,7 @@ class SurgeModel:
         return Ahead(self.per_mass) if self.tables is None else CurvedAhead(self.theta, self.tables.top)
 
     def step(self, surge: Any, left: Any, right: Any, yaw_rate: Any, dt: Any) -> np.ndarray:
-        """v⁺ of (2), m/s; all arguments broadcast.
+        """v⁺ of (2); all arguments broadcast.
 
         Args:
             surge: v, m/s.
@@ -162,16 +178,29 @@ class SurgeModel:
             right: ξ_R, −1 … 1.
             yaw_rate: r, rad/s.
             dt: h, s.
+
+        Returns:
+            v⁺, m/s.
         """
         return self._stepped(False, surge, left, right, yaw_rate, dt)
 
     def simulate(self, surge: float, left: Any, right: Any, yaw_rate: Any, dt: Any) -> np.ndarray:
-        """The speeds after each of some steps, m/s, `(time,)`.
-
-        `left`, `right`, `yaw_rate` and `dt` are those of `step`; each is a number or `(time,)`.
+        """The speeds after each of some steps.
 
         Args:
             surge: the speed at the beginning, m/s.
+            left: ξ_L, −1 … 1, a number or `(time,)`, as are the next three.
+            right: ξ_R, −1 … 1.
+            yaw_rate: r, rad/s.
+            dt: h, s.
+
+        Returns:
+            The speeds, m/s, `(time,)`.
+
+        >>> forces = dict.fromkeys(WITHOUT_EVEN, 0.0) | {"drag_linear": -14.0, "thrust_linear_left": 28.0}
+        >>> model = SurgeModel(28.0, forces)
+        >>> model.simulate(0.0, left=np.ones(3), right=0.0, yaw_rate=0.0, dt=0.1).round(3).tolist()
+        [0.098, 0.19, 0.279]
         """
         return self._stepped(True, surge, left, right, yaw_rate, dt)
 

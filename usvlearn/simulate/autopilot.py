@@ -39,8 +39,14 @@ class Autopilot:
         integral: k_i, 1/s.
         heading: k_h, 1/rad.
         turn_max: largest share of full scale spent on turning, a side.
-        lowest: least command: 0 goes ahead only, -1 backs up too.
-        resolution: commands are multiples of it.
+        lowest: least command, share of full scale: 0 goes ahead only, -1 backs up too.
+        resolution: commands are multiples of it, share of full scale.
+
+    Raises:
+        ConfigError: a number outside its range.
+
+    >>> Autopilot(lowest=-1.0).hz
+    4.0
     """
 
     hz: float = 4.0

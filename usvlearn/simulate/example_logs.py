@@ -27,7 +27,10 @@ def example_logs(minutes: float = 10.0, seed: int = 7) -> dict[str, str]:
 
     Args:
         minutes: length of each mission, min.
-        seed: of the boat, the missions and the sensors; equal seeds give equal texts.
+        seed: seed of the boat, the missions and the sensors; equal seeds give equal texts.
+
+    Returns:
+        Name of the file -> its text.
 
     Raises:
         ConfigError: the minutes are less than half of one, or more than a day.

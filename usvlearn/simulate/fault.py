@@ -25,11 +25,14 @@ class Fault:
 
     Args:
         side: "left", "right" or "both".
-        share: of the thrust that is left, 0 ... 2.
-        minute: of the season, all missions one after the other at their planned length.
+        share: share of the thrust that is left, 0 ... 2.
+        minute: min of the season, all missions one after the other at their planned length.
         over: min that the change takes; 0: it comes at once.
-        drag: factor of the drag: 1.5 tows something.
-        mass: factor of the mass: 1.3 has taken on a load.
+        drag: factor of the drag, no unit: 1.5 tows something.
+        mass: factor of the mass, no unit: 1.3 has taken on a load.
+
+    Raises:
+        ConfigError: another side, or a number outside its range.
 
     >>> Fault(side="right", share=0.0).minute
     10.0

@@ -60,9 +60,15 @@ def fleet_vessels(
         thrust of a side, drag: likewise with 0.3 and 0.2,       z in -1 ... 1
 
     Args:
-        n: boats.
-        spread: 0 makes all boats equal to the plant; 1 varies them like a fleet in use.
-        drift: how far a boat's parameters move over the season towards a second draw, 0 ... 1.
+        n: number of boats.
+        spread: no unit: 0 makes all boats equal to the plant; 1 varies them like a fleet in use.
+        plant: heron, kingfisher, vtec, otter or wamv.
+        seed: seed of the draws.
+        missions: number of missions.
+        drift: how far a boat's parameters move over the season towards a second draw, a share of 0 ... 1.
+
+    Returns:
+        The boats.
 
     >>> fleet_vessels(3, missions=2).mass.shape
     torch.Size([2, 3])
@@ -212,13 +218,13 @@ def fleet(
     """The logs of a fleet's season, boat by boat in the order of the missions.
 
     Args:
-        n: boats, named after the plant.
-        spread: 0 makes all boats equal, 1 spreads them (see `fleet_vessels`).
-        hours: time of each boat on the water, all missions together.
+        n: number of boats, named after the plant.
+        spread: no unit: 0 makes all boats equal, 1 spreads them (see `fleet_vessels`).
+        hours: time of each boat on the water, all missions together, in hours (3600 s).
         plant: heron, kingfisher, vtec, otter or wamv.
-        mission_minutes: length of a mission; the last one takes the rest of `hours`.
+        mission_minutes: length of a mission, min; the last one takes the rest of `hours`.
         seed: the same seed gives the same logs, bit for bit.
-        drift: how far a boat's parameters move over the season, 0 ... 1.
+        drift: how far a boat's parameters move over the season, a share of 0 ... 1.
         current: fastest river current, m/s; each mission has its own speed; the direction varies little.
         missions: kinds to draw from: convoy, patrol, lawn_mower, station_keeping, random (open commands).
         aborted_share: share of the missions that end early, at 30 ... 80 % of their length.
@@ -231,6 +237,9 @@ def fleet(
 
     Returns:
         Recordings; `dropped` counts the messages that were lost.
+
+    Raises:
+        ConfigError: a number outside its range, an unknown plant or mission, or options that are no options.
 
     >>> log = fleet(n=1, hours=0.05, seed=3)[0]
     >>> log.boat, sorted(log.channels)

@@ -28,7 +28,10 @@ class Gusts:
         push: force of the strongest one, share of the thrust of both sides at full command.
         turn: settled yaw rate of the strongest one, rad/s.
         seconds: shortest and longest gust, s.
-        minute: one gust of strength 1 that begins at this minute of every mission; null: none.
+        minute: min of every mission at which one gust of strength 1 begins; null: none.
+
+    Raises:
+        ConfigError: a number outside its range.
 
     >>> Gusts().push
     0.15
@@ -49,7 +52,15 @@ class Gusts:
             raise ConfigError(f"seconds: found {self.seconds!r}, expected the shortest and longest gust in s")
 
     def course(self, rng: np.random.Generator, ticks: int, hz: float) -> np.ndarray:
-        """Σ w cos δ and Σ w sin δ of one mission, `(ticks, 2)`.
+        """Σ w cos δ and Σ w sin δ of one mission.
+
+        Args:
+            rng: of the gusts.
+            ticks: number of ticks.
+            hz: ticks a second, 1/s.
+
+        Returns:
+            No unit, `(ticks, 2)`.
 
         >>> course = Gusts(per_hour=0.0, minute=0.0, seconds=(10.0, 10.0)).course(np.random.default_rng(0), 60, 4.0)
         >>> np.hypot(*course.T)[[0, 20, 40]].round(6).tolist()
@@ -69,7 +80,13 @@ class Gusts:
         return wind
 
     def strength(self, vessel: Vessel) -> tuple[Tensor, Tensor]:
-        """Force, N, and settled yaw rate, rad/s, of the strongest gust, `(*batch,)`.
+        """The force and the settled yaw rate of the strongest gust.
+
+        Args:
+            vessel: whose thrust the force is a share of.
+
+        Returns:
+            Force, N, and yaw rate, rad/s, `(*batch,)` each.
 
         >>> from usvlearn.simulate.plants import heron
         >>> round(Gusts(push=0.5).strength(heron())[0].item(), 1)

@@ -27,6 +27,9 @@ class PlanarBoat(NamedTuple):
 
     Linear and quadratic drag and full thrust are those of the maker's model. Added mass, inertia, the distance of the
     thrusters and the lift are assumed; without the lift, the boat would not keep its course at 1 m/s and above.
+
+    >>> PlanarBoat(mass=(60.0, 76.0, 14.0)).thrust
+    (33.6, 19.88)
     """
 
     mass: tuple[float, float, float] = (30.0, 38.0, 7.0)  # m_u, m_v, kg; j, kg m²; with added mass
@@ -67,13 +70,17 @@ def simulate_planar(
     velocity: np.ndarray | None = None,
     forces: np.ndarray | None = None,
 ) -> np.ndarray:
-    """The velocities after each step, `(time, *batch, 3)`, from rest or from a velocity.
+    """The velocities after each step, from rest or from a velocity.
 
     Args:
+        boat: its parameters.
         commands: `(time, *batch, 2)` left and right, share of full scale, each held for `dt`; saturate at −1 and 1.
         dt: s.
         velocity: `(*batch, 3)` at first, m/s, m/s, rad/s.
         forces: `(time, *batch, 3)` that act on the boat beside (1), per unit mass and inertia; none by default.
+
+    Returns:
+        Surge, sway and yaw rate, m/s, m/s, rad/s, `(time, *batch, 3)`.
 
     Raises:
         ConfigError: dt is not positive.
@@ -132,17 +139,20 @@ def planar_runs(
     noise: tuple[float, float, float] = (0.03, 0.03, 0.01),
     boat: PlanarBoat = HERON,
 ) -> tuple[VectorSample, np.ndarray]:
-    """Runs of one boat from rest, leaves `(time, runs)`, and the velocities without noise, `(time, runs, 3)`.
+    """Runs of one boat from rest, and its true velocities.
 
     The first sample of a run starts a segment.
 
     Args:
-        seed: of commands and noise.
-        minutes: length of a run.
-        runs: their number.
+        seed: seed of commands and noise.
+        minutes: length of a run, min.
+        runs: number of runs.
         dt: s.
         noise: standard deviation of the measured components, m/s, m/s, rad/s.
         boat: its parameters.
+
+    Returns:
+        The samples, leaves `(time, runs)`, and the velocities without noise, m/s, m/s, rad/s, `(time, runs, 3)`.
 
     >>> samples, true = planar_runs(0, 1.0, 2)
     >>> samples.velocity.shape, samples.inputs.dt[:2, 0].tolist()

@@ -145,13 +145,19 @@ def planar_fleet(
     """The logs of boats that turn and drift, boat by boat in the order of their missions.
 
     Args:
-        n: boats, named planar, or planar1, planar2, ….
-        hours: of each boat, all missions together.
-        mission_minutes: length of a mission.
+        n: number of boats, named planar, or planar1, planar2, ….
+        hours: time of each boat, all missions together, in hours (3600 s).
+        mission_minutes: length of a mission, min.
         seed: the same seed gives the same logs, bit for bit.
-        spread: 0 makes all boats equal, 1 spreads them.
+        spread: no unit: 0 makes all boats equal, 1 spreads them.
         current: m/s, the fastest.
         slow: share of the slow forces of wind and waves.
+
+    Returns:
+        The logs; each has commands, heading, yaw rate, surge, velocities north and east, latitude and longitude.
+
+    Raises:
+        ConfigError: a number outside its range.
 
     >>> log = planar_fleet(hours=0.02, mission_minutes=1.0)[0]
     >>> log.boat, log.run, "latitude" in log.channels

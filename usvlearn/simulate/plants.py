@@ -149,7 +149,13 @@ PLANTS: dict[str, Callable[[], Vessel]] = {
 
 
 def plant(name: str) -> Vessel:
-    """The vessel of that name, leaves without batch axes.
+    """The vessel of a name.
+
+    Args:
+        name: heron, kingfisher, vtec, otter or wamv.
+
+    Returns:
+        The vessel, leaves without batch axes.
 
     Raises:
         ConfigError: no such plant; the message lists them.

@@ -24,14 +24,14 @@ class Sensors:
     """Rates, errors and losses.
 
     Args:
-        surge_hz: messages of speed a second.
+        surge_hz: messages of speed a second, 1/s.
         surge_noise: standard deviation of white noise, m/s.
         surge_quantum: resolution of the speed, m/s.
         surge_filtered: below this speed a filter's value is logged: not quantised, no outliers, m/s.
         filter_time: time constant of that filter, s.
         outlier_share: share of the speeds with an outlier added.
         outlier_scale: scale of the outliers, which are Student t with 2 degrees of freedom, m/s.
-        heading_hz: messages of heading a second.
+        heading_hz: messages of heading a second, 1/s.
         heading_noise: standard deviation, rad.
         commands: "periodic" posts every command, "on_change" only those that differ from the last one (then held).
         jitter: stamps lie within +- this of their clock, s.
@@ -43,6 +43,9 @@ class Sensors:
         heading_window: likewise, of the heading, s.
         surge_window: likewise, of the speed, s.
         stuck: s of the mission at which the speed begins to repeat itself, and for how long, s.
+
+    Raises:
+        ConfigError: a number outside its range, or another way of commands.
 
     >>> Sensors(surge_hz=1.0).surge_quantum
     0.05

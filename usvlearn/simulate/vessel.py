@@ -20,7 +20,12 @@ from torch import Tensor
 
 
 class Vessel(NamedTuple):
-    """Parameters; leaves broadcast against `(*batch,)`, those of the thrusters end in (left, right)."""
+    """Parameters; leaves broadcast against `(*batch,)`, those of the thrusters end in (left, right).
+
+    >>> from usvlearn.simulate.plants import heron
+    >>> heron().mass.item(), heron().thrust_linear.shape
+    (28.0, torch.Size([2]))
+    """
 
     mass: Tensor  # (*batch,) kg, added mass included
     drag_quadratic: Tensor  # (*batch,) c_q, N s^2/m^2
@@ -177,7 +182,10 @@ def simulate(vessel: Vessel, state: VesselState, commands: Tensor, dt: float) ->
     """The trajectory under a course of commands.
 
     Args:
-        commands: `(time, *batch, 2)`, each held for `dt` s.
+        vessel: its parameters, leaves that broadcast against `(*batch,)`.
+        state: before the first step, leaves `(*batch, ...)`.
+        commands: left and right, share of full scale, `(time, *batch, 2)`, each held for `dt`.
+        dt: length of a step, s.
 
     Returns:
         States after each step: leaves `(time, *batch, ...)`.
@@ -210,11 +218,15 @@ def over_ground(surge: Tensor, heading: Tensor, current: Tensor, direction: Tens
 
 
 def steady_surge(vessel: Vessel, command: Tensor, highest: float = 50.0) -> Tensor:
-    """The speed at which drag and thrust balance while going straight, m/s, `(*batch,)`, by bisection.
+    """The speed at which drag and thrust balance while going straight, by bisection.
 
     Args:
+        vessel: its parameters.
         command: `(*batch, 2)` share of full scale.
         highest: bound of the search, m/s.
+
+    Returns:
+        The speed, m/s, `(*batch,)`.
 
     >>> from usvlearn.simulate.plants import heron
     >>> round(float(steady_surge(heron(), torch.ones(2, dtype=torch.float64))), 3)

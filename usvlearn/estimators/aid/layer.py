@@ -25,6 +25,8 @@ SPREAD = {"drag_linear": 0.25, "drag_cross": 0.25, "thrust_speed_left": 0.25, "t
 class AID(Estimator):
     """Normalised adaptive identifier with sign projection, leakage and dead zone.
 
+    Smallwood & Whitcomb 2003, with leakage by Ioannou & Kokotovic 1984; derived in `docs/theory/estimators.md`.
+
     Args:
         mass: m, kg, added mass included; broadcasts against the batch. A wrong mass scales the parameters; with the
             default `spread` it changes no prediction.
@@ -32,9 +34,10 @@ class AID(Estimator):
         spread: how far each parameter may lie from its prior, in its own unit (kg/m, kg/s, kg/rad, N, N s/m, as
             `model.names` says); 0 keeps a parameter at its prior. None: the mass times 1, and times ¼ for the drag
             linear in speed, that of turning, and the loss of thrust with speed.
-        theta0: θ₀, the prior parameters, in their units, from which learning starts; None: zeros.
+        theta0: θ₀, the prior parameters, `(p,)` in their units, from which learning starts; None: zeros.
         dead_zone: half-width of dz, m/s; half the speed's resolution (0.025) where the log is quantised.
-        floor: least |φ|² in units of the model's scale; below it, in the noise of a boat at rest, nothing is learned.
+        floor: least |φ|² in units of the model's scale, no unit; below it, in the noise of a boat at rest, nothing is
+            learned.
         sigma: σ, 1/s; 0 switches leakage off.
         bound: M, the distance from θ₀ in spreads (Euclidean) up to which nothing leaks. The default only keeps
             parameters from drifting away, whatever the boat; 1 to 1.5 steadies small boats under noise, and is wrong
@@ -44,10 +47,13 @@ class AID(Estimator):
         leak: −a_m, 1/s; used with feedback "estimate" alone.
         surge_max: physical limit of the estimate, m/s.
         project: clip the parameters onto the signs that physics gives them.
-        known: quantities in physical units that pin the scale, by name or sum of names, as
-            `{"thrust_linear_left + thrust_quadratic_left": 33.6}`. `mass` is then a first guess: `monitor` shows the
+        known: quantities in physical units (N, N s/m, kg/m, kg/s, kg/rad) that pin the scale, by name or sum of names,
+            as `{"thrust_linear_left + thrust_quadratic_left": 33.6}`. `mass` is then a first guess: `monitor` shows the
             mass identified, and the parameters that follow from it. Least squares identifies them sooner than AID.
         model: linear in its parameters; None is `SurgeDynamics(mass)`.
+
+    Raises:
+        ConfigError: a number outside its range, parameters that are not one for each name, or a prior with other signs.
 
     >>> aid = AID(mass=28.0, gain=1.0)
     >>> aid.init((8,)).theta.shape

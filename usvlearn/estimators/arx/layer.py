@@ -43,17 +43,22 @@ GROUP = len(COMMANDS)
 class ARX(Estimator):
     """Predicts the increment of the speed from the last increments and commands; learns by a Kalman filter.
 
+    The weights of outliers are those of West 1981; the filter is derived in `docs/theory/estimators.md`.
+
     Args:
-        lags: L, how many increments and earlier commands the prediction uses.
+        lags: L, the number of increments and of earlier commands that the prediction uses.
         even: adds four features that are the same forwards and backwards.
         turning: adds the yaw rate and its change.
         thrust_speed: adds each side's command times |v|.
         project: keeps the weights of the drag where drag slows the boat, so that open-loop simulations do not run away.
         scale: s, of the prior deviations of the weights, as multiples of the noise; broadcasts against the batch.
         walk: variance by which the weights walk in 0.4 s, as a share of the prior's; broadcasts against the batch.
-        degrees: ν of Student's t distribution of the noise; broadcasts against the batch. None and infinity:
+        degrees: ν of Student's t distribution of the noise, no unit; broadcasts against the batch. None and infinity:
             Gaussian noise.
         surge_max: physical limit of the prediction, m/s.
+
+    Raises:
+        ConfigError: a number outside its range, or an option that is neither true nor false.
 
     >>> arx = ARX(lags=3)
     >>> len(arx.names), arx.init((8,)).factor.shape

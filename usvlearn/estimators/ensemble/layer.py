@@ -32,6 +32,9 @@ class Ensemble(Estimator):
 
     A member whose prediction is not finite, or at `surge_max` and beyond, is inactive: the combiners leave it out.
 
+    The combiners are from Wintenberger 2017 and the paper, section V; the intervals from Gibbs and Candès 2021. All are
+    derived in `docs/theory/ensemble.md`.
+
     Args:
         members: estimators, or banks of them, by name.
         combiners: combiners by name, `{"average": Average()}` by default.
@@ -135,7 +138,18 @@ class Ensemble(Estimator):
         return [self.columns[k] for k in self._places[self.output]]
 
     def columns_of(self, member: str) -> list[str]:
-        """The names of a member's predictions."""
+        """The names of a member's predictions.
+
+        Args:
+            member: its name.
+
+        Returns:
+            The names of its columns: its own name, or one for each setting of a bank.
+
+        >>> from usvlearn import AID
+        >>> Ensemble({"aid": AID()}).columns_of("aid")
+        ['aid']
+        """
         return list(self._columns[member])
 
     def init(self, batch: Sequence[int] = ()) -> EnsembleState:
@@ -198,10 +212,24 @@ class Ensemble(Estimator):
         return state._replace(members=members, forecasts=made)
 
     def forecast(self, state: EnsembleState, inputs: Inputs) -> tuple[Tensor, Tensor]:
-        """Predictions and half-widths of a plan, m/s, `(time, *batch)`; `inputs` likewise.
+        """Predictions and half-widths of a plan, given its inputs.
+
+        Args:
+            state: after the last sample, leaves `(*batch, …)`.
+            inputs: of the plan's steps, leaves `(time, *batch)`.
+
+        Returns:
+            Predicted speeds and the half-widths of their intervals, m/s, `(time, *batch)` each.
 
         Raises:
             ConfigError: the ensemble makes no forecasts.
+
+        >>> from usvlearn import AID, ForecastSettings
+        >>> ensemble = Ensemble({"aid": AID()}, forecasts=ForecastSettings())
+        >>> one = torch.ones(75, dtype=torch.float64)
+        >>> surge, halfwidth = ensemble.forecast(ensemble.init(), Inputs(one, one, 0 * one, 0 * one, 0.4 * one))
+        >>> surge.shape, float(halfwidth[0])  # no interval before the first measurements
+        (torch.Size([75]), inf)
         """
         if self.forecasts is None:
             raise ConfigError(NONE)
@@ -255,7 +283,14 @@ class Ensemble(Estimator):
         return shown
 
     def seen(self, predictions: Tensor) -> dict[str, Tensor]:
-        """The predictions of each combiner's members, m/s, `(*batch, columns)`, NaN where they are inactive."""
+        """The predictions of each combiner's members.
+
+        Args:
+            predictions: of all members, m/s, `(*batch, columns)`.
+
+        Returns:
+            Of each combiner by name, m/s, `(*batch, its members)`, NaN where they are inactive.
+        """
         active = torch.where(predictions.abs() < self.surge_max, predictions, torch.nan)
         every, columns = list(range(len(self.columns))), active.unbind(-1)
         return {  # no index that is a list: it would be copied to the device at every step
@@ -264,13 +299,31 @@ class Ensemble(Estimator):
         }
 
     def combine(self, combiners: Mapping[str, Any], seen: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """The prediction of each combiner, m/s, `(*batch,)`."""
+        """The prediction of each combiner.
+
+        Args:
+            combiners: their states by name.
+            seen: as the method returns it, m/s, `(*batch, its members)`.
+
+        Returns:
+            Of each combiner by name, m/s, `(*batch,)`.
+        """
         return {name: rule.combine(combiners[name], seen[name]) for name, rule in self.combiners.items()}
 
     def reweigh(
         self, combiners: Mapping[str, Any], seen: Mapping[str, Tensor], surge: Tensor, dt: Tensor
     ) -> dict[str, Any]:
-        """The combiners' states after `surge`, m/s, was measured, `dt` s after the measurement before."""
+        """The combiners' states after a measurement.
+
+        Args:
+            combiners: their states before it, by name.
+            seen: as the method returns it, m/s, `(*batch, its members)`.
+            surge: measured, m/s, `(*batch,)`.
+            dt: since the measurement before, s, `(*batch,)`.
+
+        Returns:
+            The states by name.
+        """
         return {name: rule.learn(combiners[name], seen[name], surge, dt) for name, rule in self.combiners.items()}
 
     def _publish(

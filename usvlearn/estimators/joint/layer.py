@@ -43,6 +43,8 @@ class JointEKF(Estimator):
 
     The prior is a boat that reaches `surge_max` with both sides at full, with a time constant of 2.5 s.
 
+    The step is that of Hochbruck & Ostermann 2010; the filter is derived in `docs/theory/estimators.md`.
+
     Args:
         surge_max: top speed, m/s; 0.5 to 1.4 times the true one does; broadcasts against the batch.
         mass: kg, added mass included. It only gives the parameters their units; broadcasts against the batch.
@@ -54,14 +56,19 @@ class JointEKF(Estimator):
         current_time: τ_c, s.
         drift_time: T_θ, s, after which the parameters' variance has grown by its prior; 3000 to follow a boat that
             changes, 1e5 for one that does not.
-        lag: prior standard deviation of μ.
-        cubic: that of κ, in units of the force per mass of one side at full.
-        even: ρ, that of the fore-aft asymmetry terms, in units of the drag's and that force; None: without these terms.
-        outlier: k, standard deviations beyond which a measurement is an outlier; None: none is. Broadcasts, too.
+        lag: prior standard deviation of μ, share of a step.
+        cubic: that of κ, in units of the force per mass of one side at full, no unit.
+        even: ρ, that of the fore-aft asymmetry terms, in units of the drag's and that force, no unit; None: without
+            these terms.
+        outlier: k, number of standard deviations beyond which a measurement is an outlier; None: none is. Broadcasts,
+            too.
         read_every: s of update steps under way between two periodic estimates of the parameters; None: none.
         known: forces by name, or by a sum of names, in N, as `{"thrust_full_left": 33.6}`: the mass is identified too
             (`usvlearn.estimators.mass`); the names are those of `quantities.sums`.
         trial: how a change of the boat is answered within seconds; None: as fast as the parameters drift.
+
+    Raises:
+        ConfigError: a number outside its range, or nine prior parameters of which the first three are not 0 or less.
 
     >>> joint = JointEKF(surge_max=2.7, mass=28.0)
     >>> joint.init((8,)).mean.shape

@@ -116,6 +116,13 @@ class Identified(Mapping[str, Quantity]):
         beside: what the intervals take in beside it; None if nothing is identified.
         unknown: the quantities whose intervals say nothing, because they are wider than what such a boat can have.
         unphysical: a sentence if no boat can have these quantities, as its signs or sides are wrong; else "".
+
+    >>> from usvlearn import JointEKF, Online
+    >>> found = Online(JointEKF(surge_max=2.7, mass=28.0, read_every=600.0)).identified()
+    >>> found["steady_speed_full"].unit, found.json()["steady_speed_full"]["unit"]
+    ('m/s', 'm/s')
+    >>> found.lag(dt=0.4)[1] > 0
+    True
     """
 
     quantities: dict[str, Quantity]
@@ -135,6 +142,14 @@ class Identified(Mapping[str, Quantity]):
 
         Args:
             theta: like the attribute, `(..., m)`.
+
+        Returns:
+            Forces per mass and steady speeds, for each row of θ.
+
+        >>> from usvlearn import JointEKF, Online
+        >>> found = Online(JointEKF(surge_max=2.7, mass=28.0, read_every=600.0)).identified()
+        >>> round(float(found.ahead(found.theta).steady_speed(1.0)), 2)
+        2.7
         """
         return Ahead(theta)
 
@@ -144,15 +159,30 @@ class Identified(Mapping[str, Quantity]):
         return names(len(self.theta) == len(names(even=True)))
 
     def lag(self, dt: float) -> tuple[float, float]:
-        """By how much the thrust follows the command, s, and its standard deviation.
+        """By how much the thrust follows the command.
 
         Args:
             dt: of the samples, s.
+
+        Returns:
+            The time, and its standard deviation, s.
         """
         return float(self.theta[-1]) * dt, math.sqrt(self.covariance[-1, -1]) * dt
 
     def displayed(self, name: str) -> Quantity:
-        """A quantity as people are told it: NaN while its interval says nothing."""
+        """A quantity as people are told it: NaN while its interval says nothing.
+
+        Args:
+            name: of the quantity.
+
+        Returns:
+            Its value and interval, NaN where the interval is wider than what such a boat can have.
+
+        >>> from usvlearn import JointEKF, Online
+        >>> found = Online(JointEKF(surge_max=2.7, mass=28.0, read_every=600.0)).identified()
+        >>> found.displayed("steady_speed_full").unit
+        'm/s'
+        """
         found = self.quantities[name]
         return Quantity(math.nan, math.nan, math.nan, found.unit) if name in self.unknown else found
 
@@ -166,7 +196,11 @@ class Identified(Mapping[str, Quantity]):
         return len(self.quantities)
 
     def json(self) -> dict[str, dict[str, Any]]:
-        """The quantities as `results.json` has them."""
+        """The quantities as `results.json` has them.
+
+        Returns:
+            Name -> value, ends of its interval and unit.
+        """
         return {name: each._asdict() for name, each in self.items()}
 
     def __repr__(self) -> str:

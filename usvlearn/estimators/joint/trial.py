@@ -32,15 +32,17 @@ class Stepped(NamedTuple):
 class Trial(nn.Module):
     """A second filter that must prove itself after a change of the boat, and then replaces the first.
 
+    The sum is that of Page 1954; the trial is derived in `docs/theory/estimators.md`, joint EKF.
+
     Args:
-        threshold: of g, Page's sum of innovations that keep their sign, at which a trial begins.
-        leads: evidence D, a logarithm of a likelihood ratio, above which the second filter predicts,
-        confirmed: and above which it replaces the first.
-        dropped: D below which a trial ends,
-        fallen: and by how much D may fall below its greatest value.
-        steps: the longest trial.
-        side: s of (9), standard deviation of a factor of each side's thrust.
-        each: r, that of each parameter, in units of its value.
+        threshold: of g, no unit: Page's sum of innovations that keep their sign, at which a trial begins.
+        leads: evidence D, a logarithm of a likelihood ratio, no unit, above which the second filter predicts,
+        confirmed: and above which it replaces the first; no unit.
+        dropped: D below which a trial ends, no unit,
+        fallen: and by how much D may fall below its greatest value; no unit.
+        steps: the longest trial, a number of steps.
+        side: s of (9), standard deviation of a factor of each side's thrust, no unit.
+        each: r, that of each parameter, in units of its value, no unit.
 
     Raises:
         ConfigError: a number is not positive, or `leads` is not between `dropped` and `confirmed`.

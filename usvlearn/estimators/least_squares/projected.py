@@ -78,10 +78,15 @@ def project_signs(theta: Tensor, factor: Tensor, places: Tensor, S: Tensor, iter
 class Projected(Estimator):
     """RLS or SIFtRLS whose parameters keep their signs.
 
+    The active set method is that of Hintermüller, Ito & Kunisch 2003.
+
     Args:
         estimator: RLS or SIFtRLS.
-        signs: −1, 0 (free) or 1 for each parameter; those of the estimator's model by default.
-        iterations: rounds of (2) after each update, 1000 at most.
+        signs: −1, 0 (free) or 1 for each parameter, `(p,)`; those of the estimator's model by default.
+        iterations: number of rounds of (2) after each update, 1000 at most.
+
+    Raises:
+        ConfigError: another estimator, signs that are not one for each parameter, or an illegal number of rounds.
 
     >>> from usvlearn import SIFtRLS, SurgeDynamics
     >>> Projected(SIFtRLS(SurgeDynamics(28.0))).signs

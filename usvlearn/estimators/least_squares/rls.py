@@ -75,11 +75,21 @@ def rls_step(
 class LeastSquares(Estimator):
     """The common part of all recursive least squares; a subclass defines in `_step` how it forgets.
 
+    The estimate of the noise, and its part in a prediction, are derived in `docs/theory/estimators.md`, RLS.
+
     Args:
         model: `QuasiStatic()` predicts the speed itself (the paper's RLS); `SurgeDynamics(mass)` its increment.
-        covariance: P₀ = covariance·scale²·I, where scale is the model's (1, or the mass); broadcasts against the batch.
+        covariance: P₀ = covariance·scale²·I, where scale is the model's (1, or the mass); in units of σ², no unit;
+            broadcasts against the batch.
         feedback: "measured" predicts from the last measured speed, "estimate" from the estimator's own.
         surge_max: physical limit of the prediction, m/s.
+
+    Raises:
+        ConfigError: a number outside its range, or another feedback.
+
+    >>> from usvlearn import RLS, SIFtRLS
+    >>> issubclass(RLS, LeastSquares), issubclass(SIFtRLS, LeastSquares)
+    (True, True)
     """
 
     model: LinearModel
@@ -168,11 +178,21 @@ def spread(factor: Tensor, phi: Tensor) -> Tensor:
 class RLS(LeastSquares):
     """Recursive least squares with exponential forgetting: the quasi-static thruster map, or the surge dynamics.
 
-    `model`, `covariance`, `feedback` and `surge_max` are those of `LeastSquares`.
+    Plackett 1950; paper, section IV-D. The square-root form is that of Carlson 1973.
 
     Args:
-        forgetting: λ, between 0 and 1; broadcasts against the batch.
-        trace_growth: forgetting pauses where it would lift the trace of P above this multiple of its first value.
+        model: `QuasiStatic()`, the default, predicts the speed itself (the paper's RLS); `SurgeDynamics(mass)` its
+            increment.
+        forgetting: λ, between 0 and 1, no unit; broadcasts against the batch.
+        covariance: P₀ = covariance·scale²·I, where scale is the model's (1, or the mass); no unit, because P is in
+            units of σ²; broadcasts against the batch.
+        trace_growth: forgetting pauses where it would lift the trace of P above this multiple of its first value, no
+            unit.
+        feedback: "measured" predicts from the last measured speed, "estimate" from the estimator's own.
+        surge_max: physical limit of the prediction, m/s.
+
+    Raises:
+        ConfigError: a number outside its range, or another feedback.
 
     >>> from usvlearn.estimators.regressors.layer import SurgeDynamics
     >>> dynamic = RLS(SurgeDynamics(mass=28.0), forgetting=0.995, covariance=10.0)

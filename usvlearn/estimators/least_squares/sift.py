@@ -66,11 +66,19 @@ def sift_step(
 class SIFtRLS(LeastSquares):
     """Recursive least squares with subspace-of-information forgetting.
 
-    `model`, `covariance`, `feedback` and `surge_max` are those of `LeastSquares`.
+    Lai & Bernstein 2024, arXiv 2404.10844.
 
     Args:
+        model: `QuasiStatic()`, the default, predicts the speed itself; `SurgeDynamics(mass)` its increment.
         memory: τ, s, per direction; broadcasts against the batch.
-        floor: ε, in units of the model's scale: below it a regressor informs nothing.
+        covariance: P₀ = covariance·scale²·I, where scale is the model's (1, or the mass); in units of σ², as of `RLS`,
+            no unit; broadcasts against the batch.
+        floor: ε, the least |φ|² in units of the model's scale, no unit: below it a regressor informs nothing.
+        feedback: "measured" predicts from the last measured speed, "estimate" from the estimator's own.
+        surge_max: physical limit of the prediction, m/s.
+
+    Raises:
+        ConfigError: a number outside its range, or another feedback.
 
     >>> from usvlearn.estimators.regressors.layer import SurgeDynamics
     >>> SIFtRLS(SurgeDynamics(mass=28.0), memory=30.0).init((3,)).theta.shape

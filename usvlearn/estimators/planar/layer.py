@@ -40,13 +40,16 @@ class PlanarState(NamedTuple):
 class Planar(nn.Module):
     """The ensembles of surge, sway and yaw rate, and the tracks that they make; see `state`.
 
+    The tracks are derived in `docs/theory/ensemble.md`, the filters of yaw rate and sway in
+    `docs/theory/identification.md`.
+
     Args:
         surge: of the surge, with forecasts and a joint EKF among its members; its steps are those that it makes alone.
         yaw: of the yaw rate, with forecasts and a `YawEKF`; by default that and an `ARX`.
         sway: of the sway, with forecasts and a `SwayEKF`; by default that, an `ARX` and persistence.
         surge_max: top speed, m/s, of the defaults.
         horizons: s, increasing, at which the ellipses of tracks are learned.
-        overlap: how many tracks to a horizon are under way at the same time.
+        overlap: number of tracks to a horizon that are under way at the same time.
 
     Raises:
         ConfigError: an ensemble makes no forecasts, has no compiled code, or lacks its filter.
@@ -81,7 +84,14 @@ class Planar(nn.Module):
             raise ConfigError(f"overlap: found {overlap!r}, expected at most {at.MOST_OVERLAP:g}")
 
     def init(self, batch: Sequence[int] = ()) -> PlanarState:
-        """The state before the first sample, leaves `(*batch, …)`."""
+        """The state before the first sample, leaves `(*batch, …)`.
+
+        Args:
+            batch: shape of the batch, a count for each axis.
+
+        Returns:
+            The state, leaves `(*batch, …)`.
+        """
         batch, H = tuple(batch), len(self.horizons)
         axes = {axis: getattr(self, axis).init(batch) for axis in AXES}
         blocks = (  # each member's weights, and what an open-loop simulation needs of it, of the first slot
@@ -108,7 +118,19 @@ class Planar(nn.Module):
         return PlanarState(**axes, track=track)
 
     def spec(self) -> dict[str, Any]:
-        """The specification by which the engine makes the steps."""
+        """The specification by which the engine makes the steps.
+
+        Returns:
+            The specifications of the three ensembles, and the numbers of the tracks, as JSON stores them.
+
+        Raises:
+            ConfigError: an ensemble makes no forecasts, has no compiled code, or lacks its filter.
+
+        >>> from usvlearn import Ensemble, ForecastSettings, JointEKF
+        >>> surge = Ensemble({"joint": JointEKF(surge_max=2.7)}, forecasts=ForecastSettings())
+        >>> Planar(surge, surge_max=2.7).spec()["kind"]
+        'planar'
+        """
         found: dict[str, Any] = {"kind": "planar"}
         for axis in AXES:
             own = spec_of(getattr(self, axis))

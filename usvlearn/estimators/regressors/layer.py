@@ -126,6 +126,8 @@ def phi1(z: Tensor) -> tuple[Tensor, Tensor]:
 class SurgeDynamics(nn.Module):
     """One step of the surge dynamics, m·surge_dot = Wᵀθ: v⁺ = v + φᵀθ with φ = dt·W/m, or (1).
 
+    The terms are the paper's, section IV-C; the step (1) is that of Hochbruck & Ostermann 2010.
+
     Args:
         mass: m, kg, added mass included; broadcasts against the batch.
         memory: adds the last acceleration and the last commands; the estimator then needs `WithMemory` around it.
@@ -136,6 +138,9 @@ class SurgeDynamics(nn.Module):
     Attributes:
         names: of the parameters.
         signs: of the parameters by physics; 0 where physics gives none.
+
+    Raises:
+        ConfigError: a mass that is not a positive number.
 
     >>> model = SurgeDynamics(28.0, ambient=True)
     >>> [name for name in model.names if "ambient" in name]
@@ -164,12 +169,19 @@ class SurgeDynamics(nn.Module):
         self.register_buffer("mass", given)
 
     def spec(self) -> list[str]:
-        """Its terms, by name."""
+        """Its terms, for the specification of an estimator.
+
+        Returns:
+            The names of the terms.
+
+        >>> SurgeDynamics(28.0, cubic=True).spec()
+        ['dynamics', 'cubic']
+        """
         return list(self.terms)
 
     @property
     def scale(self) -> Tensor:
-        """The size of the parameters, which are proportional to the mass."""
+        """The size of the parameters, kg: they are proportional to the mass."""
         return self.mass
 
     def forward(
@@ -201,6 +213,8 @@ class SurgeDynamics(nn.Module):
 class QuasiStatic(nn.Module):
     """The static thruster map v = Φᵀζ, which does not depend on the last speed; parameters in m/s.
 
+    Paper, section IV-D.
+
     >>> QuasiStatic().names[0]
     'zeta_right_linear'
     """
@@ -209,7 +223,14 @@ class QuasiStatic(nn.Module):
     scale = 1.0
 
     def spec(self) -> list[str]:
-        """It has none of the terms of the dynamics."""
+        """It has none of the terms of the dynamics.
+
+        Returns:
+            An empty list.
+
+        >>> QuasiStatic().spec()
+        []
+        """
         return []
 
     def forward(self, surge: Tensor, inputs: Inputs) -> tuple[Tensor, Tensor]:

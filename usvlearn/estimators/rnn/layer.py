@@ -120,30 +120,36 @@ class RNN(Estimator):
     The paper's own: `initial="random" rate=5e-4 rate_ratio=(1, 1, 1, 1, 1) momentum=0.9 clip=None stability="penalty"
     penalty=0.1 unroll=2`.
 
+    The network and the penalty are the paper's, section IV-B; Adam is that of Kingma & Ba 2015. The projection is
+    derived in `docs/certification.md`.
+
     Args:
-        neurons: n.
+        neurons: n, the number of neurons.
         surge_max: v_max, m/s, which scales the speed onto [0, 0.5].
         initial: "persistence", equation (4), or "random" weights.
         pretrained: initial weights in place of these: a checkpoint, .npz or .pt (see `certify.networks.shallow.load`),
             or one of several in it, `FILE:members.rnn.weights`. They suit the `surge_max` and dt with which they were
             learned.
-        rate: Adam's learning rate at the first update; broadcasts against the batch.
-        rate_ratio: relative rates of a, w₁, the columns of W₂ for the heading and for the commands, and b; those of
-            w₁ and W₂ also scale the neurons of "persistence".
-        decay: the rate falls as 1/√(1 + ⌊k/decay⌋) after k updates; None keeps it.
-        momentum: Adam's β₁, in [0, 1).
-        clip: c, the norm that no batch element's gradient exceeds; None or infinity for no limit.
+        rate: Adam's learning rate at the first update, no unit; broadcasts against the batch.
+        rate_ratio: relative rates, no unit, of a, w₁, the columns of W₂ for the heading and for the commands, and b;
+            those of w₁ and W₂ also scale the neurons of "persistence".
+        decay: the rate falls as 1/√(1 + ⌊k/decay⌋) after a number of k updates; None keeps it.
+        momentum: Adam's β₁, in [0, 1), no unit.
+        clip: c, the norm that no batch element's gradient exceeds, no unit; None or infinity for no limit.
         stability: "project" onto `condition` after every update, "penalty" (the paper's), or "none".
         condition: simple, gershgorin, lmi, tight (all activation patterns, the weakest that (a, w₁) alone can tell), or
             interval (the same for |x| ≤ 1, where a speed that coasts is kept, and commands of up to 1.2).
-        contraction_rate: κ of the projection; broadcasts against the batch.
+        contraction_rate: κ of the projection, no unit; broadcasts against the batch.
         gauge: "literal", or "best": simple and gershgorin of the equal network that holds them most easily.
-        penalty: η of the paper's penalty; broadcasts against the batch.
-        unroll: steps through which the loss is taken, 1 or 2.
+        penalty: η of the paper's penalty, no unit; broadcasts against the batch.
+        unroll: number of steps through which the loss is taken, 1 or 2.
         feedback: "measured" predicts from the last measured speed, "estimate" from the network's own.
-        seed: of the initial weights.
-        replay_size: learned samples that are kept; 0 for none.
-        replay_steps: kept samples that are learned again, by one update, after each new one.
+        seed: seed of the initial weights.
+        replay_size: number of learned samples that are kept; 0 for none.
+        replay_steps: number of kept samples that are learned again, by one update, after each new one.
+
+    Raises:
+        ConfigError: a number or a choice outside its legal values.
 
     >>> rnn = RNN(surge_max=2.74)
     >>> sum(w.numel() for w in rnn.init().weights)

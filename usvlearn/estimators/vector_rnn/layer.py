@@ -93,23 +93,26 @@ class VectorRNN(nn.Module):
 
     Its verbs are those of an `Estimator`, for a velocity of several components in place of the surge.
 
+    The network is the paper's, section IV-B, for several components; Adam is that of Kingma & Ba 2015. The projection
+    is derived in `docs/certification.md`.
+
     Args:
         maxima: v_max of each component, m/s, m/s, rad/s, by which it is divided. Their number is q.
-        neurons: n.
+        neurons: n, the number of neurons.
         heading: whether sin θ and cos θ are inputs, beside the commands.
-        rate: Adam's learning rate at the first update; broadcasts against the batch.
-        rate_ratio: relative rates of R, A, W, W₂ and b; those of W and W₂ also scale the initial neurons.
-        decay: the rate falls as 1/√(1 + ⌊k/decay⌋) after k updates; None keeps it.
-        clip: the norm that no batch element's gradient exceeds; None for no limit.
+        rate: Adam's learning rate at the first update, no unit; broadcasts against the batch.
+        rate_ratio: relative rates, no unit, of R, A, W, W₂ and b; those of W and W₂ also scale the initial neurons.
+        decay: the rate falls as 1/√(1 + ⌊k/decay⌋) after a number of k updates; None keeps it.
+        clip: the norm that no batch element's gradient exceeds, no unit; None for no limit.
         stability: "project" onto `condition` after every update, or "none".
         condition: "exact" (all activation patterns, in the norm (4)) or "gershgorin" (the paper's lemma).
-        contraction_rate: κ; broadcasts against the batch.
-        scaling: t of (4), one number a component; ones by default. `certify.search.vector_scaling` finds one.
-        importance: of the squared error of each divided component in the loss; ones by default.
-        kept: M, samples that are kept.
-        window: H, steps of an open-loop simulation in the loss.
-        windows: B, of which all but one are learned again.
-        seed: of the initial neurons.
+        contraction_rate: κ, no unit; broadcasts against the batch.
+        scaling: t of (4), `(q,)`; ones by default. `certify.search.vector_scaling` finds one.
+        importance: of the squared error of each divided component in the loss, `(q,)`; ones by default.
+        kept: M, the number of samples that are kept.
+        window: H, the number of steps of an open-loop simulation in the loss.
+        windows: B, the number of windows, of which all but one are learned again.
+        seed: seed of the initial neurons.
 
     Raises:
         ConfigError: an argument outside its range.
@@ -194,7 +197,17 @@ class VectorRNN(nn.Module):
         return NetworkWeights(self.R, self.A, self.W, self.W2, self.b)
 
     def init(self, batch: Sequence[int] = ()) -> VectorRNNState:
-        """The state before the first sample, leaves `(*batch, …)`."""
+        """The state before the first sample.
+
+        Args:
+            batch: its shape, a count for each axis; () for one vehicle.
+
+        Returns:
+            The state, leaves `(*batch, …)`.
+
+        Raises:
+            ShapeError: a hyperparameter does not broadcast against the batch.
+        """
         batch, zero = tuple(batch), self.R.new_zeros
         check_broadcast(self, batch)
         weights = NetworkWeights(*(w.expand(*batch, *w.shape) for w in self._initial))
@@ -207,12 +220,31 @@ class VectorRNN(nn.Module):
         return VectorRNNState(weights, zero(*batch, len(self.ratio)), zero(batch), zero(*batch, q), unbroken, samples)
 
     def network_inputs(self, inputs: Inputs) -> Tensor:
-        """u of (1), `(*batch, 2 or 4)`."""
+        """u of (1).
+
+        Args:
+            inputs: leaves `(*batch,)`.
+
+        Returns:
+            `(*batch, 2)`, or `(*batch, 4)` with the heading.
+
+        >>> one = torch.tensor(1.0)
+        >>> VectorRNN(heading=True).network_inputs(Inputs(one, one, 0 * one, one, one))
+        tensor([1., 1., 0., 1.])
+        """
         u = [inputs.command_left, inputs.command_right]
         return torch.stack([*u, inputs.heading.sin(), inputs.heading.cos()] if self.heading else u, -1)
 
     def predict(self, state: VectorRNNState, inputs: Inputs) -> tuple[VectorRNNState, Tensor]:
-        """The state one step on, without learning, and the predicted velocity, `(*batch, q)`."""
+        """Time update: one step on, without learning.
+
+        Args:
+            state: before the step.
+            inputs: of the step, leaves `(*batch,)`.
+
+        Returns:
+            The state after the step, and the predicted velocity, m/s, m/s, rad/s, `(*batch, q)`.
+        """
         x, _ = network(state.weights, state.velocity / self.maxima, self.network_inputs(inputs).to(self.maxima))
         return state._replace(velocity=self._limited(x), unbroken=torch.zeros_like(state.unbroken)), x * self.maxima
 
@@ -224,11 +256,20 @@ class VectorRNN(nn.Module):
         Args:
             state: the one that was given to `predict`.
             inputs: leaves `(*batch,)`.
-            velocity: m/s, m/s, rad/s; finite.
+            velocity: measured at the end of the step, m/s, m/s, rad/s, `(*batch, q)`; finite.
             measured: `(*batch, q)` bool; all by default.
+
+        Returns:
+            The state after the step.
 
         Raises:
             ShapeError: another number of components.
+
+        >>> rnn, one = VectorRNN(maxima=(3.0,)), torch.tensor(1.0).double()
+        >>> inputs = Inputs(one, one, 0 * one, 0 * one, 0.4 * one)
+        >>> state = rnn.update(rnn.init(), inputs, 2 * one[None])
+        >>> state.velocity.item()
+        2.0
         """
         check_width("velocity", velocity, len(self.maxima))
         if measured is not None:
@@ -250,7 +291,14 @@ class VectorRNN(nn.Module):
         return learned._replace(velocity=after, unbroken=torch.ones_like(state.unbroken), kept=kept)
 
     def start(self, state: VectorRNNState, velocity: Tensor) -> VectorRNNState:
-        """The state with this velocity, `(*batch, q)`, as the one from which the next step departs; nothing is learned.
+        """The state with a velocity from which the next step departs; nothing is learned.
+
+        Args:
+            state: before.
+            velocity: m/s, m/s, rad/s, `(*batch, q)`.
+
+        Returns:
+            The state that has this velocity.
 
         Raises:
             ShapeError: another number of components.
@@ -324,16 +372,40 @@ class VectorRNN(nn.Module):
         return state._replace(velocity=velocity, unbroken=unbroken), predicted
 
     def monitor(self, state: VectorRNNState) -> dict[str, Tensor]:
-        """The exact rate of the weights in the norm (4), `(*batch,)`."""
+        """The exact rate of the weights in the norm (4).
+
+        Args:
+            state: of this network.
+
+        Returns:
+            `contraction_rate`, `(*batch,)`, no unit.
+
+        >>> round(VectorRNN().monitor(VectorRNN().init())["contraction_rate"].item(), 3)
+        0.999
+        """
         return {"contraction_rate": rate(VectorWeights(*state.weights), self.scaling.diag())}
 
     def save(self, state: VectorRNNState, path: str | Path) -> Path:
         """Write the weights as .npz, the only format, for `certify.networks.vector.load`; with `maxima` and `scaling`.
 
-        The suffix .npz is added where it is missing, and folders are made. Returns the path of the file.
+        The suffix .npz is added where it is missing, and folders are made.
+
+        Args:
+            state: of this network; `load` finds one network for each element of its batch.
+            path: of the file.
+
+        Returns:
+            The path of the file.
 
         Raises:
             ConfigError: the file cannot be written; an older one of this name is then unchanged.
+
+        >>> from tempfile import TemporaryDirectory
+        >>> from certify.networks.vector import load
+        >>> rnn = VectorRNN(neurons=8)
+        >>> with TemporaryDirectory() as folder:
+        ...     load(rnn.save(rnn.init(), f"{folder}/net"))[0].neurons
+        8
         """
         arrays = state.weights._asdict() | {"maxima": self.maxima, "scaling": self.scaling}
         return write_npz(path, {name: x.detach().cpu().numpy() for name, x in arrays.items()})

@@ -18,9 +18,15 @@ from usvlearn.errors import ConfigError
 class Bank(nn.Module):
     """One estimator with several settings as batch elements: a member of an ensemble with one column for each setting.
 
+    Its methods are those of an `Estimator`; predictions, and the leaves of the state, have the settings as their last
+    batch axis. See `docs/theory/estimators.md`.
+
     Args:
         estimator: some hyperparameters of which have the shape `(settings,)`; what differs by boat is `(boats, 1)`.
         labels: of the settings, in that order: the columns are NAME_LABEL.
+
+    Raises:
+        ConfigError: no estimator, or labels that are not a list of names.
 
     >>> from usvlearn import AID, Ensemble
     >>> Ensemble({"aid": Bank(AID(gain=[0.3, 1.0, 3.0]), ["slow", "middle", "fast"])}).columns

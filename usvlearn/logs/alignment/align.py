@@ -126,7 +126,19 @@ class Aligner:
         }
 
     def push(self, channel: str, time: float, value: float) -> list[tuple[float, Sample]]:
-        """Take one message in SI units; returns the samples that it completes, each with its grid time, s."""
+        """Take one message.
+
+        Args:
+            channel: its name, one of those that were given.
+            time: its stamp, s.
+            value: in SI units.
+
+        Returns:
+            The samples that it completes, each with its grid time, s.
+
+        Raises:
+            ConfigError: there is no such channel.
+        """
         if channel not in self._places:
             raise ConfigError(f"channel: found {channel!r}, expected one of {', '.join(self._places)}")
         try:
@@ -137,16 +149,39 @@ class Aligner:
         return _samples(rows) if len(rows) else []
 
     def flush(self) -> list[tuple[float, Sample]]:
-        """The samples up to the newest message, without waiting for late messages."""
+        """The samples up to the newest message, without waiting for late messages.
+
+        Returns:
+            The samples, each with its grid time, s.
+
+        >>> from usvlearn.logs.channels.channel import Source
+        >>> aligner = Aligner({name: Source(name) for name in REQUIRED}, dt=0.4)
+        >>> _ = [aligner.push(name, t, 0.5) for t in (0.0, 0.4) for name in REQUIRED]
+        >>> [time for time, sample in aligner.flush()]
+        [0.4]
+        """
         none = np.empty(0)
         return _samples(self.feed(none.astype(np.int64), none, none, flush=True))
 
     def ahead(self, steps: int) -> Inputs:
-        """The inputs of the steps after the last one, as far as they are known: arrays `(steps,)`.
+        """The inputs of the steps after the last one, as far as they are known.
 
         A command stays in force until the next message, and takes effect after its delay. The boat keeps its yaw rate
         for 1.2 s; then the rate fades with a time constant of 1.2 s, because most boats are steered and hold a heading.
         A value that is older than its window at the newest message is NaN.
+
+        Args:
+            steps: number of steps.
+
+        Returns:
+            Leaves `(steps,)`.
+
+        >>> from usvlearn.logs.channels.channel import Source
+        >>> sources = {name: Source(name, held=name.startswith("command")) for name in REQUIRED}
+        >>> aligner = Aligner(sources, dt=0.4)
+        >>> _ = [aligner.push(name, 0.1 * k, 0.5) for k in range(9) for name in REQUIRED]
+        >>> aligner.ahead(2).command_left
+        array([0.5, 0.5])
         """
         left, right, heading, yaw_rate = _compiled().ahead(
             self._settings, self._memory, self._times, self._values, steps
@@ -154,13 +189,23 @@ class Aligner:
         return Inputs(left, right, heading, yaw_rate, np.full(steps, self._settings["dt"][0]))
 
     def feed(self, channels: np.ndarray, times: np.ndarray, values: np.ndarray, flush: bool = False) -> np.ndarray:
-        """Take many messages at once; returns rows, see `usvlearn.logs.alignment.align_kernel.COLUMNS`.
+        """Take many messages at once.
 
         Args:
             channels: `(messages,)` int64, places in `CHANNELS`.
             times: `(messages,)` float64, stamps, s.
             values: `(messages,)` float64, SI units.
             flush: whether to call `flush` afterwards.
+
+        Returns:
+            `(samples, columns)`, see `usvlearn.logs.alignment.align_kernel.COLUMNS`.
+
+        >>> from usvlearn.logs.channels.channel import Source
+        >>> aligner = Aligner({name: Source(name) for name in REQUIRED}, dt=0.4)
+        >>> channels = np.array([CHANNELS.index(name) for name in REQUIRED] * 9)
+        >>> times = np.repeat(0.1 * np.arange(9), len(REQUIRED))
+        >>> len(aligner.feed(channels, times, 0 * times + 0.5, flush=True))
+        3
         """
         if len(times) > self._room:
             self._make_room(len(times))
@@ -263,6 +308,15 @@ def align(channels: Mapping[str, Channel], **options: Any) -> Aligned:
     Args:
         channels: by name; `REQUIRED` and perhaps "yaw_rate".
         **options: of `Aligner`.
+
+    Returns:
+        The samples with their grid times, and the counts of rejected messages.
+
+    >>> from usvlearn.logs.channels.channel import Channel
+    >>> t = 0.1 * np.arange(20.0)
+    >>> channels = {name: Channel(t, 0 * t + 0.5, 3 * np.arange(20) + k) for k, name in enumerate(REQUIRED)}
+    >>> align(channels, dt=0.4).samples.surge[-1]
+    np.float64(0.5)
     """
     aligner = Aligner(channels, **options)
     counts = [len(channel.time) for channel in channels.values()]

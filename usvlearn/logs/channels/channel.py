@@ -70,8 +70,9 @@ class Source:
         name: column (CSV), variable (MOOS), topic (ROS) or message; `*` matches anything, as in `*left_thruster`.
         field: field of a message, dotted; several, comma-separated, give their Euclidean norm.
         unit: one of `UNITS`. A command in N or N·m is a share of `span`, the greatest force or moment in that unit.
-        zero: raw value that means zero.
-        span: raw distance from zero to full scale (commands) or 1; a negative one reverses a side.
+        zero: raw value that means zero, as the log has it (no unit).
+        span: raw distance from zero to full scale (commands) or 1, as the log has it (no unit); a negative one reverses
+            a side.
         held: the value stays in force until the next message, however old (commands that are posted only on change).
         window: staleness window, s. "auto": it follows the rate of the messages, see
             `usvlearn.logs.alignment.window_kernel`.
@@ -79,6 +80,9 @@ class Source:
         period: time between two measurements of the speed's sensor, s, where messages come faster than it measures: the
             same number again within two periods is a copy of one measurement. 0: every message is a measurement.
             "auto": found from the logs, see `usvlearn.logs.channels.copies`.
+
+    Raises:
+        ConfigError: a unit that is not known, or a number outside its range.
 
     >>> Source("thr_left", zero=1511, span=-400).convert(np.array([1511.0, 1111.0]))
     array([0., 1.])
@@ -108,14 +112,26 @@ class Source:
             raise ConfigError(f"period: found {self.period!r}, expected a time of 0 to {SLOWEST:g} s, or {AUTO}")
 
     def convert(self, raw: np.ndarray) -> np.ndarray:
-        """Raw values to SI units; shape unchanged. What is too large for a number becomes infinite."""
+        """Raw values to SI units. What is too large for a number becomes infinite.
+
+        Args:
+            raw: as logged, an array of any shape, in `unit`, such as N or °.
+
+        Returns:
+            In SI units; shape unchanged.
+        """
         factor, offset = UNITS[self.unit]
         with np.errstate(over="ignore"):
             return factor * (raw - self.zero) / self.span + offset
 
 
 class Channel(NamedTuple):
-    """One quantity of a log, in the order in which it was logged."""
+    """One quantity of a log, in the order in which it was logged.
+
+    >>> channel = Channel(time=np.array([0.0, 0.2]), value=np.array([1.1, 1.2]), order=np.array([0, 3]))
+    >>> channel.held, channel.delay
+    (False, 0.0)
+    """
 
     time: np.ndarray  # (n,) float64, s since the log's start; may run backwards, repeat or be negative
     value: np.ndarray  # (n,) float64, SI units; NaN where the log had no number
@@ -127,11 +143,16 @@ class Channel(NamedTuple):
 
 
 class Recording(NamedTuple):
-    """One log of one boat."""
+    """One log of one boat.
 
-    boat: str
-    run: str
-    channels: dict[str, Channel]
+    >>> surge = Channel(time=np.array([0.0, 0.2]), value=np.array([1.1, 1.2]), order=np.array([0, 3]))
+    >>> Recording("heron", "001", {"surge": surge}, dropped={}).channels["surge"].value
+    array([1.1, 1.2])
+    """
+
+    boat: str  # its name
+    run: str  # its name, within the boat
+    channels: dict[str, Channel]  # by the names of `CHANNELS` and `AUXILIARY`
     dropped: dict[str, dict[str, int]]  # channel -> cause -> count of what the reader could not use
 
 

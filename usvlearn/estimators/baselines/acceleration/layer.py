@@ -15,11 +15,15 @@ from usvlearn.estimators.baselines.acceleration.state import FAMILY, Acceleratio
 
 
 class Acceleration(Estimator):
-    """v⁺ = v + dt·surge_dot, with the acceleration between the last two measured speeds.
+    """v⁺ = v + dt·surge_dot, with the acceleration between the last two measured speeds; a baseline of
+    `docs/theory/ensemble.md`, scores.
 
     Args:
         surge_dot_max: physical limit of the acceleration, m/s².
         surge_max: physical limit of the prediction, m/s.
+
+    Raises:
+        ConfigError: a limit that is not positive.
 
     >>> estimator = Acceleration()
     >>> inputs = Inputs(*map(torch.tensor, (0.0, 0.0, 0.0, 0.0, 0.4)))

@@ -14,7 +14,7 @@ from usvlearn.estimators.baselines.persistence.state import FAMILY, PersistenceS
 
 
 class Persistence(Estimator):
-    """v⁺ = v.
+    """v⁺ = v, the baseline of every skill (`docs/theory/ensemble.md`, scores).
 
     >>> estimator = Persistence()
     >>> state = estimator.start(estimator.init(), torch.tensor(1.5))

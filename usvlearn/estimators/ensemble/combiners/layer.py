@@ -77,7 +77,14 @@ class Combiner(nn.Module, abc.ABC):
 
 
 class Average(Combiner):
-    """AVE: the mean of the predictions (paper, section V)."""
+    """AVE: the mean of the predictions (paper, section V).
+
+    Args:
+        members: names of those that count, all by default.
+
+    >>> Average().combine({}, torch.tensor([1.0, 2.0, torch.nan]))
+    tensor(1.5000)
+    """
 
     def combine(self, state: Any, predictions: Tensor) -> Tensor:
         return fill_inactive(predictions, torch.ones_like(predictions)).mean(-1)
@@ -88,6 +95,11 @@ class Average(Combiner):
 
 class FixedWeights(Combiner):
     """Σ c_i v̂_i with given c, one weight per member named in `weights`.
+
+    A weighted mean in place of the average of the paper, section V.
+
+    Args:
+        weights: c by member, no unit. They may have any sum.
 
     >>> FixedWeights({"aid": 0.7, "rls": 0.3}).combine({}, torch.tensor([1.0, 2.0], dtype=torch.float64))
     tensor(1.3000, dtype=torch.float64)
@@ -122,10 +134,19 @@ class RecursiveWeights(Combiner):
 
     Args:
         members: names of those that count, all by default.
-        forgetting: λ; broadcasts against the batch.
-        covariance: initial variance of each weight; broadcasts against the batch.
-        trace_max: limit on the covariance's trace above which nothing is forgotten.
+        forgetting: λ, between 0 and 1, no unit; broadcasts against the batch.
+        covariance: initial variance of each weight, no unit; broadcasts against the batch.
+        trace_max: limit on the covariance's trace, no unit, above which nothing is forgotten.
         surge_max: physical limit of the prediction, m/s.
+
+    Raises:
+        ConfigError: a number outside its range.
+
+    >>> rule = RecursiveWeights()
+    >>> rule.bind(["aid", "rls"])
+    >>> state = rule.init((), torch.zeros(()).double())
+    >>> rule.combine(state, torch.tensor([1.0, 2.0]).double())
+    tensor(1.5000, dtype=torch.float64)
     """
 
     def __init__(
@@ -211,10 +232,17 @@ class ExponentialWeights(Prior):
 
     It finds the best member, not the best mixture, and its rate has to be chosen; BOA needs neither.
 
-    `members`, `memory`, `loss` and `prior` are those of `Prior`.
+    Vovk 1990; Littlestone & Warmuth 1994.
 
     Args:
-        rate: per unit of the loss; broadcasts against the batch.
+        members: names of those that count, all by default.
+        rate: per unit of the loss, s/m (s²/m² of the square); broadcasts against the batch.
+        memory: s, over which losses are forgotten; None never forgets; broadcasts against the batch.
+        loss: "absolute", which MAE measures, or "square".
+        prior: weights at the start by member, no unit, relative to 1 of those not named.
+
+    Raises:
+        ConfigError: a number outside its range, or another loss.
 
     >>> rule = ExponentialWeights(rate=10.0, memory=None)
     >>> rule.bind(["aid", "rls"])
@@ -258,11 +286,18 @@ class ExponentialWeights(Prior):
 class BOA(Prior):
     """Bernstein online aggregation: weight goes to members that improve the mixture.
 
-    `members`, `memory`, `loss` and `prior` are those of `Prior`.
+    The equations, and where κ departs from the published rule, are in `state` (Wintenberger 2017).
 
     Args:
+        members: names of those that count, all by default.
+        memory: s, over which losses are forgotten; None never forgets; broadcasts against the batch.
+        loss: "absolute", which MAE measures, or "square".
         scale: E₀, least range of the losses, m/s (m²/s² of the square): how far predictions lie apart, roughly.
-        share: of the weight that goes to the members by the priors at every step, 0 … 1.
+        share: of the weight that goes to the members by the priors at every step, a share of 0 … 1.
+        prior: weights at the start by member, no unit, relative to 1 of those not named.
+
+    Raises:
+        ConfigError: a number outside its range, or another loss.
 
     >>> boa = BOA(prior={"rnn": 0.1})
     >>> boa.bind(["aid", "rls", "rnn"])

@@ -32,7 +32,10 @@ class ForecastSettings(nn.Module):
         memory: s over which losses are forgotten at horizon 0,
         growth: and what is added to it, s for each s of the horizon.
         scale: least range of the losses at 0.4 s, m/s.
-        share: of the weight that goes to the members equally at every loss, 0 … 1.
+        share: of the weight that goes to the members equally at every loss, a share of 0 … 1.
+
+    Raises:
+        ConfigError: horizons that are not increasing, too many of them, or a number outside its range.
 
     >>> from usvlearn import AID, Ensemble, Persistence
     >>> ensemble = Ensemble({"aid": AID(), "persistence": Persistence()}, forecasts=ForecastSettings((0.4, 10.0)))

@@ -21,9 +21,14 @@ class WithMemory(Estimator):
     Where a segment starts, the last acceleration is 0 and the last commands equal the present ones. Where the estimator
     coasts, the acceleration is that of its own estimate.
 
+    Derived in `docs/theory/estimators.md`.
+
     Args:
         estimator: AID, RLS or SIFtRLS over `SurgeDynamics(memory=True)`.
         surge_dot_max: physical limit of the acceleration, m/s².
+
+    Raises:
+        ConfigError: no estimator, or a limit that is not positive.
 
     >>> from usvlearn import AID, SurgeDynamics
     >>> estimator = WithMemory(AID(model=SurgeDynamics(28.0, memory=True)))

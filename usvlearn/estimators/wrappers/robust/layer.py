@@ -29,17 +29,23 @@ def clipped_moment(c: float) -> float:
 class Robust(Estimator):
     """Huber-clips the innovations of any estimator.
 
+    Huber 1964; the escape and the gate are derived in `docs/theory/estimators.md`.
+
     Args:
         estimator: any.
-        threshold: c, in standard deviations. 4 clips gross outliers only, and not the errors of an imperfect model.
-            Huber's 1.345 is for regressions: an estimator that departs from the last speed would replace a sixth of all
-            samples by its own predictions (`docs/benchmarks/stress.md`).
-        patience: clipped samples in a row after which the next is accepted. 1 follows a boat's steps sooner; but with
-            2 % of outliers, two in a row then sometimes spoil the parameters.
-        inflation: of the estimator's covariance where a change is accepted, 1 or more; broadcasts against the batch.
+        threshold: c, a number of standard deviations. 4 clips gross outliers only, and not the errors of an imperfect
+            model. Huber's 1.345 is for regressions: an estimator that departs from the last speed would replace a sixth
+            of all samples by its own predictions (`docs/benchmarks/stress.md`).
+        patience: number of clipped samples in a row after which the next is accepted. 1 follows a boat's steps sooner;
+            but with 2 % of outliers, two in a row then sometimes spoil the parameters.
+        inflation: factor of the estimator's covariance where a change is accepted, no unit, 1 or more; broadcasts
+            against the batch.
         scale: s at the start, m/s; broadcasts against the batch.
-        memory: 1/b, samples over which the scale is taken.
+        memory: 1/b, the number of samples over which the scale is taken.
         scale_min: least scale, m/s, so that a log without noise is not all outliers.
+
+    Raises:
+        ConfigError: no estimator, or a number outside its range.
 
     >>> from usvlearn import AID
     >>> robust = Robust(AID(mass=28.0))

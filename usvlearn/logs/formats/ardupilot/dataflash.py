@@ -54,6 +54,9 @@ class DataFlash:
         disarmed: `drop` leaves out all servo outputs while the vehicle is disarmed, and counts them as `disarmed`, so
             that nothing is learned while it is towed or carried; `keep` takes them.
 
+    Raises:
+        ConfigError: `disarmed` is neither `drop` nor `keep`.
+
     >>> DataFlash().suffixes
     ('.bin',)
     >>> DataFlash(disarmed="zero")
@@ -69,19 +72,48 @@ class DataFlash:
         check_choice("data.reader.disarmed", self.disarmed, DISARMED)
 
     def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
-        """The channels of a log, and the counts of unusable values: channel -> cause -> count.
+        """The channels of a log.
 
         Args:
             path: the log.
             sources: channel -> where it is found.
 
+        Returns:
+            The channels, in SI units; and the counts of unusable values: channel -> cause -> count.
+
         Raises:
             LogFormatError: the file is no DataFlash log, or lacks a message, a field or a servo.
+
+        >>> from tempfile import TemporaryDirectory
+        >>> with TemporaryDirectory() as folder:
+        ...     path = Path(folder) / "a.bin"
+        ...     _ = path.write_bytes(b"")
+        ...     DataFlash().read(path, {})  # doctest: +ELLIPSIS
+        Traceback (most recent call last):
+        usvlearn.errors.LogFormatError: ...a.bin: expected an ArduPilot DataFlash log, found no message that ...
         """
         return _log(path).channels(sources, keep_disarmed=self.disarmed == "keep")
 
     def survey(self, path: Path) -> list[Series]:
-        """All numbers of a log, with the units that it declares; also while the vehicle is disarmed."""
+        """All numbers of a log, with the units that it declares; also while the vehicle is disarmed.
+
+        Args:
+            path: the log.
+
+        Returns:
+            The numbers, as they stand in the log.
+
+        Raises:
+            LogFormatError: the file is no DataFlash log.
+
+        >>> from tempfile import TemporaryDirectory
+        >>> with TemporaryDirectory() as folder:
+        ...     path = Path(folder) / "a.bin"
+        ...     _ = path.write_bytes(b"")
+        ...     DataFlash().survey(path)  # doctest: +ELLIPSIS
+        Traceback (most recent call last):
+        usvlearn.errors.LogFormatError: ...a.bin: expected an ArduPilot DataFlash log, found no message that ...
+        """
         return _log(path).survey(DESCRIPTIONS)
 
 

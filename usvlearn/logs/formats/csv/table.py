@@ -36,6 +36,10 @@ class Table:
     header (a torn write) is dropped and counted as `torn_row`. In a file with decimal commas a number with a point is
     counted as `not_a_number`, as is one with separators of thousands.
 
+    The last six are "auto" by default: found from the file, the same for the same file. So can `time` be, with its
+    unit. Where stamps are whole seconds and repeat, the rows of a second are spread evenly within it
+    (`usvlearn.logs.formats.csv.stamps.spread`).
+
     Args:
         time: column of the stamps: numbers, date-times such as `2025-07-24 17:18:48.207`, or times of a day, which go
             on past midnight; `Date+Time` joins two columns. A date-time without a zone is taken as UTC.
@@ -49,9 +53,8 @@ class Table:
             are joined by time. Then a name is FILE.COLUMN, or the column alone, where one file has it. `auto`: runs,
             if one of them has all columns that are named, or if all have the same columns.
 
-    The last six are "auto" by default: found from the file, the same for the same file. So can `time` be, with its
-    unit. Where stamps are whole seconds and repeat, the rows of a second are spread evenly within it
-    (`usvlearn.logs.formats.csv.stamps.spread`).
+    Raises:
+        ConfigError: an option outside its legal values.
 
     >>> from tempfile import TemporaryDirectory
     >>> with TemporaryDirectory() as folder:
@@ -89,11 +92,14 @@ class Table:
             ) from None
 
     def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
-        """The channels of a table, and the counts of unusable cells: channel -> cause -> count.
+        """The channels of a table.
 
         Args:
             path: the file, or a folder of tables of one run.
             sources: channel -> where it is found.
+
+        Returns:
+            The channels, in SI units; and the counts of unusable cells: channel -> cause -> count.
 
         Raises:
             LogFormatError: the file is no table, or lacks a column, or does not tell how it is written.
@@ -118,8 +124,18 @@ class Table:
         Args:
             path: the file, or a folder of tables of one run.
 
+        Returns:
+            The columns, as they stand in the file.
+
         Raises:
             LogFormatError: as for `read`.
+
+        >>> from tempfile import TemporaryDirectory
+        >>> with TemporaryDirectory() as folder:
+        ...     path = Path(folder) / "a.csv"
+        ...     _ = path.write_text("t,Speed (m/s)\\n0.0,1.2\\n0.1,1.3\\n")
+        ...     [(each.name, each.unit, each.value.tolist()) for each in Table("t").survey(path)]
+        [('Speed (m/s)', 'm/s', [1.2, 1.3])]
         """
         if path.is_dir():
             from usvlearn.logs.formats.csv.topics import survey_topics

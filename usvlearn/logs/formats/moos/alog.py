@@ -42,11 +42,14 @@ class Alog:
     suffixes: ClassVar[tuple[str, ...]] = (".alog",)
 
     def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
-        """The channels of a log, and the counts of unusable rows: channel -> cause -> count.
+        """The channels of a log.
 
         Args:
             path: the log.
             sources: channel -> where it is found.
+
+        Returns:
+            The channels, in SI units; and the counts of unusable rows: channel -> cause -> count.
 
         Raises:
             LogFormatError: the file holds no rows, or lacks a channel.
@@ -77,8 +80,18 @@ class Alog:
         Args:
             path: the log.
 
+        Returns:
+            The variables, as they stand in the log.
+
         Raises:
             LogFormatError: the file holds no rows.
+
+        >>> from tempfile import TemporaryDirectory
+        >>> with TemporaryDirectory() as folder:
+        ...     path = Path(folder) / "a.alog"
+        ...     _ = path.write_text("%% LOGSTART 1.5e9\\n0.5 NAV_SPEED iGPS 1.2\\n0.9 NAV_SPEED iGPS 1.3\\n")
+        ...     [(each.name, each.value.tolist()) for each in Alog().survey(path)]
+        [('NAV_SPEED', [1.2, 1.3])]
         """
         found: dict[str, dict[str, tuple[array, array, array]]] = {}  # variable -> app -> stamps, values, line numbers
         for number, line in enumerate(_lines(path), 1):

@@ -68,15 +68,26 @@ class Ulog:
     suffixes: ClassVar[tuple[str, ...]] = (".ulg", ".ulog")
 
     def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
-        """The channels of a log, and the counts of unusable messages: channel -> cause -> count.
+        """The channels of a log.
 
         Args:
             path: the log.
             sources: channel -> where it is found.
 
+        Returns:
+            The channels, in SI units; and the counts of unusable messages: channel -> cause -> count.
+
         Raises:
             LogFormatError: the file is no ULog, or lacks a topic or a field.
             MissingExtraError: pyulog is not installed.
+
+        >>> from tempfile import TemporaryDirectory
+        >>> with TemporaryDirectory() as folder:
+        ...     path = Path(folder) / "a.ulg"
+        ...     _ = path.write_bytes(b"")
+        ...     Ulog().read(path, {})  # doctest: +ELLIPSIS
+        Traceback (most recent call last):
+        usvlearn.errors.LogFormatError: ...a.ulg: expected a ULog of PX4, found: ...
         """
         wanted = [source.name for source in sources.values()]
         wanted += [found[1] for name in wanted if (found := ELEMENT.fullmatch(name))]
@@ -111,9 +122,20 @@ class Ulog:
         Args:
             path: the log.
 
+        Returns:
+            The numbers, as they stand in the log.
+
         Raises:
             LogFormatError: the file is no ULog.
             MissingExtraError: pyulog is not installed.
+
+        >>> from tempfile import TemporaryDirectory
+        >>> with TemporaryDirectory() as folder:
+        ...     path = Path(folder) / "a.ulg"
+        ...     _ = path.write_bytes(b"")
+        ...     Ulog().survey(path)  # doctest: +ELLIPSIS
+        Traceback (most recent call last):
+        usvlearn.errors.LogFormatError: ...a.ulg: expected a ULog of PX4, found: ...
         """
         topics = _topics(path, lambda name: True)
         series = []

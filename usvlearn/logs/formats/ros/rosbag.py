@@ -41,7 +41,10 @@ class Rosbag:
     Args:
         clock: `header` takes the stamp in a message's header, and the time of receipt for messages without
             one or with one more than 1 s from the receipt; `receive` always takes the time of receipt.
-        chunk_limit: MB that a compressed chunk may unpack to; a bag with a larger one is refused.
+        chunk_limit: MB (10⁶ bytes) that a compressed chunk may unpack to; a bag with a larger one is refused.
+
+    Raises:
+        ConfigError: another clock, or a limit that is not positive.
 
     >>> Rosbag().suffixes
     ('.bag', '.active', '.mcap', '.db3')
@@ -66,16 +69,27 @@ class Rosbag:
         return int(MB * self.chunk_limit)
 
     def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
-        """The channels of a bag, and the counts of unusable messages: channel -> cause -> count.
+        """The channels of a bag.
 
         Args:
             path: the bag, a file or a folder.
             sources: channel -> where it is found.
 
+        Returns:
+            The channels, in SI units; and the counts of unusable messages: channel -> cause -> count.
+
         Raises:
             LogFormatError: the file is no bag, has no readable message, a chunk beyond the limit, or lacks a topic or
                 a field.
             MissingExtraError: rosbags is not installed.
+
+        >>> from tempfile import TemporaryDirectory
+        >>> with TemporaryDirectory() as folder:
+        ...     path = Path(folder) / "a.bag"
+        ...     _ = path.write_bytes(b"")
+        ...     Rosbag().read(path, {})  # doctest: +ELLIPSIS
+        Traceback (most recent call last):
+        usvlearn.errors.LogFormatError: ...a.bag: expected a whole ROS bag, found: ...
         """
         patterns = [source.name for source in sources.values()]
 
@@ -90,9 +104,16 @@ class Rosbag:
         Args:
             path: the bag.
 
+        Returns:
+            The numbers, as they stand in the bag.
+
         Raises:
             LogFormatError: the file is no bag, or has no readable message, or a chunk beyond the limit.
             MissingExtraError: rosbags is not installed.
+
+        >>> Rosbag().survey(Path("nowhere.bag"))  # doctest: +ELLIPSIS
+        Traceback (most recent call last):
+        usvlearn.errors.LogFormatError: nowhere.bag: ...
         """
         return self._open(path, lambda topic, msgtype: msgtype not in IMAGES, lambda bag: self._survey(path, bag))
 
