@@ -4,6 +4,7 @@ The examples stand in docstrings without a heading. The shape and unit of a fiel
 """
 
 import io
+import re
 import tokenize
 from functools import cache
 from pathlib import Path
@@ -43,12 +44,25 @@ def comments(path: Path) -> dict[int, str]:
     return {token.start[0]: token.string.lstrip("# ") for token in tokens if token.type == tokenize.COMMENT}
 
 
+def starred(text: str) -> str:
+    """A docstring in whose prose the star of an optimum, as in x*, begins no emphasis. Code is indented.
+
+    >>> print(starred("The optimum x*, and *words*.\\n\\n    x* = 1"))
+    The optimum x\\*, and *words*.
+    <BLANKLINE>
+        x* = 1
+    """
+    return re.sub(r"^(?!    ).*$", lambda line: re.sub(r"(?<![\w*])(\w)\*(?!\*)", r"\1\\*", line[0]), text, flags=re.M)
+
+
 class Doctests(griffe.Extension):
     """Changes the docstring of every class, function and module when it has been read."""
 
     def on_object(self, *, obj: griffe.Object, **_: Any) -> None:
         if obj.docstring and ">>> " in obj.docstring.value:
             obj.docstring.value = fenced(obj.docstring.value)
+        if obj.docstring and obj.is_module:
+            obj.docstring.value = starred(obj.docstring.value)
 
     def on_attribute(self, *, attr: griffe.Attribute, **_: Any) -> None:
         """Only fields of classes, which are annotated and described on their line."""

@@ -53,6 +53,15 @@ def test_examples_of_docstrings_become_blocks():
     assert fenced("No example.") == "No example."
 
 
+def test_the_star_of_an_optimum_begins_no_emphasis():
+    griffe = pytest.importorskip("griffe", reason="needs the extra docs")
+    from doctests import Doctests, starred
+
+    assert starred("x* and *a* word.\n\n    x* = 1") == "x\\* and *a* word.\n\n    x* = 1"
+    module = griffe.load("usvlearn.estimators.aid.state", extensions=griffe.load_extensions(Doctests))
+    assert "where x and x\\* are" in module.docstring.value
+
+
 def test_comments_of_fields_become_their_descriptions(tmp_path):
     griffe = pytest.importorskip("griffe", reason="needs the extra docs")
     from doctests import Doctests
