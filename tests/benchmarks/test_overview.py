@@ -1,4 +1,4 @@
-"""The first page of the benchmarks: from given figures, beside earlier runs, and from a quick run."""
+"""The overview of the benchmarks: from given figures, against earlier runs, and from a quick run."""
 
 import doctest
 import itertools
@@ -6,7 +6,6 @@ from datetime import datetime, timedelta
 
 import overview
 import overview_sections
-import pages
 import pytest
 from history import Figure, read, timed
 from overview_sections import Part
@@ -39,12 +38,9 @@ def test_examples():
 
 def test_the_page_of_given_figures(given_figures):
     assert overview.main([]) == 0
-    text = (given_figures / "index.md").read_text()
-    assert text.startswith("# Benchmarks\n") and "\n## Speed\n\n| µs | C |\n" in text and "cores" in text
-    assert "| speed: aid, streamed | 2.00 | C | 1 % | 0 |  |  | 10 % |  |" in text
-    assert "| accuracy: heron | 0.600 | MAE of persistence |  | 0 |  |  | 2 % |  |" in text
-    assert "with comparable entries: 0; worse: 0." in text and "history.svg" not in text
-    assert all(row in text for row in pages.listing())
+    text = (given_figures / "overview.md").read_text()
+    assert text.startswith("# Speed, accuracy") and "\n## Speed\n\n| µs | C |\n" in text and "cores" in text
+    assert "Against earlier runs" not in text and "history.svg" not in text  # there are none
     (first, second) = read(given_figures / "history.csv")
     assert f"on {first.run.date} in 0 min" in text and first.figure.value == 2.0 and second.figure.spread is None
 
@@ -55,13 +51,16 @@ def test_a_slowdown_is_shown_and_fails_the_check(given_figures, capsys):
     MEASURED["ratio"] = 2.1
     assert overview.main(["--check"]) == 0
     assert "No figure is worse, of 2 with comparable entries." in capsys.readouterr().out
+    text = (given_figures / "overview.md").read_text()
+    assert "\n## Against earlier runs\n" in text and "with comparable entries: 2; worse: 0." in text
+    assert "| accuracy: heron | 0.600 | MAE of persistence |  | 1 | +0 % | +0 % | 2 % |  |" in text
     assert "over the first entry" in (given_figures / "history.svg").read_text()
     MEASURED["ratio"] = 2.6
     assert overview.main([]) == 0  # it is told, but only --check fails
     assert overview.main(["--check", "--only", "speed"]) == 1
     out = capsys.readouterr().out
     assert out.splitlines()[-1].startswith("1 of 2 figures are worse: speed: aid, streamed (+0 % since the last entry")
-    text = (given_figures / "index.md").read_text()
+    text = (given_figures / "overview.md").read_text()
     assert "| speed: aid, streamed | 2.60 | C | 1 % | 2 | +24 % | +27 % | 10 % | **worse** |" in text
     assert "(history.svg)" in text
     assert len(read(given_figures / "history.csv")) == 2 * 3  # of --only nothing is appended
@@ -101,7 +100,7 @@ def test_a_ratio_is_that_of_the_rounds():
 @pytest.mark.slow
 def test_a_quick_run_measures_all(tmp_path):
     assert overview.main(["--quick", "--folder", str(tmp_path)]) == 0
-    text = (tmp_path / "index.md").read_text()
+    text = (tmp_path / "overview.md").read_text()
     for title, _ in overview.SECTIONS.values():
         assert f"\n## {title}\n" in text
     found = read(tmp_path / "history.csv")

@@ -1,5 +1,6 @@
-"""The pages of results: titles, tables, links, what cites them, and which script makes which."""
+"""The pages of results: titles, tables, links, what cites them, and the list of all in docs/benchmarks.md."""
 
+import ast
 import itertools
 import re
 
@@ -8,7 +9,20 @@ import pytest
 
 ROOT = pages.FOLDER.parents[1]
 PAGES = {path.stem: path.read_text() for path in sorted(pages.FOLDER.glob("*.md"))}
-MADE = {"index.md", "history.csv", "history.svg"}  # by a run of overview.py
+MADE = {"overview.md", "history.csv", "history.svg"}  # by a run of overview.py
+ROW = re.compile(r"^\| (?P<result>.+) \| \[[^]]+\]\(benchmarks/(?P<page>\w+)\.md\) \| `(?P<command>[^`]+)` \|$", re.M)
+OTHERS = {  # pages without a script of their name
+    "live_moosdb": "python benchmarks/live_moos.py PORT",
+    "study": "python evaluate.py experiment=paper",
+}
+
+
+def command(name: str) -> str:
+    """How the script of a page is called, by its docstring."""
+    called = f"python benchmarks/{name}.py"
+    docstring = ast.get_docstring(ast.parse((ROOT / "benchmarks" / f"{name}.py").read_text())) or ""
+    usage = re.search(rf"^{re.escape(called)}[^\n]*?(?=  |$)", docstring, re.MULTILINE)
+    return usage[0] if usage else called
 
 
 def test_titles_differ():
@@ -35,21 +49,21 @@ def test_every_mention_of_a_page_is_of_one_that_exists():
     for path in files:
         text = path.read_text()
         for found in re.findall(r"docs/benchmarks/(\w+\.\w+)", text):
-            assert (pages.FOLDER / found).exists() or found in MADE, f"{path}: {found}"
+            former = path.name == "CHANGELOG.md" and found == "index.md"
+            assert (pages.FOLDER / found).exists() or found in MADE or former, f"{path}: {found}"
             cited += 1
         assert not re.search(r"(?<!docs/)(?<!\]\()(?<!\.\./)benchmarks/\w+\.(md|svg)", text), f"{path}: the old folder"
     assert cited > 20
 
 
-def test_every_page_is_listed_with_what_makes_it():
-    rows = {re.search(r"\((\w+)\.md\)", row)[1]: row for row in pages.listing()[2:]}
-    assert set(rows) == set(PAGES) - {"index"}
-    assert "| `python benchmarks/accuracy.py LOGS` | How well" in rows["accuracy"]
-    for name, row in rows.items():
-        _, title, command, content, _ = re.split(r" ?\| ?", row)
-        script = command.strip("`").split()[1]
-        assert (ROOT / script).exists() and content.endswith("."), row
-        assert title.startswith(f"[{PAGES[name].splitlines()[0][2:]}]")
+def test_every_page_is_listed_once_with_what_makes_it():
+    text = (pages.FOLDER.parent / "benchmarks.md").read_text()
+    rows = list(ROW.finditer(text))
+    assert sorted(row["page"] for row in rows) == sorted(PAGES)
+    assert len(re.findall(r"\(benchmarks/", text)) == len(rows)  # no link beside them, so there is one list
+    for row in rows:
+        assert row["command"] == (OTHERS.get(row["page"]) or command(row["page"])), row["page"]
+        assert re.search(r"\d", row["result"]), f"{row['page']}: a result without a figure"
 
 
 def test_a_script_publishes_to_the_folder(tmp_path, monkeypatch, capsys):

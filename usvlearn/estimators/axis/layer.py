@@ -32,14 +32,23 @@ from usvlearn.estimators.regressors.layer import phi1
 class AxisEKF(Estimator):
     """Yaw rate or sway, a slow disturbance and the parameters in one extended Kalman filter; see `YawEKF`, `SwayEKF`.
 
+    Derived in `docs/theory/identification.md#yaw-rate-and-sway`.
+
     Args:
         prior: mean of the parameters, `(m,)` or `(*batch, m)`.
-        scale: their standard deviations, likewise.
+        scale: their standard deviations, `(m,)` or `(*batch, m)`.
         disturbance: q_b, variance of the disturbance's noise in a step of 0.4 s, in units of σ²; broadcasts against the
             batch, as do the next three.
         disturbance_time: τ_b, s.
         drift_time: T_θ, s, after which the parameters' variance has grown by its prior.
-        outlier: k, standard deviations beyond which a measurement is an outlier; None: none is.
+        outlier: k, number of standard deviations beyond which a measurement is an outlier; None: none is.
+
+    Raises:
+        ConfigError: a number that must be positive is not.
+
+    >>> from usvlearn import SwayEKF
+    >>> isinstance(SwayEKF(surge_max=2.7), AxisEKF)
+    True
     """
 
     kind: str
