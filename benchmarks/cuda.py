@@ -1,6 +1,7 @@
 """Batch elements on a GPU: steps and gradients by torch on CUDA, beside torch and compiled code on the CPU.
 
 python benchmarks/cuda.py                        where torch finds CUDA; writes the page
+python benchmarks/cuda.py --short                fewer steps and sizes, without the default ensemble: a minute, printed
 python benchmarks/cuda.py --cpu                  the CPU's part alone, printed
 python benchmarks/cuda.py --compile              also by torch.compile, which compiles for minutes
 
@@ -32,7 +33,7 @@ MASS, SURGE_MAX, NOISE = 28.0, 2.74, 0.02  # kg, m/s, m/s
 PREDICTIONS, GRADIENTS = 1e-6, 1e-6  # m/s; of the largest entry: how far results may lie from those of the CPU
 TEMPORARIES = 8  # copies of a state that a step holds, about
 AT_REST = 100  # steps with which the boat's log begins, at most
-SLOW, LONGEST = 5.0, 60.0  # s of a work that is done once; above which more batch elements are left out
+SLOW = 5.0  # s of a work that is done once
 NONE = "No CUDA device was found, so nothing was measured; --cpu measures the part of the CPU."
 
 Make = Callable[[Estimator, Sample], Work]
@@ -43,15 +44,17 @@ class Effort(NamedTuple):
 
     elements: tuple[int, ...] = (1, 16, 256, 4096, 65536)
     element_steps: int = 2**19  # of a run, at least `fewest` steps and at most `most`
-    fewest: int = 4
+    fewest: int = 4  # also of a first run, which tells how long the others take
     most: int = 200
     back: int = 50  # steps through which a gradient is taken
     repeats: int = 5
+    longest: float = 20.0  # s of a run: above it has fewer steps, or a gradient is left out
 
     def steps(self, elements: int) -> int:
         return min(self.most, max(self.fewest, self.element_steps // elements))
 
 
+SHORT = Effort((1, 4096, 65536), 2**16, 2, 20, 10, 1, 2.0)
 QUICK = Effort((1, 4), 40, 2, 5, 3, 2)
 
 
@@ -72,8 +75,13 @@ class Kind(NamedTuple):
 
 
 def estimators() -> dict[str, Estimator]:
-    """One of each kind of arithmetic, and the default ensemble."""
-    known = {"aid": AID(MASS), "rls": RLS(), "rnn": RNN(surge_max=SURGE_MAX), "joint": JointEKF(SURGE_MAX, MASS)}
+    """One of each kind of arithmetic, and the default ensemble.
+
+    The network's weights are random: those of "persistence" are zero in most neurons, where the projection has a kink.
+    Its gradient by the first weights is then another one after a rounding of 1e-16, on every device.
+    """
+    rnn = RNN(surge_max=SURGE_MAX, initial="random")
+    known = {"aid": AID(MASS), "rls": RLS(), "rnn": rnn, "joint": JointEKF(SURGE_MAX, MASS)}
     return known | {"default ensemble": accuracy.ensemble(())}
 
 
@@ -170,23 +178,26 @@ def needed(estimator: Estimator, keeps: bool) -> float:
 
 def rates(kind: Kind, way: Way, estimator: Estimator, effort: Effort) -> list[str]:
     """Thousand element-steps a second, by the number of batch elements; – where it would not fit, or take too long."""
-    found, slowness, each = [], 0.0, needed(estimator, kind.keeps)  # s and bytes of an element-step
+    found, each = [], needed(estimator, kind.keeps)  # bytes of an element-step
     for elements in effort.elements:
         steps = effort.back if kind.keeps else effort.steps(elements)
         fits = each * elements * (steps if kind.keeps else 1) <= room(way.device)
-        spent = (
-            timed(way, estimator, steps, elements, effort) if fits and slowness * steps * elements <= LONGEST else None
-        )
-        slowness = slowness if spent is None else spent / (steps * elements)
-        found.append("–" if spent is None else three_digits(0.001 / slowness))
+        first = timed(way, estimator, effort.fewest, elements, 1) if fits else None
+        if first is not None and not kind.keeps:
+            steps = min(steps, max(effort.fewest, int(effort.longest / first * effort.fewest)))
+        if first is None or first / effort.fewest * steps > effort.longest:
+            found.append("–")
+            continue
+        spent = timed(way, estimator, steps, elements, effort.repeats)
+        found.append("–" if spent is None else three_digits(0.001 * steps * elements / spent))
     return found
 
 
-def timed(way: Way, estimator: Estimator, steps: int, elements: int, effort: Effort) -> float | None:
+def timed(way: Way, estimator: Estimator, steps: int, elements: int, repeats: int) -> float | None:
     """Seconds of a run; None if the GPU's memory does not suffice."""
     try:
         work = way.make(estimator.to(way.device), sent(elements_of(steps, elements), way.device))
-        return seconds(work, way.device, effort.repeats)
+        return seconds(work, way.device, repeats)
     except torch.OutOfMemoryError:
         return None
 
@@ -203,7 +214,7 @@ def compared(kind: Kind, way: Way, estimator: Estimator, effort: Effort) -> str:
     elements, limit = effort.elements[1], GRADIENTS if kind.keeps else PREDICTIONS
     run = elements_of(min(effort.back, effort.steps(elements)), elements)
     found, expected = (result(each, estimator, run) for each in (way, reference))
-    worst = max(_difference(found[name], x, kind.keeps) for name, x in expected.items())
+    worst = max(_difference(found[name], x, expected if kind.keeps else {}) for name, x in expected.items())
     if not worst <= limit:
         raise SystemExit(f"{kind.title}: differs by {worst:.2g} from torch on the CPU, expected {limit:g} or less")
     return f"{worst:.1g}"
@@ -215,9 +226,11 @@ def result(way: Way, estimator: Estimator, run: Sample) -> dict[str, Tensor]:
     return {name: x.detach().cpu().clone() for name, x in named_leaves(found)}
 
 
-def _difference(found: Tensor, expected: Tensor, relative: bool) -> float:
-    largest = float(expected.abs().max()) if relative else 1.0
-    return float((found - expected).abs().max()) / (largest or 1.0)
+def _difference(found: Tensor, expected: Tensor, gradients: Mapping[str, Tensor]) -> float:
+    """The largest difference; that of a gradient relative to its largest entry, or to a thousandth of that of all."""
+    largest = max((float(x.abs().max()) for x in gradients.values()), default=0.0)
+    scale = max(float(expected.abs().max()), 1e-3 * largest) if gradients else 1.0
+    return float((found - expected).abs().max()) / (scale or 1.0)
 
 
 def section(kind: Kind, known: Mapping[str, Estimator], effort: Effort) -> list[str]:
@@ -246,8 +259,8 @@ def page(cuda: bool, compile_steps: bool, effort: Effort, known: Mapping[str, Es
         "",
         f"Measured by `python benchmarks/cuda.py` in float64: medians of {effort.repeats} runs, after one that is not",
         f"counted. The CPU uses {threads}. A gradient is taken through {effort.back} steps, and each of them counts",
-        f"as an element-step. – marks what does not fit into half of the free memory, or takes more than {LONGEST:g} "
-        "s.",
+        "as an element-step. – marks what does not fit into half of the free memory, or takes more than "
+        f"{effort.longest:g} s.",
         "The last column is the largest difference from torch on the CPU: of predictions in m/s, of gradients relative",
         f"to the largest entry. More than {PREDICTIONS:g} and {GRADIENTS:g} would have ended the measurement.",
         "",
@@ -263,14 +276,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     asked = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     asked.add_argument("--cpu", action="store_true", help="the CPU's part alone, printed")
     asked.add_argument("--compile", action="store_true", help="also by torch.compile")
+    asked.add_argument("--short", action="store_true", help="fewer steps and sizes, without the ensemble; printed")
     asked.add_argument("--quick", action="store_true", help="on little data: whether it runs; printed")
     given = asked.parse_args(arguments)
     cuda = torch.cuda.is_available() and not given.cpu
     if not cuda and not given.cpu:
         print(NONE)
         return
-    text = page(cuda, given.compile, QUICK if given.quick else Effort(), estimators())
-    if cuda and not given.quick:
+    known, effort = estimators(), QUICK if given.quick else SHORT if given.short else Effort()
+    if given.short:
+        del known["default ensemble"]
+    text = page(cuda, given.compile, effort, known)
+    if cuda and effort == Effort():
         publish(__file__, text)
     else:
         print(*text, sep="\n")
