@@ -77,8 +77,11 @@ class PlanarLive(Live):
     ) -> float:
         """One step of one batch element."""
         program, s, q, work = self._steps[k]
+        left, right, heading, yaw_rate, dt = inputs
         self._pose[:] = pose
-        return dispatch.step_planar(program, self.plan.head, s, q, work, *inputs, surge, fresh, measured, self._pose)
+        return dispatch.step_planar(
+            program, self.plan.head, s, q, work, left, right, heading, yaw_rate, dt, surge, fresh, measured, self._pose
+        )
 
     def track(self, commands: Any, dt: float) -> Track:
         """Where the boat will be under a plan; `Online.forecast`."""
