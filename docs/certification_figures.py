@@ -12,16 +12,13 @@ from pathlib import Path
 import numpy as np
 import torch
 from matplotlib.figure import Figure
-from scipy.spatial import ConvexHull
 
 from certify.display.figures import INK, PALE, TIER_COLOURS
 from certify.networks.shallow import ShallowWeights
 from certify.networks.vector import RELU, VectorNetwork, VectorWeights, check, forward
-from certify.proofs import vector_exact, vector_slopes
+from certify.proofs import vector_exact
 from certify.proofs.box_planes import Box, slope_at
-from certify.proofs.rounding import above, below
-from certify.proofs.vector_slopes import TANH
-from certify.training import conditions, vector_rates
+from certify.training import conditions
 
 FOLDER = Path(__file__).parent / "images"
 RELU_COLOUR, OTHER, WARM = TIER_COLOURS["tight"], TIER_COLOURS["box"], TIER_COLOURS["gershgorin"]
@@ -84,7 +81,9 @@ def tiers():
             inside = (condition.margin > 0).numpy()
             axes.contourf(x, y, inside, levels=[0.5, 1.5], colors=[TIER_COLOURS[name]], alpha=0.75)
             axes.plot([], [], color=TIER_COLOURS[name], linewidth=6, alpha=0.75, label=name)
-    left.set(xlabel="$s_1 = a_1 w_{11}$", ylabel="$s_2 = a_2 w_{12}$", aspect="equal", title="Two neurons, best gauge")
+    left.set(
+        xlabel="$s_1 = a_1 w_{11}$", ylabel="$s_2 = a_2 w_{12}$", aspect="equal", title="Two neurons, best rescaling"
+    )
     right.set(xlabel="a", ylabel="$w_1$", aspect="equal", title="One neuron, weights as given")
     for axes in (left, right):
         axes.title.set_fontsize(10)
@@ -122,70 +121,6 @@ def cells():
     )
     axes.set(xlabel="x", ylabel="u", xlim=(box.lo[0], box.hi[0]), ylim=(box.lo[1], box.hi[1]))
     return figure
-
-
-def dual_leaf():
-    """The function that bounds one neuron's contribution in a leaf with a multiplier."""
-    figure, axes = panes(2, 3.6, sharey=True)
-    least, most, gain = -0.6, 1.0, 0.8
-    z = np.linspace(least, most, 400)
-    for each, mu in zip(axes, (0.0, gain / -least), strict=True):
-        bound = max(gain, mu * -least) + mu * z
-        each.fill_between(z, gain * (z > 0), bound, color=RELU_COLOUR, alpha=0.15, label="lost")
-        each.plot(z[z <= 0], 0 * z[z <= 0], color=INK, linewidth=2)
-        each.plot(z[z > 0], 0 * z[z > 0] + gain, color=INK, linewidth=2, label="g where z > 0")
-        each.plot(z, bound, color=RELU_COLOUR, linewidth=2, label="max(g, μ|L|) + μ z")
-        each.axvline(0, color=PALE, linewidth=0.8)
-        each.set(xlabel="z", title=f"μ = {mu:.3g}", xticks=[least, 0, most], xticklabels=["L", "0", "U"])
-        each.title.set_fontsize(10)
-    axes[0].set_ylabel("contribution to the slope")
-    legend(figure)
-    return figure
-
-
-def slopes():
-    """What an interval of z leaves of the slopes of tanh, and what intervals lose behind a second hidden layer."""
-    figure, (left, right) = panes(2, 4.6)
-    one = check(VectorWeights(None, [[1.0]], [[1.0]], np.zeros((1, 0)), [0.0]))  # z = x
-    lo, hi = -0.3, 1.2
-    (((least, most),),) = vector_slopes.intervals(one, TANH, Box(np.array([lo]), np.array([hi])))
-    z = np.linspace(-2.5, 2.5, 501)
-    inside = np.linspace(lo, hi, 301)
-    label = f"z in [{lo}, {hi}]: slopes in [{below(least, 4)}, {above(most, 4)}]".replace("-", "−")
-    left.fill_between([lo, hi], float(least), float(most), color=RELU_COLOUR, alpha=0.15, linewidth=0, label=label)
-    left.plot(z, 1 - np.tanh(z) ** 2, color=PALE, linewidth=1.5, label="1 − tanh² z")
-    left.plot(inside, 1 - np.tanh(inside) ** 2, color=RELU_COLOUR, linewidth=2.5)
-    left.set(xlabel="z", ylabel="slope of tanh", ylim=(-0.04, 1.12), title="One neuron on an interval")
-    A, V, W = (
-        [[0.5, 0.5]], [[0.75, -0.5, 0.375, 0.25], [-0.5, 0.75, 0.25, 0.375]], [[1.0], [1.0], [1.0], [1.0]]
-    )  # fmt: skip
-    net = check(VectorWeights(None, A, W, np.zeros((4, 0)), np.zeros(4), V, np.zeros(2)))
-    terms = net.V * net.W[:, 0]  # what each neuron of the first layer adds to the arguments of the second
-    points = np.array([terms @ np.array(d) for d in itertools.product((0.0, 1.0), repeat=4)])
-    ends = np.minimum(terms, 0).sum(1), np.maximum(terms, 0).sum(1)  # of the propagated intervals
-    corners = np.array(list(itertools.product(*zip(*ends, strict=True))))[[0, 1, 3, 2]]
-    right.fill(*corners.T, facecolor="#FBEFD3", edgecolor=WARM, label="box of the propagated intervals")
-    around = points[ConvexHull(points).vertices]
-    right.fill(*around.T, facecolor="#D3E5F1", edgecolor=RELU_COLOUR, label="convex hull of the patterns")
-    right.plot(*points.T, "o", color=RELU_COLOUR, markersize=4, label=f"V D₀ W of the {len(points)} patterns D₀")
-    outputs = np.array([steepest(net, point) for point in points])
-    proved = vector_exact.rate(net, vector_exact.everywhere(net, RELU))
-    right.plot(*points[outputs.argmax()], "*", color=RELU_COLOUR, markersize=15, markeredgecolor=INK, linewidth=0,
-               label=f"steepest pattern: K = {outputs.max():.4g}")  # fmt: skip
-    worst = max(corners, key=lambda corner: steepest(net, corner))
-    right.plot(*worst, "*", color=WARM, markersize=15, markeredgecolor=INK, linewidth=0, clip_on=False,
-               label=f"what the intervals assume: K ≤ {above(proved, 4)}")  # fmt: skip
-    right.set(xlabel="slope of the first neuron's argument", ylabel="slope of the second's", aspect="equal",
-              title="Second hidden layer")  # fmt: skip
-    for each in (left, right):
-        each.title.set_fontsize(10)
-        each.legend(fontsize=8, frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.16))
-    return figure
-
-
-def steepest(net: VectorWeights, change: np.ndarray) -> float:
-    """The largest |A D₁ change| over all patterns D₁ of the second layer; `change` is `(l,)`."""
-    return max(abs(float(net.A[0] @ (np.array(d) * change))) for d in itertools.product((0.0, 1.0), repeat=len(change)))
 
 
 def turning() -> VectorWeights:
@@ -244,29 +179,6 @@ def metric(net: VectorWeights) -> np.ndarray:
     return np.array([[float(x) for x in row] for row in found.proof.metric])
 
 
-def steps():
-    """The rate of x + η (f − x) against η, and the line that one proof gives."""
-    net = turning()
-    eta = torch.linspace(0, 2.2, 200, dtype=torch.float64)
-    q = 2
-    T = torch.diag(torch.tensor([1.0, 2.0], dtype=torch.float64))
-    R, A, W = (torch.tensor(x) for x in (net.R, net.A, net.W))
-    scaled = VectorWeights((1 - eta)[:, None, None] * torch.eye(q) + eta[:, None, None] * R, eta[:, None, None] * A,
-                           W.expand(len(eta), *W.shape), None, None)  # fmt: skip
-    K = vector_rates.rate(scaled, T).numpy()
-    end = 1.65
-    at = float(np.interp(end, eta, K))
-    figure, (axes,) = panes(1, 3.6)
-    figure.set_figwidth(6)
-    axes.plot(eta, K, color=RELU_COLOUR, linewidth=2, label="exact rate K(η)")
-    axes.plot([0, end], [1, at], color=WARM, linewidth=2, label=f"what a proof at η = {end} gives for all smaller η")
-    axes.axhline(1, color=PALE, linewidth=0.8)
-    axes.plot(end, at, "o", color=WARM)
-    axes.set(xlabel="η, step / step at which the network was learned", ylabel="rate")
-    legend(figure)
-    return figure
-
-
 def pairs():
     """The distance of pairs of starts, and what is proved."""
     net = turning()
@@ -288,10 +200,7 @@ def pairs():
     return figure
 
 
-FIGURES = {
-    "sectors": sectors, "tiers": tiers, "cells": cells, "dual_leaf": dual_leaf, "balls": balls, "steps": steps,
-    "pairs": pairs, "slopes": slopes,
-}  # fmt: skip
+FIGURES = {"sectors": sectors, "tiers": tiers, "cells": cells, "balls": balls, "pairs": pairs}
 
 if __name__ == "__main__":
     for name, draw in FIGURES.items():

@@ -25,8 +25,7 @@ from usvlearn.logs.channels.channel import AUXILIARY, CHANNELS, Source
 PAGES = sorted(
     path
     for path in [*(ROOT / "docs").rglob("*.md"), ROOT / "README.md"]
-    if path.parent.name != "tutorials"
-    or path.name == "index.md"  # the others are made of notebooks, which run elsewhere
+    if path.parent.name not in ("tutorials", "adr")  # made of notebooks, which run elsewhere; without code
 )
 NAMES = [path.relative_to(ROOT).as_posix() for path in PAGES]
 FROM_NOTHING = ("README.md", "docs/start.md")  # they make the logs themselves

@@ -1,5 +1,6 @@
 """The builder of the site finds what is wrong in its pages, and every page of docs/ has a place in it."""
 
+import json
 import re
 
 import pytest
@@ -80,12 +81,31 @@ def pages_of(tree):
             yield from pages_of(value) if isinstance(value, list) else [value]
 
 
-def test_the_menu_names_every_page_once():
+NAMED = sorted(pages_of(yaml.safe_load((ROOT / "mkdocs.yml").read_text())["nav"]))
+
+
+def test_the_menu_names_every_page_once_but_data_pages_and_decisions():
     docs = ROOT / "docs"
-    named = sorted(pages_of(yaml.safe_load((ROOT / "mkdocs.yml").read_text())["nav"]))
     tutorials = {f"tutorials/{path.stem}.md" for path in (docs / "tutorials").glob("*.ipynb")}
     there = {path.relative_to(docs).as_posix() for path in docs.rglob("*.md")} | tutorials
-    assert named == sorted(there)
+    assert sorted(name for name in there if not name.startswith(("adr/", "benchmarks/"))) == NAMED
+
+
+def test_the_site_stays_short():
+    """At most 30 written pages with 45,000 words; code, formulas and the pages made of docstrings do not count."""
+    written = [name for name in NAMED if not name.startswith("reference/") or name == "reference/index.md"]
+    assert len(written) <= 30
+    words = 0
+    for name in written:
+        path = ROOT / "docs" / name
+        if path.with_suffix(".ipynb").exists():
+            cells = json.loads(path.with_suffix(".ipynb").read_text())["cells"]
+            text = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown")
+        else:
+            text = (ROOT / "CONTRIBUTING.md" if name == "contributing.md" else path).read_text()
+        text = re.sub(r"^( *)```.*?^\1```|\$\$.*?\$\$|<!--.*?-->", "", text, flags=re.M | re.S)
+        words += sum(bool(re.search(r"\w", word)) for word in text.split())
+    assert words <= 45_000
 
 
 def test_the_release_is_the_same_in_every_file():
