@@ -25,9 +25,9 @@ class Page(HTMLParser):
     """What a page points to, and what can be pointed to in it.
 
     >>> page = Page()
-    >>> page.feed('<h1 id="top"></h1><a href="other.html#x">other</a><img src="a.png">')
+    >>> page.feed('<h1 id="top"></h1><a href="other.html#x">other</a><img src="a.png" srcset="b.png, c.png 2x">')
     >>> page.links, page.loaded, page.places
-    (['other.html#x'], ['a.png'], {'top'})
+    (['other.html#x'], ['a.png', 'b.png', 'c.png'], {'top'})
     """
 
     def __init__(self) -> None:
@@ -45,6 +45,7 @@ class Page(HTMLParser):
             self.loaded.append(found["href"])
         elif "src" in found:
             self.loaded.append(found["src"])
+        self.loaded += [each.split()[0] for each in found.get("srcset", "").split(",") if each.strip()]
 
 
 def faults(site: Path) -> list[str]:

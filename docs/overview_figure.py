@@ -1,4 +1,6 @@
-"""Draw the picture of the README, `docs/overview.png`, from simulated boats; needs the extra plot.
+"""Draw the picture of the README and of the first page from simulated boats; needs the extra plot.
+
+`docs/overview.png` has three panels beside each other; in `docs/overview_narrow.png`, for telephones, they are stacked.
 
 python docs/overview_figure.py
 """
@@ -29,6 +31,8 @@ MASS = 28.0  # kg, of the Heron in `configs/data/simulated.yaml`
 START, BEFORE, AHEAD = 432.0, 20.0, 30.0  # s in the last run: of the forecast, shown before it, and its length
 FAULT, SHARE = 10.0, 0.4  # min from which the left thruster has that share of its thrust
 OURS = colours(["ensemble"])["ensemble"]
+FOLDER = Path(__file__).parent
+NARROW = (3.9, 8.4)  # inches of 100 px: the width of a telephone, at which 9 pt are 12.5 px
 
 
 def steps(boat: usvlearn.Online, logs, which: slice = slice(None)) -> Iterator[tuple[float, usvlearn.Sample, float]]:
@@ -104,6 +108,15 @@ def warns(panel, ensemble: usvlearn.Ensemble) -> None:
     panel.set(title="It warns", xlabel="time, min", ylabel="share of the thrust", xlim=(8, 14), ylim=(0, 1.15))
 
 
+def stack(figure, size: tuple[float, float]) -> None:
+    """Put the panels of a figure below each other, in that size, with legends as large as the other text."""
+    figure.set_size_inches(size)
+    legends = ("lower left", "lower right", (0.48, 0.45))
+    for panel, place, legend in zip(figure.axes, figure.add_gridspec(len(figure.axes), 1), legends, strict=True):
+        panel.set_subplotspec(place)
+        panel.legend(fontsize=9, loc=legend, handlelength=1.2)
+
+
 def main() -> None:
     logs = usvlearn.read(data="simulated", **SEASON)
     ensemble = usvlearn.learn(usvlearn.read(data="simulated", hours=0.05)).ensemble  # the default one, and no more
@@ -116,7 +129,9 @@ def main() -> None:
         for panel in (first, second, third):
             panel.grid(alpha=0.25)
             panel.legend(fontsize=7.5, loc="best")
-        figure.savefig(Path(__file__).with_name("overview.png"), metadata={"Software": None})
+        figure.savefig(FOLDER / "overview.png", metadata={"Software": None})
+        stack(figure, NARROW)
+        figure.savefig(FOLDER / "overview_narrow.png", dpi=200, metadata={"Software": None})
 
 
 if __name__ == "__main__":

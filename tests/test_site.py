@@ -12,6 +12,7 @@ from tests.support import ROOT
 
 GOOD = (
     '<h1 id="top">Start</h1><a href="#top">up</a><a href="b.html#there">on</a><img src="a.png"><a href="https://x.y">'
+    '<picture><source srcset="a.png 1x, a.png 2x"></picture>'
 )
 
 
@@ -34,6 +35,7 @@ def test_a_site_without_faults_has_none(site):
         ("b.html#there", "b.html#gone", "a.html: links to b.html#gone, and there is no such place"),
         ("#top", "#bottom", "a.html: links to #bottom, and there is no such place"),
         ('src="a.png"', 'src="b.png"', "a.html: links to b.png, which is not there"),
+        ("a.png 2x", "b.png 2x", "a.html: links to b.png, which is not there"),
         ('src="a.png"', 'src="https://x.y/a.png"', "a.html: loads https://x.y/a.png from outside"),
         ("<img", '<script src="//x.y/s.js"></script><img', "a.html: loads //x.y/s.js from outside"),
     ],
