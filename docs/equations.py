@@ -1,8 +1,8 @@
 r"""Formulas of the pages: MathJax is copied into the site, and a numbered equation can be linked to.
 
 A display formula with `\tag{3}` below the heading `## Joint EKF {#joint-ekf}` gets the id `joint-ekf-3`.
-MathJax comes from the package sphinx-mathjax-offline, as one file that contains its fonts. Only pages with formulas load
-it.
+MathJax comes from the package sphinx-mathjax-offline, as one file that contains its fonts. Only pages with formulas
+load it.
 """
 
 import re

@@ -64,7 +64,9 @@ def test_every_block_says_what_it_is(name):
     text = (ROOT / name).read_text()
     for block in blocks(text):
         assert block.language in (*RUN, *PARSED, *SHOWN), f"{name}:{block.line}: language {block.language!r}"
-        assert block.reason is None or block.language in (*RUN, "text"), f"{name}:{block.line}: does not run in any case"
+        assert block.reason is None or block.language in (*RUN, "text"), (
+            f"{name}:{block.line}: does not run in any case"
+        )
     assert text.count("```") == 2 * len(blocks(text)), f"{name}: a fence is not closed"
     outside = BLOCK.sub("", text)
     bare = COMMAND.search(outside)
