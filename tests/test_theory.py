@@ -19,29 +19,30 @@ RELATION = re.compile(r"[=←∝]")
 # Symbols with other letters on the page (docs/theory/notation.md): section -> {in the module: on the page, "" nowhere}.
 RENAMED = {
     "simulation": {"tau": "T", "v": "w"},
-    "aid": {"n": "ρ", "σ": "l"},
+    "aid": {"n": "ρ", "σ": "l", "ε": "v"},
     "rls": {"s": "S", "α": "S", "T": "B", "S": "P"},
     "sift": {"R": "P", "S": "P", "T": "B"},
     "signs": {"μ": "π", "t": "θ"},
     "rnn": {"z": "Z", "c": "n"},
-    "robust": {"w": "ω", "s": "σ", "β": "μ"},
+    "robust": {"w": "ω", "s": "σ", "β": ""},
     "joint-ekf": {"D": "Λ", "ℓ": "Λ"},
     "factored-covariance": {"a": "d", "α": "S"},
     "arx": {"f": "φ", "w": "ω"},
-    "combiners": {"w": "p"},
-    "conditional-intervals": {"v": "q", "ρ": "a"},
+    "combiners": {"w": "p", "l": "L", "V": "L"},
+    "conditional-intervals": {"v": "q", "ρ": "p", "a": "p", "s": "e", "r": "q", "A": "Φ", "b": "Φ", "f": "φ"},
     "forecasts": {"s": "ℓ"},
-    "monitors": {"x": "φ", "ℓ": "h", "ω": "Ω", "s": "σ", "c": "k", "κ": "", "effectiveness": "η"},
-    "accommodation": {"s": "σ"},
-    "tracks": {"S": "Σ", "u": "v", "l": "v", "ρ": "d", "v": "v q"},
+    "monitors": {"x": "φ", "ℓ": "", "ω": "Ω", "s": "σ", "c": "k", "κ": "", "effectiveness": "ε", "R": "Φ"},
+    "accommodation": {"s": "σ", "η": "ε"},
+    "tracks": {"S": "Σ", "u": "v", "l": "v", "v": "v q"},
     "tuning": {"S": "X", "dx": "ϖ"},
-    "mass": {"r": "y", "w": "ω", "J": "D"},
-    "periodic-estimates": {"s": "ς"},
+    "mass": {"r": "m", "w": "ω", "J": "Ψ", "η": "Ψ"},
+    "periodic-estimates": {"s": "rest", "λ": "fac", "ν": "fac"},
     "yaw-rate-and-sway": {"θ": ""},
     "quantities": {"V": "distance"},
-    "turning": {"v": ""},
-    "controller": {"a": "J"},
-    "batch-fit-simulation": {"loss": "L"},
+    "turning": {"v": "", "p": "f"},
+    "controller": {"a": "J", "b": "J"},
+    "batch-fit-simulation": {"loss": "L", "g": "L", "H": "Φ"},
+    "batch-fit-wear": {"e": "θ"},
     "batch-fit-choice": {"ₘ": "θ"},
     "batch-fit-residuals": {"r": "ρ"},
 }
@@ -114,7 +115,8 @@ def plain_tex(formula: str) -> str:
     >>> sorted(left_hand(plain_tex(r"\dot{\hat\theta}^+ = 1, \qquad \bar P_{\mathcal{AA}}\,\pi_{\mathcal A} = x")))
     ['θ', 'π']
     """
-    plain = re.sub(r"\\(?:text|mathrm|operatorname|mathbf|mathcal|mathbb)\s*\{([^{}]*)\}", r" \1 ", formula)
+    plain = re.sub(r"[_^]\\(?:text|mathrm)\s*\{[^{}]*\}", " ", formula)  # words as subscripts
+    plain = re.sub(r"\\(?:text|mathrm|operatorname|mathbf|mathcal|mathbb)\s*\{([^{}]*)\}", r" \1 ", plain)
     plain = re.sub(r"\\(?:mathrm|mathcal|mathbf)\b *", "", plain)
     plain = re.sub(r"\\(?:begin|end)\{\w+\}|\\[,;:! ]|\\(?:left|right|tfrac|frac|dfrac|Big)\b[lr]?", " ", plain)
     plain = re.sub(r"\\\\(?:\[\w+\])?|\\q?quad\b", "\n", plain)
