@@ -1,5 +1,6 @@
 """The steps that the joint EKF and the axis EKF share; the equations are those of `usvlearn.estimators.joint.state`.
 
+What each step calls is inlined: the compiler inlines by itself what one place calls, and here there are two.
 `node` is the row of a filter whose state begins with the leaves of `FilterState`. A is the leaf `factor`.
 """
 
@@ -10,7 +11,6 @@ from usvlearn.core.jit import jit
 from usvlearn.estimators.augmented.state import (
     AT,
     DECAYED,
-    EAST,
     EVERY,
     LAG_LEAST,
     LAG_MOST,
@@ -21,7 +21,6 @@ from usvlearn.estimators.augmented.state import (
     NOISE_LEAST,
     NOISE_MOST,
     NOISE_SHARE,
-    NORTH,
     OWN_NOISE,
     STEP,
     B,
@@ -54,23 +53,14 @@ def isolate(A, own):
     A[Y, Y], A[B, B] = own, disturbed
 
 
-@jit(reorder=True)
-def transition(A, g, slow, current):
-    """F P Fᵀ, with g and the decays of b and of the current; 1 of the current where there is none."""
-    n = len(g)
-    for j in range(1, n):
+@jit(inline=True, reorder=True)
+def first_row(A, g):
+    """The first row of F U, which is g U, in the place of that of U; the rest of F P Fᵀ is scales."""
+    for j in range(1, len(g)):
         total = g[j]
         for i in range(j):
             total += g[i] * A[j, i]
         A[j, Y] = total
-    A[B, Y] /= slow
-    A[NORTH, Y], A[EAST, Y] = A[NORTH, Y] / current, A[EAST, Y] / current
-    A[NORTH, B], A[EAST, B] = A[NORTH, B] * (slow / current), A[EAST, B] * (slow / current)
-    for j in range(EAST + 1, n):
-        A[j, B], A[j, NORTH], A[j, EAST] = A[j, B] * slow, A[j, NORTH] * current, A[j, EAST] * current
-    A[Y, Y] *= g[Y] * g[Y]
-    A[B, B] *= slow * slow
-    A[NORTH, NORTH], A[EAST, EAST] = A[NORTH, NORTH] * (current * current), A[EAST, EAST] * (current * current)
 
 
 @jit
@@ -85,7 +75,7 @@ def add_slow(A, c, slow, fast):
     A[Y, Y] += c * keep * fast * fast
 
 
-@jit
+@jit(inline=True)
 def add_noise(node, s, A, prior, first, disturbance, drift_time, h, rest, a):
     """The noise of a step: of y, of b, and of one parameter where it is one's turn.
 
@@ -112,7 +102,7 @@ def add_noise(node, s, A, prior, first, disturbance, drift_time, h, rest, a):
     s[node[AT.turn]] = turn + 1 if turn + 1 < EVERY * parameters else 0.0
 
 
-@jit
+@jit(inline=True)
 def limit(A, ahead):
     """The variance of a y⁺ that is beyond its limit."""
     if abs(ahead) >= MOST:
@@ -121,7 +111,7 @@ def limit(A, ahead):
         A[Y, Y] = MOST * MOST
 
 
-@jit
+@jit(inline=True)
 def correct(node, s, error, spread, outlier, rest, work):
     """x, P and σ² after a measurement with this innovation, (5) and (6); f and G are in `work`. Returns S."""
     n, noise, k = node[Node.SIZE], s[node[AT.noise]], outlier
@@ -139,7 +129,7 @@ def correct(node, s, error, spread, outlier, rest, work):
     return S
 
 
-@jit
+@jit(inline=True)
 def limit_lag(mean):
     """The limits of μ."""
     mu = mean[-1]

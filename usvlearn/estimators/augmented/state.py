@@ -16,7 +16,7 @@ from usvlearn.core.family import NOT_NEGATIVE, POSITIVE, TRIANGLE, Family, leaf
 if TYPE_CHECKING:
     from torch import Tensor
 
-Y, B, NORTH, EAST = range(4)  # places in x; without a current, parameters stand in the places of c
+Y, B = range(2)  # places in x
 NOISE, NOISE_LEAST, NOISE_SHARE, NOISE_COUNT, NOISE_MOST = 0.03, 1e-4, 0.005, 20.0, 9.0  # of σ: unit of y; of (6)
 FIRST_DISTURBANCE = 1e-2  # variance of b before the first step, (m/s²)² or (rad/s²)²
 STEP, OWN_NOISE = 0.4, 0.05  # s, for which the noise of y and b is stated; that of y, in σ²

@@ -15,11 +15,11 @@ from usvlearn.estimators.augmented.kernel import (
     blocks,
     correct,
     decay,
+    first_row,
     inflate,
     isolate,
     limit,
     limit_lag,
-    transition,
 )
 from usvlearn.estimators.augmented.state import AT, LONGEST, MOST, REST, B, Y
 from usvlearn.estimators.axis.state import (
@@ -159,7 +159,7 @@ def advance(node, s, q, x, work):
     if rest:
         fill(g[THETA:], 0.0)
     slow = decay(h, numbers[Number.DISTURBANCE_TIME])
-    transition(A, g, slow, 1.0)
+    transition(A, g, slow)
     disturbance, drift_time, a = numbers[Number.DISTURBANCE], numbers[Number.DRIFT_TIME], work[n + 1 : 2 * n + 1]
     add_noise(node, s, A, q[node[Vector.VARIANCE] :], THETA, disturbance, drift_time, h, rest, a)
     limit(A, ahead)
@@ -172,3 +172,14 @@ def advance(node, s, q, x, work):
         spread += f[j] * G[j]
     s[node[AT.deviation]] = np.sqrt(spread + noise)
     return spread, rest
+
+
+@jit(reorder=True)
+def transition(A, g, slow):
+    """F P Fᵀ."""
+    first_row(A, g)
+    A[B, Y] /= slow
+    for j in range(THETA, len(g)):
+        A[j, B] *= slow
+    A[Y, Y] *= g[Y] * g[Y]
+    A[B, B] *= slow * slow

@@ -5,8 +5,22 @@ A is the leaf `factor`: U_ij at A[j, i] for i < j, D_j at A[j, j].
 
 from usvlearn.core.jit import jit
 from usvlearn.core.rows import COS, SIN
-from usvlearn.estimators.augmented.kernel import add_slow
+from usvlearn.estimators.augmented.kernel import add_slow, first_row
 from usvlearn.estimators.joint.state import EAST, NORTH, B, W
+
+
+@jit(reorder=True)
+def transition(A, g, slow, current):
+    """F P Fᵀ."""
+    first_row(A, g)
+    A[B, W] /= slow
+    A[NORTH, W], A[EAST, W] = A[NORTH, W] / current, A[EAST, W] / current
+    A[NORTH, B], A[EAST, B] = A[NORTH, B] * (slow / current), A[EAST, B] * (slow / current)
+    for j in range(EAST + 1, len(g)):
+        A[j, B], A[j, NORTH], A[j, EAST] = A[j, B] * slow, A[j, NORTH] * current, A[j, EAST] * current
+    A[W, W] *= g[W] * g[W]
+    A[B, B] *= slow * slow
+    A[NORTH, NORTH], A[EAST, EAST] = A[NORTH, NORTH] * (current * current), A[EAST, EAST] * (current * current)
 
 
 @jit

@@ -18,11 +18,10 @@ from usvlearn.estimators.augmented.kernel import (
     isolate,
     limit,
     limit_lag,
-    transition,
 )
 from usvlearn.estimators.augmented.state import LONGEST, MOST, REST
 from usvlearn.estimators.factored.kernel import measure, project
-from usvlearn.estimators.joint.factored_kernel import add_current, seen
+from usvlearn.estimators.joint.factored_kernel import add_current, seen, transition
 from usvlearn.estimators.joint.state import (
     AGEING,
     AT,
