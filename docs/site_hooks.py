@@ -1,4 +1,6 @@
-r"""Formulas of the pages: MathJax is copied into the site, and a numbered equation can be linked to.
+r"""Hooks of the site: its formulas, and links to edit a page where `repo_url` names the repository.
+
+MathJax is copied into the site, and a numbered equation can be linked to.
 
 A display formula with `\tag{3}` below the heading `## Joint EKF {#joint-ekf}` gets the id `joint-ekf-3`.
 MathJax comes from the package sphinx-mathjax-offline, as one file that contains its fonts. Only pages with formulas
@@ -63,6 +65,11 @@ def mathjax() -> Path:
         if path.name == "tex-svg.js":
             return Path(str(path.locate()))
     raise FileNotFoundError("sphinx-mathjax-offline has no tex-svg.js: install the extra docs again")
+
+
+def on_config(config: Any, **_: Any) -> None:
+    if config["repo_url"]:
+        config["edit_uri"] = "edit/main/docs/"
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
