@@ -113,9 +113,9 @@ class ConfigError(UsvlearnError):
     """An option outside its legal values.
 
     >>> from usvlearn import AID
-    >>> AID(dead_zone=-1.0)
+    >>> AID(mass=0.0)
     Traceback (most recent call last):
-    usvlearn.errors.ConfigError: dead_zone: found -1.0, expected a number of 0 or more of m/s
+    usvlearn.errors.ConfigError: mass: found 0.0, expected a positive number of kg
     """
 
 
