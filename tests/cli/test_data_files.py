@@ -68,7 +68,7 @@ def test_a_run_and_a_sweep_use_it(mine):
             ["found 'vehicel', expected only data, vehicle, align: did you mean vehicle?"],
         ),
         ("data: {a: &a [1], b: *a}", ["other.yaml: has a YAML alias"]),
-        ("data: " + 20_000 * "[", ["other.yaml: is nested too deeply"]),
+        ("data: " + 900_000 * "[", ["other.yaml: is nested too deeply"]),
         ("data: {path: " + 1_000_000 * "a" + "}", ["other.yaml has more than 1000 kB"]),
         ("\x80", ["other.yaml", "is no text in UTF-8"]),
         ("data: {_target_: os.system, command: ls}", ["data._target_: found 'os.system'", "--config-dir"]),

@@ -10,15 +10,33 @@ import yaml
 from usvlearn.errors import ConfigError
 
 LARGEST = 1_000_000  # bytes
+DEEPEST = 100  # levels: reading takes a time that grows with their square
+OPENED = (
+    yaml.FlowSequenceStartToken,
+    yaml.FlowMappingStartToken,
+    yaml.BlockSequenceStartToken,
+    yaml.BlockMappingStartToken,
+)
+CLOSED = (yaml.FlowSequenceEndToken, yaml.FlowMappingEndToken, yaml.BlockEndToken)
 
 
 def has_alias(text: str) -> bool:
     """Whether YAML has an alias; a few of them can expand to gigabytes.
 
+    Raises:
+        RecursionError: it is nested too deeply to be read.
+
     >>> has_alias("a: &x [1]\\nb: *x"), has_alias("a: [1]")
     (True, False)
     """
-    return any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text))
+    depth = 0
+    for token in yaml.scan(text):
+        if isinstance(token, yaml.AliasToken):
+            return True
+        depth += isinstance(token, OPENED) - isinstance(token, CLOSED)
+        if depth > DEEPEST:
+            raise RecursionError("it is nested too deeply")
+    return False
 
 
 def read_yaml(key: str, path: Path) -> dict[Any, Any]:
