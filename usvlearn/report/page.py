@@ -130,7 +130,7 @@ def _drawing(drawn: Drawn) -> tuple[str, bytes, bytes]:
     from matplotlib import rc_context
 
     drawn.figure.draw_without_rendering()  # once: each file would lay the figure out anew
-    drawn.figure.set_layout_engine("none")
+    drawn.figure.set_layout_engine(None)  # with "none", each file would be drawn twice
     box = drawn.figure.get_tightbbox().padded(0.05)
 
     def saved(**options: Any) -> bytes:

@@ -34,8 +34,8 @@ ORDERS = {  # to predict, to learn
     AID: ("p", "p"), RNN: ("n (m + 1)", "n (m + 1), rounds of n to project"), RLS: ("p", "p²"), SIFtRLS: ("p", "p²"),
     JointEKF: ("p", "p²"), ARX: ("p", "p²"),
 }  # fmt: skip
-STEPS, EAGER, PASSES = 400, 4, 5  # EAGER: a step by torch takes milliseconds
-MANY, SAMPLES = 1000, 20
+STEPS, EAGER, PASSES = 400, 1, 5  # EAGER: a step by torch takes milliseconds
+MANY, SAMPLES = 1000, 10
 
 
 def cost_section(ensemble: Ensemble) -> Section:
