@@ -1,5 +1,6 @@
 """Settings of all tests, and the place of the real logs."""
 
+import gc
 import os
 from pathlib import Path
 
@@ -14,6 +15,7 @@ os.environ["COLUMNS"] = "160"  # of tables, wherever the tests run
 
 WITHOUT_KERNELS = ("tests/certify", "tests/logs", "tests/core", "tests/display", "tests/simulate")
 WITH = "tests/core/test_lock.py"
+FIRST = "tests/report/test_from_runs.py"  # which makes a report that several modules look at, for which they would wait
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -28,9 +30,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     def turn(item: pytest.Item) -> int:
         if item.nodeid.startswith("tests/engine/test_kernels.py"):
             return 0
-        return 1 if item.nodeid.startswith(WITHOUT_KERNELS) and not item.nodeid.startswith(WITH) else 2
+        if item.nodeid.startswith(WITHOUT_KERNELS) and not item.nodeid.startswith(WITH):
+            return 1
+        return 2 if item.nodeid.startswith(FIRST) else 3
 
     items.sort(key=turn)
+
+
+def pytest_collection_finish() -> None:
+    """What is collected stays until the end: without this, each full garbage collection takes a second."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture

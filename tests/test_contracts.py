@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from tests.support import ESTIMATORS, over, random_samples
+from tests.support import ESTIMATORS, few, over, random_samples
 from usvlearn import Inputs, Online, Sample, rollout
 from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.errors import ShapeError
 
-BATCHES = [(), (3,), (2, 3)]
+BATCHES = [(), (2, 3)]
 each_estimator = pytest.mark.parametrize("name", ESTIMATORS)
 each_batch = over("batch", BATCHES)
 BAD_INPUTS = [
@@ -69,8 +69,9 @@ def test_shapes_and_dtypes(name, batch, dtype):
 
 
 @each_estimator
-@over("batch", BATCHES[1:])
-def test_elements_equal_single_runs(name, batch):
+@torch.no_grad()  # by compiled code, which test_kernels.py compares with torch over batches
+def test_elements_equal_single_runs(name):
+    batch = BATCHES[1]
     estimator, samples = ESTIMATORS[name](), random_samples(15, *batch)
     end, surge, _ = rollout(estimator, estimator.init(batch), samples)
     for element in itertools.product(*map(range, batch)):
@@ -95,6 +96,7 @@ def test_vmap_equals_batch(name, batch):
 
 @each_estimator
 @each_batch
+@torch.no_grad()
 def test_prediction_is_causal(name, batch):
     estimator, samples = ESTIMATORS[name](), random_samples(12, *batch)
     _, surge, _ = rollout(estimator, estimator.init(batch), samples)
@@ -196,6 +198,7 @@ def test_gradients_of_hyperparameters_equal_differences(name):
 
 
 @each_estimator
+@torch.no_grad()
 def test_grid_of_hyperparameters_is_a_batch_axis(name):
     """A hyperparameter of shape (grid, 1) beside a batch (grid, boats) equals one estimator per grid point."""
     factors = torch.tensor([0.9, 1.0, 1.1], dtype=torch.float64)
@@ -242,7 +245,7 @@ def test_steps_are_pure(name, batch):
     assert after.getvalue() == parameters.getvalue()
 
 
-@pytest.mark.parametrize("name", COMPILED)
+@pytest.mark.parametrize("name", few(COMPILED, {"robust_memory", "rnn_replay", "joint", "boa"}))
 def test_compiles_without_graph_breaks(name):
     estimator, samples = ESTIMATORS[name](), random_samples(1, 3)
     state = tree_map(torch.Tensor.detach, estimator.init((3,)))

@@ -27,6 +27,7 @@ def test_the_intervals_of_the_plan_hold_the_truth(pair):
     assert sum(after[name].low <= pair.truth[name] <= after[name].high for name in MAIN) >= 4
 
 
+@pytest.mark.slow
 def test_what_is_planned_is_about_what_comes(pair):
     after = pair.plan[round(60 * MINUTES / NOTED) - 1]
     for name in MAIN:

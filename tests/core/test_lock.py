@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.commands import ENVIRONMENT, SMALL, command, results, run
+from tests.support.commands import ENVIRONMENT, QUICK, SMALL, command, results, run
 from tests.support.configured import TWO_BOATS
 from tests.support.runs import tools
 from tests.support.studies import Recorder, made
@@ -134,7 +134,7 @@ def test_a_file_system_without_locks_is_told(tmp_path, monkeypatch):
 
 def test_a_second_run_in_one_folder_is_refused_and_the_first_is_whole(tmp_path):
     first = subprocess.Popen(
-        command(*SMALL, "data.hours=0.2", "data.seed=1", "hydra.run.dir=run"), cwd=tmp_path, env=ENVIRONMENT,
+        command(*QUICK, "data.seed=1", "hydra.run.dir=run"), cwd=tmp_path, env=ENVIRONMENT,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     began = time.monotonic()

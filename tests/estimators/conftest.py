@@ -1,10 +1,10 @@
-"""What tests of estimators share: they take no gradients."""
+"""What tests of estimators share: no gradients are taken unless a test asks for them, so that compiled code steps."""
 
 import pytest
 import torch
 
 
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def no_gradients():
     with torch.no_grad():
         yield

@@ -14,8 +14,6 @@ from usvlearn.core.samples import PLAUSIBLE, masks, named_leaves, tree_map
 from usvlearn.engine.rollouts import simulate
 from usvlearn.errors import ConfigError
 
-pytestmark = pytest.mark.usefixtures("no_gradients")
-
 OPTIONS = {
     "default": {},
     "no_lags": {"lags": 0, "even": False},

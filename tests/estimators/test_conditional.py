@@ -13,8 +13,6 @@ from usvlearn.estimators.ensemble.conditional import layer
 from usvlearn.estimators.ensemble.conditional.state import HIGH, LOW
 from usvlearn.estimators.ensemble.conformal.state import FEW
 
-pytestmark = pytest.mark.usefixtures("no_gradients")
-
 
 def track(spread: np.ndarray, far: np.ndarray, group: np.ndarray, e: np.ndarray) -> np.ndarray:
     """The half-widths before each error, of one horizon without delay, beside 2 mean errors."""

@@ -99,6 +99,7 @@ def test_hours_of_exact_predictions_are_forgotten_in_seconds(dtype):
     assert end.halfwidth > 0.05
 
 
+@torch.enable_grad()
 def test_leaves_no_trace_in_the_graph():
     """A miss has no slope: gradients of what is predicted must not pass through the intervals."""
     error = torch.randn(4, dtype=torch.float64, requires_grad=True)

@@ -18,8 +18,6 @@ from usvlearn.estimators.ensemble.conformal.state import FEW
 from usvlearn.estimators.ensemble.forecasts.state import DELAY, EMPTY, FIRST, MOST
 from usvlearn.evaluation.horizons import LEAST, horizon_scores, horizon_sums
 
-pytestmark = pytest.mark.usefixtures("no_gradients")
-
 STEPS = (1, 5, 10)  # of 0.4 s: HORIZONS
 
 

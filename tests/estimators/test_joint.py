@@ -21,8 +21,6 @@ from usvlearn.estimators.axis.state import FAMILY as AXIS
 from usvlearn.estimators.joint.flow import flow as moved_by
 from usvlearn.estimators.joint.state import AT, SIZES, JointState
 
-pytestmark = pytest.mark.usefixtures("no_gradients")
-
 SETTINGS = {
     "even": {},
     "odd": {"even": None, "disturbance": 20.0, "outlier": 2.0, "lag": 0.3},
@@ -142,7 +140,7 @@ def dense(joint: JointEKF, samples: Sample):
 @pytest.mark.parametrize("name", few(SETTINGS, ["even"]))
 def test_the_factored_filter_is_the_dense_one(name):
     """Over samples with starts, gaps, outliers, missing speeds and steps of a minute."""
-    joint, samples = JointEKF(2.0, 28.0, **SETTINGS[name]), mission(700, seed=5)
+    joint, samples = JointEKF(2.0, 28.0, **SETTINGS[name]), mission(350, seed=5)
     states = ["mean", "factor", "noise"]
     _, predictions, record = rollout(joint, joint.init(), samples, states)
     made, limited = 0, 0
@@ -157,7 +155,7 @@ def test_the_factored_filter_is_the_dense_one(name):
         assert (math.isnan(predicted) and predictions[i].isnan()) or abs(predictions[i] - predicted) <= 1e-8
         made += not math.isnan(predicted)
         limited += bool((x[4:7].abs() < 1e-12).any())
-    assert made > 600 and (samples.inputs.dt > 10).any() and (name == "loose" or limited > 0)
+    assert made > 280 and (samples.inputs.dt > 10).any() and (name == "loose" or limited > 0)
 
 
 @each_setting

@@ -10,8 +10,6 @@ from tests.support.forecasts import ensemble, plain
 from usvlearn import AID, Ensemble, Inputs, Online, Sample, forecast, rollout
 from usvlearn.errors import ConfigError, ShapeError
 
-pytestmark = pytest.mark.usefixtures("no_gradients")
-
 
 def test_online_forecasts_are_those_of_elements():
     model, samples = ensemble(), plain(50, 3)

@@ -116,6 +116,7 @@ def test_impossible_masses_are_refused(mass):
 
 
 @pytest.mark.parametrize("z", [-20.0, -3.0, -0.5, -0.126, -0.124, -1e-3, -1e-9, 0.0, 1e-12, 1e-4, 0.12, 0.13, 0.5, 1.0])
+@torch.enable_grad()
 def test_phi1_and_its_derivative_are_exact_to_rounding(z):
     """Against their series in fractions: φ1 = Σ z^k/(k+1)!, φ1' = Σ (k+1) z^k/(k+2)!."""
     exact = Fraction(z)
@@ -132,6 +133,7 @@ def test_phi1_and_its_derivative_are_exact_to_rounding(z):
         assert each == pytest.approx(float(slope), rel=2e-14)
 
 
+@torch.enable_grad()
 def test_the_slope_of_the_force_is_its_derivative():
     samples = random_samples(50)
     surge = (samples.surge - 1.0).requires_grad_()

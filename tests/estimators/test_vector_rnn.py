@@ -67,6 +67,7 @@ def loss(weights: NetworkWeights, window: Kept) -> torch.Tensor:
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("steps", [1, 2, 6])
+@torch.enable_grad()
 def test_the_gradient_is_that_of_autograd(seed, steps):
     weights, window = drawn(seed, steps)
     leaves = [w.requires_grad_() for w in weights]

@@ -47,14 +47,13 @@ def test_the_data_check_is_silent_about_regular_messages(tmp_path, start, rate):
     """Also where a speed comes just as often as its window is long."""
     log = boat(0.1)
     times = np.arange(0.0, 300.0, 1 / rate)
+    values = []
+    for name in REQUIRED:
+        each = log.channels[name]
+        values.append(np.interp(times, each.time, np.unwrap(each.value) if name == "heading" else each.value).tolist())
     with ready(tmp_path, start) as session:
-        for time_ in times.tolist():
-            for name in REQUIRED:
-                each = log.channels[name]
-                session.push(
-                    name,
-                    1.7e9 + time_,
-                    float(np.interp(time_, each.time, np.unwrap(each.value) if name == "heading" else each.value)),
-                )
+        for time_, *row in zip(times.tolist(), *values, strict=True):
+            for name, value in zip(REQUIRED, row, strict=True):
+                session.push(name, 1.7e9 + time_, value)
         columns = session._recent.copy()
         assert session._recent.findings(columns, "heron", (2.0,)) == []

@@ -6,6 +6,8 @@ import pytest
 
 from tests.support import made_once
 from tests.support.commands import SMALL, run
+from usvlearn.report.page import _drawing
+from usvlearn.report.sections.section import Drawn
 
 LEAST_SQUARES = "+estimator@estimators.steady_rls=steady_rls"  # whose parameters have a band
 
@@ -14,6 +16,19 @@ LEAST_SQUARES = "+estimator@estimators.steady_rls=steady_rls"  # whose parameter
 def one_pass(monkeypatch: pytest.MonkeyPatch) -> None:
     """A page that a test makes times each step in one pass, which is a second less."""
     monkeypatch.setattr("usvlearn.report.sections.cost.PASSES", 1)
+
+
+@pytest.fixture
+def drawn_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A page whose figures are all its first one, for tests of its words: drawing is most of a report's time."""
+    made: list[tuple[str, bytes, bytes]] = []
+
+    def first(drawn: Drawn) -> tuple[str, bytes, bytes]:
+        if not made:
+            made.append(_drawing(drawn))
+        return made[0]
+
+    monkeypatch.setattr("usvlearn.report.page._drawing", first)
 
 
 @pytest.fixture(scope="session")

@@ -17,6 +17,7 @@ from rich.console import Console
 from tests.support.commands import run
 from tests.support.seasons import boats
 from usvlearn import AID, Ensemble
+from usvlearn.cli.evaluate import main
 from usvlearn.core.checkpoint import checkpoints, load
 from usvlearn.display.result_table import ResultTable
 from usvlearn.errors import CheckpointError, ConfigError, MissingExtraError
@@ -221,11 +222,12 @@ def test_other_logs_of_a_boat_are_all_other_runs(saved):
     assert all(season.others.all() and not season.runs[0].published for season in seasons)
 
 
-def test_a_report_on_other_logs_checks_them_says_so_and_stands_beside_that_of_the_run(copy):
+@pytest.mark.usefixtures("drawn_once")
+def test_a_report_on_other_logs_checks_them_says_so_and_stands_beside_that_of_the_run(copy, monkeypatch, capsys):
     given = ["data=simulated", "data.n=2", "data.hours=0.05", "data.seed=77"]
-    done = run(f"runs={copy}", *given, folder=copy.parent, script="evaluate.py")
-    assert done.returncode == 0, done.stderr
-    assert "Data check: no findings" in done.stdout
+    monkeypatch.setattr("sys.argv", ["evaluate.py", f"runs={copy}", *given])
+    main()
+    assert "Data check: no findings" in capsys.readouterr().out
     text = (copy / "report_of_other_logs" / "index.html").read_text()
     assert '<p class="note">Judged on other logs than those of the runs' in text
 

@@ -117,6 +117,7 @@ def written(folder: Path, change=lambda seasons: seasons, checks=()) -> tuple[st
     return text, Page(text)
 
 
+@pytest.mark.usefixtures("drawn_once")
 def test_a_boat_without_predictions_forecasts_and_a_reader_has_a_page(tmp_path):
     text, page = written(tmp_path)
     assert text.count("no estimator that reads physical quantities") == 2
@@ -136,6 +137,7 @@ def test_a_whole_run_that_nothing_was_saved_before_is_said_in_words():
     assert "93.2 % one step ahead, 61.5 % for whole runs." in front._accuracy(boat._replace(free=0.125, free_fit=61.5))
 
 
+@pytest.mark.usefixtures("drawn_once")
 def test_boats_may_have_different_numbers_of_runs(tmp_path):
     def change(seasons):
         return [seasons[0]._replace(runs=seasons[0].runs[:1]), seasons[1]]
@@ -183,6 +185,7 @@ def test_names_do_nothing(tmp_path):
         assert "<title>2 boats: what was learned</title>" in opened(tmp_path / "index.html", tmp_path / "browser")
 
 
+@pytest.mark.usefixtures("drawn_once")
 def test_findings_of_the_data_check_are_on_the_first_page(tmp_path):
     finding = {"boat": "boat1", "about": "surge", "found": "a top speed of 31", "expected": "at most 15 m/s",
                "key": "data.channels.surge.unit", "severity": "warning"}  # fmt: skip
@@ -199,6 +202,7 @@ def test_findings_of_the_data_check_are_on_the_first_page(tmp_path):
     ]
 
 
+@pytest.mark.usefixtures("drawn_once")
 def test_a_run_that_is_not_finished_has_a_page_and_a_study_states_the_papers_results(saved, tmp_path):
     shutil.copytree(saved, tmp_path / "run")
     (tmp_path / "run" / "results.json").unlink()

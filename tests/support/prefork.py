@@ -8,6 +8,7 @@ runs before a fork.
 from __future__ import annotations
 
 import atexit
+import gc
 import json
 import os
 import runpy
@@ -65,6 +66,8 @@ def _serve() -> dict:
     for name in IMPORTED:
         import_module(name)
     warm()
+    gc.collect()
+    gc.freeze()  # a collection in a fork touches, and so copies, none of this
     for line in sys.stdin:
         if process := os.fork():
             print(process, flush=True)
