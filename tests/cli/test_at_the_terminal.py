@@ -15,7 +15,7 @@ import time
 import pytest
 
 from tests.support import ROOT, few
-from tests.support.commands import ENVIRONMENT, sentence
+from tests.support.commands import ENVIRONMENT, QUICK, run, sentence
 from usvlearn.__main__ import main
 from usvlearn.cli import delay, evaluate, train
 from usvlearn.cli.beginning import HELP
@@ -35,10 +35,7 @@ def folder(tmp_path_factory):
         ["inspect", "logs", "--name", "heron"],
         ["train", "my_boat.yaml", "hydra.run.dir=run", "estimators.rnn.neurons=4"],
     ):
-        done = subprocess.run(
-            [*USVLEARN, *arguments], cwd=place, env=ENVIRONMENT | {"PYTHONPATH": str(ROOT)},
-            capture_output=True, text=True,
-        )  # fmt: skip
+        done = run(*arguments, folder=place, script="usvlearn/__main__.py")
         assert done.returncode == 0, done.stderr
     return place
 
@@ -50,7 +47,7 @@ def words(text: str) -> set[str]:
 
 PRINTED = {
     "inspect": ["inspect", "logs", "--output", "again.yaml", "--force"],
-    "train": ["train", "my_boat.yaml", "hydra.run.dir=again", "estimators.rnn.neurons=4"],
+    "train": ["train", "my_boat.yaml", "hydra.run.dir=again", *QUICK[2:-1]],
     "delay": ["delay", "my_boat.yaml"],
     "plan": ["plan", "run", "--minutes", "1", "--home", "42.358,-71.087"],
     "controller": ["controller", "run", "--boats", "20", "--out", "gains"],

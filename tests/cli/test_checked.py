@@ -1,14 +1,13 @@
 """The data check before a run: what the terminal and results.json say, strict, off, and in a sweep."""
 
 import json
-import subprocess
 
 import numpy as np
 import pytest
 
 import usvlearn
 from tests.support import over
-from tests.support.commands import ENVIRONMENT, QUICK, command, results, run, sentence
+from tests.support.commands import QUICK, results, run, sentence
 from tests.support.runs import session
 from usvlearn.cli import train
 from usvlearn.cli.checked import CheckedAlignment
@@ -70,9 +69,7 @@ def test_a_wrong_level_is_told(tmp_path, monkeypatch, capsys):
 
 def test_the_jobs_of_a_sweep_are_quiet_and_keep_their_findings(knots, tmp_path):
     own = [*TABLE, *QUICK[1:], f"data.path={knots}", "estimators.aid.gain=1,2", f"hydra.sweep.dir={tmp_path}/sweep"]
-    done = subprocess.run(
-        command("-m", *own), cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True, timeout=300
-    )
+    done = run("-m", *own, folder=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Data check" not in done.stdout and "data check" not in done.stdout
     for job in ("0", "1"):

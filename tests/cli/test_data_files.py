@@ -5,7 +5,7 @@ import json
 import pytest
 
 import usvlearn
-from tests.support.commands import GOOD, run, sentence
+from tests.support.commands import GOOD, QUICK, run, sentence
 from usvlearn.cli import train
 
 BOAT = """\
@@ -42,10 +42,10 @@ def test_a_file_anywhere_configures_the_data(mine, monkeypatch, place):
 
 
 def test_a_run_and_a_sweep_use_it(mine):
-    done = run("data=my_boat.yaml", "hydra.run.dir=run", folder=mine)
+    done = run("data=my_boat.yaml", *QUICK[1:], "hydra.run.dir=run", folder=mine)
     assert done.returncode == 0, done.stderr
     assert "log" in json.loads((mine / "run" / "results.json").read_text())["boats"]
-    done = run("-m", "data=my_boat.yaml", "estimators.aid.gain=1,2", "hydra.sweep.dir=sweep", folder=mine)
+    done = run("-m", "data=my_boat.yaml", *QUICK[1:], "estimators.aid.gain=1,2", "hydra.sweep.dir=sweep", folder=mine)
     assert done.returncode == 0, done.stderr
     assert (mine / "sweep" / "1" / "results.json").exists()
 

@@ -64,7 +64,7 @@ def check(folder, start, times: int) -> None:
 
 
 def test_checkpoints_survive_kills(tmp_path):
-    check(tmp_path / "node", learned_set(tmp_path), 3)
+    check(tmp_path / "node", learned_set(tmp_path), 2)
 
 
 @pytest.mark.slow

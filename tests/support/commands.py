@@ -36,9 +36,9 @@ def command(*arguments: str, script: str = "train.py") -> list[str]:
 
 
 def run(*arguments: str, folder: Path, script: str = "train.py", **environment: str) -> subprocess.CompletedProcess:
-    """A command's end. Without an environment of its own it runs in a process that has imported the program already."""
-    if not environment:
-        return prefork.run(command(*arguments, script=script), folder, ENVIRONMENT, timeout=300)
+    """A command's end. In an environment of its own it runs in a new process, else in one that imported the program."""
+    if environment.keys() <= {"COLUMNS"}:
+        return prefork.run(command(*arguments, script=script), folder, ENVIRONMENT | environment, timeout=300)
     return subprocess.run(
         command(*arguments, script=script), cwd=folder, env=ENVIRONMENT | environment, capture_output=True, text=True,
         timeout=300,
