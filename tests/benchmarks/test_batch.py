@@ -21,6 +21,7 @@ from peers.batch import (
     windows,
 )
 
+from tests.support import few
 from usvlearn.core.samples import Inputs, Sample
 
 NOISE, STEPS, TOP = 0.01, 400, 2.0
@@ -45,7 +46,7 @@ def run(seed):
     return Sample(inputs, speed + NOISE * rng.standard_normal(STEPS), yes, yes.copy())
 
 
-@pytest.fixture(scope="module", params=PEERS)
+@pytest.fixture(scope="module", params=few(PEERS, {*PEERS} - {"gru"}))
 def model(request):
     """Each peer, fitted to two runs."""
     if request.param in MODULES:

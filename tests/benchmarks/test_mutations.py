@@ -21,6 +21,7 @@ class Sum:
 """
 
 
+@pytest.mark.slow
 def test_the_places_of_the_table_are_in_the_sources():
     known = mutations.every_place(mutations.ROOT)
     rows = json.loads(mutations.TABLE.read_text())

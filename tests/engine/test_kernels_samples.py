@@ -39,7 +39,7 @@ def reachable(name: str, after: int):
     """An estimator, and its state after so many samples with faults."""
     estimator = EVERY[name]()
     with torch.no_grad():
-        return estimator, rollout(estimator, estimator.init(), mission(after, seed=after), backend="torch")[0]
+        return estimator, rollout(estimator, estimator.init(), mission(after, seed=after))[0]
 
 
 @pytest.mark.parametrize("run", [rollout, simulate], ids=lambda run: run.__name__)

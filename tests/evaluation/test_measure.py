@@ -4,13 +4,13 @@ by the command.
 
 import json
 import math
-import subprocess
 
 import numpy as np
 import pytest
 import torch
 
-from tests.support.commands import ENVIRONMENT, QUICK, command, results
+from tests.support.commands import QUICK, results
+from tests.support.commands import run as run_command
 from tests.support.configured import request
 from usvlearn import AID, Average, Ensemble, ForecastSettings, Persistence, rollout
 from usvlearn.core.samples import masks
@@ -147,7 +147,7 @@ def test_tuning_minimises_an_error_of_its_member():
 @pytest.mark.parametrize("objective", ["aid.forecast.2", pytest.param("ensemble.free", marks=pytest.mark.slow)])
 def test_a_run_ends_with_what_it_measures(objective, tmp_path):
     arguments = [*QUICK, "data.mission_minutes=1", f"objective={objective}", "hydra.run.dir=run"]
-    done = subprocess.run(command(*arguments), cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True)
+    done = run_command(*arguments, folder=tmp_path)
     assert done.returncode == 0, done.stderr
     found = results(tmp_path / "run")
     assert found["output"] == "ensemble" and found["measure"] == objective

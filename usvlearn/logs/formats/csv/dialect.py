@@ -10,6 +10,7 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -113,7 +114,14 @@ def find_dialect(path: Path, time: str, encoding: str, delimiter: str, comment: 
         text = codecs.getincrementaldecoder(encoding)(errors=errors_of(encoding)).decode(start)
     except UnicodeError as error:
         raise not_text(path, encoding) from error
-    lines = re.split(r"\r\n|\r|\n", text)[:LINES]
+    return _dialect(tuple(re.split(r"\r\n|\r|\n", text)[:LINES]), time, encoding, delimiter, comment, decimal)
+
+
+@lru_cache(maxsize=8)  # a log is opened several times: to find its columns, its stamps, its numbers
+def _dialect(
+    lines: tuple[str, ...], time: str, encoding: str, delimiter: str, comment: str | None, decimal: str
+) -> Dialect:
+    """How these lines are written."""
     prefixes = _comments(lines) if comment == AUTO else (comment,) if comment else ()
     layouts = [_layout(lines, each, prefixes, time) for each in (DELIMITERS if delimiter == AUTO else delimiter)]
     best = max(layouts, key=lambda each: each.score)
@@ -189,7 +197,7 @@ class _Layout(NamedTuple):
     score: tuple[bool, int, float, int]  # the greatest is the best
 
 
-def _layout(lines: list[str], delimiter: str, comment: tuple[str, ...], time: str) -> _Layout:
+def _layout(lines: Sequence[str], delimiter: str, comment: tuple[str, ...], time: str) -> _Layout:
     remarks = [bool(comment) and line.lstrip().startswith(comment) for line in lines]
     bare = [line.lstrip("#%/ ") if remark else line for line, remark in zip(lines, remarks, strict=True)]
     rows = [_cells(line, delimiter) for line in bare]
@@ -212,7 +220,7 @@ def _header(
     rows: list[list[str]], remarks: list[bool], values: list[int], width: int, time: str
 ) -> tuple[int | None, bool]:
     """The line of the header, and whether it has the column of the stamps; else it is the one above the numbers."""
-    named = [place for place, row in enumerate(rows) if len(row) > 1 and _has(row, time)]
+    named = [place for place, row in enumerate(rows) if time != AUTO and len(row) > 1 and _has(row, time)]
     if named:
         return max(named, key=lambda place: (_fits(rows[place], width), not remarks[place], -place)), True
     first = next((k for k, row in enumerate(rows) if values[k] and len(row) == width), len(rows))
@@ -224,9 +232,9 @@ def _header(
 
 
 def _has(row: list[str], time: str) -> bool:
+    """Whether a row has the name of a column, or the names that a + joins; a unit may follow each."""
     names = clean(row)
-    bare = {split_unit(name)[0] for name in names}
-    return time != AUTO and (time in names or all(each in names or each in bare for each in time.split("+")))
+    return time in names or {*time.split("+")} <= {*names, *(split_unit(name)[0] for name in names)}
 
 
 def _fits(row: list[str], width: int) -> int:
@@ -277,7 +285,7 @@ def _are_units(row: list[str], width: int) -> bool:
     return 2 * sum(_unit(cell) in UNIT_NAMES or cell[0] + cell[-1] in ("()", "[]") for cell in cells) >= len(cells)
 
 
-def _comments(lines: list[str]) -> tuple[str, ...]:
+def _comments(lines: Sequence[str]) -> tuple[str, ...]:
     """The signs at the start of some lines, but of at most half of them, as an identifier of rows could be."""
     filled = [line.lstrip() for line in lines if line.strip()]
     counts = {sign: sum(line.startswith(sign) for line in filled) for sign in COMMENTS}
