@@ -58,6 +58,11 @@ def test_what_is_compiled_starts_no_process(marks):
         (marks / each("float64")).touch()
     with ahead.compiling():
         assert not ahead.running
+    with ahead.compiling(tracks=True):
+        assert ahead.running
+    (marks / ahead.tracks_of("float64")).touch()
+    with ahead.compiling(tracks=True):
+        assert not ahead.running
 
 
 def test_a_process_that_fails_keeps_nobody_waiting(marks, monkeypatch, capfd):

@@ -47,7 +47,7 @@ def work(cfg: DictConfig, folder: Path, overrides: Sequence[str], resume: str | 
         if not asked(made):
             from usvlearn.engine.ahead import compiling
 
-            with nullcontext() if quiet else compiling():
+            with nullcontext() if quiet else compiling(tracks=made.get("tracks") is not None):
                 return train(made, folder, console, resume or cfg.resume, overrides)
         with Activity(console, "loading"):
             from usvlearn.sweeps.tuning.tune import tune

@@ -25,15 +25,16 @@ class Ahead:
 
     Args:
         dtype: name of that of the runs.
+        tracks: whether they have tracks, too.
     """
 
-    def __init__(self, dtype: str):
+    def __init__(self, dtype: str, tracks: bool):
         self._told = tempfile.TemporaryFile()  # the process writes there the share that is done
         search = os.pathsep.join(filter(None, (str(HERE.parent), os.environ.get("PYTHONPATH"))))
         quick = {"NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING": "1"}  # numba colours errors that it then drops
         try:
             self._process = subprocess.Popen(
-                [sys.executable, "-c", CHILD, dtype], env={**os.environ, **quick, "PYTHONPATH": search},
+                [sys.executable, "-c", CHILD, dtype, *(["tracks"] if tracks else [])], env={**os.environ, **quick, "PYTHONPATH": search},
                 stdin=subprocess.DEVNULL, stdout=self._told, stderr=subprocess.DEVNULL,
             )  # fmt: skip
         except OSError:
@@ -78,30 +79,38 @@ def steps_of(dtype: object) -> str:
     return f"kernels of single steps, {dtype}"
 
 
+def tracks_of(dtype: object) -> str:
+    """What single steps with tracks need, in words."""
+    return f"kernels of tracks, {dtype}"
+
+
 def share() -> float:
     """What the process, if there is one, has done."""
     return sum(each.share() for each in running)
 
 
 @contextmanager
-def compiling(dtype: str = "float64") -> Iterator[None]:
+def compiling(dtype: str = "float64", tracks: bool = False) -> Iterator[None]:
     """A context in whose background the kernels are compiled, unless they are; at its end they all are.
+
+    One process compiles them all: what it has compiled for runs is most of single steps, and of those with tracks.
 
     Where the process fails, or there is one processor alone, what needs the kernels compiles them, as without it.
     """
     wanted = not NUMBA.DISABLE_JIT and not running and (os.cpu_count() or 1) > 1 and sys.executable
-    if not wanted or all(mark_of(DISPATCH, each(dtype)).exists() for each in (runs_of, steps_of)):
+    parts = (runs_of, steps_of, tracks_of) if tracks else (runs_of, steps_of)
+    if not wanted or all(mark_of(DISPATCH, each(dtype)).exists() for each in parts):
         yield
         return
     try:
-        running.append(Ahead(dtype))
+        running.append(Ahead(dtype, tracks))
     except OSError:  # no process, or no temporary file
         yield
         return
     try:
         yield
         if running[0].lives():
-            with counted(f"usvlearn: compiling the {steps_of(dtype)}, only once …", "kept beside the others"):
+            with counted(f"usvlearn: compiling the {parts[-1](dtype)}, only once …", "kept beside the others"):
                 running[0].wait()
     finally:
         running.pop().stop()
@@ -114,7 +123,7 @@ def compile_all() -> None:
     import numpy as np
 
     from usvlearn.core.jit import of_parts
-    from usvlearn.engine.first_use import compile_runs, compile_steps
+    from usvlearn.engine.first_use import compile_planar, compile_runs, compile_steps
 
     dtype, done, parent = np.dtype(sys.argv[1]), of_parts(), os.getppid()
 
@@ -127,3 +136,5 @@ def compile_all() -> None:
     threading.Thread(target=tell, daemon=True).start()
     compile_runs(dtype)
     compile_steps(dtype)
+    if "tracks" in sys.argv[2:]:
+        compile_planar(dtype)

@@ -64,7 +64,7 @@ def compile_planar(dtype: np.dtype) -> None:
     if NUMBA.DISABLE_JIT:
         return
     plan, numbers, work = _smallest(dtype)
-    with COMPILING, announced(dispatch.__file__, f"kernels of tracks, {dtype}"):
+    with COMPILING, announced(dispatch.__file__, ahead.tracks_of(dtype)):
         state, pose, none = np.zeros(plan.size, dtype), np.zeros(5, dtype), np.zeros(0, dtype)
         wide = np.zeros(len(work) + 4 * ROW, dtype)
         dispatch.step_planar.disable_compile(False)
