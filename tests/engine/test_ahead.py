@@ -60,6 +60,7 @@ def test_what_is_compiled_starts_no_process(marks):
         assert not ahead.running
     with ahead.compiling(tracks=True):
         assert ahead.running
+        (marks / "go").touch()
     (marks / ahead.tracks_of("float64")).touch()
     with ahead.compiling(tracks=True):
         assert not ahead.running

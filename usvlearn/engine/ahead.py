@@ -32,9 +32,10 @@ class Ahead:
         self._told = tempfile.TemporaryFile()  # the process writes there the share that is done
         search = os.pathsep.join(filter(None, (str(HERE.parent), os.environ.get("PYTHONPATH"))))
         quick = {"NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING": "1"}  # numba colours errors that it then drops
+        more = ["tracks"] if tracks else []
         try:
             self._process = subprocess.Popen(
-                [sys.executable, "-c", CHILD, dtype, *(["tracks"] if tracks else [])], env={**os.environ, **quick, "PYTHONPATH": search},
+                [sys.executable, "-c", CHILD, dtype, *more], env={**os.environ, **quick, "PYTHONPATH": search},
                 stdin=subprocess.DEVNULL, stdout=self._told, stderr=subprocess.DEVNULL,
             )  # fmt: skip
         except OSError:
