@@ -155,7 +155,7 @@ def test_the_factored_filter_is_the_dense_one(name):
         assert (math.isnan(predicted) and predictions[i].isnan()) or abs(predictions[i] - predicted) <= 1e-8
         made += not math.isnan(predicted)
         limited += bool((x[4:7].abs() < 1e-12).any())
-    assert made > 280 and (samples.inputs.dt > 10).any() and (name == "loose" or limited > 0)
+    assert made > 300 and (samples.inputs.dt > 10).any() and (name == "loose" or limited > 0)
 
 
 @each_setting

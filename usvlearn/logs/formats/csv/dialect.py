@@ -220,7 +220,7 @@ def _header(
     rows: list[list[str]], remarks: list[bool], values: list[int], width: int, time: str
 ) -> tuple[int | None, bool]:
     """The line of the header, and whether it has the column of the stamps; else it is the one above the numbers."""
-    named = [place for place, row in enumerate(rows) if time != AUTO and len(row) > 1 and _has(row, time)]
+    named = [] if time == AUTO else [place for place, row in enumerate(rows) if len(row) > 1 and _has(row, time)]
     if named:
         return max(named, key=lambda place: (_fits(rows[place], width), not remarks[place], -place)), True
     first = next((k for k, row in enumerate(rows) if values[k] and len(row) == width), len(rows))
