@@ -110,6 +110,29 @@ def as_value(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
+def compose_every_value(sweeper: BasicSweeper, jobs: Sequence[Sequence[str]]) -> None:
+    """Compose jobs that contain every value of a sweep, with every combination of its configuration files.
+
+    Hydra itself composes each job of a grid here, one after the other, before the first starts (a third of a second for
+    each), and once more where the job runs. Which keys a job has depends on its files, not on its other values.
+
+    Raises:
+        HydraException: a job cannot be composed.
+    """
+    assert sweeper.hydra_context is not None
+    loader: Any = sweeper.hydra_context.config_loader
+
+    def is_file(override: str) -> bool:
+        return loader.repository.group_exists(override.partition("=")[0].lstrip("+~").partition("@")[0])
+
+    composed: set[tuple[tuple[str, ...], str]] = set()
+    for job in jobs:
+        files = tuple(filter(is_file, job))
+        if not composed.issuperset(values := {(files, each) for each in job}):
+            loader.load_sweep_config(master_config=sweeper.config, sweep_overrides=list(job))
+            composed |= values
+
+
 class Sweep(Callback):
     """Lock a run's folder; tell the jobs of a sweep, show its leaderboard, and end with code 2 where a job failed."""
 
@@ -138,6 +161,7 @@ class Sweep(Callback):
             note = note_of(config, swept)
             note_sweep(folder, note)
             prepare_workers(Path(usvlearn.__file__).parents[1])
+        BasicSweeper.validate_batch_is_legal = compose_every_value  # type: ignore[assignment, method-assign]
         Sweep.folder = folder
         if "joblib" in config.hydra.launcher._target_:
             defer_signals()  # a signal is passed on to the workers, which finish their chunk
