@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from usvlearn.errors import ConfigError, check_positive, did_you_mean
-from usvlearn.learned import AlignedLogs, Learned, PathLike, check_logs, predictions_of
+from usvlearn.learned import AlignedLogs, Learned, PathLike, check_logs
 
 if TYPE_CHECKING:
     from usvlearn.core.protocol import Estimator
@@ -167,6 +167,7 @@ def learn(
     from usvlearn.evaluation.events import events
     from usvlearn.evaluation.horizons import ensemble_scores
     from usvlearn.evaluation.metrics import fleet_scores
+    from usvlearn.evaluation.predictions import predictions_of
     from usvlearn.runs.replay import replay
 
     fleet, ensemble = check_logs(logs).fleet, _ensemble(logs, estimator)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from usvlearn.core.samples import Fleet, Sample, masks, named_leaves, tree_map
-from usvlearn.errors import ConfigError, did_you_mean
+from usvlearn.errors import ConfigError
+from usvlearn.evaluation.predictions import Predictions, measured_surge, predictions_of, samples_of
 
 if TYPE_CHECKING:
     from usvlearn.estimators.ensemble.layer import Ensemble
@@ -47,7 +48,7 @@ class AlignedRun(NamedTuple):
         A `dt` of 0 starts a segment; `surge` is NaN where it was not measured.
         """
         leaves = {name.rpartition(".")[2]: leaf for name, leaf in named_leaves(self.samples)}
-        return {"time": self.time, **leaves, "surge": _measured(self.samples)}
+        return {"time": self.time, **leaves, "surge": measured_surge(self.samples)}
 
 
 @dataclass(frozen=True, repr=False)
@@ -82,7 +83,7 @@ class AlignedLogs:
     def runs(self) -> tuple[AlignedRun, ...]:
         """All runs of all boats, in the order in which they are learned."""
         return tuple(
-            AlignedRun(boat, run.names[element], run.time[:n, element], _element(run.samples, n, element))
+            AlignedRun(boat, run.names[element], run.time[:n, element], samples_of(run.samples, n, element))
             for run in self.fleet.runs
             for element, boat in enumerate(self.boats)
             if (n := run.lengths[element])
@@ -106,44 +107,6 @@ class AlignedLogs:
             table.add(run.name, f"{minutes:.1f}", str(len(run.time)), f"{run.samples.measured.mean():.1%}")
         found = data_check_table([each._asdict() for each in self.findings]) if self.findings else None
         return _printed(table, rejection_table(self.rejected), found)
-
-
-@dataclass(frozen=True)
-class Predictions:
-    """Predictions of the speed over one run of one boat, each made before that speed was used.
-
-    >>> time, x = np.array([0.0, 0.4]), np.array([1.0, 1.1])
-    >>> found = Predictions("heron", "001", time, x, {"ensemble": x}, {"ensemble": np.array([np.inf, 0.25])})
-    >>> low, high = found.interval("ensemble")
-    >>> round(float(low[1]), 2), round(float(high[1]), 2)
-    (0.85, 1.35)
-    """
-
-    boat: str  # its name
-    run: str  # its name, within the boat
-    time: np.ndarray  # (time,) s since its first step
-    measured: np.ndarray  # (time,) m/s, NaN where it was not measured
-    predicted: dict[str, np.ndarray]  # member or combiner -> (time,) m/s, NaN where no step was made
-    halfwidth: dict[
-        str, np.ndarray
-    ]  # (time,) m/s, of its interval; infinite before ten measurements; empty in a simulation
-
-    def interval(self, name: str = "ensemble") -> tuple[np.ndarray, np.ndarray]:
-        """The 90 % interval of a member or combiner.
-
-        Args:
-            name: of the member or combiner.
-
-        Returns:
-            The lower and the upper end, m/s, `(time,)` each.
-
-        Raises:
-            ConfigError: there is no such name.
-        """
-        if name not in self.halfwidth:
-            hint = did_you_mean(name, self.halfwidth)
-            raise ConfigError(f"interval: found {name!r}, expected one of {', '.join(self.halfwidth) or 'none'}{hint}")
-        return self.predicted[name] - self.halfwidth[name], self.predicted[name] + self.halfwidth[name]
 
 
 @dataclass(frozen=True, repr=False)
@@ -377,34 +340,6 @@ def check_logs(logs: AlignedLogs) -> AlignedLogs:
     if not isinstance(logs, AlignedLogs):
         raise ConfigError(f"logs: found {logs!r}, expected what usvlearn.read returns: learn(read(PATH))")
     return logs
-
-
-def predictions_of(
-    fleet: Fleet, names: Sequence[str], published: Sequence[Mapping[str, np.ndarray]]
-) -> tuple[Predictions, ...]:
-    """Split what was published of a fleet's runs, arrays `(time, boats, names)`, by run and boat."""
-    found = []
-    for index, run in enumerate(fleet.runs):
-        for element, boat in enumerate(fleet.boats):
-            if n := run.lengths[element]:
-                by_name = [
-                    dict(zip(names, published[index][key][:n, element].T, strict=True))
-                    if key in published[index]
-                    else {}
-                    for key in ("predictions", "halfwidths")
-                ]
-                measured = _measured(_element(run.samples, n, element))
-                found.append(Predictions(boat, run.names[element], run.time[:n, element], measured, *by_name))
-    return tuple(found)
-
-
-def _element(samples: Sample, steps: int, element: int) -> Sample:
-    return tree_map(lambda leaf: leaf[:steps, element], samples)
-
-
-def _measured(samples: Sample) -> np.ndarray:
-    """The speed, m/s, NaN where it was not measured."""
-    return np.where(samples.measured, samples.surge, np.nan)
 
 
 def _printed(*parts: Any) -> str:

@@ -11,7 +11,7 @@ from certify.proofs import vector_exact
 from usvlearn import Inputs, VectorRNN, VectorSample
 from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.errors import ConfigError, ShapeError
-from usvlearn.estimators.vector_rnn.layer import gradient, network
+from usvlearn.estimators.vector_rnn.equations import gradient, network
 from usvlearn.estimators.vector_rnn.state import Kept, NetworkWeights
 from usvlearn.simulate.planar import planar_runs
 

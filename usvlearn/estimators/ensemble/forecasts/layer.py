@@ -347,7 +347,7 @@ class ForecastSettings(nn.Module):
         begun = opens.any(-1, keepdim=True) & (places <= reach)
         now = {name: self._leaves(name, members[name].open_loop(states[name])) for name in self.names}
         frozen = {
-            name: {key: where(opens, _slot(now[name][key], opens), leaf) for key, leaf in leaves.items()}
+            name: {key: where(opens, now[name][key].unsqueeze(opens.ndim - 1), leaf) for key, leaf in leaves.items()}
             for name, leaves in state.frozen.items()
         }
         weights, widths = self._weights(state)[..., None, :, :], self._halfwidths(state)[..., None, :]
@@ -396,8 +396,3 @@ def _spread(weights: Tensor, x: Tensor, combined: Tensor) -> Tensor:
     """The members' spread about a forecast; an inactive one counts as the forecast."""
     squares = weights * (x - combined[..., None]) ** 2
     return torch.where(x.isnan() | combined.isnan()[..., None], 0.0, squares).detach().sum(-1).sqrt()
-
-
-def _slot(leaf: Tensor, slots: Tensor) -> Tensor:
-    """A leaf `(*batch, …)` as `(*batch, 1, …)`."""
-    return leaf.unsqueeze(slots.ndim - 1)
