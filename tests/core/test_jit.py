@@ -42,6 +42,18 @@ def test_machine_code_is_kept_and_announced_once(tmp_path):
     assert {path: path.stat().st_mtime_ns for path in folder.rglob("*.nb*")} == kept
 
 
+def test_another_checkout_with_the_same_sources_uses_the_machine_code(tmp_path):
+    python(PREPARE, NUMBA_CACHE_DIR=str(tmp_path))
+    kept = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nb*")}
+    shutil.copytree(ROOT / "usvlearn", tmp_path / "copy" / "usvlearn", ignore=shutil.ignore_patterns("__pycache__"))
+    for path in (tmp_path / "copy").rglob("*.py"):
+        os.utime(path, (1, 1))
+    script = f"import sys\nsys.path.insert(0, {str(tmp_path / 'copy')!r})\n{PREPARE}print(samples.__file__)\n"
+    done = python(script + "print(*samples.prepare_all.stats.cache_hits.values())", NUMBA_CACHE_DIR=str(tmp_path))
+    assert done.stdout.split() == ["3.0", str(tmp_path / "copy/usvlearn/core/rows.py"), "1"] and done.stderr == ""
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nb*")} == kept
+
+
 def twice(x):
     return 2 * x
 
@@ -247,6 +259,7 @@ def test_warming_compiles_all_that_runs_steps_and_free_runs_need(tmp_path):
         "usvlearn: compiling the simulator",
         "usvlearn: compiling the kernels of single steps",
         "usvlearn: compiling the kernels of forecasts",
+        "usvlearn: compiling the kernels of tracks",
         "usvlearn: compiling the kernels of runs",
         "usvlearn: compiling the kernels of open-loop simulations",
     ]

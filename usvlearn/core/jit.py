@@ -2,8 +2,9 @@
 
 Numba checks one source file to decide whether cached machine code is current. But machine code also contains the
 functions that this file calls and the constants that it imports. So the cache is a folder whose name is a hash of the
-file and of all files of this package that it imports, directly or not. Each cached file ends with its sha256, because a
-power cut or a bad disk can damage it, and damaged machine code must not run.
+file and of all files of this package that it imports, directly or not. Environments and checkouts with the same files
+share it. Each cached file ends with its sha256, because a power cut or a bad disk can damage it, and damaged machine
+code must not run.
 """
 
 from __future__ import annotations
@@ -64,7 +65,8 @@ if numba.version_info.short < (0, 68):  # these take a member of an IntEnum as a
 @cache
 def folder(source: Path) -> Path:
     """Where the machine code of a source file's functions is kept: under `NUMBA_CACHE_DIR`, or the user's cache."""
-    machine = numba.__version__, sys.implementation.cache_tag, get_host_cpu_name(), str(source)
+    own = source.relative_to(HERE.parent) if source.is_relative_to(HERE.parent) else source
+    machine = numba.__version__, sys.implementation.cache_tag, get_host_cpu_name(), str(own)
     digest = hashlib.sha256("\n".join(machine).encode())
     for path in sorted(sources(source)):
         digest.update(path.read_bytes())
@@ -198,13 +200,14 @@ def jit(
 
 def _alone(function: Callable[..., Any], options: dict[str, Any]) -> Callable[..., Any]:
     """A function that Python can call, with its machine code cached."""
-    before, NUMBA.CACHE_DIR = NUMBA.CACHE_DIR, str(folder(Path(function.__code__.co_filename)))
+    place = folder(Path(function.__code__.co_filename))
+    before, NUMBA.CACHE_DIR = NUMBA.CACHE_DIR, str(place)
     try:
         compiled = numba.njit(cache=True, **options)(function)
     finally:
         NUMBA.CACHE_DIR = before
     if (kept := getattr(compiled, "_cache", None)) is not None:  # None under NUMBA_DISABLE_JIT
-        kept._cache_file = CheckedFiles(kept._cache_file)
+        kept._cache_file = CheckedFiles(kept._cache_file, place)
     return compiled
 
 
@@ -212,11 +215,14 @@ class CheckedFiles(IndexDataCacheFile):
     """Numba's cache files of one function, each with its sha256 at the end; a damaged one is removed and recompiled.
 
     Args:
-        plain: numba's own.
+        plain: numba's own, which depends on where the source is installed, and when.
+        place: the folder, which depends on what is in the source.
     """
 
-    def __init__(self, plain: IndexDataCacheFile):
+    def __init__(self, plain: IndexDataCacheFile, place: Path):
         vars(self).update(vars(plain))
+        self._cache_path, self._index_path = str(place), str(place / self._index_name)
+        self._source_stamp: None = None
 
     def load(self, key: object) -> object:
         """The cached code of a key; None where there is none, or it is damaged."""
