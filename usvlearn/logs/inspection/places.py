@@ -21,7 +21,6 @@ SPAN = 2.0  # s over which a course and a rate are taken
 MOVING = 0.3  # share of the greatest rate above which the course is known
 FASTEST = 40.0  # m/s, of a boat
 CLOSE = 0.97  # correlation of a speed with the rate of a position that has no name
-BETTER = 4  # by which 1 − that correlation must shrink, to take latitude and longitude against their names
 MOST_UNNAMED = 8
 COARSE = 0.3  # m, of a position that tells a speed badly
 NO_PLACE = {"vel", "velocity", "twist", "speed", "angular", "linear", "acc", "accel", "acceleration", "force", "error",
@@ -77,17 +76,9 @@ def guess_places(pool: Sequence[Candidate], speeds: Sequence[Candidate]) -> Plac
     return best[1] if best else None
 
 
-def interchanged(places: Places, speeds: Sequence[Candidate]) -> Places:
-    """The position with latitude and longitude interchanged, if only then a speed follows its rate; else as it is."""
-    other = _places(places.second, places.first, True, True) if places.geographic else None
-    if other is None:
-        return places
-    for each in speeds:
-        own = speed_on_positions(places.north, places.east, each.evidence)
-        swapped = speed_on_positions(other.north, other.east, each.evidence)
-        if swapped.correlation > CLOSE and 1 - own.correlation > BETTER * (1 - swapped.correlation):
-            return other
-    return places
+def crossed(places: Places) -> Places | None:
+    """A position with latitude and longitude interchanged; None where they cannot be, or are metres."""
+    return _places(places.second, places.first, True, True) if places.geographic else None
 
 
 def _is_smooth(candidate: Candidate) -> bool:

@@ -17,7 +17,6 @@ from usvlearn.logs.inspection.places import (
     course_of,
     find_places,
     guess_places,
-    interchanged,
     is_mirror_image,
     rate_of,
     tell_places,
@@ -30,6 +29,7 @@ from usvlearn.logs.inspection.speeds import (
     along_hull,
     find_speeds,
     find_velocities,
+    interchanged,
     is_part,
     norms,
     period_of,
@@ -78,9 +78,11 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
     places = find_places(pool)
     if not places and (guessed := guess_places(*_unnamed(pool))):
         places = [guessed]
+    crossing = False  # whether latitude and longitude may be interchanged
     if places:
         named = [each for each in pool if fit("surge", each.label) >= 1]
-        places = [interchanged(places[0], named), *places[1:]]
+        first, crossing = interchanged(places[0], named)
+        places = [first, *places[1:]]
     channels: dict[str, dict[str, Any]] = {}
     series: dict[str, Candidate] = {}
     decisions: list[Decision] = []
@@ -122,7 +124,7 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
     if azimuths := [each.label for each in pool if names_azimuth(each.label)]:
         rest, everything = ([each for each in group if _names_whole(each)] for group in (rest, found))
         unfit = "" if rest else _told_azimuths(azimuths)
-    proved = heading is not None and heading.certainty == CERTAIN
+    proved = heading is not None and heading.certainty == CERTAIN and not crossing
     commands = find_commands(rest, everything, speed, turn, convention, proved)
     if heading and course and not (proved or heading.declared(convention)):
         commands = [doubted(each) for each in commands]
@@ -132,6 +134,9 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
         why = against if turned <= -LIKELY else "nothing confirms its sense"
         decisions = [_doubted(each, why) for each in decisions]
         sense, axes = UNSURE, axes if axes == CERTAIN else UNSURE
+    if crossing:
+        axes, doubt = UNSURE, "by name, but the speed follows their rate better if they are interchanged"
+        decisions = [_doubted(each, "latitude and longitude may be interchanged") for each in decisions]
     if heading and course and not places[0].geographic and _is_contested(heading, commands, places[0], speed):
         axes, doubt = UNSURE, "the sense that they give the heading is doubtful: north and east may be interchanged"
         decisions = [_doubted(each, "its name or the sides say the opposite") for each in decisions]

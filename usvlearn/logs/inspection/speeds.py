@@ -18,7 +18,8 @@ from usvlearn.logs.channels.relations import Relation, speed_on_positions
 from usvlearn.logs.inspection.candidate import Candidate
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE
 from usvlearn.logs.inspection.directions import agreement
-from usvlearn.logs.inspection.places import Pair, Places
+from usvlearn.logs.inspection.places import CLOSE as FOLLOWED
+from usvlearn.logs.inspection.places import Pair, Places, crossed
 from usvlearn.logs.inspection.vocabulary import fit, words
 
 SPEEDS = tuple(unit for unit in ("m/s", "km/h", "knots", "cm/s", "mm/s") if unit in UNITS)
@@ -30,6 +31,8 @@ ALONG = 0.8  # mean cosine of heading and direction of a velocity over ground
 TURNS = 0.3  # variance of that direction on the circle, from which it is no chance
 ACROSS = 0.5  # share of y in x, from which a vector is not along the hull
 STEADY, TIGHT = 0.4, 1.1  # correlation of a speed that varies little, and then the tolerance of the slope
+BETTER = 4  # by which 1 − correlation must shrink, to take latitude and longitude against their names
+DOUBT = 1.5  # by which it shrinks where they are doubtful, and where the unit of the speed decides
 PLAUSIBLE = 15.0  # m/s, of a boat of this kind
 CONVENTIONS = {  # kind of a message, or of a log -> unit by its standard
     "geometry_msgs": "m/s",
@@ -92,6 +95,30 @@ def find_speeds(pool: Sequence[Candidate], places: Sequence[Places], convention:
     found.sort(key=lambda each: (not each.confirmed, -each.score))
     known = next((each for each in found if each.certainty == CERTAIN), None)
     return [by_other(each, known) if known and each.certainty == UNSURE else each for each in found]
+
+
+def interchanged(places: Places, speeds: Sequence[Candidate]) -> tuple[Places, bool]:
+    """The position with latitude and longitude interchanged if only then a speed follows its rate, else as it is.
+
+    Args:
+        places: as named.
+        speeds: series that are named as speeds.
+
+    Returns:
+        The position, and whether it is doubtful which of the two it is.
+    """
+    if (other := crossed(places)) is None:
+        return places, False
+    doubtful = False
+    for each in speeds:
+        own, swapped = (speed_on_positions(at.north, at.east, each.evidence) for at in (places, other))
+        if swapped.correlation <= FOLLOWED or 1 - own.correlation <= DOUBT * (1 - swapped.correlation):
+            continue
+        by_unit = unit_of(swapped.slope, FITS) and not unit_of(own.slope)
+        if by_unit or 1 - own.correlation > BETTER * (1 - swapped.correlation):
+            return other, False
+        doubtful = True
+    return places, doubtful
 
 
 def read_speed(candidate: Candidate, relation: Relation | None, convention: str, name: float) -> Speed:
