@@ -116,6 +116,10 @@ def dense(joint: JointEKF, samples: Sample):
                 place, most = 4 + turn // 4, prior[turn // 4]
                 P[place, place] += min(4 * m * most * min(h, 10) / T, max(most - P[place, place], 0))
             turn = (turn + 1) % (4 * m)
+            if abs(x[0]) >= 20:  # m/s: "loose" gets there
+                x[0] = math.copysign(20, x[0])
+                P[0], P[:, 0] = 0, 0
+                P[0, 0] = 20**2
             before, predicted = torch.stack([left, right]), float(H @ x)
             if clear.learns[i] and h > 10:
                 start = surge
