@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -122,12 +122,13 @@ def compose_every_value(sweeper: BasicSweeper, jobs: Sequence[Sequence[str]]) ->
     assert sweeper.hydra_context is not None
     loader: Any = sweeper.hydra_context.config_loader
 
-    def is_file(override: str) -> bool:
-        return loader.repository.group_exists(override.partition("=")[0].lstrip("+~").partition("@")[0])
+    @cache
+    def is_file(key: str) -> bool:
+        return loader.repository.group_exists(key.lstrip("+~").partition("@")[0])
 
     composed: set[tuple[tuple[str, ...], str]] = set()
     for job in jobs:
-        files = tuple(filter(is_file, job))
+        files = tuple(each for each in job if is_file(each.partition("=")[0]))
         if not composed.issuperset(values := {(files, each) for each in job}):
             loader.load_sweep_config(master_config=sweeper.config, sweep_overrides=list(job))
             composed |= values
@@ -161,7 +162,9 @@ class Sweep(Callback):
             note = note_of(config, swept)
             note_sweep(folder, note)
             prepare_workers(Path(usvlearn.__file__).parents[1])
-        BasicSweeper.validate_batch_is_legal = compose_every_value  # type: ignore[assignment, method-assign]
+        from hydra._internal.core_plugins import basic_sweeper  # Hydra has made the class anew as it looked for plugins
+
+        basic_sweeper.BasicSweeper.validate_batch_is_legal = compose_every_value  # type: ignore[assignment, method-assign]
         Sweep.folder = folder
         if "joblib" in config.hydra.launcher._target_:
             defer_signals()  # a signal is passed on to the workers, which finish their chunk
