@@ -167,6 +167,17 @@ def test_each_state_of_the_sources_has_a_folder_of_its_own(copied, source, old, 
     assert after != before == folder()
 
 
+def test_a_file_beside_the_package_is_known_by_its_place(tmp_path, monkeypatch):
+    """What it imports from others is not in the hash."""
+    folders = []
+    for name in ("one", "other"):
+        monkeypatch.setattr(compiled, "HERE", tmp_path / name / "usvlearn")
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "mine.py").write_text("from theirs import K\n")
+        folders.append(compiled.folder(tmp_path / name / "mine.py"))
+    assert folders[0] != folders[1]
+
+
 def test_files_that_are_not_in_machine_code_change_no_folder(copied):
     root, folder = copied
     before = folder()

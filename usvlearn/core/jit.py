@@ -65,8 +65,8 @@ if numba.version_info.short < (0, 68):  # these take a member of an IntEnum as a
 @cache
 def folder(source: Path) -> Path:
     """Where the machine code of a source file's functions is kept: under `NUMBA_CACHE_DIR`, or the user's cache."""
-    own = source.relative_to(HERE.parent) if source.is_relative_to(HERE.parent) else source
-    machine = numba.__version__, sys.implementation.cache_tag, get_host_cpu_name(), str(own)
+    own = source.relative_to(HERE) if source.is_relative_to(HERE) else source  # what others import is not in the hash
+    machine = numba.__version__, f"{NUMBA.USING_SVML}", sys.implementation.cache_tag, get_host_cpu_name(), str(own)
     digest = hashlib.sha256("\n".join(machine).encode())
     for path in sorted(sources(source)):
         digest.update(path.read_bytes())
