@@ -77,8 +77,9 @@ def guess_places(pool: Sequence[Candidate], speeds: Sequence[Candidate]) -> Plac
 
 
 def crossed(places: Places) -> Places | None:
-    """A position with latitude and longitude interchanged; None where they cannot be, or are metres."""
-    return _places(places.second, places.first, True, True) if places.geographic else None
+    """A position with latitude and longitude interchanged; None where one is no latitude, or they are metres."""
+    alike = (places.first.size <= 90) == (places.second.size <= 90)  # both in degrees, or both in 1e-7 of them
+    return _places(places.second, places.first, True, True) if places.geographic and alike else None
 
 
 def _is_smooth(candidate: Candidate) -> bool:
@@ -131,11 +132,12 @@ def tell_places(places: Places, channels: dict, series: dict, confirmed: bool, a
     if axes != CERTAIN:
         sure, why = least(sure, axes), doubt
     decisions = []
-    for name, candidate in zip(names, (places.first, places.second), strict=True):
+    pair, doubtful = (places.first, places.second), axes != CERTAIN
+    for name, candidate, other in zip(names, pair, pair[::-1], strict=True):
         scale = {} if not places.geographic or places.first.size <= 90 else {"span": 1e7}
         channels[name] = candidate.source(unit="deg" if places.geographic else "m", window=AUTO, **scale)
         series[name] = candidate
-        decisions.append(Decision(name, "series", candidate.label, sure, why))
+        decisions.append(Decision(name, "series", candidate.label, sure, why, (other.label,) * doubtful))
     return decisions
 
 

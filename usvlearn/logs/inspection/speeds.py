@@ -32,7 +32,10 @@ TURNS = 0.3  # variance of that direction on the circle, from which it is no cha
 ACROSS = 0.5  # share of y in x, from which a vector is not along the hull
 STEADY, TIGHT = 0.4, 1.1  # correlation of a speed that varies little, and then the tolerance of the slope
 BETTER = 4  # by which 1 − correlation must shrink, to take latitude and longitude against their names
-DOUBT = 1.5  # by which it shrinks where they are doubtful, and where the unit of the speed decides
+DOUBT, MORE = (
+    2.0,
+    0.005,
+)  # by which it shrinks where the unit of the speed decides; if it does not, and by which it grows
 PLAUSIBLE = 15.0  # m/s, of a boat of this kind
 CONVENTIONS = {  # kind of a message, or of a log -> unit by its standard
     "geometry_msgs": "m/s",
@@ -107,18 +110,17 @@ def interchanged(places: Places, speeds: Sequence[Candidate]) -> tuple[Places, b
     Returns:
         The position, and whether it is doubtful which of the two it is.
     """
-    if (other := crossed(places)) is None:
+    other = crossed(places)
+    if other is None or not speeds:
         return places, False
-    doubtful = False
-    for each in speeds:
-        own, swapped = (speed_on_positions(at.north, at.east, each.evidence) for at in (places, other))
-        if swapped.correlation <= FOLLOWED or 1 - own.correlation <= DOUBT * (1 - swapped.correlation):
-            continue
-        by_unit = unit_of(swapped.slope, FITS) and not unit_of(own.slope)
-        if by_unit or 1 - own.correlation > BETTER * (1 - swapped.correlation):
-            return other, False
-        doubtful = True
-    return places, doubtful
+    each = max(speeds, key=lambda each: max(_correlation(at, each) for at in (places, other)))
+    own, swapped = (speed_on_positions(at.north, at.east, each.evidence) for at in (places, other))
+    shrunk = (1 - own.correlation) / max(1 - swapped.correlation, 1e-9)
+    if not (swapped.correlation > FOLLOWED and shrunk > DOUBT):
+        return places, False
+    if shrunk > BETTER or (unit_of(swapped.slope, FITS) and not unit_of(own.slope)):
+        return other, False
+    return places, swapped.correlation - own.correlation > MORE
 
 
 def read_speed(candidate: Candidate, relation: Relation | None, convention: str, name: float) -> Speed:
@@ -297,6 +299,12 @@ def unit_of(slope: float, tolerance: float = RATIO) -> str:
     ratios = {unit: abs(math.log(max(slope, 1e-9) * UNITS[unit][0])) for unit in SPEEDS}
     best = min(ratios, key=lambda unit: ratios[unit])
     return best if ratios[best] < math.log(tolerance) else ""
+
+
+def _correlation(places: Places, speed: Candidate) -> float:
+    """With the rate of a position; -1 where too little is known."""
+    found = speed_on_positions(places.north, places.east, speed.evidence).correlation
+    return found if math.isfinite(found) else -1.0
 
 
 def _is_position(candidate: Candidate, places: Sequence[Places]) -> bool:
