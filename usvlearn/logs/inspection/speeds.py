@@ -32,10 +32,8 @@ TURNS = 0.3  # variance of that direction on the circle, from which it is no cha
 ACROSS = 0.5  # share of y in x, from which a vector is not along the hull
 STEADY, TIGHT = 0.4, 1.1  # correlation of a speed that varies little, and then the tolerance of the slope
 BETTER = 4  # by which 1 − correlation must shrink, to take latitude and longitude against their names
-DOUBT, MORE = (
-    2.0,
-    0.005,
-)  # by which it shrinks where the unit of the speed decides; if it does not, and by which it grows
+DOUBT = 2.0  # by which it must shrink where the unit of the speed decides, or both are doubtful
+MORE = 0.005  # by which the correlation must grow, too, where they are doubtful
 PLAUSIBLE = 15.0  # m/s, of a boat of this kind
 CONVENTIONS = {  # kind of a message, or of a log -> unit by its standard
     "geometry_msgs": "m/s",
@@ -113,8 +111,8 @@ def interchanged(places: Places, speeds: Sequence[Candidate]) -> tuple[Places, b
     other = crossed(places)
     if other is None or not speeds:
         return places, False
-    each = max(speeds, key=lambda each: max(_correlation(at, each) for at in (places, other)))
-    own, swapped = (speed_on_positions(at.north, at.east, each.evidence) for at in (places, other))
+    pairs = [[speed_on_positions(at.north, at.east, each.evidence) for at in (places, other)] for each in speeds]
+    own, swapped = max(pairs, key=lambda pair: max(np.nan_to_num(each.correlation, nan=-1.0) for each in pair))
     shrunk = (1 - own.correlation) / max(1 - swapped.correlation, 1e-9)
     if not (swapped.correlation > FOLLOWED and shrunk > DOUBT):
         return places, False
@@ -299,12 +297,6 @@ def unit_of(slope: float, tolerance: float = RATIO) -> str:
     ratios = {unit: abs(math.log(max(slope, 1e-9) * UNITS[unit][0])) for unit in SPEEDS}
     best = min(ratios, key=lambda unit: ratios[unit])
     return best if ratios[best] < math.log(tolerance) else ""
-
-
-def _correlation(places: Places, speed: Candidate) -> float:
-    """With the rate of a position; -1 where too little is known."""
-    found = speed_on_positions(places.north, places.east, speed.evidence).correlation
-    return found if math.isfinite(found) else -1.0
 
 
 def _is_position(candidate: Candidate, places: Sequence[Places]) -> bool:
