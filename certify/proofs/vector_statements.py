@@ -43,7 +43,7 @@ class Statement(Protocol):
 
     unit: int
     work: int
-    nodes: int  # of a tree whose replay does not exceed WORK
+    nodes: int  # of a tree whose replay takes about WORK, with one hidden layer of relu, or at most WORK
 
     def start(self, here: Region) -> Any: ...
     def halve(self, state: Any, j: int, here: Region, half: Region) -> Any: ...
@@ -133,7 +133,7 @@ class _Patterns:
         self.on = [[min(g, 0) for g in each] for each in gain]  # what a sign that is settled changes
         self.off = [[-max(g, 0) for g in each] for each in gain]
         self.columns = [list(column) for column in zip(*self.planes.rows, strict=True)]
-        self.nodes = WORK // (NODE + 4 * len(gain) + 2 * len(start))
+        self.nodes = WORK // (NODE + 4 * len(gain) + (len(gain) + 4) * len(start) // 20)  # a node settles about G/20
         self.work = 0
 
     def start(self, here: Region) -> _Crossed:
@@ -170,7 +170,7 @@ class _Tanh:
         self.base = [k << BITS for k in start]
         self.gain, self.unit = gain, unit << BITS
         self.cost = 2 * NODE + len(gain) * (len(start) + 2 * TANH)
-        self.nodes = 2 * WORK // self.cost
+        self.nodes = _nodes(self.cost)
         self.work = 0
 
     def start(self, here: Region) -> None:
@@ -209,7 +209,7 @@ class _Deep:
         n, last, width = len(weights.b), len(weights.c), len(box.lo)
         each = 8 * TANH if phi.name == "tanh" else 250
         self.cost = 2 * NODE + (2 * n * last * (width + 3) + 2 * len(signs.T) * (n + q) * last) // 2 + (n + last) * each
-        self.nodes = 2 * WORK // self.cost
+        self.nodes = _nodes(self.cost)
         self.work = 0
 
     def start(self, here: Region) -> None:
@@ -250,7 +250,7 @@ class Range:
         widths = [len(self.first.rows), *([] if self.second is None else [len(self.second.rows)]), self.q]
         each = 8 * TANH if phi.name == "tanh" else 250
         self.cost = 2 * NODE + sum((len(box.lo) + 3) * k * j + each * k for k, j in itertools.pairwise(widths))
-        self.nodes = 2 * WORK // self.cost
+        self.nodes = _nodes(self.cost)
         self.root = region(box)
         self.work = 0
 
@@ -276,6 +276,11 @@ class Range:
             if least < self.root.lo[r] << depth or most > self.root.hi[r] << depth:
                 return 1
         return 0
+
+
+def _nodes(cost: int) -> int:
+    """The most nodes n of a tree with (n + 1)/2 leaves of this cost: NODE n + cost (n + 1)/2 ≤ WORK."""
+    return max((2 * WORK - cost) // (2 * NODE + cost), 1)
 
 
 def _slopes(phi: Activation, ends: Ends, bits: int) -> tuple[Integers, Integers]:

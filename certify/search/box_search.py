@@ -107,14 +107,14 @@ class Search:
         self.limit, self.closed, self.open = self.upper(), -math.inf, -math.inf
         self.count, self.halvings, self.splits, self.leaves = 1, [], {}, {}
 
-    def text(self) -> str:
-        """The tree in preorder."""
+    def text(self, count: float = math.inf) -> str:
+        """The tree of the first `count` nodes, in preorder."""
         for nodes, names, children in self.halvings:
             self.splits.update(zip(nodes.tolist(), zip(names, children.tolist(), strict=True), strict=True))
         tokens, pending = [], [0]
         while pending:
             node = pending.pop()
-            if node in self.splits:
+            if node in self.splits and self.splits[node][1] + 1 < count:
                 token, child = self.splits[node]
                 pending += [child + 1, child]
             else:
@@ -125,7 +125,7 @@ class Search:
     def boxes(
         self, bound: Callable, halve: Callable, climb: Callable | None, box: Box, width: int, most: int, small: float
     ) -> list[np.ndarray]:
-        """Halve boxes until all are closed or `most` were tried; return the open ones: bounds, lo, hi, signs, ids.
+        """Halve boxes until all are closed or the tree has `most` nodes; return bounds, lo, hi, signs, ids of the open.
 
         A box is not halved along a side that is at most `small` times that side of the whole box.
 
@@ -151,10 +151,10 @@ class Search:
             keep = queue[0] > self.threshold(self.best)
             self.closed = max(self.closed, queue[0][~keep].max(initial=-math.inf))
             queue = [x[keep] for x in queue]
-            size = len(queue[0])
-            if not size or self.count > most or sum(len(x[0]) for x in aside) > LEFT or self.over():
+            size, room = len(queue[0]), (most - self.count) // 2  # a halved box has two children
+            if not size or room < 1 or sum(len(x[0]) for x in aside) > LEFT or self.over():
                 return [np.concatenate(column) for column in zip(queue, *aside, strict=True)]
-            now, rest, take = queue, None, max(BATCH, size // 4)
+            now, rest, take = queue, None, min(max(BATCH, size // 4), room)
             if size > take:
                 order = np.argpartition(-queue[0], take)
                 now, rest = ([x[part] for x in queue] for part in (order[:take], order[take:]))

@@ -27,8 +27,8 @@ from certify.proofs.rounding import float_above, float_below
 from certify.proofs.vector_box_proof import bound, coordinates, proves_range, usual
 from certify.proofs.vector_exact import NORMS, Matrix
 from certify.proofs.vector_points import norm_at, value_at
-from certify.proofs.vector_statements import Range, Statement, slopes_on
-from certify.search.box_search import BATCH, BOXES, CLIMBERS, REPLAYED, Search, constant
+from certify.proofs.vector_statements import Range, slopes_on
+from certify.search.box_search import BOXES, CLIMBERS, REPLAYED, Search, constant
 from certify.search.vector_box_search import Floats, range_bounds
 
 LARGEST = 1e60  # a weight or an end of the box; products of a few are floats
@@ -113,11 +113,10 @@ def certify(
     verdict, tree, best, upper = "unknown", None, None, math.inf
     for lean in (1.0, -1.0):  # the replay tells whether hyperplanes that touch a leaf up to rounding cross it
         found = _search(weights, phi, box, norm, scaling, constant(rate * (1 - 1e-13)), rate, end, lean)
-        seen, search, text = found
+        seen, search, text, proved = found
         best = seen if best is None or (seen and seen[0] > best[0]) else best
         if best is not None and best[0] >= Fraction(rate):
             verdict = "refuted"
-        proved = bound(weights, phi, box, text, norm, scaling)
         upper = min(upper, math.inf if proved is None else float_above(proved))
         if verdict == "unknown" and proved is not None and proved < Fraction(rate):
             verdict, tree = "certified", text
@@ -173,8 +172,7 @@ def rate(
     def threshold(best: float) -> float:
         return best + gap * max(best, 0.0)
 
-    seen, _, text = _search(weights, phi, box, norm, scaling, threshold, math.inf, end, 1.0)
-    proved = bound(weights, phi, box, text, norm, scaling)
+    seen, _, text, proved = _search(weights, phi, box, norm, scaling, threshold, math.inf, end, 1.0)
     upper, plain = math.inf if proved is None else float_above(proved), _plain(weights, phi, box, norm, scaling)
     if plain <= upper:
         upper, text = plain, "."
@@ -210,7 +208,7 @@ def invariance(
     q, end = len(weights.R), time.perf_counter() + max(seconds, 0.0)
     ends = [(Fraction(float(lo)), Fraction(float(hi))) for lo, hi in zip(box.lo[:q], box.hi[:q], strict=True)]
     small = 1e-12 * (1 + float(np.abs(box.lo[:q]).max() + np.abs(box.hi[:q]).max()))
-    most = min(replayed(Range(weights, phi, box)), BOXES)
+    most = min(Range(weights, phi, box).nodes, BOXES)
     for margin, slack in ((0.0, 0.0), (0.0, small), (small, 0.0)):  # rounding may hide that a leaf is just open
         bounds, halve = range_bounds(weights, phi, box, slack)
         search = Search(constant(-margin), small, end)
@@ -234,8 +232,8 @@ def _search(
     target: float,
     end: float,
     lean: float,
-) -> tuple[tuple[Fraction, np.ndarray] | None, Search, str]:
-    """The best point with its exact norm, the search, and its tree."""
+) -> tuple[tuple[Fraction, np.ndarray] | None, Search, str, Fraction | None]:
+    """The best point with its exact norm, the search, its tree, and the bound that the tree proves."""
     net, rng = Floats(weights, phi, box, norm, scaling, lean), np.random.default_rng(0)
     search = Search(threshold, target, end)
     points = rng.uniform(box.lo, box.hi, (SAMPLES, len(box.lo))).clip(box.lo, box.hi)
@@ -245,25 +243,26 @@ def _search(
         return net.climb(y, box, rng)
 
     search.reached(*climb(points[order]))
-    most = replayed(slopes_on(weights, phi, box, norm, scaling))
-    most = min(most, max(int(REPLAYED * (end - time.perf_counter())), 1), BOXES)
+    nodes = slopes_on(weights, phi, box, norm, scaling).nodes
+    most = min(nodes, max(int(REPLAYED * (end - time.perf_counter())), 1), BOXES)
     search.open = search.boxes(net.bound, net.halve, climb, box, 0, most, SMALL)[0].max(initial=-math.inf)
     seen = None
     if search.point is not None and (exact := norm_at(weights, phi, search.point, norm, scaling)) is not None:
         seen = exact, search.point
-    return seen, search, _text(search, len(weights.R), box)
+    kept = search.count
+    while True:
+        text = _text(search, len(weights.R), box, kept)
+        proved = bound(weights, phi, box, text, norm, scaling)
+        if proved is not None or kept == 1:
+            return seen, search, text, proved
+        kept = 3 * kept // 4  # the replay takes too long; what was halved first is a tree, too
 
 
-def replayed(statement: Statement) -> int:
-    """Nodes at which a search ends, so that its tree can be replayed: the last round may add a quarter and a batch."""
-    return max(int(0.78 * statement.nodes) - 2 * BATCH, 1)
-
-
-def _text(search: Search, q: int, box: Box) -> str:
-    """The tree, with the names of this network's coordinates."""
+def _text(search: Search, q: int, box: Box, count: float = math.inf) -> str:
+    """The tree of the first `count` nodes, with the names of this network's coordinates."""
     width = len(box.lo)
     names = dict(zip(coordinates(1, width - 1), coordinates(q, width - q), strict=True))
-    return " ".join(names.get(token, token) for token in search.text().split())
+    return " ".join(names.get(token, token) for token in search.text(count).split())
 
 
 def _witness(seen: tuple[Fraction, np.ndarray] | None, q: int) -> tuple[float, VectorWitness | None]:

@@ -11,9 +11,11 @@ import pytest
 from certify.errors import CertifyError
 from certify.networks.shallow import ShallowWeights
 from certify.networks.vector import RELU, VectorNetwork, VectorWeights, activation, check, forward, of_shallow
+from certify.proofs import vector_box_proof, vector_statements
 from certify.proofs.box_planes import Box
 from certify.proofs.vector_box_proof import _halvings, bound, coordinates, proves, proves_range
 from certify.proofs.vector_points import norm_at, value_at
+from certify.proofs.vector_statements import slopes_on
 from certify.search.box import box as parse_box
 from certify.search.box import certify as certify_scalar
 from certify.search.box import invariance as scalar_invariance
@@ -268,3 +270,34 @@ def test_the_norm_at_a_point_is_that_of_the_jacobian_with_any_signs(norm):
 
 def test_without_a_point_nothing_is_known_from_below():
     assert _witness(None, 2) == (0.0, None)
+
+
+@pytest.fixture
+def little_work(monkeypatch):
+    """A replay of 1/60 of the usual length, so that it ends every search of a network with many neurons."""
+    little = vector_statements.WORK // 60
+    for module in (vector_statements, vector_box_proof):
+        monkeypatch.setattr(module, "WORK", little)
+
+
+@pytest.mark.usefixtures("little_work")
+@pytest.mark.parametrize("name, last", [("tanh", 0), ("tanh", 3), ("relu", 3), ("leaky:0.1", 0)])
+def test_what_the_rate_has_proved_is_certified_when_it_is_asked_for(name, last):
+    """Both searches halve as many boxes as a replay can take: the boxes whose bound is too high come first."""
+    phi, over = activation(name), Box(-np.ones(4), np.ones(4))
+    weights = vector_network(np.random.default_rng(11), 3, 1, 30, last)
+    found = rate(weights, phi, over, gap=1e-6)
+    nodes = slopes_on(weights, phi, over, "inf", None).nodes
+    assert nodes - 1 <= len(found.tree.split()) <= nodes
+    assert certify(weights, phi, over, found.upper * (1 + 1e-9)).verdict == "certified"
+
+
+def test_a_tree_too_long_for_a_replay_is_cut_and_still_proves_something(monkeypatch):
+    """As where more signs settle at a node than expected: what was halved first is a tree, too."""
+    monkeypatch.setattr(vector_box_proof, "WORK", vector_statements.WORK // 40)
+    monkeypatch.setattr(vector_statements, "WORK", vector_statements.WORK // 10)
+    over = Box(-np.ones(5), np.ones(5))
+    weights = vector_network(np.random.default_rng(12), 5, 0, 60)
+    found = rate(weights, RELU, over)
+    assert len(found.tree.split()) > 1 and found.upper < bound(weights, RELU, over, ".")
+    assert bound(weights, RELU, over, found.tree) <= Fraction(found.upper)
