@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from usvlearn.logs.channels.channel import UNITS
+from usvlearn.logs.channels.channel import AUTO, UNITS
 from usvlearn.logs.channels.relations import rate_slope
 from usvlearn.logs.inspection.candidate import ANGLES, Candidate
-from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision
+from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.places import Pair, Places, course_of
 from usvlearn.logs.inspection.vocabulary import fit, words
 
@@ -264,3 +264,40 @@ def _rate_unit(slope: float, tolerance: float = RATIO) -> str:
         if 1 / tolerance < ratio < tolerance:
             return unit if slope > 0 else f"enu_{unit}"
     return ""
+
+
+def tell_heading(best: Heading, headings: Sequence[Heading], channels: dict, series: dict) -> list[Decision]:
+    candidate = best.candidate
+    scale = {} if best.span == 1 else {"span": best.span}
+    channels["heading"] = candidate.source(unit=best.unit, window=AUTO, **scale)
+    series["heading"] = candidate
+    close = [each.candidate.label for each in headings[1:] if each.score > best.score - 1]
+    named = fit("heading", candidate.label)
+    if named >= 1:
+        agreed = best.agreement == best.agreement and best.agreement > 0.6
+        sure = CERTAIN if agreed and not close else PROBABLE
+        why = "by name" + (", and it follows the course over ground" if agreed else "")
+    else:
+        sure, why = UNSURE, best.reason
+    why += f"; others: {', '.join(close[:3])}" if close else ""
+    decisions = [
+        Decision("heading", "series", candidate.label, sure, why, tuple(close)),
+        Decision("heading", "unit", best.unit, best.certainty, best.reason, best.alternatives),
+    ]
+    return decisions + [Decision("heading", "span", f"{best.span:g}", best.certainty, best.reason) for _ in scale]
+
+
+def tell_yaw_rate(
+    yaw: YawRate | None, heading: Heading, rivals: Sequence[str], channels: dict, series: dict
+) -> list[Decision]:
+    if yaw is None:
+        channels["yaw_rate"] = {"name": None, "unit": "rad/s"}
+        sure = UNSURE if rivals else PROBABLE
+        why = "no series follows the heading's derivative"
+        return [Decision("yaw_rate", "series", "from the heading", sure, why, tuple(rivals[:3]))]
+    channels["yaw_rate"] = yaw.candidate.source(unit=yaw.unit, window=AUTO)
+    series["yaw_rate"] = yaw.candidate
+    return [
+        Decision("yaw_rate", "series", yaw.candidate.label, yaw.certainty, yaw.reason),
+        Decision("yaw_rate", "unit", yaw.unit, least(yaw.certainty, heading.certainty), "by that slope"),
+    ]

@@ -17,11 +17,12 @@ from usvlearn.logs.channels.channel import Recording
 from usvlearn.logs.checks.data_check import check_data
 from usvlearn.logs.checks.finding import Finding
 from usvlearn.logs.inspection.candidate import Candidate, candidates
+from usvlearn.logs.inspection.commands import SIDES
 from usvlearn.logs.inspection.decision import PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.lag import DELAYS, LONG_DELAYS, Lag, find_lag
 from usvlearn.logs.inspection.logfiles import Logs, boats_of, joined, open_logs
 from usvlearn.logs.inspection.override import shell_override
-from usvlearn.logs.inspection.proposal import SIDES, Proposal, propose
+from usvlearn.logs.inspection.proposal import Proposal, propose
 from usvlearn.logs.inspection.written import read_settings, settings_of, write_text
 from usvlearn.logs.recordings import align_fleet
 

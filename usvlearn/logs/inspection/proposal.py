@@ -5,12 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from usvlearn.logs.channels.channel import AUTO
+from usvlearn.logs.channels.channel import UNITS
 from usvlearn.logs.channels.relations import heading_rate
 from usvlearn.logs.inspection.candidate import Candidate
+from usvlearn.logs.inspection.commands import SIDES, tell_commands
 from usvlearn.logs.inspection.courses import find_course, tell_course
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
-from usvlearn.logs.inspection.directions import Heading, YawRate, find_headings, find_yaw_rate, orient
+from usvlearn.logs.inspection.directions import (
+    Heading,
+    YawRate,
+    find_headings,
+    find_yaw_rate,
+    orient,
+    tell_heading,
+    tell_yaw_rate,
+)
 from usvlearn.logs.inspection.places import (
     Pair,
     Places,
@@ -22,17 +31,16 @@ from usvlearn.logs.inspection.places import (
     tell_places,
 )
 from usvlearn.logs.inspection.senses import LIKELY
-from usvlearn.logs.inspection.sides import SWAPPED, Commands, Side, doubted, find_commands
+from usvlearn.logs.inspection.sides import SWAPPED, Commands, doubted, find_commands
 from usvlearn.logs.inspection.speeds import (
-    Speed,
-    Velocities,
     along_hull,
     find_speeds,
     find_velocities,
     interchanged,
-    is_part,
     norms,
-    period_of,
+    tell_places_as_speed,
+    tell_speed,
+    tell_velocities,
 )
 from usvlearn.logs.inspection.sways import find_sway, tell_sway
 from usvlearn.logs.inspection.vocabulary import (
@@ -44,12 +52,8 @@ from usvlearn.logs.inspection.vocabulary import (
     names_side_alone,
     side,
 )
-from usvlearn.logs.inspection.written import scalar
 
-SIDES = ("command_left", "command_right")
-UNEVEN, ON_CHANGE = 1.5, 3.0  # ratio of long to usual intervals, from which a command may be, and is posted on change
 DEGREES = ("latitude", "longitude")  # which rise as evenly as a clock on a straight line
-NO_REPEATS = 0.02  # share of values that repeat the one before, below which none does
 
 
 class Proposal(NamedTuple):
@@ -99,9 +103,9 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
         turning = [each for each in pool if len(alone) < 2 or not names_side_alone(each.label)]  # L and R are sides
         yaw, rejected = find_yaw_rate(turning, heading)
         turn = _turn(heading, yaw)
-        decisions += _tell_heading(heading, headings, channels, series)
+        decisions += tell_heading(heading, headings, channels, series)
         rivals = [each.label for each in turning if fit("yaw_rate", each.label) >= 0.5]
-        decisions += _tell_yaw_rate(yaw, heading, rivals, channels, series)
+        decisions += tell_yaw_rate(yaw, heading, rivals, channels, series)
         decisions += rejected
     taken = [each for each in (heading and heading.candidate, yaw and yaw.candidate) if each is not None]
     for each in places:
@@ -119,7 +123,7 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
     sway = find_sway(left, beside, track, heading)
     over_ground = None if sway or velocities else find_course(left, speeds, track, heading)
     used = [each.candidate for each in (beside, sway) if each]
-    rest = [each for each in left if not (any(each is other for other in used) or names_state(each))]
+    rest = [each for each in left if not (any(each is other for other in used) or _names_state(each))]
     everything, unfit = found, ""
     if azimuths := [each.label for each in pool if names_azimuth(each.label)]:
         rest, everything = ([each for each in group if _names_whole(each)] for group in (rest, found))
@@ -140,13 +144,13 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
     if heading and course and not places[0].geographic and _is_contested(heading, commands, places[0], speed):
         axes, doubt = UNSURE, "the sense that they give the heading is doubtful: north and east may be interchanged"
         decisions = [_doubted(each, "its name or the sides say the opposite") for each in decisions]
-    decisions = _tell_commands(commands, channels, series) + decisions
+    decisions = tell_commands(commands, channels, series) + decisions
     if velocities:
-        decisions += _tell_velocities(velocities, speeds[1:], channels, series)
+        decisions += tell_velocities(velocities, speeds[1:], channels, series)
     elif speeds:
-        decisions += _tell_speed(speeds, channels, series)
+        decisions += tell_speed(speeds, channels, series)
     elif places:
-        decisions += _tell_places_as_speed()
+        decisions += tell_places_as_speed()
     if sway:
         decisions += tell_sway(sway, channels, series, least(sense, axes))
     elif over_ground and least(sense, axes) == CERTAIN:
@@ -206,7 +210,7 @@ def _unnamed(pool: Sequence[Candidate]) -> tuple[list[Candidate], list[Candidate
     return nameless, named or [each for each in nameless if each.size < 100]
 
 
-def names_state(candidate: Candidate) -> bool:
+def _names_state(candidate: Candidate) -> bool:
     """Whether a name tells a measured state, which no command is."""
     return any(
         fit(role, candidate.label) >= 2 for role in ("heading", "course", "surge", "yaw_rate", "latitude", "longitude")
@@ -216,188 +220,5 @@ def names_state(candidate: Candidate) -> bool:
 def _turn(heading: Heading, yaw: YawRate | None) -> Pair:
     """The yaw rate, rad/s, clockwise."""
     if yaw is not None:
-        from usvlearn.logs.channels.channel import UNITS
-
         return yaw.candidate.scaled(*UNITS[yaw.unit])
     return heading_rate(heading.radians)
-
-
-def on_change(candidate: Candidate) -> tuple[bool, str]:
-    """Whether values are posted only when they differ from the one before, and how certain that is."""
-    ratio = candidate.slow / candidate.interval if candidate.interval > 0 else 1.0
-    if candidate.repeats >= NO_REPEATS or not ratio > UNEVEN:
-        return False, PROBABLE
-    return True, PROBABLE if ratio > ON_CHANGE else UNSURE
-
-
-def _tell_heading(best: Heading, headings: Sequence[Heading], channels: dict, series: dict) -> list[Decision]:
-    candidate = best.candidate
-    scale = {} if best.span == 1 else {"span": best.span}
-    channels["heading"] = candidate.source(unit=best.unit, window=AUTO, **scale)
-    series["heading"] = candidate
-    close = [each.candidate.label for each in headings[1:] if each.score > best.score - 1]
-    named = fit("heading", candidate.label)
-    if named >= 1:
-        agreed = best.agreement == best.agreement and best.agreement > 0.6
-        sure = CERTAIN if agreed and not close else PROBABLE
-        why = "by name" + (", and it follows the course over ground" if agreed else "")
-    else:
-        sure, why = UNSURE, best.reason
-    why += f"; others: {', '.join(close[:3])}" if close else ""
-    decisions = [
-        Decision("heading", "series", candidate.label, sure, why, tuple(close)),
-        Decision("heading", "unit", best.unit, best.certainty, best.reason, best.alternatives),
-    ]
-    return decisions + [Decision("heading", "span", f"{best.span:g}", best.certainty, best.reason) for _ in scale]
-
-
-def _tell_yaw_rate(
-    yaw: YawRate | None, heading: Heading, rivals: Sequence[str], channels: dict, series: dict
-) -> list[Decision]:
-    if yaw is None:
-        channels["yaw_rate"] = {"name": None, "unit": "rad/s"}
-        sure = UNSURE if rivals else PROBABLE
-        why = "no series follows the heading's derivative"
-        return [Decision("yaw_rate", "series", "from the heading", sure, why, tuple(rivals[:3]))]
-    channels["yaw_rate"] = yaw.candidate.source(unit=yaw.unit, window=AUTO)
-    series["yaw_rate"] = yaw.candidate
-    return [
-        Decision("yaw_rate", "series", yaw.candidate.label, yaw.certainty, yaw.reason),
-        Decision("yaw_rate", "unit", yaw.unit, least(yaw.certainty, heading.certainty), "by that slope"),
-    ]
-
-
-def _tell_speed(speeds: Sequence[Speed], channels: dict, series: dict) -> list[Decision]:
-    best = speeds[0]
-    candidate = best.candidate
-    channels["surge"] = candidate.source(unit=best.unit, window=AUTO, period="auto")
-    series["surge"] = candidate
-    close = [each for each in speeds[1:] if each.score > best.score - 1.5 and not each.contradicted]
-    sure = (
-        CERTAIN
-        if best.confirmed and fit("surge", candidate.label) >= 1
-        else PROBABLE
-        if not best.contradicted
-        else UNSURE
-    )
-    if fit("surge", candidate.label) < 1:
-        sure = PROBABLE if best.certainty == CERTAIN else UNSURE
-    elif not best.confirmed and is_part(candidate):
-        sure = UNSURE  # a part of a vector may be to the north as well as along the hull
-    why = "follows the rate of position" if best.confirmed else "by name"
-    if best.contradicted:
-        why = "by name, but it does not follow the rate of position"
-    if candidate.extent[0] < -0.03 * candidate.size:
-        why += "; signed"
-    if close:
-        why += f"; before {', '.join(each.candidate.label for each in close[:3])}: {_why_better(best, close[0])}"
-    decisions = [
-        Decision("surge", "series", candidate.label, sure, why, tuple(each.candidate.label for each in close)),
-        Decision("surge", "unit", best.unit, least(best.certainty, sure), best.reason, best.alternatives),
-    ]
-    period, share = period_of(candidate)
-    if period:
-        decisions.append(
-            Decision(
-                "surge", "period", f"{period:g} s", PROBABLE, f"{share:.0%} of the speeds are copies of the one before"
-            )
-        )
-    return decisions
-
-
-def _why_better(best: Speed, other: Speed) -> str:
-    one, two = best.candidate, other.candidate
-    reasons = []
-    if one.interval < 0.7 * two.interval:
-        reasons.append("it comes more often")
-    if one.repeats < two.repeats - 0.1:
-        reasons.append("it repeats less")
-    if one.extent[0] < -0.03 * one.size and not two.extent[0] < -0.03 * two.size:
-        reasons.append("it is signed")
-    if best.confirmed and not other.confirmed:
-        reasons.append("it follows the position")
-    return ", ".join(reasons) or "its name fits better"
-
-
-def _tell_commands(commands: Sequence[Commands], channels: dict, series: dict) -> list[Decision]:
-    if not commands:
-        return []
-    best, decisions = commands[0], []
-    for channel, one in zip(SIDES, (best.left, best.right), strict=True):
-        channels[channel] = _command_source(one)
-        if len(one.parts) == 1:
-            series[channel] = one.parts[0]
-        others = tuple(_listed(getattr(each, channel.removeprefix("command_"))) for each in commands[1:4])
-        other = _listed(best.right if one is best.left else best.left)
-        if best.certainty == UNSURE and other != _listed(one):
-            others = (other, *others)
-        if best.middle:
-            others = (scalar([each.name for each in (*one.parts, best.middle)]), *others)
-        label, level = _listed(one), one.levels[0]
-        ahead = "reversed" if min((one.sign, *one.weights[:1])) < 0 else "positive ahead"
-        held = channels[channel].get("held", False)
-        how = "on change: held until the next one" if held else "periodic: window auto"
-        rate = f"{one.parts[0].repeats:.0%} repeat the one before; every {one.parts[0].interval:.2g} s"
-        span, span_reason = f"{one.sign * level.span:g}", f"{level.kind}: {level.span_reason}"
-        decisions += [
-            Decision(channel, "series", label, best.certainty, best.reason, others),
-            Decision(channel, "zero", f"{level.zero:g}", level.zero_certainty, level.zero_reason, level.zeros),
-            Decision(channel, "span", span, level.span_certainty, span_reason, level.alternatives),
-            Decision(channel, "sign", ahead, best.sign_certainty, best.sign_reason, best.alternatives),
-            Decision(channel, "posting", how, on_change(one.parts[0])[1], rate),
-        ]
-    return decisions
-
-
-def _listed(one: Side) -> str:
-    return " + ".join(each.label for each in one.parts)
-
-
-def _command_source(one: Side) -> dict[str, Any]:
-    held = any(on_change(each)[0] for each in one.parts)
-    keys = {"held": held, "window": AUTO, "delay": 0.0}
-    zeros, spans = [each.zero for each in one.levels], [one.sign * each.span for each in one.levels]
-    if len(one.parts) == 1:
-        return one.parts[0].source(unit="1", zero=zeros[0], span=spans[0], **keys)
-    source: dict[str, Any] = {"name": [each.name for each in one.parts]}
-    if any(each.field not in (None, "data") for each in one.parts):
-        source["field"] = [each.field or "data" for each in one.parts]
-    kinds = [each.kind for each in one.levels]
-    source |= {
-        "unit": kinds if "N·m" in kinds else "1",
-        "zero": zeros[0] if len(set(zeros)) == 1 else zeros,
-        "span": spans[0] if len(set(spans)) == 1 else spans,
-    }
-    if one.weights:
-        source["weight"] = list(one.weights)
-    return source | keys
-
-
-def _tell_velocities(found: Velocities, speeds: Sequence[Speed], channels: dict, series: dict) -> list[Decision]:
-    """Both components, from which the surge is computed with the heading."""
-    size, decisions = found.size, []
-    others = tuple(each.candidate.label for each in speeds[:3])
-    for name, candidate in (("velocity_north", found.north), ("velocity_east", found.east)):
-        channels[name] = candidate.source(unit=size.unit, window=AUTO)
-        series[name] = candidate
-        sure = UNSURE if found.guessed else CERTAIN if size.confirmed else PROBABLE
-        why = ("by its direction" if found.guessed else "by name") + (
-            "; their size follows the rate of position" if size.confirmed else ""
-        )
-        decisions.append(Decision(name, "series", candidate.label, sure, why))
-        decisions.append(Decision(name, "unit", size.unit, size.certainty, size.reason, size.alternatives))
-    why = "velocities and heading give a signed surge" + (f"; before {', '.join(others)}" if others else "")
-    sure = UNSURE if found.guessed else PROBABLE
-    return [*decisions, Decision("surge", "series", "from the velocities", sure, why, others)]
-
-
-def _tell_places_as_speed() -> list[Decision]:
-    return [
-        Decision(
-            "surge",
-            "series",
-            "from the position",
-            PROBABLE,
-            "no series is known to be the speed: the position tells it",
-        )
-    ]

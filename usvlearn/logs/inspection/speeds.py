@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from usvlearn.logs.channels.channel import UNITS, Channel
+from usvlearn.logs.channels.channel import AUTO, UNITS, Channel
 from usvlearn.logs.channels.copies import find_period
 from usvlearn.logs.channels.relations import Relation, speed_on_positions
 from usvlearn.logs.inspection.candidate import Candidate
-from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE
+from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.directions import agreement
 from usvlearn.logs.inspection.places import CLOSE as FOLLOWED
 from usvlearn.logs.inspection.places import Pair, Places, crossed
@@ -223,7 +223,7 @@ def quality(candidate: Candidate) -> float:
     return rate + 0.5 * fine + 0.3 * (candidate.extent[0] < -0.03 * candidate.size) - 0.5 * candidate.repeats
 
 
-def period_of(candidate: Candidate) -> tuple[float, float]:
+def _period_of(candidate: Candidate) -> tuple[float, float]:
     """The period of the sensor behind copies, s, and their share; zeros if there are none."""
     return find_period([Channel(candidate.time, candidate.value, np.arange(len(candidate.time)))])
 
@@ -260,13 +260,13 @@ def vectors(pool: Sequence[Candidate]) -> list[tuple[Candidate, Candidate]]:
     """The parts x and y of velocities that are logged as vectors: fields of a message, or two columns."""
     found = []
     for x in pool:
-        if is_part(x):
+        if _is_part(x):
             twin = x.label[:-1] + ("y" if x.label[-1] == "x" else "Y")
             found += [(x, y) for y in pool if y.label == twin]
     return found
 
 
-def is_part(candidate: Candidate) -> bool:
+def _is_part(candidate: Candidate) -> bool:
     """Whether a name tells the part x of a velocity."""
     spoken = set(words(candidate.label))
     named = {"twist", "vel", "velocity", "vx", "linear"} & spoken and not {"angular", "acceleration"} & spoken
@@ -301,3 +301,85 @@ def unit_of(slope: float, tolerance: float = RATIO) -> str:
 
 def _is_position(candidate: Candidate, places: Sequence[Places]) -> bool:
     return any(candidate is each.first or candidate is each.second for each in places)
+
+
+def tell_speed(speeds: Sequence[Speed], channels: dict, series: dict) -> list[Decision]:
+    best = speeds[0]
+    candidate = best.candidate
+    channels["surge"] = candidate.source(unit=best.unit, window=AUTO, period="auto")
+    series["surge"] = candidate
+    close = [each for each in speeds[1:] if each.score > best.score - 1.5 and not each.contradicted]
+    sure = (
+        CERTAIN
+        if best.confirmed and fit("surge", candidate.label) >= 1
+        else PROBABLE
+        if not best.contradicted
+        else UNSURE
+    )
+    if fit("surge", candidate.label) < 1:
+        sure = PROBABLE if best.certainty == CERTAIN else UNSURE
+    elif not best.confirmed and _is_part(candidate):
+        sure = UNSURE  # a part of a vector may be to the north as well as along the hull
+    why = "follows the rate of position" if best.confirmed else "by name"
+    if best.contradicted:
+        why = "by name, but it does not follow the rate of position"
+    if candidate.extent[0] < -0.03 * candidate.size:
+        why += "; signed"
+    if close:
+        why += f"; before {', '.join(each.candidate.label for each in close[:3])}: {_why_better(best, close[0])}"
+    decisions = [
+        Decision("surge", "series", candidate.label, sure, why, tuple(each.candidate.label for each in close)),
+        Decision("surge", "unit", best.unit, least(best.certainty, sure), best.reason, best.alternatives),
+    ]
+    period, share = _period_of(candidate)
+    if period:
+        decisions.append(
+            Decision(
+                "surge", "period", f"{period:g} s", PROBABLE, f"{share:.0%} of the speeds are copies of the one before"
+            )
+        )
+    return decisions
+
+
+def _why_better(best: Speed, other: Speed) -> str:
+    one, two = best.candidate, other.candidate
+    reasons = []
+    if one.interval < 0.7 * two.interval:
+        reasons.append("it comes more often")
+    if one.repeats < two.repeats - 0.1:
+        reasons.append("it repeats less")
+    if one.extent[0] < -0.03 * one.size and not two.extent[0] < -0.03 * two.size:
+        reasons.append("it is signed")
+    if best.confirmed and not other.confirmed:
+        reasons.append("it follows the position")
+    return ", ".join(reasons) or "its name fits better"
+
+
+def tell_velocities(found: Velocities, speeds: Sequence[Speed], channels: dict, series: dict) -> list[Decision]:
+    """Both components, from which the surge is computed with the heading."""
+    size, decisions = found.size, []
+    others = tuple(each.candidate.label for each in speeds[:3])
+    for name, candidate in (("velocity_north", found.north), ("velocity_east", found.east)):
+        channels[name] = candidate.source(unit=size.unit, window=AUTO)
+        series[name] = candidate
+        sure = UNSURE if found.guessed else CERTAIN if size.confirmed else PROBABLE
+        why = ("by its direction" if found.guessed else "by name") + (
+            "; their size follows the rate of position" if size.confirmed else ""
+        )
+        decisions.append(Decision(name, "series", candidate.label, sure, why))
+        decisions.append(Decision(name, "unit", size.unit, size.certainty, size.reason, size.alternatives))
+    why = "velocities and heading give a signed surge" + (f"; before {', '.join(others)}" if others else "")
+    sure = UNSURE if found.guessed else PROBABLE
+    return [*decisions, Decision("surge", "series", "from the velocities", sure, why, others)]
+
+
+def tell_places_as_speed() -> list[Decision]:
+    return [
+        Decision(
+            "surge",
+            "series",
+            "from the position",
+            PROBABLE,
+            "no series is known to be the speed: the position tells it",
+        )
+    ]
