@@ -54,7 +54,7 @@ def jobs(folder: Path) -> list[str]:
         "",
         f"`{' '.join(settings)} seeds={SEEDS}`",
         "with joblib. A job's own time is from reading to scoring, `seconds` in its results; the rest is the start of",
-        "the processes, the composition of each job's settings by Hydra (twice), and the leaderboard.",
+        "the processes, the composition of each job's settings by Hydra, and the leaderboard.",
         "",
         *table(["season", "the command, s", "jobs' own time over two, s", "overhead"], rows),
         "",
