@@ -114,6 +114,8 @@ def test_steps_say_nothing_about_the_step_of_the_network(tmp_path, monkeypatch, 
     assert Fraction(row["steps"]["largest"]) == Fraction(4, 5)
     assert [path.name for path in tmp_path.glob("proofs/*")] == ["swings.steps.json"]
     assert main(["--verify", "proofs/swings.steps.json"]) == 0
+    capsys.readouterr()
+    assert main(["swings.npz"]) == 1 and "--lmi searches for it" in capsys.readouterr().out
 
 
 def test_a_certificate_of_steps_is_written_beside_the_other(tmp_path, monkeypatch, capsys):

@@ -40,6 +40,13 @@ def test_one_state_with_relu_is_decided_as_by_the_scalar_search():
     assert certify(of_shallow(pair), RELU, Box(-np.ones(1), np.ones(1)), 0.95).verdict == "certified"  # 0.9 x
 
 
+@pytest.mark.parametrize("name, slope", [("relu", 0.0), ("leaky:1/4", 0.25)])
+def test_a_neuron_that_is_off_keeps_the_least_slope(name, slope):
+    weights = check(VectorWeights(None, [[1.0]], [[1.0]], np.zeros((1, 0)), [0.0]))
+    found = rate(weights, activation(name), Box(np.array([-2.0]), np.array([-1.0])))
+    assert found.lower == found.upper == slope
+
+
 def test_the_depth_of_a_tree_is_that_of_its_longest_path():
     places = {"x0": 0, "u0": 1}
     for text, depth in ((".", 0), ("x0 . .", 1), ("x0 . u0 . .", 2), ("x0 u0 . . u0 . .", 2)):
