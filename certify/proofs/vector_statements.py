@@ -43,7 +43,7 @@ class Statement(Protocol):
 
     unit: int
     work: int
-    nodes: int  # of a tree whose replay takes about WORK, with one hidden layer of relu, or at most WORK
+    nodes: int  # of a tree whose replay takes at most WORK: an estimate for `_Patterns`, certain for the others
 
     def start(self, here: Region) -> Any: ...
     def halve(self, state: Any, j: int, here: Region, half: Region) -> Any: ...

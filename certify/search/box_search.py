@@ -108,7 +108,7 @@ class Search:
         self.count, self.halvings, self.splits, self.leaves = 1, [], {}, {}
 
     def text(self, count: float = math.inf) -> str:
-        """The tree of the first `count` nodes, in preorder."""
+        """The tree of the first `count` nodes, or one less, in preorder."""
         for nodes, names, children in self.halvings:
             self.splits.update(zip(nodes.tolist(), zip(names, children.tolist(), strict=True), strict=True))
         tokens, pending = [], [0]

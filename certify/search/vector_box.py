@@ -91,7 +91,7 @@ def certify(
         rate: the rate asked for, no unit.
         norm: "inf" or "one".
         scaling: T, `(q, q)` fractions; the identity by default.
-        seconds: about how long to search and to prove, s.
+        seconds: about how long to search and to prove, s; the replay of a long tree takes some seconds more.
 
     Returns:
         The verdict on the rate, with its proof or its witness; and whether the box is forward invariant.
@@ -151,7 +151,7 @@ def rate(
         norm: "inf" or "one".
         scaling: T, `(q, q)` fractions; the identity by default.
         gap: relative width of the bracket at which to stop, no unit.
-        seconds: about how long to search, s.
+        seconds: about how long to search, s; the replay of a long tree takes some seconds more.
 
     Returns:
         The bracket, a point where the lower end is reached, the tree that proves the upper end, and how long it took.
@@ -190,7 +190,7 @@ def invariance(
         weights: of one network, see `certify.networks.vector.check`.
         phi: its activation.
         box: `(q + m,)`, the intervals of x and u.
-        seconds: about how long to search and to prove, s.
+        seconds: about how long to search and to prove, s; the replay of a long tree takes some seconds more.
 
     Returns:
         "yes", its proof and None; "no", None and a point `(q + m,)` that leaves the intervals; or "unknown", None,
@@ -255,11 +255,11 @@ def _search(
         proved = bound(weights, phi, box, text, norm, scaling)
         if proved is not None or kept == 1:
             return seen, search, text, proved
-        kept = 3 * kept // 4  # the replay takes too long; what was halved first is a tree, too
+        kept //= 2  # the replay takes too long; what was halved first is a tree, too
 
 
 def _text(search: Search, q: int, box: Box, count: float = math.inf) -> str:
-    """The tree of the first `count` nodes, with the names of this network's coordinates."""
+    """The tree of the first `count` nodes, or one less, with the names of this network's coordinates."""
     width = len(box.lo)
     names = dict(zip(coordinates(1, width - 1), coordinates(q, width - q), strict=True))
     return " ".join(names.get(token, token) for token in search.text(count).split())
