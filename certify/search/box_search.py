@@ -111,6 +111,7 @@ class Search:
         """The tree of the first `count` nodes, or one less, in preorder."""
         for nodes, names, children in self.halvings:
             self.splits.update(zip(nodes.tolist(), zip(names, children.tolist(), strict=True), strict=True))
+        self.halvings = []
         tokens, pending = [], [0]
         while pending:
             node = pending.pop()

@@ -112,18 +112,16 @@ def certify(
     end = started + 0.6 * seconds
     verdict, tree, best, upper = "unknown", None, None, math.inf
     for lean in (1.0, -1.0):  # the replay tells whether hyperplanes that touch a leaf up to rounding cross it
-        found = _search(weights, phi, box, norm, scaling, constant(rate * (1 - 1e-13)), rate, end, lean)
-        seen, search, text, proved = found
+        threshold = constant(rate * (1 - 1e-13))
+        seen, search, text, proved = _search(weights, phi, box, norm, scaling, threshold, rate, end, lean)
         best = seen if best is None or (seen and seen[0] > best[0]) else best
         if best is not None and best[0] >= Fraction(rate):
             verdict = "refuted"
-        upper = min(upper, math.inf if proved is None else float_above(proved))
+        upper = min(upper, _above(proved))
         if verdict == "unknown" and proved is not None and proved < Fraction(rate):
             verdict, tree = "certified", text
         if verdict != "unknown" or search.open > -math.inf:
             break
-    if upper == math.inf:
-        upper = _plain(weights, phi, box, norm, scaling)
     invariant, invariance_tree, escape = invariance(weights, phi, box, started + seconds - time.perf_counter())
     lower, witness = _witness(best, len(weights.R))
     took = time.perf_counter() - started
@@ -173,7 +171,7 @@ def rate(
         return best + gap * max(best, 0.0)
 
     seen, _, text, proved = _search(weights, phi, box, norm, scaling, threshold, math.inf, end, 1.0)
-    upper, plain = math.inf if proved is None else float_above(proved), _plain(weights, phi, box, norm, scaling)
+    upper, plain = _above(proved), _above(bound(weights, phi, box, ".", norm, scaling))
     if plain <= upper:
         upper, text = plain, "."
     lower, witness = _witness(seen, len(weights.R))
@@ -272,10 +270,9 @@ def _witness(seen: tuple[Fraction, np.ndarray] | None, q: int) -> tuple[float, V
     return lower, VectorWitness(seen[1][:q], seen[1][q:], lower)
 
 
-def _plain(weights: VectorWeights, phi: Activation, box: Box, norm: str, scaling: Matrix | None) -> float:
-    """The bound on the whole box."""
-    found = bound(weights, phi, box, ".", norm, scaling)
-    return math.inf if found is None else float_above(found)
+def _above(proved: Fraction | None) -> float:
+    """A proved bound, rounded up; infinite where nothing is proved."""
+    return math.inf if proved is None else float_above(proved)
 
 
 def _checked(weights: VectorWeights, box: Box, norm: str) -> VectorWeights:

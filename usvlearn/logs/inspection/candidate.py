@@ -85,6 +85,11 @@ class Candidate:
         return max(map(abs, self.extent))
 
     @property
+    def is_signed(self) -> bool:
+        """Whether values are below 0 by more than noise may be."""
+        return self.extent[0] < -0.03 * self.size
+
+    @property
     def varies(self) -> bool:
         return len(self.value) > 3 and self.extent[1] > self.extent[0]
 

@@ -25,6 +25,7 @@ def _on_change(candidate: Candidate) -> tuple[bool, str]:
 
 
 def tell_commands(commands: Sequence[Commands], channels: dict, series: dict) -> list[Decision]:
+    """The best commands as the channels: series, zero, span and sign of each side, and how it is posted."""
     if not commands:
         return []
     best, decisions = commands[0], []

@@ -267,6 +267,7 @@ def _rate_unit(slope: float, tolerance: float = RATIO) -> str:
 
 
 def tell_heading(best: Heading, headings: Sequence[Heading], channels: dict, series: dict) -> list[Decision]:
+    """The best heading as the channel, its unit, and its span where it has one."""
     candidate = best.candidate
     scale = {} if best.span == 1 else {"span": best.span}
     channels["heading"] = candidate.source(unit=best.unit, window=AUTO, **scale)
@@ -290,6 +291,7 @@ def tell_heading(best: Heading, headings: Sequence[Heading], channels: dict, ser
 def tell_yaw_rate(
     yaw: YawRate | None, heading: Heading, rivals: Sequence[str], channels: dict, series: dict
 ) -> list[Decision]:
+    """The yaw rate as the channel; where no series is one, it is the derivative of the heading."""
     if yaw is None:
         channels["yaw_rate"] = {"name": None, "unit": "rad/s"}
         sure = UNSURE if rivals else PROBABLE

@@ -113,7 +113,7 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
     left = [each for each in pool if not any(each is other for other in taken)]
     speeds = find_speeds([*along_hull(left), *norms(left)], places, convention)
     velocities = find_velocities(left, places, heading.radians if heading else None, convention)
-    if velocities and speeds and (speeds[0].candidate.extent[0] < -0.03 * speeds[0].candidate.size):
+    if velocities and speeds and speeds[0].candidate.is_signed:
         velocities = None  # the speed is signed already
     if velocities:
         speeds = [velocities.size, *speeds]

@@ -220,7 +220,7 @@ def quality(candidate: Candidate) -> float:
     sizes = np.abs(np.diff(candidate.value))
     grain = float(np.quantile(sizes[sizes > 0], 0.05)) if (sizes > 0).any() else math.inf
     fine = 1.0 if grain < 0.02 * max(candidate.size, 1e-9) else 0.5
-    return rate + 0.5 * fine + 0.3 * (candidate.extent[0] < -0.03 * candidate.size) - 0.5 * candidate.repeats
+    return rate + 0.5 * fine + 0.3 * candidate.is_signed - 0.5 * candidate.repeats
 
 
 def _period_of(candidate: Candidate) -> tuple[float, float]:
@@ -304,6 +304,7 @@ def _is_position(candidate: Candidate, places: Sequence[Places]) -> bool:
 
 
 def tell_speed(speeds: Sequence[Speed], channels: dict, series: dict) -> list[Decision]:
+    """The best speed as the channel, its unit, its sensor's period, and how certain each of that is."""
     best = speeds[0]
     candidate = best.candidate
     channels["surge"] = candidate.source(unit=best.unit, window=AUTO, period="auto")
@@ -323,7 +324,7 @@ def tell_speed(speeds: Sequence[Speed], channels: dict, series: dict) -> list[De
     why = "follows the rate of position" if best.confirmed else "by name"
     if best.contradicted:
         why = "by name, but it does not follow the rate of position"
-    if candidate.extent[0] < -0.03 * candidate.size:
+    if candidate.is_signed:
         why += "; signed"
     if close:
         why += f"; before {', '.join(each.candidate.label for each in close[:3])}: {_why_better(best, close[0])}"
@@ -348,7 +349,7 @@ def _why_better(best: Speed, other: Speed) -> str:
         reasons.append("it comes more often")
     if one.repeats < two.repeats - 0.1:
         reasons.append("it repeats less")
-    if one.extent[0] < -0.03 * one.size and not two.extent[0] < -0.03 * two.size:
+    if one.is_signed and not two.is_signed:
         reasons.append("it is signed")
     if best.confirmed and not other.confirmed:
         reasons.append("it follows the position")
@@ -374,12 +375,6 @@ def tell_velocities(found: Velocities, speeds: Sequence[Speed], channels: dict, 
 
 
 def tell_places_as_speed() -> list[Decision]:
-    return [
-        Decision(
-            "surge",
-            "series",
-            "from the position",
-            PROBABLE,
-            "no series is known to be the speed: the position tells it",
-        )
-    ]
+    """The speed where no series is one."""
+    why = "no series is known to be the speed: the position tells it"
+    return [Decision("surge", "series", "from the position", PROBABLE, why)]
