@@ -2,6 +2,7 @@
 
 import gc
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ torch.set_num_threads(1)
 os.environ["COLUMNS"] = "160"  # of tables, wherever the tests run
 
 
+TIERS = ("thorough", "slow", "slurm", "docs")
 WITHOUT_KERNELS = ("tests/certify", "tests/logs", "tests/core", "tests/display", "tests/simulate")
 WITH = "tests/core/test_lock.py"
 FIRST = "tests/report/test_from_runs.py"  # which makes a report that several modules look at, for which they would wait
@@ -24,8 +26,21 @@ def pytest_configure(config: pytest.Config) -> None:
         config.option.loadscopereorder = False
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """From an empty cache, one process compiles the kernels while the others run what needs none."""
+def tier(item: pytest.Item) -> str:
+    """The tier of a test: the last of its markers in TIERS; without one, it runs by default."""
+    return next((name for name in reversed(TIERS) if item.get_closest_marker(name)), "default")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out the tiers that `-m` does not name, and sort the rest.
+
+    From an empty cache, one process compiles the kernels while the others run what needs none.
+    """
+    wanted = {"default", *re.findall(r"\w+", config.option.markexpr)}
+    left_out = [item for item in items if tier(item) not in wanted]
+    if left_out:
+        items[:] = [item for item in items if tier(item) in wanted]
+        config.hook.pytest_deselected(items=left_out)
 
     def turn(item: pytest.Item) -> int:
         if item.nodeid.startswith("tests/engine/test_kernels.py"):

@@ -1,0 +1,49 @@
+"""The examples in docstrings run: by default those that the pages of docs/reference show, all of them in `thorough`."""
+
+import importlib
+import inspect
+from doctest import DocTestFinder, DocTestRunner
+
+import pytest
+
+from tests.support import ROOT
+from tests.test_reference import listed
+
+MODULES = [
+    ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+    for folder in ("certify", "tests", "usvlearn")
+    for path in sorted((ROOT / folder).rglob("*.py"))
+    if ">>> " in path.read_text()
+]
+
+
+def failures(value: object, name: str) -> str:
+    """What the examples of a module, class or function print in place of what they show."""
+    printed: list[str] = []
+    tests = DocTestFinder(exclude_empty=True).find(value, name, module=inspect.getmodule(value))
+    assert any(test.examples for test in tests), f"{name} has no example"
+    for test in tests:
+        DocTestRunner().run(test, out=printed.append)
+    return "".join(printed)
+
+
+def test_examples_of_what_the_reference_shows():
+    shown = {name: value for name, (value, *_) in listed().items()}
+    assert "".join(failures(value, name) for name, value in shown.items() if ">>> " in inspect.getsource(value)) == ""
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", MODULES)
+def test_examples_of_every_module(name):
+    assert failures(importlib.import_module(name), name) == ""
+
+
+def test_a_wrong_example_is_reported():
+    def wrong():
+        """Is wrong.
+
+        >>> 1 + 1
+        3
+        """
+
+    assert "Expected:\n    3\nGot:\n    2" in failures(wrong, "wrong")
