@@ -8,21 +8,17 @@ import numpy as np
 import pytest
 import torch
 
-from tests.support import ESTIMATORS, few, over, random_samples
+from tests.support import ESTIMATORS, FAMILIES, each_family, few, over, random_samples
 from usvlearn import Inputs, Online, Sample, rollout
 from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.errors import ShapeError
 
 BATCHES = [(), (2, 3)]
-each_estimator = pytest.mark.parametrize("name", ESTIMATORS)
+each_estimator = each_family(ESTIMATORS)
 each_batch = over("batch", BATCHES)
 BAD_INPUTS = [
     ("command_left", math.nan), ("command_right", math.inf), ("heading", -math.inf), ("yaw_rate", math.nan),
     ("dt", math.nan), ("dt", math.inf), ("dt", -0.4),
-]  # fmt: skip
-COMPILED = [  # of each family one
-    "aid_estimate", "arx", "projected", "robust_memory", "rnn_penalty", "rnn_replay", "joint", "weighted",
-    "boa",
 ]  # fmt: skip
 
 
@@ -245,7 +241,7 @@ def test_steps_are_pure(name, batch):
     assert after.getvalue() == parameters.getvalue()
 
 
-@pytest.mark.parametrize("name", few(COMPILED, {"robust_memory", "rnn_replay", "joint", "boa"}))
+@pytest.mark.parametrize("name", few([*FAMILIES, "rnn_penalty"], {"robust_memory"}, "thorough"))
 def test_compiles_without_graph_breaks(name):
     estimator, samples = ESTIMATORS[name](), random_samples(1, 3)
     state = tree_map(torch.Tensor.detach, estimator.init((3,)))

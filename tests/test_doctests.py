@@ -7,7 +7,7 @@ from doctest import DocTestFinder, DocTestRunner
 import pytest
 
 from tests.support import ROOT
-from tests.test_reference import listed
+from tests.support.reference import listed
 
 MODULES = [
     ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")

@@ -1,6 +1,7 @@
 """TensorBoard's files, read by TensorBoard."""
 
 import numpy as np
+import pytest
 from tensorboard.backend.event_processing.event_file_loader import EventFileLoader
 
 from tests.support.boards import boards, texts, values
@@ -26,6 +27,7 @@ def test_points_and_checksums_are_those_that_tensorboard_reads(tmp_path):
     np.testing.assert_array_equal(list(found.values()), [expected[key] for key in found])
 
 
+@pytest.mark.thorough
 def test_runs_keep_their_order_and_hold_no_files_open(tmp_path):
     """TensorBoard gives colours by the times of the first events; later points never come before them."""
     names = [f"boat/{chr(122 - k)}" for k in range(20)]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.support import ESTIMATORS
+from tests.support import ESTIMATORS, each_family
 from tests.support.kernel_cases import LONG, VARIANTS, mission
 from usvlearn import (
     AID,
@@ -250,7 +250,7 @@ EVERY = ESTIMATORS | VARIANTS | LONG
 BEYOND = ("robust_rnn_blows_up", "robust_rnn_refuses", "memory_around_refusal", "refusal_around_memory")
 
 
-@pytest.mark.parametrize("name", sorted(EVERY.keys() - BEYOND))
+@each_family(sorted(EVERY.keys() - BEYOND))
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32], ids=str)
 def test_what_estimators_say_of_themselves_is_legal(name, dtype):
     """And so are their states, before and after samples with faults."""

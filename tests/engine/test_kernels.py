@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.support import ESTIMATORS, few
+from tests.support import ESTIMATORS, each_family, few
 from tests.support.kernel_cases import CONDITIONS, LONG, VARIANTS, difference, failing_thrusters, mission
 from usvlearn import RNN, Ensemble, Persistence, Robust, rollout
 from usvlearn.core.samples import named_leaves, tree_map
@@ -23,7 +23,7 @@ from usvlearn.estimators.ensemble.monitors.layer import THRESHOLD
 from usvlearn.estimators.rnn.projection_kernel import threshold
 
 EVERY = ESTIMATORS | VARIANTS
-each = pytest.mark.parametrize("name", EVERY)
+every_setting = pytest.mark.parametrize("name", EVERY)
 BATCHES = [(), (3,), (2, 3)]
 IN_CI = ("rls", "projected", "robust", "rnn")  # of all families
 AMPLIFYING = ("ensemble",)  # its bank's covariances are inflated: torch, started one rounding away, ends 4e-7 away
@@ -60,6 +60,7 @@ def assert_windows_equal(estimator, samples, window, tolerance, run=rollout):
 
 
 @pytest.mark.parametrize("steps", few([2_000, 10_000], [2_000]))
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", few(LONG, IN_CI))
 def test_thousands_of_steps(name, steps):
     estimator, samples = LONG[name](), mission(steps, 4)
@@ -72,12 +73,12 @@ def test_thousands_of_steps(name, steps):
     assert_equal(found, expected, 1e-9)
 
 
-@each
+@every_setting
 def test_every_estimator_and_setting(name):
     assert_windows_equal(EVERY[name](), mission(100, 2), 25, 1e-9)
 
 
-@each
+@each_family(EVERY)
 def test_single_precision(name):
     """The kernels' float32 is no further from float64 than torch's, by more than a few roundings' chance."""
     estimator, samples = EVERY[name]().to(torch.float32), mission(20, 2, dtype=torch.float32)
@@ -91,6 +92,7 @@ def test_single_precision(name):
         state = found[0]
 
 
+@pytest.mark.thorough
 def test_alarms_and_intervals_of_a_steady_boat():
     """Evidence that comes, is held at its highest, ends, and is dropped; intervals as narrow as they become."""
     ensemble, samples = Ensemble({"persistence": Persistence()}), failing_thrusters()
@@ -103,13 +105,13 @@ def test_alarms_and_intervals_of_a_steady_boat():
     assert float(expected[2]["halfwidths"].min()) == pytest.approx(LEAST, rel=1e-12)  # a mean of two that are this
 
 
-@pytest.mark.parametrize("name", ESTIMATORS)
-@pytest.mark.parametrize("batch", BATCHES, ids=str)
+@each_family(ESTIMATORS)
+@pytest.mark.parametrize("batch", few(BATCHES, [(2, 3)], "thorough"), ids=str)
 def test_batches(name, batch):
     assert_windows_equal(ESTIMATORS[name](), mission(40, *batch, seed=1), 20, 1e-9)
 
 
-@pytest.mark.parametrize("name", ESTIMATORS)
+@each_family(ESTIMATORS)
 def test_a_grid_of_hyperparameters(name):
     """Hyperparameters `(grid, 1)` beside a batch `(grid, boats)`, all at once, whose boats' samples the grid shares."""
     estimator, factors = ESTIMATORS[name](), torch.tensor([[0.9], [1.0], [1.1]], dtype=torch.float64)
@@ -120,7 +122,7 @@ def test_a_grid_of_hyperparameters(name):
     assert_windows_equal(estimator, samples, 20, 1e-9)
 
 
-@each
+@each_family(EVERY)
 def test_free_runs(name):
     """`simulate`, from a state that has learned."""
     estimator, samples = EVERY[name](), mission(120, 2)
@@ -130,8 +132,8 @@ def test_free_runs(name):
 
 
 @pytest.mark.parametrize("run", [rollout, simulate], ids=lambda run: run.__name__)
-@pytest.mark.parametrize("batch", BATCHES, ids=str)
-@pytest.mark.parametrize("name", ["memory_aid", "rnn", "boa", "robust_memory"])
+@pytest.mark.parametrize("batch", few(BATCHES, [(2, 3)], "thorough"), ids=str)
+@each_family(["memory_aid", "rnn", "boa", "robust_memory"])
 def test_records(name, batch, run):
     """By names of leaves, or by a function; over more steps than are held at a time."""
     estimator, samples = ESTIMATORS[name](), mission(300 if batch == () else 30, *batch)
@@ -143,7 +145,7 @@ def test_records(name, batch, run):
         assert_equal(found, expected, 1e-9)
 
 
-@each
+@each_family(EVERY)
 def test_what_was_given_stays_and_results_are_new(name):
     estimator, samples = EVERY[name](), mission(30, 2)
     state = rollout(estimator, estimator.init((2,)), samples, backend="kernel")[0]
@@ -200,7 +202,7 @@ def test_every_network(condition):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", EVERY)
+@every_setting
 def test_every_setting_for_long(name):
     """Over 1000 steps; alone, as a robust estimator's, and as a member of an ensemble."""
     # The literal condition's costs are 1/(1 − |w₁|): a neuron that creeps up to 1e-12 of 1 makes 1e-5 of a rounding.

@@ -61,6 +61,7 @@ def test_any_samples(run, name, after, rows):
         assert difference({key: leaf[k] for key, leaf in found[2].items()}, before) == 0.0
 
 
+@pytest.mark.thorough
 @settings(deadline=None, derandomize=True, max_examples=100)
 @given(name=st.sampled_from(sorted(EVERY)), rows=steps, scale=st.sampled_from([1e-9, 1e-3, 10.0, 1e4]))
 def test_any_finite_state(name, rows, scale):

@@ -117,6 +117,7 @@ def test_torch_where_a_derivative_is_asked_for():
         assert forward_ad.unpack_dual(rollout(rest, rest.init(), dual)[1]).tangent.tolist() == [0, 1, 1]
 
 
+@pytest.mark.thorough
 def test_torch_where_torch_transforms():
     rest, samples = Persistence(), random_samples(3)
     speeds = torch.tensor([0.5, 1.5], dtype=torch.float64)
@@ -209,6 +210,7 @@ print(len(ESTIMATORS))
 """
 
 
+@pytest.mark.thorough
 def test_plain_python_makes_the_same_steps():
     """As a debugger sees them."""
     assert python(PLAIN, NUMBA_DISABLE_JIT="1").stdout == f"{len(ESTIMATORS)}\n"
@@ -330,6 +332,7 @@ print("40 children went on")
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
 def test_a_fork_while_a_thread_learns_leaves_the_child_free_to_learn():
     assert python(FORKS).stdout == "40 children went on\n"

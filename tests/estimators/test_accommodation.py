@@ -109,6 +109,7 @@ def test_no_copy_is_made_while_a_fault_is_seen(course):
     assert (calm.diff(dim=0) < -WAIT / 2).sum() > 20 * BOATS
 
 
+@pytest.mark.thorough
 def test_kernel_and_torch_make_the_same_of_a_loss_and_of_a_recovery(course):
     one, samples, _, _ = course
     for first, last in ((FAILS - 20, FAILS + 120), (HEALS - 10, HEALS + 80)):

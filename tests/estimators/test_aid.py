@@ -8,7 +8,7 @@ import torch
 from scipy.integrate import solve_ivp
 from torch import nn
 
-from tests.support import random_samples
+from tests.support import few, random_samples
 from usvlearn import AID, Inputs, Sample, rollout
 from usvlearn.core.samples import tree_map
 from usvlearn.errors import ConfigError
@@ -188,7 +188,7 @@ def test_estimate_is_drawn_to_the_measurement_exactly():
     torch.testing.assert_close(end.surge, torch.tensor(-0.8, dtype=torch.float64).exp(), rtol=1e-9, atol=0)
 
 
-@pytest.mark.parametrize("gain", [0.1, 10.0, 1e4])
+@pytest.mark.parametrize("gain", few([0.1, 10.0, 1e4], [10.0], "thorough"))
 def test_lyapunov_function_of_parallel_mode_never_rises(gain):
     """V = ½Δv² + ½ Δθᵀ Γ⁻¹ Δθ falls by ½ (1 − exp(2 a_m dt) + N) ε² at least, on a boat that goes ahead."""
     samples = plant(600, astern=0.0)

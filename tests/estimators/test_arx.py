@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.support import over, random_samples
+from tests.support import few, over, random_samples
 from tests.support.kernel_cases import mission
 from usvlearn import ARX, Inputs, Robust, Sample, rollout
 from usvlearn.core.samples import PLAUSIBLE, masks, named_leaves, tree_map
@@ -121,7 +121,7 @@ def noise(steps: int, deviation: float = 0.02) -> torch.Tensor:
     return deviation * torch.randn(steps, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
 
 
-@pytest.mark.parametrize("options", OPTIONS)
+@pytest.mark.parametrize("options", few(OPTIONS, ["default"], "thorough"))
 @over("backend", BACKENDS)
 def test_equals_a_dense_kalman_filter(options, backend):
     """Over missing, stale and outlying samples, new segments, rest, and steps of different lengths."""
@@ -282,7 +282,7 @@ def hard(steps: int) -> dict[str, Sample]:
     }
 
 
-@pytest.mark.parametrize("name", hard(20))
+@pytest.mark.parametrize("name", few(hard(20), ["outliers"], "thorough"))
 @over("dtype", [torch.float64, torch.float32])
 @over("options", [{}, {"lags": 5, "scale": 10.0, "walk": 1e-2}])
 def test_survives(name, dtype, options):

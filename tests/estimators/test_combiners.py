@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from tests.support import few
 from usvlearn import BOA, Average, ExponentialWeights, FixedWeights, RecursiveWeights
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.ensemble.combiners.layer import fill_inactive
@@ -85,7 +86,7 @@ def test_boa_is_the_published_rule(loss, kind):
 
 
 @pytest.mark.parametrize("kind", ["noise", "one is good", "turns", "alternate"])
-@pytest.mark.parametrize("loss", ["absolute", "square"])
+@pytest.mark.parametrize("loss", few(["absolute", "square"], ["square"], "thorough"))
 def test_regret_stays_within_the_second_order_bound(kind, loss):
     """Σ ℓ(ŷ) − Σ ℓ(x_k) ≤ 5 Σ η l² + 2 (log(1/w0) + log(1 + B))/η_T, where E bounds all |l| from the start.
 
@@ -123,6 +124,7 @@ def test_finds_the_one_good_member(rule):
     assert state.weights[0] > 0.9
 
 
+@pytest.mark.thorough
 def test_boa_mixes_where_the_best_mixture_beats_the_best_member():
     x, y = series(2000, "alternate")
     said, _, _ = run(bound(BOA()), x, y)
@@ -232,7 +234,7 @@ def test_one_member_alone_has_all_the_weight(rule):
 
 
 @each_rule
-@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+@pytest.mark.parametrize("dtype", few([torch.float64, torch.float32], [torch.float64], "thorough"))
 def test_stays_finite_where_all_agree_for_hours_and_where_they_do_not(dtype, rule):
     rule = bound(rule()).to(dtype)
     state = rule.init((3,), torch.zeros((), dtype=dtype))

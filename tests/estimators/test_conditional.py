@@ -28,6 +28,7 @@ def track(spread: np.ndarray, far: np.ndarray, group: np.ndarray, e: np.ndarray)
     return np.array(found)
 
 
+@pytest.mark.thorough
 def test_each_group_is_covered_where_errors_grow_with_what_is_known():
     """Errors of scale .02 + .3 spread + .2 far: half-widths are in proportion to it, and each group holds 90 %."""
     rng, steps = np.random.default_rng(0), 6000

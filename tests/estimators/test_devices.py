@@ -12,7 +12,7 @@ from hydra import compose, initialize_config_dir
 from torch.func import functional_call, grad, vmap
 from torch.utils._pytree import tree_leaves
 
-from tests.support import ESTIMATORS, ROOT, few, random_samples
+from tests.support import ESTIMATORS, ROOT, each_family, few, random_samples
 from tests.support.kernel_cases import VARIANTS
 from tests.support.placement import on_device, read_as_ones
 from usvlearn import (
@@ -58,7 +58,11 @@ MORE = [  # what the estimators of `ESTIMATORS` leave out: rules, wrappers in wr
 ]  # fmt: skip
 CASES = ESTIMATORS | {name: VARIANTS[name] for name in MORE} | {"default": default, "small": small}
 SOME = ["aid", "projected", "robust_memory", "rnn_replay", "joint", "arx", "weighted", "small"]  # of each family one
-KINDS = (*SOME, "sift", "memory", "rnn", "pair", "persistence", "acceleration", "default")
+KINDS = (*SOME, "sift", "rnn", "persistence", "acceleration")
+FIRST = ("robust_memory", "small")  # by default; the rest of KINDS is thorough, and all others are slow
+some_cases = pytest.mark.parametrize(
+    "name", [*few(KINDS, FIRST, "thorough"), *few([name for name in CASES if name not in KINDS], ())]
+)
 CALLS = {  # of an estimator with its state and a run
     "learn": lambda estimator, state, run: estimator.learn(state, at(run, 0).inputs, run.surge[0]),
     "free_step": lambda estimator, state, run: estimator.free_step(state, at(run, 0).inputs),
@@ -87,7 +91,7 @@ def assert_away(found, expected) -> None:
     assert described(found) == described(expected)
 
 
-@pytest.mark.parametrize("name", few(CASES, {*KINDS} - {"default"}))
+@some_cases
 def test_every_step_stays_on_the_device_of_the_state(name):
     batch = (2, 3)
     here, there, run = CASES[name](), CASES[name]().to("meta"), random_samples(STEPS, *batch)
@@ -104,7 +108,7 @@ def test_every_step_stays_on_the_device_of_the_state(name):
         assert_away(found, expected)
 
 
-@pytest.mark.parametrize("name", CASES)
+@each_family(CASES)
 def test_diagnostics_are_on_the_device_of_the_state(name):
     here, there = CASES[name](), CASES[name]().to("meta")
     with read_as_ones():
@@ -118,7 +122,7 @@ def test_every_number_of_an_estimator_moves_with_it(name):
         assert not [key for key, x in vars(part).items() if isinstance(x, torch.Tensor)], path
 
 
-@pytest.mark.parametrize("name", few(CASES, {*KINDS} - {"default"}))
+@some_cases
 @torch.enable_grad()
 def test_gradients_are_on_the_device_of_the_hyperparameters(name):
     estimator, run = CASES[name]().to("meta"), away(random_samples(STEPS, 2))
@@ -161,7 +165,7 @@ def one_by_one(function, axes):
     return mapped
 
 
-@pytest.mark.parametrize("name", few(SOME, {"aid", "robust_memory", "rnn_replay", "joint", "weighted"}))
+@pytest.mark.parametrize("name", few(SOME, FIRST, "thorough"))
 def test_mapped_gradients_are_those_of_each_element(name):
     """Also where the batch elements use their samples differently."""
     estimator, run = CASES[name](), random_samples(4, 2)
@@ -186,6 +190,7 @@ def test_samples_on_another_device_than_the_state_are_refused():
         rollout(aid, aid.init((2,)), run._replace(inputs=run.inputs._replace(heading=run.inputs.heading.to("meta"))))
 
 
+@pytest.mark.thorough
 def test_a_boat_learns_on_the_device_of_its_estimator(tmp_path):
     ensemble = Ensemble(
         {"aid": AID(28.0), "joint": JointEKF(2.7, 28.0)}, {"boa": BOA()}, forecasts=ForecastSettings((0.4,))
@@ -199,6 +204,7 @@ def test_a_boat_learns_on_the_device_of_its_estimator(tmp_path):
         assert {leaf.device.type for _, leaf in named_leaves(boat.state)} == {"meta"}
 
 
+@pytest.mark.thorough
 def test_stretches_of_arrays_are_sent_to_the_device_of_the_state():
     ensemble = Ensemble({"aid": AID(28.0)}).to("meta")
     parts = [tree_map(lambda x: x.numpy(), random_samples(STEPS, 2))] * 2

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from tests.support import few
 from tests.support.forecasts import HORIZONS, ensemble, plain
 from usvlearn import AID, BOA, Bank, Ensemble, ForecastSettings, Inputs, Online, Persistence, Sample, rollout
 from usvlearn.core.samples import Fleet, Run, named_leaves, tree_map
@@ -47,7 +48,7 @@ def test_a_forecast_is_the_free_run_from_its_origin():
         assert not found[origin + 1, 0].isnan().any() and not found[origin + 5, 1].isnan().any()
 
 
-@pytest.mark.parametrize("backend", ["kernel", "torch"])
+@pytest.mark.parametrize("backend", few(["kernel", "torch"], ["kernel"], "thorough"))
 def test_no_forecast_uses_a_command_or_a_speed_after_its_time(backend):
     """What is due at a step is unchanged by all samples after it, and by speeds after its origin."""
     model, samples, k = ensemble(), plain(60), 40

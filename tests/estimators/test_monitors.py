@@ -177,6 +177,7 @@ def test_effectiveness_is_as_unsure_as_the_thrust_that_it_is_a_share_of():
     assert deviation[1].item() == pytest.approx(math.sqrt(1 / 10))
 
 
+@pytest.mark.thorough
 def test_a_healthy_boat_with_outliers_idle_minutes_and_straight_courses_raises_none():
     healthy = boat(1500, 40, torch.ones(1500).double(), seed=11)
     hit = torch.rand(healthy.dt.shape, generator=torch.Generator().manual_seed(1)) < 0.01
@@ -189,6 +190,7 @@ def test_a_healthy_boat_with_outliers_idle_minutes_and_straight_courses_raises_n
     assert all(leaf.isfinite().all() for _, leaf in named_leaves(course[-1]))
 
 
+@pytest.mark.thorough
 def test_single_precision_tells_the_same():
     inputs = boat(800, 8, torch.where(torch.arange(800) < 600, 1.0, 0.4).double(), seed=21)
     double, single = run(inputs)[-1], run(inputs, torch.float32)[-1]

@@ -11,7 +11,8 @@ from torch.func import grad
 from certify.networks.shallow import ShallowWeights
 from certify.proofs import exact
 from certify.proofs.box_planes import Box, interval_rate
-from tests.support import random_samples
+from tests.support import few, random_samples
+from tests.support.kernel_cases import CONDITIONS
 from tests.support.recurrent import boat, loss
 from usvlearn import AID, RNN, Ensemble, rollout
 from usvlearn.core.checkpoint import save
@@ -255,7 +256,7 @@ def test_illegal_hyperparameters_are_refused(wrong):
 
 
 @pytest.mark.parametrize("updates", [pytest.param(25, id="some"), pytest.param(2000, id="1e5", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("condition", ["simple", "gershgorin", "lmi", "tight", "interval"])
+@pytest.mark.parametrize("condition", few(CONDITIONS, ["tight"], "thorough"))
 def test_projection_holds_exactly_after_every_update(condition, updates):
     """50 batch elements with rates up to 1, outliers of 10⁴ m/s, stale and missing samples: no checkpoint beyond the
     rate, exactly.

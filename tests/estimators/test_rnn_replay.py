@@ -13,8 +13,8 @@ from torch.func import grad
 from certify.networks.shallow import ShallowWeights
 from certify.proofs import exact
 from certify.proofs.box_planes import Box, interval_rate
-from tests.support import random_samples
-from tests.support.kernel_cases import difference, mission
+from tests.support import few, random_samples
+from tests.support.kernel_cases import CONDITIONS, difference, mission
 from tests.support.recurrent import boat, loss
 from usvlearn import RNN, Ensemble, Online, Persistence, rollout
 from usvlearn.core import checkpoint
@@ -153,7 +153,7 @@ def test_without_replay_nothing_is_new():
     assert difference(found, expected) == 0
 
 
-@pytest.mark.parametrize("condition", ["simple", "gershgorin", "lmi", "tight", "interval"])
+@pytest.mark.parametrize("condition", few(CONDITIONS, ["interval"], "thorough"))
 def test_projection_holds_exactly_after_every_step(condition):
     """20 batch elements with rates up to 1, outliers and missing samples: no checkpoint beyond the rate, exactly."""
     rates = torch.logspace(-4, 0, 20, dtype=torch.float64)

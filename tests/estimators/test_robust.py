@@ -201,6 +201,7 @@ def test_a_change_gets_through_and_opens_the_covariance():
     assert 1 < second.variance[0] / first.variance[0] < 1.1 and second.variance[1] < first.variance[1]
 
 
+@pytest.mark.thorough
 def test_recovery_from_a_change_keeps_up_with_the_plain_estimator():
     samples = tree_map(lambda x, y: torch.cat([x, y]), linear(500, 4), linear(500, 4, seed=5, truth=-TRUTH))
     errors = {}

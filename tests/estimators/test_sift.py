@@ -181,7 +181,7 @@ def day(steps: int, p: int = 6):
 
 @pytest.mark.parametrize(
     ("dtype", "steps"),
-    [(torch.float64, 4500), (torch.float32, 4500),
+    [(torch.float64, 4500), pytest.param(torch.float32, 4500, marks=pytest.mark.thorough),
      pytest.param(torch.float64, 1_000_000, marks=pytest.mark.slow),
      pytest.param(torch.float32, 1_000_000, marks=pytest.mark.slow)],
 )  # fmt: skip

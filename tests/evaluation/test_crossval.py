@@ -77,6 +77,7 @@ def plain(ensemble: Ensemble, state, samples: Sample) -> dict[str, tuple[float, 
     return {name: (float(np.mean(e)), float(np.mean(np.square(e))), diverged[name]) for name, e in errors.items()}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("elements", few([1, 7, 2048], [7]))
 def test_elements_equal_single_simulations(ensemble, sets, elements):
     runs = [spoilt(steps, seed) for seed, steps in enumerate((30, 17, 120, 30))]

@@ -114,6 +114,7 @@ def test_the_default_of_a_swept_group_is_its_choice():
     assert note.defaults["combiners.ensemble.members"] == "[joint,joint_quick,arx,joint_averaged]"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("objective", ["rnn.loud", "[aid,rnn]", "aid,rnn"])
 def test_a_bad_objective_ends_a_sweep_before_its_jobs(objective, tmp_path):
     done = run("-m", "align.inputs=mean,last", f"objective={objective}", "hydra.sweep.dir=sweep", folder=tmp_path)

@@ -3,8 +3,8 @@
     @pytest.mark.fuzz(cases=300, slow=10_000)
     def test_something(rng, cases): ...
 
-draws 300 cases on every run of the tests and 10,000 with `pytest -m slow`. `FUZZ_SEED=7 pytest -m slow tests/fuzz`
-draws other cases.
+draws 100 cases by default, all 300 among the thorough tests, and 10,000 with `pytest -m slow`.
+`FUZZ_SEED=7 pytest -m slow tests/fuzz` draws other cases.
 """
 
 import os
@@ -16,9 +16,14 @@ import pytest
 
 def pytest_generate_tests(metafunc):
     if mark := metafunc.definition.get_closest_marker("fuzz"):
-        few = pytest.param(mark.kwargs["cases"], id=f"{mark.kwargs['cases']}")
-        many = pytest.param(mark.kwargs["slow"], id=f"{mark.kwargs['slow']}", marks=pytest.mark.slow)
-        metafunc.parametrize("cases", [few, many])
+        counts = {
+            mark.kwargs["cases"] // 3: (),
+            mark.kwargs["cases"]: pytest.mark.thorough,
+            mark.kwargs["slow"]: pytest.mark.slow,
+        }
+        metafunc.parametrize(
+            "cases", [pytest.param(max(n, 1), marks=tier, id=f"{max(n, 1)}") for n, tier in counts.items()]
+        )
 
 
 @pytest.fixture

@@ -63,6 +63,7 @@ def check(folder, start, times: int) -> None:
         assert len(checkpoint.checkpoints(folder)) <= 4
 
 
+@pytest.mark.thorough
 def test_checkpoints_survive_kills(tmp_path):
     check(tmp_path / "node", learned_set(tmp_path), 2)
 

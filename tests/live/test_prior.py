@@ -70,6 +70,7 @@ def test_what_it_becomes_is_saved_and_opened(tmp_path):
     assert again.predict(Inputs(0.5, 0.5, 0.0, 0.0, 0.4)) == boat.predict(Inputs(0.5, 0.5, 0.0, 0.0, 0.4))
 
 
+@pytest.mark.thorough
 def test_it_imports_no_torch():
     python(
         "import sys; sys.modules['torch'] = None; sys.modules['hydra'] = None\n"
@@ -85,6 +86,7 @@ def test_what_is_no_positive_number_is_refused(value):
         prior(20.0, value)
 
 
+@pytest.mark.thorough
 def test_the_file_is_made_again(tmp_path):
     found, before = checkpoint.load(prior_file.make(tmp_path / "prior.safetensors")), checkpoint.load(FILE)
     assert_equal(list(found), list(before))

@@ -168,6 +168,7 @@ def test_a_run_of_three_steps_has_a_page(tmp_path):
     assert len(decoded(run["series"]["measured"])) == 3 and run["bins"]["free error against speed"] == []
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore:constrained_layout")  # so long a name leaves a figure no room
 def test_names_do_nothing(tmp_path):
     def change(seasons):
@@ -202,6 +203,7 @@ def test_findings_of_the_data_check_are_on_the_first_page(tmp_path):
     ]
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("drawn_once")
 def test_a_run_that_is_not_finished_has_a_page_and_a_study_states_the_papers_results(saved, tmp_path):
     shutil.copytree(saved, tmp_path / "run")
@@ -228,6 +230,7 @@ def opened(path: Path, profile: Path) -> str:
     return done.stdout
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium is installed")
 def test_the_viewer_draws_the_last_run_in_a_browser(saved, tmp_path):
     dom = opened(saved / "report" / "index.html", tmp_path)

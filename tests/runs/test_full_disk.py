@@ -55,6 +55,7 @@ class FullDisk:
         return File()
 
 
+@pytest.mark.thorough
 def test_whatever_write_fails_what_was_saved_before_is_whole(tmp_path, fleet):
     whole = session(tmp_path / "whole", fleet)
     for last in range(200):
@@ -97,6 +98,7 @@ def test_tensorboard_raises_that_there_is_no_room_and_has_no_thread(tmp_path, mo
     assert len(list((tmp_path / "a").iterdir())) == 2
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(sys.platform == "win32", reason="files have no limit there")
 @pytest.mark.parametrize("limit", few([20_000, 60_000], [60_000]))
 def test_a_run_with_too_little_room_ends_in_one_sentence(limit, tmp_path):

@@ -72,6 +72,7 @@ def test_an_old_name_in_a_file_tells_the_new_one():
         instantiate_settings({"forecasts": {"_target_": "usvlearn.Forecasts"}})
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("made", FOUND, ids=lambda run: run.name)
 def test_it_is_judged(made, tmp_path):
     folder = tmp_path / "run"
@@ -87,6 +88,7 @@ NEWER = {  # arguments that version 0.1 did not have
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "made, member", [(RUN, "rls"), (RUN, "sift_map"), (RUN_2, "reader"), (RUN_2, "joint_averaged")]
 )

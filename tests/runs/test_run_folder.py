@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from tests.support import few
 from tests.support.recordings import recording
 from tests.support.runs import SETTINGS, assert_same, model, published, session
 from usvlearn.core import checkpoint
@@ -38,7 +39,7 @@ def dying(monkeypatch, after: int) -> None:
 
 
 @pytest.mark.parametrize("warm", [False, True], ids=["from_nothing", "from_a_season_before"])
-@pytest.mark.parametrize("elsewhere", [False, True], ids=["in_place", "into_another_folder"])
+@pytest.mark.parametrize("elsewhere", few([False, True], [True], "thorough"), ids=["in_place", "into_another_folder"])
 def test_a_stop_between_any_two_writes_changes_nothing(tmp_path, fleet, monkeypatch, warm, elsewhere):
     season = session(tmp_path / "season", align_fleet([recording("a", "x", 5.0), recording("b", "x", 5.0)]))
     first = str(season.path) if warm else None

@@ -102,6 +102,7 @@ def test_a_fault_out_of_range_is_refused_by_name(options, name):
         Fault(**options)
 
 
+@pytest.mark.thorough
 def test_the_experiment_composes_and_has_its_fault():
     with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
         plain = compose("train")

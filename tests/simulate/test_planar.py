@@ -49,6 +49,7 @@ def test_without_lift_it_does_not_keep_its_course():
         assert (abs(disturbed[-1, 1]) > 1e-2) == grows
 
 
+@pytest.mark.thorough
 def test_runs_start_at_rest_with_a_segment_and_noise_as_given():
     samples, true = planar_runs(0, 5.0, 4, noise=(0.1, 0.2, 0.3))
     assert (samples.inputs.dt[0] == 0).all() and (samples.inputs.dt[1:] == 0.2).all() and (true[0] == 0).all()

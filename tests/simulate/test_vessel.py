@@ -174,6 +174,7 @@ def test_table_is_interpolated_and_the_papers_terms_are_added():
     assert got.tolist() == pytest.approx([1.5 + 1.25 - 1.0, -2.0 - 1.5 + 2.0])
 
 
+@pytest.mark.thorough
 def test_gradients_of_the_trajectory_equal_finite_differences():
     rng = torch.Generator().manual_seed(0)
     # away from the table's nodes, where the curve has corners
@@ -219,6 +220,7 @@ def test_every_plant_is_stable_under_violent_commands(name, dt):
     assert 0 < fastest <= top.item() * (1 + 1e-9)
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc fills memory with what MALLOC_PERTURB_ says")
 def test_the_truth_is_the_same_whatever_memory_holds():
     """LAPACK's gelsy reads its pivots before it writes them: what other code left there changed the last digits."""

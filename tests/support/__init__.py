@@ -97,6 +97,11 @@ ESTIMATORS = {
 }
 
 
+FAMILIES = (  # one estimator of each: what is tested over data types, batches and backends by default
+    "aid_estimate", "projected", "robust_memory", "rnn_replay", "joint_trial", "yaw", "arx", "weighted", "boa",
+)  # fmt: skip
+
+
 def random_samples(steps: int, *batch: int, seed: int = 0, dtype=torch.float64) -> Sample:
     """Random inputs and speeds, all fresh and measured."""
     generator = torch.Generator().manual_seed(seed)
@@ -122,9 +127,14 @@ def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path],
     return folder
 
 
-def few(values: Iterable, kept: Container) -> list:
-    """The values of `pytest.mark.parametrize`, of which those that are not kept run among the slow tests alone."""
-    return [value if value in kept else pytest.param(value, marks=pytest.mark.slow) for value in values]
+def few(values: Iterable, kept: Container, tier: str = "slow") -> list:
+    """The values of `pytest.mark.parametrize`, of which those that are not kept run in another tier alone."""
+    return [value if value in kept else pytest.param(value, marks=getattr(pytest.mark, tier)) for value in values]
+
+
+def each_family(values: Iterable) -> Callable:
+    """Makes a test for each value of `name`; those that are not in FAMILIES run in `thorough`."""
+    return pytest.mark.parametrize("name", few(values, FAMILIES, "thorough"))
 
 
 def over(argument: str, values: Iterable) -> Callable:

@@ -197,6 +197,7 @@ def test_a_boat_at_a_serial_line_is_heard_and_answered():
     assert "listening to system 1" in node.said.getvalue() and any("listening to" in text for _, text in boat.texts)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("number", few([signal.SIGTERM, signal.SIGINT], [signal.SIGTERM]))
 def test_a_signal_saves_and_ends_with_code_0(tmp_path, number):
     port, folder = free_port(), tmp_path / "node"

@@ -116,6 +116,7 @@ def test_one_app_of_several_that_post_a_variable(tmp_path):
     asyncio.run(work())
 
 
+@pytest.mark.thorough
 def test_a_plain_community_is_told_what_to_name(tmp_path):
     """pMarinePID posts DESIRED_THRUST and DESIRED_RUDDER, never a command of a side."""
 
@@ -198,6 +199,7 @@ def test_warped_time(tmp_path):
     asyncio.run(work())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("number", few([signal.SIGTERM, signal.SIGINT], [signal.SIGTERM]))
 def test_a_signal_saves_and_leaves(tmp_path, number):
     database = Moosdb()

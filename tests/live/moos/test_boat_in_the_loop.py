@@ -74,6 +74,7 @@ async def voyage(database, folder, start, kills: int, seconds: float) -> dict[st
     return found
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("kills", "seconds"), [(0, 60.0), pytest.param(1, 40.0, marks=pytest.mark.slow)])
 def test_what_is_published_is_what_a_replay_gives(database, tmp_path, start, kills, seconds):
     found = asyncio.run(voyage(database, tmp_path, start, kills, seconds))

@@ -64,6 +64,7 @@ def test_a_pattern_is_no_variable(tmp_path):
             run(Session(options, MIDDLEWARE), settings)
 
 
+@pytest.mark.thorough
 def test_faults_of_the_database_do_not_stop_it(tmp_path, monkeypatch):
     monkeypatch.setattr(link, "FIRST", 0.02)
     monkeypatch.setattr(link, "SILENCE", 2.0)
@@ -108,6 +109,7 @@ def test_clocks_that_jump_by_an_hour(tmp_path):
     asyncio.run(work())
 
 
+@pytest.mark.thorough
 def test_a_full_disk_is_a_warning(tmp_path, monkeypatch):
     def full(self, *_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

@@ -87,6 +87,7 @@ def test_no_change_of_one_segment_is_better(rehearsal, plan):
     assert worse > 20
 
 
+@pytest.mark.thorough
 def test_a_plan_depends_on_its_seed_alone(rehearsal, plan):
     again = search(rehearsal, SHORT, STEP, wide(rehearsal.found))
     assert again.throttles.tolist() == plan.throttles.tolist() and again.quarters.tolist() == plan.quarters.tolist()
@@ -99,6 +100,7 @@ def test_a_boat_that_may_go_astern_is_planned_within_its_bounds(rehearsal):
     assert -0.5 <= sides.min() < 0 < sides.max() <= 0.5
 
 
+@pytest.mark.thorough
 def test_a_boat_stays_in_a_small_area_in_a_current_that_would_carry_it_out(boat):
     carried = Rehearsal(boat.members, boat.leaves)
     carried.current = np.array([0.2, -0.15])
