@@ -1,5 +1,7 @@
 """Ensembles and requests for tuning, as the files of configs/ make them."""
 
+import functools
+
 import torch
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
@@ -23,6 +25,12 @@ def added(member: str) -> list[str]:
 def configured(*overrides: str) -> dict:
     with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
         return OmegaConf.to_container(compose("train", [*TWO_BOATS, *overrides]), resolve=True)
+
+
+@functools.cache
+def short_season() -> dict:
+    """Settings of two boats and six minutes; nobody changes them."""
+    return configured("data.hours=0.1", "data.mission_minutes=2", "data.sensors.surge_hz=5")
 
 
 def request(*overrides: str) -> tuning.Request:

@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.boards import boards, steps, tags, texts, values
 from tests.support.commands import hparams
-from tests.support.configured import configured
+from tests.support.configured import short_season
 from tests.support.recordings import recording
 from tests.support.runs import model
 from usvlearn import AID, Bank, Ensemble, Persistence
@@ -26,14 +26,18 @@ from usvlearn.runs.tensorboard.logger import FAR, TensorBoardLogger
 from usvlearn.simulate.truth import quantities_of
 
 MOST_TAGS = 60  # of a boat
-SETTINGS = configured("data.hours=0.1", "data.mission_minutes=2", "data.sensors.surge_hz=5")
 TEN = "10 s ahead"
 
 
 def log(folder, fleet, ensemble, stop=None, resume=None, **more):
     """Replay into a run's folder, up to so many chunks; returns the results, or None if it was stopped."""
     run = RunFolder(
-        folder, fleet, {"configuration": SETTINGS}, ensemble.names, ensemble.forecasts, filters=ensemble.accommodated
+        folder,
+        fleet,
+        {"configuration": short_season()},
+        ensemble.names,
+        ensemble.forecasts,
+        filters=ensemble.accommodated,
     )
     start = run.begin(ensemble.init((len(fleet.boats),)), resume)
     logger = TensorBoardLogger(folder / "tensorboard", fleet, ensemble, start.position, **more)
@@ -44,23 +48,23 @@ def log(folder, fleet, ensemble, stop=None, resume=None, **more):
             run.save(chunk)
             logger.show(chunk)
         found = run.finish(ensemble, time.perf_counter() - 60.0)
-        logger.finish(SETTINGS, found, run.published, ["rnn: fine"])
+        logger.finish(short_season(), found, run.published, ["rnn: fine"])
     return found
 
 
 @pytest.fixture(scope="module")
 def fleet():
-    return align_fleet(instantiate(SETTINGS["data"]), **SETTINGS["align"])
+    return align_fleet(instantiate(short_season()["data"]), **short_season()["align"])
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory, fleet):
     """A replay of two simulated boats by the default ensemble, and its results."""
     folder = tmp_path_factory.mktemp("whole")
-    truth = quantities_of([SETTINGS["data"]], SETTINGS["vehicle"]["mass"])
+    truth = quantities_of([short_season()["data"]], short_season()["vehicle"]["mass"])
     differs = {"estimators.rnn.neurons": "4"}
     found = log(
-        folder, fleet, ensemble_of(SETTINGS), truth=truth, differs=differs, texts={"command": "python train.py"}
+        folder, fleet, ensemble_of(short_season()), truth=truth, differs=differs, texts={"command": "python train.py"}
     )
     return boards(folder / "tensorboard" / "rnn.neurons=4"), found, folder
 
@@ -118,7 +122,7 @@ def test_steps_are_seconds_on_the_water_and_increase(whole, fleet):
 def test_the_last_points_are_the_errors_of_the_last_steps(fleet, tmp_path):
     """Of fewer steps than the window: the rolling errors are those of the whole log."""
     short = fleet._replace(runs=fleet.runs[:2])
-    ensemble = ensemble_of(SETTINGS)
+    ensemble = ensemble_of(short_season())
     found = log(tmp_path, short, ensemble)
     read = boards(tmp_path / "tensorboard")
     for boat in fleet.boats:
@@ -188,7 +192,7 @@ def test_a_run_has_one_row_on_the_hparams_page_and_a_job_of_a_sweep_none(whole, 
 
 
 def test_log_all_writes_every_number_and_figure(tmp_path, fleet):
-    ensemble = ensemble_of(SETTINGS)
+    ensemble = ensemble_of(short_season())
     log(tmp_path, fleet, ensemble, log="all")
     read = boards(tmp_path / "tensorboard")
     assert "9 all/drag_quadratic" in tags(read["heron1/aid"]) and "9 all/covariance_trace" in tags(read["heron1/arx"])
@@ -227,7 +231,7 @@ def test_a_boat_without_measured_speed_is_drawn_without_errors(tmp_path, fleet):
         blind[k] = run._replace(samples=samples)
     assert not any(masks(run.samples, PLAUSIBLE).learns[:, 1].any() for run in blind)
     with np.errstate(all="raise"):
-        log(tmp_path, fleet._replace(runs=tuple(blind)), ensemble_of(SETTINGS), log="all")
+        log(tmp_path, fleet._replace(runs=tuple(blind)), ensemble_of(short_season()), log="all")
     read = boards(tmp_path / "tensorboard")
     assert f"1 overview/{MAE}" not in tags(read["heron2/aid"]) and f"1 overview/{MAE}" in tags(read["fleet/aid"])
     assert values(read["heron2/ensemble"], "5 data/measured speed (share)")[-1] == 0
@@ -259,7 +263,7 @@ def test_the_free_run_is_that_of_the_results(tmp_path, fleet, monkeypatch):
 
     drawn = []
     monkeypatch.setattr(drawing, "free_figure", lambda *arguments: drawn.append(arguments))
-    ensemble = ensemble_of(SETTINGS)
+    ensemble = ensemble_of(short_season())
     states = {chunk.end: chunk.state for chunk in replay(ensemble, fleet, ensemble.init((2,)), BEGIN, 50, 150)}
     log(tmp_path, fleet, ensemble, log="all")
     last = len(fleet.runs) - 1

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.support.boards import boards, tags, values
-from tests.support.configured import configured
+from tests.support.configured import short_season
 from tests.support.runs import model
 from usvlearn import AID, Ensemble
 from usvlearn.cli.settings import instantiate
@@ -15,7 +15,6 @@ from usvlearn.runs.published import Published, widths_of
 from usvlearn.runs.replay import replay
 from usvlearn.runs.tensorboard.logger import TensorBoardLogger
 
-SETTINGS = configured("data.hours=0.1", "data.mission_minutes=2", "data.sensors.surge_hz=5")
 HORIZONS = (2.0, 5.2)
 NEAR, FAR = "position error, 2 s ahead (m)", "position error, 5.2 s ahead (m)"
 INSIDE = "coverage of the ellipses of 90 %, 2 s ahead"
@@ -23,7 +22,7 @@ INSIDE = "coverage of the ellipses of 90 %, 2 s ahead"
 
 @pytest.fixture(scope="module")
 def fleet():
-    return align_fleet(instantiate(SETTINGS["data"]), **SETTINGS["align"])
+    return align_fleet(instantiate(short_season()["data"]), **short_season()["align"])
 
 
 def drawn(steps: int, boats: int, rng: np.random.Generator) -> np.ndarray:
@@ -47,7 +46,7 @@ def log(folder, fleet, ensemble, tracked: bool, horizons=HORIZONS, **more):
             logger.show(chunk)
         scores = track_scores(parts, HORIZONS, fleet.boats) if tracked else None
         none = Published(folder, [len(run.time) for run in fleet.runs], 2, widths_of(ensemble.names, None, ()))
-        logger.finish(SETTINGS, {"boats": {}, "events": {}, "tracks": scores, "output": "average"}, none)
+        logger.finish(short_season(), {"boats": {}, "events": {}, "tracks": scores, "output": "average"}, none)
     return np.concatenate(parts) if parts else np.empty(0), scores
 
 
