@@ -56,7 +56,7 @@ def files() -> list[str]:
     found = []
     for folder, folders, names in os.walk(ROOT):
         place = Path(folder)
-        kept = [each for each in folders if each not in IGNORED and not each.startswith(".") or each == ".ci"]
+        kept = [each for each in folders if (each not in IGNORED and not each.startswith(".")) or each == ".ci"]
         folders[:] = [each for each in kept if not (place / each / "pyvenv.cfg").exists()]
         found += [(place / name).relative_to(ROOT).as_posix() for name in names if name.endswith((".py", ".md"))]
     return [path for path in found if not path.startswith(NOT_COUNTED)]

@@ -73,7 +73,7 @@ def new_settings(**values) -> np.ndarray:
     >>> new_settings(dt=0.4, held=[1, 1, 0, 0, 0])["held"].tolist()
     [[1, 1, 0, 0, 0]]
     """
-    settings = np.zeros(1, dtype=SETTINGS)
+    settings = np.zeros(1, dtype=(np.record, SETTINGS))  # its fields are attributes in plain Python, too
     for name, value in values.items():
         settings[name] = value
     return settings
@@ -85,7 +85,7 @@ def new_memory(settings: np.ndarray) -> np.ndarray:
     >>> new_memory(new_settings(window=0.5))["newest"].tolist()
     [-inf]
     """
-    memory = np.zeros(1, dtype=MEMORY)
+    memory = np.zeros(1, dtype=(np.record, MEMORY))  # likewise
     for name in ("newest", "ahead", "surge_time", "counted"):
         memory[name] = -math.inf
     memory["tick"] = math.nan
