@@ -167,6 +167,39 @@ def test_each_state_of_the_sources_has_a_folder_of_its_own(copied, source, old, 
     assert after != before == folder()
 
 
+@pytest.mark.parametrize("option", compiled.OPTIONS)
+def test_each_option_of_numba_that_changes_the_code_has_a_folder_of_its_own(option, copied, monkeypatch):
+    _, folder = copied
+    before = folder()
+    monkeypatch.setattr(compiled.NUMBA, option, int(not getattr(compiled.NUMBA, option)))
+    assert folder() != before
+
+
+def test_indices_of_parts_are_checked_where_numba_is_asked_to(tmp_path):
+    """Also where the unchecked code is kept in the same cache."""
+    (tmp_path / "trial.py").write_text(BEYOND)
+    run = f"import sys; sys.path.append({str(tmp_path)!r}); import trial"
+    for value, printed in (("0", "read\n"), ("1", "index is out of bounds\n"), ("0", "read\n")):
+        assert python(run, NUMBA_CACHE_DIR=str(tmp_path), NUMBA_BOUNDSCHECK=value).stdout == printed
+
+
+BEYOND = """
+import numpy as np
+from usvlearn.core.jit import jit
+@jit
+def part(x, k):
+    return x[k]
+@jit(entry=True)
+def entry(x, k):
+    return part(x, k)
+try:
+    entry(np.ones(9)[:3], 4)  # beyond the array, within its memory
+    print("read")
+except IndexError as error:
+    print(error)
+"""
+
+
 def test_a_file_beside_the_package_is_known_by_its_place(tmp_path, monkeypatch):
     """What it imports from others is not in the hash."""
     folders = []

@@ -49,6 +49,8 @@ NUMBA: Any = config  # numba's options, which it makes as it is imported, so tha
 HERE = Path(__file__).parents[1]  # the package
 DIGEST = hashlib.sha256().digest_size
 PERIOD = 0.02  # s between two looks at what another process compiles
+# options of numba that change the machine code; those of the processor are in numba's own index
+OPTIONS = "BOUNDSCHECK", "OPT", "LOOP_VECTORIZE", "SLP_VECTORIZE", "DEBUGINFO_DEFAULT", "USING_SVML"
 
 if numba.version_info.short < (0, 68):  # these take a member of an IntEnum as a number, but not as an index
     _index_type = arraydecl.get_array_index_type
@@ -66,8 +68,8 @@ if numba.version_info.short < (0, 68):  # these take a member of an IntEnum as a
 def folder(source: Path) -> Path:
     """Where the machine code of a source file's functions is kept: under `NUMBA_CACHE_DIR`, or the user's cache."""
     own = source.relative_to(HERE) if source.is_relative_to(HERE) else source  # what others import is not in the hash
-    machine = numba.__version__, f"{NUMBA.USING_SVML}", sys.implementation.cache_tag, get_host_cpu_name(), str(own)
-    digest = hashlib.sha256("\n".join(machine).encode())
+    machine = numba.__version__, *(getattr(NUMBA, each, None) for each in OPTIONS), get_host_cpu_name()
+    digest = hashlib.sha256("\n".join(map(str, (*machine, sys.implementation.cache_tag, own))).encode())
     for path in sorted(sources(source)):
         digest.update(path.read_bytes())
     name = f"kernels-{digest.hexdigest()[:12]}"
@@ -125,9 +127,7 @@ def _import_names(content: bytes) -> tuple[tuple[str, ...], ...]:
     for node in ast.walk(ast.parse(content)):
         if isinstance(node, ast.Import):
             found += [(each.name,) for each in node.names]
-        elif isinstance(
-            node, ast.ImportFrom
-        ):  # `from usvlearn.engine import dispatch` names a module, others a name in one
+        elif isinstance(node, ast.ImportFrom):  # `from usvlearn.engine import dispatch` names a module
             found += [(f"{node.module}.{each.name}", str(node.module)) for each in node.names]
     return tuple(found)
 
