@@ -192,16 +192,20 @@ def test_a_worker_heeds_its_program_alone_and_stays_alive():
     assert done.returncode == 0 and done.stdout.split("\n") == ["0", "stopped by SIGTERM", "stopped by SIGTERM", ""]
 
 
-def test_handlers_of_others_are_left_alone():
-    before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
+@pytest.mark.parametrize(
+    ("number", "block"),
+    [(signal.SIGTERM, stoppable), (signal.SIGTERM, stoppable_worker), (signal.SIGINT, stoppable)],
+)
+def test_handlers_of_others_are_left_alone(number, block):
+    """A background job of a shell script, for example, ignores SIGINT, and goes on to do so."""
+    before = signal.signal(number, signal.SIG_IGN)
     try:
-        for block in (stoppable, stoppable_worker):
-            with block():
-                signal.raise_signal(signal.SIGTERM)
-                check_stopped()
-        assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
+        with block():
+            signal.raise_signal(number)
+            check_stopped()
+        assert signal.getsignal(number) is signal.SIG_IGN
     finally:
-        signal.signal(signal.SIGTERM, before)
+        signal.signal(number, before)
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGUSR2"), reason="this system has no SIGUSR2")

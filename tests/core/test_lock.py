@@ -72,11 +72,10 @@ def test_a_lock_that_is_no_file_is_refused_and_no_link_is_followed(tmp_path, wha
 
 def test_a_lock_is_waited_for_until_its_process_is_killed(tmp_path):
     process = holder(tmp_path)
-    killer = threading.Timer(0.3, process.kill)
-    killer.start()
     began = time.monotonic()
+    threading.Timer(0.3, process.kill).start()
     Lock(tmp_path, "x", wait=True).release()
-    assert 0.2 < time.monotonic() - began < 30
+    assert time.monotonic() - began > 0.2
     ended(process)
 
 

@@ -154,9 +154,9 @@ def test_a_changed_description_is_refused_or_legal(rng, cases, sets, tmp_path):
         leaves, facts = sets[rng.integers(len(sets))]
         kernel = mutated(rng, facts, sets[rng.integers(len(sets))][1])
         path = checkpoint.save(tmp_path / "a.safetensors", leaves, **facts | {"kernel": kernel})
-        began = time.monotonic()
+        began = time.process_time()
         boat = opened(path, run)
-        assert time.monotonic() - began < 10, f"case {case}: {kernel}"
+        assert time.process_time() - began < 10, f"case {case}: {kernel}"
         for name, leaf in boat.state.items() if boat else ():
             assert name in OPEN or np.isfinite(leaf).all(), f"case {case}: {name} of {kernel}"
         counts["legal" if boat else "refused"] += 1

@@ -43,6 +43,8 @@ def killed(folder, start, after: float) -> list[tuple[float, int]]:
     )
     with process:
         assert process.stdout is not None and process.stdout.readline() == "ready\n"
+        while not checkpoint.checkpoints(folder):
+            time.sleep(0.01)
         time.sleep(after)
         process.send_signal(signal.SIGKILL)
         said = [line.split() for line in process.stdout.read().splitlines(True) if line.endswith("\n")]

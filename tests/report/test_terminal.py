@@ -177,7 +177,10 @@ def test_the_line_of_activity_shows_what_is_done_and_leaves_nothing():
     shown = io.StringIO()
     with Activity(Console(file=shown, force_terminal=True, width=80, legacy_windows=False)) as activity:
         doing("reading a\x1b[2J.csv, 1 of 3")
-        time.sleep(0.5)  # it is drawn ten times a second
+        for _ in range(600):  # it is drawn ten times a second, a minute at most
+            time.sleep(0.1)
+            if "reading" in shown.getvalue():
+                break
         activity.begin("replaying", total=4)
         activity.advance(1)
         activity.completed(4)

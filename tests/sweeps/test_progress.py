@@ -29,7 +29,7 @@ def test_what_happens_is_told_once(tmp_path):
     watched = Progress(tmp_path, JOBS, NOTE, said.append)
     watched.start()
     assert said == [f"4 jobs, 1 of them finished before: {tmp_path}"]
-    time.sleep(0.01)  # so that files have other times
+    time.sleep(0.05)  # so that files have other times
     (tmp_path / "1" / "results.json").unlink()
     for k in (1, 2):
         (tmp_path / f"{k}").mkdir(exist_ok=True)
@@ -72,7 +72,7 @@ def test_a_job_that_failed_before_and_succeeds_now_is_told(tmp_path):
     watched = Progress(tmp_path, JOBS, NOTE, said.append)
     watched._look()
     assert said == []
-    time.sleep(0.01)
+    time.sleep(0.05)
     write(tmp_path, 2, good(0.2))
     watched._look()
     assert len(said) == 1 and said[0].startswith("job 2 (rnn.neurons=20): 0.2000 m/s")

@@ -111,8 +111,8 @@ def test_verification_compares_no_more_than_some_thousand_sets(files, capsys, mo
     np.savez("wide.npz", **wide)
     capsys.readouterr()
     for name in ("many", "wide"):
-        began = time.perf_counter()
-        assert main([f"{name}.npz", "--verify", proof]) == 2 and time.perf_counter() - began < 5
+        began = time.process_time()
+        assert main([f"{name}.npz", "--verify", proof]) == 2 and time.process_time() - began < 5
         assert "found 250000 checkpoints, expected at most 10000" in capsys.readouterr().err
     text = Path(proof).read_text().replace("good.npz", "many.npz")
     Path("named.json").write_text(text)

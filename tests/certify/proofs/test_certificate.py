@@ -226,9 +226,9 @@ def test_a_refusal_is_short_and_soon(change):
     weights = network()
     made = certificate.make(weights)
     change(made)
-    started = time.perf_counter()
+    started = time.process_time()
     found = certificate.verify(resigned(made), weights)
-    assert not found.valid and len(found.reason) < 250 and time.perf_counter() - started < 2
+    assert not found.valid and len(found.reason) < 250 and time.process_time() - started < 2
 
 
 def test_files_are_whole_and_bad_ones_are_named(tmp_path):
@@ -248,10 +248,10 @@ def test_files_are_whole_and_bad_ones_are_named(tmp_path):
     (tmp_path / "bytes.json").write_bytes(b"\xff\xfe")
     names = ("list", "text", "none", "twice", "nan", "deep", "objects", "digits", "long", "keys", "bytes")
     for name in (f"{name}.json" for name in names):
-        started = time.perf_counter()
+        started = time.process_time()
         with pytest.raises(CertifyError, match=name.replace(".", r"\.")) as error:
             certificate.read(tmp_path / name)
-        assert len(str(error.value)) < 250 + len(str(tmp_path)) and time.perf_counter() - started < 2
+        assert len(str(error.value)) < 250 + len(str(tmp_path)) and time.process_time() - started < 2
     huge = re.sub(r'"margin": [^,]*', '"margin": 1e999999', text)
     (tmp_path / "huge.json").write_text(huge)
     assert not certificate.verify(resigned(certificate.read(tmp_path / "huge.json")), network()).valid
@@ -327,7 +327,7 @@ def test_weights_with_many_digits_do_not_make_a_check_long(condition, n):
     ) or certificate.make(ShallowWeights([0.1, -0.1], [0.3, 0.2], [[0.0], [0.0]], [0.0, 0.0]), "tight")
     content |= {"condition": condition, "neurons": n, "inputs": 1, "weights": certificate.digest(weights)}
     content["sha256"] = certificate._checksum(content)
-    began = time.perf_counter()
+    began = time.process_time()
     found = certificate.verify(content, weights)
-    assert not found.valid and time.perf_counter() - began < 5
+    assert not found.valid and time.process_time() - began < 5
     assert ("about 5 s" in found.reason) == (n > certificate.MOST_ROWS or condition == "gershgorin")

@@ -147,9 +147,9 @@ def test_the_effort_of_verification_is_bounded(q, n, two):
     metric = [[number() if i == j else "0" for j in range(q)] for i in range(q)]
     parts = {"metric": metric, "multipliers": [[number() for _ in range(n)] for _ in range(1 + two)]}
     claims = certificates._claims(net.weights, net.activation, "tight", Fraction(1), parts)
-    began = time.perf_counter()
+    began = time.process_time()
     certificates.verify(described(claims, parts, "net.npz"), net)
-    assert time.perf_counter() - began < 30  # about 5 s on an idle machine
+    assert time.process_time() - began < 30  # about 5 s on an idle machine
 
 
 @pytest.mark.parametrize("condition", ["exact", "box", "tight"])
@@ -166,10 +166,10 @@ def test_a_check_that_would_take_long_is_refused_before(condition):
     if condition == "tight":
         parts = {"metric": [[str(int(i == j)) for j in range(q)] for i in range(q)], "multipliers": [["1"] * n]}
     claims = certificates._claims(net.weights, net.activation, condition, Fraction(1), parts)
-    began = time.perf_counter()
+    began = time.process_time()
     found = certificates.verify(described(claims, parts, "net.npz"), net)
     assert not found.valid and "would take longer than about 5 s" in found.reason
-    assert time.perf_counter() - began < 5
+    assert time.process_time() - began < 5
     small = network(np.random.default_rng(2), q, 40)  # with a T as long, but a smaller network
     if condition != "tight":
         claims = certificates._claims(small.weights, small.activation, condition, Fraction(1), parts)

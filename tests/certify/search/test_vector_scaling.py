@@ -93,9 +93,9 @@ def test_best_scaling_is_exact_and_never_worse_than_none():
 def test_the_search_gives_the_same_result_again_and_ends_in_time():
     weights = draw(np.random.default_rng(5), 3, 6)
     assert best_scaling(weights, RELU, 60.0) == best_scaling(weights, RELU, 60.0)
-    start = time.perf_counter()
+    start = time.process_time()
     found = best_scaling(draw(np.random.default_rng(5), 6, 40), RELU, seconds=0.0)
-    assert time.perf_counter() - start < 30 and found.kind in ("none", "diagonal")  # no search at all
+    assert time.process_time() - start < 30 and found.kind in ("none", "diagonal")  # no search at all
 
 
 @pytest.mark.parametrize("size", [1e-150, 1e-30, 1e30])

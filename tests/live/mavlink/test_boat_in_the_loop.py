@@ -184,7 +184,7 @@ def test_a_boat_at_a_serial_line_is_heard_and_answered():
     session = RecordingSession({part: Source(**each) for part, each in MIDDLEWARE.channels.items()})
     with Listening(session, f"{os.ttyname(own)},115200") as node:
         begun = time.monotonic()
-        while (now := time.monotonic() - begun) < 20.0 and len(session.channel("command_left")[0]) < 20:
+        while (now := time.monotonic() - begun) < 120.0 and len(session.channel("command_left")[0]) < 20:
             frames = boat.due(now)
             with contextlib.suppress(BlockingIOError):
                 frames += boat.hear(os.read(other, 4096))
