@@ -26,7 +26,7 @@ def crc32c(data, table):
     """The checksum of bytes."""
     crc = ONES
     for byte in data:
-        crc = table[(crc ^ byte) & 255] ^ (crc >> 8)
+        crc = table[(crc ^ np.int64(byte)) & 255] ^ (crc >> 8)
     return crc ^ ONES
 
 

@@ -287,15 +287,14 @@ def _hparams_protos() -> tuple[Any, Any]:
 
 
 def _speed_up() -> None:
-    """Let TensorBoard compute its checksums in compiled code, if numba is installed and enabled."""
+    """Let TensorBoard compute its checksums in compiled code, if numba is installed."""
     from tensorboard.summary.writer import record_writer
 
     try:
-        from usvlearn.core.jit import NUMBA
         from usvlearn.display.event_crc import masked_crc32c
     except ImportError:
         return
-    if hasattr(record_writer, "masked_crc32c") and not NUMBA.DISABLE_JIT:
+    if hasattr(record_writer, "masked_crc32c"):
         masked_crc32c(b"")  # compiles
         record_writer.masked_crc32c = masked_crc32c
 

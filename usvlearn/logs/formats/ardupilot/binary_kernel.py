@@ -29,7 +29,7 @@ def gather(data, starts, lengths, offset, size):
     """
     found = np.zeros((len(starts), size), dtype=np.uint8)
     for k in range(len(starts)):
-        for j in range(min(size, lengths[k] - offset)):
+        for j in range(min(size, np.int64(lengths[k]) - offset)):
             found[k, j] = data[starts[k] + offset + j]
     return found
 
@@ -167,7 +167,7 @@ def scan_tlog(data, extras):
         if (data[frame] != V2 and data[frame] != V1) or frame + head > len(data):
             place += 1
             continue
-        last = frame + head + data[frame + 1]  # where the checksum stands
+        last = frame + head + np.int64(data[frame + 1])  # where the checksum stands; in plain Python bytes overflow
         end = last + 2 + (SIGNATURE if head == 10 and data[frame + 2] & SIGNED else 0)
         number = _little(data, frame + 7, 3) if head == 10 else np.int64(data[frame + 5])
         extra = np.int64(extras[number]) if number < IDS else np.int64(-1)

@@ -1,12 +1,16 @@
-"""The kernels of the alignment as plain Python, as a debugger sees them: they make the same steps as compiled code."""
+"""The kernels of logs as plain Python, as a debugger sees them, give the same bits as compiled code."""
 
 import json
 
 import numpy as np
 
+from tests.support.ardupilot import dataflash, tlog
 from tests.support.commands import python
 from usvlearn.logs.alignment.align import Aligner
 from usvlearn.logs.channels.channel import CHANNELS, Source
+from usvlearn.logs.formats.ardupilot import binary_kernel
+from usvlearn.logs.formats.ardupilot.dataflash import LETTERS
+from usvlearn.logs.formats.ardupilot.mavlink_messages import MESSAGES
 
 HELD = {name: Source(name, held=name.startswith("command"), delay=0.1 * (name != "surge")) for name in CHANNELS}
 SLOPES = {name: Source(name, window=1.5) for name in CHANNELS if name != "yaw_rate"}
@@ -38,9 +42,26 @@ def aligned() -> dict:
     return found
 
 
-def test_plain_python_aligns_as_compiled_code_does():
-    code = f"import json; from {__name__} import aligned; print(json.dumps(aligned()))"
-    plain, compiled = python(code, NUMBA_DISABLE_JIT="1").stdout, aligned()
-    assert plain == json.dumps(compiled) + "\n"  # bit for bit
-    for rows, _, _, rejected in compiled.values():
+def scanned() -> list:
+    """What the readers of binary logs find in one of each kind, with damage in the middle."""
+    extras, sizes = np.full(binary_kernel.IDS, -1, dtype=np.int16), np.zeros(256, dtype=np.int64)
+    for number, message in MESSAGES.items():
+        extras[number] = message.extra
+    for letter, (kind, _) in LETTERS.items():
+        sizes[ord(letter)] = np.dtype(kind).itemsize
+    frames, messages = (
+        np.frombuffer(content[:3000] + b"\xfe\xff\xa3\x95" * 9 + content[3100:], np.uint8)
+        for content in (tlog(20), dataflash(20))
+    )
+    starts, lengths, *others = binary_kernel.scan_tlog(frames, extras)
+    ends = binary_kernel.gather(frames, starts, lengths, 9, 40)  # some payloads end before
+    return [each.tolist() for each in (starts, lengths, *others, ends, *binary_kernel.scan_dataflash(messages, sizes))]
+
+
+def test_plain_python_reads_and_aligns_as_compiled_code_does():
+    code = f"import json; from {__name__} import aligned, scanned; print(json.dumps([aligned(), scanned()]))"
+    plain, compiled = python(code, NUMBA_DISABLE_JIT="1").stdout, [aligned(), scanned()]
+    assert plain == json.dumps(compiled) + "\n"
+    for rows, _, _, rejected in compiled[0].values():
         assert sum(row[7] for row in rows) > 20 and sum(map(len, rejected.values())) > 15
+    assert len(compiled[1][0]) > 50
