@@ -9,11 +9,14 @@ from pathlib import Path
 
 import pytest
 import torch
+from hypothesis import HealthCheck, settings
 
 from tests.support import REAL_LOGS
 
 torch.set_num_threads(1)
 os.environ["COLUMNS"] = "160"  # of tables, wherever the tests run
+settings.register_profile("loaded", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("loaded")  # drawing cases may take long on a loaded machine
 
 
 TIERS = ("thorough", "slow", "slurm", "docs")
