@@ -36,6 +36,7 @@ class Visitor(ast.NodeVisitor):
 
     def __init__(self) -> None:
         self.scope: list[str] = []
+        self.nodes: list[tuple[str, ast.AST]] = []  # all, with their function; "" is the module
         self.found: list[tuple[str, ast.AST, ast.AST]] = []
 
     def _scoped(self, node: ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) -> None:
@@ -47,8 +48,11 @@ class Visitor(ast.NodeVisitor):
     visit_ClassDef = visit_FunctionDef = visit_AsyncFunctionDef = _scoped
 
     def visit(self, node: ast.AST) -> None:
-        if isinstance(node, (ast.Raise, ast.Assert, ast.AnnAssign)) or _is_text(node):
+        if isinstance(node, (ast.Raise, ast.Assert)) or _is_text(node):
             return  # messages and docstrings
+        if isinstance(node, ast.AnnAssign):  # its annotation is none of the places
+            return self.visit(node.value) if node.value else None
+        self.nodes.append((".".join(self.scope), node))
         if self.scope:
             others = (other for other in changes(node) if shown(other) != shown(node))
             self.found += [(".".join(self.scope), node, other) for other in others]
@@ -105,6 +109,15 @@ def places(group: str, source: Path) -> Iterator[tuple[Place, ast.AST, ast.AST]]
         key = function, shown(node), shown(other)
         yield Place(group, *key, seen[key]), node, other
         seen[key] += 1
+
+
+def written(place: Place, source: Path) -> Iterator[tuple[Place, ast.AST, ast.AST]]:
+    """A place that is no change of `changes`, where a source file contains it."""
+    visitor = Visitor()
+    visitor.visit(ast.parse(source.read_text()))
+    found = [x for function, x in visitor.nodes if function == place.function and shown(x) == place.expression]
+    for node in found[place.count : place.count + 1]:
+        yield place, node, ast.parse(place.becomes, mode="eval").body
 
 
 def changed(source: Path, node: ast.AST, other: ast.AST) -> str:

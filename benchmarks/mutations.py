@@ -1,4 +1,4 @@
-"""Which tests see a fault: 60 places of the sources are changed one by one, and the tests that ought to fail are run.
+"""Which tests see a fault: 100 places of the sources are changed one by one, and the tests that ought to fail are run.
 
     python benchmarks/mutations.py                 try those of mutations.json beside this, draw missing ones
     python benchmarks/mutations.py --again         try the places of mutations.json alone, wherever their files are now
@@ -6,9 +6,10 @@
 
 A place is named by its function, its expression and what the expression becomes. A line number or a file's name would
 be lost where code moves. Every change is made in a copy of the repository. The tests of a group run in the order below,
-narrow ones first, until one fails. A change that makes them compute longer than `--seconds` counts as seen, and is told
-as such. Results are written one by one, and a run that was stopped continues with the places that are left: a result
-holds as long as the source file is the same, and if no test saw the change, as long as the tests are, too.
+narrow ones first, until one fails: those of the default tier, and if all of them pass, the thorough ones. A change that
+makes them compute longer than `--seconds` counts as seen, and is told as such. Results are written one by one, and a
+run that was stopped continues with the places that are left: a result holds as long as the source file and the test
+that saw the change are the same, and all tests of the group, if no default test saw it.
 """
 
 from __future__ import annotations
@@ -28,15 +29,18 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mutation_places import Place, changed, places
+from mutation_places import Place, changed, places, written
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLE = Path(__file__).with_suffix(".json")
 SEED = 33
 LIMIT = 300.0  # s of CPU, of one place
+TIERS = {"default": (), "thorough": ("-m", "thorough and not slow and not slurm and not docs")}  # options of pytest
+EMPTY = 5  # pytest's exit code where no test was collected
 MEMORY = 8 << 30  # bytes of one place: a changed size may ask for all there is
 
 
@@ -54,6 +58,7 @@ def named(folder: str, names: str) -> tuple[str, ...]:
     return tuple(f"tests/{folder}/test_{name}.py" for name in names.split())
 
 
+EVERY = "tests/engine/test_kernels.py::test_every_estimator_and_setting"
 GROUPS = {
     "certify": Group(
         (
@@ -126,9 +131,62 @@ GROUPS = {
             *named("logs", "read"),
         ),
     ),
+    "fit": Group(
+        ("usvlearn/model/fit/*.py",),
+        11,
+        (
+            *named("model/fit", "curves wear correlations choice diagnostics open_loop kernel boat"),
+            *named("report", "fit_section"),
+            *named("cli", "fit"),
+        ),
+    ),
+    "trial": Group(
+        ("usvlearn/estimators/joint/trial*.py",),
+        6,
+        (*named("estimators", "trial_equations trial"), f"{EVERY}[joint_trial]", *named("estimators", "accommodation")),
+        False,
+    ),
+    "conditional": Group(
+        ("usvlearn/estimators/ensemble/conditional/*.py",),
+        5,
+        (*named("estimators", "conditional_equations conditional"), f"{EVERY}[forecasts]"),
+        False,
+    ),
+    "axis": Group(
+        ("usvlearn/estimators/axis/*.py",),
+        4,
+        (*named("estimators", "axis turning"), f"{EVERY}[yaw]", f"{EVERY}[sway]", *named("engine", "planar")),
+        False,
+    ),
+    "accommodation": Group(
+        ("usvlearn/estimators/ensemble/accommodation/*.py",),
+        3,
+        named("estimators", "accommodation_equations accommodation"),
+        False,
+    ),
+    "plan_requests": Group(("usvlearn/live/plan_requests.py",), 3, named("live", "plan_requests node tracks")),
+    "array_log": Group(
+        ("usvlearn/logs/formats/array_log.py",), 3, (*named("logs/formats", "array_log"), "tests/test_api.py")
+    ),
+    "tensorboard": Group(
+        ("usvlearn/runs/tensorboard/logger.py",),
+        3,
+        (*named("runs/tensorboard", "window logger"), *named("cli", "train")),
+    ),
+    "standings": Group(("usvlearn/sweeps/standings.py",), 2, named("sweeps", "standings board jobs")),
 }
-ALWAYS = (  # what an adversary changed, and no test saw
+MASKED = "np.ma.filled(given.astype(np.float64), np.nan) if np.ma.isMaskedArray(given) else np.asarray(given)"
+FAR = "max(abs(left - path[LEFT]), abs(right - path[RIGHT]))"
+MOVES = "inputs[0] ** 2 + inputs[1] ** 2 + inputs.yaw_rate ** 2 + y * y > "
+ALWAYS = (  # what an adversary changed, and no test saw; a function "" is the module
     ("certify", "_claims", "2", "4", 0),
+    ("conditional", "extend_path", f"max(path[FAR], {FAR})", FAR, 0),
+    ("conditional", "", "(0.999, 6.0, 10.0, 1.0, 1e-20)", "(0.999, 12.0, 10.0, 1.0, 1e-20)", 0),
+    ("axis", "AxisEKF._advanced", f"{MOVES}REST", f"{MOVES}-REST", 0),
+    ("axis", "learn", "if x[DT] > LONGEST", "False", 0),
+    ("plan_requests", "sampled", "np.diff(total) / length + waits * before", "np.diff(total) / length", 0),
+    ("array_log", "_array", MASKED, "np.asarray(given)", 0),
+    ("tensorboard", "", "750", "750000000", 0),
 )
 
 
@@ -137,14 +195,15 @@ def every_place(root: Path) -> dict[Place, tuple[Path, ast.AST, ast.AST]]:
     found: dict[Place, tuple[Path, ast.AST, ast.AST]] = {}
     for group, each in GROUPS.items():
         for source in sorted(path for pattern in each.sources for path in root.glob(pattern)):
-            for place, node, other in places(group, source):
+            own = [each for place in ALWAYS if place[0] == group for each in written(Place(*place), source)]
+            for place, node, other in [*places(group, source), *own]:
                 found.setdefault(place, (source, node, other))
     return found
 
 
 def drawn(known: dict[Place, tuple[Path, ast.AST, ast.AST]]) -> list[Place]:
     """The places of each group, from one seed, as evenly over its files and functions as they come."""
-    rng, chosen = random.Random(SEED), [Place(*each) for each in ALWAYS]
+    rng, chosen = random.Random(SEED), [Place(*each) for each in ALWAYS if Place(*each) in known]
     for group, each in GROUPS.items():
         own: dict[Path, list[Place]] = {}
         for place, (source, *_) in known.items():
@@ -198,71 +257,89 @@ def collected(folder: Path) -> None:
     tests = sorted({name for group in GROUPS.values() for name in group.tests if _file(folder, name).exists()})
     command = [sys.executable, "-m", "pytest", "-q", "--collect-only", *tests]
     ran = subprocess.run(command, cwd=folder, capture_output=True, text=True)
-    if ran.returncode:
+    if ran.returncode not in (0, EMPTY):
         raise SystemExit(f"the tests cannot be collected without a change:\n{ran.stdout[-500:]}{ran.stderr[-500:]}")
 
 
 def tried(folder: Path, source: Path, text: str, group: Group, seconds: float) -> dict[str, Any]:
-    """Run the tests on a changed file, and put it back: the first test that fails, or None."""
-    environment = {**os.environ, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1", "OMP_NUM_THREADS": "1"}
-    if not group.compiled:
-        environment["NUMBA_DISABLE_JIT"] = "1"
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "-rfE"]
+    """Run the tests on a changed file, and put it back: the first test that fails, or None, and its tier."""
+    before, began, killed, tier = source.read_text(), time.perf_counter(), None, None
     tests = [name for name in group.tests if _file(folder, name).exists()]
-    tests.sort(key=lambda name: source.stem not in name)  # the source's own tests first
-    before, began = source.read_text(), time.perf_counter()
+    tests.sort(key=lambda name: f"/test_{source.stem}." not in name)  # the source's own tests first
+    source.write_text(text)
+    try:
+        for name, options in TIERS.items():
+            if killed := failed(folder, [*options, *tests], group.compiled, seconds):
+                tier = name
+                break
+    finally:
+        source.write_text(before)
+    return {"killed_by": killed, "tier": tier, "seconds": round(time.perf_counter() - began, 1)}
+
+
+def failed(folder: Path, options: list[str], compiled: bool, seconds: float) -> str | None:
+    """The first test that fails, or how else pytest failed; None if no test fails, or there is none."""
+    environment = {**os.environ, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1", "OMP_NUM_THREADS": "1"}
+    if not compiled:
+        environment["NUMBA_DISABLE_JIT"] = "1"
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "-rfE", *options]
 
     def limited() -> None:
         resource.setrlimit(resource.RLIMIT_CPU, (int(seconds), int(seconds) + 5))
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
 
-    source.write_text(text)
+    ran = subprocess.Popen(
+        command, cwd=folder, env=environment, text=True, start_new_session=True,
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, preexec_fn=limited,
+    )  # fmt: skip
     try:
-        ran = subprocess.Popen(
-            [*command, *tests], cwd=folder, env=environment, text=True, start_new_session=True,
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, preexec_fn=limited,
-        )  # fmt: skip
-        try:
-            output, killed = ran.communicate(timeout=10 * seconds)[0], None
-            if ran.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
-                raise subprocess.TimeoutExpired(command, seconds)
-            if ran.returncode:
-                failed = re.search(r"^(?:FAILED|ERROR) (\S+)", output, re.MULTILINE)
-                killed = failed[1] if failed else " ".join(output.split())[-120:]
-        except subprocess.TimeoutExpired:
-            killed = f"longer than {seconds:g} s"
-        finally:
-            if ran.poll() is None:
-                os.killpg(ran.pid, signal.SIGKILL)
-                ran.communicate()
+        output = ran.communicate(timeout=10 * seconds)[0]
+    except subprocess.TimeoutExpired:
+        return f"longer than {seconds:g} s"
     finally:
-        source.write_text(before)
-    return {"killed_by": killed, "seconds": round(time.perf_counter() - began, 1)}
+        if ran.poll() is None:
+            os.killpg(ran.pid, signal.SIGKILL)
+            ran.communicate()
+    if ran.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
+        return f"longer than {seconds:g} s"
+    if ran.returncode in (0, EMPTY):
+        return None
+    found = re.search(r"^(?:FAILED|ERROR) (\S+)", output, re.MULTILINE)
+    return found[1] if found else " ".join(output.split())[-120:]
 
 
 def holds(row: dict[str, Any], text: str, folder: Path, group: Group) -> bool:
-    """Whether a result is about this source; that no test saw it, also about these tests."""
-    return row.get("about") == about(text, folder, group if row.get("killed_by") is None else None)
+    """Whether a result is about this source and these tests."""
+    return "tier" in row and row.get("about") == about(text, folder, deciding(row, group))
 
 
-def about(text: str, folder: Path, group: Group | None) -> str:
-    """The sha256 of a changed source, and of the tests of a group."""
+def deciding(row: dict[str, Any], group: Group) -> tuple[str, ...]:
+    """The tests on which a result rests: the one that failed; all of the group, if none of the default tier did."""
+    return (row["killed_by"],) if row["tier"] == "default" else group.tests
+
+
+def about(text: str, folder: Path, tests: Sequence[str]) -> str:
+    """The sha256 of a changed source and of tests, with that which settles their tiers."""
     total = hashlib.sha256(text.encode())
-    for name in group.tests if group else ():
-        if _file(folder, name).exists():
-            total.update(_file(folder, name).read_bytes())
+    for name in ("tests/conftest.py", *tests):
+        if (file := _file(folder, name)).is_file():
+            total.update(file.read_bytes())
     return total.hexdigest()[:16]
 
 
 def table(rows: list[dict[str, Any]]) -> str:
     """The results in Markdown."""
-    seen = sum(row["killed_by"] is not None for row in rows if "lost" not in row)
+    tiers = Counter(row.get("tier") for row in rows if "lost" not in row)
     late = sum(str(row.get("killed_by")).startswith("longer") for row in rows)
     lost = sum("lost" in row for row in rows)
-    lines = [f"{seen} of {len(rows)} seen by a test ({late} by the time limit), {len(rows) - seen - lost} not"]
-    lines += ["", "| group | function | from | to | seen by |", "|---|---|---|---|---|"]
+    default, by_all = tiers["default"], tiers["default"] + tiers["thorough"]
+    lines = [
+        f"{len(rows)} places: seen by default tests {default}, by all {by_all}, by none {len(rows) - by_all - lost}"
+    ]
+    lines += ["", f"{late} by the time limit, {lost} lost"]
+    lines += ["", "| group | function | from | to | tier | seen by |", "|---|---|---|---|---|---|"]
     for row in rows:
-        cells = [row["group"], row["function"], row["expression"], row["becomes"]]
+        cells = [*(row[key] for key in Place._fields[:4]), row.get("tier") or ""]
         cells += ["lost: no such place" if "lost" in row else row["killed_by"] or "**no test**"]
         lines.append("| " + " | ".join(cell.replace("|", "\\|")[:110] for cell in cells) + " |")
     return "\n".join(lines)
@@ -305,8 +382,7 @@ def main() -> int:
         if holds(old, text, folder, group):
             continue
         found = tried(folder, source, text, group, options.seconds)
-        tested = group if found["killed_by"] is None else None
-        rows[place] = {**place._asdict(), **found, "about": about(text, folder, tested)}
+        rows[place] = {**place._asdict(), **found, "about": about(text, folder, deciding(found, group))}
         print(f"{k}/{len(wanted)} {' | '.join(map(str, place[:4]))}: {rows[place]['killed_by']}", flush=True)
         stored = json.loads(TABLE.read_text()) if TABLE.exists() else []  # by another process, of other groups
         kept = {Place(*(row[key] for key in Place._fields)): row for row in stored} | {place: rows[place]}
