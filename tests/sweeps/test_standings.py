@@ -14,7 +14,7 @@ from usvlearn.evaluation.measure import Measure
 from usvlearn.evaluation.ranking import differing, scored
 from usvlearn.sweeps.jobs import Job
 from usvlearn.sweeps.leaderboard import write_leaderboard
-from usvlearn.sweeps.standings import standings
+from usvlearn.sweeps.standings import same, standings
 from usvlearn.sweeps.table import printed
 
 RNN = Measure("rnn")
@@ -215,3 +215,33 @@ def test_the_files_say_what_the_terminal_says(tmp_path):
     assert (tmp_path / "leaderboard.md").read_text().startswith("| rank | job | estimators.rnn.neurons |")
     for name in ("leaderboard.png", "settings.png"):
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_values_of_a_command_are_the_same_as_numbers_or_as_words():
+    for one, other in (("1e-3", "0.001"), ("mean", "mean"), ("null", "null"), ("20", "20.0")):
+        assert same(one, other) and same(other, one)
+    for one, other in (("1e-3", "0.002"), ("mean", "last"), ("mean", None), (None, "1"), (None, None), ("mean", "1")):
+        assert not same(one, other) and not same(other, one)
+
+
+def test_a_default_in_words_is_the_reference():
+    jobs = [job(0, 0.10, rule="mean"), job(1, 0.08, rule="last"), job(2, 0.09, rule="best")]
+    found = standings(jobs, RNN, {"estimators.rnn.rule": "mean"})
+    assert [each.settings["estimators.rnn.rule"] for each in found] == ["last", "best", "mean"]
+    assert [each.reference for each in found] == [each.default for each in found] == [False, False, True]
+    assert not any(each.default for each in standings(jobs, RNN, {"estimators.rnn.rule": "sum"}))
+
+
+def test_jobs_that_failed_are_counted_and_the_others_time_is_the_mean():
+    jobs = [job(0, 0.1, 2.0, neurons="4", seed="0"), job(1, 0.12, 4.0, neurons="4", seed="1"),
+            job(2, None, neurons="4", seed="2"), job(3, 0.2, neurons="9", seed="0")]  # fmt: skip
+    old = jobs[1]._replace(results={key: x for key, x in jobs[1].results.items() if key != "seconds"})
+    first, last = standings(jobs, RNN, {})
+    assert (first.done, len(first.failed), first.seconds) == (
+        2,
+        1,
+        3.0,
+    ) and first.settings.keys() == last.settings.keys()
+    assert first.by_seed == {"0": jobs[0].results["objective"], "1": jobs[1].results["objective"]}
+    assert standings([jobs[0], old, *jobs[2:]], RNN, {})[0].seconds == 2.0 and (last.done, last.seconds) == (1, 2.0)
+    assert "seed" not in first.settings and first.value == pytest.approx(np.mean(list(first.by_seed.values())))

@@ -132,3 +132,58 @@ def test_some_stamps_that_go_back_are_masked_and_counted():
     time = T.copy()
     time[600:605] -= 0.25
     assert usvlearn.read(**ALL | {"time": time}).rejected["boat"]["surge"]["backwards"] == 2
+
+
+class Column:
+    """The part of a pandas.Series that is used: an array, and its numbers where it is one of objects."""
+
+    def __init__(self, values, numbers=None):
+        self.values, self.numbers = np.asarray(values), numbers
+
+    def __array__(self, dtype=None, copy=None):
+        return self.values
+
+    def to_numpy(self, dtype, na_value):
+        if self.numbers is None:
+            return self.values.astype(dtype)
+        return np.where(self.values == None, na_value, self.numbers).astype(dtype)  # noqa: E711
+
+
+HOLES = np.arange(len(T)) % 7 == 0
+
+
+@pytest.mark.parametrize("kind", ["masked", "whole numbers", "nullable"])
+def test_what_is_masked_is_no_value(kind):
+    """Whatever lies below the mask: it is counted as empty, as NaN is."""
+    surge = np.round(SI["surge"], 0 if kind == "whole numbers" else 3)
+    junk = np.where(HOLES, 77, surge)
+    given = {
+        "masked": lambda: np.ma.masked_array(junk, HOLES),
+        "whole numbers": lambda: np.ma.masked_array(junk.astype(int), HOLES),
+        "nullable": lambda: Column(np.where(HOLES, None, surge), junk),
+    }[kind]()
+    expected = usvlearn.read(**ALL | {"surge": np.where(HOLES, np.nan, surge)})
+    found = usvlearn.read(**ALL | {"surge": given})
+    assert same(expected, found) and found.rejected["boat"]["surge"]["empty"] == HOLES.sum()
+
+
+def test_masked_stamps_are_no_stamps():
+    stamps = np.ma.masked_array(np.where(HOLES, 1e6, T), HOLES)
+    plain = usvlearn.read(**ALL | {"time": np.where(HOLES, np.nan, T)})
+    assert same(plain, usvlearn.read(**ALL | {"time": stamps}))
+
+
+@pytest.mark.parametrize("values", [SI["surge"] > 1, SI["surge"].astype(str)], ids=["booleans", "text"])
+def test_a_column_of_a_table_is_refused_as_its_array_is(values):
+    """Only a column of objects may hold numbers beside what is missing."""
+    for given in (values, Column(values)):
+        with pytest.raises(ConfigError, match=r"surge: found (booleans|text), expected numbers"):
+            usvlearn.read(**ALL | {"surge": given})
+
+
+def test_what_is_missing_is_named_with_what_may_take_its_place():
+    """Speeds may come from a pair of velocities; commands and headings may not."""
+    for name in ("surge", "command_left", "heading"):
+        with pytest.raises(ConfigError, match=f"^{name}: found no such array") as caught:
+            usvlearn.read(**{key: x for key, x in ALL.items() if key != name})
+        assert ("velocity_north" in str(caught.value)) == (name == "surge")

@@ -1,0 +1,85 @@
+"""The curves of a long replay: errors of the last steps alone, a bounded memory, and a bounded number of points."""
+
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from tests.support.boards import boards, steps, values
+from usvlearn import AID, Average, Ensemble, Persistence
+from usvlearn.core.samples import Fleet, Inputs, Run, Sample
+from usvlearn.runs.replay import replay
+from usvlearn.runs.tensorboard.board_tags import MAE
+from usvlearn.runs.tensorboard.logger import BATCH, MOST_POINTS, STEPS_PER_POINT, TensorBoardLogger
+
+DT, EVERY, LAST = 0.5, 50, 750  # s; steps of a chunk, and of the errors that a curve shows
+NAMES = ("heron", "otter")
+
+
+def fleet(length: int, boats: int = 2) -> Fleet:
+    """One run, of boats whose speed jumps more and more, so that errors of early and late steps differ."""
+    rng, shape = np.random.default_rng(0), (length, boats)
+    left, right = rng.uniform(0, 1, (2, *shape))
+    surge = 1 + np.linspace(0.01, 0.5, length)[:, None] * rng.standard_normal(shape)
+    yes, time = np.ones(shape, bool), DT * (1 + np.arange(length))
+    inputs = Inputs(left, right, 0 * left, 0 * left, np.full(shape, DT))
+    measured = yes & (rng.random(shape) < 0.8)
+    samples = Sample(inputs, surge, yes, measured)
+    run = Run(np.tile(time[:, None], boats), samples, ("a.csv",) * boats, (length,) * boats)
+    return Fleet(NAMES[:boats], (run,), {})
+
+
+def model() -> Ensemble:
+    return Ensemble({"aid": AID(28.0), "persistence": Persistence()}, {"average": Average()})
+
+
+def chunks(ensemble, some: Fleet, count: int | None = None):
+    state = ensemble.init((len(some.boats),))
+    return islice(replay(ensemble, some, state, every=EVERY, save_every=10**6), count)
+
+
+def test_a_curve_shows_the_errors_of_the_last_steps_and_keeps_no_others(tmp_path):
+    some, ensemble, made = fleet(2400), model(), []
+    with TensorBoardLogger(tmp_path, some, ensemble) as logger:
+        for chunk in chunks(ensemble, some):
+            logger.show(chunk)
+            made.append(chunk.published["predictions"])
+            kept = sum(number for number, _ in logger._errors)
+            assert min(LAST, EVERY * len(made)) <= kept < LAST + EVERY and len(logger._points) < BATCH
+    samples = some.runs[0].samples
+    errors = np.abs(np.concatenate(made) - samples.surge[..., None])
+    errors[~samples.measured] = np.nan
+    read = boards(tmp_path)
+    for element, boat in enumerate(some.boats):
+        for column, name in enumerate(ensemble.names):
+            events = read[f"{boat}/{name}"]
+            at, found = (each(events, f"1 overview/{MAE}") for each in (steps, values))
+            assert len(at) >= 2400 / (STEPS_PER_POINT * len(some.boats))
+            for second, value in zip(at, found, strict=True):
+                end = round(second / DT)
+                own = errors[max(end - LAST, 0) : end, element, column]
+                assert value == pytest.approx(np.nanmean(own), rel=1e-5), (name, second)
+
+
+@pytest.mark.parametrize("boats", [1, 2])
+def test_a_long_log_has_no_more_points_than_a_chart_needs(tmp_path, boats):
+    """A point comes after half of the steps between two at the least, so that chunks of any length fit."""
+    length = 60_000
+    some, ensemble = fleet(length, boats), model()
+    apart = max(length / MOST_POINTS, STEPS_PER_POINT * boats)
+    with TensorBoardLogger(tmp_path, some, ensemble) as logger:
+        for chunk in chunks(ensemble, some, 30):
+            logger.show(chunk)
+    events = boards(tmp_path)["heron/aid"]
+    found = np.diff([0, *steps(events, f"1 overview/{MAE}")]) / DT
+    assert len(found) >= 30 * EVERY / apart - 1
+    assert (found >= apart / 2 - 2).all() and (found <= apart + 2).all()
+
+
+def test_a_short_log_has_a_point_for_each_hundred_steps_of_a_boat(tmp_path):
+    some, ensemble = fleet(1000, 1), model()
+    with TensorBoardLogger(tmp_path, some, ensemble) as logger:
+        for chunk in chunks(ensemble, some):
+            logger.show(chunk)
+    found = steps(boards(tmp_path)["heron/aid"], f"1 overview/{MAE}")
+    assert len(found) == 2 * 1000 // STEPS_PER_POINT and found[-1] == 1000 * DT
