@@ -5,11 +5,11 @@
     python benchmarks/mutations.py --survivors     try again those alone that no test saw
 
 A place is named by its function, its expression and what the expression becomes. A line number or a file's name would
-be lost where code moves. Every change is made in a copy of the repository. The tests of a group run in the order below,
-narrow ones first, until one fails: those of the default tier, and if all of them pass, the thorough ones. A change that
-makes them compute longer than `--seconds` counts as seen, and is told as such. Results are written one by one, and a
-run that was stopped continues with the places that are left: a result holds as long as the source file and the test
-that saw the change are the same, and all tests of the group, if no default test saw it.
+be lost where code moves. Every change is made in a copy of the repository. The tests of a group (`mutation_groups`) run
+in order, narrow ones first, until one fails: those of the default tier, and if all of them pass, the thorough ones. A
+change that makes them compute longer than `--seconds` counts as seen, and is told as such. Results are written one by
+one, and a run that was stopped continues with the places that are left: a result holds as long as the source file and
+the test that saw the change are the same, and all tests of the group, if no default test saw it.
 """
 
 from __future__ import annotations
@@ -31,8 +31,9 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
+from mutation_groups import ALWAYS, EQUIVALENT, GROUPS, Group
 from mutation_places import Place, changed, places, written
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -42,152 +43,6 @@ LIMIT = 300.0  # s of CPU, of one place
 TIERS = {"default": (), "thorough": ("-m", "thorough and not slow and not slurm and not docs")}  # options of pytest
 EMPTY = 5  # pytest's exit code where no test was collected
 MEMORY = 8 << 30  # bytes of one place: a changed size may ask for all there is
-
-
-class Group(NamedTuple):
-    """Sources, how many places are drawn from them, and the tests that ought to see a change."""
-
-    sources: tuple[str, ...]  # patterns below the repository
-    places: int
-    tests: tuple[str, ...]
-    compiled: bool = True  # whether the tests need numba; without it a change is not compiled first
-
-
-def named(folder: str, names: str) -> tuple[str, ...]:
-    """The test files of a folder by the middle of their names."""
-    return tuple(f"tests/{folder}/test_{name}.py" for name in names.split())
-
-
-EVERY = "tests/engine/test_kernels.py::test_every_estimator_and_setting"
-GROUPS = {
-    "certify": Group(
-        (
-            *(f"certify/*/vector_{name}*.py" for name in ("a", "b*e", "c", "e", "f", "l", "p", "r", "sc")),
-            "certify/networks/vector.py",
-        ),
-        18,
-        (
-            *named("certify/proofs", "vector_exact vector_certificate"),
-            *named("certify/command", "vector_certify"),
-            *named("certify/search", "vector_scaling"),
-            *named("certify/training", "vector_projections"),
-            *named("certify/search", "vector_lmi vector_box"),
-        ),
-    ),
-    "certify_box": Group(
-        (
-            *(f"certify/search/vector_{name}.py" for name in ("box", "box_search")),
-            *(f"certify/proofs/vector_{name}.py" for name in ("box_proof", "slopes", "statements")),
-        ),
-        8,
-        (
-            *named("certify/proofs", "vector_slopes"),
-            *named("certify/search", "vector_box"),
-            *named("certify/proofs", "steps"),
-        ),
-    ),
-    "live": Group(
-        ("usvlearn/live/*.py", "usvlearn/live/ros2/*.py", "usvlearn/live/status/*.py", "usvlearn/core/json_values.py"),
-        10,
-        (
-            *named("live", "arguments prior systemd"),
-            *named("live/ros2", "ros2 ros2_node ros2_parameters"),
-            *named("live", "session recent usable replay node"),
-        ),
-    ),
-    "export": Group(("usvlearn/model/export/*.py",), 7, named("model/export", "formats command")),
-    "joint": Group(
-        ("usvlearn/estimators/joint/*.py", "usvlearn/estimators/augmented/*.py"),
-        6,
-        named("estimators", "joint identified quantities"),
-        False,
-    ),
-    "forecasts": Group(
-        ("usvlearn/estimators/ensemble/forecasts/*.py",),
-        4,
-        (
-            *named("estimators", "forecasts plans"),
-            *named("engine", "descriptions"),
-            "tests/engine/test_kernels.py::test_every_estimator_and_setting[forecasts]",
-        ),
-        False,
-    ),
-    "logs": Group(
-        tuple(f"usvlearn/logs/{room}*.py" for room in ("alignment/", "channels/", "formats/", "formats/*/", "")),
-        7,
-        (
-            *named("logs", "survey"),
-            *named("logs/formats/csv", "topics"),
-            *named("logs", "setup"),
-            *named("logs/alignment", "mixing"),
-            *named("logs/formats/csv", "csv_dialects"),
-            *named("logs/channels", "relations"),
-            *named("logs", "velocities"),
-            *named("logs/channels", "derived_surge"),
-            *named("logs/formats/ros", "decompress"),
-            *named("logs/channels", "copies"),
-            *named("logs/formats", "readers"),
-            *named("logs/alignment", "align"),
-            *named("logs", "read"),
-        ),
-    ),
-    "fit": Group(
-        ("usvlearn/model/fit/*.py",),
-        11,
-        (
-            *named("model/fit", "curves wear correlations choice diagnostics open_loop kernel boat"),
-            *named("report", "fit_section"),
-            *named("cli", "fit"),
-        ),
-    ),
-    "trial": Group(
-        ("usvlearn/estimators/joint/trial*.py",),
-        6,
-        (*named("estimators", "trial_equations trial"), f"{EVERY}[joint_trial]", *named("estimators", "accommodation")),
-        False,
-    ),
-    "conditional": Group(
-        ("usvlearn/estimators/ensemble/conditional/*.py",),
-        5,
-        (*named("estimators", "conditional_equations conditional"), f"{EVERY}[forecasts]"),
-        False,
-    ),
-    "axis": Group(
-        ("usvlearn/estimators/axis/*.py",),
-        4,
-        (*named("estimators", "axis turning"), f"{EVERY}[yaw]", f"{EVERY}[sway]", *named("engine", "planar")),
-        False,
-    ),
-    "accommodation": Group(
-        ("usvlearn/estimators/ensemble/accommodation/*.py",),
-        3,
-        named("estimators", "accommodation_equations accommodation"),
-        False,
-    ),
-    "plan_requests": Group(("usvlearn/live/plan_requests.py",), 3, named("live", "plan_requests node tracks")),
-    "array_log": Group(
-        ("usvlearn/logs/formats/array_log.py",), 3, (*named("logs/formats", "array_log"), "tests/test_api.py")
-    ),
-    "tensorboard": Group(
-        ("usvlearn/runs/tensorboard/logger.py",),
-        3,
-        (*named("runs/tensorboard", "window logger"), *named("cli", "train")),
-    ),
-    "standings": Group(("usvlearn/sweeps/standings.py",), 2, named("sweeps", "standings board jobs")),
-}
-MASKED = "np.ma.filled(given.astype(np.float64), np.nan) if np.ma.isMaskedArray(given) else np.asarray(given)"
-FAR = "max(abs(left - path[LEFT]), abs(right - path[RIGHT]))"
-MOVES = "inputs[0] ** 2 + inputs[1] ** 2 + inputs.yaw_rate ** 2 + y * y > "
-ALWAYS = (  # what an adversary changed, and no test saw; a function "" is the module
-    ("certify", "_claims", "2", "4", 0),
-    ("conditional", "extend_path", f"max(path[FAR], {FAR})", FAR, 0),
-    ("conditional", "", "(0.999, 6.0, 10.0, 1.0, 1e-20)", "(0.999, 12.0, 10.0, 1.0, 1e-20)", 0),
-    ("axis", "AxisEKF._advanced", f"{MOVES}REST", f"{MOVES}-REST", 0),
-    ("axis", "learn", "if x[DT] > LONGEST", "False", 0),
-    ("plan_requests", "sampled", "np.diff(total) / length + waits * before", "np.diff(total) / length", 0),
-    ("array_log", "_array", MASKED, "np.asarray(given)", 0),
-    ("tensorboard", "", "750", "750000000", 0),
-)
 
 
 def every_place(root: Path) -> dict[Place, tuple[Path, ast.AST, ast.AST]]:
@@ -213,6 +68,7 @@ def drawn(known: dict[Place, tuple[Path, ast.AST, ast.AST]]) -> list[Place]:
         rng.shuffle(files)
         for of_file in files:
             rng.shuffle(of_file)
+            of_file[:] = [place for place in of_file if place not in EQUIVALENT]
         while len(taken) < min(each.places, sum(map(len, own.values()))):
             taken += [of_file.pop() for of_file in files[: each.places - len(taken)] if of_file]
         chosen += [place for place in taken if place not in chosen]

@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from tests.support.fitted_boats import MASS, TOP, boat, mission
-from usvlearn.core.rows import LEARN, MODE, SURGE
+from usvlearn.core.rows import LEARN, LEFT, MODE, PREDICT, RIGHT, SURGE
 from usvlearn.estimators.joint.lacking import Quantity
 from usvlearn.model.fit import motion_kernel as kernel
 from usvlearn.model.fit.choice import Score
@@ -175,14 +175,18 @@ def test_a_current_that_differs_more_than_its_mean_is_not_expected():
     assert usual_current(np.array([[0.5, 0.0], [-0.3, 0.0]])).tolist() == [0, 0]
 
 
-def test_no_step_counts_at_rest_or_where_nothing_was_measured():
-    """The loss of a simulation that is right: ½ log S of the steps under way, each with the noise alone in the end."""
+def test_measured_steps_of_a_boat_that_moves_are_counted():
     rows = mission(60)
     rows[1:, MODE], rows[1:, SURGE] = LEARN, 0.4
-    made = Missions([rows, rows[:1]], TOP, ["a", "b"])
-    assert made.steps == [60, 0]
-    loss = made.evaluate("nine", prior("nine", TOP).mean, 0.1)
-    assert loss.count.tolist() == [60, 0] and loss.loss[1] == 0
+    rows[30:40, MODE] = PREDICT
+    resting = rows.copy()
+    resting[:, [LEFT, RIGHT, SURGE]] = 0.0
+    made = Missions([rows, rows[:1], resting], TOP, ["a", "b", "c"])
+    assert made.steps == [50, 0, 0]
+    fit = made.evaluate("nine", prior("nine", TOP).mean, 0.1)
+    assert fit.count.tolist() == [50, 0, 0] and fit.loss[0] != 0 and fit.loss[1:].tolist() == [0, 0]
+    assert not fit.score[1:].any() and not fit.information[1:].any()
+    assert (fit.information[0] == fit.information[0].T).all() and np.linalg.eigvalsh(fit.information[0])[0] > -1e-9
 
 
 def found_boat(quantities_: dict[str, Quantity]) -> SimpleNamespace:
