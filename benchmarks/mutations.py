@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import fcntl
 import hashlib
 import json
 import os
@@ -29,7 +30,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -45,11 +46,11 @@ EMPTY = 5  # pytest's exit code where no test was collected
 MEMORY = 8 << 30  # bytes of one place: a changed size may ask for all there is
 
 
-def every_place(root: Path) -> dict[Place, tuple[Path, ast.AST, ast.AST]]:
-    """All places by name; of two equal names in different files the first file's."""
+def every_place(root: Path, groups: Iterable[str] = GROUPS) -> dict[Place, tuple[Path, ast.AST, ast.AST]]:
+    """All places of groups by name; of two equal names in different files the first file's."""
     found: dict[Place, tuple[Path, ast.AST, ast.AST]] = {}
-    for group, each in GROUPS.items():
-        for source in sorted(path for pattern in each.sources for path in root.glob(pattern)):
+    for group in groups:
+        for source in sorted(path for pattern in GROUPS[group].sources for path in root.glob(pattern)):
             own = [each for place in ALWAYS if place[0] == group for each in written(Place(*place), source)]
             for place, node, other in [*places(group, source), *own]:
                 found.setdefault(place, (source, node, other))
@@ -108,9 +109,9 @@ def _file(folder: Path, test: str) -> Path:
     return folder / test.partition("::")[0]
 
 
-def collected(folder: Path) -> None:
+def collected(folder: Path, groups: Iterable[str]) -> None:
     """Refuse a copy whose tests cannot even be collected: each change would count as seen."""
-    tests = sorted({name for group in GROUPS.values() for name in group.tests if _file(folder, name).exists()})
+    tests = sorted({name for group in groups for name in GROUPS[group].tests if _file(folder, name).exists()})
     command = [sys.executable, "-m", "pytest", "-q", "--collect-only", *tests]
     ran = subprocess.run(command, cwd=folder, capture_output=True, text=True)
     if ran.returncode not in (0, EMPTY):
@@ -215,16 +216,17 @@ def main() -> int:
     if options.show:
         print(table(before))
         return 0
-    name = "-".join(["mutations", *(options.group or GROUPS)])
+    groups, again = options.group or list(GROUPS), options.again or options.survivors
+    name = "-".join(["mutations", *(options.group or ["all"])])
     folder = copied(ROOT, options.folder or Path(tempfile.gettempdir()) / name)
-    collected(folder)
-    known = every_place(folder)
+    collected(folder, groups)
+    known = every_place(folder, groups if again else GROUPS)  # new ones are drawn in the order of all groups
     named = [Place(*(row[key] for key in Place._fields)) for row in before]
-    wanted = named if options.again or options.survivors else filled(named, drawn(known), known)
+    wanted = named if again else filled(named, drawn(known), known)
     rows = {place: row for place, row in zip(named, before, strict=True) if place in wanted}
     for k, place in enumerate(wanted, 1):
         old = rows.get(place, {})
-        skipped = place.group not in (options.group or GROUPS) or (options.survivors and old.get("killed_by"))
+        skipped = place.group not in groups or (options.survivors and old.get("killed_by"))
         if place not in known or skipped:
             if not skipped:
                 rows[place] = {**place._asdict(), "lost": True, "killed_by": None}
@@ -240,11 +242,12 @@ def main() -> int:
         found = tried(folder, source, text, group, options.seconds)
         rows[place] = {**place._asdict(), **found, "about": about(text, folder, deciding(found, group))}
         print(f"{k}/{len(wanted)} {' | '.join(map(str, place[:4]))}: {rows[place]['killed_by']}", flush=True)
-        stored = json.loads(TABLE.read_text()) if TABLE.exists() else []  # by another process, of other groups
-        kept = {Place(*(row[key] for key in Place._fields)): row for row in stored} | {place: rows[place]}
-        TABLE.write_text(
-            json.dumps([kept[each] for each in wanted if each in kept], indent=1, ensure_ascii=False) + "\n"
-        )
+        with Path(__file__).open() as alone:
+            fcntl.flock(alone, fcntl.LOCK_EX)
+            stored = json.loads(TABLE.read_text()) if TABLE.exists() else []  # by another process, of other groups
+            kept = {Place(*(row[key] for key in Place._fields)): row for row in stored} | {place: rows[place]}
+            ordered = [kept[each] for each in wanted if each in kept]
+            TABLE.write_text(json.dumps(ordered, indent=1, ensure_ascii=False) + "\n")
     print(table([rows[each] for each in wanted if each in rows]))
     return 0
 
