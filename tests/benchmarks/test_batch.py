@@ -46,7 +46,7 @@ def run(seed):
     return Sample(inputs, speed + NOISE * rng.standard_normal(STEPS), yes, yes.copy())
 
 
-@pytest.fixture(scope="module", params=few(PEERS, {*PEERS} - {"gru"}))
+@pytest.fixture(scope="module", params=["narmax", "state_space", *few(["physics"], (), "thorough"), *few(["gru"], ())])
 def model(request):
     """Each peer, fitted to two runs."""
     if request.param in MODULES:

@@ -16,12 +16,14 @@ def drag():
     }
 
 
+@pytest.mark.thorough
 def test_the_bias_is_there_with_exact_sensors(drag):
     plain = {season: models["nine parameters, Euler's step"] for season, models in drag.items()}
     assert plain["as simulated"] < -0.2 and plain["exact sensors"] < -0.2
     assert plain["no current, exact sensors"] < -0.1
 
 
+@pytest.mark.thorough
 def test_the_step_and_the_current_are_its_causes(drag):
     euler, both = "nine parameters, Euler's step", "both"
     assert all(abs(models[both]) < abs(models[euler]) for models in drag.values())

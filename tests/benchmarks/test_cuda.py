@@ -26,6 +26,7 @@ def test_without_a_gpu_it_says_so_and_measures_nothing(monkeypatch, capsys):
     assert capsys.readouterr().out == f"{cuda.NONE}\n"
 
 
+@pytest.mark.thorough
 def test_the_part_of_the_cpu_is_printed_and_not_saved(monkeypatch, capsys):
     monkeypatch.setattr(cuda, "publish", lambda *given: pytest.fail("saved"))
     monkeypatch.setattr(cuda, "estimators", lambda: {"aid": KNOWN["aid"](), "rnn": KNOWN["rnn"]()})

@@ -75,6 +75,7 @@ def one() -> study.Study:
         return next(study.study("heron", 7001, n=1, hours=0.5, later=0.2))
 
 
+@pytest.mark.thorough
 def test_every_method_finds_about_the_boat(one):
     assert one.terms.removesuffix(WEAR) in SETS and len(one.truth) == 18
     for method in (study.FIT, study.BATCH):
@@ -92,6 +93,7 @@ def told(one: study.Study, half: float) -> study.Study:
     return one._replace(found={study.FIT: values, study.ONLINE: beside})
 
 
+@pytest.mark.thorough
 def test_the_page_says_which_aims_are_met(one):
     missed = told(one, 0.5)
     values = {name: each._replace(high=each.low) for name, each in missed.found[study.FIT].items()}

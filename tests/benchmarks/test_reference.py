@@ -28,6 +28,7 @@ TWINS = {
     "sway": lambda: SwayEKF(2.7, disturbance=1.0, outlier=2.0, drift_time=300.0),
     "small_rnn": lambda: RNN(7, contraction_rate=0.9, rate=5e-3),
 }
+THOROUGH = ("dynamic_sift", "rnn", "yaw")
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +42,10 @@ def samples():
 
 
 @pytest.mark.skipif(compiler() is None, reason="the machine has no C compiler, neither gcc nor cc")
-@pytest.mark.parametrize("name", few(TWINS, {"aid", "dynamic_sift", "rnn", "yaw"}))
+@pytest.mark.parametrize(
+    "name",
+    ["aid", *few(THOROUGH, (), "thorough"), *few((name for name in TWINS if name not in ("aid", *THOROUGH)), ())],
+)
 def test_the_reference_is_the_estimator(name, samples):
     estimator = TWINS[name]()
     if name in AXES:

@@ -13,6 +13,8 @@ import timing
 import torch
 from reference import compiler
 
+from tests.support import few
+
 TINY = timing.Effort(2, 40, 5, 20, (1, 3), 120, (0.05, 0.1), 3, 2)
 
 
@@ -38,7 +40,9 @@ def test_examples_of_timing():
     assert doctest.testmod(timing) == (0, 4)
 
 
-@pytest.mark.parametrize("name", ["aid", "sway, n = 14", "projected sift", "default ensemble"])
+@pytest.mark.parametrize(
+    "name", few(["aid", "sway, n = 14", "projected sift", "default ensemble"], ["projected sift"], "thorough")
+)
 def test_every_way_of_a_step_is_measured(name):
     estimator = speed_steps.estimators()[name]
     found = speed_steps.costs(estimator, TINY, list(speed_steps.WAYS))
@@ -54,6 +58,7 @@ def test_the_samples_are_learned_from_every_one():
     assert len(run.surge) == 9000 and bool(clean(run).learns.all())
 
 
+@pytest.mark.thorough
 def test_the_axes_see_one_another_a_step_late():
     yaw, sway = (speed_steps.samples(200, kind) for kind in ("yaw", "sway"))
     assert torch.equal(sway.inputs.heading[1:], yaw.surge[:-1])
@@ -62,6 +67,7 @@ def test_the_axes_see_one_another_a_step_late():
     assert float(yaw.surge.std()) > 0.05 and float(sway.surge.std()) > 0.05
 
 
+@pytest.mark.thorough
 def test_the_peak_of_memory_is_that_since_it_was_reset():
     if not speed_jobs.RESET.exists():
         pytest.skip("the peak can be reset on Linux alone")
@@ -77,6 +83,7 @@ def test_the_peak_of_memory_is_that_since_it_was_reset():
     assert 30 < float(done.stdout) < 70  # 32 MiB of pages, and as many that are written to them
 
 
+@pytest.mark.thorough
 def test_the_page_has_its_sections_and_their_figures(tmp_path):
     pytest.importorskip("matplotlib")
     text = speed.page(tmp_path, TINY, ["elements"])

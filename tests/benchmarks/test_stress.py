@@ -116,6 +116,7 @@ def test_what_never_recovers_is_said_so(cases):
     assert stress.cell(stress.assess(case, case.target + off, None, False)) == "**not finite**"
 
 
+@pytest.mark.thorough
 def test_a_pure_regression_is_solved():
     """Without outliers |Δθ| is about NOISE √(p (1 − λ)/2) = 0.003 where the past is forgotten at λ."""
     found = stress.regression(240, elements=2, outliers=0.0)

@@ -48,6 +48,7 @@ def test_persistence_keeps_the_first_velocity(boat):
     torch.testing.assert_close(one, (x[1:] - x[:-1]).abs().mean((0, 1)))
 
 
+@pytest.mark.thorough
 def test_networks_of_all_seeds_and_axes_have_errors(boat):
     start = simulated_by(boat, lambda x, u: x)[0].mae
     for study in (joint, separate):

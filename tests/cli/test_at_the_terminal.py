@@ -17,11 +17,11 @@ import pytest
 from tests.support import ROOT, few
 from tests.support.commands import ENVIRONMENT, QUICK, run, sentence
 from usvlearn.__main__ import main
-from usvlearn.cli import delay, evaluate, train
+from usvlearn.cli import evaluate, train
 from usvlearn.cli.beginning import HELP
 from usvlearn.core import jit
 
-USVLEARN = [sys.executable, "-m", "usvlearn"]
+USVLEARN, SCRIPT = [sys.executable, "-m", "usvlearn"], "usvlearn/__main__.py"
 LINES, COLUMNS = 24, 80
 RULE = "─━"
 
@@ -35,7 +35,7 @@ def folder(tmp_path_factory):
         ["inspect", "logs", "--name", "heron"],
         ["train", "my_boat.yaml", "hydra.run.dir=run", "estimators.rnn.neurons=4"],
     ):
-        done = run(*arguments, folder=place, script="usvlearn/__main__.py")
+        done = run(*arguments, folder=place, script=SCRIPT)
         assert done.returncode == 0, done.stderr
     return place
 
@@ -60,7 +60,11 @@ PRINTED = {
 }
 
 
-@pytest.mark.parametrize("name", few(PRINTED, {*PRINTED} - {"inspect", "delay", "controller"}))
+SLOW, THOROUGH = ["inspect", "delay", "controller"], ["train", "plan", "certify"]
+QUICK_ONES = [name for name in PRINTED if name not in SLOW + THOROUGH]
+
+
+@pytest.mark.parametrize("name", [*QUICK_ONES, *few(THOROUGH, (), "thorough"), *few(SLOW, ())])
 def test_no_line_is_broken_within_a_word(name, folder, monkeypatch, capsys):
     """At 80 and 60 columns are the words that are printed without a limit, and no line is longer but by one word."""
     monkeypatch.chdir(folder)
@@ -103,7 +107,10 @@ def at_a_terminal(*arguments: str, folder) -> str:
     return said.decode().replace("\r\n", "\n")
 
 
-@pytest.mark.parametrize("program", [[*USVLEARN, "train"], [sys.executable, str(ROOT / "train.py")]])
+@pytest.mark.parametrize(
+    "program",
+    [[*USVLEARN, "train"], pytest.param([sys.executable, str(ROOT / "train.py")], marks=pytest.mark.thorough)],
+)
 def test_first_words_and_errors_fit_a_terminal_and_a_pipe_is_clean(program, tmp_path):
     arguments = [*program, "a_boat_that_nobody_knows.yaml"]
     first, *error = at_a_terminal(*arguments, folder=tmp_path).splitlines()
@@ -114,6 +121,7 @@ def test_first_words_and_errors_fit_a_terminal_and_a_pipe_is_clean(program, tmp_
     assert done.stdout == "" and done.stderr == f"{' '.join(error)}\n"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("arguments", "first"), [(["evaluate"], "evaluate"), (["export", "RUN"], "export"), (["certify", "RUN"], "certify")]
 )
@@ -122,18 +130,15 @@ def test_a_command_that_lacks_an_argument_says_so_within_the_width(arguments, fi
     assert said[0] == f"usvlearn {first}: loading …" and max(map(len, said)) <= COLUMNS
 
 
-@pytest.mark.parametrize("name", HELP)
+@pytest.mark.parametrize("name", few(HELP, ["evaluate"], "thorough"))
 def test_help_fits_a_screen_and_the_rest_is_asked_for(name, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(sys, "argv", [])
     with pytest.raises(SystemExit):
         main([name, "--help"])
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) < LINES and max(map(len, lines)) <= COLUMNS
-    done = subprocess.run(
-        [*USVLEARN, name, "--help=all"], cwd=tmp_path, env=ENVIRONMENT | {"PYTHONPATH": str(ROOT)}, capture_output=True,
-        text=True, check=True,
-    )  # fmt: skip
-    assert len(done.stdout.splitlines()) > LINES and "objective:" in done.stdout
+    done = run(name, "--help=all", folder=tmp_path, script=SCRIPT)
+    assert done.returncode == 0 and len(done.stdout.splitlines()) > LINES and "objective:" in done.stdout
 
 
 class Terminal(io.StringIO):
@@ -157,10 +162,15 @@ def test_a_compilation_counts_its_seconds_at_a_terminal(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "written"),
     [
-        (["plan", "run", "--minutes", "1", "--out", "{}/plan"], "plan/heron.csv"),
-        (["inspect", "logs", "--output", "{}/boat.yaml"], "boat.yaml"),
-        (["delay", "my_boat.yaml"], ""),
         (["--help"], ""),
+        *(
+            pytest.param(*each, marks=pytest.mark.thorough)
+            for each in (
+                (["plan", "run", "--minutes", "1", "--out", "{}/plan"], "plan/heron.csv"),
+                (["inspect", "logs", "--output", "{}/boat.yaml"], "boat.yaml"),
+                (["delay", "my_boat.yaml"], ""),
+            )
+        ),
     ],
 )
 def test_a_reader_who_goes_early_stops_nothing(arguments, written, folder, tmp_path):
@@ -211,19 +221,21 @@ def test_a_path_without_its_key_is_told_what_it_is(case, folder, monkeypatch, ca
     assert said in (error := sentence(job.main, arguments, monkeypatch, capsys)), error
 
 
-def test_a_path_without_its_key_does_what_is_meant(folder, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(folder)
-    monkeypatch.setattr(sys, "argv", ["usvlearn train", "my_boat.yaml", "--cfg", "job"])
-    train.main()
-    assert f"path: {folder}/logs" in capsys.readouterr().out
-    monkeypatch.setattr(sys, "argv", ["usvlearn evaluate", "run", "my_boat.yaml", f"report={tmp_path}/report"])
-    evaluate.main()
-    assert (tmp_path / "report" / "index.html").exists()
-    monkeypatch.setattr(sys, "argv", ["usvlearn delay", "my_boat.yaml"])
-    assert delay.main() == 0
-    monkeypatch.setattr(sys, "argv", ["usvlearn"])
-    assert main(["export", "runs=run", "--to", "json", "--out", str(tmp_path)]) == 0
-    assert list(tmp_path.glob("*.json"))
+@pytest.mark.parametrize("program", ["train", "evaluate"])
+def test_a_path_without_its_key_is_understood(program, folder):
+    done = run(program, *["run"][program == "train" :], "my_boat.yaml", "--cfg", "job", folder=folder, script=SCRIPT)
+    assert f"path: {folder}/logs" in done.stdout and ("runs: run\n" in done.stdout) == (program == "evaluate")
+
+
+@pytest.mark.thorough
+def test_a_path_without_its_key_does_what_is_meant(folder, tmp_path):
+    for arguments in (
+        ["evaluate", "run", "my_boat.yaml", f"report={tmp_path}/report"], ["delay", "my_boat.yaml"],
+        ["export", "runs=run", "--to", "json", "--out", str(tmp_path)],
+    ):  # fmt: skip
+        done = run(*arguments, folder=folder, script=SCRIPT)
+        assert done.returncode == 0, done.stderr
+    assert (tmp_path / "report" / "index.html").exists() and list(tmp_path.glob("*.json"))
 
 
 def test_a_comparison_without_its_packages_is_refused_before_anything_is_loaded(tmp_path):

@@ -67,6 +67,7 @@ def test_a_wrong_level_is_told(tmp_path, monkeypatch, capsys):
     assert "check: found 'of', expected one of warn, strict, off" in error
 
 
+@pytest.mark.thorough
 def test_the_jobs_of_a_sweep_are_quiet_and_keep_their_findings(knots, tmp_path):
     own = [*TABLE, *QUICK[1:], f"data.path={knots}", "estimators.aid.gain=1,2", f"hydra.sweep.dir={tmp_path}/sweep"]
     done = run("-m", *own, folder=tmp_path)

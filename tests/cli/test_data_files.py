@@ -1,11 +1,9 @@
 """`data=FILE.yaml`: a configuration of one's own boat, wherever it lies."""
 
-import json
-
 import pytest
 
 import usvlearn
-from tests.support.commands import GOOD, QUICK, run, sentence
+from tests.support.commands import GOOD, QUICK, results, run, sentence
 from usvlearn.cli import train
 
 BOAT = """\
@@ -41,13 +39,18 @@ def test_a_file_anywhere_configures_the_data(mine, monkeypatch, place):
     assert logs.boats == ("log",) and logs.settings["vehicle"]["mass"] == 20.0
 
 
-def test_a_run_and_a_sweep_use_it(mine):
-    done = run("data=my_boat.yaml", *QUICK[1:], "hydra.run.dir=run", folder=mine)
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("way", "folder"),
+    [
+        (["hydra.run.dir=run"], "run"),
+        (["-m", "estimators.aid.gain=1,2", "hydra.sweep.dir=sweep"], "sweep/1"),
+    ],
+)
+def test_a_run_and_a_sweep_use_it(way, folder, mine):
+    done = run("data=my_boat.yaml", *QUICK[1:], *way, folder=mine)
     assert done.returncode == 0, done.stderr
-    assert "log" in json.loads((mine / "run" / "results.json").read_text())["boats"]
-    done = run("-m", "data=my_boat.yaml", *QUICK[1:], "estimators.aid.gain=1,2", "hydra.sweep.dir=sweep", folder=mine)
-    assert done.returncode == 0, done.stderr
-    assert (mine / "sweep" / "1" / "results.json").exists()
+    assert "log" in results(mine / folder)["boats"]
 
 
 @pytest.mark.parametrize(

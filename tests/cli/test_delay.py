@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support import few
 from usvlearn import SIFtRLS, SurgeDynamics
 from usvlearn.__main__ import main
 from usvlearn.cli.delay import DELAYS, Half, choose, find_halves
@@ -39,7 +40,7 @@ def halves(path: Path | dict[str, Path]) -> tuple[Half, Half]:
     return find_halves(read_recordings(path, Table("t"), CHANNELS), model, {"dt": 0.4})
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.2, 0.5])
+@pytest.mark.parametrize("delay", few([0.0, 0.2, 0.5], [0.0, 0.2], "thorough"))
 def test_the_delay_of_a_boat_is_found(delay, tmp_path):
     for seed in range(3):
         first, second = halves(write(tmp_path, f"boat{seed}", delay, seed=seed))

@@ -33,12 +33,13 @@ def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("fit")
     left = [f"~estimators.{name}" for name in ("rnn", "joint_quick", "arx")]
     more = ["~combiners.average", "~combiners.weighted", "combiners.ensemble.members=[aid,sift_map,joint]",
-            "forecasts.members=[aid,joint]", "data.hours=0.5", "data.mission_minutes=10", "data.n=2"]  # fmt: skip
+            "forecasts.members=[aid,joint]", "data.hours=0.5", "data.mission_minutes=10", "data.n=2", "tracks=null"]  # fmt: skip
     done = run(*(each for each in SMALL if "rnn" not in each), *left, *more, "hydra.run.dir=run", folder=folder)
     assert done.returncode == 0, done.stderr
     return folder
 
 
+@pytest.mark.thorough
 def test_it_is_nearer_to_the_truth_than_online_learning_and_says_how_sure_it_is(folder):
     done = run("fit", "run", folder=folder, script=SCRIPT)
     assert done.returncode == 0, done.stderr
@@ -103,6 +104,7 @@ def test_logs_that_have_moved_are_named_by_their_key(folder, tmp_path, monkeypat
         work(["run", "--out", str(tmp_path)])
 
 
+@pytest.mark.thorough
 def test_what_it_writes_is_read_by_all_that_read_a_run(folder, tmp_path, monkeypatch):
     monkeypatch.chdir(folder)
     if not Path("run/fit").exists():
@@ -143,6 +145,7 @@ def test_what_it_writes_is_read_by_all_that_read_a_run(folder, tmp_path, monkeyp
     assert math.isfinite(online.step(Sample(Inputs(0.5, 0.5, 0.0, 0.0, 0.4), 1.0, True, True)))
 
 
+@pytest.mark.thorough
 def test_it_says_which_open_loop_simulation_to_use(folder, monkeypatch):
     monkeypatch.chdir(folder)
     if not Path("run/fit").exists():

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support import ROOT
-from tests.support.commands import ENVIRONMENT, QUICK, called, command, predictions, results
+from tests.support import ROOT, few
+from tests.support.commands import ENVIRONMENT, QUICK, called, command, predictions, results, run
 from usvlearn.cli import checked, evaluate, train
 from usvlearn.cli.stopping import Stopped, check_stopped, stoppable, stoppable_worker, until_stopped
 from usvlearn.core import checkpoint
@@ -47,14 +47,17 @@ def again(error: str) -> list[str]:
 def whole(tmp_path_factory) -> Path:
     """A run that nothing stopped."""
     folder = tmp_path_factory.mktemp("whole")
-    done = subprocess.run(command(*RUN), cwd=folder, env=ENVIRONMENT, capture_output=True, text=True)
+    done = run(*RUN, folder=folder)
     assert done.returncode == 0, done.stderr
     return folder / "run"
 
 
 @pytest.mark.parametrize(
     ("number", "code", "chunks"),
-    [pytest.param(signal.SIGINT, 130, 1, marks=pytest.mark.slow), (signal.SIGTERM, 143, 3)],
+    [
+        pytest.param(signal.SIGINT, 130, 1, marks=pytest.mark.slow),
+        pytest.param(signal.SIGTERM, 143, 3, marks=pytest.mark.thorough),
+    ],
 )
 def test_a_replay_is_saved_and_goes_on_bit_for_bit(number, code, chunks, whole, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
@@ -86,7 +89,7 @@ def test_before_the_replay_nothing_is_saved(tmp_path, monkeypatch, capsys):
     assert [path.name for path in (tmp_path / "run").iterdir()] == [".hydra"]
 
 
-@pytest.mark.parametrize("way", ["grid", "learn", "search"])
+@pytest.mark.parametrize("way", few(["grid", "learn", "search"], ["grid"], "thorough"))
 def test_tuning_ends_at_once_and_a_search_goes_on(way, tmp_path, monkeypatch, capsys):
     arguments = [f"{way}=aid", *QUICK, "tuning.evaluations=8", "tuning.trials=4", "hydra.run.dir=run"]
     monkeypatch.chdir(tmp_path)
@@ -103,6 +106,7 @@ def test_tuning_ends_at_once_and_a_search_goes_on(way, tmp_path, monkeypatch, ca
     assert json.loads((tmp_path / "run" / "tuning.json").read_text())["evaluations"] <= 8
 
 
+@pytest.mark.thorough
 def test_evaluation_ends_at_once(tmp_path, whole, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     signalled(monkeypatch, evaluate, "align_fleet", signal.SIGINT)
@@ -110,6 +114,7 @@ def test_evaluation_ends_at_once(tmp_path, whole, monkeypatch, capsys):
     assert code == 130 and again(error) == [f"runs={whole}", "report=report"] and not list(tmp_path.rglob("*.html"))
 
 
+@pytest.mark.thorough
 def test_a_sweep_shows_what_is_finished_and_goes_on(tmp_path, monkeypatch, capsys):
     arguments = ["-m", "estimators.sift_map.memory=5,9", *QUICK, "hydra.sweep.dir=sweep"]
     monkeypatch.chdir(tmp_path)

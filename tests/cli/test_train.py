@@ -117,6 +117,7 @@ def killed_after(sets: int, folder: Path, *arguments: str) -> None:
     process.wait()
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
 @pytest.mark.parametrize("sets", few([1, 4], [4]))
 def test_killed_and_resumed_equals_uninterrupted(whole, tmp_path, sets):
@@ -141,6 +142,7 @@ def test_resumed_into_another_folder_is_complete(whole, tmp_path):
     assert_equal_runs(tmp_path / "run", whole)
 
 
+@pytest.mark.thorough
 def test_resume_carries_parameters_to_other_runs(whole, tmp_path):
     """A new season starts from the parameters of the last one."""
     season = [*SMALL, "data.n=2", "data.seed=5", f"hydra.run.dir={tmp_path}/run"]
@@ -155,6 +157,7 @@ def test_resume_carries_parameters_to_other_runs(whole, tmp_path):
     assert single.returncode == 0 and "starting from heron2" in single.stdout
 
 
+@pytest.mark.thorough
 def test_other_samples_or_another_ensemble_are_never_mixed_in(whole, tmp_path):
     """In the same folder they are refused; in another they start from the parameters, at the first run."""
     for other in ("estimators.aid.gain=3", "data.sensors.surge_noise=0.3"):
@@ -170,6 +173,7 @@ CSV = ["data=csv", "data.channels.command_left.name=L", "data.channels.command_r
        "data.channels.surge.name=speed"]  # fmt: skip
 
 
+@pytest.mark.thorough
 def test_a_table_of_ones_own(tmp_path):
     (tmp_path / "log.csv").write_text(GOOD)
     done = run(*CSV, "data.path=log.csv", "hydra.run.dir=run", folder=tmp_path)
@@ -206,7 +210,10 @@ BAD_INPUT = {
 }
 
 
-@pytest.mark.parametrize("case", BAD_INPUT)
+ALIKE = {"no path", "wrong format", "no speed", "negative dt", "a gain below zero", "a grid", "a type", "no reader"}
+
+
+@pytest.mark.parametrize("case", few(BAD_INPUT, BAD_INPUT.keys() - ALIKE, "thorough"))
 def test_bad_input_is_told_in_one_sentence(case, tmp_path, monkeypatch):
     """In process: the sentence, and that nothing is half-written."""
     arguments, content, said = BAD_INPUT[case]
@@ -222,7 +229,9 @@ def test_bad_input_is_told_in_one_sentence(case, tmp_path, monkeypatch):
     assert "\n" not in sentence and not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize("case", ["missing file", "no such channel", "a channel with no numbers", "a grid"])
+@pytest.mark.parametrize(
+    "case", few(["missing file", "no such channel", "a channel with no numbers", "a grid"], ["a grid"], "thorough")
+)
 def test_bad_input_ends_with_code_2_and_no_traceback(case, tmp_path):
     arguments, content, said = BAD_INPUT[case]
     (tmp_path / "log.csv").write_text(content or "")
@@ -233,6 +242,7 @@ def test_bad_input_ends_with_code_2_and_no_traceback(case, tmp_path):
     assert [path.name for path in (tmp_path / "run").iterdir()] == [".hydra"]
 
 
+@pytest.mark.thorough
 def test_a_checkpoint_of_another_estimator_schema_or_with_a_flipped_bit(whole, tmp_path):
     good = max((whole / "checkpoints" / "heron1").iterdir())
     other = checkpoint.save(tmp_path / "other.safetensors", {"theta": np.ones(9)}, estimator="AID")

@@ -153,6 +153,7 @@ def test_kill_at_any_moment_leaves_a_whole_file(tmp_path):
     assert list(tmp_path.iterdir()) == [path]  # what the killed ones left is gone
 
 
+@pytest.mark.thorough
 def test_several_processes_save_to_one_path(tmp_path):
     """None of them fails, and the file is the last one's, whole."""
     code = WRITER.replace("while True", "while k < 40")

@@ -3,6 +3,7 @@
 import errno
 import os
 import shutil
+import subprocess
 import threading
 from pathlib import Path
 from typing import IO
@@ -30,28 +31,36 @@ print(rows[0, 0, -1])
 """
 
 
-def test_machine_code_is_kept_and_announced_once(tmp_path):
-    first = python(PREPARE, NUMBA_CACHE_DIR=str(tmp_path))
-    (folder,) = (tmp_path / "usvlearn").glob("kernels-*")
+@pytest.fixture(scope="module")
+def once(tmp_path_factory) -> tuple[Path, subprocess.CompletedProcess]:
+    """A folder of machine code, which nobody changes, and the program that filled it."""
+    kept = tmp_path_factory.mktemp("kept")
+    return kept, python(PREPARE, NUMBA_CACHE_DIR=str(kept))
+
+
+def test_machine_code_is_kept_and_announced_once(once):
+    cache, first = once
+    (folder,) = (cache / "usvlearn").glob("kernels-*")
     assert first.stdout == "3.0\n" and f"kept in {folder}" in first.stderr
     assert first.stderr.startswith("usvlearn: compiling the trial, only once …")
     kept = {path: path.stat().st_mtime_ns for path in folder.rglob("*.nb*")}
     assert kept
-    again = python(PREPARE, NUMBA_CACHE_DIR=str(tmp_path))
+    again = python(PREPARE, NUMBA_CACHE_DIR=str(cache))
     assert again.stdout == "3.0\n" and again.stderr == ""
     assert {path: path.stat().st_mtime_ns for path in folder.rglob("*.nb*")} == kept
 
 
-def test_another_checkout_with_the_same_sources_uses_the_machine_code(tmp_path):
-    python(PREPARE, NUMBA_CACHE_DIR=str(tmp_path))
-    kept = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nb*")}
+@pytest.mark.thorough
+def test_another_checkout_with_the_same_sources_uses_the_machine_code(once, tmp_path):
+    cache, _ = once
+    kept = {path: path.stat().st_mtime_ns for path in cache.rglob("*.nb*")}
     shutil.copytree(ROOT / "usvlearn", tmp_path / "copy" / "usvlearn", ignore=shutil.ignore_patterns("__pycache__"))
     for path in (tmp_path / "copy").rglob("*.py"):
         os.utime(path, (1, 1))
     script = f"import sys\nsys.path.insert(0, {str(tmp_path / 'copy')!r})\n{PREPARE}print(samples.__file__)\n"
-    done = python(script + "print(*samples.prepare_all.stats.cache_hits.values())", NUMBA_CACHE_DIR=str(tmp_path))
+    done = python(script + "print(*samples.prepare_all.stats.cache_hits.values())", NUMBA_CACHE_DIR=str(cache))
     assert done.stdout.split() == ["3.0", str(tmp_path / "copy/usvlearn/core/rows.py"), "1"] and done.stderr == ""
-    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nb*")} == kept
+    assert {path: path.stat().st_mtime_ns for path in cache.rglob("*.nb*")} == kept
 
 
 def twice(x):
@@ -82,6 +91,7 @@ def test_damaged_machine_code_is_said_and_compiled_anew(tmp_path, monkeypatch, c
         assert sum(hits.values()) == 1 and said == ""
 
 
+@pytest.mark.thorough
 def test_a_home_that_cannot_be_written_to(tmp_path):
     (tmp_path / "file").touch()
     (tmp_path / "other").mkdir()
@@ -100,11 +110,11 @@ tempfile.TemporaryFile = refuse
 """
 
 
-def test_machine_code_that_can_only_be_read_is_used(tmp_path):
+@pytest.mark.thorough
+def test_machine_code_that_can_only_be_read_is_used(once, tmp_path):
     """As on a disk that is mounted read-only, or where another user has made it."""
-    kept, other = tmp_path / "kept", tmp_path / "other"
+    kept, other = once[0], tmp_path / "other"
     other.mkdir()
-    python(PREPARE, NUMBA_CACHE_DIR=str(kept))
     before = sorted(kept.rglob("*"))
     for _ in range(2):  # the second time it is copied already
         done = python(
@@ -276,6 +286,7 @@ print(jit.Part is None, add(3.0, 4.0), half(5.0), half(7), len(add.overloads), h
 """
 
 
+@pytest.mark.thorough
 def test_parts_are_compiled_within_their_callers_or_alone_where_numba_lacks_what_they_need(tmp_path):
     """Either way Python can call a part, too."""
     (tmp_path / "trial.py").write_text(TRIAL)
@@ -288,6 +299,7 @@ def test_parts_are_compiled_within_their_callers_or_alone_where_numba_lacks_what
     assert plain.stdout == "True 3.5 2.5 3.5 1 1.5\n"
 
 
+@pytest.mark.thorough
 def test_a_numba_that_lacks_a_name_has_no_parts():
     code = "from numba.core.codegen import JITCodeLibrary, CPUCodeLibrary\ndel CPUCodeLibrary._optimize_final_module\n"
     assert python(f"{code}from usvlearn import jit\nprint(jit.Part)").stdout == "None\n"

@@ -131,6 +131,7 @@ def test_a_file_system_without_locks_is_told(tmp_path, monkeypatch):
         pass
 
 
+@pytest.mark.thorough
 def test_a_second_run_in_one_folder_is_refused_and_the_first_is_whole(tmp_path):
     first = subprocess.Popen(
         command(*QUICK, "data.seed=1", "hydra.run.dir=run"), cwd=tmp_path, env=ENVIRONMENT,
@@ -173,6 +174,7 @@ def test_a_report_a_study_and_a_job_of_a_sweep_are_locked(tmp_path, capsys):
     assert not list(tmp_path.rglob(NAME))
 
 
+@pytest.mark.thorough
 def test_processes_that_search_together_share_the_folder(tmp_path):
     pytest.importorskip("optuna", reason="needs the package optuna")
     process = holder(tmp_path / "run", "shared")

@@ -1,17 +1,22 @@
 """The commands as a user starts them, and what they leave behind."""
 
 import csv
+import io
 import json
 import os
+import runpy
 import subprocess
 import sys
+import warnings
+from contextlib import chdir, redirect_stderr, redirect_stdout
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 from omegaconf import OmegaConf
 
-from tests.support import ROOT, prefork
+from tests.support import ROOT
 from usvlearn.core import checkpoint
 
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "160"}
@@ -36,13 +41,25 @@ def command(*arguments: str, script: str = "train.py") -> list[str]:
 
 
 def run(*arguments: str, folder: Path, script: str = "train.py", **environment: str) -> subprocess.CompletedProcess:
-    """A command's end. In an environment of its own it runs in a new process, else in one that imported the program."""
-    if environment.keys() <= {"COLUMNS"}:
-        return prefork.run(command(*arguments, script=script), folder, ENVIRONMENT | environment, timeout=300)
-    return subprocess.run(
-        command(*arguments, script=script), cwd=folder, env=ENVIRONMENT | environment, capture_output=True, text=True,
-        timeout=300,
-    )  # fmt: skip
+    """A command's end: in this process, or in one of its own where it needs another environment."""
+    started = command(*arguments, script=script)
+    if not environment.keys() <= {"COLUMNS"}:
+        return subprocess.run(
+            started, cwd=folder, env=ENVIRONMENT | environment, capture_output=True, text=True, timeout=300
+        )
+    code, out, err = 0, io.StringIO(), io.StringIO()
+    with (
+        chdir(folder), redirect_stdout(out), redirect_stderr(err), patch.object(sys, "argv", started[1:]),
+        patch.object(sys, "path", [*sys.path]), patch.dict(os.environ, ENVIRONMENT | environment),
+        warnings.catch_warnings(),
+    ):  # fmt: skip
+        warnings.simplefilter("default")
+        warnings.showwarning = lambda *what: print(end=warnings.formatwarning(*what[:4]), file=sys.stderr)
+        try:
+            runpy.run_path(started[1], run_name="__main__")
+        except SystemExit as end:
+            code = end.code or 0
+    return subprocess.CompletedProcess(started, code, out.getvalue(), err.getvalue())
 
 
 def python(code: str, **environment: str) -> subprocess.CompletedProcess:

@@ -88,6 +88,7 @@ def test_leaderboard_of_a_sweep(swept):
         assert f"{failed}positive number" in text
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
 def test_a_killed_sweep_goes_on_and_equals_an_uninterrupted_one(swept, tmp_path):
     process = subprocess.Popen(

@@ -60,6 +60,7 @@ def completions(folder: Path) -> Counter:
     return Counter(line["trial_id"] for line in lines if line["op_code"] == SET_STATE and line["state"] == COMPLETE)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", range(2))
 def test_processes_that_are_killed_lose_no_trial_and_complete_none_twice(seed, tmp_path):
     budget, kills, chance = 60, 0, random.Random(seed)
