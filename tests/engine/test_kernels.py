@@ -24,7 +24,7 @@ from usvlearn.estimators.rnn.projection_kernel import threshold
 
 EVERY = ESTIMATORS | VARIANTS
 every_setting = pytest.mark.parametrize("name", EVERY)
-BATCHES = [(), (3,), (2, 3)]
+BATCHES = [(2, 3), *(pytest.param(batch, marks=pytest.mark.thorough) for batch in ((), (3,)))]
 IN_CI = ("rls", "projected", "robust", "rnn")  # of all families
 AMPLIFYING = ("ensemble",)  # its bank's covariances are inflated: torch, started one rounding away, ends 4e-7 away
 
@@ -106,7 +106,7 @@ def test_alarms_and_intervals_of_a_steady_boat():
 
 
 @each_family(ESTIMATORS)
-@pytest.mark.parametrize("batch", few(BATCHES, [(2, 3)], "thorough"), ids=str)
+@pytest.mark.parametrize("batch", BATCHES, ids=str)
 def test_batches(name, batch):
     assert_windows_equal(ESTIMATORS[name](), mission(40, *batch, seed=1), 20, 1e-9)
 
@@ -132,7 +132,7 @@ def test_free_runs(name):
 
 
 @pytest.mark.parametrize("run", [rollout, simulate], ids=lambda run: run.__name__)
-@pytest.mark.parametrize("batch", few(BATCHES, [(2, 3)], "thorough"), ids=str)
+@pytest.mark.parametrize("batch", BATCHES, ids=str)
 @each_family(["memory_aid", "rnn", "boa", "robust_memory"])
 def test_records(name, batch, run):
     """By names of leaves, or by a function; over more steps than are held at a time."""

@@ -128,8 +128,13 @@ def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path],
 
 
 def few(values: Iterable, kept: Container, tier: str = "slow") -> list:
-    """The values of `pytest.mark.parametrize`, of which those that are not kept run in another tier alone."""
-    return [value if value in kept else pytest.param(value, marks=getattr(pytest.mark, tier)) for value in values]
+    """The values of `pytest.mark.parametrize`, of which those that are not kept run among the tests of a tier alone.
+
+    A tuple holds the values of several arguments.
+    """
+    marks = getattr(pytest.mark, tier)
+    sets = [(value, value if type(value) is tuple else (value,)) for value in values]
+    return [value if value in kept else pytest.param(*each, marks=marks) for value, each in sets]
 
 
 def each_family(values: Iterable) -> Callable:

@@ -34,57 +34,55 @@ def heron(folder: Path, voyage: Voyage) -> Path:
         stamp = START + int(t * NS)
         return header(seq=0, stamp=when(sec=stamp // NS, nanosec=stamp % NS), frame_id="base")
 
-    def imu(t: float) -> Any:
-        yaw = math.pi / 2 - float(voyage.at("heading", np.array([t]))[0])
-        rate = -float(voyage.at("yaw_rate", np.array([t]))[0])
+    def imu(t: float, heading: float, yaw_rate: float) -> Any:
+        yaw = math.pi / 2 - heading
         return types["sensor_msgs/msg/Imu"](
             header=head(t),
             orientation=quaternion(x=0.0, y=0.0, z=math.sin(yaw / 2), w=math.cos(yaw / 2)),
             orientation_covariance=np.zeros(9),
-            angular_velocity=vector(x=0.01, y=0.02, z=rate),
+            angular_velocity=vector(x=0.01, y=0.02, z=-yaw_rate),
             angular_velocity_covariance=np.zeros(9),
             linear_acceleration=vector(x=0.1, y=0.0, z=9.8),
             linear_acceleration_covariance=np.zeros(9),
         )
 
-    def velocity(t: float) -> Any:
-        speed, heading = (float(voyage.at(name, np.array([t]))[0]) for name in ("surge", "heading"))
+    def velocity(t: float, speed: float, heading: float) -> Any:
         twist = types["geometry_msgs/msg/Twist"](
             linear=vector(x=speed * math.sin(heading), y=speed * math.cos(heading), z=0.0),
             angular=vector(x=0.0, y=0.0, z=0.0),
         )
         return types["geometry_msgs/msg/TwistStamped"](header=head(t), twist=twist)
 
-    def fix(t: float) -> Any:
+    def fix(t: float, latitude: float, longitude: float) -> Any:
         status = types["sensor_msgs/msg/NavSatStatus"](status=0, service=1)
         return types["sensor_msgs/msg/NavSatFix"](
             header=head(t),
             status=status,
-            latitude=float(np.interp(t, *voyage.latitude)),
-            longitude=float(np.interp(t, *voyage.longitude)),
+            latitude=latitude,
+            longitude=longitude,
             altitude=100.0,
             position_covariance=np.zeros(9),
             position_covariance_type=0,
         )
 
-    def drive(t: float) -> Any:
-        left, right = (float(voyage.at(name, np.array([t]))[0]) for name in ("command_left", "command_right"))
+    def drive(t: float, left: float, right: float) -> Any:
         return types["heron_msgs/msg/Drive"](header=head(t), left=left, right=right)
 
-    topics: dict[str, tuple[Callable[[float], Any], float]] = {
-        "/cmd_drive": (drive, 10.0),
-        "/imu/data": (imu, 20.0),
-        "/navsat/vel": (velocity, 5.0),
-        "/navsat/fix": (fix, 5.0),
+    topics: dict[str, tuple[Callable[..., Any], float, tuple[str, str]]] = {
+        "/cmd_drive": (drive, 10.0, ("command_left", "command_right")),
+        "/imu/data": (imu, 20.0, ("heading", "yaw_rate")),
+        "/navsat/vel": (velocity, 5.0, ("surge", "heading")),
+        "/navsat/fix": (fix, 5.0, ("latitude", "longitude")),
     }
     with Writer(path) as bag:
         messages = []
-        for topic, (make, hz) in topics.items():
+        for topic, (make, hz, names) in topics.items():
             stamps = np.arange(0.5, voyage.surge[0].max() - 0.5, 1 / hz)
-            messages += [(float(t), topic, make) for t in stamps]
+            values = [voyage.at(name, stamps).tolist() for name in names]
+            messages += [(t, topic, make, each) for t, *each in zip(stamps.tolist(), *values, strict=True)]
         connections: dict[str, Any] = {}
-        for t, topic, make in sorted(messages, key=lambda each: each[0]):
-            message = make(t)
+        for t, topic, make, each in sorted(messages, key=lambda message: message[0]):
+            message = make(t, *each)
             if topic not in connections:
                 connections[topic] = bag.add_connection(topic, message.__msgtype__, typestore=store)
             data = store.serialize_ros1(message, message.__msgtype__)
