@@ -1,5 +1,6 @@
-"""`python -m certify` where a package is missing that only a part of it needs: one sentence says which."""
+"""Packages that only a part of certify needs: imported there alone, and one sentence says which is missing."""
 
+import subprocess
 import sys
 
 import numpy as np
@@ -34,3 +35,11 @@ def test_certify_names_the_package_that_is_missing(package, tmp_path, monkeypatc
     error = capsys.readouterr().err
     assert error.startswith("error: ") and package in error and "pip install" in error
     assert len(error.splitlines()) == 1
+
+
+def test_no_search_and_no_proof_imports_a_solver_with_its_module():
+    names = "search.box search.vector_box search.lmi search.vector_lmi search.vector_scaling proofs.steps"
+    modules = ", ".join(f"certify.{name}" for name in names.split())
+    later = {"scipy", "torch", "cvxpy", "clarabel", "usvlearn"}
+    code = f"import sys, {modules}; print({later} & {{*sys.modules}})"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "set()\n"

@@ -1,5 +1,6 @@
 """`read_recordings` finds the logs that a path means, and refuses bad ones in one sentence."""
 
+import functools
 import math
 import os
 from pathlib import Path
@@ -7,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support import REAL_LOGS, ROOT
+from tests.support import REAL_LOGS, ROOT, few
 from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.logs.channels.channel import AUXILIARY, Source
 from usvlearn.logs.formats.csv.table import Table
@@ -197,21 +198,26 @@ def test_alog_config_holds_commands_that_are_posted_on_change(tmp_path):
     assert not recording.channels["surge"].held
 
 
-@pytest.mark.parametrize(
-    ("boat", "runs", "counts", "surge", "dropped"),
-    [
-        ("blueboat", 12, (14067, 14067, 14067, 14067, 14055), (-2.32, 3.42), 12),
-        ("vtec", 18, (47555, 47669, 29004, 11851, 11851), (-0.12, 1.48), 0),
-        ("dalian", 1, (1536, 1536, 1536, 0, 1536), (0.17, 1.06), 0),
-        ("pearl", 1, (700, 700, 88, 0, 88), (0.0, 0.44), 0),
-    ],
-)
-def test_real_logs(boat, runs, counts, surge, dropped):
+@functools.cache
+def recorded(boat: str) -> list:
     if not (DATA / boat).is_dir():
         pytest.skip(f"needs the logs in shared/data/{boat}, which are not part of the repository")
     if boat == "vtec":
         pytest.importorskip("rosbags", reason="needs the package rosbags")
-    recordings = configured(boat, DATA / boat)
+    return configured(boat, DATA / boat)
+
+
+RECORDED = {  # boat -> runs, counts of messages, least and greatest speed, messages dropped
+    "blueboat": (12, (14067, 14067, 14067, 14067, 14055), (-2.32, 3.42), 12),
+    "vtec": (18, (47555, 47669, 29004, 11851, 11851), (-0.12, 1.48), 0),
+    "dalian": (1, (1536, 1536, 1536, 0, 1536), (0.17, 1.06), 0),
+    "pearl": (1, (700, 700, 88, 0, 88), (0.0, 0.44), 0),
+}
+
+
+@pytest.mark.parametrize("boat", few(RECORDED, {*RECORDED} - {"vtec"}, "thorough"))
+def test_real_logs(boat):
+    (runs, counts, surge, dropped), recordings = RECORDED[boat], recorded(boat)
     assert len(recordings) == runs == len({r.run for r in recordings})
     assert {r.boat for r in recordings} == {boat}
     channels = ("command_left", "command_right", "heading", "yaw_rate", "surge")
@@ -225,14 +231,10 @@ def test_real_logs(boat, runs, counts, surge, dropped):
         assert 0.6 < np.abs(share).max() < 1.03  # PWM 1100 lies 411 us below the BlueBoat's zero, span 400
 
 
-@pytest.mark.parametrize("boat", ["blueboat", "vtec"])
+@pytest.mark.parametrize("boat", few(["blueboat", "vtec"], ["blueboat"], "thorough"))
 def test_real_headings_turn_the_way_the_yaw_rate_says(boat):
-    if not (DATA / boat).is_dir():
-        pytest.skip(f"needs the logs in shared/data/{boat}, which are not part of the repository")
-    if boat == "vtec":
-        pytest.importorskip("rosbags", reason="needs the package rosbags")
     tried = 0
-    for recording in configured(boat, DATA / boat):
+    for recording in recorded(boat):
         heading, rate = recording.channels["heading"], recording.channels["yaw_rate"]
         grid = np.arange(1, heading.time.max() - 1, 0.4)
         area = np.concatenate([[0], np.cumsum(np.diff(rate.time) * (rate.value[1:] + rate.value[:-1]) / 2)])

@@ -55,18 +55,26 @@ def test_a_limit_rejects_messages_of_its_component(tmp_path):
     assert np.nanmax(run.samples.velocity[:, 1]) == 7.0 and np.nanmax(run.samples.velocity[:, 2]) < 5
 
 
-@pytest.mark.parametrize(
-    ("component", "message"),
-    [
-        ({"name": "nothing"}, r"components\.sway\.name: .*'nothing'"),
-        ({"name": "sway", "unit": "feet"}, r"^components\.sway\.unit: found 'feet'"),
-    ],
-)
-def test_an_error_names_the_component_that_was_written(component, message, tmp_path):
+WRONG = [  # arguments, and what the error says
+    ({"components": {**COMPONENTS, "sway": {"name": "nothing"}}}, r"components\.sway\.name: .*'nothing'"),
+    (
+        {"components": {**COMPONENTS, "sway": {"name": "sway", "unit": "feet"}}},
+        r"^components\.sway\.unit: found 'feet'",
+    ),
+    ({"components": {}}, "found no component"),
+    ({"components": ("surge", "sway")}, r"components: found \('surge', 'sway'\), expected where each is logged"),
+    ({"channels": {**INPUTS, "surge": {"name": "surge"}}}, "found surge among"),
+    ({"limits": {"yawrate": 3.0}}, "limits: found 'yawrate', expected components: surge, sway, yaw_rate"),
+    ({"path": "none"}, "^path: found"),
+]
+
+
+@pytest.mark.parametrize(("changed", "message"), WRONG)
+def test_what_is_wrong_is_named(changed, message, tmp_path):
+    call = {"path": "run.csv", "channels": INPUTS, "components": COMPONENTS, "dt": 0.4, **changed}
+    write(tmp_path / "run.csv")
     with pytest.raises((ConfigError, LogFormatError), match=message):
-        read_velocities(write(tmp_path / "run.csv"), Table("t"), INPUTS, {**COMPONENTS, "sway": component}, dt=0.4)
-    with pytest.raises(ConfigError, match=r"^path: found"):
-        read_velocities(tmp_path / "none", Table("t"), INPUTS, COMPONENTS, dt=0.4)
+        read_velocities(reader=Table("t"), **{**call, "path": tmp_path / call["path"]})
 
 
 def test_components_with_other_stamps_are_refused(tmp_path):
@@ -75,27 +83,6 @@ def test_components_with_other_stamps_are_refused(tmp_path):
 
     with pytest.raises(LogFormatError, match="run: found other stamps of yaw_rate than of surge, expected both in the"):
         read_velocities(write(tmp_path / "run.csv", change), Table("t"), INPUTS, COMPONENTS, dt=0.4)
-
-
-@pytest.mark.parametrize(
-    ("inputs", "components", "message"),
-    [(INPUTS, {}, "found no component"), ({**INPUTS, "surge": {"name": "surge"}}, COMPONENTS, "found surge among")],
-)
-def test_what_is_asked_for_wrongly_is_refused(inputs, components, message, tmp_path):
-    with pytest.raises(ConfigError, match=message):
-        read_velocities(write(tmp_path / "run.csv"), Table("t"), inputs, components)
-
-
-@pytest.mark.parametrize(
-    ("components", "limits", "message"),
-    [
-        (("surge", "sway"), None, r"components: found \('surge', 'sway'\), expected where each is logged"),
-        (COMPONENTS, {"yawrate": 3.0}, "limits: found 'yawrate', expected components: surge, sway, yaw_rate"),
-    ],
-)
-def test_components_and_limits_are_named(components, limits, message, tmp_path):
-    with pytest.raises(ConfigError, match=message):
-        read_velocities(write(tmp_path / "run.csv"), Table("t"), INPUTS, components, limits=limits)
 
 
 @pytest.mark.slow

@@ -142,6 +142,12 @@ def each_family(values: Iterable) -> Callable:
     return pytest.mark.parametrize("name", few(values, FAMILIES, "thorough"))
 
 
+RECORDED = [  # boats with logs in REAL_LOGS: those of few logs in the default tests
+    *few(["dalian", "pearl", "blueboat"], ["dalian", "pearl"], "thorough"),
+    pytest.param("vtec", marks=pytest.mark.slow),
+]
+
+
 def over(argument: str, values: Iterable) -> Callable:
     """Makes one test that goes through all values of an argument; a failure names the value."""
     values = list(values)

@@ -27,8 +27,9 @@ from certify.errors import CertifyError
 from certify.networks.shallow import ShallowWeights
 from certify.proofs import exact
 from certify.proofs.equilibria import equilibria
+from tests.support import few
 
-QUICK = ["compare", "--quick", "--networks", "6"]
+QUICK = ["compare", "--quick", "--networks", "6", "--training", "50", "--seconds", "0.05"]
 
 
 def test_families_are_what_they_are_called():
@@ -37,7 +38,7 @@ def test_families_are_what_they_are_called():
     assert 0.03 <= min(K) < 0.1 and 1 < max(K) <= 3
     assert all(np.abs(w.a).max() <= 8**-0.5 and np.abs(w.W2).max() <= 5**-0.5 for w in initial_networks(5, 8, rng))
     slopes = []
-    for weights in trained_networks(3, 20, rng, dt=0.4, steps=800):  # it learned a hull: a slope just below 1
+    for weights in trained_networks(3, 20, rng, dt=0.4, steps=400):  # it learned a hull: a slope just below 1
         x, u = np.array([0.1, 0.3]), np.array([0.5, 1.0, 0.6, 0.6])
         y = np.maximum(weights.w1 * x[:, None] + weights.W2 @ u + weights.b, 0) @ weights.a
         slopes.append((y[1] - y[0]) / 0.2)
@@ -77,9 +78,9 @@ def test_summary_counts_what_was_examined():
 
 
 def test_the_contingency_table():
-    rows = [examine(w, None, 1.0) for w in random_networks(60, 5, np.random.default_rng(4))]
+    rows = [examine(w, None, 1.0) for w in random_networks(30, 5, np.random.default_rng(4))]
     for gauge, found in contingency(rows).items():
-        assert sum(found[key] for key in ("both", "only_lmi", "only_gershgorin", "neither")) == 60
+        assert sum(found[key] for key in ("both", "only_lmi", "only_gershgorin", "neither")) == 30
         assert found["only_gershgorin"] == 0 < found["both"]  # a theorem
         assert found["both"] + found["only_lmi"] == sum(row["certified"]["lmi"] for row in rows)
         assert found["missed_interval"][0] <= found["missed"] <= found["missed_interval"][1], gauge
@@ -92,7 +93,7 @@ def test_the_papers_tests_literally_and_mended():
     class Choices:
         corner, order, knots, solver = "both", "both", "both", "CLARABEL"
 
-    networks = [w for w in random_networks(60, 6, np.random.default_rng(2)) if np.abs(w.a * w.w1).sum() > 0]
+    networks = [w for w in random_networks(10, 6, np.random.default_rng(2)) if np.abs(w.a * w.w1).sum() > 0]
     rows = {row["test"]: row for row in paper_tests(networks, Choices)}
     assert rows["M ⪰ 0, 2Λ"]["identity"] and not rows["M ≻ 0, 2Λ"]["identity"]
     assert not rows["M ⪰ 0, Λ"]["identity"] and not rows["M ≻ 0, Λ"]["identity"]
@@ -132,15 +133,8 @@ def made(tmp_path_factory):
 
     from certify.command.compare import main as compare
 
-    arguments = [
-        str(folder / "own <b>&|.npz"),
-        *QUICK[1:],
-        "--page",
-        str(folder / "page"),
-        "--plot",
-        str(folder / "c.pdf"),
-    ]
-    assert compare(arguments, say) == 0
+    places = ["--page", str(folder / "page"), "--plot", str(folder / "c.pdf")]
+    assert compare([str(folder / "own <b>&|.npz"), *QUICK[1:], "--corner", "2lambda", *places], say) == 0
     return said[0], json.loads((folder / "page" / "comparison.json").read_text()), folder
 
 
@@ -188,6 +182,7 @@ def test_a_theorem_that_fails_is_said_first(made):
 
 def test_networks_without_a_slope_and_without_a_step_are_shown(made):
     _, result, _ = made
+    usual = set(pictures(result))
     zero, one = np.zeros(2), np.ones(2)
     for dt in (None, 0.4):
         rows = [examine(ShallowWeights(zero, one, np.zeros((2, 1)), one), None, 0.5, dt)]
@@ -196,7 +191,7 @@ def test_networks_without_a_slope_and_without_a_step_are_shown(made):
         alone = {**result, "families": {"run zero": family}}
         text = " ".join(cell for part in parts(alone) for table in part.tables for row in table.rows for cell in row)
         assert rows[0]["loss"] is None and "nan" not in text
-        assert set(pictures(result)) - set(pictures(alone)) == ({"constants"} if dt is None else set())
+        assert usual - set(pictures(alone)) == ({"constants"} if dt is None else set())
     rows[0]["closed"] = False
     assert "Of 1 networks the rate on the box was not found" in " ".join(parts(alone)[2].said)
     assert headline({**result, "theorem": {"networks": 0, "false": []}}).startswith("No network of this run has")
@@ -248,7 +243,7 @@ def test_the_page(made):
     ]
 
 
-@pytest.mark.parametrize("sizes", [(4, 8), (95, 100, 105, 500), (7,)])
+@pytest.mark.parametrize("sizes", few([[4, 8], [95, 100, 105, 500], [7]], [[95, 100, 105, 500]], "thorough"))
 def test_no_picture_has_an_empty_panel_or_texts_that_touch(made, sizes):
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 

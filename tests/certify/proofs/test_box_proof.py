@@ -1,7 +1,5 @@
 """Proofs on a box: they are exact, tampered ones are refused, hostile ones answered soon, and no solver is needed."""
 
-import subprocess
-import sys
 import time
 
 import numpy as np
@@ -65,9 +63,9 @@ def test_no_tree_proves_what_is_false():
     assert accepted
 
 
-def test_hostile_trees_are_answered_soon():
+def test_hostile_trees_are_answered_soon(part):
     """A megabyte of text: chains, full trees, long numbers, and neurons that stay open in every box."""
-    n, over = 200, operating_box(4)
+    n, many, over = 200, 250_000 // part, operating_box(4)
     rng = np.random.default_rng(0)
     wide = ShallowWeights(*rng.normal(size=(2, n)) / 30, rng.normal(size=(n, 4)), rng.normal(size=n) / 10)
     steep = np.linspace(0.499, 0.501, n)  # z_i = x − steep_i: no halving of an input decides it
@@ -80,23 +78,24 @@ def test_hostile_trees_are_answered_soon():
         return tree
 
     trees = {
-        "one neuron again and again": "z0 . " * 200_000 + ".",
-        "one neuron, nested": "z0 " * 250_000 + ". " * 250_001,
-        "halvings, nested": "x " * 250_000 + ". " * 250_001,
-        "halvings, a chain": "x . " * 250_000 + ".",
+        "one neuron again and again": "z0 . " * many + ".",
+        "one neuron, nested": "z0 " * many + ". " * (many + 1),
+        "halvings, nested": "x " * many + ". " * (many + 1),
+        "halvings, a chain": "x . " * many + ".",
         "halvings, as deep as allowed": "u1 " * 1000 + ". " * 1001,
-        "a full tree": full(17),
+        "a full tree": full(17 if part == 1 else 14),
         "a long multiplier": "z0 e0:-" + "9" * 10**6 + " .",
-        "many multipliers": "z0 e" + ",".join(["0:-1"] * 200_000) + " .",
+        "many multipliers": "z0 e" + ",".join(["0:-1"] * many) + " .",
         "a long name": "z" + "9" * 10**6 + " . .",
-        "no tree": ". " * 500_000,
+        "no tree": ". " * many,
         "blanks": " " * 10**6,
     }
     for name, tree in trees.items():
         for check in (lambda w, t: proves(w, over, t, 0.9), lambda w, t: proves_range(w, over, t)):
             started = time.process_time()
             check(still if "u1" in tree else wide, tree)
-            assert time.process_time() - started < 4, name  # 2 s and less on an idle machine
+            assert time.process_time() - started < 1 + 3 / part, name  # all work takes 2 s and less on an idle machine
+    still = ShallowWeights(*(x[:20] for x in still))
     for tree in (
         "z0 z0 . . .",
         "z0 . z0 . .",
@@ -108,12 +107,6 @@ def test_hostile_trees_are_answered_soon():
     ):
         assert not proves(still, over, tree, 0.9)
     assert proves(still, over, "z0 . z1 . .", 0.9) and proves(still, over, "u1 " * 1000 + ". " * 1001, 0.9)
-
-
-def test_checking_a_proof_imports_no_solver():
-    solvers = "('scipy', 'torch', 'cvxpy', 'usvlearn')"
-    code = f"import certify.search.box, sys; print([x for x in {solvers} if x in sys.modules])"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
 
 
 def test_a_network_without_a_slope_is_proved_with_any_tree():

@@ -145,7 +145,7 @@ def test_a_float_sum_loses_what_makes_K_exceed_one():
 @pytest.mark.parametrize("rate", [ONE, Fraction(7, 8), Fraction(0.3)])
 def test_closed_form_multipliers_prove_what_holds_and_nothing_else(condition, rate):
     held = 0
-    for a, w1 in networks(80, seed=3):
+    for a, w1 in networks(40, seed=3):
         smallest = exact.conditions(a, w1)[condition].rate
         found = multipliers(condition, a, w1, rate)
         assert (found is not None) == (smallest is not None and smallest < rate)

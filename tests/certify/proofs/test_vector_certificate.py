@@ -30,6 +30,7 @@ from certify.proofs.exact import conditions, multipliers
 from certify.proofs.vector_exact import Proof, identity
 from certify.search.vector_lmi import smallest_rate
 from certify.training.conditions import tight
+from tests.support import few
 from tests.support.vector_networks import network
 
 
@@ -131,7 +132,7 @@ def test_a_smaller_rate_than_the_proved_one_is_refused():
         assert not certificates.verify(forged, net).valid
 
 
-@pytest.mark.parametrize(("q", "n", "two"), [(6, 200, False), (3, 40, True)])
+@pytest.mark.parametrize(("q", "n", "two"), few([(6, 200, False), (3, 40, True)], [(6, 200, False)], "thorough"))
 def test_the_effort_of_verification_is_bounded(q, n, two):
     """Numbers as long as they may be: LDLᵀ would take minutes, and is given up."""
     rng = np.random.default_rng(2)

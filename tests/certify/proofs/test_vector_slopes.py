@@ -73,7 +73,7 @@ def test_lines_lie_on_both_sides_of_the_activation(name):
     phi, source = activation(name), random.Random(1)
     with localcontext() as context:
         context.prec, margin = 120, Decimal(10) ** -80
-        for _ in range(300):
+        for _ in range(100):
             least, most, bits = drawn(source)
             s, t, S, T = lines(phi, least, most, bits)
             for z in [least, most, *(source.randint(least, most) for _ in range(40))]:

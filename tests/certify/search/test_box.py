@@ -12,6 +12,7 @@ from certify.proofs.box_planes import planes, slope_at, value_at
 from certify.proofs.box_proof import proves, proves_range
 from certify.proofs.rounding import float_below
 from certify.search.box import box, certify, invariance, operating_box, rate
+from tests.support import few
 from tests.support.networks import network, star
 
 
@@ -200,15 +201,15 @@ def test_invariance_is_decided_as_by_the_vertices_of_the_cells(seed):
     weights = degenerate(seed) if seed % 2 else network(5, 1, seed)
     over = operating_box(weights.W2.shape[1])
     least, greatest = ends_of(weights, over)
-    drawn = [weights]
+    drawn = [(weights, least, greatest)]
     for below, above in ((1e-5, 1e-5), (-1e-5, 1e-5), (1e-5, -1e-5)):  # the room that is left at 0 and at 1
         scale = (1 - below - above) / max(greatest - least, 1e-3)
         a, w1, W2, b = weights
         shift = np.array([below - scale * least])
-        drawn.append(ShallowWeights(np.r_[scale * a, shift], np.r_[w1, 0.0], np.r_[W2, 0 * W2[:1]], np.r_[b, 1.0]))
+        moved = ShallowWeights(np.r_[scale * a, shift], np.r_[w1, 0.0], np.r_[W2, 0 * W2[:1]], np.r_[b, 1.0])
+        drawn.append((moved, *(scale * end + shift[0] for end in (least, greatest))))
     verdicts = []
-    for each in drawn:
-        low, high = ends_of(each, over)
+    for each, low, high in drawn:
         verdict, tree, escape = invariance(each, over)
         if low < -1e-9 or high > 1 + 1e-9:
             assert verdict == "no" and not 0 <= value_at(each, escape) <= 1
@@ -295,7 +296,7 @@ def test_hyperplanes_through_one_point_are_decided():
         assert not proves(weights, operating_box(1), verdict.tree, 4.5)
 
 
-@pytest.mark.parametrize(("n", "m"), [(12, 1), (12, 2), (20, 4), (50, 2)])
+@pytest.mark.parametrize(("n", "m"), few([(12, 1), (12, 2), (20, 4), (50, 2)], [(12, 1), (12, 2)], "thorough"))
 def test_a_network_without_biases_is_decided(n, m):
     """All hyperplanes meet in the origin, with rows of 53 bits whose multipliers have to cancel exactly."""
     rng = np.random.default_rng(0)

@@ -14,6 +14,7 @@ from certify.proofs.certificate import make, verify
 from certify.search import box_slopes
 from certify.search.box import box, certify, operating_box, rate
 from certify.search.box_search import Search, forms_of
+from tests.support import few
 from tests.support.exact_cells import exact_rate
 from tests.support.networks import network, star
 
@@ -167,25 +168,25 @@ def test_a_tampered_proof_by_programs_is_refused(duals):
     assert not proves(weights._replace(b=weights.b + 0.3), over, tree, asked)
 
 
-def test_hostile_leaves_are_answered_soon():
+def test_hostile_leaves_are_answered_soon(part):
     """A megabyte of leaves and splits of the statement: of many planes, of long numbers, and of none."""
     weights, over = network(200, 4, 0), operating_box(4)
-    chain = 4_000
+    chain = 4_000 // part
     many = ",".join(f"{k}:1" for k in planes(weights, over).neuron)
     trees = {
-        "empty leaves": "s " + "u1 d1 " * 150_000 + "d1 .",
+        "empty leaves": "s " + "u1 d1 " * (150_000 // part) + "d1 .",
         "long numbers": "s " + "u1 " * 300 + ("d1,0:" + "9" * 1500 + " ") * 301 + ".",
         "long divisors": "s " + "u1 " * 300 + ("d" + "9" * 1500 + ",0:1 ") * 301 + ".",
         "too long a divisor": "s d" + "9" * 10**6 + " .",
         "many planes": "s " + "u1 " * 600 + (f"d7,{many} ") * 601 + ".",
-        "splits of the statement": "s " * 300_000 + ". " * 300_001,
+        "splits of the statement": "s " * (300_000 // part) + ". " * (300_000 // part + 1),
         "statements in halves": "u1 " * 1000 + "s . . " * 1001,
         "splits, a chain": "s " + "".join(f"z{k % 200} . " for k in range(chain)) + ". .",
     }
     for name, tree in trees.items():
         started = time.process_time()
         proves(weights, over, tree, 0.9)
-        assert time.process_time() - started < 4, name  # 2 s and less on an idle machine
+        assert time.process_time() - started < 1 + 3 / part, name  # all work takes 2 s and less on an idle machine
 
 
 def test_a_tree_without_planes_is_replayed():
@@ -239,7 +240,7 @@ def test_a_fixed_input_is_part_of_the_constant(duals):
     assert verdict.verdict == "certified" and proves(weights, at, verdict.tree, verdict.rate)
 
 
-@pytest.mark.parametrize("scale", [1e-40, 1e-12, 1e12, 1e40])
+@pytest.mark.parametrize("scale", few([1e-40, 1e-12, 1e12, 1e40], [1e-40, 1e12], "thorough"))
 def test_a_scaled_network_has_the_scaled_rate(duals, scale):
     weights, over = network(12, 2, 1), operating_box(2)
     once, found = rate(weights, over), rate(weights._replace(a=scale * weights.a), over)

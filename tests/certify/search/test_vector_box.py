@@ -1,7 +1,5 @@
 """Rates of vector states on a box: as by exact cells, above all points, proofs that forgeries do not pass."""
 
-import subprocess
-import sys
 import time
 from fractions import Fraction
 
@@ -23,6 +21,7 @@ from certify.search.box import operating_box
 from certify.search.box import rate as scalar_rate
 from certify.search.vector_box import _witness, certify, invariance, rate
 from certify.search.vector_box_search import Floats
+from tests.support import few
 from tests.support.networks import SCALING, network, star, value, vector_network
 
 
@@ -149,11 +148,11 @@ def test_a_forged_or_damaged_tree_is_refused():
         assert not proves(weights, RELU, other, ".", 1e9) and not proves_range(weights, RELU, other, ".")
 
 
-@pytest.mark.parametrize(("name", "last"), [("relu", 0), ("tanh", 0), ("relu", 2)])
+@pytest.mark.parametrize(("name", "last"), few([("relu", 0), ("tanh", 0), ("relu", 2)], [("relu", 0)], "thorough"))
 def test_no_tree_proves_what_is_false(name, last):
     rng, phi = np.random.default_rng(0), activation(name)
     weights, box, accepted = vector_network(rng, 2, 1, 4, last), Box(-np.ones(3), np.ones(3)), 0
-    found = rate(weights, phi, box, gap=0.01, seconds=3.0)
+    found = rate(weights, phi, box, gap=0.01, seconds=1.0)
     real, below = found.tree.split(), Fraction(found.lower)
 
     def grown(depth):
@@ -177,12 +176,12 @@ LONG = [
 
 
 @pytest.mark.parametrize(("name", "last"), [("relu", 0), *LONG])
-def test_hostile_trees_are_answered_soon(name, last):
+def test_hostile_trees_are_answered_soon(name, last, part):
     """Also where every leaf closes, and where an input can be halved 1000 times."""
     rng, phi = np.random.default_rng(0), activation(name)
     weights, box = vector_network(rng, 3, 2, 60, last), Box(np.array([-1.0, -1.0, -1.0, 0.0, 0.0]), np.ones(5))
     weights = weights._replace(A=weights.A / 1000, R=weights.R / 1000)
-    names = coordinates(3, 2)
+    names, many = coordinates(3, 2), 250_000 // part
 
     def full(depth: int) -> str:
         tree = "."
@@ -191,12 +190,12 @@ def test_hostile_trees_are_answered_soon(name, last):
         return tree
 
     trees = {
-        "halvings, nested": "x1 " * 250_000 + ". " * 250_001,
-        "halvings, a chain": "x1 . " * 250_000 + ".",
+        "halvings, nested": "x1 " * many + ". " * (many + 1),
+        "halvings, a chain": "x1 . " * many + ".",
         "as deep as allowed": "u1 " * 1000 + ". " * 1001,
-        "a full tree": full(17),
+        "a full tree": full(17 if part == 1 else 14),
         "a long name": "x" + "9" * 10**6 + " . .",
-        "no tree": ". " * 500_000,
+        "no tree": ". " * many,
         "blanks": " " * 10**6,
     }
     cases = [(text, answer) for text in trees for answer in (proves, proves_range)]
@@ -205,7 +204,7 @@ def test_hostile_trees_are_answered_soon(name, last):
     for text, answer in cases:
         started = time.process_time()
         answer(weights, phi, box, trees[text], *([1e9] if answer is proves else []))
-        assert time.process_time() - started < 12, text  # 4 s and less on an idle machine
+        assert time.process_time() - started < 2 + 10 / part, text  # all work takes 4 s and less on an idle machine
     assert not proves(weights, phi, box, "u1 " * 1001 + ". " * 1002, 1e9)
 
 
@@ -238,13 +237,6 @@ def test_refused_input_is_said():
         parse_box("0:1,1:1,2:3", 1, 2)
     fixed = Box(np.array([-1.0, -1.0, 0.5]), np.array([1.0, 1.0, 0.5]))  # an input may be fixed
     assert certify(weights, RELU, fixed, 100.0).verdict == "certified"
-
-
-def test_checking_a_proof_imports_no_solver():
-    solvers = "('scipy', 'torch', 'cvxpy', 'usvlearn')"
-    modules = "certify.search.vector_box, certify.proofs.steps"
-    code = f"import {modules}, sys; print([x for x in {solvers} if x in sys.modules])"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
 
 
 @pytest.mark.parametrize("size", [0.5, 0.75, 1.0])

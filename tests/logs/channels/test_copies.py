@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support import few
 from tests.support.recordings import channel, in_order, log
 from usvlearn.errors import ConfigError
 from usvlearn.logs.alignment.align import REQUIRED, Aligner, align
@@ -180,7 +181,10 @@ def test_live_messages_need_a_period_and_only_the_speed_has_one():
         Source("v", period="often")
 
 
-@pytest.mark.parametrize(("boat", "column", "expected"), [("dalian", "Speed", 0.2), ("blueboat", "surge", 0.0)])
+RECORDED = [("dalian", "Speed", 0.2), ("blueboat", "surge", 0.0)]
+
+
+@pytest.mark.parametrize(("boat", "column", "expected"), few(RECORDED, RECORDED[:1], "thorough"))
 def test_the_sensors_of_recorded_boats(boat, column, expected, real_logs):
     time = "DateTime" if boat == "dalian" else "original_timestamp"
     reader = Table(time, time_unit="s" if boat == "dalian" else "ms")

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.support import REAL_LOGS, few, over
+from tests.support import REAL_LOGS, RECORDED, over
 from usvlearn.cli.composition import recordings_of
 from usvlearn.logs.channels import relations
 from usvlearn.simulate.autopilot import Autopilot
@@ -161,7 +161,7 @@ def test_a_span_of_decades_takes_no_memory():
     assert found.correlation > 0.9 and found.seconds > 500
 
 
-@pytest.mark.parametrize("name", few(["blueboat", "vtec", "dalian", "pearl"], ["blueboat", "dalian", "pearl"]))
+@pytest.mark.parametrize("name", RECORDED)
 def test_real_boats_as_configured(name):
     if not (REAL_LOGS / name).is_dir():
         pytest.skip(f"the logs of {name} are not here: they are not published with this project")

@@ -3,7 +3,7 @@
 import pytest
 import yaml
 
-from tests.support import REAL_LOGS, ROOT, few
+from tests.support import REAL_LOGS, RECORDED, ROOT
 from tests.support.shapes import certainties, score
 from usvlearn.logs.channels.channel import CHANNELS, COMMANDS, SWAY
 from usvlearn.logs.inspection.inspected import inspect_logs
@@ -38,7 +38,7 @@ def truth(boat):
     return wanted
 
 
-@pytest.mark.parametrize("found", few(BOATS, {*BOATS} - {"vtec"}), indirect=True)
+@pytest.mark.parametrize("found", RECORDED, indirect=True)
 def test_channels_and_units_are_those_of_the_configuration(found):
     boat, inspected = found
     result = score(inspected.proposal.channels, certainties(inspected.decisions), truth(boat))
@@ -47,12 +47,13 @@ def test_channels_and_units_are_those_of_the_configuration(found):
     assert len(inspected.recordings) == len(inspected.logs.files)
 
 
-@pytest.mark.parametrize("found", few(DELAYS, {*DELAYS} - {"vtec"}), indirect=True)
+@pytest.mark.parametrize("found", [each for each in RECORDED if each != "pearl"], indirect=True)
 def test_the_delay_is_that_of_the_command_delay(found):
     boat, inspected = found
     assert inspected.lag.delay in DELAYS[boat]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("found", ["blueboat"], indirect=True)
 def test_a_contradiction_is_told(found):
     """The boat of these logs turns to port with a stronger left thruster, as the columns name the sides."""

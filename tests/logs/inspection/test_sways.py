@@ -17,8 +17,8 @@ from usvlearn.simulate.planar_fleet import planar_fleet
 @pytest.fixture(scope="module")
 def drifting():
     """Columns of a simulated boat in a current, with surge and sway by GPS and compass."""
-    (recording,) = planar_fleet(n=1, hours=1 / 6, seed=3)
-    time = np.arange(0.5, 599.0, 0.2)
+    (recording,) = planar_fleet(n=1, hours=1 / 10, seed=3)
+    time = np.arange(0.5, 359.0, 0.2)
 
     def at(name, factor=1.0):
         channel = recording.channels[name]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support import ROOT
+from tests.support import ROOT, few
 from tests.support.ardupilot import (
     PARAMETERS,
     SERVOS,
@@ -277,7 +277,7 @@ def test_a_small_log_equals_pymavlink_in_every_column(tmp_path):
     assert_equals_pymavlink(write(tmp_path, dataflash()))
 
 
-@pytest.mark.parametrize("name", ["log171.bin", "synthetic_boat_30s.BIN"])
+@pytest.mark.parametrize("name", few(["log171.bin", "synthetic_boat_30s.BIN"], ["synthetic_boat_30s.BIN"], "thorough"))
 def test_real_logs_equal_pymavlink_in_every_column(real_logs, name):
     path = real_logs / "formats" / "ardupilot" / name
     if not path.is_file():

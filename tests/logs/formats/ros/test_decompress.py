@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
+from tests.support import few
 from tests.support.bags import NS, SOURCES, START, unindexed, write_bag
 from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.logs.channels.channel import Source
@@ -20,7 +21,7 @@ from usvlearn.logs.formats.ros.rosbag import Rosbag
 
 rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="needs the package rosbags")
 
-BOMB = 200 * MB  # bytes of zeros, some kB compressed
+BOMB = 120 * MB  # bytes of zeros, some kB compressed
 SPEED = {"surge": Source("speed")}
 PEAK = """
 import resource, sys
@@ -127,7 +128,7 @@ def peak(paths: list[Path]) -> tuple[list[str], int]:
     return said, int(grown)
 
 
-@pytest.mark.parametrize("kind", ["bz2", "lz4"])
+@pytest.mark.parametrize("kind", few(["bz2", "lz4"], ["lz4"], "thorough"))
 def test_a_small_bag_of_ros1_cannot_fill_the_memory(tmp_path, kind):
     """Whatever its chunk announces, and whether it is found by the index or by a scan."""
     paths, refused = [], []
@@ -147,7 +148,7 @@ def test_a_small_bag_of_ros1_cannot_fill_the_memory(tmp_path, kind):
             assert sentence == "read"  # as far as it was announced
 
 
-@pytest.mark.parametrize("kind", ["zstd", "lz4"])
+@pytest.mark.parametrize("kind", few(["zstd", "lz4"], ["zstd"], "thorough"))
 def test_a_small_bag_of_ros2_cannot_fill_the_memory(tmp_path, kind):
     """Whatever its chunk announces, with a summary and without."""
     (content, size), paths, refused = ros2(kind), [], []
@@ -171,7 +172,7 @@ def test_a_row_of_a_database_cannot_fill_the_memory(tmp_path):
 
 
 def test_a_larger_limit_reads_the_same_bag(tmp_path):
-    for path, content in ((tmp_path / "a.bag", ros1("bz2")), (tmp_path / "a.mcap", ros2("zstd")[0])):
+    for path, content in ((tmp_path / "a.bag", ros1("lz4")), (tmp_path / "a.mcap", ros2("zstd")[0])):
         path.write_bytes(content)
         with pytest.raises(LogFormatError, match=r"more than 100 MB: leave this log out, or raise data\.reader"):
             Rosbag().read(path, SPEED)
