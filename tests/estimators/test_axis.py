@@ -7,6 +7,7 @@ import torch
 from usvlearn import Inputs, Sample, SwayEKF, YawEKF
 from usvlearn.engine.rollouts import rollout
 from usvlearn.estimators.axis.state import THETA, Vector
+from usvlearn.estimators.axis.turning_quantities import Theta, quantities
 
 KINDS = {"yaw": lambda: YawEKF(2.5), "sway": lambda: SwayEKF(2.5)}
 MOVING = 40
@@ -71,3 +72,20 @@ def test_every_parameter_has_a_prior():
         size = axis.init().mean.shape[-1]
         assert size == THETA + parameters
         assert [vector.length(size) for vector in Vector] == [parameters] * 2
+
+
+def test_turning_of_linear_drag_is_a_closed_form():
+    """Drag of the yaw rate (2 + |u|/2) r, of the surge u/2, of the sway v; thrusts ξ_left − ξ_right and their sum/2."""
+    yaw, surge, sway = np.zeros(20), np.zeros(12), np.zeros(12)
+    yaw[[1, 3, 7, 13]] = -2.0, -0.5, 1.0, -1.0
+    surge[[1, 3, 6]] = -0.5, 0.5, 0.5
+    sway[[1, 5]] = -1.0, -0.4  # v = −0.4 r
+    found = quantities(Theta(surge, yaw, sway))
+    expected = {"yaw_rate_full_difference": 1.0, "yaw_time_constant": 1 / 2.5, "yaw_time_constant_rest": 1 / 2}
+    for name, command in (("full", 1.0), ("half", 0.5), ("quarter", 0.25)):
+        u = 1.5 * command
+        rate = 0.5 * command / (2 + 0.5 * u)
+        expected |= {f"yaw_rate_{name}": rate, f"turning_radius_{name}": np.hypot(u, 0.4 * rate) / rate}
+    assert found.keys() == expected.keys()
+    for name, value in expected.items():
+        assert float(found[name]) == pytest.approx(value, rel=1e-9), name
