@@ -47,7 +47,7 @@ def test_a_rate_nearer_to_one_than_any_float_is_certified(files, capsys, monkeyp
 
 
 ANY_SIZE = [["--json"], ["--lmi"], ["--steps", "--box", "--seconds", "0.2"], ["--plot", "m.png"]]
-EACH_ONCE = [(1e150, ["--json"]), (1e100, ["--lmi"]), (1e150, ANY_SIZE[2]), (5e-324, ["--plot", "m.png"])]
+EACH_ONCE = [(1e150, ANY_SIZE[0]), (1e100, ANY_SIZE[1]), (1e150, ANY_SIZE[2]), (5e-324, ANY_SIZE[0])]
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import pytest
 
 from certify.__main__ import main
 from certify.networks.vector import activation
+from tests.support import few
 from tests.support.vector_networks import network
 
 
@@ -39,10 +40,10 @@ def test_the_command_certifies_writes_draws_and_verifies(tmp_path, capsys):
     assert [row.get("states") for row in rows] == [None, 3] and rows[1]["rates"]["exact"] < 1
 
 
-@pytest.mark.parametrize(
-    "n, two, said, count",
-    [(2, False, "all 4", 4), (3, True, "all 64", 64), (8, False, "all 256", 256), (9, False, "300 random", 300)],
-)
+DRAWN = [(3, True, "all 64", 64), (9, False, "300 random", 300), (2, False, "all 4", 4), (8, False, "all 256", 256)]
+
+
+@pytest.mark.parametrize("n, two, said, count", few(DRAWN, DRAWN[:2], "thorough"))
 def test_the_figure_draws_all_patterns_of_few_neurons_and_says_how_many(n, two, said, count):
     pytest.importorskip("matplotlib")
     from certify.display.vector_figures import contraction_figure, patterns

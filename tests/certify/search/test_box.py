@@ -91,12 +91,12 @@ def verdicts_against_samples(seeds, count: int) -> list[str]:
     return verdicts
 
 
-@pytest.mark.parametrize("seed", range(15))
+@pytest.mark.parametrize("seed", few(range(15), range(6), "thorough"))
 def test_the_rate_of_a_degenerate_network_is_that_of_its_patterns(seed):
     assert agrees(degenerate(seed))
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", few(range(6), range(3), "thorough"))
 def test_the_rate_of_a_random_network_is_that_of_its_patterns(seed):
     assert agrees(network(3 + seed % 4, 1 + seed % 2, seed))
 
@@ -195,7 +195,7 @@ def ends_of(weights: ShallowWeights, over) -> tuple[float, float]:
     return min(ends), max(ends)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", few(range(8), range(4), "thorough"))
 def test_invariance_is_decided_as_by_the_vertices_of_the_cells(seed):
     """Of the network, and of networks whose output is scaled and shifted to just inside and just beyond [0, 1]."""
     weights = degenerate(seed) if seed % 2 else network(5, 1, seed)

@@ -32,7 +32,7 @@ def counted(tree: str) -> int:
     return sum(token[0] == "d" for token in tree.split())
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", few(range(6), range(3), "thorough"))
 def test_the_rate_by_programs_is_that_of_exact_cells(duals, seed):
     weights = network(7 + seed % 3, 1 + seed % 3, seed)
     over = operating_box(weights.W2.shape[1])

@@ -73,7 +73,7 @@ def test_one_state_has_the_exact_rate():
     assert smallest_rate(weights, RELU).rate == pytest.approx(float(K), rel=1e-5)
 
 
-@pytest.mark.parametrize("q, n", [(2, 3), (3, 6), (2, 8)])
+@pytest.mark.parametrize("q, n", few([(2, 3), (3, 6), (2, 8)], [(2, 3)], "thorough"))
 def test_rate_is_the_limit_of_another_program(q, n):
     rng = np.random.default_rng(q * n)
     for name in PHI[:2]:
@@ -99,7 +99,7 @@ def test_rate_lies_between_enumeration_and_is_proved(cases):
     assert two
 
 
-@pytest.mark.parametrize("q", [1, 2, 3, 6])
+@pytest.mark.parametrize("q", few([1, 2, 3, 6], [1, 3], "thorough"))
 def test_the_papers_multipliers_double_the_rate(q):
     """Slopes in [0, 2] are twice those in [0, 1], so that with R = 0 every J doubles."""
     rng = np.random.default_rng(q)
