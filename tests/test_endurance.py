@@ -3,7 +3,6 @@
 import pytest
 import torch
 
-from tests.support import few
 from tests.support.configured import default_ensemble
 from usvlearn import ExponentialWeights, FixedWeights, Inputs, Sample, rollout
 from usvlearn.core.samples import named_leaves, tree_map
@@ -41,9 +40,8 @@ def field_day(excited: int, idle: int, cruise: int) -> Sample:
     )
 
 
-@pytest.mark.parametrize(
-    "dtype", few([torch.float64, torch.float32], [torch.float64], "thorough"), ids=["float64", "float32"]
-)
+@pytest.mark.thorough
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32], ids=["float64", "float32"])
 @pytest.mark.parametrize("long", [pytest.param(46_000, marks=pytest.mark.slow), 700])
 def test_idle_cruise_and_excitation(long, dtype):
     ensemble = default_ensemble(dtype)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support.commands import SMALL, run
+from tests.support.commands import QUICK, run
 from usvlearn.__main__ import main
 from usvlearn.cli.fit import work
 from usvlearn.cli.stopping import Stopped
@@ -31,10 +31,8 @@ SCRIPT = "usvlearn/__main__.py"
 def folder(tmp_path_factory):
     """A run of two boats, half an hour each, three missions."""
     folder = tmp_path_factory.mktemp("fit")
-    left = [f"~estimators.{name}" for name in ("rnn", "joint_quick", "arx")]
-    more = ["~combiners.average", "~combiners.weighted", "combiners.ensemble.members=[aid,sift_map,joint]",
-            "forecasts.members=[aid,joint]", "data.hours=0.5", "data.mission_minutes=10", "data.n=2", "tracks=null"]  # fmt: skip
-    done = run(*(each for each in SMALL if "rnn" not in each), *left, *more, "hydra.run.dir=run", folder=folder)
+    missions = ["data.hours=0.5", "data.mission_minutes=10", "data.n=2"]
+    done = run(*missions, *QUICK[1:], "hydra.run.dir=run", folder=folder)
     assert done.returncode == 0, done.stderr
     return folder
 

@@ -160,7 +160,7 @@ def test_a_launcher_that_cannot_be_used_is_told_in_one_sentence(monkeypatch, tmp
         check_launcher(["hydra/launcher=slurm"])
 
 
-@pytest.mark.parametrize("name", SWEEPS)
+@pytest.mark.parametrize("name", few(SWEEPS, {"inputs", "none"}, "thorough"))
 def test_every_value_of_every_sweep_composes_and_instantiates(name):
     with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
         whole = compose("train", [f"sweep={name}"], return_hydra_config=True)

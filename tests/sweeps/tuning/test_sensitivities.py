@@ -55,7 +55,9 @@ SETTINGS = {
 }
 
 
-@pytest.mark.parametrize("member", few(SETTINGS, {"aid", "memory_rls"}))
+@pytest.mark.parametrize(
+    "member", [*few(["memory_rls"], (), "thorough"), *few((name for name in SETTINGS if name != "memory_rls"), {"aid"})]
+)
 def test_the_gradient_is_the_difference_of_the_whole_pass(fleet, member):
     asked, setting = request(f"learn={member}", *added(member)), SETTINGS[member]
     parameters = [each for each in asked.parameters if each.path in setting]
@@ -73,6 +75,7 @@ def test_the_gradient_is_the_difference_of_the_whole_pass(fleet, member):
     assert np.abs(apart - expected).max() > 1e-3 * np.abs(expected).max()
 
 
+@pytest.mark.thorough
 def test_learning_lowers_the_error_and_stays_legal(fleet):
     asked = request("learn=sift_map", "tuning.ranges.sift_map.memory=[3,1000]")
     found, used, curve = descend(Objective(asked.build, fleet), asked.parameters, 26)
@@ -84,6 +87,7 @@ def test_learning_lowers_the_error_and_stays_legal(fleet):
         np.testing.assert_allclose(each.maes, replayed(fleet, asked.build(each.setting)), rtol=1e-10)
 
 
+@pytest.mark.thorough
 def test_a_default_outside_the_range_is_judged_and_left(fleet):
     asked = request("learn=aid", "estimators.aid.gain=0.001")
     found, used, curve = descend(Objective(asked.build, fleet), asked.parameters, 6)
@@ -156,6 +160,7 @@ def test_an_estimator_without_forward_derivatives_is_told(fleet):
         descend(objective, [Hyperparameter("gain", Positive, 1.0, 0.5, 2.0)], 12)
 
 
+@pytest.mark.thorough
 def test_it_is_the_way_of_learn(tmp_path):
     given = configured("learn=aid", "tuning.evaluations=6")
     made = tuning.tune(given, tmp_path, instantiate, align_fleet)

@@ -17,6 +17,8 @@ from usvlearn.sweeps.tuning.batches import Objective, element_errors
 from usvlearn.sweeps.tuning.grid import grid
 from usvlearn.sweeps.tuning.sensitivities import descend
 
+pytestmark = pytest.mark.thorough
+
 
 @pytest.fixture
 def short(fleet):
