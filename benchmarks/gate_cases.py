@@ -175,23 +175,25 @@ def finished(overrides: tuple[str, ...]) -> tuple[tempfile.TemporaryDirectory, P
     return kept, folder
 
 
-def run_of(overrides: tuple[str, ...]) -> Case:
-    """`results.json`, the predictions and the checkpoints of a run."""
+def run_of(overrides: tuple[str, ...], logs: Path | None = None) -> Case:
+    """`results.json`, the predictions and the checkpoints of a run; texts do not tell where the logs are."""
     _, folder = finished(overrides)
-    found: Case = {"results": lasting(json.loads((folder / "results.json").read_text()))}
+    results = without_place((folder / "results.json").read_text(), folder, *([] if logs is None else [logs]))
+    found: Case = {"results": lasting(json.loads(results))}
     for path in sorted(folder.glob("predictions/*.npz")):
         with np.load(path) as archive:
             stepped = {name: archive[name] for name in archive.files if archive[name].dtype.kind == "f"}
         found[f"predictions {path.stem} by step"] = stepped
     for path in sorted(folder.rglob("*.safetensors")):
-        found[f"checkpoint {path.relative_to(folder)}"] = checkpoint.load(path)[0]
+        own = checkpoint.load(path)[0]  # safetensors lists them in another order in each process
+        found[f"checkpoint {path.relative_to(folder)}"] = dict(sorted(own.items()))
     return found
 
 
 def recorded_run(logs: Path, name: str) -> Case | None:
     if not (logs / name).is_dir():
         return None
-    return run_of((f"data={name}", f"data.path={logs / name}"))
+    return run_of((f"data={name}", f"data.path={logs / name}"), logs)
 
 
 def exports() -> Case:

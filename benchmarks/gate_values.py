@@ -129,7 +129,12 @@ def _told(
     where = f"{said} {step + (said == 'line')}" + (f" ({', '.join(map(str, element))})" if element else "")
     if not place:
         where = "as a whole"
-    return Difference(name, where, *(_shown(leaf, place) for leaf in (recorded, present)))
+    pair = [_shown(leaf, place) for leaf in (recorded, present)]
+    if max(map(len, pair)) > LONGEST:  # from shortly before the first character that differs
+        same = next((k for k, (a, b) in enumerate(zip(*pair, strict=False)) if a != b), min(map(len, pair)))
+        begin = max(same - LONGEST // 3, 0)
+        pair = ["… " * (begin > 0) + each[begin:][:LONGEST] for each in pair]
+    return Difference(name, where, *pair)
 
 
 def _is_text(*both: np.ndarray | None) -> bool:
@@ -141,7 +146,4 @@ def _shown(leaf: np.ndarray | None, place: tuple[int, ...]) -> str:
         return "nothing"
     if place and place[0] >= len(leaf):
         return "no such line"
-    if not place and leaf.ndim:
-        return f"{leaf.dtype} {leaf.shape}"
-    value = leaf[place].item()
-    return repr(value) if len(repr(value)) <= LONGEST else repr(value)[:LONGEST] + " …"
+    return repr(leaf[place].item()) if place or not leaf.ndim else f"{leaf.dtype} {leaf.shape}"

@@ -89,6 +89,13 @@ def test_what_differs_in_a_bit_a_type_a_shape_or_a_line(recorded, present, place
     assert digest(old) != digest(new)
 
 
+def test_of_a_long_text_what_differs_is_shown():
+    old, new = (leaves({"text": "a" * 200 + x + "b" * 200}) for x in "xy")
+    found = first_difference(old, new)
+    assert "ax" in found.recorded and "ay" in found.present
+    assert max(len(found.recorded), len(found.present)) <= gate_values.LONGEST + 2
+
+
 def test_a_leaf_more_or_less_is_a_difference():
     more = leaves(case() | {"end": 1.0})
     assert str(first_difference(leaves(case()), more)) == "end, as a whole: recorded nothing, now 1.0"
