@@ -20,7 +20,7 @@ from usvlearn.cli.data_files import with_data_files
 from usvlearn.cli.inspect import main
 from usvlearn.logs.inspection.logfiles import boats_of
 
-MINUTES = 3.0  # of a voyage: enough to be read, for what is said and written
+MINUTES = 2.0  # of a voyage: enough to be read, for what is said and written
 
 
 @pytest.fixture

@@ -74,7 +74,7 @@ def test_tables_of_one_number_are_told_by_their_files(tmp_path):
 
 def test_a_folder_of_runs_each_with_a_folder_of_topics(tmp_path, run):
     for k in range(2):
-        shutil.move(rostopic(tmp_path, voyage(k, minutes=3.0)), tmp_path / "logs" / f"run_{k}")
+        shutil.move(rostopic(tmp_path, voyage(k, minutes=2.0)), tmp_path / "logs" / f"run_{k}")
     code, printed = run(tmp_path / "logs")
     assert code == 0 and "joined by time (cmd_drive, imu, odom): none has all channels" in printed.replace("\n", " ")
     recordings, _ = recordings_of("my_boat.yaml", {})
@@ -100,7 +100,7 @@ def test_runs_stay_apart_and_it_says_why(tmp_path, run):
 
 
 def test_several_tables_of_a_run_are_given_by_name(tmp_path):
-    folder = numbers(tmp_path, voyage(0, minutes=4.0))
+    folder = numbers(tmp_path, voyage(0, minutes=2.0))
     files = sorted(map(str, folder.glob("*.csv")))
     assert inspect_logs(files).settings["data"]["path"] == str(folder)
     with pytest.raises(LogFormatError, match=r"found 3 given and speed\.csv not: give the folder"):
@@ -108,7 +108,7 @@ def test_several_tables_of_a_run_are_given_by_name(tmp_path):
 
 
 def test_a_table_of_another_clock_is_left_out(tmp_path):
-    folder = rostopic(tmp_path, voyage(0, minutes=4.0))
+    folder = rostopic(tmp_path, voyage(0, minutes=2.0))
     lines = (folder / "imu.csv").read_text().splitlines()
     simulated = [
         f"{int(cell) - 1690000000 * 10**9},{rest}" for cell, _, rest in (each.partition(",") for each in lines[1:])
@@ -126,7 +126,7 @@ def test_a_table_of_another_clock_is_left_out(tmp_path):
 
 
 def test_azimuth_thrusters_without_a_force_are_told_in_one_sentence(tmp_path, run):
-    folder = ferry(tmp_path, voyage(0, minutes=4.0))
+    folder = ferry(tmp_path, voyage(0, minutes=2.0))
     (folder / "wrench.csv").unlink()
     code, printed = run(folder)
     assert code == 2 and "the thrusters turn (thrusters.azimuth_1, thrusters.azimuth_2)" in printed
@@ -154,6 +154,6 @@ def test_the_template_that_a_message_names_reads_these_logs(tmp_path, run):
 
 
 def test_one_table_of_several_names_its_folder(tmp_path, run):
-    folder = rostopic(tmp_path, voyage(0, minutes=4.0))
+    folder = rostopic(tmp_path, voyage(0, minutes=2.0))
     code, printed = run(folder / "odom.csv")
     assert code == 2 and "if another table of its folder has them, give the folder" in printed
