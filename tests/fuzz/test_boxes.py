@@ -60,12 +60,12 @@ def decided(rng: np.random.Generator, cases: int) -> int:
     return certified
 
 
-@pytest.mark.fuzz(cases=48, slow=10_000)
+@pytest.mark.fuzz(cases=120, slow=10_000)
 def test_every_rate_is_decided_as_by_exact_cells(rng, cases):
     assert decided(rng, cases) > cases / 2
 
 
-@pytest.mark.fuzz(cases=32, slow=10_000)
+@pytest.mark.fuzz(cases=80, slow=10_000)
 def test_every_rate_is_decided_by_linear_programs_as_by_exact_cells(rng, cases, monkeypatch):
     """The search for many inputs, on networks small enough for exact cells."""
     pytest.importorskip("highspy")

@@ -29,7 +29,7 @@ def mutated(rng: np.random.Generator, whole: bytes) -> bytes:
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.fuzz(cases=5, slow=500)
+@pytest.mark.fuzz(cases=8, slow=500)
 @pytest.mark.parametrize("name", ["pwm", "moos", "german", "nameless", "velocities"])
 def test_a_damaged_log_is_inspected_or_refused(tmp_path, rng, cases, name):
     log = SHAPES[name].write(tmp_path, voyage(0, minutes=1.5))
