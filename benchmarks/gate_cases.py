@@ -279,13 +279,15 @@ def vector_verdicts(group: int) -> Case:
 
 def inspected(shape: Shape) -> Case:
     """How right a proposal is, and the file that it writes."""
-    with tempfile.TemporaryDirectory() as folder:
-        given = shape.write(Path(folder), voyage(0, **shape.options))
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made) / "logs"  # which may give the boat its name
+        folder.mkdir()
+        given = shape.write(folder, voyage(0, **shape.options))
         with warnings.catch_warnings(action="ignore"):
             found = inspect_logs([str(given)])
         scored = score(found.proposal.channels, certainties(found.decisions), shape.truth)
         counts = {name: len(each) for name, each in scored._asdict().items()}
-        return {"counts": counts, "score": scored, "proposal": without_place(found.text, Path(folder))}
+        return {"counts": counts, "score": scored, "proposal": without_place(found.text, folder)}
 
 
 def strangers(source: Path) -> Case | None:
@@ -293,9 +295,10 @@ def strangers(source: Path) -> Case | None:
     if not (source / "make.py").is_file():
         return None
     found: Case = {}
-    with tempfile.TemporaryDirectory() as folder:
-        subprocess.run([sys.executable, "-B", "-W", "ignore", source / "make.py", folder], check=True)
-        for path in sorted(Path(folder).iterdir()):
+    with tempfile.TemporaryDirectory() as made:
+        place = Path(made) / "logs"
+        subprocess.run([sys.executable, "-B", "-W", "ignore", source / "make.py", place], check=True)
+        for path in sorted(place.iterdir()):
             try:
                 with warnings.catch_warnings(action="ignore"):
                     told = inspect_logs([str(path)])
@@ -304,7 +307,6 @@ def strangers(source: Path) -> Case | None:
                 said = {"refused": str(error)}
             except Exception as error:  # a defect, which is recorded, too
                 said = {"failed": f"{type(error).__name__}: {error}"}
-            place = Path(folder)
             found[path.name] = {
                 name: without_place(each, place) if isinstance(each, str) else [without_place(x, place) for x in each]
                 for name, each in said.items()
