@@ -40,6 +40,7 @@ def fitted():
     return Missions([], TOP).evaluate("cubic", theta, 0.1)
 
 
+@pytest.mark.thorough
 def test_simulations_are_those_of_the_other_batch_fit(run, fitted):
     """Both have the same motion; `output_error` has a code of its own."""
     names = {name: float(fitted.theta[AT[name]]) for name in oe.NAMES}

@@ -38,6 +38,7 @@ def once(tmp_path_factory) -> tuple[Path, subprocess.CompletedProcess]:
     return kept, python(PREPARE, NUMBA_CACHE_DIR=str(kept))
 
 
+@pytest.mark.thorough
 def test_machine_code_is_kept_and_announced_once(once):
     cache, first = once
     (folder,) = (cache / "usvlearn").glob("kernels-*")
@@ -185,6 +186,7 @@ def test_each_option_of_numba_that_changes_the_code_has_a_folder_of_its_own(opti
     assert folder() != before
 
 
+@pytest.mark.thorough
 def test_indices_of_parts_are_checked_where_numba_is_asked_to(tmp_path):
     """Also where the unchecked code is kept in the same cache."""
     (tmp_path / "trial.py").write_text(BEYOND)

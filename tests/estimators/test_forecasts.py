@@ -168,7 +168,7 @@ def test_intervals_cover_what_they_say():
         )
 
 
-@pytest.mark.parametrize("dtype", [torch.float64, torch.float32], ids=str)
+@pytest.mark.parametrize("dtype", few([torch.float64, torch.float32], [torch.float64], "thorough"), ids=str)
 def test_a_state_goes_on_where_it_was(dtype, tmp_path):
     """Saved aboard and opened in mid-flight, bit for bit; a batch is its batch elements."""
     model, samples = ensemble().to(dtype), plain(80, 2)

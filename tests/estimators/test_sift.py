@@ -201,6 +201,7 @@ def test_idling_cruise_and_excitation_stay_bounded(dtype, steps):
     assert float((theta - 1).abs().max()) < 0.1
 
 
+@pytest.mark.thorough
 def test_reexcitation_after_a_long_cruise():
     """Half an hour and more at one speed; what excited the boat before is still known, unlike with plain forgetting."""
     rng = np.random.default_rng(5)

@@ -42,6 +42,7 @@ def test_the_data_check_needs_many_measurements_but_few_commands_that_are_held(t
         assert session._recent.findings(columns, "heron") == []
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("rate", [5.0, 10.0, 100.0])
 def test_the_data_check_is_silent_about_regular_messages(tmp_path, start, rate):
     """Also where a speed comes just as often as its window is long."""

@@ -49,6 +49,7 @@ def test_after_a_reboot_a_second_record_replays_what_follows(tmp_path, start):
     np.testing.assert_array_equal(replayed(tmp_path / "records", 2), predicted)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("windows", [(0.5, 0.25, 0.3), (AUTO, AUTO, AUTO)])
 def test_live_is_replay_where_the_node_mixes_commands_and_computes_the_surge(tmp_path, start, windows):
     """Throttle and steering make both commands, velocities to the north and east the surge; clocks jump."""

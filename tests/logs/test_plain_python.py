@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pytest
 
 from tests.support.ardupilot import dataflash, tlog
 from tests.support.commands import python
@@ -58,6 +59,7 @@ def scanned() -> list:
     return [each.tolist() for each in (starts, lengths, *others, ends, *binary_kernel.scan_dataflash(messages, sizes))]
 
 
+@pytest.mark.thorough
 def test_plain_python_reads_and_aligns_as_compiled_code_does():
     code = f"import json; from {__name__} import aligned, scanned; print(json.dumps([aligned(), scanned()]))"
     plain, compiled = python(code, NUMBA_DISABLE_JIT="1").stdout, [aligned(), scanned()]

@@ -152,6 +152,7 @@ def test_boats_may_have_different_numbers_of_runs(tmp_path):
     assert places == ["0", "1", "2"]
 
 
+@pytest.mark.thorough
 def test_a_run_of_three_steps_has_a_page(tmp_path):
     def change(seasons):
         def short(run):

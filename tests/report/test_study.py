@@ -46,6 +46,7 @@ def test_a_stopped_study_goes_on(tmp_path, fails):
     assert finished.stages == [] and commands.commands == study.commands
 
 
+@pytest.mark.thorough
 def test_a_plan_that_is_not_legal_leaves_nothing_behind(tmp_path):
     for wrong, told in (
         ("study.evaluations=0", "tuning.evaluations: found 0"),

@@ -31,6 +31,7 @@ from certify.proofs.equilibria import equilibria
 QUICK = ["compare", "--quick", "--networks", "6", "--training", "50", "--seconds", "0.05"]
 
 
+@pytest.mark.thorough
 def test_families_are_what_they_are_called():
     rng = np.random.default_rng(0)
     K = [float(exact.conditions(w.a, w.w1)["tight"].rate) for w in random_networks(40, 8, rng)]

@@ -119,6 +119,7 @@ def errors_of(steps) -> np.ndarray:
     return np.array([abs(step.measured - step.speed) for step in steps])
 
 
+@pytest.mark.thorough
 def test_a_boat_in_the_loop_is_learned_as_in_a_replay(tmp_path, start):
     session, boat = begun(tmp_path / "node", start, record=True), MavBoat(sailing(), booted=-100.0)
     steps = sailed(session, boat, 300.0)

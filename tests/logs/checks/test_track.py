@@ -95,6 +95,7 @@ def test_a_wrong_position_is_named_with_its_key(name, local):
         assert " or data.channels." in fix
 
 
+@pytest.mark.thorough
 def test_a_right_position_is_no_finding(local, drifting):
     assert found(local, LOCAL, TOP["heron"]) == found(drifting, GLOBAL, 2.74) == found(drifting, {}, 2.74) == []
 

@@ -72,6 +72,7 @@ def test_tables_of_one_number_are_told_by_their_files(tmp_path):
     assert [each.partition(";")[0] for each in sides] == ["by name"]
 
 
+@pytest.mark.thorough
 def test_a_folder_of_runs_each_with_a_folder_of_topics(tmp_path, run):
     for k in range(2):
         shutil.move(rostopic(tmp_path, voyage(k, minutes=2.0)), tmp_path / "logs" / f"run_{k}")

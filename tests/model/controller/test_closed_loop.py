@@ -76,6 +76,7 @@ def test_gains_beyond_the_margins_are_seen_to_be_unstable():
     assert any(step.sways.any() for step in steps_of(responses))
 
 
+@pytest.mark.thorough
 def test_the_default_follows_the_options():
     slow = controller(
         known_boat(), Wanted(boats=10, speed=1.2, range=(0.8, 1.6), bandwidth=0.5, damping=1.2, delay=0.3)

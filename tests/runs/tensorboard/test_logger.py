@@ -191,6 +191,7 @@ def test_a_run_has_one_row_on_the_hparams_page_and_a_job_of_a_sweep_none(whole, 
     assert not any(events.Tags()["images"] for events in boards(tmp_path / "tensorboard").values())
 
 
+@pytest.mark.thorough
 def test_log_all_writes_every_number_and_figure(tmp_path, fleet):
     ensemble = ensemble_of(short_season())
     log(tmp_path, fleet, ensemble, log="all")
@@ -224,6 +225,7 @@ def test_a_resumed_run_has_every_point_once(tmp_path, fleet, stop):
     assert texts(found["results"])["run/data"] == texts(expected["results"])["run/data"]
 
 
+@pytest.mark.thorough
 def test_a_boat_without_measured_speed_is_drawn_without_errors(tmp_path, fleet):
     blind = list(fleet.runs)
     for k, run in enumerate(blind):

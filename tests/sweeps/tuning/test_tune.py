@@ -167,6 +167,7 @@ def test_every_file(tmp_path):
     assert isinstance(instantiate(cfg.estimators.arx), Estimator)
 
 
+@pytest.mark.thorough
 def test_learn_draws_its_curves(fleet, tmp_path):
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
