@@ -241,6 +241,7 @@ def test_steps_are_pure(name, batch):
     assert after.getvalue() == parameters.getvalue()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", few([*FAMILIES, "rnn_penalty"], {"robust_memory"}, "thorough"))
 def test_compiles_without_graph_breaks(name):
     estimator, samples = ESTIMATORS[name](), random_samples(1, 3)

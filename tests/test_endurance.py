@@ -84,6 +84,7 @@ def steered(steps: int, left: float, seed: int) -> Sample:
     return Sample(Inputs(*commands[:, :steps], heading, yaw_rate, torch.full_like(surge, 0.4)), surge, yes, yes)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("dtype", "cruise"),
     [

@@ -47,6 +47,7 @@ def test_every_value_is_a_named_leaf():
         leaves({"part": {"leaf": object()}})
 
 
+@pytest.mark.thorough
 def test_equal_cases_have_no_difference_and_one_digest_in_every_process():
     assert first_difference(leaves(case()), leaves(case())) is None
     code = "from tests.benchmarks.test_gates import *; print(digest(leaves(case())))"

@@ -157,6 +157,7 @@ def test_it_says_which_open_loop_simulation_to_use(folder, monkeypatch):
         assert mode["ensemble"] == pytest.approx(results["free"][boat]["ensemble"], rel=1e-9) and mode["fit"] < 0.2
 
 
+@pytest.mark.thorough
 def test_other_logs_than_those_of_the_run_are_used_and_said(folder, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     work(["run", "--boat", "heron1", "--terms", "cubic", "--out", str(tmp_path), "data.seed=5"])

@@ -182,6 +182,7 @@ for wrong in ("estimators.aid.gian=2", "data=bluebot", "align=${{align}}"):
 """
 
 
+@pytest.mark.thorough
 def test_a_mistake_waits_for_nothing_heavy():
     assert python(WAITS, PYTHONPATH=str(ROOT)).stdout == "2\n2\n2\n"
 

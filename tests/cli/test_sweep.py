@@ -3,6 +3,7 @@
 from itertools import product
 from types import SimpleNamespace
 
+import pytest
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
 
 from tests.support.commands import run
@@ -24,6 +25,7 @@ def test_every_value_is_composed_with_every_combination_of_files():
         assert any(file in job and override in job for job in composed)
 
 
+@pytest.mark.thorough
 def test_a_sweep_composes_each_value_before_and_each_job_where_it_runs(tmp_path, monkeypatch):
     real, composed = ConfigLoaderImpl.load_sweep_config, []
     monkeypatch.setattr(

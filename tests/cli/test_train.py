@@ -136,6 +136,7 @@ def test_killed_and_resumed_equals_uninterrupted(whole, tmp_path, sets):
     assert_equal_runs(tmp_path / "run", whole)
 
 
+@pytest.mark.thorough
 def test_resumed_into_another_folder_is_complete(whole, tmp_path):
     finished = run(*SMALL, "data.n=2", f"resume={whole}", f"hydra.run.dir={tmp_path}/run", folder=tmp_path)
     assert finished.returncode == 0, finished.stderr
@@ -213,6 +214,7 @@ BAD_INPUT = {
 ALIKE = {"no path", "wrong format", "no speed", "negative dt", "a gain below zero", "a grid", "a type", "no reader"}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", few(BAD_INPUT, BAD_INPUT.keys() - ALIKE, "thorough"))
 def test_bad_input_is_told_in_one_sentence(case, tmp_path, monkeypatch):
     """In process: the sentence, and that nothing is half-written."""

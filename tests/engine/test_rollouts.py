@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch.autograd import forward_ad
 
-from tests.support import ESTIMATORS, over, random_samples
+from tests.support import ESTIMATORS, each_family, over, random_samples
 from tests.support.commands import python
 from tests.support.kernel_cases import difference, mission
 from usvlearn import (
@@ -164,7 +164,7 @@ def test_hyperparameters_that_do_not_fit_the_batch_are_refused():
                 rollout(narrow, state, samples, backend=backend)
 
 
-@pytest.mark.parametrize("name", ESTIMATORS)
+@each_family(ESTIMATORS)
 @over("batch", [(), (2,)])
 def test_checkpoints_are_the_same_from_either(name, batch, tmp_path):
     """Names, shapes, dtypes and what is said of them; numbers to rounding. Either goes on from the other's."""

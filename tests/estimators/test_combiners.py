@@ -131,6 +131,7 @@ def test_boa_mixes_where_the_best_mixture_beats_the_best_member():
     assert np.abs(said - y)[200:].mean() < 0.5 * np.abs(x - y[:, None]).mean(0).min()
 
 
+@pytest.mark.thorough
 def test_memory_follows_the_best_of_the_day():
     x, y = series(4000, "turns")
     forgets, never = (np.abs(run(bound(BOA(memory=m)), x, y)[0] - y).mean() for m in (20.0, None))
@@ -233,6 +234,7 @@ def test_one_member_alone_has_all_the_weight(rule):
     assert all(leaf.isfinite().all() for leaf in state)
 
 
+@pytest.mark.thorough
 @each_rule
 @pytest.mark.parametrize("dtype", few([torch.float64, torch.float32], [torch.float64], "thorough"))
 def test_stays_finite_where_all_agree_for_hours_and_where_they_do_not(dtype, rule):

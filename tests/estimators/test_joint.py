@@ -141,6 +141,7 @@ def dense(joint: JointEKF, samples: Sample):
         yield x.clone(), P.clone(), noise, predicted
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", few(SETTINGS, ["even"]))
 def test_the_factored_filter_is_the_dense_one(name):
     """Over samples with starts, gaps, outliers, missing speeds and steps of a minute."""

@@ -110,6 +110,7 @@ def linear(steps: int, *batch: int, sigma=0.1):
     return samples._replace(inputs=inputs, surge=surge + sigma * noise)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", [lambda: RLS(Linear(), 0.99), lambda: SIFtRLS(Linear(), memory=40.0)])
 def test_noise_and_deviation_are_those_of_the_innovations(kind):
     """Standardised by the deviation that was foretold, innovations have variance 1, early and late, in each batch

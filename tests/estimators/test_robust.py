@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy import integrate, stats
 
-from tests.support import random_samples
+from tests.support import few, random_samples
 from usvlearn import AID, RLS, Inputs, QuasiStatic, Robust, SIFtRLS, SurgeDynamics, WithMemory, rollout
 from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.errors import ConfigError
@@ -62,7 +62,7 @@ def test_moment_equals_quadrature(c):
     assert clipped_moment(c) == pytest.approx(expected, rel=1e-9)
 
 
-@pytest.mark.parametrize(("threshold", "patience"), [(1.345, 8), (4.0, 2)])
+@pytest.mark.parametrize(("threshold", "patience"), few([(1.345, 8), (4.0, 2)], [(4.0, 2)], "thorough"))
 def test_scale_is_the_standard_deviation_of_what_is_no_outlier(threshold, patience):
     """With 2 % of gross outliers the plain deviation is 0.7 m/s; that of the rest, 0.05.
 
@@ -123,6 +123,7 @@ def test_an_input_that_is_no_number_is_refused_too():
         assert torch.equal(leaf, leaves(state)[name]), name
 
 
+@pytest.mark.thorough
 def test_outliers_move_the_parameters_little():
     """2 % of gross outliers, 100 deviations each: the estimates of least squares without them deviate by 0.001.
 

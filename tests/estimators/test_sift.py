@@ -179,6 +179,7 @@ def day(steps: int, p: int = 6):
     return phi, phi.sum(-1) + 0.05 * rng.standard_normal(steps)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("dtype", "steps"),
     [(torch.float64, 4500), pytest.param(torch.float32, 4500, marks=pytest.mark.thorough),

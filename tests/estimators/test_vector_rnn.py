@@ -87,6 +87,7 @@ def test_it_starts_as_persistence(boat):
     torch.testing.assert_close(predicted, 0.99 * boat.velocity[0], atol=1e-9, rtol=1e-6)
 
 
+@pytest.mark.thorough
 def test_every_set_while_learning_contracts_in_fractions(boat):
     """At a rate of learning that is far too high, and with measurements that are wrong."""
     rnn = VectorRNN(MAXIMA, rate=0.5, scaling=(1.0, 0.3, 0.8), kept=50, window=5, windows=3).requires_grad_(False)
@@ -107,6 +108,7 @@ def test_every_set_while_learning_contracts_in_fractions(boat):
     assert float(loose.monitor(free)["contraction_rate"].min()) > 1
 
 
+@pytest.mark.thorough
 def test_two_starts_contract_while_the_weights_learn(boat):
     """Weights learned by one trajectory, applied to two: the distance shrinks by κ at every step."""
     t = torch.tensor([1.0, 0.3, 0.8]).double() / torch.tensor(MAXIMA).double()

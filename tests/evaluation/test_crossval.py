@@ -95,7 +95,7 @@ def test_elements_equal_single_simulations(ensemble, sets, elements):
                 assert found.diverged[k, j, m] == diverged, (k, j, name)
 
 
-@pytest.mark.parametrize("backend", ["kernel", "torch"])
+@pytest.mark.parametrize("backend", few(["kernel", "torch"], ["kernel"], "thorough"))
 @pytest.mark.parametrize("thrust", [-1e4, torch.nan])
 def test_a_simulation_that_leaves_the_limit_backwards_or_is_no_number_counts_as_the_limit(
     ensemble, sets, backend, thrust

@@ -133,6 +133,7 @@ def test_free_runs_are_of_later_runs_with_what_was_learned_before(fleet):
         assert row["aid"] == pytest.approx(expected, rel=1e-7)
 
 
+@pytest.mark.thorough
 def test_tuning_minimises_an_error_of_its_member():
     with pytest.raises(ConfigError, match=r"objective: found aid.free with learn=aid"):
         request("learn=aid", "objective=aid.free")
@@ -144,6 +145,7 @@ def test_tuning_minimises_an_error_of_its_member():
     assert request("search=aid").measure == Measure("aid")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("objective", ["aid.forecast.2", pytest.param("ensemble.free", marks=pytest.mark.slow)])
 def test_a_run_ends_with_what_it_measures(objective, tmp_path):
     arguments = [*QUICK, "data.mission_minutes=1", f"objective={objective}", "hydra.run.dir=run"]

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from tests.support import few
 from tests.support.live import turning
 from usvlearn.live.live_poses import LivePoses
 from usvlearn.logs.alignment.align import Aligner, align
@@ -83,7 +84,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", CASES)
-@pytest.mark.parametrize("steps", ["grid", "speed"])
+@pytest.mark.parametrize("steps", few(["grid", "speed"], ["grid"], "thorough"))
 def test_live_is_the_whole_log(name, steps):
     channels = CASES[name](turning().channels, np.random.default_rng(0))
     live, whole = both(channels, steps=steps)

@@ -59,6 +59,7 @@ def test_the_next_prediction_is_that_of_the_next_step_where_the_commands_stay(st
         assert (before.next_low, before.next_high) == pytest.approx((after.low, after.high), abs=1e-12)
 
 
+@pytest.mark.thorough
 def test_the_intervals_of_a_simulated_boat_hold(start):
     """90 % intervals of this speed, and of that in 2 s where the commands stay, contain most speeds of a mission."""
     one, log = node(start), boat(1.0, seed=3)
@@ -75,6 +76,7 @@ def test_the_intervals_of_a_simulated_boat_hold(start):
     assert len(inside) > 1000 and 0.85 < np.mean(inside) < 0.97
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("kind", "seed"), [("lawn_mower", 31), ("patrol", 32)])
 def test_forecasts_of_held_commands_have_intervals_that_hold_whatever_is_commanded(start, kind, seed):
     """The intervals that assume that the commands stay hold half of the speeds 10 s ahead, or less."""
@@ -265,6 +267,7 @@ def test_one_throttle_is_not_read_in_two_ways(tmp_path):
     assert begin(NodeFolder(tmp_path), Options(tmp_path, channels=own), MIDDLEWARE).setup.one_command
 
 
+@pytest.mark.thorough
 def test_what_an_interval_does_not_tell_is_no_number(start):
     """The top speed of a prior is 3 m/s, and its interval reaches from -61 to 67 m/s."""
     before = Online.of(*prior(36.0, 3.0))

@@ -36,6 +36,7 @@ def assert_equal(found, expected, path: str = "") -> None:
         assert found == expected, path
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("mass, surge_max", BOATS)
 def test_it_equals_the_ensemble_that_torch_makes(mass, surge_max):
     """It fails, too, if a default has changed since the file was made: run `python -m usvlearn.cli.prior_file`."""

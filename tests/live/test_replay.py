@@ -33,6 +33,7 @@ def test_live_is_replay(tmp_path, start):
     assert np.isfinite(predicted).mean() > 0.3
 
 
+@pytest.mark.thorough
 def test_after_a_reboot_a_second_record_replays_what_follows(tmp_path, start):
     posts, steps = list(messages(boat(0.05), 0.0)), []
     with Session(Options(tmp_path, start, record=True), PLAIN) as session:

@@ -169,6 +169,7 @@ def test_a_session_saves_tracks_and_waits_for_no_position(tmp_path, run):
     assert (tmp_path / "records" / "record_0001" / "planar").is_dir()
 
 
+@pytest.mark.thorough
 def test_a_record_is_replayed_with_its_tracks(tmp_path):
     """By train.py, from a run and the record, though the first position came after half a minute."""
     quick = [each for each in commands.QUICK[1:] if each != "tracks=null"]

@@ -47,6 +47,7 @@ def told_with_ages(session: Session, posts) -> list[tuple[float, str, str, tuple
     return found
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("part, every", [("heading", 0.25), ("heading", 1.0), ("command_left", 0.9), ("surge", 0.9)])
 def test_a_node_that_loses_many_steps_says_so_within_a_minute(tmp_path, start, part, every):
     """A fixed window of 0.01 s; the automatic one learns from the same messages."""
@@ -89,6 +90,7 @@ def test_a_channel_that_becomes_too_seldom_stays_so_between_its_messages(tmp_pat
     }
 
 
+@pytest.mark.thorough
 def test_a_rate_that_changes_again_and_again_is_told_with_a_window_that_spans_its_silences(tmp_path, start):
     """The advice was twice the window of the fast times, 0.4 s, which the slow ones exceed as before."""
 

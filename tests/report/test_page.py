@@ -117,6 +117,7 @@ def written(folder: Path, change=lambda seasons: seasons, checks=()) -> tuple[st
     return text, Page(text)
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("drawn_once")
 def test_a_boat_without_predictions_forecasts_and_a_reader_has_a_page(tmp_path):
     text, page = written(tmp_path)

@@ -83,6 +83,7 @@ def test_another_plan_is_not_mixed_in(tmp_path):
         made(tmp_path, Recorder(), {**PLAN, "evaluations": 8}).make()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("path", sorted((ROOT / "configs" / "experiment").glob("*.yaml")), ids=lambda path: path.stem)
 def test_every_experiment_composes(path):
     """For train.py, or as a study of evaluate.py whose stages are overrides of train.yaml."""

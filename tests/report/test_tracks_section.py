@@ -108,6 +108,7 @@ def test_a_checkpoint_that_has_learned_from_the_mission_is_used_where_there_is_n
     assert "That checkpoint has learned from this mission" in tracks_section(found).figures[1].caption
 
 
+@pytest.mark.thorough
 def test_the_page_shows_table_figures_and_map_and_every_name_is_escaped(made, tmp_path):
     found, name = made.tracks()[BOAT], BAD.replace("/", "_") + r"$\frac{$"
     mission = found.mission._replace(run=found.mission.run._replace(name=name))

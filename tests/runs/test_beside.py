@@ -50,6 +50,7 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before(made, tmp_path):
     assert "learned anew" not in done.stdout
 
 
+@pytest.mark.thorough
 def test_a_checkpoint_of_the_ensemble_brings_the_one_beside_it(made, tmp_path):
     one = newest(made)
     done = run(*ONE, "data.seed=5", f"resume={made}/run/checkpoints/heron/{one.name}", folder=tmp_path)

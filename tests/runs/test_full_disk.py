@@ -118,6 +118,7 @@ def test_a_run_with_too_little_room_ends_in_one_sentence(limit, tmp_path):
         checkpoint.verify(path)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("folder", ["file", "file/run", "/proc/run", "/dev/null"])
 @pytest.mark.parametrize("key", ["run", "sweep"])
 def test_a_folder_that_cannot_be_one_is_told(folder, key, tmp_path, monkeypatch, capsys):

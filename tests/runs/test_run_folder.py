@@ -38,7 +38,7 @@ def dying(monkeypatch, after: int) -> None:
     monkeypatch.setattr(run_folder, "write_atomically", dies)
 
 
-@pytest.mark.parametrize("warm", [False, True], ids=["from_nothing", "from_a_season_before"])
+@pytest.mark.parametrize("warm", few([False, True], [True], "thorough"), ids=["from_nothing", "from_a_season_before"])
 @pytest.mark.parametrize("elsewhere", few([False, True], [True], "thorough"), ids=["in_place", "into_another_folder"])
 def test_a_stop_between_any_two_writes_changes_nothing(tmp_path, fleet, monkeypatch, warm, elsewhere):
     season = session(tmp_path / "season", align_fleet([recording("a", "x", 5.0), recording("b", "x", 5.0)]))
@@ -63,6 +63,7 @@ def test_a_stop_between_any_two_writes_changes_nothing(tmp_path, fleet, monkeypa
         assert_same(again, whole)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("damage", ["cut", "flip", "remove", "foreign", "bomb", "header", "plain"])
 def test_damaged_predictions_are_made_anew(tmp_path, fleet, damage):
     whole, folder = session(tmp_path / "whole", fleet), session(tmp_path / "run", fleet)

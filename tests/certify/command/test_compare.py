@@ -243,6 +243,7 @@ def test_the_page(made):
     ]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("sizes", [[4, 8], [95, 100, 105, 500], [7]])
 def test_no_picture_has_an_empty_panel_or_texts_that_touch(made, sizes):
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -84,6 +84,7 @@ class Counting(RecordingSession):
         return COMPILING._replace(state="ok")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("hours", "reboots"), [(0.05, 2), pytest.param(24.0, 100, marks=pytest.mark.slow)])
 def test_for_hours_nothing_is_lost_and_no_memory_used(hours, reboots):
     lab, memory = Lab(session=Counting()), []

@@ -22,6 +22,7 @@ from usvlearn.live.status import posts
 from usvlearn.live.status.status_file import status_lines
 
 
+@pytest.mark.thorough
 def test_it_publishes_what_the_node_says(tmp_path):
     async def work():
         async with at_sea(prior(tmp_path / "moos")) as sea:
@@ -61,6 +62,7 @@ def test_it_publishes_what_the_node_says(tmp_path):
     assert list((tmp_path / "moos").glob("live_*.safetensors"))
 
 
+@pytest.mark.thorough
 def test_while_code_compiles_it_answers_and_then_asks_again(tmp_path, monkeypatch):
     compiled = threading.Event()
     make = Session._make
@@ -186,6 +188,7 @@ def test_a_plan_that_is_posted_is_answered(tmp_path):
     asyncio.run(work())
 
 
+@pytest.mark.thorough
 def test_warped_time(tmp_path):
     async def work():
         database = Moosdb(warp=10.0)
@@ -234,6 +237,7 @@ def test_a_signal_saves_and_leaves(tmp_path, number):
     assert len(list((tmp_path / "node").glob("live_*.safetensors"))) == 1
 
 
+@pytest.mark.thorough
 def test_a_node_that_makes_tracks_posts_them_and_answers_a_plan_by_one(tmp_path):
     """It subscribes to positions, and does not wait for them."""
 

@@ -130,6 +130,7 @@ async def killed(database, times):
     assert sent - len(found) <= 60 * times  # what was in flight, or came before the new registration
 
 
+@pytest.mark.thorough
 def test_a_database_that_is_killed_ten_times(database, monkeypatch):
     monkeypatch.setattr(module, "FIRST", 0.05)
     in_loop(killed, database, 10)
@@ -164,6 +165,7 @@ async def frozen(database):
             await until(lambda: listener.received)
 
 
+@pytest.mark.thorough
 def test_a_database_that_is_frozen(database, monkeypatch):
     monkeypatch.setattr(module, "SILENCE", 2.0)
     in_loop(frozen, database)

@@ -99,6 +99,7 @@ def test_faults_of_the_database_do_not_stop_it(tmp_path, monkeypatch):
     asyncio.run(work())
 
 
+@pytest.mark.thorough
 def test_clocks_that_jump_by_an_hour(tmp_path):
     async def work():
         async with at_sea(prior(tmp_path)) as sea:

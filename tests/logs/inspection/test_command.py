@@ -248,6 +248,7 @@ def test_options_are_checked(run, log, option, value, words):
     assert printed.err.startswith(f"error: {option}: found {words}")
 
 
+@pytest.mark.thorough
 def test_it_needs_no_torch(log, tmp_path):
     code = (
         "import sys; sys.argv = ['usvlearn', 'inspect', *sys.argv[1:]]\n"

@@ -54,6 +54,7 @@ def test_the_moos_block_sums_up_to_the_gains():
     assert moos.tick == 20 and out == pytest.approx(0.3 * 0.4 + 0.2 * 0.4 * 40 / 20)
 
 
+@pytest.mark.thorough
 def test_two_hundred_boats_settle_and_none_is_unstable():
     found = controller(known_boat())
     for loop in found.loops:
@@ -106,6 +107,7 @@ def test_a_wrong_option_is_named(wanted, said):
         controller(known_boat(), wanted)
 
 
+@pytest.mark.thorough
 def test_a_range_that_slow_boats_do_not_reach_is_told():
     boat = known_boat()
     top = float(boat.model.ahead.steady_speed(1.0))

@@ -108,6 +108,7 @@ def test_the_command_prints_its_tables_and_writes_its_files(saved, tmp_path, mon
     assert run(monkeypatch, *arguments) == 0 and (folder / "heron.csv").read_text() == before
 
 
+@pytest.mark.thorough
 def test_a_boat_that_is_well_known_is_said_to_be_so(saved, tmp_path, monkeypatch, capsys):
     leaves, facts = checkpoint.load(saved)
     for name, leaf in leaves.items():

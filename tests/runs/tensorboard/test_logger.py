@@ -5,6 +5,7 @@ import time
 import numpy as np
 import pytest
 
+from tests.support import few
 from tests.support.boards import boards, steps, tags, texts, values
 from tests.support.commands import hparams
 from tests.support.configured import short_season
@@ -208,7 +209,7 @@ def test_log_all_writes_every_number_and_figure(tmp_path, fleet):
         TensorBoardLogger(tmp_path, fleet, ensemble, log="al")
 
 
-@pytest.mark.parametrize("stop", [2, 3, 5, 8])  # the first before any checkpoint
+@pytest.mark.parametrize("stop", few([2, 3, 5, 8], [3], "thorough"))  # the first before any checkpoint
 def test_a_resumed_run_has_every_point_once(tmp_path, fleet, stop):
     """Points after the last checkpoint are written again; TensorBoard keeps those that were written last."""
     log(tmp_path / "whole", fleet, model())
@@ -259,6 +260,7 @@ def test_other_estimators_take_the_places_of_missing_ones():
     assert order == ["a/persistence", "a/aid", "a/mine", "a/arx", "b/persistence", "b/aid", "b/other", "b/arx"]
 
 
+@pytest.mark.thorough
 def test_the_free_run_is_that_of_the_results(tmp_path, fleet, monkeypatch):
     """The figure simulates the last run as `free_errors` does, from the parameters before it."""
     from usvlearn.runs.tensorboard import drawing

@@ -22,6 +22,7 @@ def searched(fleet, folder, evaluations, asked=None, **options):
     return search.search(objective, asked.parameters, evaluations, folder, {"ranges": asked.ranges}, **options)
 
 
+@pytest.mark.thorough
 def test_a_search_that_broke_off_goes_on_to_the_count(fleet, tmp_path):
     asked, work = request("search=aid"), []
 
@@ -55,6 +56,7 @@ def test_a_journal_that_names_code_is_refused(fleet, tmp_path):
         searched(fleet, tmp_path, 2)
 
 
+@pytest.mark.thorough
 def test_what_a_killed_process_left_is_given_back(fleet, tmp_path):
     """And what a living one has in hand is waited for."""
     import optuna

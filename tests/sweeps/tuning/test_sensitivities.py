@@ -55,6 +55,7 @@ SETTINGS = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "member", [*few(["memory_rls"], (), "thorough"), *few((name for name in SETTINGS if name != "memory_rls"), {"aid"})]
 )

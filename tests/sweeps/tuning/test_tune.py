@@ -214,6 +214,7 @@ BAD_INPUT = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", BAD_INPUT)
 def test_bad_input_is_told_in_one_sentence(case, tmp_path):
     overrides, said = BAD_INPUT[case]
