@@ -104,6 +104,7 @@ def test_a_hyperparameter_is_in_the_files_that_contributing_names():
     assert found - named == {"configs/estimator/memory_aid.yaml"}  # another call of the constructor
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("data", DATA)
 def test_every_configuration_composes_and_its_ensemble_runs(data):
     with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):

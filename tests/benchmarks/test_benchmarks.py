@@ -16,6 +16,7 @@ def test_every_member_is_switched_off_or_added_in_turn():
     assert {f"and {name}" for name in {*default["estimators"], *OTHERS} - {*weighed}} < set(PIECES)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("piece", few(PIECES, list(PIECES)[::8]))
 def test_ablations_build_another_ensemble(piece):
     from hydra.utils import instantiate

@@ -41,6 +41,7 @@ def samples():
     return learned
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(compiler() is None, reason="the machine has no C compiler, neither gcc nor cc")
 @pytest.mark.parametrize(
     "name",

@@ -40,6 +40,7 @@ def test_examples_of_timing():
     assert doctest.testmod(timing) == (0, 4)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "name", few(["aid", "sway, n = 14", "projected sift", "default ensemble"], ["projected sift"], "thorough")
 )

@@ -37,6 +37,7 @@ def knots(tmp_path_factory):
     return path
 
 
+@pytest.mark.thorough
 def test_a_warning_is_shown_and_saved_and_survives_a_resume(knots, tmp_path):
     own = [*TABLE, *QUICK[1:], f"data.path={knots}", f"hydra.run.dir={tmp_path}/run"]
     done = run(*own, folder=tmp_path, COLUMNS="80")

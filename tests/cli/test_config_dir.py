@@ -35,6 +35,7 @@ def mine(tmp_path) -> Path:
     return tmp_path
 
 
+@pytest.mark.thorough
 def test_its_data_estimators_and_experiments_are_added(mine):
     done = run("--config-dir", "mine", "experiment=mine", "data.path=log.csv", "hydra.run.dir=run", folder=mine)
     assert done.returncode == 0, done.stderr

@@ -24,6 +24,8 @@ from usvlearn.model.fit.terms import SETS
 from usvlearn.model.read_boats import read_boats
 from usvlearn.runs import saved
 
+pytestmark = pytest.mark.thorough  # the set-up of its tests takes long
+
 SCRIPT = "usvlearn/__main__.py"
 
 

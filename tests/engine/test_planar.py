@@ -30,6 +30,8 @@ from usvlearn.estimators.planar.state import CONSTANT, ERROR, GROUP, HELD_RATE, 
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.simulate.planar_fleet import planar_fleet
 
+pytestmark = pytest.mark.thorough  # the set-up of its tests takes long
+
 ALIGN = {"dt": 0.4, "patience": 1.0}
 TOP = 2.74  # m/s
 

@@ -85,6 +85,7 @@ def test_boa_is_the_published_rule(loss, kind):
     np.testing.assert_allclose(state.weights, history[-1], rtol=1e-7, atol=1e-9)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["noise", "one is good", "turns", "alternate"])
 @pytest.mark.parametrize("loss", few(["absolute", "square"], ["square"], "thorough"))
 def test_regret_stays_within_the_second_order_bound(kind, loss):

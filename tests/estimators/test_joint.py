@@ -219,6 +219,7 @@ def boat(hours: float, noise: float = 0.03, seed: int = 0):
     )
 
 
+@pytest.mark.thorough
 def test_the_parameters_of_a_boat_are_found():
     """Drag and thrust at the speeds and commands in use, the noise of the sensor, and open-loop simulations, from two
     hours.

@@ -109,6 +109,7 @@ def stretch(rng, steps) -> Sample:
     return tree_map(torch.as_tensor, Sample(*arrays))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("speed", [11.0, 20.0, 31.0, 50.0, 99.0, -50.0, 1e6])
 def test_a_speed_that_is_stuck_beyond_all_measure_is_not_learned(speed):
     boat = Online(default_ensemble(torch.float64))

@@ -184,6 +184,7 @@ def stays(log, begin: float, end: float) -> bool:
     return all(len(part) > 0 and np.ptp(part) < 0.05 for part in parts)
 
 
+@pytest.mark.thorough
 def test_a_lost_thruster_is_told_once(start):
     fault = Fault(side="left", share=0.4, minute=10.0)
     log = fleet(

@@ -125,6 +125,7 @@ BAD = {
 }  # fmt: skip
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", BAD)
 def test_bad_input_is_survived(name):
     one, steps, spoil = node(), [], BAD[name]

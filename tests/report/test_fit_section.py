@@ -23,6 +23,8 @@ from usvlearn.report.sections.fit import UNKNOWN, fit_section
 from usvlearn.report.sections.fit_file import FEW, SavedFit, read_fit, saved_fits
 from usvlearn.report.sections.section import Section
 
+pytestmark = pytest.mark.thorough  # the set-up of its tests takes long
+
 
 @pytest.fixture
 def folder(tmp_path) -> Path:

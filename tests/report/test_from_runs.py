@@ -30,6 +30,8 @@ from usvlearn.report.sections.parameters import parameters_section
 from usvlearn.runs.saved import configuration, is_sweep, read_seasons, results, run_folders
 from usvlearn.simulate.truth import truth_of
 
+pytestmark = pytest.mark.thorough  # the set-up of its tests takes long
+
 
 @pytest.fixture
 def copy(saved, tmp_path) -> Path:

@@ -22,6 +22,8 @@ from usvlearn.report.from_runs import evaluate, read
 from usvlearn.report.overview import MAIN, Ahead, Overview
 from usvlearn.report.page import write_report
 
+pytestmark = pytest.mark.thorough  # the set-up of its tests takes long
+
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 

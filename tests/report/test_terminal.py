@@ -46,6 +46,7 @@ def fleet(count: int, name: str = "heron") -> dict[str, dict]:
     return boats
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("width", WIDTHS)
 @over("name", ["heron", "blueboat_of_the_northern_harbour_"])
 @over("count", [1, 8, 20])

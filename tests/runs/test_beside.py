@@ -8,6 +8,8 @@ import pytest
 from tests.support.commands import SMALL, results, run
 from usvlearn.core.checkpoint import checkpoints, load
 
+pytestmark = pytest.mark.thorough  # the set-up of its tests takes long
+
 ONE = [*SMALL, "hydra.run.dir=run"]
 
 

@@ -28,6 +28,8 @@ from certify.networks.shallow import ShallowWeights
 from certify.proofs import exact
 from certify.proofs.equilibria import equilibria
 
+pytestmark = pytest.mark.thorough  # the set-up of its tests takes long
+
 QUICK = ["compare", "--quick", "--networks", "6", "--training", "50", "--seconds", "0.05"]
 
 

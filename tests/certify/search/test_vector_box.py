@@ -176,6 +176,7 @@ LONG = [
 ]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("name", "last"), [("relu", 0), *LONG])
 def test_hostile_trees_are_answered_soon(name, last, part):
     """Also where every leaf closes, and where an input can be halved 1000 times."""

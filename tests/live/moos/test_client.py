@@ -232,6 +232,7 @@ async def jumping(database):
         assert client.counts == {"connected": 1}
 
 
+@pytest.mark.thorough
 def test_a_clock_that_jumps_by_an_hour_follows_that_of_the_database(database):
     in_loop(jumping, database)
 
@@ -269,6 +270,7 @@ def test_garbage_ends_the_connection_and_a_new_one_begins(raw):
     in_loop(scenario, Moosdb())
 
 
+@pytest.mark.thorough
 def test_a_stream_that_is_cut_at_every_byte(monkeypatch):
     """Its end comes there, or a pause: whatever is complete is delivered, and nothing else."""
     monkeypatch.setattr(module, "FIRST", 0.001)

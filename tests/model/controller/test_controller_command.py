@@ -21,6 +21,7 @@ def learned(tmp_path_factory):
     return usvlearn.learn(logs, reader).save(tmp_path_factory.mktemp("sets") / "heron.safetensors")
 
 
+@pytest.mark.thorough
 def test_the_files_open_in_the_readers_that_they_are_for(learned, tmp_path, monkeypatch, capsys):
     mavparm = pytest.importorskip("pymavlink.mavparm")
     pytest.importorskip("matplotlib")

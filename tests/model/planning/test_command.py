@@ -94,6 +94,7 @@ def run(monkeypatch, *arguments) -> int:
         return stopped.code
 
 
+@pytest.mark.thorough
 def test_the_command_prints_its_tables_and_writes_its_files(saved, tmp_path, monkeypatch, capsys):
     pytest.importorskip("matplotlib")
     folder = tmp_path / "next"

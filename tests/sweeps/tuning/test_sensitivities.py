@@ -113,6 +113,7 @@ class Curved:
         return 0.1 + off @ self.sharp @ off, torch.tensor(2 * self.sharp @ off)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("best, reached", [((1.0, -2.0), (1.0, -2.0)), ((9.0, -2.0), None)])
 def test_the_descent_finds_the_minimum_in_the_range(monkeypatch, best, reached):
     curved = Curved(best, [[1.0, 0.3], [0.3, 0.2]])
