@@ -38,13 +38,13 @@ PRODUCT = {
     "core, errors": Room(2_734, 2_500, ("usvlearn/core/", "usvlearn/errors.py")),
     "simulate": Room(2_161, 1_800, ("usvlearn/simulate/",)),
     "evaluation": Room(1_860, 1_600, ("usvlearn/evaluation/",)),
-    "display, top": Room(1_743, 1_200, ("usvlearn/display/", "usvlearn/_", "usvlearn/api.py", "usvlearn/learned.py")),
+    "display, top": Room(1_742, 1_200, ("usvlearn/display/", "usvlearn/_", "usvlearn/api.py", "usvlearn/learned.py")),
 }
 OTHERS = {
-    "tests": Room(46_721, 38_000, ("tests/",)),
-    "benchmarks": Room(9_894, 5_000, ("benchmarks/",)),
+    "tests": Room(48_400, 38_000, ("tests/",)),
+    "benchmarks": Room(10_805, 5_000, ("benchmarks/",)),
     "building": Room(787, None, (".ci/", "aboard/", "docs/")),
-    "pages": Room(10_006, None, ("README.md", "CONTRIBUTING.md", "aboard/README.md", "docs/")),
+    "pages": Room(10_030, None, ("README.md", "CONTRIBUTING.md", "aboard/README.md", "docs/")),
 }
 ROOMS = PRODUCT | OTHERS
 NOT_COUNTED = "CHANGELOG.md", "docs/adr/", "docs/tutorials/"  # records that only grow, and what the site's build writes

@@ -74,9 +74,14 @@ def test_thousands_of_steps(name, steps):
 
 
 @every_setting
-@pytest.mark.parametrize("steps", few([50, 100], [50], "thorough"))
-def test_every_estimator_and_setting(name, steps):
-    assert_windows_equal(EVERY[name](), mission(steps, 2), 25, 1e-9)
+def test_every_estimator_and_setting(name):
+    assert_windows_equal(EVERY[name](), mission(50, 2), 25, 1e-9)
+
+
+@pytest.mark.thorough
+@every_setting
+def test_every_estimator_and_setting_for_more_steps(name):
+    assert_windows_equal(EVERY[name](), mission(100, 2), 25, 1e-9)
 
 
 @each_family(EVERY)
