@@ -242,7 +242,9 @@ def test_steps_are_pure(name, batch):
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("name", few([*FAMILIES, "rnn_penalty"], {"robust_memory"}, "thorough"))
+@pytest.mark.parametrize(
+    "name", few([*FAMILIES, "joint", "rnn_penalty"], {"robust_memory", "rnn_replay", "joint", "boa"})
+)
 def test_compiles_without_graph_breaks(name):
     estimator, samples = ESTIMATORS[name](), random_samples(1, 3)
     state = tree_map(torch.Tensor.detach, estimator.init((3,)))

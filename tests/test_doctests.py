@@ -3,26 +3,39 @@
 import importlib
 import inspect
 from doctest import DocTestFinder, DocTestRunner
+from functools import cached_property
 
 import pytest
 
 from tests.support import ROOT
 from tests.support.reference import listed
 
+SOURCES = [
+    path for folder in ("certify", "usvlearn", "tests/support") for path in sorted((ROOT / folder).rglob("*.py"))
+]
 MODULES = [
     ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
-    for folder in ("certify", "tests", "usvlearn")
-    for path in sorted((ROOT / folder).rglob("*.py"))
+    for path in SOURCES
     if ">>> " in path.read_text()
 ]
+
+
+def cached(value: object) -> list:
+    """The functions behind the cached properties of a class, or of a module's classes, which doctest passes over."""
+    classes = [each for each in vars(value).values() if isinstance(each, type)] if inspect.ismodule(value) else [value]
+    return [each.func for cls in classes for each in vars(cls).values() if isinstance(each, cached_property)]
 
 
 def failures(value: object, name: str) -> str:
     """What the examples of a module, class or function print in place of what they show."""
     printed: list[str] = []
-    tests = DocTestFinder(exclude_empty=True).find(value, name, module=inspect.getmodule(value))
-    assert any(test.examples for test in tests), f"{name} has no example"
-    for test in tests:
+    found = [
+        test
+        for each in (value, *cached(value))
+        for test in DocTestFinder(exclude_empty=True).find(each, name, module=inspect.getmodule(value))
+    ]
+    assert any(test.examples for test in found), f"{name} has no example"
+    for test in found:
         DocTestRunner().run(test, out=printed.append)
     return "".join(printed)
 
