@@ -209,6 +209,8 @@ def compare(prefixes: Sequence[str], shared: Path) -> bool:
             states[name] = ABSENT if own == ABSENT else "not recorded"
         elif states[name] == "differs":
             present[name] = found
+    if not states:
+        raise SystemExit(f"--only: found {', '.join(prefixes)}, expected the beginning of a case, such as steps/aid")
     gone = [name for name in known if name.startswith(tuple(prefixes)) and name not in states]
     states |= dict.fromkeys(gone, "gone")
     before = recorded_values(recorded, list(present), shared) if present else {}
@@ -220,7 +222,7 @@ def compare(prefixes: Sequence[str], shared: Path) -> bool:
 def told(gate: str, states: Mapping[str, str], before: Mapping[str, Any], present: Mapping[str, Any]) -> None:
     """Print one gate: equal, or the first difference, with how many cases differ."""
     by = {state: [name for name, each in states.items() if each == state] for state in dict.fromkeys(states.values())}
-    said = "equal" if not {"differs", "gone"} & by.keys() else "DIFFERS"
+    said = "DIFFERS" if {"differs", "gone"} & by.keys() else "equal" if "equal" in by else "not compared"
     counts = ", ".join(f"{len(names)} {state}" for state, names in by.items())
     print(f"{gate:13} {said} ({counts})")
     for state in (ABSENT, "not recorded", "gone"):

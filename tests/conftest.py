@@ -21,8 +21,8 @@ settings.load_profile("loaded")  # drawing cases may take long on a loaded machi
 
 TIERS = ("thorough", "slow", "slurm", "docs")
 WITHOUT_KERNELS = ("tests/certify", "tests/logs", "tests/core", "tests/display", "tests/simulate")
-WITH = "tests/core/test_lock.py"
-FIRST = "tests/report/test_from_runs.py"  # which makes a report that several modules look at, for which they would wait
+BUT_WITH_KERNELS = "tests/core/test_lock.py"
+FIRST = "tests/report/test_from_runs.py"  # of the thorough tests: several modules wait for the report that it makes
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -32,25 +32,25 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def tier(item: pytest.Item) -> str:
-    """The tier of a test: the last of its markers in TIERS; without one, it runs by default."""
+    """The tier of a test: of its markers the one that stands last in TIERS; without one, it runs by default."""
     return next((name for name in reversed(TIERS) if item.get_closest_marker(name)), "default")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out the tiers that `-m` does not name, and sort the rest.
+    """Leave out the tiers that `-m` does not name, unless a test is named itself, and sort the rest.
 
     From an empty cache, one process compiles the kernels while the others run what needs none.
     """
     wanted = {"default", *re.findall(r"\w+", config.option.markexpr)}
     left_out = [item for item in items if tier(item) not in wanted]
-    if left_out:
+    if left_out and not any("::" in each for each in config.args):
         items[:] = [item for item in items if tier(item) in wanted]
         config.hook.pytest_deselected(items=left_out)
 
     def turn(item: pytest.Item) -> int:
         if item.nodeid.startswith("tests/engine/test_kernels.py"):
             return 0
-        if item.nodeid.startswith(WITHOUT_KERNELS) and not item.nodeid.startswith(WITH):
+        if item.nodeid.startswith(WITHOUT_KERNELS) and not item.nodeid.startswith(BUT_WITH_KERNELS):
             return 1
         return 2 if item.nodeid.startswith(FIRST) else 3
 
@@ -68,7 +68,7 @@ def interruptible() -> Iterator[None]:
     """Ctrl-C is heeded in the tests and in what they start, also where a shell began pytest in the background."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
-    signal.signal(signal.SIGINT, before)
+    signal.signal(signal.SIGINT, before or signal.SIG_DFL)
 
 
 @pytest.fixture

@@ -22,7 +22,8 @@ MODULES = [
 
 def cached(value: object) -> list:
     """The functions behind the cached properties of a class, or of a module's classes, which doctest passes over."""
-    classes = [each for each in vars(value).values() if isinstance(each, type)] if inspect.ismodule(value) else [value]
+    named = vars(value).values() if inspect.ismodule(value) else [value]
+    classes = [each for each in named if isinstance(each, type) and inspect.getmodule(each) is inspect.getmodule(value)]
     return [each.func for cls in classes for each in vars(cls).values() if isinstance(each, cached_property)]
 
 

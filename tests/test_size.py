@@ -41,10 +41,10 @@ PRODUCT = {
     "display, top": Room(1_742, 1_200, ("usvlearn/display/", "usvlearn/_", "usvlearn/api.py", "usvlearn/learned.py")),
 }
 OTHERS = {
-    "tests": Room(48_400, 38_000, ("tests/",)),
-    "benchmarks": Room(10_805, 5_000, ("benchmarks/",)),
+    "tests": Room(48_419, 38_000, ("tests/",)),
+    "benchmarks": Room(10_807, 5_000, ("benchmarks/",)),
     "building": Room(787, None, (".ci/", "aboard/", "docs/")),
-    "pages": Room(10_030, None, ("README.md", "CONTRIBUTING.md", "aboard/README.md", "docs/")),
+    "pages": Room(10_025, None, ("README.md", "CONTRIBUTING.md", "aboard/README.md", "docs/")),
 }
 ROOMS = PRODUCT | OTHERS
 NOT_COUNTED = "CHANGELOG.md", "docs/adr/", "docs/tutorials/"  # records that only grow, and what the site's build writes

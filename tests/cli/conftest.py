@@ -1,6 +1,7 @@
 """Files of configs/ are read once, which halves the time of a command that is refused."""
 
 import copy
+import os
 from collections.abc import Iterator
 
 import pytest
@@ -28,7 +29,11 @@ def read_once() -> Iterator[None]:
         def make():
             return compose(self, config_name, overrides, *options, **named)
 
-        return make() if overrides else once((config_name, str(self.config_search_path), options, *named.items()), make)
+        return (
+            make()
+            if overrides
+            else once((os.getcwd(), config_name, str(self.config_search_path), options, *named.items()), make)
+        )
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(OmegaConf, "load", staticmethod(load_once))

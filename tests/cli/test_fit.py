@@ -40,7 +40,6 @@ def folder(tmp_path_factory):
     return folder
 
 
-@pytest.mark.thorough
 def test_it_is_nearer_to_the_truth_than_online_learning_and_says_how_sure_it_is(folder):
     done = run("fit", "run", folder=folder, script=SCRIPT)
     assert done.returncode == 0, done.stderr
@@ -105,7 +104,6 @@ def test_logs_that_have_moved_are_named_by_their_key(folder, tmp_path, monkeypat
         work(["run", "--out", str(tmp_path)])
 
 
-@pytest.mark.thorough
 def test_what_it_writes_is_read_by_all_that_read_a_run(folder, tmp_path, monkeypatch):
     monkeypatch.chdir(folder)
     if not Path("run/fit").exists():
@@ -146,7 +144,6 @@ def test_what_it_writes_is_read_by_all_that_read_a_run(folder, tmp_path, monkeyp
     assert math.isfinite(online.step(Sample(Inputs(0.5, 0.5, 0.0, 0.0, 0.4), 1.0, True, True)))
 
 
-@pytest.mark.thorough
 def test_it_says_which_open_loop_simulation_to_use(folder, monkeypatch):
     monkeypatch.chdir(folder)
     if not Path("run/fit").exists():
@@ -159,7 +156,6 @@ def test_it_says_which_open_loop_simulation_to_use(folder, monkeypatch):
         assert mode["ensemble"] == pytest.approx(results["free"][boat]["ensemble"], rel=1e-9) and mode["fit"] < 0.2
 
 
-@pytest.mark.thorough
 def test_other_logs_than_those_of_the_run_are_used_and_said(folder, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     work(["run", "--boat", "heron1", "--terms", "cubic", "--out", str(tmp_path), "data.seed=5"])

@@ -25,7 +25,7 @@ from usvlearn.estimators.rnn.projection_kernel import threshold
 EVERY = ESTIMATORS | VARIANTS
 every_setting = pytest.mark.parametrize("name", EVERY)
 BATCHES = [(2, 3), *(pytest.param(batch, marks=pytest.mark.thorough) for batch in ((), (3,)))]
-IN_CI = ("rls", "projected", "robust", "rnn")  # of all families
+IN_CI = ("rls", "projected", "robust", "rnn")  # in the thorough tests; all others are slow
 AMPLIFYING = ("ensemble",)  # its bank's covariances are inflated: torch, started one rounding away, ends 4e-7 away
 
 

@@ -246,7 +246,6 @@ def test_the_first_page_has_the_values_of_the_fit_before_those_learned_online():
     assert "The log does not determine: drag at half of that speed." in text
 
 
-@pytest.mark.thorough
 @pytest.mark.usefixtures("drawn_once")
 def test_the_report_of_a_run_is_renewed_with_the_fit(saved, tmp_path, capsys):
     shutil.copytree(saved, tmp_path / "run")

@@ -224,7 +224,6 @@ def test_other_logs_of_a_boat_are_all_other_runs(saved):
     assert all(season.others.all() and not season.runs[0].published for season in seasons)
 
 
-@pytest.mark.thorough
 @pytest.mark.usefixtures("drawn_once")
 def test_a_report_on_other_logs_checks_them_says_so_and_stands_beside_that_of_the_run(copy, monkeypatch, capsys):
     given = ["data=simulated", "data.n=2", "data.hours=0.05", "data.seed=77"]
@@ -249,7 +248,6 @@ def test_run_folders_are_found_below_and_must_be_there(saved, tmp_path):
         run_folders(tmp_path)
 
 
-@pytest.mark.thorough
 def test_a_report_never_takes_the_place_of_something_else(copy):
     before = {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()}
     for folder in (copy, copy / "checkpoints"):

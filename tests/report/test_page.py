@@ -119,7 +119,6 @@ def written(folder: Path, change=lambda seasons: seasons, checks=()) -> tuple[st
     return text, Page(text)
 
 
-@pytest.mark.thorough
 @pytest.mark.usefixtures("drawn_once")
 def test_a_boat_without_predictions_forecasts_and_a_reader_has_a_page(tmp_path):
     text, page = written(tmp_path)
@@ -155,7 +154,6 @@ def test_boats_may_have_different_numbers_of_runs(tmp_path):
     assert places == ["0", "1", "2"]
 
 
-@pytest.mark.thorough
 def test_a_run_of_three_steps_has_a_page(tmp_path):
     def change(seasons):
         def short(run):
@@ -172,7 +170,6 @@ def test_a_run_of_three_steps_has_a_page(tmp_path):
     assert len(decoded(run["series"]["measured"])) == 3 and run["bins"]["free error against speed"] == []
 
 
-@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore:constrained_layout")  # so long a name leaves a figure no room
 def test_names_do_nothing(tmp_path):
     def change(seasons):
@@ -207,7 +204,6 @@ def test_findings_of_the_data_check_are_on_the_first_page(tmp_path):
     ]
 
 
-@pytest.mark.thorough
 @pytest.mark.usefixtures("drawn_once")
 def test_a_run_that_is_not_finished_has_a_page_and_a_study_states_the_papers_results(saved, tmp_path):
     shutil.copytree(saved, tmp_path / "run")
@@ -234,7 +230,6 @@ def opened(path: Path, profile: Path) -> str:
     return done.stdout
 
 
-@pytest.mark.thorough
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium is installed")
 def test_the_viewer_draws_the_last_run_in_a_browser(saved, tmp_path):
     dom = opened(saved / "report" / "index.html", tmp_path)

@@ -27,7 +27,6 @@ def newest(folder, name="run"):
     return checkpoints(folder / name / "planar" / "checkpoints" / "heron")[-1]
 
 
-@pytest.mark.thorough
 def test_without_tracks_nothing_else_differs(made):
     own, without = (results(made / name) for name in ("run", "without"))
     assert "tracks" in own and "tracks" not in without and not (made / "without" / "planar").exists()
@@ -42,7 +41,6 @@ def test_a_run_without_tracks_is_resumed_with_them(made, tmp_path):
     assert set(results(tmp_path / "run")["tracks"]["heron"]) == {"2", "5.2", "10", "30"}
 
 
-@pytest.mark.thorough
 def test_a_damaged_checkpoint_gives_way_to_the_one_before(made, tmp_path):
     shutil.copytree(made / "run", tmp_path / "first")
     path = newest(tmp_path, "first")
@@ -52,7 +50,6 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before(made, tmp_path):
     assert "learned anew" not in done.stdout
 
 
-@pytest.mark.thorough
 def test_a_checkpoint_of_the_ensemble_brings_the_one_beside_it(made, tmp_path):
     one = newest(made)
     done = run(*ONE, "data.seed=5", f"resume={made}/run/checkpoints/heron/{one.name}", folder=tmp_path)

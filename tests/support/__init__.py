@@ -128,7 +128,7 @@ def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path],
 
 
 def few(values: Iterable, kept: Container, tier: str = "slow") -> list:
-    """The values of `pytest.mark.parametrize`, of which those that are not kept run among the tests of a tier alone.
+    """The values of `pytest.mark.parametrize`, of which those that are not kept run only in this tier.
 
     A tuple holds the values of several arguments.
     """

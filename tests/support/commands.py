@@ -1,25 +1,31 @@
 """The commands as a user starts them, and what they leave behind."""
 
 import csv
+import faulthandler
 import io
 import json
+import logging
 import os
 import runpy
 import subprocess
 import sys
 import warnings
-from contextlib import chdir, redirect_stderr, redirect_stdout
+from collections.abc import Iterator
+from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
 import pytest
+import torch
 from omegaconf import OmegaConf
 
 from tests.support import ROOT
 from usvlearn.core import checkpoint
 
-ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "160"}
+SET = {"OMP_NUM_THREADS": "1", "COLUMNS": "160"}
+ENVIRONMENT = {**os.environ, **SET}
+LONGEST = 300  # s of a command
 
 
 SMALL = ["data.hours=0.0667", "data.mission_minutes=2", "estimators.rnn.neurons=4", "save_minutes=0.5"]
@@ -45,13 +51,13 @@ def run(*arguments: str, folder: Path, script: str = "train.py", **environment: 
     started = command(*arguments, script=script)
     if not environment.keys() <= {"COLUMNS"}:
         return subprocess.run(
-            started, cwd=folder, env=ENVIRONMENT | environment, capture_output=True, text=True, timeout=300
+            started, cwd=folder, env=ENVIRONMENT | environment, capture_output=True, text=True, timeout=LONGEST
         )
     code, out, err = 0, io.StringIO(), io.StringIO()
     with (
-        chdir(folder), redirect_stdout(out), redirect_stderr(err), patch.object(sys, "argv", started[1:]),
-        patch.object(sys, "path", [*sys.path]), patch.dict(os.environ, ENVIRONMENT | environment),
-        warnings.catch_warnings(),
+        left_as_it_was(), chdir(folder), redirect_stdout(out), redirect_stderr(err), warnings.catch_warnings(),
+        patch.object(sys, "argv", started[1:]), patch.object(sys, "path", [*sys.path]),
+        patch.dict(os.environ, SET | environment),
     ):  # fmt: skip
         warnings.simplefilter("default")
         warnings.showwarning = lambda *what: print(end=warnings.formatwarning(*what[:4]), file=sys.stderr)
@@ -59,7 +65,24 @@ def run(*arguments: str, folder: Path, script: str = "train.py", **environment: 
             runpy.run_path(started[1], run_name="__main__")
         except SystemExit as end:
             code = end.code or 0
+            if isinstance(code, str):
+                print(code, file=sys.stderr)
+                code = 1
     return subprocess.CompletedProcess(started, code, out.getvalue(), err.getvalue())
+
+
+@contextmanager
+def left_as_it_was() -> Iterator[None]:
+    """Put back what a command changes in its process, and end the process if it takes too long."""
+    handlers, level, threads = [*logging.root.handlers], logging.root.level, torch.get_num_threads()
+    faulthandler.dump_traceback_later(LONGEST, exit=True, file=sys.__stderr__)
+    try:
+        yield
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+        logging.root.handlers[:] = handlers
+        logging.root.setLevel(level)
+        torch.set_num_threads(threads)
 
 
 def python(code: str, **environment: str) -> subprocess.CompletedProcess:

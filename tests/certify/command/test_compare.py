@@ -33,7 +33,6 @@ pytestmark = pytest.mark.thorough  # the set-up of its tests takes long
 QUICK = ["compare", "--quick", "--networks", "6", "--training", "50", "--seconds", "0.05"]
 
 
-@pytest.mark.thorough
 def test_families_are_what_they_are_called():
     rng = np.random.default_rng(0)
     K = [float(exact.conditions(w.a, w.w1)["tight"].rate) for w in random_networks(40, 8, rng)]
@@ -245,7 +244,6 @@ def test_the_page(made):
     ]
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize("sizes", [[4, 8], [95, 100, 105, 500], [7]])
 def test_no_picture_has_an_empty_panel_or_texts_that_touch(made, sizes):
     from matplotlib.backends.backend_agg import FigureCanvasAgg
