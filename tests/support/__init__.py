@@ -137,6 +137,11 @@ def few(values: Iterable, kept: Container, tier: str = "slow") -> list:
     return [value if value in kept else pytest.param(*each, marks=marks) for value, each in sets]
 
 
+def cases(default: int, thorough: int) -> Callable:
+    """Makes a test over `count` cases: so many by default, and more of them in `thorough`."""
+    return pytest.mark.parametrize("count", few([default, thorough], [default], "thorough"))
+
+
 def each_family(values: Iterable) -> Callable:
     """Makes a test for each value of `name`; those that are not in FAMILIES run in `thorough`."""
     return pytest.mark.parametrize("name", few(values, FAMILIES, "thorough"))

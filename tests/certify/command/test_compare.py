@@ -39,7 +39,7 @@ def test_families_are_what_they_are_called():
     assert 0.03 <= min(K) < 0.1 and 1 < max(K) <= 3
     assert all(np.abs(w.a).max() <= 8**-0.5 and np.abs(w.W2).max() <= 5**-0.5 for w in initial_networks(5, 8, rng))
     slopes = []
-    for weights in trained_networks(3, 20, rng, dt=0.4, steps=400):  # it learned a hull: a slope just below 1
+    for weights in trained_networks(3, 20, rng, dt=0.4, steps=800):  # it learned a hull: a slope just below 1
         x, u = np.array([0.1, 0.3]), np.array([0.5, 1.0, 0.6, 0.6])
         y = np.maximum(weights.w1 * x[:, None] + weights.W2 @ u + weights.b, 0) @ weights.a
         slopes.append((y[1] - y[0]) / 0.2)
@@ -79,9 +79,9 @@ def test_summary_counts_what_was_examined():
 
 
 def test_the_contingency_table():
-    rows = [examine(w, None, 1.0) for w in random_networks(30, 5, np.random.default_rng(4))]
+    rows = [examine(w, None, 1.0) for w in random_networks(60, 5, np.random.default_rng(4))]
     for gauge, found in contingency(rows).items():
-        assert sum(found[key] for key in ("both", "only_lmi", "only_gershgorin", "neither")) == 30
+        assert sum(found[key] for key in ("both", "only_lmi", "only_gershgorin", "neither")) == 60
         assert found["only_gershgorin"] == 0 < found["both"]  # a theorem
         assert found["both"] + found["only_lmi"] == sum(row["certified"]["lmi"] for row in rows)
         assert found["missed_interval"][0] <= found["missed"] <= found["missed_interval"][1], gauge
@@ -94,7 +94,7 @@ def test_the_papers_tests_literally_and_mended():
     class Choices:
         corner, order, knots, solver = "both", "both", "both", "CLARABEL"
 
-    networks = [w for w in random_networks(10, 6, np.random.default_rng(2)) if np.abs(w.a * w.w1).sum() > 0]
+    networks = [w for w in random_networks(60, 6, np.random.default_rng(2)) if np.abs(w.a * w.w1).sum() > 0]
     rows = {row["test"]: row for row in paper_tests(networks, Choices)}
     assert rows["M ⪰ 0, 2Λ"]["identity"] and not rows["M ≻ 0, 2Λ"]["identity"]
     assert not rows["M ⪰ 0, Λ"]["identity"] and not rows["M ≻ 0, Λ"]["identity"]

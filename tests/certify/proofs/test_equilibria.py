@@ -13,7 +13,7 @@ from certify.display.figures import MARKS, equilibria_figure
 from certify.errors import CertifyError
 from certify.networks.shallow import ShallowWeights
 from certify.proofs.equilibria import CLASSES, classify, equilibria, piecewise, surge_inputs, sweep
-from tests.support import few
+from tests.support import cases, few
 
 DOMAINS = ((0.0, 1.0), (0.0, 0.5), (-1.0, 1.0), (0.25, 0.25), (-3.0, 0.1))
 
@@ -118,8 +118,9 @@ def compare_with_brute_force(count: int, seed: int) -> dict[str, int]:
     return seen
 
 
-def test_brute_force_agrees_bit_for_bit():
-    seen = compare_with_brute_force(600, seed=0)
+@cases(600, 1500)
+def test_brute_force_agrees_bit_for_bit(count):
+    seen = compare_with_brute_force(count, seed=0)
     assert all(seen.values()), seen  # every class was met
 
 

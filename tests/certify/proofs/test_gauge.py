@@ -21,7 +21,7 @@ def slopes(a, w1):
     return [Fraction(x) * Fraction(y) for x, y in zip(a, w1, strict=True)]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=300, deadline=None)
 @given(NETWORKS)
 def test_the_theorem(network):
     """σ/K from its definition lies in [1, 2], and no step of the proof fails."""
@@ -39,7 +39,8 @@ def test_the_theorem(network):
     assert 0 <= found.rarer <= Fraction(1, 2) and (found.rarer == 0) == (found.ratio == 1)
 
 
-@settings(max_examples=60, deadline=None)
+@pytest.mark.thorough
+@settings(max_examples=200, deadline=None)
 @given(NETWORKS, st.lists(st.fractions(Fraction(1, 50), 50), min_size=8, max_size=8))
 def test_no_gauge_is_better_than_the_best(network, gauges):
     """Gershgorin's smallest rate after any rescaling is at least 2σ, simple's at least 4(n+1) max |s|."""
@@ -53,7 +54,8 @@ def test_no_gauge_is_better_than_the_best(network, gauges):
     assert loss(*map(np.array, scaled))[:3] == loss(*network)[:3]
 
 
-@settings(max_examples=50, deadline=None)
+@pytest.mark.thorough
+@settings(max_examples=100, deadline=None)
 @given(NETWORKS, st.data())
 def test_no_metric_and_multipliers_prove_the_lmi_at_twice_K(network, data):
     """M ≻ 0 at κ = 2K for no p and Λ that are drawn, and for the closed form's just above."""

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from certify.proofs.rounding import above, below, float_above, float_below
+from tests.support import cases
 
 
 def numbers(count: int):
@@ -18,8 +19,9 @@ def numbers(count: int):
         yield from (1 - Fraction(1, 10**k), 1 + Fraction(1, 10**k), Fraction(1, 10**k) - 1, -1 - Fraction(1, 10**k))
 
 
-def test_decimals_bound_and_are_near():
-    for x in numbers(1000):
+@cases(1000, 3000)
+def test_decimals_bound_and_are_near(count):
+    for x in numbers(count):
         for digits in (3, 7, 40):
             high, low = Fraction(above(x, digits)), Fraction(below(x, digits))
             assert low <= x <= high and (high - low) <= abs(x) * Fraction(2, 10 ** (digits - 1))

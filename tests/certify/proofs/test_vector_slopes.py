@@ -25,6 +25,7 @@ from certify.proofs.vector_slopes import (
     through,
     value_bounds,
 )
+from tests.support import cases
 
 
 def truth(z: Fraction) -> tuple[Decimal, Decimal]:
@@ -68,12 +69,13 @@ def test_huge_arguments_are_cheap():
 
 
 @pytest.mark.parametrize("name", ["relu", "leaky:1/3", "leaky:0.01", "tanh"])
-def test_lines_lie_on_both_sides_of_the_activation(name):
+@cases(100, 300)
+def test_lines_lie_on_both_sides_of_the_activation(name, count):
     """At 40 points of each interval, exactly for relu and leaky."""
     phi, source = activation(name), random.Random(1)
     with localcontext() as context:
         context.prec, margin = 120, Decimal(10) ** -80
-        for _ in range(100):
+        for _ in range(count):
             least, most, bits = drawn(source)
             s, t, S, T = lines(phi, least, most, bits)
             for z in [least, most, *(source.randint(least, most) for _ in range(40))]:

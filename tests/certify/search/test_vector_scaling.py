@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 from certify.networks.vector import RELU, VectorWeights, activation, check
 from certify.proofs import vector_exact as exact
 from certify.search.vector_scaling import Scaling, Values, best_diagonal, best_scaling, starts
-from tests.support import few
+from tests.support import cases, few
 from tests.support.vector_networks import draw, draw_scaling
 
 PHI = ("relu", "leaky:1/8", "tanh")
@@ -48,10 +48,11 @@ def test_best_diagonal_is_the_spectral_radius_of_a_positive_matrix(norm):
 
 
 @pytest.mark.parametrize("norm", few(exact.NORMS, ["one"], "thorough"))
-def test_no_other_diagonal_is_better(norm):
+@cases(3, 6)
+def test_no_other_diagonal_is_better(norm, count):
     """By a direct search over log t from the best one and from random ones."""
     rng = np.random.default_rng(2)
-    for case in range(3):
+    for case in range(count):
         weights = draw(rng, 3, 6, 4 if case % 3 == 2 else 0)
         values = Values(weights, activation(PHI[case % 3]), norm)
         best = best_diagonal(weights, activation(PHI[case % 3]), norm)
@@ -77,9 +78,10 @@ def test_full_scaling_finds_the_basis_of_a_linear_map():
         assert radius * (1 - 1e-9) <= found.rate <= radius * 1.01 and unscaled(weights, RELU) > 1.1 * found.rate
 
 
-def test_best_scaling_is_exact_and_never_worse_than_none():
+@cases(6, 9)
+def test_best_scaling_is_exact_and_never_worse_than_none(count):
     rng, kinds = np.random.default_rng(4), set()
-    for case in range(6):
+    for case in range(count):
         weights = draw(rng, int(rng.integers(1, 4)), int(rng.integers(1, 7)), int(rng.integers(0, 3)))
         phi = activation(PHI[case % 3])
         found = best_scaling(weights, phi)

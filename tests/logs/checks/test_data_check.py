@@ -21,7 +21,7 @@ from data_check import (
 )
 
 import usvlearn
-from tests.support import REAL_LOGS, RECORDED, few
+from tests.support import REAL_LOGS, RECORDED, cases, few
 from usvlearn.cli.composition import recordings_of
 from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.logs.channels.channel import AUXILIARY, COMMANDS, SURGE, Channel, Recording
@@ -357,11 +357,12 @@ def stamps(rng, n):
     return kinds_[rng.integers(len(kinds_))]()
 
 
-def test_no_numbers_stop_the_check():
+@cases(120, 300)
+def test_no_numbers_stop_the_check(count):
     """Warnings are errors here, too."""
     others = ("yaw_rate", *AUXILIARY)
     sources = {name: {"name": name} for name in (*COMMANDS, "heading", *others)}
-    for seed in range(120):
+    for seed in range(count):
         rng = np.random.default_rng(seed)
         channels = {}
         for name in (*COMMANDS, "heading", SURGE, *others):

@@ -167,7 +167,7 @@ def scan_tlog(data, extras):
         if (data[frame] != V2 and data[frame] != V1) or frame + head > len(data):
             place += 1
             continue
-        last = frame + head + np.int64(data[frame + 1])  # where the checksum stands; in plain Python bytes overflow
+        last = int(frame + head + np.int64(data[frame + 1]))  # of the checksum; in plain Python bytes overflow
         end = last + 2 + (SIGNATURE if head == 10 and data[frame + 2] & SIGNED else 0)
         number = _little(data, frame + 7, 3) if head == 10 else np.int64(data[frame + 5])
         extra = np.int64(extras[number]) if number < IDS else np.int64(-1)
