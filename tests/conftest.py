@@ -42,10 +42,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     From an empty cache, one process compiles the kernels while the others run what needs none.
     """
     wanted = {"default", *re.findall(r"\w+", config.option.markexpr)}
-    left_out = [item for item in items if tier(item) not in wanted]
-    if left_out and not any("::" in each for each in config.args):
-        items[:] = [item for item in items if tier(item) in wanted]
-        config.hook.pytest_deselected(items=left_out)
+    named = tuple(each for each in config.args if "::" in each)
+    left_out = {item for item in items if tier(item) not in wanted and not item.nodeid.startswith(named)}
+    if left_out:
+        items[:] = [item for item in items if item not in left_out]
+        config.hook.pytest_deselected(items=list(left_out))
 
     def turn(item: pytest.Item) -> int:
         if item.nodeid.startswith("tests/engine/test_kernels.py"):
