@@ -43,10 +43,7 @@ def samples():
 
 @pytest.mark.thorough
 @pytest.mark.skipif(compiler() is None, reason="the machine has no C compiler, neither gcc nor cc")
-@pytest.mark.parametrize(
-    "name",
-    ["aid", *few(THOROUGH, (), "thorough"), *few((name for name in TWINS if name not in ("aid", *THOROUGH)), ())],
-)
+@pytest.mark.parametrize("name", few(TWINS, ("aid", *THOROUGH)))
 def test_the_reference_is_the_estimator(name, samples):
     estimator = TWINS[name]()
     if name in AXES:

@@ -123,7 +123,7 @@ def test_an_input_that_is_no_number_is_refused_too():
         assert torch.equal(leaf, leaves(state)[name]), name
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_outliers_move_the_parameters_little():
     """2 % of gross outliers, 100 deviations each: the estimates of least squares without them deviate by 0.001.
 

@@ -182,7 +182,7 @@ def day(steps: int, p: int = 6):
 @pytest.mark.thorough
 @pytest.mark.parametrize(
     ("dtype", "steps"),
-    [(torch.float64, 4500), pytest.param(torch.float32, 4500, marks=pytest.mark.thorough),
+    [(torch.float64, 4500), pytest.param(torch.float32, 4500, marks=pytest.mark.slow),
      pytest.param(torch.float64, 1_000_000, marks=pytest.mark.slow),
      pytest.param(torch.float32, 1_000_000, marks=pytest.mark.slow)],
 )  # fmt: skip
@@ -202,7 +202,7 @@ def test_idling_cruise_and_excitation_stay_bounded(dtype, steps):
     assert float((theta - 1).abs().max()) < 0.1
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_reexcitation_after_a_long_cruise():
     """Half an hour and more at one speed; what excited the boat before is still known, unlike with plain forgetting."""
     rng = np.random.default_rng(5)

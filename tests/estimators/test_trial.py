@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from tests.support import few
 from usvlearn import Inputs, JointEKF, Sample, Trial
 from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.engine.rollouts import rollout
@@ -79,7 +80,7 @@ def test_a_boat_that_stays_the_same_has_no_change():
     torch.testing.assert_close(surges, run(JointEKF(3.0, current=1e-3), samples)[1], atol=0.02, rtol=0, equal_nan=True)
 
 
-@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+@pytest.mark.parametrize("dtype", few([torch.float64, torch.float32], [torch.float64], "thorough"))
 def test_torch_makes_the_same_trial_and_a_run_continues_within_it(dtype):
     samples, _ = sail(3, 0.4, steps=40)
     samples = tree_map(lambda x: x.to(dtype) if x.is_floating_point() else x, samples)

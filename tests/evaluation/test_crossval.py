@@ -96,7 +96,7 @@ def test_elements_equal_single_simulations(ensemble, sets, elements):
 
 
 @pytest.mark.parametrize("backend", few(["kernel", "torch"], ["kernel"], "thorough"))
-@pytest.mark.parametrize("thrust", [-1e4, torch.nan])
+@pytest.mark.parametrize("thrust", few([-1e4, torch.nan], [-1e4], "thorough"))
 def test_a_simulation_that_leaves_the_limit_backwards_or_is_no_number_counts_as_the_limit(
     ensemble, sets, backend, thrust
 ):

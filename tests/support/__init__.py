@@ -98,7 +98,7 @@ ESTIMATORS = {
 
 
 FAMILIES = (  # one estimator of each: what is tested over data types, batches and backends by default
-    "aid_estimate", "projected", "robust_memory", "rnn_replay", "joint_trial", "yaw", "arx", "weighted", "boa",
+    "aid_estimate", "projected", "robust_memory", "rnn_replay", "joint", "yaw", "arx", "weighted", "boa",
 )  # fmt: skip
 
 

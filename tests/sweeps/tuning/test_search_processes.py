@@ -13,6 +13,7 @@ from pathlib import Path
 import optuna
 import pytest
 
+from tests.support import few
 from tests.support.commands import ENVIRONMENT, command
 from tests.support.configured import TWO_BOATS
 from usvlearn.core.hyper import Positive
@@ -61,7 +62,7 @@ def completions(folder: Path) -> Counter:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", few(range(2), [0]))
 def test_processes_that_are_killed_lose_no_trial_and_complete_none_twice(seed, tmp_path):
     budget, kills, chance = 60, 0, random.Random(seed)
     context = multiprocessing.get_context("forkserver")
