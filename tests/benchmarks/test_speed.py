@@ -13,7 +13,6 @@ import timing
 import torch
 from reference import compiler
 
-
 TINY = timing.Effort(2, 40, 5, 20, (1, 3), 120, (0.05, 0.1), 3, 2)
 
 
