@@ -1,5 +1,6 @@
 """A run's folder: a stop between two writes, damage, strangers' files never change what a resumed run learns."""
 
+import itertools
 import json
 import os
 import warnings
@@ -10,6 +11,7 @@ import pytest
 import torch
 
 from tests.support import few
+from tests.support.planar_models import lone_filters
 from tests.support.recordings import recording
 from tests.support.runs import SETTINGS, assert_same, model, published, session
 from usvlearn.core import checkpoint
@@ -38,28 +40,32 @@ def dying(monkeypatch, after: int) -> None:
     monkeypatch.setattr(run_folder, "write_atomically", dies)
 
 
+@pytest.mark.parametrize("tracks", few([False, True], [False], "thorough"), ids=["surge_alone", "with_tracks"])
 @pytest.mark.parametrize("warm", few([False, True], [True], "thorough"), ids=["from_nothing", "from_a_season_before"])
 @pytest.mark.parametrize("elsewhere", few([False, True], [True], "thorough"), ids=["in_place", "into_another_folder"])
-def test_a_stop_between_any_two_writes_changes_nothing(tmp_path, fleet, monkeypatch, warm, elsewhere):
-    season = session(tmp_path / "season", align_fleet([recording("a", "x", 5.0), recording("b", "x", 5.0)]))
+def test_a_stop_between_any_two_writes_changes_nothing(tmp_path, fleet, monkeypatch, warm, elsewhere, tracks):
+    planar = lone_filters() if tracks else None
+    season_before = [recording("a", "x", 5.0), recording("b", "x", 5.0)]
+    season = session(tmp_path / "season", align_fleet(season_before), planar=planar)
     first = str(season.path) if warm else None
-    whole = session(tmp_path / "whole", fleet, first)
-    writes = sum(1 for _ in whole.path.rglob("*.*"))
-    for after in range(writes + 1):
+    whole = session(tmp_path / "whole", fleet, first, planar=planar)
+    killed = True
+    for after in itertools.takewhile(lambda _: killed, itertools.count()):
         folder = tmp_path / f"{after}"
         with monkeypatch.context() as patch:
             dying(patch, after)
             try:
-                session(folder, fleet, first)
+                session(folder, fleet, first, planar=planar)
+                killed = False
             except Killed:
                 pass
         begun = (folder / "runs.json").exists()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # it says which checkpoint is missing
             if elsewhere and begun:
-                again = session(tmp_path / f"{after}b", fleet, str(folder))
+                again = session(tmp_path / f"{after}b", fleet, str(folder), planar=planar)
             else:
-                again = session(folder, fleet, "latest" if begun else first)
+                again = session(folder, fleet, "latest" if begun else first, planar=planar)
         assert_same(again, whole)
 
 

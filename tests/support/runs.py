@@ -29,12 +29,15 @@ def model() -> Ensemble:
     return Ensemble({"aid": AID(28.0), "rls": RLS(SurgeDynamics(28.0)), "persistence": Persistence()})
 
 
-def session(folder, fleet, resume=None, metadata=SETTINGS, save_every=10) -> RunFolder:
-    ensemble = model()
-    folder = RunFolder(folder, fleet, metadata, ensemble.names, filters=ensemble.accommodated)
+def session(folder, fleet, resume=None, metadata=SETTINGS, save_every=10, planar=None) -> RunFolder:
+    ensemble = model() if planar is None else planar.surge
+    folder = RunFolder(
+        folder, fleet, metadata, ensemble.names, ensemble.forecasts, filters=ensemble.accommodated, planar=planar
+    )
     start = folder.begin(ensemble.init((2,)), resume)
     with folder:
-        for chunk in replay(ensemble, fleet, start.state, start.position, every=7, save_every=save_every):
+        beside = planar, folder.beside
+        for chunk in replay(ensemble, fleet, start.state, start.position, 7, save_every, *beside):
             folder.save(chunk)
     return folder
 
@@ -42,7 +45,7 @@ def session(folder, fleet, resume=None, metadata=SETTINGS, save_every=10) -> Run
 def contents(folder) -> dict[str, np.ndarray]:
     """Every leaf of every checkpoint and every prediction."""
     found = {}
-    for path in sorted((folder.path / "checkpoints").rglob("*.safetensors")):
+    for path in sorted(folder.path.rglob("*.safetensors")):
         for name, leaf in checkpoint.load(path)[0].items():
             found[f"{path.relative_to(folder.path)}:{name}"] = leaf
     return found | {f"run {k}": array for k, array in enumerate(published(folder, "predictions"))}

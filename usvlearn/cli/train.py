@@ -89,8 +89,7 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
         ensemble.accommodated, planar,
     )  # fmt: skip
     start = run.begin(ensemble.init((len(fleet.boats),)), resume)
-    beside, anew = run.planar_start(start)
-    terminal.show(start.note, *filter(None, (without, anew)), to=console)
+    terminal.show(start.note, *filter(None, (without, start.anew)), to=console)
     truth, turns = quantities_of([settings["data"]], cfg.vehicle.mass), turning_of([settings["data"]])
     logger = TensorBoardLogger(
         folder / TENSORBOARD, fleet, ensemble, start.position, what_differs(overrides), truth, log,
@@ -98,7 +97,7 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
     )  # fmt: skip
     with run, logger, Activity(console) as activity:
         activity.begin("replaying", total=fleet.steps)
-        chunks = replay(ensemble, fleet, start.state, start.position, logger.every, save_every, planar, beside)
+        chunks = replay(ensemble, fleet, start.state, start.position, logger.every, save_every, planar, run.beside)
         for chunk in until_stopped(chunks, lambda: run.stop(ensemble, began)):
             run.save(chunk)
             logger.show(chunk)

@@ -17,7 +17,7 @@ from usvlearn.engine.rollouts import stack
 from usvlearn.errors import CheckpointError
 from usvlearn.estimators.planar.layer import Planar, PlanarState
 from usvlearn.runs.layout import CHECKPOINTS, PLANAR
-from usvlearn.runs.published import BEGIN, Position, position, stem
+from usvlearn.runs.published import Position, position, stem
 
 ESTIMATOR = "Planar"  # the kind of state in a checkpoint
 KEPT = 2
@@ -29,7 +29,7 @@ def planar_path(folder: Path, boat: str, place: Position) -> Path:
 
 
 def started(
-    planar: Planar, folders: Sequence[Path], fleet: Fleet, places: Sequence[Position]
+    planar: Planar, folders: Sequence[Path], fleet: Fleet, places: Sequence[Position | None]
 ) -> tuple[PlanarState | None, str]:
     """The state of all boats from the first folder that has it at these places, or None and why.
 
@@ -37,14 +37,14 @@ def started(
         planar: as configured now.
         folders: of runs.
         fleet: that is replayed.
-        places: of each boat; at the beginning the newest checkpoint is taken.
+        places: of each boat; None: the newest checkpoint is taken.
     """
     template, reason = tree_map(lambda x: x[0], planar.init((1,))), ""
     for folder in folders:
         found: list[Any] = []
         for boat, place in zip(fleet.boats, places, strict=True):
             paths = checkpoints(folder / PLANAR / CHECKPOINTS / boat)
-            if place != BEGIN:
+            if place is not None:
                 paths = [path for path in paths if path == planar_path(folder, boat, place)]
             reason = f"{folder / PLANAR}: has no checkpoint of {boat} at this place"
             for path in reversed(paths):

@@ -13,8 +13,9 @@ from usvlearn.core.samples import Fleet, tree_map
 from usvlearn.engine.rollouts import stack
 from usvlearn.errors import CheckpointError
 from usvlearn.estimators.ensemble.state import EnsembleState
+from usvlearn.runs.beside import planar_path
 from usvlearn.runs.index import begun
-from usvlearn.runs.layout import CHECKPOINTS, ESTIMATOR, PREDICTIONS, RUNS
+from usvlearn.runs.layout import CHECKPOINTS, ESTIMATOR, PLANAR, PREDICTIONS, RUNS
 from usvlearn.runs.published import BEGIN, Position, Published, position, stem
 
 
@@ -24,6 +25,7 @@ class Start(NamedTuple):
     state: EnsembleState  # leaves (boats, ...)
     position: Position
     note: str  # for the person who started it
+    anew: str = ""  # what is learned anew although the note does not say so, and why
 
 
 class Resumption:
@@ -33,10 +35,11 @@ class Resumption:
         path: the run's folder.
         fleet: the runs that are replayed.
         widths: as of `Published`.
+        planar: whether sway and yaw rate are learned, too.
     """
 
-    def __init__(self, path: Path, fleet: Fleet, widths: Mapping[str, int]):
-        self.path, self.fleet, self._widths = path, fleet, widths
+    def __init__(self, path: Path, fleet: Fleet, widths: Mapping[str, int], planar: bool = False):
+        self.path, self.fleet, self._widths, self._planar = path, fleet, widths, planar
 
     def published(self, folder: Path) -> Published:
         """What the run of a folder has published, if it is over the same samples."""
@@ -94,12 +97,11 @@ class Resumption:
         paths: list[Path] = []
         while readable:
             place = readable[-1]
-            paths = [
-                checkpoint_path(source, boat, self._own(element, place))
-                for element, boat in enumerate(self.fleet.boats)
-            ]
-            try:
-                for path in paths:
+            own = list(zip(self.fleet.boats, self.own(place), strict=True))
+            paths = [checkpoint_path(source, *each) for each in own]
+            beside = [path for each in own if self._planar and (path := planar_path(source, *each)).exists()]
+            try:  # without a file beside, as in older runs, sway and yaw rate are learned anew
+                for path in [*paths, *beside]:
                     verify(path)
                 break
             except CheckpointError as error:
@@ -117,18 +119,24 @@ class Resumption:
         self._bring(source, place)
         return Start(stack(elements), place, note)
 
-    def _own(self, element: int, place: Position) -> Position:
-        """A boat's own place when the fleet is at `place`: its runs may be shorter, or fewer."""
-        for run in range(place.run, -1, -1):
-            if length := self.fleet.runs[run].lengths[element]:
-                return Position(run, min(length, place.step) if run == place.run else length)
-        raise AssertionError(f"{self.fleet.boats[element]} has no run up to {place}")
+    def own(self, place: Position) -> list[Position]:
+        """The boats' own places when the fleet is at `place`: their runs may be shorter, or fewer."""
+        found = []
+        for element in range(len(self.fleet.boats)):
+            run = next(k for k in range(place.run, -1, -1) if self.fleet.runs[k].lengths[element])
+            length = self.fleet.runs[run].lengths[element]
+            found.append(Position(run, min(length, place.step) if run == place.run else length))
+        return found
 
     def _bring(self, source: Path, place: Position) -> None:
         """Copy the checkpoints and predictions up to `place` from another folder, so that this one is complete."""
         if source.resolve() == self.path.resolve():
             return
-        for old in [*(source / CHECKPOINTS).glob(f"*/*{SUFFIX}"), *(source / PREDICTIONS).glob("*.npz")]:
+        folders = (source / CHECKPOINTS, source / PLANAR / CHECKPOINTS)
+        for old in [
+            *(old for each in folders for old in each.glob(f"*/*{SUFFIX}")),
+            *(source / PREDICTIONS).glob("*.npz"),
+        ]:
             if (found := position(old)) is not None and found <= place:
                 new = self.path / old.relative_to(source)
                 new.parent.mkdir(parents=True, exist_ok=True)

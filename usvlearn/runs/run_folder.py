@@ -68,8 +68,10 @@ class RunFolder:
         self.path, self.fleet, self.names = Path(path), fleet, tuple(names)
         self._forecasts, self._filters, self._planar = forecasts, tuple(filters), planar
         self._horizons = () if planar is None else planar.horizons
-        self._resumption = Resumption(self.path, fleet, widths_of(names, forecasts, filters, self._horizons))
-        self.beside: PlanarState | None = None  # the newest, from the first chunk on
+        self._resumption = Resumption(
+            self.path, fleet, widths_of(names, forecasts, filters, self._horizons), planar is not None
+        )
+        self.beside: PlanarState | None = None  # the newest, from `begin` on; None: a fresh start
         self._sources = [self.path]  # folders in which to look for it
         self._checked = {} if data_check is None else {"data_check": data_check}
         self._setups = setups or {}
@@ -124,36 +126,33 @@ class RunFolder:
             raise no_run(foreign[0])
         if continued:
             start = self._resumption.continued(source, start)
-        elif resume is not None:  # saved in case the run stops before its first checkpoint
-            for element, boat in enumerate(self.fleet.boats):
-                first = self._checkpoint(start.state, element, boat, BEGIN)
-                save_checkpoint(first.path, first.state, **first.facts)
         self._saved = self._reached = start.position
         self.state = start.state
+        self.beside, anew = self._planar_start(start.position, continued)
+        if resume is not None and not continued:  # saved in case the run stops before its first checkpoint
+            for first in self._due([BEGIN] * len(self.fleet.boats)):
+                save_checkpoint(first.path, first.state, **first.facts)
         self._forget(own, start.position)
         others = [*self.path.parent.glob("*"), *([] if resume is None else [source])]
         began = 1 + max(map(number, others), default=0)
         noted = self._runs | {"began": {"number": began, "time": time.strftime("%FT%TZ", time.gmtime(time.time()))}}
         write_atomically(self.path / RUNS, json.dumps(noted, indent=2).encode())
-        return start
+        return start._replace(anew=anew)
 
-    def planar_start(self, start: Start) -> tuple[PlanarState | None, str]:
+    def _planar_start(self, place: Position, continued: bool) -> tuple[PlanarState | None, str]:
         """The state from which sway and yaw rate go on, None for a fresh start; and what to say of it."""
         if self._planar is None or len(self._sources) < 2:
             return None, ""
         if self._sources[-1].is_file():
-            beside = beside_of(self._sources[-1])
-            found, reason = started_from(self._planar, beside, len(self.fleet.boats))
-            return found, f"tracks, sway and yaw rate are learned anew: {reason}" if reason else ""
-        places = [start.position] * len(self.fleet.boats)
-        if start.position != BEGIN:
-            run = self.fleet.runs[start.position.run]
-            places = [start.position._replace(step=min(start.position.step, own)) for own in run.lengths]
-        found, reason = started(self._planar, self._sources, self.fleet, places)
+            found, reason = started_from(self._planar, beside_of(self._sources[-1]), len(self.fleet.boats))
+        else:
+            at_begin = [BEGIN if continued else None] * len(self.fleet.boats)
+            places = at_begin if place == BEGIN else self._resumption.own(place)
+            found, reason = started(self._planar, self._sources, self.fleet, places)
         return found, f"tracks, sway and yaw rate are learned anew: {reason}" if reason else ""
 
     def save(self, chunk: Chunk) -> None:
-        """Write what is due after a chunk: predictions first, because a run resumes from a state only with them."""
+        """Write what is due after a chunk."""
         self.state, self._reached, self.beside = chunk.state, chunk.end, chunk.planar
         self._pending.append(chunk.published)
         if chunk.save:
@@ -164,35 +163,33 @@ class RunFolder:
         self._wait()
         index, step = self._reached
         run, before = self.fleet.runs[index], self._saved.step if self._saved.run == index else 0
-        due = [
-            self._checkpoint(self.state, element, boat, Position(index, min(step, run.lengths[element])))
-            for element, boat in enumerate(self.fleet.boats)
-            if run.lengths[element] > before
-        ]
-        if self.beside is not None:
-            due += [
-                self._planar_checkpoint(element, boat, Position(index, min(step, run.lengths[element])))
-                for element, boat in enumerate(self.fleet.boats)
-                if run.lengths[element]
-            ]
+        due = self._due([Position(index, min(step, own)) if own > before else None for own in run.lengths])
         self._writing = self._writer.submit(self._write, self._reached, self._pending, due)
         self._pending, self._saved = [], self._reached
 
+    def _due(self, places: Sequence[Position | None]) -> list[Unsaved]:
+        """The checkpoints of the boats at their places; None: there is nothing new."""
+        made = [self._checkpoint] + ([self._planar_checkpoint] if self.beside is not None else [])
+        boats = list(enumerate(zip(self.fleet.boats, places, strict=True)))
+        return [make(element, boat, at) for make in made for element, (boat, at) in boats if at is not None]
+
     def _write(self, place: Position, published: Sequence[Mapping[str, np.ndarray]], due: Sequence[Unsaved]) -> None:
-        """Write the predictions and checkpoints of one place, in a thread, while the replay continues."""
+        """Write the checkpoints and predictions of one place, in a thread, while the replay continues.
+
+        The predictions are last: a run resumes from the newest place that has them, where all files are whole then.
+        """
         run = self.fleet.runs[place.run]
         content = packed(
             joined(published), run, place.step, self.fleet.boats, self.names, self._forecasts, self._filters,
             self._horizons,
         )  # fmt: skip
-        folder = self.path / PREDICTIONS
-        folder.mkdir(exist_ok=True)
-        write_atomically(folder / f"{stem(place)}.npz", content)
         for each in due:
-            each.path.parent.mkdir(parents=True, exist_ok=True)
             save_checkpoint(each.path, each.state, **each.facts)
         if self._planar is not None:
             forget(self.path, self.fleet.boats)
+        folder = self.path / PREDICTIONS
+        folder.mkdir(exist_ok=True)
+        write_atomically(folder / f"{stem(place)}.npz", content)
 
     def _wait(self) -> None:
         """Wait for the thread that writes, and raise its error, if any."""
@@ -254,11 +251,11 @@ class RunFolder:
             elements.append(restore(paths[-1], now, ESTIMATOR)[0] if paths else now)
         return stack(elements)
 
-    def _checkpoint(self, state: EnsembleState, element: int, boat: str, place: Position) -> Unsaved:
+    def _checkpoint(self, element: int, boat: str, place: Position) -> Unsaved:
         run = self.fleet.runs[place.run]
         time = float(run.time[place.step - 1, element]) if place.step else 0.0
         facts = {"estimator": ESTIMATOR, "boat": boat, "run": run.names[element], "step": place.step, "time": time}
-        copied = tree_map(lambda leaf: leaf[element].detach().numpy().copy(), state)
+        copied = tree_map(lambda leaf: leaf[element].detach().numpy().copy(), self.state)
         built = {"kernel": of_element(self.metadata.get("kernel"), len(self.fleet.boats), element)}
         if boat in self._setups:
             built["setup"] = self._setups[boat]
@@ -267,7 +264,7 @@ class RunFolder:
     def _planar_checkpoint(self, element: int, boat: str, place: Position) -> Unsaved:
         """As `_checkpoint`, of all axes and the tracks."""
         assert self._planar is not None and self.beside is not None
-        own = self._checkpoint(self.state, element, boat, place)
+        own = self._checkpoint(element, boat, place)
         copied = tree_map(lambda leaf: leaf[element].detach().numpy().copy(), self.beside)
         built = {"estimator": ESTIMATOR_BESIDE, "kernel": self._planar_kernel(element)}
         return Unsaved(planar_path(self.path, boat, place), copied, own.facts | built)
