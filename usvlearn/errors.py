@@ -6,6 +6,7 @@ import os
 import re
 import sys
 import textwrap
+import traceback
 import warnings
 from collections.abc import Container, Iterable, Iterator
 from contextlib import contextmanager
@@ -231,6 +232,29 @@ def under(key: str, names: Container[str] | None = None) -> Iterator[None]:
         if key and (names is None or first in names):
             error.args = (f"{key}.{error}",)
         raise
+
+
+@contextmanager
+def reading(file: str | os.PathLike) -> Iterator[None]:
+    """What a reader did not mean to raise becomes a LogFormatError, so that the other logs of a folder are read.
+
+    Only the calls of a reader stand in it. The readers' own tests call them directly, and see the exception itself.
+
+    >>> with reading("a.bin"):
+    ...     {}["Mult"]  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    usvlearn.errors.LogFormatError: a.bin: cannot be read (KeyError: 'Mult', in ...): leave it out, and report this ...
+    """
+    try:
+        yield
+    except (UsvlearnError, OSError, Warning):
+        raise
+    except Exception as error:
+        at = traceback.extract_tb(error.__traceback__)[-1]
+        cause = printable(f"{type(error).__name__}: {str(error)[:200]}, in {os.path.basename(at.filename)}:{at.lineno}")
+        raise LogFormatError(
+            f"{printable(str(file))}: cannot be read ({cause}): leave it out, and report this sentence with the file"
+        ) from error
 
 
 def bad_input(error: BaseException) -> str | None:

@@ -3,6 +3,7 @@
 import functools
 import math
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from usvlearn.logs.channels.channel import AUXILIARY, Source
 from usvlearn.logs.formats.csv.table import Table
 from usvlearn.logs.formats.moos.alog import Alog
 from usvlearn.logs.formats.ros.rosbag import Rosbag
+from usvlearn.logs.inspection.logfiles import open_logs
 from usvlearn.logs.read import read_recordings
 
 CONFIGS = ROOT / "configs" / "data"
@@ -257,3 +259,22 @@ def test_one_unreadable_log_among_several_is_left_out_with_a_warning(tmp_path):
     (tmp_path / "good.csv").unlink()
     with pytest.raises(LogFormatError, match=r"torn\.csv"):
         read_recordings(tmp_path, Table("t"), channels)
+
+
+def test_a_reader_that_fails_on_one_log_leaves_the_others_in_the_folder(tmp_path, monkeypatch):
+    for name in ("bad", "good"):
+        write(tmp_path / f"{name}.csv", "t,L,R,v,psi\n" + "".join(f"{k},0.5,0.5,1.{k},{k}\n" for k in range(9)))
+    for method in ("read", "survey"):
+        own = getattr(Table, method)
+
+        def fails(self, path, *given, own=own):
+            return own(self, path, *given) if path.stem != "bad" else {}["Mult"]
+
+        monkeypatch.setattr(Table, method, fails)
+    channels = {"command_left": "L", "command_right": "R", "surge": "v", "heading": "psi"}
+    told = r"bad\.csv: cannot be read \(KeyError: 'Mult', in test_read\.py:\d+\): leave it out, and report"
+    with pytest.warns(UserWarning, match=f"log left out: .*{told}"):
+        found = read_recordings(tmp_path, Table("t"), {name: Source(column) for name, column in channels.items()})
+    assert [recording.run for recording in found] == ["good"]
+    logs = open_logs([str(tmp_path)])
+    assert len(logs.surveyed) == 1 and re.search(told, logs.notes[0])

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
 from usvlearn.display.activity import doing
-from usvlearn.errors import ConfigError, LogFormatError, did_you_mean, printable, under
+from usvlearn.errors import ConfigError, LogFormatError, did_you_mean, printable, reading, under
 from usvlearn.logs.alignment.mixing import PER_NAME, SOURCE_KEYS, Mix, listed, mixed, parts_of
 from usvlearn.logs.channels.channel import (
     AUTO,
@@ -142,14 +142,17 @@ def _channels(
 ) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
     """The channels of a log, without those that only a track needs if one of these is missing."""
     try:
-        return mixed(sources, *reader.read(file, parts_of(sources)))
+        with reading(file):
+            found = reader.read(file, parts_of(sources))
+        return mixed(sources, *found)
     except LogFormatError as error:
         own = _needed(sources)
         if len(own) == len(sources):
             raise
-        found = mixed(own, *reader.read(file, parts_of(own)))
+        with reading(file):
+            found = reader.read(file, parts_of(own))
         warnings.warn(f"no track: {error}", stacklevel=2)
-        return found
+        return mixed(own, *found)
 
 
 def _needed(sources: Mapping[str, Source | Mix]) -> dict[str, Source | Mix]:

@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
@@ -197,12 +198,21 @@ class MessageLog:
             return time, limits.share(pwm), order
         names = [each.strip() for each in (name or "").split(",")]
         for each in names:
-            if each not in self._fields(key):
+            if each not in self._holders[key]:
                 raise LogFormatError(self._no_field(key, each, where))
         return self._joined(key, names)
 
+    @cached_property
+    def _holders(self) -> dict[Key, dict[str, list[Messages]]]:
+        """The layouts of each key that have a number of a name."""
+        found: dict[Key, dict[str, list[Messages]]] = {key: {} for key in self.messages}
+        for key, part in ((key, part) for key, parts in self.messages.items() for part in parts):
+            for name in part.names():
+                found[key].setdefault(name, []).append(part)
+        return found
+
     def _fields(self, key: Key) -> list[str]:
-        return list(dict.fromkeys(name for part in self.messages[key] for name in part.names()))
+        return list(self._holders[key])
 
     def _no_field(self, key: Key, name: str, where: str) -> str:
         fields = self._fields(key)
@@ -211,7 +221,7 @@ class MessageLog:
 
     def _joined(self, key: Key, names: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """One field, or the norm of several, of all layouts that have them, in the order of the log."""
-        parts = [part for part in self.messages[key] if set(names) <= set(part.names())]
+        parts = [part for part in self._holders[key][names[0]] if set(names) <= set(part.names())]
         values = []
         for part in parts:
             columns = [part.numbers(self.data, name) for name in names]

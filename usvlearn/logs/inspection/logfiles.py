@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.errors import ConfigError, LogFormatError
+from usvlearn.errors import ConfigError, LogFormatError, reading
 from usvlearn.logs.channels.series import Series
 from usvlearn.logs.inspection.topics import joined_tables
 
@@ -265,8 +265,9 @@ def _survey(which: Format, files: Sequence[Path]) -> tuple[Any, list[list[Series
             break
         size += bytes_of(file)
         try:
-            own, doubts = which.open(file) if reader is None else (reader, doubts)
-            with warnings.catch_warnings(record=True) as sentence:
+            with reading(file):
+                own, doubts = which.open(file) if reader is None else (reader, doubts)
+            with reading(file), warnings.catch_warnings(record=True) as sentence:
                 warnings.simplefilter("always")
                 series = own.survey(file)
             notes += [str(each.message) for each in sentence]

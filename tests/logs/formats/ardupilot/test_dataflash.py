@@ -1,5 +1,6 @@
 """An ArduPilot log gives the numbers that pymavlink gives, commands as shares of full scale, and nothing of damage."""
 
+import struct
 import warnings
 from collections import defaultdict
 from pathlib import Path
@@ -9,6 +10,8 @@ import pytest
 
 from tests.support import ROOT, few
 from tests.support.ardupilot import (
+    LAYOUTS,
+    PACKED,
     PARAMETERS,
     SERVOS,
     dataflash,
@@ -18,6 +21,7 @@ from tests.support.ardupilot import (
 )
 from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.logs.channels.channel import Source
+from usvlearn.logs.formats import messages
 from usvlearn.logs.formats.ardupilot.dataflash import PLAIN, DataFlash
 
 STEPS = np.arange(60)
@@ -234,6 +238,34 @@ def test_a_description_that_contradicts_itself_describes_nothing(tmp_path):
     wrong[4] += 1  # the length
     channel, _ = one(write(tmp_path, header() + bytes(wrong) + logged("ATT", 0, 0, 1.0)), "ATT", "Yaw")
     assert channel.value.tolist() == [1.0]
+
+
+WRONG_TYPES = {  # of the format letters of a description: text for numbers, numbers for text, fractions for ids
+    "UNIT": ("QZZ", "Qbd", "Qfb"), "MULT": ("QZd", "QbZ", "Qfd"), "FMTU": ("QZNN", "QBff", "QfNN", "QBNf"),
+    "PARM": ("Qfff", "QNZf", "QZZf"), "ARM": ("QZ", "Qf"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name, letters", [(name, each) for name, found in WRONG_TYPES.items() for each in found])
+def test_a_description_of_another_type_tells_nothing_and_ends_nothing(tmp_path, name, letters):
+    kind, _, columns, *_ = LAYOUTS[name]
+    content = struct.pack("<" + "".join(map(PACKED.get, letters)), *(b"1" if each in "ZN" else 1 for each in letters))
+    foreign = described(kind, name, letters, columns) + bytes([0xA3, 0x95, kind]) + content
+    again = described(kind, name, *LAYOUTS[name][1:3])
+    path = write(tmp_path, header() + foreign + again + dataflash()[len(header()) :])
+    np.testing.assert_allclose(one(path, "RCOU", "throttle_left")[0].value[:3], [0, 0.01, 0.02], atol=1e-12)
+    units = {(series.name, series.field): series.unit for series in DataFlash().survey(path)}
+    assert units["ATT", "Yaw"] == "deg" and units["XKF1[0]", "VN"] == "m/s"
+
+
+def test_many_layouts_of_one_name_are_read_in_proportion(tmp_path, monkeypatch):
+    asked, names, content, count = [], messages.Messages.names, header(), 120
+    monkeypatch.setattr(messages.Messages, "names", lambda self: asked.append(self) or names(self))
+    for k in range(count):
+        content += described(90, "VARY", "QfB", f"TimeUS,A{k},B{k}") + b"\xa3\x95\x5a" + struct.pack("<QfB", k, k, 1)
+    found = DataFlash().survey(write(tmp_path, content))
+    assert len(found) == 2 * count and [each.value.tolist() for each in found[2:4]] == [[1.0], [1.0]]
+    assert len(asked) <= 4 * count
 
 
 @pytest.mark.parametrize("content", [b"t,l,r\n0,1,2\n" * 20, b"\xa3\x95\x80" + bytes(200), b"\xa3", header()[:89]])

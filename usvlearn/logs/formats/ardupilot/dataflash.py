@@ -30,6 +30,7 @@ PREFIXES = {1e-1: "d", 1e-2: "c", 1e-3: "m", 1e-6: "µ", 1e-9: "n"}  # of a unit
 STAMPS = ("TimeUS", "TimeMS")  # since boot; logs before 2015 have the latter
 PLAIN = {"degheading": "deg", "deglatitude": "deg", "deglongitude": "deg", "UNKNOWN": ""}  # units of UNIT messages
 DESCRIPTIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM")
+KINDS = {"Name": "S", "Label": "S", "UnitIds": "S", "MultIds": "S", "Id": "iu", "FmtType": "iu"}  # others: numbers
 ARMING = {"ARM": ("ArmState", {1: True, 0: False}), "EV": ("Id", {10: True, 11: False})}  # messages, field, values
 NAME = re.compile(r"\w+", re.ASCII)
 FMT = b"\x80\x59FMT\0" + b"BBnNZ".ljust(16, b"\0") + b"Type,Length,Name,Format,Columns".ljust(64, b"\0")
@@ -193,9 +194,10 @@ def _stamps(layouts: list[Layout]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _rows(data: np.ndarray, found: list[tuple[Layout, Messages]], name: str, *columns: str) -> Iterator[tuple]:
-    """The values of some fields of the messages of one name; text without what follows a zero."""
+    """The values of some fields of the messages of one name, where they are of the type that ArduPilot gives them."""
     for layout, messages in found:
-        if layout.name == name and set(columns) <= set(layout.fields):
+        kinds = {field: np.dtype(where.dtype).kind for field, where in layout.fields.items()}
+        if layout.name == name and all(kinds.get(column, "?") in KINDS.get(column, "iuf") for column in columns):
             values = [messages.column(data, column).tolist() for column in columns]
             yield from zip(*values, strict=True)
 
