@@ -9,7 +9,7 @@ import numpy as np
 
 from usvlearn.core.events import NINETY
 from usvlearn.core.samples import Inputs
-from usvlearn.display.figures import INK, SIDES, colours, themed
+from usvlearn.display.figures import INK, SIDES, colours, guarded, themed
 
 FAULT, MARK = "#B0417A", "#AA4499"
 BEFORE, AFTER = 120.0, 300.0  # s about an event, which are shown
@@ -67,6 +67,7 @@ def course_of(
     )
 
 
+@guarded
 def event_figure(
     course: Course,
     threshold: float,

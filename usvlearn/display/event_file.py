@@ -49,6 +49,8 @@ from typing import Any
 
 import numpy as np
 
+from usvlearn.display.figures import rendered
+
 EVENTS = "events.out.tfevents"  # in the name of each file
 SECONDS, BYTES = 2.0, 2**22  # after which what is buffered is written
 BEFORE = 1.0  # s, so that the first event of each run is its earliest
@@ -110,9 +112,7 @@ class TensorBoardWriter:
 
     def figure(self, tag: str, figure, step: int, run: str = ".") -> None:
         """Write a matplotlib figure."""
-        png = io.BytesIO()
-        figure.savefig(png, format="png", pil_kwargs={"compress_level": 1})
-        self.image(tag, png.getvalue(), step, run)
+        self.image(tag, rendered(figure, pil_kwargs={"compress_level": 1}), step, run)
 
     def image(self, tag: str, png: bytes, step: int = 0, run: str = ".") -> None:
         """Write a picture, given as PNG."""

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import functools
+import io
+import os
+import textwrap
+import traceback
+import warnings
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
-from usvlearn.errors import MissingExtraError
+from usvlearn.errors import MissingExtraError, printable
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 MOST_MEMBERS = 4  # in figures of a run
 WORST = 60.0  # s, the stretch that is enlarged
@@ -25,6 +34,7 @@ KNOWN = {name: colour for names, colour in SEVEN.items() for name in names} | { 
 # The paper's methods. `sift_map` is the thruster map of the default ensemble, which forgets by SIFt.
 PAPER = ("aid", "rls", "sift_map", "rnn")
 OTHERS = ("#CC6677", "#AA4499", "#B8A13E", "#A0522D", "#6699CC")
+NAMES: Any = {"text.parse_math": False}  # a name of a file, boat or series may hold $, _ and ^
 SIDES = {"left": "#6A5ACD", "right": "#44AA99"}  # colours of the thrusters, which no estimator has
 
 
@@ -59,7 +69,7 @@ def main_estimators(weighed: Sequence[str], output: str) -> list[str]:
 
 @contextmanager
 def themed() -> Iterator[type]:
-    """A context with Matplotlib's Figure, in which text is INK and lines are LINE.
+    """A context with Matplotlib's Figure, in which text is INK, lines are LINE, and no name is read as a formula.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -72,9 +82,65 @@ def themed() -> Iterator[type]:
     ink = dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), INK)
     plain = {"axes.spines.top": False, "axes.spines.right": False, "axes.axisbelow": True, "grid.color": LINE}
     frame = {"legend.frameon": False, "axes.facecolor": "none", "grid.linewidth": 0.6, "font.size": 9}
-    settings: Any = {**ink, **plain, **frame}
+    settings: Any = {**ink, **plain, **frame, **NAMES}
     with rc_context(settings):
         yield Figure
+
+
+def attempted(draw: Callable[[], T], what: str, instead: Callable[[Any], T] = lambda figure: figure) -> T:
+    """What `draw` returns. If it fails, a figure that says why in its place, and a warning: it ends no command.
+
+    Args:
+        draw: draws or renders.
+        what: is drawn, for the sentence.
+        instead: makes of that figure what `draw` would have returned.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    try:
+        from matplotlib import rc_context
+
+        with rc_context(NAMES):  # some labels are made only when a figure is rendered
+            return draw()
+    except (MissingExtraError, Warning):
+        raise
+    except Exception as error:
+        at = traceback.extract_tb(error.__traceback__)[-1]
+        cause = f"{type(error).__name__}: {str(error)[:200]}, in {os.path.basename(at.filename)}:{at.lineno}"
+        told = printable(f"{what} could not be drawn ({cause})")
+        warnings.warn(f"{told}: the numbers are not affected", stacklevel=2)
+    with themed() as Figure:
+        figure = Figure(figsize=(7, 1.2), dpi=100)
+        figure.text(0.02, 0.5, textwrap.fill(told, 110), va="center", fontsize=8)
+        return instead(figure)
+
+
+def guarded(draw: Callable[P, Any]) -> Callable[P, Any]:
+    """A function that draws, in `attempted`."""
+
+    @functools.wraps(draw)
+    def drawn(*args: P.args, **options: P.kwargs) -> Any:
+        return attempted(lambda: draw(*args, **options), draw.__name__.strip("_").replace("_", " "))
+
+    return drawn
+
+
+def rendered(figure: Any, **options: Any) -> bytes:
+    """A figure as PNG; `options` are those of `savefig`."""
+
+    def saved(figure: Any) -> bytes:
+        content = io.BytesIO()
+        figure.savefig(content, format="png", **options)
+        return content.getvalue()
+
+    return attempted(lambda: saved(figure), "a figure", saved)
+
+
+def set_reach(panel: Any, low: float, high: float) -> None:
+    """Set the ends of a vertical axis if both are known; else those of what is drawn hold."""
+    if np.isfinite(low) and np.isfinite(high):
+        panel.set_ylim(low, high)
 
 
 def prediction_figure(

@@ -7,6 +7,7 @@ import json
 import re
 import zlib
 from collections.abc import Mapping, Sequence
+from functools import partial
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -16,12 +17,12 @@ import numpy as np
 from usvlearn.core.checkpoint import write_atomically
 from usvlearn.core.lock import NAME as LOCK
 from usvlearn.display.event_file import TensorBoardWriter
-from usvlearn.display.figures import INK, LINE, themed
+from usvlearn.display.figures import INK, LINE, attempted, rendered, themed
 from usvlearn.errors import ConfigError
 from usvlearn.evaluation.crossval import FreeErrors
 from usvlearn.report.document import TITLE, page
 from usvlearn.report.front import Front
-from usvlearn.report.sections.section import Drawn, Section
+from usvlearn.report.sections.section import Section
 
 FOLDERS, FILES = ("figures", "tables", "tensorboard"), "files.json"  # a report's, and the list of its files in them
 LINKED = 40  # a table with more rows is a link in `report.md`
@@ -49,13 +50,15 @@ def write_report(
         The path of the page.
     """
     check_report_folder(folder)
-    drawings = {drawn.name: _drawing(drawn) for section in sections for drawn in section.figures}
+    figures = {drawn.name: drawn.figure for section in sections for drawn in section.figures}
+    drawings = {name: attempted(partial(_drawing, name, each), name, partial(_drawing, name))
+                for name, each in figures.items()}  # fmt: skip
     for old in _written(folder):
         (folder / old).unlink(missing_ok=True)
     foreign = _present(folder)  # what is left was written by somebody else, or by a report that was cut short
     inline = {name: drawing for name, (drawing, _, _) in drawings.items()}
     images = {name: png for name, (_, _, png) in drawings.items()}
-    images |= {drawn.name: _png(drawn) for drawn in (front.pictures if front else ())}
+    images |= {drawn.name: rendered(drawn.figure, facecolor="white") for drawn in (front.pictures if front else ())}
     for name, (_, whole, _) in drawings.items():
         write_atomically(folder / "figures" / f"{name}.svg", whole)
     for name, png in images.items():
@@ -118,39 +121,32 @@ def _present(folder: Path) -> set[str]:
     return {f"{kind}/{path.name}" for kind in FOLDERS for path in (folder / kind).iterdir() if path.is_file()}
 
 
-def _png(drawn: Drawn) -> bytes:
-    """A figure as PNG alone: one of many points."""
-    content = io.BytesIO()
-    drawn.figure.savefig(content, format="png", facecolor="white")
-    return content.getvalue()
-
-
-def _drawing(drawn: Drawn) -> tuple[str, bytes, bytes]:
+def _drawing(name: str, figure: Any) -> tuple[str, bytes, bytes]:
     """A figure as SVG for the page, whose theme it follows, and as separate SVG and PNG files."""
     from matplotlib import rc_context
 
-    drawn.figure.draw_without_rendering()  # once: each file would lay the figure out anew
-    drawn.figure.set_layout_engine(None)  # with "none", each file would be drawn twice
-    box = drawn.figure.get_tightbbox().padded(0.05)
+    figure.draw_without_rendering()  # once: each file would lay the figure out anew
+    figure.set_layout_engine(None)  # with "none", each file would be drawn twice
+    box = figure.get_tightbbox().padded(0.05)
 
     def saved(**options: Any) -> bytes:
         content = io.BytesIO()
-        drawn.figure.savefig(content, bbox_inches=box, **options)
+        figure.savefig(content, bbox_inches=box, **options)
         return content.getvalue()
 
-    with rc_context({"svg.fonttype": "none", "svg.hashsalt": drawn.name}):
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
         inline = saved(format="svg", transparent=True, metadata={"Date": None}).decode()
     whole = re.sub("(<svg[^>]*>)", r'\1<rect width="100%" height="100%" fill="white"/>', inline, count=1).encode()
     png = saved(format="png", dpi=150, facecolor="white")
     inline = inline[inline.index("<svg") :]
     inline = re.sub(r'<metadata>.*?</metadata>| id="image\w+"', "", inline, flags=re.DOTALL)  # equal images, equal ids
-    own = f"g{zlib.crc32(drawn.name.encode()):x}-"  # ids of one page differ; a name may hold any character
+    own = f"g{zlib.crc32(name.encode()):x}-"  # ids of one page differ; a name may hold any character
     inline = re.sub(r'(id="|href="#|url\(#)', rf"\g<1>{own}", inline)
     for colour, variable in {INK: "currentColor", "#222222": "currentColor", LINE: "var(--line)",
                              "#eeeeee": "var(--line)", "#000000": "currentColor"}.items():  # fmt: skip
         inline = re.sub(re.escape(colour), variable, inline, flags=re.IGNORECASE)
-    width = drawn.figure.get_size_inches()[0]
-    label = f'<svg style="--own: {1.3 * width:.1f}in" role="img" aria-label="{escape(drawn.name)}"'
+    width = figure.get_size_inches()[0]
+    label = f'<svg style="--own: {1.3 * width:.1f}in" role="img" aria-label="{escape(name)}"'
     return inline.replace("<svg", label, 1), whole, png
 
 

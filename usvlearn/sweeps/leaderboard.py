@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from usvlearn.core.checkpoint import write_atomically
+from usvlearn.display.figures import attempted, rendered
 from usvlearn.display.terminal import console
 from usvlearn.errors import ConfigError, MissingExtraError
 from usvlearn.evaluation.measure import Measure
@@ -139,7 +141,7 @@ def last_lines(folder: Path, files: Sequence[str]) -> list[str]:
 def _figures(ranks: Sequence[Standing], keys: Sequence[str], measure: Measure | None) -> dict[str, bytes]:
     """The figures as PNG, those that show something; {}, with a warning, without matplotlib."""
     try:
-        drawn = {name: draw(ranks, keys, measure) for name, draw in FIGURES.items()}
+        drawn = {name: attempted(partial(draw, ranks, keys, measure), name, rendered) for name, draw in FIGURES.items()}
     except MissingExtraError as cause:
         warnings.warn(f"no figure of the sweep: {cause}", stacklevel=2)
         return {}

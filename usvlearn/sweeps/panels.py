@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from certify.analysis.sweep_rows import short_keys
-from usvlearn.display.figures import INK, LINE, colours, themed
+from usvlearn.display.figures import INK, LINE, colours, rendered, themed
 from usvlearn.evaluation.measure import Measure
 from usvlearn.sweeps.standings import Standing
 
@@ -53,7 +52,7 @@ def sweep_figure(ranks: Sequence[Standing], keys: Sequence[str], measure: Measur
         figure.legend(lines.values(), lines, ncols=len(lines), fontsize="small", loc="outside upper left")
         if len(keys) == 2:
             _heat(figure, axes[2], shown, keys, what)
-        return _png(figure)
+        return rendered(figure, facecolor="white")
 
 
 def settings_figure(ranks: Sequence[Standing], keys: Sequence[str], measure: Measure | None) -> bytes | None:
@@ -94,7 +93,7 @@ def settings_figure(ranks: Sequence[Standing], keys: Sequence[str], measure: Mea
         bars = f"; bar: 95 % of the paired difference, over {over}" if any(intervals) else ""
         more = f"; {len(known) - len(shown)} more settings" if len(known) > len(shown) else ""
         panel.set_title(f"point: job; disc: mean; dotted: reference{bars}{more}", loc="left", fontsize=8.5)
-        return _png(figure)
+        return rendered(figure, facecolor="white")
 
 
 def _interval(each: Standing, over: str = "") -> tuple[float, float] | None:
@@ -111,12 +110,6 @@ def _words(measure: Measure | None) -> str:
     if measure is None:
         return "MAE of each job's output, m/s"
     return f"{measure.title()}, {measure.unit}".removesuffix(", ")
-
-
-def _png(figure: Any) -> bytes:
-    content = io.BytesIO()
-    figure.savefig(content, format="png", facecolor="white")
-    return content.getvalue()
 
 
 def _draw(panel: Any, shown: Sequence[Standing], key: str, measure: Measure | None) -> None:
@@ -212,6 +205,8 @@ def _places(panel: Any, values: Sequence[str]) -> dict[str, float]:
     least, greatest = min(numbers.values()), max(numbers.values())
     if least > 0 and greatest / least >= LOGARITHMIC:
         panel.set_xscale("log")
+        panel.xaxis.set_major_formatter("{x:g}")
+        panel.xaxis.set_minor_formatter("")
     if len(values) <= 8:
         panel.set_xticks(list(numbers.values()), values)
         panel.minorticks_off()

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.display.figures import LINE, themed
+from usvlearn.display.figures import LINE, guarded, rendered, themed
 from usvlearn.errors import printable
 from usvlearn.logs.channels.channel import COMMANDS, Channel, Recording
 from usvlearn.logs.channels.positions import track
@@ -37,6 +37,11 @@ def draw(found: Inspected, path: Path) -> None:
     Raises:
         MissingExtraError: matplotlib is not installed.
     """
+    path.write_bytes(rendered(_picture(found), dpi=100))
+
+
+@guarded
+def _picture(found: Inspected) -> Any:
     recordings, limit = found.recordings, 2 * found.settings["vehicle"]["surge_max"]
     begins = _begins(recordings)
     curves = {
@@ -67,7 +72,7 @@ def draw(found: Inspected, path: Path) -> None:
                  "derivative of heading, deg/s", "yaw rate, deg/s", line=True)  # fmt: skip
         both = _mean(curves[COMMANDS[0]], curves[COMMANDS[1]])
         _against(below[2], both, curves["surge"], "mean command, share", "speed, m/s")
-        figure.savefig(path, dpi=100)
+        return figure
 
 
 def _begins(recordings: Sequence[Recording]) -> list[tuple[float, float]]:

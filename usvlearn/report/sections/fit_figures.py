@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from usvlearn.display.figures import INK, LINE, SIDES, themed
+from usvlearn.display.figures import INK, LINE, SIDES, guarded, set_reach, themed
 from usvlearn.report.sections.fit_file import Course, Curve, Diagnostics, Lags, Sailed
 
 FITTED = "#D55E00"  # the colour of what is simulated with a fit
@@ -27,6 +27,7 @@ def sailed_at(where: Sailed) -> np.ndarray:
     return enough | np.append(enough[1:], False) | np.append(False, enough[:-1])
 
 
+@guarded
 def curves_figure(found: Diagnostics, title: str, truth: Mapping[str, float]):
     """Thrust of each side over its command and drag over the speed, with bands; below, the seconds sailed there.
 
@@ -53,13 +54,13 @@ def curves_figure(found: Diagnostics, title: str, truth: Mapping[str, float]):
             lower.stairs(where.seconds / 60, where.edges, fill=True, color=colour, alpha=0.55)
             upper.set_ylabel(ylabel, fontsize=8)
             lower.set_xlabel(xlabel, fontsize=8)
-            upper.set_ylim(*_limits(curve, known))
+            set_reach(upper, *_limits(curve, known))
             for panel in (upper, lower):
                 panel.grid(color=LINE)
                 panel.tick_params(labelsize=8)
                 panel.margins(x=0)
         below[0].set_ylabel("sailed, min", fontsize=8)
-        above[0].set_title(title, loc="left", fontsize=8.5, parse_math=False)
+        above[0].set_title(title, loc="left", fontsize=8.5)
         handles, labels = above[0].get_legend_handles_labels()
         figure.legend(handles, labels, ncols=5, fontsize=8, loc="outside lower center")
         return figure
@@ -91,6 +92,7 @@ def _limits(curve: Curve, known: np.ndarray) -> tuple[float, float]:
     return low - margin, high + margin
 
 
+@guarded
 def residuals_figure(found: Diagnostics, title: str):
     """The autocorrelation of the errors, and their correlation with mean and difference of the commands.
 
@@ -120,7 +122,7 @@ def residuals_figure(found: Diagnostics, title: str):
             panel.grid(axis="y", color=LINE)
             panel.tick_params(labelsize=8)
             panel.margins(x=0)
-        figure.suptitle(title, x=0.01, ha="left", fontsize=8.5, parse_math=False)
+        figure.suptitle(title, x=0.01, ha="left", fontsize=8.5)
         return figure
 
 
@@ -132,6 +134,7 @@ def _correlations(lags: Lags) -> tuple[float, float]:
     return min(1.1 * low, -1.5 * wide), max(1.1 * high, 1.5 * wide)
 
 
+@guarded
 def worst_figure(courses: Sequence[Course], title: str):
     """The worst minutes, shaded, and what is around them: measured and simulated speed, and below the commands.
 
@@ -161,7 +164,7 @@ def worst_figure(courses: Sequence[Course], title: str):
                 known = each.time[np.isfinite(each.time)]
                 panel.set_xlim(*((known.min(), known.max()) if len(known) > 1 else (0.0, 1.0)))
             speed.tick_params(labelbottom=False)
-            speed.set_title(_short(each.name), loc="left", fontsize=8.5, parse_math=False)
+            speed.set_title(_short(each.name), loc="left", fontsize=8.5)
             command.set_xlabel("time in the log, s", fontsize=8)
             if column == 0:
                 speed.set_ylabel("speed, m/s", fontsize=8)
@@ -169,7 +172,7 @@ def worst_figure(courses: Sequence[Course], title: str):
         handles, labels = panels[0, 0].get_legend_handles_labels()
         more, names = panels[1, 0].get_legend_handles_labels()
         figure.legend([*handles, *more], [*labels, *names], ncols=4, fontsize=8, loc="outside upper right")
-        figure.suptitle(title, x=0.01, ha="left", fontsize=8.5, parse_math=False)
+        figure.suptitle(title, x=0.01, ha="left", fontsize=8.5)
         return figure
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from usvlearn.display.figures import INK, LINE, colours, themed
+from usvlearn.display.figures import INK, LINE, colours, guarded, themed
 from usvlearn.display.result_table import ResultTable
 from usvlearn.estimators.ensemble.forecasts.state import PERSISTENCE
 from usvlearn.estimators.ensemble.layer import Ensemble
@@ -62,6 +62,7 @@ def forecast_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section |
     )
 
 
+@guarded
 def forecast_figure(found: Scores):
     """Skill against horizon, a panel per boat, a line per estimator.
 

@@ -11,6 +11,7 @@ from certify.display.figures import equilibria_figure
 from certify.proofs import exact
 from certify.proofs.equilibria import surge_inputs, sweep
 from certify.proofs.rounding import above, below, float_above, float_below
+from usvlearn.display.figures import guarded
 from usvlearn.display.result_table import ResultTable
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.rnn.layer import RNN, element_weights
@@ -89,7 +90,7 @@ def network_section(seasons: Sequence[Season], ensemble: Ensemble, errors: Mappi
         ),
         Drawn(
             "equilibria",
-            equilibria_figure(networks[first][-1], inputs, f"{first}: {name} at rest", *DRAWN, headings),
+            guarded(equilibria_figure)(networks[first][-1], inputs, f"{first}: {name} at rest", *DRAWN, headings),
             f"The map of the last network of {first} without thrust, at {HEADINGS} headings; x = v / {2 * surge_max:g} "
             "m/s.",
         ),

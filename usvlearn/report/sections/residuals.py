@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from usvlearn.display.figures import INK, LINE, colours, themed
+from usvlearn.display.figures import INK, LINE, colours, guarded, themed
 from usvlearn.display.result_table import ResultTable
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.autocorrelation import Autocorrelation, of_runs
@@ -61,6 +61,7 @@ def residual_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section |
     return Section("residuals", "Residuals: what is left in the errors", "", here, [drawn], [table])
 
 
+@guarded
 def residual_figure(boats: Mapping[str, Autocorrelation], name: str):
     """A panel per boat: the autocorrelation against the lag, and the 99 % bounds.
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.display.figures import INK, LINE, colours, themed
+from usvlearn.display.figures import INK, LINE, colours, guarded, set_reach, themed
 
 WORSE = "#C0392B"  # colour of failures
 ROW = 0.19  # inch, of a method
@@ -44,6 +44,7 @@ def box(values: np.ndarray, diverged: int = 0) -> Box | None:
     return Box(median, lower, upper, low, high, float(values.mean()), len(values), beyond, outliers, diverged)
 
 
+@guarded
 def boxes_figure(
     boats: Mapping[str, Mapping[str, Box | None]],
     subtitles: Mapping[str, str],
@@ -131,6 +132,7 @@ def _draw_box(panel, place: int, found: Box | None, colour: str, learning: bool,
         panel.annotate(f"{found.diverged} div.", (1.0, place), color=WORSE, **at)
 
 
+@guarded
 def matrix_figure(matrices: Mapping[str, np.ndarray], boats: Sequence[str]):
     """MSE of the best checkpoint of each boat (rows) on the runs of each boat (columns); the least of a column is
     framed.
@@ -192,6 +194,7 @@ def boat_colours(boats: Sequence[str]) -> dict[str, Any]:
     return dict(zip(boats, shades, strict=False))
 
 
+@guarded
 def certificates_figure(hours: Mapping[str, np.ndarray], margins: Mapping[str, Mapping[str, np.ndarray]]):
     """The margin of each condition at every saved checkpoint, a line per boat: certified where it is above zero.
 
@@ -215,9 +218,9 @@ def certificates_figure(hours: Mapping[str, np.ndarray], margins: Mapping[str, M
                 style = {"linewidth": 1.3, "marker": ".", "markersize": 3}
                 panel.plot(hours[boat], values, color=shades[boat], label=boat, **style)
             every = np.concatenate(list(boats.values()))
-            low, high = min(np.nanmin(every), edge), max(np.nanmax(every), edge)
+            low, high = np.nanmin(every, initial=edge), np.nanmax(every, initial=edge)
             room = 0.08 * (high - low) + 1e-3
-            panel.set_ylim(low - room, high + room)
+            set_reach(panel, low - room, high + room)
             failed = (edge, high + room) if rate else (low - room, edge)
             panel.axhspan(*failed, color=WORSE, alpha=0.12, linewidth=0)
             panel.axhline(edge, color=WORSE, linewidth=1)
@@ -236,6 +239,7 @@ class Course(NamedTuple):
     deviation: np.ndarray | None = None  # (sets,) standard deviation, if the estimator has one
 
 
+@guarded
 def parameters_figure(
     courses: Mapping[str, Mapping[str, Course]],
     units: Mapping[str, str],

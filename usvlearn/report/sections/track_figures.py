@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from usvlearn.display.figures import INK, KNOWN, LINE, OTHERS, themed
+from usvlearn.display.figures import INK, KNOWN, LINE, OTHERS, guarded, themed
 from usvlearn.report.track_maps import Ahead, Ellipse, Mission, Scores
 
 LINES = {  # key of the scores -> name, colour, style
@@ -23,6 +23,7 @@ POINTS = 2000  # of a mission's way
 LEAST = 4.0  # m, of the smaller side of a panel
 
 
+@guarded
 def errors_figure(found: Mapping[str, Scores]):
     """Mean position error against the horizon, a panel for each boat.
 
@@ -31,6 +32,7 @@ def errors_figure(found: Mapping[str, Scores]):
     """
     across = min(ACROSS, len(found))
     down = -(-len(found) // across)
+    known = any(row[key] for table in found.values() for row in table.values() for key in LINES)
     with themed() as Figure:
         figure = Figure(figsize=(max(4.6, 2.4 * across), 2.3 * down + 0.8), layout="constrained")
         panels = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False).reshape(-1)
@@ -41,8 +43,8 @@ def errors_figure(found: Mapping[str, Scores]):
             for key, (name, colour, style) in LINES.items():
                 errors = [np.nan if row[key] is None else max(row[key], 1e-3) for row in table.values()]
                 panel.plot(at, errors, style, color=colour, marker="o", markersize=3, linewidth=1.6, label=name)
-            panel.set(xscale="log", yscale="log")
-            panel.set_title(boat, parse_math=False)
+            panel.set(xscale="log", yscale="log" if known else "linear")
+            panel.set_title(boat)
             panel.grid(color=LINE)
             panel.set_xticks(at, [f"{h:g}" for h in at])
             panel.yaxis.set_major_formatter(lambda y, _: f"{y:g}")
@@ -75,6 +77,7 @@ def chosen(ahead: Sequence[Ahead], count: int = SHOWN) -> list[Ahead]:
     ]  # fmt: skip
 
 
+@guarded
 def map_figure(mission: Mission, title: str):
     """The way of a boat in one mission, and beside it six tracks with their ellipses, each in a panel of its own.
 
@@ -89,7 +92,7 @@ def map_figure(mission: Mission, title: str):
         way = mission.position[:: 1 + len(mission.position) // POINTS]
         whole.plot(way[:, 1], way[:, 0], color=INK, linewidth=0.8)
         whole.set_aspect("equal", adjustable="datalim")
-        whole.set_title(f"{title}, {mission.run.name}", loc="left", fontsize=8.5, parse_math=False)
+        whole.set_title(f"{title}, {mission.run.name}", loc="left", fontsize=8.5)
         whole.set_xlabel("east, m", fontsize=8)
         whole.set_ylabel("north, m", fontsize=8)
         for panel in panels[len(shown) :]:

@@ -15,6 +15,7 @@ import torch
 from usvlearn.core.samples import Fleet, Run, masks, tree_map
 from usvlearn.display.activity import doing
 from usvlearn.display.event_file import TensorBoardWriter, folder_name, folder_names
+from usvlearn.display.figures import attempted
 from usvlearn.engine.rollouts import stack
 from usvlearn.errors import ConfigError, MissingExtraError
 from usvlearn.estimators.ensemble.layer import Ensemble
@@ -318,7 +319,7 @@ class TensorBoardLogger:
             )
             for figure in figures(replayed, data, events, published):
                 doing(f"drawing {figure.tag.partition('/')[2]} of {figure.boat}")
-                if (drawn := figure.draw()) is not None:
+                if (drawn := attempted(figure.draw, f"{figure.tag.partition('/')[2]} of {figure.boat}")) is not None:
                     run = f"{self.folders[figure.boat]}/{self._names[self.ensemble.output]}"
                     self.board.figure(figure.tag, drawn, figure.step, run)
         except MissingExtraError as error:

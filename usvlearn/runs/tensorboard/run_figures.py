@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from usvlearn.display.figures import INK, KNOWN, LINE, SIDES, WORST, colours, themed, worst_stretch
+from usvlearn.display.figures import INK, KNOWN, LINE, SIDES, WORST, colours, guarded, set_reach, themed, worst_stretch
 from usvlearn.estimators.joint.curves import Curve
 from usvlearn.estimators.joint.quantities import COMMANDS
 from usvlearn.estimators.joint.reading import Identified
@@ -25,6 +25,7 @@ class Traces(NamedTuple):
     predicted: np.ndarray  # (time,) m/s
 
 
+@guarded
 def runs_figure(runs: Sequence[Traces], name: str, title: str):
     """Measured and predicted speed of runs above each other, with their MAE; beside each the error of its worst minute.
 
@@ -90,6 +91,7 @@ def _mae(error: np.ndarray) -> str:
     return f"{np.nanmean(np.abs(error)):.3f}" if np.isfinite(error).any() else "–"
 
 
+@guarded
 def identified_figure(
     seasons: Sequence[Mapping[str, Curve]], found: Identified, truth: Mapping[str, float], title: str
 ):
@@ -133,7 +135,9 @@ def identified_figure(
             panel.grid(color=LINE)
         if len(seasons) > 1:  # early bands may be very wide
             for name, (place, _) in lines.items():
-                panels[place].set_ylim(min(0.0, 1.1 * seasons[-1][name].low.min()), 1.3 * seasons[-1][name].high.max())
+                set_reach(
+                    panels[place], min(0.0, 1.1 * seasons[-1][name].low.min()), 1.3 * seasons[-1][name].high.max()
+                )
         panels[1].legend(fontsize=8)
         figure.suptitle(f"{title}: identified", fontsize=9.5)
         return figure
@@ -195,7 +199,7 @@ def forecast_figure(
         ends = np.flatnonzero(np.isfinite(forecasts[:, -1]) & (time - horizons[-1] >= time[0]))
         for end in ends[:: max(1, -(-len(ends) // ORIGINS))]:
             fan = fan_at(time, forecasts, halfwidths, horizons, float(time[end]) - horizons[-1])
-            start = int(np.searchsorted(time, time[end] - horizons[-1] - 1e-6))
+            start = min(int(np.searchsorted(time, time[end] - horizons[-1] - 1e-6)), int(end))
             at, value, width = (
                 np.append(first, x) for first, x in zip((time[start], surge[start], 0.0), fan, strict=True)
             )

@@ -1,0 +1,116 @@
+"""No figure ends a command: odd numbers, clocks that go back and odd names are drawn, or their place says why not."""
+
+from html import escape
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from tests.support import few
+from usvlearn.display.event_figure import Course, event_figure
+from usvlearn.display.figures import attempted, prediction_figure, rendered
+from usvlearn.estimators.joint.curves import Curve
+from usvlearn.evaluation.autocorrelation import Autocorrelation
+from usvlearn.report.page import _drawing
+from usvlearn.report.sections import fit_figures, horizon_skill, season_figures, track_figures
+from usvlearn.report.sections.fit_file import Course as Minute
+from usvlearn.report.sections.fit_file import Curve as FitCurve
+from usvlearn.report.sections.fit_file import Lags, Sailed
+from usvlearn.report.sections.residuals import residual_figure
+from usvlearn.report.sections.season_figures import Course as Season
+from usvlearn.runs.tensorboard.run_figures import Traces, forecast_figure, free_figure, identified_figure, runs_figure
+
+NAMES = ["a$b$c", "a$\\frac{$_^", "run_{1}^2_$", "艇 №1", "\\", "<&>%", "x" * 300]
+STEPS = 700
+
+
+def series(kind: str, count: int = STEPS) -> np.ndarray:
+    """A speed that is odd in one way."""
+    found = 1 + np.sin(np.arange(float(count)) / 9)
+    match kind:
+        case "nan":
+            found[:] = np.nan
+        case "gaps":
+            found[::3] = np.nan
+        case "infinite":
+            found[5::7], found[6::7] = np.inf, -np.inf
+        case "huge":
+            found *= 1e300
+    return found
+
+
+def drawn(kind: str, name: str) -> dict:
+    """Every figure of a run and of a report."""
+    count = {"empty": 0, "single": 1}.get(kind, STEPS)
+    time, v = 0.4 * np.arange(count), series(kind, count)
+    if kind == "backwards":
+        time[count // 2 :] -= 3600.0
+    two, names = np.stack([v, v], -1), [name, "ensemble"]
+    curve = Curve(*(series(kind, max(count, 1))[:41] for _ in range(4)))
+    curves = dict.fromkeys(("drag", "thrust_left", "thrust_right", "steady_speed"), curve)
+    sailed, fit = Sailed(np.arange(5.0), np.array([9.0, 0.0, 0.0, 1.0])), FitCurve(*curve)
+    lags = Lags(*(series(kind, 9) for _ in range(3)))
+    fitted = SimpleNamespace(
+        curves=dict.fromkeys(curves, fit), sailed=dict.fromkeys(("left", "right", "speed"), sailed),
+        autocorrelation=lags, cross_correlation={"mean": lags, "difference": lags},
+    )  # fmt: skip
+    last = float(v[-1]) if count and np.isfinite(v[-1]) else None
+    skill = {name: {"persistence": {"2": {"skill": 0.0}}, "ensemble": {"2": {"skill": last}}}}
+    errors = {name: {"2": dict.fromkeys(track_figures.LINES, last)}}
+    season = Season(np.arange(9.0), series(kind, 9), series(kind, 9))
+    found = {"steady_speed_full": SimpleNamespace(value=float(v[-1]) if count else np.nan)}
+    course = Course(time, two, v, {name: v}, v, two, two, two)
+    pairs = Autocorrelation(series(kind, 9), np.ones(9))
+    return {
+        "prediction": lambda: prediction_figure(time, v, two, names, name, v),
+        "runs": lambda: runs_figure([Traces(name, time, v, v)] * 2, name, name),
+        "free": lambda: free_figure(time, v, two, names, name),
+        "forecast": lambda: forecast_figure(time, v, two, two, [2.0, 30.0], name, name),
+        "identified": lambda: identified_figure([curves, curves], found, {}, name),
+        "event": lambda: event_figure(course, 20.0, [(70.0, name)], None, name),
+        "residual": lambda: residual_figure({name: pairs}, name),
+        "boxes": lambda: season_figures.boxes_figure({name: {name: season_figures.box(v)}}, {name: name}, name),
+        "matrix": lambda: season_figures.matrix_figure({name: series(kind, 9).reshape(3, 3)}, [name] * 3),
+        "certificates": lambda: season_figures.certificates_figure({name: time}, {name: {name: v}}),
+        "parameters": lambda: season_figures.parameters_figure({name: {name: season}}, {name: name}, {}, name),
+        "fit curves": lambda: fit_figures.curves_figure(fitted, name, {}),
+        "fit residuals": lambda: fit_figures.residuals_figure(fitted, name),
+        "worst": lambda: fit_figures.worst_figure([Minute(name, 0.0, time, v, v, v, v)], name),
+        "skill": lambda: horizon_skill.forecast_figure(skill),
+        "tracks": lambda: track_figures.errors_figure(errors),
+    }  # fmt: skip
+
+
+FIGURES = list(drawn("plain", ""))
+ODD = [(kind, what) for kind in ("nan", "gaps", "infinite", "huge", "backwards", "single") for what in FIGURES]
+FIRST = [("nan", "identified"), ("backwards", "forecast"), ("nan", "fit curves")]  # a real run ended at these
+
+
+@pytest.mark.parametrize("kind, what", few(ODD, FIRST, "thorough"))
+@pytest.mark.filterwarnings("ignore:(Glyph|constrained)")  # the font lacks characters; a name is long
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of matplotlib, of numbers beyond 1e300
+def test_odd_numbers_are_drawn(kind, what):
+    name = NAMES[FIGURES.index(what) % len(NAMES)]
+    assert rendered(attempted(drawn(kind, name)[what], what), dpi=30).startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("what", few(FIGURES, ["runs"], "thorough"))
+def test_a_name_is_no_formula(what):
+    for name in NAMES[:2]:
+        figure = drawn("plain", name)[what]()
+        assert escape(name).encode() in attempted(lambda name=name, figure=figure: _drawing(name, figure), what)[1]
+
+
+@pytest.mark.filterwarnings("default:.*could not be drawn")
+@pytest.mark.parametrize("what", ["forecast", "event"])
+def test_what_cannot_be_drawn_says_why_in_its_place(what):
+    with pytest.warns(UserWarning, match=r"could not be drawn \(IndexError: .*, in \w+\.py:\d+\): the numbers are not"):
+        figure = attempted(drawn("empty", "heron")[what], what)
+    assert "could not be drawn (IndexError" in figure.texts[0].get_text() and rendered(figure, dpi=30)
+
+
+def test_what_cannot_be_rendered_says_why_in_its_place():
+    figure = drawn("plain", "heron")["free"]()
+    figure.savefig = lambda *given, **options: {}["renderer"]
+    with pytest.warns(UserWarning, match=r"a figure could not be drawn \(KeyError: 'renderer'"):
+        assert rendered(figure, dpi=30).startswith(b"\x89PNG")
