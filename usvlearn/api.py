@@ -173,7 +173,7 @@ def learn(
     fleet, ensemble = check_logs(logs).fleet, _ensemble(logs, estimator)
     state = ensemble.init((len(fleet.boats),))
     if start is not None:
-        state = _started(state, fleet.boats, start)
+        state = _started(state, fleet.boats, start, ensemble.spec())
     parts: list[list[dict[str, np.ndarray]]] = [[] for _ in fleet.runs]
     for chunk in replay(ensemble, fleet, state):
         parts[chunk.end.run].append(chunk.published)
@@ -189,6 +189,7 @@ def learn(
 def _ensemble(logs: AlignedLogs, estimator: Estimator | None) -> Ensemble:
     """The ensemble that `learn` runs."""
     from usvlearn.core.protocol import check_estimator
+    from usvlearn.core.samples import speed_limit
     from usvlearn.estimators.baselines.persistence.layer import Persistence
     from usvlearn.estimators.ensemble.combiners.layer import Average
     from usvlearn.estimators.ensemble.layer import Ensemble
@@ -203,14 +204,17 @@ def _ensemble(logs: AlignedLogs, estimator: Estimator | None) -> Ensemble:
         return estimator
     name = type(estimator).__name__.lower()
     members = {name: estimator} | ({} if name == PERSISTENCE else {PERSISTENCE: Persistence()})
-    return Ensemble(members, {"ensemble": Average([name])})
+    limit = speed_limit(logs.settings["vehicle"]["surge_max"])
+    return Ensemble(members, {"ensemble": Average([name])}, surge_max=limit)
 
 
-def _started(state: EnsembleState, boats: Sequence[str], start: PathLike | Mapping[str, PathLike]) -> EnsembleState:
+def _started(
+    state: EnsembleState, boats: Sequence[str], start: PathLike | Mapping[str, PathLike], kernel: Any
+) -> EnsembleState:
     """The state of all boats from saved checkpoints; see `usvlearn.runs.run_folder.from_checkpoints`."""
     from usvlearn.runs.resuming import from_checkpoints
 
     paths = start if isinstance(start, Mapping) else dict.fromkeys(boats, start)
     if missing := [boat for boat in boats if boat not in paths]:
         raise ConfigError(f"start: found nothing for {', '.join(missing)}, expected a checkpoint of each boat")
-    return from_checkpoints(state, [Path(paths[boat]) for boat in boats])[0]
+    return from_checkpoints(state, [Path(paths[boat]) for boat in boats], kernel)[0]

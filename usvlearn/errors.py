@@ -235,26 +235,28 @@ def under(key: str, names: Container[str] | None = None) -> Iterator[None]:
 
 
 @contextmanager
-def reading(file: str | os.PathLike) -> Iterator[None]:
+def reading(file: os.PathLike[str] | str) -> Iterator[None]:
     """What a reader did not mean to raise becomes a LogFormatError, so that the other logs of a folder are read.
 
-    Only the calls of a reader stand in it. The readers' own tests call them directly, and see the exception itself.
+    Only calls of a reader stand in it. Tests of the readers call them directly, and see the exception itself.
 
     >>> with reading("a.bin"):
     ...     {}["Mult"]  # doctest: +ELLIPSIS
     Traceback (most recent call last):
-    usvlearn.errors.LogFormatError: a.bin: cannot be read (KeyError: 'Mult', in ...): leave it out, and report this ...
+    usvlearn.errors.LogFormatError: a.bin: cannot be read (KeyError: 'Mult', in ...): leave it out, ...
     """
     try:
         yield
     except (UsvlearnError, OSError, Warning):
         raise
     except Exception as error:
-        at = traceback.extract_tb(error.__traceback__)[-1]
-        cause = printable(f"{type(error).__name__}: {str(error)[:200]}, in {os.path.basename(at.filename)}:{at.lineno}")
-        raise LogFormatError(
-            f"{printable(str(file))}: cannot be read ({cause}): leave it out, and report this sentence with the file"
-        ) from error
+        raise LogFormatError(f"{file}: cannot be read ({cause_of(error)}): leave it out, and report this") from error
+
+
+def cause_of(error: Exception) -> str:
+    """An unexpected exception in words, with its place."""
+    at = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {str(error)[:200]}, in {os.path.basename(at.filename)}:{at.lineno}"
 
 
 def bad_input(error: BaseException) -> str | None:

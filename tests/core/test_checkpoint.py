@@ -229,7 +229,7 @@ def test_foreign_metadata_are_passed_over(tmp_path, case):
     with pytest.raises(CheckpointError, match=r"2.safetensors: (is not a usvlearn|has the schema|is damaged)"):
         store.load(bad)
     with pytest.warns(UserWarning, match="trying the one before"):
-        assert store.restore_newest(tmp_path, {"theta": np.zeros(1)})[1]["estimator"] == "AID"
+        assert store.newest(tmp_path, lambda path: store.restore(path, {"theta": np.zeros(1)}))[1]["estimator"] == "AID"
     with pytest.warns(UserWarning, match="trying the one before"):
         assert store.newest(tmp_path, store.load)[1]["estimator"] == "AID"
 

@@ -14,6 +14,7 @@ from tests.support import ESTIMATORS, each_family
 from tests.support.kernel_cases import LONG, VARIANTS, mission
 from usvlearn import (
     AID,
+    ARX,
     BOA,
     RLS,
     RNN,
@@ -21,6 +22,7 @@ from usvlearn import (
     Bank,
     Ensemble,
     Inputs,
+    JointEKF,
     Online,
     Persistence,
     Projected,
@@ -34,10 +36,11 @@ from usvlearn import (
 )
 from usvlearn.core import checkpoint
 from usvlearn.core.protocol import spec_of
-from usvlearn.core.samples import named_leaves, tree_map
+from usvlearn.core.samples import named_leaves, rebuild, tree_map
 from usvlearn.engine import of_element
 from usvlearn.engine.check import check
 from usvlearn.errors import CheckpointError
+from usvlearn.runs.resuming import from_checkpoints
 
 SAMPLE = Sample(Inputs(0.5, 0.4, 1.0, 0.1, 0.4), 1.0, True, True)
 OPEN = """
@@ -226,6 +229,45 @@ def test_a_diverged_estimator_alone_is_refused(tmp_path):
     path = checkpoint.save(tmp_path / "a.safetensors", leaves | {"theta": np.full(9, np.nan)}, **facts)
     with pytest.raises(CheckpointError, match=r"state\.theta: found nan"):
         Online.open(path)
+
+
+def indexed() -> Ensemble:
+    """Members that take numbers of their state for places."""
+    return Ensemble({"joint": JointEKF(surge_max=2.7), "arx": ARX(), "persistence": Persistence()})
+
+
+@pytest.mark.parametrize("name", ["members.joint.turn", "members.arx.turn"])
+def test_an_index_is_legal_in_its_range_alone_on_every_way_to_a_kernel(tmp_path, name):
+    """Also in a member, which may hold any other number once it has diverged."""
+    boat = Online(indexed())
+    leaves, facts = checkpoint.load(boat.save(tmp_path / "a.safetensors"))
+    for value in (-1e300, -4e6, -1.0, 1e6, 1e300, np.nan, np.inf):
+        path = checkpoint.save(tmp_path / "a.safetensors", leaves | {name: np.array(value)}, **facts)
+        ways = (Online.open, Online(indexed()).restore, lambda path: from_checkpoints(
+            tree_map(lambda x: x[None], boat.state), [path], boat.description))  # fmt: skip
+        for way in ways:
+            with pytest.raises(CheckpointError, match=rf"a\.safetensors: state\.{name}: found .*, expected 0 … \d+"):
+                way(path)
+
+
+@pytest.mark.parametrize("value", [-1e300, -4e6, 1e300, np.nan])
+def test_an_index_of_a_state_reads_nothing_beyond_an_array(value):
+    """A state that a program sets is not checked: the kernels themselves keep to their arrays."""
+    boat = Online(indexed(), backend="kernel")
+    odd = {name: torch.full_like(x, value) if name.endswith("turn") else x for name, x in named_leaves(boat.state)}
+    boat.state = rebuild(boat.state, odd)
+    assert all(np.isfinite(boat.step(SAMPLE)) for _ in range(60)) and np.isfinite(boat.leaf("members.joint.mean")).all()
+    assert 0 <= boat.leaf("members.joint.turn") < 4 * 11
+
+
+@pytest.mark.parametrize("dt", [1e-60, 5e-324])
+def test_a_step_whose_length_float32_cannot_hold_is_none(dt):
+    boat = Online(ARX().to(torch.float32), backend="kernel")
+    boat.step(SAMPLE)
+    before = boat.leaf("theta")
+    assert np.isnan(boat.step(SAMPLE._replace(inputs=SAMPLE.inputs._replace(dt=dt))))
+    np.testing.assert_array_equal(boat.leaf("theta"), before)
+    assert np.isfinite(boat.step(SAMPLE))
 
 
 def test_a_folder_is_opened_at_its_newest_legal_set(tmp_path):

@@ -9,6 +9,7 @@ from rich.console import Console
 from usvlearn import Inputs, Sample
 from usvlearn.core.samples import Fleet, Run
 from usvlearn.display.figures import prediction_figure
+from usvlearn.evaluation.horizons import horizon_scores, horizon_sums
 from usvlearn.evaluation.metrics import fleet_scores, scores
 from usvlearn.report.tables import fleet_table, rejection_table, score_table
 
@@ -30,6 +31,25 @@ def test_scores_by_hand():
          "diverged": 0}
     )  # fmt: skip
     assert table["persistence"]["skill"] == 0 and table["persistence"]["mae"] == pytest.approx(4 / 3)
+
+
+@pytest.mark.parametrize("missing, known", [(1, True), (2, True), (3, False)])
+def test_a_hundredth_of_the_steps_may_be_missing(missing, known):
+    """And is told; more than that would let an estimator win by the steps that it made."""
+    surge = np.linspace(0.0, 2.0, 200)
+    made = np.stack([surge + 0.5, surge + 1.0], -1)
+    made[40 : 40 + missing, 0] = np.nan
+    table = scores(made, surge, ["aid", "persistence"])
+    row = table["aid"]
+    assert (row["steps"], row["diverged"]) == (200 - missing, missing)
+    assert (row["mae"], row["skill"]) == (pytest.approx((0.5, 0.5)) if known else (None, None))
+    one, dt = np.ones((200, 1)), np.full((200, 1), 0.4)
+    samples = Sample(Inputs(one, one, 0 * one, 0 * one, dt), surge[:, None], one > 0, one > 0)
+    fleet = Fleet(("heron",), (Run(np.cumsum(dt, 0), samples, ("1",), (200,)),), {})
+    arrays = {"forecasts": made[:, None, [0, 1, 1]].reshape(200, 1, 3), "forecast_halfwidths": np.ones((200, 1, 1))}
+    sums = horizon_sums(fleet, [(0, 0, arrays)], [0.4], ["aid", "persistence", "ensemble"])
+    found = horizon_scores(sums, fleet.boats)["heron"]["aid"]["0.4"]
+    assert (found["mae"], found["steps"]) == (pytest.approx(0.5) if known else None, 200 - missing)
 
 
 def test_fit_is_that_of_compare():

@@ -14,7 +14,8 @@ from hydra.errors import InstantiationException
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from usvlearn.cli.mistakes import in_one_sentence
-from usvlearn.errors import ConfigError, UsvlearnError, did_you_mean, under
+from usvlearn.core.samples import LIMIT, speed_limit
+from usvlearn.errors import ConfigError, UsvlearnError, check_positive, did_you_mean, under
 from usvlearn.logs.alignment.align import Aligner
 from usvlearn.logs.checks.data_check import check_level
 from usvlearn.runs.legacy import TARGETS
@@ -44,6 +45,18 @@ def check_settings(cfg: DictConfig) -> None:
         if name not in options:
             hint = did_you_mean(f"align.{name}", [f"align.{each}" for each in options])
             raise ConfigError(f"align.{name}: found no such option, expected one of {', '.join(options)}{hint}")
+    top = (settings.get("vehicle") or {}).get("surge_max")
+    if isinstance(top, int | float) and speed_limit(top) > LIMIT:
+        for name in ("align", "estimators", "combiners"):
+            _raise_limits(cfg[name], speed_limit(top))
+
+
+def _raise_limits(node: Any, limit: float) -> None:
+    """Raise the limits of speeds that stand at their default, at any depth; references to the top speed are none."""
+    for key in [] if not OmegaConf.is_dict(node) else list(node):
+        if key == "surge_max" and not OmegaConf.is_interpolation(node, key) and node[key] == LIMIT:
+            node[key] = limit
+        _raise_limits(node[key], limit)
 
 
 def instantiate(node: Any, **options: Any) -> Any:
@@ -95,7 +108,8 @@ def ensemble_of(cfg: Mapping[str, Any]) -> Ensemble:
     members, rules = instantiate(cfg["estimators"]), instantiate(cfg["combiners"], _convert_="all")
     made = cfg.get("forecasts")
     ahead, knows = made and instantiate(made, _convert_="all"), bool(cfg.get("conditional", False))
-    return Ensemble(members, rules, cfg["output"], forecasts=ahead, conditional=knows)
+    limit = speed_limit(check_positive("vehicle.surge_max", cfg["vehicle"]["surge_max"], "of m/s"))
+    return Ensemble(members, rules, cfg["output"], surge_max=limit, forecasts=ahead, conditional=knows)
 
 
 def planar_of(cfg: Mapping[str, Any], ensemble: Ensemble) -> tuple[Planar | None, str]:

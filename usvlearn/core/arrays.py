@@ -28,6 +28,12 @@ def dot(x, y):
     return total
 
 
+@jit(inline=True)
+def whole(value, end):
+    """A number of a state as an index from 0 … end − 1; 0 where it is none: a state may hold any number."""
+    return int(value) if 0 <= value < end else 0
+
+
 @jit
 def clamp(x, limit):
     """x between −limit and limit; NaN stays."""

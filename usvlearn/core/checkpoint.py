@@ -168,15 +168,6 @@ def checkpoints(folder: str | Path) -> list[Path]:
     return sorted(Path(folder).glob(f"*{SUFFIX}"))
 
 
-def restore_newest(folder: str | Path, template: Any, estimator: str | None = None) -> tuple[Any, dict[str, Any]]:
-    """Restore the newest readable checkpoint of a folder; unreadable ones are skipped with a warning.
-
-    Raises:
-        CheckpointError: none can be read.
-    """
-    return newest(folder, lambda path: restore(path, template, estimator))
-
-
 def newest(folder: str | Path, read: Callable[[Path], tuple[Any, dict[str, Any]]]) -> tuple[Any, dict[str, Any]]:
     """The result of `read` for the newest checkpoint of a folder for which it raises no CheckpointError.
 

@@ -44,12 +44,14 @@ class Range:
     Attributes:
         diagonal: the least number on the diagonal of a square matrix.
         diverged: whether NaN, infinity, and numbers beyond ±1e30 are legal too.
+        index: whether a kernel takes the number for a place, so that a member that has diverged may hold no other.
     """
 
     least: float
     most: float
     diagonal: float = -inf
     diverged: bool = False
+    index: bool = False
 
     def wrong(self, array: np.ndarray) -> np.ndarray:
         """The numbers that are not legal, `(count,)`.
@@ -70,7 +72,7 @@ class Range:
 
     def inactive(self) -> Range:
         """This range, and the values of a member that has diverged (it is inactive)."""
-        return replace(self, diverged=True)
+        return replace(self, diverged=not self.index)
 
 
 FINITE = Range(-MOST, MOST)

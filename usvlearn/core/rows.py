@@ -26,18 +26,20 @@ def prepare(left, right, heading, yaw_rate, dt, surge, fresh, measured, heads, l
 
     A speed at or beyond `limit`, m/s, counts as missing.
     """
+    row[DT] = dt  # which may be 0 in float32
+    begins = row[DT] == 0
     steps = (
-        fresh and dt > 0 and dt < ABSURD_DT and abs(left) < ABSURD_COMMAND and abs(right) < ABSURD_COMMAND
+        fresh and row[DT] > 0 and dt < ABSURD_DT and abs(left) < ABSURD_COMMAND and abs(right) < ABSURD_COMMAND
         and abs(heading) < ABSURD_HEADING and abs(yaw_rate) < ABSURD_YAW_RATE
     )  # fmt: skip
     known = abs(surge) < limit
     if steps:
-        row[LEFT], row[RIGHT], row[YAW_RATE], row[DT] = left, right, yaw_rate, dt
+        row[LEFT], row[RIGHT], row[YAW_RATE] = left, right, yaw_rate
         row[SIN], row[COS] = (np.sin(heading), np.cos(heading)) if heads else (heading, 0.0)
         row[MODE] = LEARN if measured and known else PREDICT
     else:
         fill(row[:SURGE], 0.0)
-        row[MODE] = START if dt == 0 and known else HOLD
+        row[MODE] = START if begins and known else HOLD
     row[SURGE] = surge if known else 0.0
 
 

@@ -32,6 +32,7 @@ class Inputs(NamedTuple):
     dt: Array  # s since the previous step; 0 starts a segment (see `Sample`)
 
 
+LIMIT = 10.0  # m/s; the default of every limit of a speed
 PLAUSIBLE = 100.0  # m/s; a speed at or beyond it counts as bad data. The next line is the same for the inputs
 PLAUSIBLE_INPUTS = Inputs(command_left=100.0, command_right=100.0, heading=1e6, yaw_rate=100.0, dt=1e4)
 
@@ -94,6 +95,15 @@ UNITS = {  # of a run's time, and of all fields of its samples
     "heading": "rad, 0 north, clockwise", "yaw_rate": "rad/s", "dt": "s", "surge": "m/s", "fresh": "bool",
     "measured": "bool",
 }  # fmt: skip
+
+
+def speed_limit(top: float) -> float:
+    """The limit of all speeds, measured and predicted, of a boat with this top speed, m/s.
+
+    >>> speed_limit(2.7), speed_limit(14.0)
+    (10.0, 17.5)
+    """
+    return max(LIMIT, 1.25 * top)
 
 
 class Masks(NamedTuple):

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import functools
 import io
-import os
 import textwrap
-import traceback
 import warnings
 import zlib
 from collections.abc import Callable, Iterator, Sequence
@@ -15,7 +13,7 @@ from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
-from usvlearn.errors import MissingExtraError, printable
+from usvlearn.errors import MissingExtraError, cause_of, printable
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -34,7 +32,6 @@ KNOWN = {name: colour for names, colour in SEVEN.items() for name in names} | { 
 # The paper's methods. `sift_map` is the thruster map of the default ensemble, which forgets by SIFt.
 PAPER = ("aid", "rls", "sift_map", "rnn")
 OTHERS = ("#CC6677", "#AA4499", "#B8A13E", "#A0522D", "#6699CC")
-NAMES: Any = {"text.parse_math": False}  # a name of a file, boat or series may hold $, _ and ^
 SIDES = {"left": "#6A5ACD", "right": "#44AA99"}  # colours of the thrusters, which no estimator has
 
 
@@ -82,35 +79,25 @@ def themed() -> Iterator[type]:
     ink = dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), INK)
     plain = {"axes.spines.top": False, "axes.spines.right": False, "axes.axisbelow": True, "grid.color": LINE}
     frame = {"legend.frameon": False, "axes.facecolor": "none", "grid.linewidth": 0.6, "font.size": 9}
-    settings: Any = {**ink, **plain, **frame, **NAMES}
+    names = {"text.parse_math": False}
+    settings: Any = {**ink, **plain, **frame, **names}
     with rc_context(settings):
         yield Figure
 
 
 def attempted(draw: Callable[[], T], what: str, instead: Callable[[Any], T] = lambda figure: figure) -> T:
-    """What `draw` returns. If it fails, a figure that says why in its place, and a warning: it ends no command.
+    """What `draw` returns. If it fails, there is a warning, and what `instead` makes of a figure that says why.
 
-    Args:
-        draw: draws or renders.
-        what: is drawn, for the sentence.
-        instead: makes of that figure what `draw` would have returned.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
+    So no figure ends a command. Errors as of `themed`.
     """
-    try:
-        from matplotlib import rc_context
-
-        with rc_context(NAMES):  # some labels are made only when a figure is rendered
+    with themed() as Figure:  # some labels are made only when a figure is rendered
+        try:
             return draw()
-    except (MissingExtraError, Warning):
-        raise
-    except Exception as error:
-        at = traceback.extract_tb(error.__traceback__)[-1]
-        cause = f"{type(error).__name__}: {str(error)[:200]}, in {os.path.basename(at.filename)}:{at.lineno}"
-        told = printable(f"{what} could not be drawn ({cause})")
-        warnings.warn(f"{told}: the numbers are not affected", stacklevel=2)
-    with themed() as Figure:
+        except (MissingExtraError, Warning):
+            raise
+        except Exception as error:
+            told = printable(f"{what} could not be drawn ({cause_of(error)})")
+            warnings.warn(f"{told}: the numbers are not affected", stacklevel=2)
         figure = Figure(figsize=(7, 1.2), dpi=100)
         figure.text(0.02, 0.5, textwrap.fill(told, 110), va="center", fontsize=8)
         return instead(figure)

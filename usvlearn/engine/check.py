@@ -10,12 +10,15 @@ from __future__ import annotations
 import reprlib
 from collections.abc import Collection, Iterable, Mapping
 from math import prod
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from usvlearn.core.checkpoint import QUOTED, as_array, newest, restore
 from usvlearn.core.family import WIDTH, Choices, Field, Range
 from usvlearn.core.family import Numbers as Declared
+from usvlearn.core.samples import named_leaves
 from usvlearn.engine.kinds import KINDS, WRAPPERS
 from usvlearn.engine.leaves import batch_of, leaves_of
 from usvlearn.errors import CheckpointError, ShapeError
@@ -71,6 +74,22 @@ def check(description: Any, leaves: Mapping[str, np.ndarray]) -> None:
     batch, dtype = _check_state(fields, leaves)
     for each in reading.numbers:
         _check_numbers(each, batch, dtype)
+
+
+def restored(path: Path, template: Any, estimator: str, description: Any) -> tuple[Any, dict[str, Any]]:
+    """`checkpoint.restore` of a legal state; of a folder, the newest such one.
+
+    `description` is that of the estimator that goes on; None: no kernel does.
+    """
+    if path.is_dir():
+        return newest(path, lambda each: restored(each, template, estimator, description))
+    state, facts = restore(path, template, estimator)
+    try:
+        if description is not None:
+            _check_state(leaves_of(description), {name: as_array(leaf) for name, leaf in named_leaves(state)})
+    except CheckpointError as error:
+        raise CheckpointError(f"{path}: {str(error)[:QUOTED]}: use the checkpoint saved before it") from error
+    return state, facts
 
 
 def _check_state(fields: Mapping[str, Field], leaves: Mapping[str, np.ndarray]) -> tuple[tuple[int, ...], np.dtype]:

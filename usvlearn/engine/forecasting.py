@@ -7,7 +7,7 @@ length, the place of a leaf that is copied instead of it, and that of the flag t
 
 import numpy as np
 
-from usvlearn.core.arrays import copy, fill
+from usvlearn.core.arrays import copy, fill, whole
 from usvlearn.core.family import CHOICES, WIDTH, Node
 from usvlearn.core.jit import jit
 from usvlearn.core.rows import DT, INPUTS, LEFT, RIGHT, ROW, SURGE, prepare
@@ -91,7 +91,7 @@ def forecast_step(program, node, s, q, row, learns, limit, work):
         for k in range(H):
             if before + half < horizons[k] <= after + half:
                 publish(node, known, knows, s, q, slot, k, x)
-        end = horizons[int(min(max(s[node[AT.reach] + slot], 0.0), H - 1.0))]
+        end = horizons[whole(s[node[AT.reach] + slot], H)]
         s[node[AT.elapsed] + slot] = EMPTY if after + half >= end else after
     for k in range(H):
         s[node[AT.since] + k] += row[DT]

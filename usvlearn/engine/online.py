@@ -346,8 +346,9 @@ class Online:
         Raises:
             CheckpointError: it cannot be read, or belongs to another estimator.
         """
-        read = checkpoint.restore_newest if Path(path).is_dir() else checkpoint.restore
-        self.state, metadata = read(path, self.state, self._name)
+        from usvlearn.engine.check import restored
+
+        self.state, metadata = restored(Path(path), self.state, self._name, self.description)
         self.setup = metadata.get("setup", self.setup)
         return metadata
 

@@ -6,7 +6,7 @@ and numbers of the axes lie one behind the other.
 
 import numpy as np
 
-from usvlearn.core.arrays import fill
+from usvlearn.core.arrays import fill, whole
 from usvlearn.core.family import Node
 from usvlearn.core.jit import jit
 from usvlearn.core.rows import COS, DT, HOLD, LEARN, LEFT, MODE, PREDICT, RIGHT, ROW, SIN, START, YAW_RATE
@@ -245,7 +245,7 @@ def tracks(program, head, s, q, row, pose, work):
         for k in range(H):
             if start + half < horizons[k] <= slot[ELAPSED] + half:
                 publish_due(head, s, q, slot, k, pose)
-        if slot[ELAPSED] + half >= horizons[int(min(max(slot[REACH], 0.0), H - 1.0))]:
+        if slot[ELAPSED] + half >= horizons[whole(slot[REACH], H)]:
             slot[ELAPSED], free = EMPTY, i
     for k in range(H):
         s[head[TRACK, SINCE] + k] += row[DT]

@@ -16,7 +16,7 @@ import numpy as np
 
 from usvlearn.core.samples import PLAUSIBLE, Fleet, masks, tree_map
 from usvlearn.evaluation.free_simulation import FreeErrors
-from usvlearn.evaluation.horizons import HorizonSums
+from usvlearn.evaluation.horizons import HorizonSums, means
 from usvlearn.evaluation.metrics import Stretch
 
 STEP, FREE = "step", "free"
@@ -73,17 +73,17 @@ def run_errors(
         ahead: of `usvlearn.evaluation.horizons.horizon_sums`.
         free: of `usvlearn.evaluation.free_simulation.free_errors`.
     """
-    kinds = [(STEP, names, *one_step)]
+    kinds = [(STEP, names, *one_step, 0 * one_step[0])]
     if ahead is not None:
-        kinds += [(f"{horizon:g}", ahead.names, ahead.errors[:, :, j], ahead.steps[:, :, j])
+        kinds += [(f"{horizon:g}", ahead.names, ahead.errors[:, :, j], ahead.steps[:, :, j], ahead.missing[:, :, j])
                   for j, horizon in enumerate(ahead.horizons)]  # fmt: skip
-    kinds += [] if free is None else [(FREE, names, free.errors, free.steps)]
-    for kind, columns, total, count in kinds:
+    kinds += [] if free is None else [(FREE, names, free.errors, free.steps, 0 * free.errors)]
+    for kind, columns, total, count, missing in kinds:
         for element, boat in enumerate(fleet.boats):
             for index, run in enumerate(fleet.runs):
                 if steps := int(count[index, element]):
-                    maes = dict(zip(columns, (total[index, element] / steps).tolist(), strict=True))
-                    known = {name: mae for name, mae in maes.items() if np.isfinite(mae)}
+                    maes = means(total[index, element], steps, missing[index, element])
+                    known = {name: mae for name, mae in zip(columns, maes.tolist(), strict=True) if np.isfinite(mae)}
                     yield RunError(boat, run.names[element], kind, steps, known)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from usvlearn.core.samples import PLAUSIBLE, Fleet, masks, tree_map
 from usvlearn.estimators.ensemble.forecasts.state import PERSISTENCE
 from usvlearn.evaluation.manoeuvres import GROUPS, groups_of
-from usvlearn.evaluation.metrics import Stretch
+from usvlearn.evaluation.metrics import MISSING, Stretch
 
 if TYPE_CHECKING:
     from usvlearn.estimators.ensemble.layer import Ensemble
@@ -24,7 +24,7 @@ class HorizonSums(NamedTuple):
 
     horizons: tuple[float, ...]  # s
     names: tuple[str, ...]  # of the estimators; the last is the ensemble
-    errors: np.ndarray  # (runs, boats, horizons, estimators) of |forecast − measured|, m/s; NaN if one was no speed
+    errors: np.ndarray  # (runs, boats, horizons, estimators) of |forecast − measured|, m/s, of those that are finite
     steps: np.ndarray  # (runs, boats, horizons) forecasts
     known: np.ndarray  # (runs, boats, horizons) those with a finite interval of the ensemble
     inside: np.ndarray  # (runs, boats, horizons) those whose interval contains the measurement
@@ -32,6 +32,7 @@ class HorizonSums(NamedTuple):
     interval: np.ndarray  # (runs, boats, horizons) of the interval scores of these, m/s
     group_known: np.ndarray  # (runs, boats, horizons, 3) `known` by how far the commands moved
     group_inside: np.ndarray  # (runs, boats, horizons, 3) `inside` likewise
+    missing: np.ndarray  # (runs, boats, horizons, estimators) forecasts that were no speed: a member was inactive
 
 
 def horizon_sums(
@@ -56,7 +57,7 @@ def horizon_sums(
     shape = (len(fleet.runs), len(fleet.boats), H)
     found = HorizonSums(
         tuple(horizons), tuple(names), np.zeros((*shape, K)), np.zeros(shape, int),
-        *(np.zeros(shape) for _ in range(4)), *(np.zeros((*shape, len(GROUPS))) for _ in range(2)),
+        *(np.zeros(shape) for _ in range(4)), *(np.zeros((*shape, n)) for n in (len(GROUPS), len(GROUPS), K)),
     )  # fmt: skip
     moved: dict[int, np.ndarray] = {}  # of each run, which may come in several stretches
     for run, step, arrays in published:
@@ -69,7 +70,8 @@ def horizon_sums(
         made = made.reshape(*made.shape[:2], H, K)
         due = np.isfinite(made[..., -1]) & np.isfinite(surge)
         errors = np.where(due[..., None], np.abs(made - surge[..., None]), 0.0)
-        found.errors[run] += errors.sum(0)  # NaN where a member is inactive: it has no errors then
+        found.errors[run] += np.where(np.isfinite(errors), errors, 0.0).sum(0)
+        found.missing[run] += (~np.isfinite(errors)).sum(0)
         found.steps[run] += due.sum(0)
         finite = due & np.isfinite(widths)
         found.known[run] += finite.sum(0)
@@ -99,22 +101,24 @@ def horizon_scores(sums: HorizonSums, boats: Sequence[str]) -> Scores:
         score, m/s: the whole width, and 2/α times what a measurement is outside (α = 0.1). Less is better.
         `covers_stay`, `covers_move`, `covers_move_much` are `covers` where the mean command moved by less than 0.05 of
         full scale within the horizon, by up to 0.25, or more; `steps_stay` … their numbers. None where there are fewer
-        than LEAST forecasts, or where one of the estimator's left ± `surge_max`: so it cannot win by the others.
+        than LEAST forecasts, or where more than MISSING of the estimator's left ± `surge_max`: so it cannot win by the
+        others.
 
     >>> horizon_scores(horizon_sums(Fleet((), (), {}), [], (0.4,), ("aid", "persistence", "ensemble")), ())
     {}
     """
-    total, count, known, inside, width, interval, some_known, some_inside = (x.sum(0) for x in sums[2:])
+    total, count, known, inside, width, interval, some_known, some_inside, missing = (x.sum(0) for x in sums[2:])
     names, K = sums.names, len(sums.names)
     found: Scores = {}
     for element, boat in enumerate(boats):
         found[boat] = {name: {} for name in names}
         for j, horizon in enumerate(sums.horizons):
             steps = int(count[element, j])
-            maes = total[element, j] / steps if steps >= LEAST else np.full(K, np.nan)
+            maes = means(total[element, j], steps, missing[element, j]) if steps >= LEAST else np.full(K, np.nan)
             base = maes[names.index(PERSISTENCE)]
             for k, name in enumerate(names):
-                row: dict[str, float | int | None] = {"mae": _known(maes[k]), "skill": None, "steps": steps}
+                row: dict[str, float | int | None] = {"mae": _known(maes[k]), "skill": None}
+                row["steps"] = steps - int(missing[element, j, k])
                 if np.isfinite(maes[k]) and base > 0:
                     row["skill"] = float(1 - maes[k] / base)
                 if k == K - 1:
@@ -128,6 +132,11 @@ def horizon_scores(sums: HorizonSums, boats: Sequence[str]) -> Scores:
                         row |= {f"covers_{name_of}": own, f"steps_{name_of}": here}
                 found[boat][name][f"{horizon:g}"] = row
     return found
+
+
+def means(total: np.ndarray, steps: int, missing: np.ndarray) -> np.ndarray:
+    """Sums over those of so many steps that are not missing, as means; NaN where more than MISSING of them are."""
+    return np.divide(total, steps - missing, out=np.full(total.shape, np.nan), where=missing <= MISSING * steps)
 
 
 def ensemble_sums(ensemble: Ensemble, fleet: Fleet, published: Iterable[Stretch]) -> HorizonSums | None:

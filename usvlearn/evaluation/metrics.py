@@ -9,6 +9,7 @@ import numpy as np
 from usvlearn.core.samples import PLAUSIBLE, Fleet, masks, tree_map
 
 PERSISTENCE = "persistence"  # the estimator that skill refers to
+MISSING = 0.01  # share of the steps, the most without a prediction of an estimator that has errors
 AT_ONCE = 2**25  # numbers of predictions and half-widths that are held at a time
 Stretch = tuple[int, int, Mapping[str, np.ndarray]]  # index of a run, first step, what was published, (time, boats, …)
 
@@ -27,9 +28,9 @@ def scores(
     Returns:
         Per estimator `mae`, `median`, `rmse` (m/s), `fit` (percent, see `fit`), `skill` = 1 − MAE/MAE(persistence)
         (None where persistence was not run or is perfect), `steps`, and `diverged`, the number of predictions that are
-        not finite. An estimator that diverged even once, or had no step, has no errors (None). So it cannot win by its
-        remaining steps. With half-widths also `coverage`, the share of the measurements inside the intervals, and
-        `halfwidth`, their mean, m/s, over the intervals that are finite.
+        not finite. An estimator with more than MISSING of such steps, or without a step, has no errors (None). So it
+        cannot win by its remaining steps. With half-widths also `coverage`, the share of the measurements inside the
+        intervals, and `halfwidth`, their mean, m/s, over the intervals that are finite.
 
     >>> table = scores(np.array([[1.0, 2.0], [2.0, 2.0]]), np.array([1.5, 2.0]), ["aid", "persistence"])
     >>> table["aid"]["mae"], table["aid"]["skill"]
@@ -43,7 +44,7 @@ def scores(
     for k, name in enumerate(names):
         e = error[finite[:, k], k]
         row: dict[str, float | int | None] = dict.fromkeys(("mae", "median", "rmse", "fit", "skill"))
-        if len(e) and finite[:, k].all():
+        if len(e) and len(finite) - len(e) <= MISSING * len(finite):
             row |= {"mae": float(e.mean()), "median": float(np.median(e)), "rmse": float(np.sqrt((e * e).mean()))}
             row["fit"] = fit(float((e * e).sum()), spread)
         if halfwidths is not None:

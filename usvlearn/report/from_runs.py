@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from rich.console import Console
 
 from usvlearn.core.lock import Lock
-from usvlearn.core.samples import Fleet
+from usvlearn.core.samples import Fleet, speed_limit
 from usvlearn.display.activity_bar import Activity
 from usvlearn.display.terminal import show
 from usvlearn.errors import CheckpointError, ConfigError
@@ -71,7 +71,8 @@ def _built(folders: Sequence[Path], tools: Tools, data: Any) -> tuple[Ensemble, 
         forecasts = last.get("forecasts") and tools.instantiate(last["forecasts"])
         output = str(last["output"]).partition(".")[0] if last.get("output") else None  # older ones named a measure
         members, knows = tools.instantiate(last["estimators"]), bool(last.get("conditional", False))
-        ensemble = Ensemble(members, combiners, output, forecasts=forecasts, conditional=knows)
+        limit = speed_limit(last["vehicle"]["surge_max"])
+        ensemble = Ensemble(members, combiners, output, surge_max=limit, forecasts=forecasts, conditional=knows)
         with Activity(tools.console):
             fleets = [tools.align(tools.instantiate(each), **last["align"]) for each in sources]
     except (TypeError, AttributeError, KeyError, OverflowError, MemoryError) as error:

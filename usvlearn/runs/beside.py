@@ -11,8 +11,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from usvlearn.core.checkpoint import SUFFIX, checkpoints, restore
+from usvlearn.core.checkpoint import SUFFIX, checkpoints
 from usvlearn.core.samples import Fleet, tree_map
+from usvlearn.engine.check import restored
 from usvlearn.engine.rollouts import stack
 from usvlearn.errors import CheckpointError
 from usvlearn.estimators.planar.layer import Planar, PlanarState
@@ -49,7 +50,7 @@ def started(
             reason = f"{folder / PLANAR}: has no checkpoint of {boat} at this place"
             for path in reversed(paths):
                 try:
-                    found.append(restore(path, template, ESTIMATOR)[0])
+                    found.append(restored(path, template, ESTIMATOR, planar.spec())[0])
                     break
                 except CheckpointError as error:
                     reason = str(error)
@@ -73,7 +74,7 @@ def started_from(planar: Planar, path: Path, boats: int) -> tuple[PlanarState | 
     if not path.is_file():
         return None, f"there is no {path}"
     try:
-        one = restore(path, tree_map(lambda x: x[0], planar.init((1,))), ESTIMATOR)[0]
+        one = restored(path, tree_map(lambda x: x[0], planar.init((1,))), ESTIMATOR, planar.spec())[0]
     except CheckpointError as error:
         return None, str(error)
     return stack([one] * boats), ""

@@ -8,8 +8,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from usvlearn.core.checkpoint import SUFFIX, checkpoints, restore, restore_newest, verify, write_atomically
+from usvlearn.core.checkpoint import SUFFIX, checkpoints, verify, write_atomically
 from usvlearn.core.samples import Fleet, tree_map
+from usvlearn.engine.check import restored
 from usvlearn.engine.rollouts import stack
 from usvlearn.errors import CheckpointError
 from usvlearn.estimators.ensemble.state import EnsembleState
@@ -35,11 +36,12 @@ class Resumption:
         path: the run's folder.
         fleet: the runs that are replayed.
         widths: as of `Published`.
+        kernel: how the ensemble is built.
         planar: whether sway and yaw rate are learned, too.
     """
 
-    def __init__(self, path: Path, fleet: Fleet, widths: Mapping[str, int], planar: bool = False):
-        self.path, self.fleet, self._widths, self._planar = path, fleet, widths, planar
+    def __init__(self, path: Path, fleet: Fleet, widths: Mapping[str, int], kernel: Any, planar: bool):
+        self.path, self.fleet, self._widths, self._kernel, self._planar = path, fleet, widths, kernel, planar
 
     def published(self, folder: Path) -> Published:
         """What the run of a folder has published, if it is over the same samples."""
@@ -60,7 +62,7 @@ class Resumption:
 
     def from_file(self, source: Path, start: Start) -> Start:
         """Every boat starts from one checkpoint."""
-        state, facts = from_checkpoints(start.state, [source] * len(self.fleet.boats))
+        state, facts = from_checkpoints(start.state, [source] * len(self.fleet.boats), self._kernel)
         of = ", run ".join(str(facts[0][name]) for name in ("boat", "run") if name in facts[0])
         return start._replace(state=state, note=f"starting from {of or 'a checkpoint'}, {source}")
 
@@ -75,7 +77,7 @@ class Resumption:
                     f"{source}: has no checkpoint of {boat} (it has: {boats}): give the checkpoint to start from"
                 )
             try:
-                elements.append(restore_newest(folder, of_boat(start.state, element), ESTIMATOR)[0])
+                elements.append(restored(folder, of_boat(start.state, element), ESTIMATOR, self._kernel)[0])
             except CheckpointError as error:
                 raise CheckpointError(f"{error}{own_settings(source)}") from error
         note = f"starting from the newest checkpoints of {source}, from the first run on"
@@ -94,30 +96,30 @@ class Resumption:
                 break
             before = Position(run, end)
             readable.append(before)
-        paths: list[Path] = []
-        while readable:
-            place = readable[-1]
-            own = list(zip(self.fleet.boats, self.own(place), strict=True))
-            paths = [checkpoint_path(source, *each) for each in own]
-            beside = [path for each in own if self._planar and (path := planar_path(source, *each)).exists()]
-            try:  # without a file beside, as in older runs, sway and yaw rate are learned anew
-                for path in [*paths, *beside]:
-                    verify(path)
+        for place in reversed(readable):
+            note = f"resuming after step {place.step} of run {place.run + 1} of {len(self.fleet.runs)}, from {source}"
+            beside = (planar_path(source, *each) for each in zip(self.fleet.boats, self.own(place), strict=True))
+            try:
+                for path in beside if self._planar else ():
+                    if path.exists():  # else, as in older runs, sway and yaw rate are learned anew
+                        verify(path)
+                state = self._state(source, start, self.own(place))
                 break
             except CheckpointError as error:
                 warnings.warn(f"{error}; resuming from before it", stacklevel=2)
-                readable.pop()
-        if not readable:
-            place, note = BEGIN, "learning from the start"
-            paths = [checkpoint_path(source, boat, BEGIN) for boat in self.fleet.boats]
-            if not all(path.exists() for path in paths):  # it began without saved checkpoints
-                self._bring(source, BEGIN)
-                return start
         else:
-            note = f"resuming after step {place.step} of run {place.run + 1} of {len(self.fleet.runs)}, from {source}"
-        elements = [restore(path, of_boat(start.state, element), ESTIMATOR)[0] for element, path in enumerate(paths)]
+            place, note, state = BEGIN, "learning from the start", start.state
+            if all(checkpoint_path(source, boat, BEGIN).exists() for boat in self.fleet.boats):
+                state = self._state(source, start, [BEGIN] * len(self.fleet.boats))
         self._bring(source, place)
-        return Start(stack(elements), place, note)
+        return Start(state, place, note)
+
+    def _state(self, source: Path, start: Start, places: Sequence[Position]) -> EnsembleState:
+        """The boats' states at these places."""
+        paths = map(checkpoint_path, [source] * len(places), self.fleet.boats, places)
+        boats = (of_boat(start.state, element) for element in range(len(places)))
+        found = [restored(*each, ESTIMATOR, self._kernel)[0] for each in zip(paths, boats, strict=True)]
+        return stack(found)
 
     def own(self, place: Position) -> list[Position]:
         """The boats' own places when the fleet is at `place`: their runs may be shorter, or fewer."""
@@ -143,7 +145,9 @@ class Resumption:
                 write_atomically(new, old.read_bytes())
 
 
-def from_checkpoints(state: EnsembleState, paths: Sequence[Path]) -> tuple[EnsembleState, list[dict[str, Any]]]:
+def from_checkpoints(
+    state: EnsembleState, paths: Sequence[Path], kernel: Any
+) -> tuple[EnsembleState, list[dict[str, Any]]]:
     """The state of all boats from one saved checkpoint for each, and the metadata of these checkpoints.
 
     The monitors, and what they have told the filters, start anew, because the checkpoints may be of other boats, or of
@@ -152,14 +156,13 @@ def from_checkpoints(state: EnsembleState, paths: Sequence[Path]) -> tuple[Ensem
     Args:
         state: of a fresh start, leaves `(boats, ...)`.
         paths: of each boat a checkpoint, or a folder of them, of which the newest readable one is taken.
+        kernel: how the ensemble is built (`Ensemble.spec`).
 
     Raises:
         CheckpointError: a checkpoint cannot be read, or belongs to another ensemble.
     """
     template = of_boat(state, 0)
-    found = {
-        path: (restore_newest if path.is_dir() else restore)(path, template, ESTIMATOR) for path in dict.fromkeys(paths)
-    }
+    found = {path: restored(path, template, ESTIMATOR, kernel) for path in dict.fromkeys(paths)}
     anew = {"monitors": state.monitors, "accommodation": state.accommodation}
     return stack([found[path][0] for path in paths])._replace(**anew), [found[path][1] for path in paths]
 

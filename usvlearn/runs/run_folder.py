@@ -69,8 +69,9 @@ class RunFolder:
         self._forecasts, self._filters, self._planar = forecasts, tuple(filters), planar
         self._horizons = () if planar is None else planar.horizons
         self._resumption = Resumption(
-            self.path, fleet, widths_of(names, forecasts, filters, self._horizons), planar is not None
-        )
+            self.path, fleet, widths_of(names, forecasts, filters, self._horizons), metadata.get("kernel"),
+            planar is not None,
+        )  # fmt: skip
         self.beside: PlanarState | None = None  # the newest, from `begin` on; None: a fresh start
         self._sources = [self.path]  # folders in which to look for it
         self._checked = {} if data_check is None else {"data_check": data_check}

@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.core.checkpoint import checkpoints, load, restore
+from usvlearn.core.checkpoint import checkpoints, load
 from usvlearn.core.samples import Fleet, tree_map
+from usvlearn.engine.check import restored
 from usvlearn.engine.rollouts import stack
 from usvlearn.errors import CheckpointError, ConfigError, check_positive
 from usvlearn.estimators.ensemble.layer import Ensemble
@@ -191,7 +192,7 @@ def _read(folder: Path, lengths: Mapping[str, int], widths: Mapping[str, int]) -
 
 
 def _season(boat: str, runs: list[SeasonRun], folders: Sequence[_Folder], ensemble: Ensemble) -> Season:
-    template = tree_map(lambda x: x[0], ensemble.init((1,)))
+    template, description = tree_map(lambda x: x[0], ensemble.init((1,))), ensemble.spec()
     keys = [run.key for run in runs]
     spacing = {run.key: run.spacing for run in runs if run.spacing}  # a step's may differ from align.dt
     found, paths, own, hours, before = [], [], [], [], 0.0
@@ -207,7 +208,7 @@ def _season(boat: str, runs: list[SeasonRun], folders: Sequence[_Folder], ensemb
                 warnings.warn(f"{path}: belongs to no step of the runs in {RUNS}; continuing without it", stacklevel=2)
                 continue
             try:
-                found.append(restore(path, template, ESTIMATOR)[0])
+                found.append(restored(path, template, ESTIMATOR, description)[0])
             except CheckpointError as error:
                 if "damaged" not in str(error) and "cannot be read" not in str(error):
                     raise

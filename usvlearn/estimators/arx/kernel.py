@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from usvlearn.core.arrays import clamp, copy, dot, fill
+from usvlearn.core.arrays import clamp, copy, dot, fill, whole
 from usvlearn.core.family import Node
 from usvlearn.core.jit import jit
 from usvlearn.core.rows import DT, LEFT, RIGHT, YAW_RATE
@@ -90,8 +90,7 @@ def learn(node, s, q, x, estimate, target, work):
             project(theta, A, SPEED, SPEED, 0.0, gain)
             project(theta, A, SQUARE, even, share, gain)
             project(theta, A, SQUARE, even, -share, gain)
-        turn = s[node[AT.turn]]
-        k = int(turn) if 0 <= turn < p else 0  # a member that diverged may hold any number
+        k = whole(s[node[AT.turn]], p)
         add(A, k, walked(A, k, prior[k], len(A) * (h * numbers[Number.WALK]) * prior[k]), gain)
         learned = noise + NOISE_SHARE * (weight * seen - noise)
         s[node[AT.turn]] = k + 1 if k + 1 < p else 0

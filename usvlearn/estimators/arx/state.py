@@ -137,7 +137,7 @@ FAMILY = Family(
         surge=leaf(),
         noise=leaf(legal=POSITIVE),
         deviation=leaf(legal=NOT_NEGATIVE),
-        turn=leaf(legal=Range(0.0, max(p - 1.0, 0.0))),
+        turn=leaf(legal=Range(0.0, max(p - 1.0, 0.0), index=True)),
         rest=leaf(legal=NOT_NEGATIVE),
         started=leaf(legal=UNIT, flag=True),
     ),

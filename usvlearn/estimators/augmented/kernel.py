@@ -6,6 +6,7 @@ What each step calls is inlined: the compiler inlines by itself what one place c
 
 import numpy as np
 
+from usvlearn.core.arrays import whole
 from usvlearn.core.family import Node
 from usvlearn.core.jit import jit
 from usvlearn.estimators.augmented.state import (
@@ -93,13 +94,12 @@ def add_noise(node, s, A, prior, first, disturbance, drift_time, h, rest, a):
     add_slow(A, disturbance * noise * span, 1.0, 0.0)
     A[Y, Y] += OWN_NOISE * noise * span
     turn = s[node[AT.turn]]
-    if turn < EVERY * parameters:
-        k = int(turn)
-        if k == turn and k % EVERY == 0 and not rest:
-            share = EVERY * parameters * (STEP * span) / drift_time
-            i, own = first + k // EVERY, prior[k // EVERY]
-            add(A, i, walked(A, i, own, share * own), a)
-    s[node[AT.turn]] = turn + 1 if turn + 1 < EVERY * parameters else 0.0
+    k = whole(turn, EVERY * parameters)
+    if k == turn and k % EVERY == 0 and not rest:
+        share = EVERY * parameters * (STEP * span) / drift_time
+        i, own = first + k // EVERY, prior[k // EVERY]
+        add(A, i, walked(A, i, own, share * own), a)
+    s[node[AT.turn]] = turn + 1 if 0 <= turn + 1 < EVERY * parameters else 0.0
 
 
 @jit(inline=True)

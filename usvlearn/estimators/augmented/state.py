@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from usvlearn.core.family import NOT_NEGATIVE, POSITIVE, TRIANGLE, Family, leaf
+from usvlearn.core.family import NOT_NEGATIVE, POSITIVE, TRIANGLE, Family, Range, leaf
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -52,7 +52,7 @@ def leaves(n: int) -> FilterState:
         surge=leaf(),
         started=leaf(flag=True),
         commands=leaf(2),
-        turn=leaf(legal=NOT_NEGATIVE),
+        turn=leaf(legal=Range(0.0, EVERY * n, index=True)),
         deviation=leaf(legal=NOT_NEGATIVE),
     )
 

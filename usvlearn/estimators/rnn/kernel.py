@@ -5,7 +5,7 @@ The weights lie in the order of the gradient: a, w1, W2 row by row, b.
 
 import numpy as np
 
-from usvlearn.core.arrays import clamp, copy, fill
+from usvlearn.core.arrays import clamp, copy, fill, whole
 from usvlearn.core.family import ESTIMATE, Node
 from usvlearn.core.jit import jit
 from usvlearn.core.rows import COS, DT, LEFT, RIGHT, SIN
@@ -108,12 +108,6 @@ def descend(node, s, q, weights, grad, factor, rest):
         bounds = q[node[Vector.BOUNDS] : node[Vector.BOUNDS] + 2 * (1 + INPUTS)]
         project(weights, n, node[Choice.CONDITION], node[Choice.BEST], numbers[Number.CONTRACTION_RATE], bounds, rest)
     s[node[AT.updates]] += 1
-
-
-@jit
-def whole(value, end):
-    """A number as an index from 0 … end − 1; 0 where it is none, as in a member that has diverged."""
-    return int(value) if 0 <= value < end else 0
 
 
 @jit

@@ -164,8 +164,8 @@ def replay(kept: int) -> Replay | dict[str, Any]:
     """The leaves of so many samples."""
     if kept == 0:
         return {}
-    last = Range(0.0, 2.0 * kept - 1)
-    return Replay(samples=leaf(kept, KEPT), learned=leaf(legal=last), turn=leaf(legal=Range(0.0, TURN - 1.0)))
+    last, turn = (leaf(legal=Range(0.0, end - 1, index=True)) for end in (2.0 * kept, TURN))
+    return Replay(samples=leaf(kept, KEPT), learned=last, turn=turn)
 
 
 FAMILY = Family(

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from usvlearn.core.samples import Fleet
+from usvlearn.core.samples import Fleet, speed_limit
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.channels.channel import Recording
 from usvlearn.logs.checks.data_check import check_data
@@ -78,12 +78,12 @@ def inspect_logs(given: Sequence[str], name: str | None = None, output: str = "m
     lag = None
     if recordings:
         top = _tell_top_speed(settings, recordings, decisions)
-        lag = find_lag(recordings, max(10.0, 2 * top))
+        lag = find_lag(recordings, speed_limit(top))
         _tell_delay(settings, lag, decisions)
     count = len(logs.files)
     origin = f"{count} log{'s' * (count > 1)} ({logs.format.name})"
     vehicle, channels = settings["vehicle"], settings["data"]["channels"]
-    findings = check_data(recordings, _aligned(recordings), {}, vehicle["surge_max"], channels)
+    findings = check_data(recordings, _aligned(recordings, vehicle["surge_max"]), {}, vehicle["surge_max"], channels)
     head = [
         f"{settings['data']['boat']}: written by usvlearn inspect from {origin}.",
         f"To use it: usvlearn train {shell_override(output)}",
@@ -104,11 +104,11 @@ def _read(settings: dict[str, Any]) -> tuple[list[Recording], list[str]]:
     return recordings, [str(each.message).replace(f"{Path.cwd()}/", "") for each in warned]
 
 
-def _aligned(recordings: Sequence[Recording]) -> Fleet | None:
+def _aligned(recordings: Sequence[Recording], top: float) -> Fleet | None:
     """The recordings on the grid; None where they give too few steps, which the check tells."""
     try:
         with warnings.catch_warnings(action="ignore"):
-            return align_fleet(recordings)
+            return align_fleet(recordings, surge_max=speed_limit(top))
     except LogFormatError:
         return None
 

@@ -5,6 +5,7 @@
 
 import numpy as np
 
+from usvlearn.core.arrays import whole
 from usvlearn.core.family import Node
 from usvlearn.core.jit import jit
 from usvlearn.estimators.ensemble.combiners.kernel import bernstein
@@ -19,7 +20,7 @@ from usvlearn.estimators.ensemble.conditional.kernel import (
     moves_of,
 )
 from usvlearn.estimators.ensemble.conditional.state import AT as KNOWN
-from usvlearn.estimators.ensemble.conditional.state import DUE, FAR, HELD, PATH
+from usvlearn.estimators.ensemble.conditional.state import DUE, FAR, GROUPS, HELD, PATH
 from usvlearn.estimators.ensemble.conformal.state import FEW
 from usvlearn.estimators.ensemble.forecasts.state import (
     AT,
@@ -166,8 +167,8 @@ def learn_due(node, known, knows, s, q, surge, dt, work):
         if knows:
             due, at = s[known[KNOWN.due] + k * DUE :], known[KNOWN.learned.coefficients :]
             learn_error(
-                s, at, k, s[node[AT.errors] + k], e, max(q_before * s_before, NARROWEST), due[0], due[1], int(due[2]),
-                moves, alpha,
+                s, at, k, s[node[AT.errors] + k], e, max(q_before * s_before, NARROWEST), due[0], due[1],
+                whole(due[2], GROUPS), moves, alpha,
             )  # fmt: skip
         miss = 1.0 if e > max(q_before * s_before, NARROWEST) else 0.0
         moved = q_before * np.exp((miss - (1 - numbers[Number.COVERAGE])) / (DELAY + overlap))  # (3)
