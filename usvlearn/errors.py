@@ -239,11 +239,6 @@ def reading(file: os.PathLike[str] | str) -> Iterator[None]:
     """What a reader did not mean to raise becomes a LogFormatError, so that the other logs of a folder are read.
 
     Only calls of a reader stand in it. Tests of the readers call them directly, and see the exception itself.
-
-    >>> with reading("a.bin"):
-    ...     {}["Mult"]  # doctest: +ELLIPSIS
-    Traceback (most recent call last):
-    usvlearn.errors.LogFormatError: a.bin: cannot be read (KeyError: 'Mult', in ...): leave it out, ...
     """
     try:
         yield

@@ -98,11 +98,7 @@ UNITS = {  # of a run's time, and of all fields of its samples
 
 
 def speed_limit(top: float) -> float:
-    """The limit of all speeds, measured and predicted, of a boat with this top speed, m/s.
-
-    >>> speed_limit(2.7), speed_limit(14.0)
-    (10.0, 17.5)
-    """
+    """The limit of all speeds, measured and predicted, of a boat with this top speed, m/s."""
     return max(LIMIT, 1.25 * top)
 
 

@@ -77,10 +77,7 @@ def check(description: Any, leaves: Mapping[str, np.ndarray]) -> None:
 
 
 def restored(path: Path, template: Any, estimator: str, description: Any) -> tuple[Any, dict[str, Any]]:
-    """`checkpoint.restore` of a legal state; of a folder, the newest such one.
-
-    `description` is that of the estimator that goes on; None: no kernel does.
-    """
+    """`checkpoint.restore` of a legal state of the described estimator (None: no kernel); the newest of a folder."""
     if path.is_dir():
         return newest(path, lambda each: restored(each, template, estimator, description))
     state, facts = restore(path, template, estimator)

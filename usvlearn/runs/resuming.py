@@ -134,11 +134,8 @@ class Resumption:
         """Copy the checkpoints and predictions up to `place` from another folder, so that this one is complete."""
         if source.resolve() == self.path.resolve():
             return
-        folders = (source / CHECKPOINTS, source / PLANAR / CHECKPOINTS)
-        for old in [
-            *(old for each in folders for old in each.glob(f"*/*{SUFFIX}")),
-            *(source / PREDICTIONS).glob("*.npz"),
-        ]:
+        saved = (old for each in (source, source / PLANAR) for old in (each / CHECKPOINTS).glob(f"*/*{SUFFIX}"))
+        for old in [*saved, *(source / PREDICTIONS).glob("*.npz")]:
             if (found := position(old)) is not None and found <= place:
                 new = self.path / old.relative_to(source)
                 new.parent.mkdir(parents=True, exist_ok=True)
