@@ -126,7 +126,7 @@ def _onward(time: np.ndarray, dt: np.ndarray) -> np.ndarray:
     array([0. , 0.5, 1. , 1.5])
     """
     ahead = np.diff(time, prepend=time[:1])
-    return time - time[0] + np.cumsum(np.where(ahead < 0, dt - ahead, 0.0))
+    return time - time[0] + np.cumsum(np.where(ahead < 0, dt.max(initial=0.0) - ahead, 0.0))
 
 
 def _causes(rejected: dict[str, dict[str, int]]) -> str:
