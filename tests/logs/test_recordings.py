@@ -94,3 +94,20 @@ def test_chunks_cover_every_run_and_say_when_to_save():
     rest = list(replay(model, fleet, chunks[4].state, begin=Position(0, 20), every=6, save_every=10))
     assert [c.end for c in rest] == [c.end for c in chunks[5:]]
     np.testing.assert_array_equal(rest[-1].published["predictions"], chunks[-1].published["predictions"])
+
+
+@pytest.mark.parametrize("backs", [[3600.0], [604_800.0], [20.0], [3600.0, 60.0]], ids=str)
+def test_a_clock_that_is_set_back_lets_the_time_of_a_run_go_on(backs):
+    """The end of summer time, a week rollover, a counter that wraps, and two of them."""
+    whole = recording("heron", "a", 60.0)
+    ends = np.linspace(0, 60, len(backs) + 2)[1:-1]
+
+    def back(time: np.ndarray) -> np.ndarray:
+        return time - sum(np.where(time > end, by, 0.0) for end, by in zip(ends, backs, strict=True))
+
+    channels = {name: each._replace(time=back(each.time)) for name, each in whole.channels.items()}
+    (run,) = align_fleet([whole._replace(channels=channels)]).runs
+    (plain,) = align_fleet([whole]).runs
+    time = run.time[:, 0]
+    assert (np.diff(time) > 0).all() and time[0] == 0 and abs(time[-1] - plain.time[-1, 0]) < 2.0 * len(backs)
+    assert run.samples.measured.sum() > 0.9 * plain.samples.measured.sum()
