@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from usvlearn.core.hyper import Positive, UnitInterval
 from usvlearn.core.protocol import Estimator, check_estimator, clean
-from usvlearn.core.samples import Fleet, named_leaves, tree_map
+from usvlearn.core.samples import LIMIT, Fleet, named_leaves, tree_map
 from usvlearn.engine.rollouts import rollout, simulate, tensors
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.ensemble.combiners.layer import Average
@@ -185,7 +185,8 @@ def element_errors(
     if measure.kind == FORECAST:
         own = next(chain(estimator.parameters(), estimator.buffers()), torch.zeros(()))
         ahead = ForecastSettings((measure.horizon,))
-        estimator = Ensemble({"member": estimator}, {"own": Average()}, watched=False, forecasts=ahead)
+        top = max(LIMIT, getattr(estimator, "surge_max", LIMIT))  # a fast boat's
+        estimator = Ensemble({"member": estimator}, {"own": Average()}, surge_max=top, watched=False, forecasts=ahead)
         ahead.to(own.device)
     length = max(1, min(CHUNK_STEPS, CHUNK_CELLS // math.prod(batch)))
     with torch.no_grad():
