@@ -31,6 +31,7 @@ from usvlearn.logs.channels.channel import (
 from usvlearn.logs.channels.copies import settle_period
 from usvlearn.logs.channels.derived_surge import PAIRS_TOLD, derived_surge, pair_of
 from usvlearn.logs.channels.series import Series
+from usvlearn.logs.formats.foreign import explained
 
 
 class Reader(Protocol):
@@ -102,7 +103,7 @@ def read_recordings(
         try:
             recordings.append(_read(file, root, reader, sources, str(boat)))
         except LogFormatError as error:
-            unread.append(error)
+            unread.append(explained(file, error))
     if not recordings:
         raise unread[0]
     for each in unread:

@@ -19,13 +19,14 @@ import numpy as np
 
 from usvlearn.errors import ConfigError, LogFormatError, reading
 from usvlearn.logs.channels.series import Series
+from usvlearn.logs.formats.foreign import HEAD, explained, foreign
 from usvlearn.logs.inspection.topics import joined_tables
 
-HEAD = 4096  # bytes that tell a format
+RECENT = 1e15, 4.1e15  # us since 1970, from 2001 to 2099: before a frame in a telemetry log of another suffix
 BETWEEN = 1000.0  # s between two logs that are looked at as one
 MOST_BYTES = 400e6  # of logs that are looked at; more of one boat tell no more
 ROW = re.compile(rb"^-?\d+(\.\d+)?\s+\S+\s+\S+\s+\S")  # of a MOOS log
-PICTURES = (b"\x89PNG", b"\xff\xd8\xff", b"GIF8", b"%PDF", b"PK\x03\x04", b"\x1f\x8b", b"II*\0", b"BM")
+SYNCHRONOUS = re.compile(rb"^\S+\s+([-+.\d][-+.\de]*|nan)\s", re.IGNORECASE)  # row of a .slog, which is a table
 
 
 @dataclass(frozen=True)
@@ -62,10 +63,10 @@ class Format:
 def _is_moos(head: bytes, suffix: str) -> bool:
     lines = [line for line in head.splitlines()[:-1] if line.strip()]
     rows = [line for line in lines if not line.startswith(b"%%")]
-    return b"\0" not in head and (
-        (len(rows) < len(lines) and lines[0].startswith(b"%%"))
-        or (len(rows) > 0 and sum(bool(ROW.match(line)) for line in rows) >= 0.8 * len(rows) and suffix == ".alog")
-    )
+    if b"\0" in head or not lines or (rows and all(map(SYNCHRONOUS.match, rows))):
+        return False
+    alike = sum(bool(ROW.match(line)) for line in rows) >= 0.8 * len(rows)
+    return lines[0].startswith(b"%%") or (suffix == ".alog" and alike)
 
 
 def _is_text(head: bytes, suffix: str) -> bool:
@@ -76,7 +77,8 @@ def _is_text(head: bytes, suffix: str) -> bool:
 
 
 def _is_telemetry(head: bytes, suffix: str) -> bool:
-    return suffix == ".tlog" and len(head) > 8 and head[8] in (0xFE, 0xFD)
+    known = suffix == ".tlog" or RECENT[0] < int.from_bytes(head[:8]) < RECENT[1]
+    return known and len(head) > 8 and head[8] in (0xFE, 0xFD)
 
 
 TABLE = Format("tables", "usvlearn.logs.formats.csv.options", "table_of", (".csv", ".txt", ".tsv"), looks=_is_text)
@@ -91,6 +93,7 @@ FORMATS = (
     TABLE,
 )
 BAGS = (".db3", ".mcap")  # of ROS 2, in a folder with metadata.yaml
+SHOWN = 3  # files that are left out, each with its reason
 NOTES = ".txt"  # of a table, or of notes beside logs
 SUFFIXES = tuple(suffix for each in FORMATS for suffix in each.suffixes)
 
@@ -121,13 +124,11 @@ def find_format(path: Path) -> Format:
     if not head:
         raise LogFormatError(f"{path}: expected a log, found an empty file: remove it")
     suffix = inside[0].suffix.lower()
-    picture = head.startswith(PICTURES)
-    if found := None if picture else next((each for each in FORMATS if each.fits(head, suffix)), None):
+    known = foreign(inside[0], surely=True)
+    if found := next((each for each in FORMATS if each.fits(head, suffix) and (each.begins or not known)), None):
         return found
-    what = "a picture, a document or an archive" if picture else "binary data of no known format"
-    raise LogFormatError(
-        f"{path}: expected a log ({' '.join(dict.fromkeys(SUFFIXES))}), found {what}: give a log that a boat recorded"
-    )
+    known = known or "found binary data of no known format: give a log that a boat recorded"
+    raise LogFormatError(f"{path}: expected a log ({' '.join(dict.fromkeys(SUFFIXES))}), {known}")
 
 
 def open_logs(given: Sequence[str]) -> Logs:
@@ -139,18 +140,17 @@ def open_logs(given: Sequence[str]) -> Logs:
     """
     files = list(dict.fromkeys(file for each in given for file in _files(each)))
     found: dict[str, list[Path]] = {}
-    formats = {}
+    formats, refused = {}, []
     for file in files:
         try:
             which = find_format(file)
-        except LogFormatError:
-            if len(files) == 1:
-                raise
+        except LogFormatError as error:
+            refused.append(error)
             continue
         formats[which.name] = which
         found.setdefault(which.name, []).append(file)
     if not found:
-        raise LogFormatError(f"{given[0]}: expected logs, found none that can be read among its {len(files)} files")
+        raise refused[0]
     if len(found) > 1:
         counts = ", ".join(f"{len(each)} of {name} ({each[0].name})" for name, each in found.items())
         raise LogFormatError(f"{given[0]}: expected logs of one format, found {counts}: give those of one format")
@@ -160,6 +160,8 @@ def open_logs(given: Sequence[str]) -> Logs:
     whole = Path(path) if joined and Path(path).is_dir() else logs[0].parent
     boat = Path(path).stem if Path(path).is_file() else whole.resolve().name
     reader, surveyed, notes, doubts = _survey(formats[name], logs)
+    notes += [f"left out: {error}" for error in refused[:SHOWN]]
+    notes += [f"left out: {len(refused) - SHOWN} more files of no known format"] * (len(refused) > SHOWN)
     return Logs(formats[name], reader, path, boat, tuple(logs), surveyed, tuple(notes), tuple(doubts), joined)
 
 
@@ -177,9 +179,9 @@ def _files(given: str) -> list[Path]:
         ]
         inside = [file for file in inside if file.suffix.lower() != NOTES] or inside
         if not inside:
-            raise ConfigError(
-                f"{given}: expected a folder of logs ({' '.join(dict.fromkeys(SUFFIXES))}), found none in it"
-            )
+            told = next((f"{file.name}, {known}" for file in sorted(path.rglob("*")) if (known := foreign(file))), "")
+            told = told.replace("found ", "", 1) or "none in it: give another folder"
+            raise ConfigError(f"{given}: expected a folder of logs ({' '.join(dict.fromkeys(SUFFIXES))}), found {told}")
         return sorted({_bag_of(file) for file in inside})
     if path.exists():
         raise ConfigError(f"{given}: found a device or a pipe, expected a log or a folder of logs")
@@ -272,8 +274,11 @@ def _survey(which: Format, files: Sequence[Path]) -> tuple[Any, list[list[Series
                 series = own.survey(file)
             notes += [str(each.message) for each in sentence]
             if not any(np.isfinite(each.value).any() for each in series):
-                raise LogFormatError(f"{file}: expected numbers, found none in this log: leave it out")
-        except LogFormatError as wrong:
+                why = "; ".join(str(each.message).removeprefix(f"{file}: ") for each in sentence)
+                why = why or "give a log with the commands and the motion of the boat"
+                raise LogFormatError(f"{file}: expected numbers, found none in this log: {why}")
+        except LogFormatError as raised:
+            wrong = explained(file, raised)
             error = error or wrong
             notes.append(f"left out: {wrong}")
             continue
