@@ -1,11 +1,12 @@
-"""Which of two columns is the latitude: by their names, and by the speed."""
+"""Which of two columns is the latitude: by their names, and by the speed; and what a position tells of a speed."""
 
 import numpy as np
 import pytest
 
+from usvlearn.logs.channels.relations import Relation
 from usvlearn.logs.inspection.candidate import Candidate
 from usvlearn.logs.inspection.places import METRES, Places, crossed, find_places
-from usvlearn.logs.inspection.speeds import interchanged
+from usvlearn.logs.inspection.speeds import by_other, interchanged, read_speed
 
 TIME = np.arange(0, 600, 0.2)
 
@@ -37,3 +38,17 @@ def test_no_speed_and_one_of_a_few_seconds_cast_no_doubt():
 
 def test_a_longitude_beyond_90_degrees_is_no_latitude():
     assert crossed(sailed(37.8, -122.4)[0]) is None and crossed(sailed(37.8, -72.4)[0]) is not None
+
+
+@pytest.mark.parametrize("kind", ["geometry_msgs/msg/TwistStamped", "nav_msgs/msg/Odometry", "geometry_msgs"])
+@pytest.mark.parametrize("slope", [1.94, 0.5, 1.4])
+def test_a_ros_twist_stays_in_its_unit_and_the_factor_is_said(kind, slope):
+    def speed(kind: str, slope: float):
+        relation = Relation(slope, 0.98, 0.01, 0.0, 600.0)
+        return read_speed(Candidate("v", "x", "", kind, TIME, np.sin(TIME)), relation, "ROS 2 (MCAP)", 3.0)
+
+    found = speed(kind, slope)
+    assert (found.unit, found.certainty) == ("m/s", "unsure") and f"but {slope:.3g} × the rate" in found.reason
+    assert found.alternatives[-1] == f"m/s, with span: {slope:.3g}" and by_other(found, speed("", 1.0)) == found
+    assert (speed(kind, 1.02).unit, speed(kind, 1.02).certainty) == ("m/s", "certain")
+    assert (speed("geometry_msgs/msg/Vector3", 1.94).unit, speed("", 1.94).certainty) == ("knots", "certain")

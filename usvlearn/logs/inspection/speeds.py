@@ -127,8 +127,13 @@ def read_speed(candidate: Candidate, relation: Relation | None, convention: str,
     usual = next((unit for kind, unit in CONVENTIONS.items() if kind in candidate.kind or kind == convention), "")
     score = name + quality(candidate) + 0.3 * ("nav" in words(candidate.name))
     if relation is not None and _enough(relation):
-        if relation.correlation >= FOLLOWS and (unit := unit_of(relation.slope)):
+        unit = unit_of(relation.slope)
+        if relation.correlation >= FOLLOWS and unit and (unit == "m/s" or not _is_twist(candidate)):
             return _near(candidate, unit, relation, declared, declared or usual, score)
+        if relation.correlation >= FOLLOWS and _is_twist(candidate):
+            sentence = f"m/s by definition, but {relation.slope:.3g} × the rate of position: check stamps and position"
+            others = (*filter(None, [unit]), _by_span(relation))
+            return Speed(candidate, "m/s", UNSURE, sentence, others, True, False, score)
         if relation.correlation >= FOLLOWS:
             sentence = f"{relation.slope:.3g} × the rate of position, which is no known unit"
             others = (*(unit for unit in SPEEDS[:3] if unit != (declared or "m/s")), _by_span(relation))
@@ -185,6 +190,11 @@ def _near(candidate: Candidate, unit: str, relation: Relation, declared: str, ex
     return Speed(candidate, unit, UNSURE, sentence, (_by_span(relation),), True, False, score)
 
 
+def _is_twist(candidate: Candidate) -> bool:
+    """Whether it is of a ROS twist, whose unit is defined, from a bag or a table."""
+    return candidate.kind == "geometry_msgs" or "Twist" in candidate.kind or candidate.kind.startswith("nav_msgs")
+
+
 def _by_span(relation: Relation) -> str:
     """What reads a speed in a unit of its own, such as ft/s, as an alternative of its unit."""
     return f"m/s, with span: {relation.slope:.3g}"
@@ -198,7 +208,7 @@ def _enough(relation: Relation) -> bool:
 
 def by_other(speed: Speed, known: Speed) -> Speed:
     """The unit of a speed by its ratio to one whose unit is known."""
-    if speed.contradicted or speed.candidate is known.candidate:
+    if speed.contradicted or speed.candidate is known.candidate or _is_twist(speed.candidate):
         return speed
     order = np.argsort(known.candidate.evidence[0], kind="stable")
     time, value = (each[order] for each in known.metres)
