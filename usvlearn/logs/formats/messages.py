@@ -106,6 +106,7 @@ class MessageLog:
         servos: the names of the servos' outputs.
         vehicles: sender -> what is known about it.
         preferred: the senders that a name without one means, where they send it.
+        unknown: messages of types that are not known.
     """
 
     path: Path
@@ -114,6 +115,7 @@ class MessageLog:
     servos: Servos
     vehicles: dict[str, Vehicle] = field(default_factory=dict)
     preferred: Sequence[str] = ("",)
+    unknown: int = 0
 
     def channels(self, sources: dict[str, Source], keep_disarmed: bool):
         """The channels, and the counts of unusable values: see a reader's `read`."""
@@ -238,6 +240,8 @@ class MessageLog:
     def survey(self, left_out: Iterable[str]) -> list[Series]:
         """All numbers, except those of some messages; see `usvlearn.logs.channels.series`."""
         found = []
+        if self.unknown:
+            warnings.warn(f"{self.path}: skipped {self.unknown} messages of types that are not known", stacklevel=3)
         for key in sorted(self.messages, key=lambda key: min(part.order[0] for part in self.messages[key])):
             if key.name in left_out:
                 continue

@@ -179,6 +179,8 @@ def test_unknown_messages_are_passed_over(tmp_path):
     )
     content = b"".join(unknown + frame("ATTITUDE", k, yaw=k) for k in range(4)) + unknown
     assert one(write(tmp_path, content), "ATTITUDE", "yaw")[0].value.tolist() == [0, 1, 2, 3]
+    with pytest.warns(UserWarning, match="skipped 15 messages of types that are not known"):
+        Tlog().survey(write(tmp_path, content))
 
 
 @pytest.mark.parametrize("content", [b"t,l,r\n0,1,2\n" * 20, bytes(3000), b"\xfd" * 300, packet(11_111, 5, b"any")])

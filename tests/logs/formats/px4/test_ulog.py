@@ -107,6 +107,15 @@ def test_what_is_not_there_is_named(tmp_path, pyulog):
         Ulog().read(path, {"surge": Source("motion", field="v")})
 
 
+def test_a_topic_without_a_time_is_named(tmp_path, pyulog):
+    formats = {"speed": "uint64_t timestamp;float vx;", "old": "uint32_t timestamp;float x;"}
+    data = [header(formats), subscribe(0, "speed"), subscribe(1, "old")]
+    data += [message(0, 10**6 * k, "f", 1) for k in range(3)]
+    (tmp_path / "a.ulg").write_bytes(b"".join([*data, message(1, 7, "")]))
+    with pytest.warns(UserWarning, match="skipped the topic old, which has no timestamp in us"):
+        assert [each.name for each in Ulog().survey(tmp_path / "a.ulg")] == ["speed"]
+
+
 def test_a_damaged_log_is_read_with_a_warning(tmp_path, pyulog):
     whole = boat([(0.1 * k, 0.5, 0.5, 90, 1) for k in range(30)])
     place = whole.index(message(1, 1_000_001, "fd", 90, 1))

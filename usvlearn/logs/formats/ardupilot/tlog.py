@@ -141,9 +141,8 @@ def _log(path: Path) -> MessageLog:
             for instance, part in one.split(data, message.instance):
                 messages[Key(message.name, instance, sender)] = [part._replace(fields=shown)]
     vehicles = {sender: _vehicle(data, each) for sender, each in sent.items()}
-    return MessageLog(
-        path, data, messages, SERVOS, vehicles, [each for each in sent if _is_autopilot(data, sent[each])]
-    )
+    pilots = [each for each in sent if _is_autopilot(data, sent[each])]
+    return MessageLog(path, data, messages, SERVOS, vehicles, pilots, int(skipped[3]))
 
 
 def _timed(data: np.ndarray, sent: dict[int, Messages]) -> dict[int, Messages]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from typing import ClassVar
 import numpy as np
 
 from usvlearn.errors import LogFormatError
-from usvlearn.logs.channels.channel import Channel, Source, build_channel, match_name, parse_numbers
+from usvlearn.logs.channels.channel import LISTED, Channel, Source, build_channel, match_name, parse_numbers
 from usvlearn.logs.channels.series import Series
 
 ANSI = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
@@ -94,9 +95,11 @@ class Alog:
         [('NAV_SPEED', [1.2, 1.3])]
         """
         found: dict[str, dict[str, tuple[array, array, array]]] = {}  # variable -> app -> stamps, values, line numbers
+        lost = 0
         for number, line in enumerate(_lines(path), 1):
             parts = line.split(None, 3)
             if len(parts) < 3 or not math.isfinite(stamp := _number(parts[0])) or not _is_name(parts[1] + parts[2]):
+                lost += bool(parts) and not line.startswith("%")
                 continue
             value = parts[3] if len(parts) == 4 else ""
             columns = found.setdefault(parts[1], {}).setdefault(_app(parts[2]), (array("d"), array("d"), array("q")))
@@ -104,13 +107,18 @@ class Alog:
                 column.append(each)
         if not found:
             raise _no_rows(path)
-        series = []
+        series, partly = [], []
         for variable, apps in found.items():
             for app, columns in apps.items():
                 time, values, order = (np.array(column) for column in columns)
-                if "@" not in variable and 2 * np.isfinite(values).sum() >= len(values):
-                    name = variable if len(apps) == 1 else f"{variable}@{app}"
+                name, share = variable if len(apps) == 1 else f"{variable}@{app}", np.isfinite(values).mean()
+                if "@" not in variable and share >= 0.5:
                     series.append(Series(name, None, time, values, order, kind=app))
+                elif share:
+                    partly.append(name)
+        if lost or partly:
+            named = f"; variables of few numbers: {', '.join(partly[:LISTED])}" if partly else ""
+            warnings.warn(f"{path}: skipped {lost} lines that are no rows{named}", stacklevel=2)
         return series
 
 
@@ -179,5 +187,5 @@ def _number(text: str) -> float:
 def _no_rows(path: Path) -> LogFormatError:
     return LogFormatError(
         f"{path}: expected a MOOS log, found no row of the form 'time VARIABLE SOURCE VALUE': "
-        "choose the data option that fits this file"
+        "give the .alog of a run, or choose the data option that fits this file"
     )

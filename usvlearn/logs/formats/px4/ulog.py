@@ -178,8 +178,11 @@ def _topics(path: Path, keep: Callable[[str], bool]) -> list[_Topic]:
     parts: dict[str, list[Any]] = defaultdict(list)
     for data in log.data_list:
         kinds = {field.field_name: field.type_str for field in data.field_data}
+        name = data.name + (f"[{data.multi_id}]" if data.multi_id else "")
         if kinds.get("timestamp") == "uint64_t":
-            parts[data.name + (f"[{data.multi_id}]" if data.multi_id else "")].append((data, kinds))
+            parts[name].append((data, kinds))
+        else:
+            warnings.warn(f"{path}: skipped the topic {name[:QUOTED]}, which has no timestamp in us", stacklevel=4)
     topics = []
     for name, found in parts.items():
         stamps = np.concatenate([data.data["timestamp"] for data, _ in found]).astype(np.int64)
