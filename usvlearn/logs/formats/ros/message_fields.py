@@ -175,29 +175,27 @@ class Collected:
     """
 
     def __init__(self, topic: str, kind: str):
-        self._topic, self._kind = topic, kind
-        self._time, self._order = array("d"), array("q")
-        self._values: dict[str, array] = {}  # path -> one value a message, as far as one was found
+        self._topic, self._kind, self._order = topic, kind, array("q")
+        self.values: dict[str, array] = {}  # path -> one value a message, as far as one was found
 
-    def add(self, time: float, order: int, message: Any) -> None:
-        """Take a message received, or stamped, at a time in s."""
-        count = len(self._time)
+    def add(self, order: int, message: Any) -> None:
+        """Take a message, and its number in the bag."""
+        count = len(self._order)
         for path, value in numbers(message):
-            found = self._values.get(path)
+            found = self.values.get(path)
             if found is None:
-                if len(self._values) == PATHS:
+                if len(self.values) == PATHS:
                     continue
-                found = self._values[path] = array("d")
+                found = self.values[path] = array("d")
             found.extend([math.nan] * (count - len(found)))
             found.append(value)
-        self._time.append(time)
         self._order.append(order)
 
-    def series(self) -> Iterator[Series]:
-        """One of each path."""
-        time, order = np.array(self._time), np.array(self._order, np.int64)
-        for path, found in self._values.items():
+    def series(self, time: np.ndarray) -> Iterator[Series]:
+        """One of each path; `time` of all messages, s."""
+        order = np.array(self._order, np.int64)
+        for path, found in self.values.items():
             value = np.full(len(time), np.nan)
             value[: len(found)] = found
-            unit = "enu_rad" if f"{path}.w" in self._values else ""  # REP 103: from east, counter-clockwise
+            unit = "enu_rad" if f"{path}.w" in self.values else ""  # REP 103: from east, counter-clockwise
             yield Series(self._topic, path, time, value, order, unit, self._kind)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import fnmatch
 import warnings
-from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,13 +13,17 @@ import numpy as np
 
 from usvlearn.errors import LogFormatError, MissingExtraError, check_choice, check_positive, printable
 from usvlearn.logs.channels.channel import Channel, Source, build_channel, match_name
-from usvlearn.logs.channels.series import Series
+from usvlearn.logs.channels.series import ELEMENTS, Series
+from usvlearn.logs.formats.ros.clock import CLOCK, Heard, find_clock, has_stamp
 from usvlearn.logs.formats.ros.decompress import MB, Total, limit_chunks, limited
-from usvlearn.logs.formats.ros.message_fields import CLOCKS, Collected, default_field, read_field, stamp_of
+from usvlearn.logs.formats.ros.journal import joined_journals
+from usvlearn.logs.formats.ros.message_fields import CLOCKS, Collected, default_field, read_field
 from usvlearn.logs.formats.ros.rosbag_scan import Scan
 from usvlearn.logs.formats.ros.rosbag_types import check_type
 
 LARGE = 1 << 16  # bytes of a message that a survey looks into
+OF_ROS = "rosout", "rosout_agg", "parameter_events"  # topics that nobody misses
+SHOWN = 10  # topics that are skipped for one reason
 IMAGES = {f"sensor_msgs/msg/{name}" for name in ("Image", "CompressedImage", "PointCloud", "PointCloud2", "LaserScan")}
 Found = TypeVar("Found")
 
@@ -40,7 +43,8 @@ class Rosbag:
 
     Args:
         clock: `header` takes the stamp in a message's header, and the time of receipt for messages without
-            one or with one more than 1 s from the receipt; `receive` always takes the time of receipt.
+            one or with one more than 1 s from the receipt. If the stamps are of simulated time, which has another rate,
+            the receipts are mapped to it, with a warning. `receive` always takes the time of receipt.
         chunk_limit: MB (10⁶ bytes) that a compressed chunk may unpack to; a bag with a larger one is refused.
 
     Raises:
@@ -94,7 +98,7 @@ class Rosbag:
         patterns = [source.name for source in sources.values()]
 
         def keep(topic: str, msgtype: str) -> bool:
-            return any(_may_match(pattern, topic) for pattern in patterns)
+            return msgtype == CLOCK or any(_may_match(pattern, topic) for pattern in patterns)
 
         return self._open(path, keep, lambda bag: self._read(path, bag, sources))
 
@@ -126,19 +130,21 @@ class Rosbag:
         except ImportError as error:
             raise MissingExtraError("rosbags", "logs", "reading ROS bags") from error
         latest, attempts = get_typestore(Stores.LATEST), [[path]]
-        if path.is_dir():  # its metadata may name the topics otherwise than its files do
-            attempts.append(sorted(each for each in path.iterdir() if each.suffix in self.suffixes))
+        files = sorted(each for each in path.iterdir() if each.suffix in self.suffixes) if path.is_dir() else [path]
         refusal: Exception = LogFormatError("no file of a bag")
-        for paths in filter(None, attempts):
-            try:
-                with limited(path, self._limit), AnyReader(paths, default_typestore=latest) as bag:
-                    if not bag.is2:
-                        limit_chunks(path, bag.readers[0], self._limit)
-                    return use(_Counted(path, bag, refuse=paths is not attempts[-1]))
-            except LogFormatError:
-                raise
-            except Exception as error:  # rosbags raises many types for damage, among them AssertionError and OSError
-                refusal = error
+        with joined_journals(files) as joined:
+            if joined != [path]:  # of a folder, whose metadata may name the topics otherwise than its files do
+                attempts = [[path]] * (joined == files) + [joined]
+            for paths in filter(None, attempts):
+                try:
+                    with limited(path, self._limit), AnyReader(paths, default_typestore=latest) as bag:
+                        if not bag.is2:
+                            limit_chunks(path, bag.readers[0], self._limit)
+                        return use(_Counted(path, bag, refuse=paths is not attempts[-1]))
+                except (LogFormatError, Warning):
+                    raise
+                except Exception as error:  # rosbags raises many types for damage, among them OSError
+                    refusal = error
         return use(self._recovered(path, keep, refusal))
 
     def _recovered(self, path: Path, keep: Callable[[str, str], bool], refusal: Exception) -> Scan:
@@ -154,49 +160,59 @@ class Rosbag:
             ) from refusal
         ending = f"it breaks off in the one at byte {bag.end} of {bag.size}" if bag.end < bag.size else "all are whole"
         warnings.warn(
-            f"{path}: the index of this bag is missing or damaged ({what}): recovered {bag.count} messages "
-            f"from its records; {ending}",
+            f"{path}: the index of this bag is missing or damaged ({what}): recovered {bag.count} messages of "
+            f"{(bag.end_time - bag.start_time) * 1e-9:.4g} s from its records; {ending}",
             stacklevel=4,
         )
         return bag
 
     def _read(self, path: Path, bag, sources: dict[str, Source]):
-        readings: dict[str, list[str]] = defaultdict(list)  # topic -> channels
+        matched = {}  # channel -> topic
         for channel, source in sources.items():
             where = f"{path}: data.channels.{channel}.name"
-            readings[match_name(source.name, {c.topic for c in bag.connections}, where)].append(channel)
-
-        time: dict[str, list[float]] = {channel: [] for channel in sources}
+            matched[channel] = match_name(source.name, {c.topic for c in bag.connections}, where)
+        wanted = [each for each in bag.connections if each.topic in matched.values()]
+        for each in wanted:
+            check_type(path, each.msgtype, bag.typestore.fielddefs)
+        others = [each for each in bag.connections if each.msgtype not in IMAGES and has_stamp(bag, each.msgtype)]
+        others = [each for each in others if each.topic not in matched.values() and self.clock == "header"]
+        heard = {each.topic: Heard(bag, each.topic, each.msgtype) for each in (*wanted, *others)}
         value: dict[str, list[float]] = {channel: [] for channel in sources}
-        order: dict[str, list[int]] = {channel: [] for channel in sources}
-        start, total = bag.start_time, Total(path, self._limit)
-        wanted = [connection for connection in bag.connections if connection.topic in readings]
-        for connection in wanted:
-            check_type(path, connection.msgtype, bag.typestore.fielddefs)
-        for number, (connection, received, data) in enumerate(bag.messages(wanted)):
+        total = Total(path, self._limit)
+        for number, (connection, received, data) in enumerate(bag.messages([*wanted, *others])):
+            heard[connection.topic].add(number, received, data)
+            readers = [channel for channel, topic in matched.items() if topic == connection.topic]
+            if not readers:
+                continue
             total.message(data)
             message = bag.deserialize(data, connection.msgtype)
-            seconds = (stamp_of(message, received, self.clock) - start) * 1e-9
-            for channel in readings[connection.topic]:
-                where = f"{path}: data.channels.{channel}.field"
-                time[channel].append(seconds)
+            for channel in readers:
                 field = sources[channel].field or default_field(connection.msgtype, channel)
-                value[channel].append(read_field(message, field, where))
-                order[channel].append(number)
+                value[channel].append(read_field(message, field, f"{path}: data.channels.{channel}.field"))
 
+        seconds = self._seconds(path, bag, list(heard.values()))
         channels, dropped = {}, {}
-        for channel, source in sources.items():
-            stamps, raw = np.array(time[channel], float), np.array(value[channel], float)
+        for channel, topic in matched.items():
+            raw, order = np.array(value[channel], float), heard[topic].order.tolist()
             channels[channel], dropped[channel] = build_channel(
-                f"{path}: {channel}", source, stamps, raw, order[channel]
+                f"{path}: {channel}", sources[channel], seconds[topic], raw, order
             )
         return channels, dropped
+
+    def _seconds(self, path: Path, bag, heard: list[Heard]) -> dict[str, np.ndarray]:
+        """The times of all messages by topic, s since the start of the bag; warns if they are simulated."""
+        receive = self.clock == "receive"
+        clock, told = find_clock([] if receive else heard)
+        if told:
+            warnings.warn(f"{path}: {told}", stacklevel=6)
+        return {each.topic: each.seconds(bag.start_time, clock, receive) for each in heard}
 
     def _survey(self, path: Path, bag) -> list[Series]:
         topics: dict[str, Collected] = {}
         wanted = [each for each in bag.connections if each.msgtype not in IMAGES]
-        unread = {topic for topic in {each.topic for each in wanted} if not _readable(path, bag, wanted, topic)}
-        start, total = bag.start_time, Total(path, self._limit)
+        unread = {each.topic: why for each in wanted if (why := _unreadable(path, bag, each))}
+        heard = {each.topic: Heard(bag, each.topic, each.msgtype) for each in wanted}
+        total = Total(path, self._limit)
         for number, (connection, received, data) in enumerate(
             bag.messages([each for each in wanted if each.topic not in unread])
         ):
@@ -206,15 +222,26 @@ class Rosbag:
             total.add(len(data))
             try:
                 message = bag.deserialize(data, connection.msgtype) if len(data) <= LARGE else None
-            except Exception:  # of a type that the log does not define, or damaged: another topic may be whole
+            except Exception:  # damaged: another topic may be whole
                 message = None
             if message is None:
-                unread.add(topic)
-                topics.pop(topic, None)
+                unread[topic] = "a message is damaged" if len(data) <= LARGE else f"a message has {len(data)} bytes"
                 continue
-            seconds = (stamp_of(message, received, self.clock) - start) * 1e-9
-            topics.setdefault(topic, Collected(topic, connection.msgtype)).add(seconds, number, message)
-        return [series for _, each in sorted(topics.items()) for series in each.series()]
+            heard[topic].add(number, received, data)
+            topics.setdefault(topic, Collected(topic, connection.msgtype)).add(number, message)
+        for each in wanted:
+            if each.topic not in topics:
+                unread.setdefault(each.topic, "no message is in the bag")
+            elif not topics[each.topic].values and each.msgtype != CLOCK:
+                unread[each.topic] = f"no numbers are in the messages, or more than {ELEMENTS} in a row"
+        told = [each for each in wanted if each.topic.rpartition("/")[2] not in OF_ROS]
+        for why in dict.fromkeys(unread[each.topic] for each in told if each.topic in unread):
+            names = [f"{each.topic} ({each.msgtype})" for each in told if unread.get(each.topic) == why]
+            names[SHOWN:] = [f"{len(names) - SHOWN} more"] * (len(names) > SHOWN)
+            are = "is" if len(names) == 1 else "are"
+            warnings.warn(f"{path}: {', '.join(names)} {are} skipped, since {why}", stacklevel=5)
+        seconds = self._seconds(path, bag, [heard[topic] for topic in topics if topic not in unread])
+        return [series for topic in sorted(seconds) for series in topics[topic].series(seconds[topic])]
 
 
 class _FewerMessages(Exception):
@@ -232,7 +259,7 @@ class _Counted:
 
     def __init__(self, path: Path, bag: Any, refuse: bool):
         self.connections, self.typestore, self.deserialize = bag.connections, bag.typestore, bag.deserialize
-        self.start_time = bag.start_time
+        self.start_time, self.is2 = bag.start_time, bag.is2
         self._path, self._bag, self._refuse = path, bag, refuse
 
     def messages(self, wanted: list[Any]) -> Iterator[tuple[Any, int, bytes]]:
@@ -250,15 +277,13 @@ class _Counted:
             warnings.warn(text, stacklevel=6)
 
 
-def _readable(path: Path, bag, connections, topic: str) -> bool:
-    """Whether the types of a topic's messages are defined, and ones that `check_type` admits."""
+def _unreadable(path: Path, bag, connection) -> str:
+    """Why the messages of a connection cannot be read, or ""."""
     try:
-        for each in connections:
-            if each.topic == topic:
-                check_type(path, each.msgtype, bag.typestore.fielddefs)
-    except (LogFormatError, KeyError):  # a type that the log does not define
-        return False
-    return True
+        check_type(path, connection.msgtype, bag.typestore.fielddefs)
+    except LogFormatError as error:
+        return str(error).removeprefix(f"{path}: ")
+    return ""
 
 
 def _may_match(pattern: str, topic: str) -> bool:

@@ -1,6 +1,7 @@
-"""ROS 1 bags whose index is missing or damaged, read record by record up to the first damaged one.
+"""ROS 1 bags and MCAPs whose index is missing or damaged, read record by record up to the first damaged one.
 
-The records are those of format 2.0, https://wiki.ros.org/Bags/Format/2.0
+The records are those of https://wiki.ros.org/Bags/Format/2.0 and of https://mcap.dev/spec. An MCAP may hold messages of
+ROS 1, too.
 """
 
 from __future__ import annotations
@@ -17,8 +18,11 @@ from usvlearn.errors import LogFormatError
 from usvlearn.logs.formats.ros.decompress import Total, unpack
 from usvlearn.logs.formats.ros.rosbag_types import check_type
 
-MAGIC = b"#ROSBAG V2.0\n"
+MAGIC, MCAP = b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n"
 MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)  # the field "op" of a record's header
+
+MCAP_HEADER, FOOTER, SCHEMA, CHANNEL, MCAP_MESSAGE, MCAP_CHUNK = range(1, 7)  # the first byte of a record of an MCAP
+OF_SCHEMA = {"ros2msg": "msg", "ros1msg": "msg", "ros2idl": "idl", "omgidl": "idl"}  # the languages of definitions
 
 
 class Connection(NamedTuple):
@@ -41,10 +45,10 @@ class Scan:
 
     Attributes:
         connections: sorted by number.
-        start_time: ns since 1970, the earliest message of any topic.
+        start_time, end_time: ns since 1970, of the earliest message of any topic and after the latest.
         count: messages of any topic.
         end: byte at which the first unreadable record begins; the size of the bag if there is none.
-        size: of the bag, bytes.
+        size: of the bag, bytes; of a folder, that of the last MCAP read.
 
     Raises:
         LogFormatError: a chunk is larger than the limit.
@@ -53,22 +57,29 @@ class Scan:
     def __init__(self, path: Path, keep: Callable[[str, str], bool], limit: int):
         from rosbags.typesys import Stores, get_typestore
 
-        self.start_time, self.count, self.end, self.size = 2**63 - 1, 0, 0, 0
-        self._path, self._limit = path, limit
+        self.start_time, self.end_time, self.count, self.end, self.size = 2**63 - 1, 0, 0, 0, 0
+        self._path, self._limit, self._total = path, limit, Total(path, limit)
         self._keep, self.typestore = keep, get_typestore(Stores.EMPTY)
         self._connections: dict[int, Connection] = {}
         self._messages: dict[int, list[tuple[int, bytes]]] = {}  # number of a kept connection -> (received, data)
-        if not path.is_file():
-            return
-        self._total = Total(path, limit)
+        self._schemas: dict[int, tuple[str, str, str]] = {}  # of an MCAP: type, encoding, definition
+        self.is2 = path.is_dir()
+        for place, each in enumerate(sorted(path.glob("*.mcap")) if self.is2 else [path]):
+            self._first = place << 16  # of the numbers of an MCAP's connections
+            if each.is_file() and self.end == self.size:
+                self._file(each)
+
+    def _file(self, path: Path) -> None:
+        """Read a file up to its end, or the first thing that cannot be parsed."""
         with path.open("rb") as file:
-            self.size = os.fstat(file.fileno()).st_size
-            if file.read(len(MAGIC)) != MAGIC:
+            self.size, self.end = os.fstat(file.fileno()).st_size, 0
+            record = self._mcap if file.read(len(MCAP)) == MCAP else self._record
+            if record == self._record and MAGIC != (file.seek(0), file.read(len(MAGIC)))[1]:
                 return
             try:
                 while (end := file.tell()) < self.size:
                     self.end = end
-                    self._record(file, self.size)
+                    record(file, self.size)
                 self.end = self.size
             except LogFormatError:
                 raise
@@ -82,11 +93,11 @@ class Scan:
 
     def messages(self, wanted: Iterable[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
         """The kept messages of these connections, sorted by time of receipt, as an index would."""
-        logs = [[(connection, *message) for message in self._messages[connection.number]] for connection in wanted]
+        logs = [[(connection, *each) for each in self._messages.get(connection.number, ())] for connection in wanted]
         yield from sorted(itertools.chain(*logs), key=lambda message: message[1])
 
     def deserialize(self, data: bytes, msgtype: str):
-        return self.typestore.deserialize_ros1(data, msgtype)
+        return (self.typestore.deserialize_cdr if self.is2 else self.typestore.deserialize_ros1)(data, msgtype)
 
     def _record(self, stream: BinaryIO, size: int) -> None:
         """Read the next record of a stream of so many bytes; raise an exception if it cannot be parsed."""
@@ -99,7 +110,8 @@ class Scan:
         if op == CONNECTION:
             self._connect(_uint32(header["conn"]), header["topic"].decode(), _fields(data))
         elif op == MESSAGE:
-            self._take(self._connections[_uint32(header["conn"])], header["time"], data)
+            seconds, nanoseconds = struct.unpack("<II", header["time"])
+            self._take(self._connections[_uint32(header["conn"])], seconds * 10**9 + nanoseconds, data)
         elif op not in (BAG_HEADER, INDEX, CHUNK_INFO):
             raise ValueError(op)
 
@@ -107,12 +119,57 @@ class Scan:
         compression, announced = header["compression"].decode(), _uint32(header.get("size", bytes(4)))
         if length == 0 and compression != "none":
             length = left  # the length is written when a chunk is closed, and this chunk was not closed
-        data, whole = unpack(self._path, stream.read(min(length, left)), compression, self._limit, announced)
+        self._inner(stream.read(min(length, left)), length > left, compression, announced, self._record)
+
+    def _inner(self, packed: bytes, cut: bool, compression: str, announced: int, record: Callable):
+        """Read the records of a chunk as far as they are whole; raise an exception if they are not."""
+        data, whole = unpack(self._path, packed, compression, self._limit, announced)
         inner = io.BytesIO(data)
         while inner.tell() < len(data):
-            self._record(inner, len(data))
-        if length > left or not whole:
+            record(inner, len(data))
+        if cut or not whole:
             raise EOFError
+
+    def _mcap(self, stream: BinaryIO, size: int) -> None:
+        """Read the next record of an MCAP, as `_record` does."""
+        op, length = struct.unpack("<BQ", stream.read(9))
+        left = size - stream.tell()
+        if op == MCAP_CHUNK:
+            (announced,) = struct.unpack("<16xQ4x", stream.read(28))
+            compression, packed = _text(stream), struct.unpack("<Q", stream.read(8))[0]
+            left = size - stream.tell()
+            content = stream.read(min(packed, left))
+            self._inner(content, packed > left, compression or "none", announced, self._mcap)
+            return
+        data = io.BytesIO(_read(stream, size, length))
+        if op == MCAP_HEADER:
+            self.is2 = _text(data) != "ros1"
+        elif op == FOOTER:
+            stream.seek(size)
+        elif op == SCHEMA:
+            number = self._first + _uint16(data)
+            self._schemas[number] = _text(data), _text(data), _text(data)
+        elif op == CHANNEL:
+            self._channel(self._first + _uint16(data), self._first + _uint16(data), _text(data), _text(data))
+        elif op == MCAP_MESSAGE:
+            number, received = struct.unpack("<H4xQ8x", data.read(22))
+            self._take(self._connections[self._first + number], min(received, 2**63 - 1), data.read())
+
+    def _channel(self, number: int, schema: int, topic: str, encoding: str) -> None:
+        """Note a topic of an MCAP; one that cannot be read has no messages."""
+        from rosbags.typesys import get_types_from_idl, get_types_from_msg
+
+        msgtype, language, text = self._schemas.get(schema, ("", "", ""))
+        msgtype = msgtype.replace("/", "/msg/") if msgtype.count("/") == 1 else msgtype
+        if number not in self._connections and self._keep(topic, msgtype):
+            try:
+                idl = OF_SCHEMA[language] == "idl"
+                self.typestore.register(get_types_from_idl(text) if idl else get_types_from_msg(text, msgtype))
+                check_type(self._path, msgtype, self.typestore.fielddefs)
+                self._messages[number] = []
+            except Exception:  # no ROS type, or one that is not defined; `check_type` tells it again
+                pass
+        self._connections.setdefault(number, Connection(number, topic, msgtype or encoding))
 
     def _connect(self, number: int, topic: str, described: dict[str, bytes]) -> None:
         from rosbags.typesys import get_types_from_msg
@@ -130,19 +187,26 @@ class Scan:
             self._messages[number] = []
         self._connections[number] = Connection(number, topic, msgtype)
 
-    def _take(self, connection: Connection, time: bytes, data: bytes) -> None:
-        seconds, nanoseconds = struct.unpack("<II", time)
-        received = seconds * 10**9 + nanoseconds
+    def _take(self, connection: Connection, received: int, data: bytes) -> None:
         if connection.number in self._messages:
             self._total.message(data)
             self.deserialize(data, connection.msgtype)  # the scan ends at the first message that fails here
             self._messages[connection.number].append((received, data))
-        self.start_time = min(self.start_time, received)
+        self.start_time, self.end_time = min(self.start_time, received), max(self.end_time, received + 1)
         self.count += 1
 
 
 def _uint32(data: bytes) -> int:
     return struct.unpack("<I", data)[0]
+
+
+def _uint16(stream: BinaryIO) -> int:
+    return struct.unpack("<H", stream.read(2))[0]
+
+
+def _text(stream: BinaryIO) -> str:
+    """A text of an MCAP, after its length."""
+    return stream.read(_uint32(stream.read(4))).decode()
 
 
 def _read(stream: BinaryIO, size: int, length: int) -> bytes:

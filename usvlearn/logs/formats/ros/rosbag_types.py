@@ -15,7 +15,7 @@ NOTHING = "structure_needs_at_least_one_member"  # as rosbags calls the field of
 
 
 def check_type(path: Path, msgtype: str, definitions: Mapping[str, Any]) -> None:
-    """Raise a LogFormatError if messages of a type can have many more fields than bytes.
+    """Raise a LogFormatError if a type is not defined, or its messages can have many more fields than bytes.
 
     Args:
         path: of the bag, for the error.
@@ -40,6 +40,15 @@ def check_type(path: Path, msgtype: str, definitions: Mapping[str, Any]) -> None
         if kind == Nodetype.NAME:
             if depth > DEEPEST:
                 raise refused(f"more than {DEEPEST} types within each other")
+            if inner not in definitions:
+                package = inner.partition("/")[0][:QUOTED]
+                way = "or export the topic to a CSV file"
+                if "/" not in inner:
+                    raise LogFormatError(f"{path}: {inner[:QUOTED]!r} is no type of ROS: name another topic, {way}")
+                raise LogFormatError(
+                    f"{path}: the definition of {inner[:QUOTED]} is missing: where {package} is installed, convert the "
+                    f"bag to MCAP, which stores definitions (`ros2 bag convert`), {way} (`ros2 topic echo --csv`)"
+                )
             if inner not in known:
                 fields = [measure(each, depth + 1) for name, each in definitions[inner][1] if name != NOTHING]
                 known[inner] = sum(size for size, _ in fields), 1 + sum(count for _, count in fields)
@@ -55,5 +64,5 @@ def check_type(path: Path, msgtype: str, definitions: Mapping[str, Any]) -> None
             raise refused(f"an array of {total} fields")
         return length * size, total
 
-    if msgtype in definitions and measure((Nodetype.NAME, msgtype), 0)[1] > FIELDS:
+    if measure((Nodetype.NAME, msgtype), 0)[1] > FIELDS:
         raise refused(f"{known[msgtype][1]} fields")
