@@ -78,7 +78,7 @@ def test_stamps_of_ros_1_and_of_another_byte_order():
     large = Heard(BAG, "/x", "Stamped")
     large.add(0, START, b"\0\0\0\0" + struct.pack(">II", 7, 5))
     large.add(1, START, b"\0\1")  # too short to have a stamp
-    assert [each.tolist() for each in large.stamped()] == [[START], [7 * NS + 5]]
+    assert [each.tolist() for each in large.times()] == [[START, START], [7 * NS + 5, 0]]
 
 
 @pytest.mark.parametrize(("plugin", "with_clock"), [("MCAP", True), ("SQLITE3", False)])

@@ -11,7 +11,6 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from tests.logs.formats.ros.test_rosbag_scan import assert_equal
 from tests.support.bags import NS, START
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.channels.channel import Source
@@ -134,7 +133,7 @@ def test_a_database_that_was_not_closed_is_read_with_what_is_beside_it(tmp_path,
     path = crashed / whole.name
     for each in (path, crashed):
         channels, (note,) = noted(each)
-        assert_equal(channels, expected)
+        np.testing.assert_array_equal(channels["surge"].value, expected["surge"].value)
         assert f"{path}: its recorder has not closed it: read together with {path.name}-wal, from a copy" in note
     assert {each: each.read_bytes() for each in crashed.iterdir()} == before
     monkeypatch.setattr(shutil, "copyfile", Mock(side_effect=OSError("No space left on device")))

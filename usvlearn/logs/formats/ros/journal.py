@@ -27,13 +27,13 @@ def joined_journals(files: list[Path]) -> Iterator[list[Path]]:
     """
     beside = {file: [file.with_name(file.name + end) for end in JOURNALS] for file in files if file.suffix == ".db3"}
     left = {file: [each for each in some if each.is_file() and each.stat().st_size] for file, some in beside.items()}
-    left = {file: some for file, some in left.items() if some}
-    with TemporaryDirectory() if left else nullcontext("") as folder:
-        yield [_join(file, left[file], Path(folder)) if file in left else file for file in files]
+    with TemporaryDirectory() if any(left.values()) else nullcontext("") as folder:
+        yield [_join(file, left[file], Path(folder)) if left.get(file) else file for file in files]
 
 
 def _join(file: Path, journals: list[Path], folder: Path) -> Path:
     """A copy of a database, joined with its journals."""
+    name = journals[0].name
     try:
         for each in (file, *journals):
             shutil.copyfile(each, folder / each.name)
@@ -42,10 +42,8 @@ def _join(file: Path, journals: list[Path], folder: Path) -> Path:
             base.execute("SELECT count(*) FROM sqlite_master").fetchall()  # this takes back what a -journal holds
     except (OSError, sqlite3.Error) as error:
         raise LogFormatError(
-            f"{file}: found {journals[0].name} beside it, which holds messages that are not in the bag, and could not "
-            f"join them ({error}): run `sqlite3 {file.name} 'PRAGMA wal_checkpoint'` on a copy of both"
+            f"{file}: found {name} beside it, which holds messages that are not in the bag, and could not join them "
+            f"({error}): run `sqlite3 {file.name} 'PRAGMA wal_checkpoint'` on a copy of both"
         ) from error
-    warnings.warn(
-        f"{file}: its recorder has not closed it: read together with {journals[0].name}, from a copy", stacklevel=7
-    )
+    warnings.warn(f"{file}: its recorder has not closed it: read together with {name}, from a copy", stacklevel=7)
     return folder / file.name

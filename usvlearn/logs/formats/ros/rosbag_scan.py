@@ -20,9 +20,7 @@ from usvlearn.logs.formats.ros.rosbag_types import check_type
 
 MAGIC, MCAP = b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n"
 MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)  # the field "op" of a record's header
-
 MCAP_HEADER, FOOTER, SCHEMA, CHANNEL, MCAP_MESSAGE, MCAP_CHUNK = range(1, 7)  # the first byte of a record of an MCAP
-OF_SCHEMA = {"ros2msg": "msg", "ros1msg": "msg", "ros2idl": "idl", "omgidl": "idl"}  # the languages of definitions
 
 
 class Connection(NamedTuple):
@@ -72,10 +70,11 @@ class Scan:
     def _file(self, path: Path) -> None:
         """Read a file up to its end, or the first thing that cannot be parsed."""
         with path.open("rb") as file:
-            self.size, self.end = os.fstat(file.fileno()).st_size, 0
-            record = self._mcap if file.read(len(MCAP)) == MCAP else self._record
-            if record == self._record and MAGIC != (file.seek(0), file.read(len(MAGIC)))[1]:
+            self.size, self.end, start = os.fstat(file.fileno()).st_size, 0, file.read(len(MAGIC))
+            if start != MAGIC and not start.startswith(MCAP):
                 return
+            record = self._record if start == MAGIC else self._mcap
+            file.seek(len(MAGIC if start == MAGIC else MCAP))
             try:
                 while (end := file.tell()) < self.size:
                     self.end = end
@@ -133,13 +132,10 @@ class Scan:
     def _mcap(self, stream: BinaryIO, size: int) -> None:
         """Read the next record of an MCAP, as `_record` does."""
         op, length = struct.unpack("<BQ", stream.read(9))
-        left = size - stream.tell()
         if op == MCAP_CHUNK:
-            (announced,) = struct.unpack("<16xQ4x", stream.read(28))
-            compression, packed = _text(stream), struct.unpack("<Q", stream.read(8))[0]
-            left = size - stream.tell()
-            content = stream.read(min(packed, left))
-            self._inner(content, packed > left, compression or "none", announced, self._mcap)
+            (announced,), compression = struct.unpack("<16xQ4x", stream.read(28)), _text(stream) or "none"
+            (packed,), left = struct.unpack("<Q", stream.read(8)), size - stream.tell()
+            self._inner(stream.read(min(packed, left)), packed > left, compression, announced, self._mcap)
             return
         data = io.BytesIO(_read(stream, size, length))
         if op == MCAP_HEADER:
@@ -147,29 +143,30 @@ class Scan:
         elif op == FOOTER:
             stream.seek(size)
         elif op == SCHEMA:
-            number = self._first + _uint16(data)
+            (number,) = struct.unpack("<H", data.read(2))
             self._schemas[number] = _text(data), _text(data), _text(data)
         elif op == CHANNEL:
-            self._channel(self._first + _uint16(data), self._first + _uint16(data), _text(data), _text(data))
+            number, schema = struct.unpack("<HH", data.read(4))
+            self._channel(self._first + number, self._schemas.get(schema, ("", "", "")), _text(data))
         elif op == MCAP_MESSAGE:
             number, received = struct.unpack("<H4xQ8x", data.read(22))
             self._take(self._connections[self._first + number], min(received, 2**63 - 1), data.read())
 
-    def _channel(self, number: int, schema: int, topic: str, encoding: str) -> None:
+    def _channel(self, number: int, schema: tuple[str, str, str], topic: str) -> None:
         """Note a topic of an MCAP; one that cannot be read has no messages."""
         from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
-        msgtype, language, text = self._schemas.get(schema, ("", "", ""))
+        msgtype, language, text = schema
         msgtype = msgtype.replace("/", "/msg/") if msgtype.count("/") == 1 else msgtype
         if number not in self._connections and self._keep(topic, msgtype):
             try:
-                idl = OF_SCHEMA[language] == "idl"
-                self.typestore.register(get_types_from_idl(text) if idl else get_types_from_msg(text, msgtype))
+                defined = get_types_from_idl(text) if "idl" in language else get_types_from_msg(text, msgtype)
+                self.typestore.register(defined)
                 check_type(self._path, msgtype, self.typestore.fielddefs)
                 self._messages[number] = []
-            except Exception:  # no ROS type, or one that is not defined; `check_type` tells it again
+            except Exception:  # no type of ROS, or one that is not defined; `check_type` tells it again
                 pass
-        self._connections.setdefault(number, Connection(number, topic, msgtype or encoding))
+        self._connections.setdefault(number, Connection(number, topic, msgtype))
 
     def _connect(self, number: int, topic: str, described: dict[str, bytes]) -> None:
         from rosbags.typesys import get_types_from_msg
@@ -200,13 +197,9 @@ def _uint32(data: bytes) -> int:
     return struct.unpack("<I", data)[0]
 
 
-def _uint16(stream: BinaryIO) -> int:
-    return struct.unpack("<H", stream.read(2))[0]
-
-
 def _text(stream: BinaryIO) -> str:
     """A text of an MCAP, after its length."""
-    return stream.read(_uint32(stream.read(4))).decode()
+    return stream.read(_uint32(stream.read(4))).decode(errors="replace")
 
 
 def _read(stream: BinaryIO, size: int, length: int) -> bytes:
