@@ -92,7 +92,8 @@ FORMATS = (
     Format("MOOS", "usvlearn.logs.formats.moos.alog", "Alog", (".alog",), looks=_is_moos),
     TABLE,
 )
-BAGS = (".db3", ".mcap")  # of ROS 2, in a folder with metadata.yaml
+ZSTD = ".zstd"  # after the suffix of a file that ROS 2 compressed
+BAGS = (".db3", ".mcap", ZSTD)  # of ROS 2, in a folder with metadata.yaml
 SHOWN = 3  # files that are left out, each with its reason
 NOTES = ".txt"  # of a table, or of notes beside logs
 SUFFIXES = tuple(suffix for each in FORMATS for suffix in each.suffixes)
@@ -124,6 +125,9 @@ def find_format(path: Path) -> Format:
     if not head:
         raise LogFormatError(f"{path}: expected a log, found an empty file: remove it")
     suffix = inside[0].suffix.lower()
+    inner = Path(inside[0].stem).suffix if path.is_dir() and suffix == ZSTD else None
+    if packed := next((each for each in FORMATS if inner in each.suffixes), None):
+        return packed
     known = foreign(inside[0], surely=True)
     if found := next((each for each in FORMATS if each.fits(head, suffix) and (each.begins or not known)), None):
         return found
@@ -174,7 +178,7 @@ def _files(given: str) -> list[Path]:
             file
             for file in path.rglob("*")
             if file.is_file()
-            and file.suffix.lower() in SUFFIXES
+            and file.suffix.lower() in (*SUFFIXES, ZSTD)
             and not any(part.startswith(".") for part in file.relative_to(path).parts)
         ]
         inside = [file for file in inside if file.suffix.lower() != NOTES] or inside

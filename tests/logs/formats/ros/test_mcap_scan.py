@@ -15,6 +15,7 @@ from tests.support.bags import NS, START
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.channels.channel import Source
 from usvlearn.logs.formats.ros.rosbag import Rosbag
+from usvlearn.logs.inspection.logfiles import open_logs
 
 rosbag2 = pytest.importorskip("rosbags.rosbag2", reason="needs the package rosbags")
 
@@ -23,7 +24,7 @@ SOURCES = {"command_left": Source("left"), "surge": Source("right", field="data"
 THRUST = "usv_msgs/msg/Thrust"
 
 
-def write(folder: Path, plugin: str = "MCAP", compression: str = "", own: bool = False) -> Path:
+def write(folder: Path, plugin: str = "MCAP", compression: str = "", own: bool = False, mode: str = "STORAGE") -> Path:
     """A bag of two numbers, the second received out of order; `own`: and of a type that the bag alone defines."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -31,7 +32,7 @@ def write(folder: Path, plugin: str = "MCAP", compression: str = "", own: bool =
     store.register(get_types_from_msg("float64 port\n", THRUST))
     bag = rosbag2.Writer(folder, version=9, storage_plugin=rosbag2.StoragePlugin[plugin])
     if compression:
-        bag.set_compression(rosbag2.CompressionMode.STORAGE, rosbag2.CompressionFormat[compression])
+        bag.set_compression(rosbag2.CompressionMode[mode], rosbag2.CompressionFormat[compression])
     with bag:
         topics = {"left": number, "right": number} | ({"/thrust": THRUST} if own else {})
         made = {topic: bag.add_connection(topic, kind, typestore=store) for topic, kind in topics.items()}
@@ -89,6 +90,15 @@ def test_the_last_file_of_a_folder_may_be_cut(tmp_path):
     first.with_name("b.mcap").write_bytes(second.read_bytes()[:-12_000])
     channels, (note,) = noted(tmp_path / "a")
     assert COUNT < len(channels["surge"].value) < 2 * COUNT and "breaks off" in note
+
+
+def test_a_bag_whose_files_are_compressed_is_found(tmp_path):
+    path = write(tmp_path / "run", "SQLITE3", "ZSTD", mode="FILE")
+    logs = open_logs([str(tmp_path)])
+    assert logs.files == (path.parent,) and [len(each.value) for each in logs.surveyed[0]] == [COUNT] * 2
+    path.rename(path.with_name("run.tar.zstd"))
+    with pytest.raises(LogFormatError, match="an archive, or a compressed file: unpack it"):
+        open_logs([str(tmp_path)])
 
 
 def test_messages_of_ros_1_in_an_mcap_are_read_and_others_are_named(tmp_path):

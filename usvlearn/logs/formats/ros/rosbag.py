@@ -154,9 +154,10 @@ class Rosbag:
             what = "its recording was not closed"
         bag = Scan(path, keep, self._limit)
         if not bag.count:
+            way = f"try `sqlite3 {path.name} .recover | sqlite3 new.db3`, or " if path.suffix == ".db3" else ""
             raise LogFormatError(
                 f"{path}: expected a whole ROS bag, found: {what}; and no message could be recovered from it: "
-                "leave it out, or name its reader"
+                f"{way}leave it out, or name its reader"
             ) from refusal
         ending = f"it breaks off in the one at byte {bag.end} of {bag.size}" if bag.end < bag.size else "all are whole"
         warnings.warn(
