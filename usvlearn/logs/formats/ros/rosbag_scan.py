@@ -56,12 +56,14 @@ class Scan:
         from rosbags.typesys import Stores, get_typestore
 
         self.start_time, self.end_time, self.count, self.end, self.size = 2**63 - 1, 0, 0, 0, 0
-        self._path, self._limit, self._total = path, limit, Total(path, limit)
+        self._path, self._limit = path, limit
         self._keep, self.typestore = keep, get_typestore(Stores.EMPTY)
         self._connections: dict[int, Connection] = {}
         self._messages: dict[int, list[tuple[int, bytes]]] = {}  # number of a kept connection -> (received, data)
         self._schemas: dict[int, tuple[str, str, str]] = {}  # of an MCAP: type, encoding, definition
         self.is2 = path.is_dir()
+        if path.exists():
+            self._total = Total(path, limit)
         for place, each in enumerate(sorted(path.glob("*.mcap")) if self.is2 else [path]):
             self._first = place << 16  # of the numbers of an MCAP's connections
             if each.is_file() and self.end == self.size:
