@@ -167,12 +167,7 @@ def _names(kind: type) -> tuple[str, ...]:
 
 
 class Collected:
-    """The numbers of all messages of one topic.
-
-    Args:
-        topic: its name.
-        kind: type of its messages.
-    """
+    """The numbers of all messages of one topic, of one type."""
 
     def __init__(self, topic: str, kind: str):
         self._topic, self._kind, self._order = topic, kind, array("q")

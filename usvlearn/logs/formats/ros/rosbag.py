@@ -245,18 +245,8 @@ class Rosbag:
         return [series for topic in sorted(seconds) for series in topics[topic].series(seconds[topic])]
 
 
-class _FewerMessages(Exception):
-    """A bag holds fewer messages than it announces."""
-
-
 class _Counted:
-    """A bag whose messages are counted and compared with what it announces.
-
-    Args:
-        path: of the bag.
-        bag: a `rosbags.highlevel.AnyReader` that is open.
-        refuse: whether to raise `_FewerMessages`, not only to warn, if messages are missing.
-    """
+    """An open bag of rosbags whose messages are counted: if it has fewer than it announces, it is refused, or warns."""
 
     def __init__(self, path: Path, bag: Any, refuse: bool):
         self.connections, self.typestore, self.deserialize = bag.connections, bag.typestore, bag.deserialize
@@ -274,7 +264,7 @@ class _Counted:
                 "metadata are damaged"
             )
             if self._refuse:
-                raise _FewerMessages(text)
+                raise ValueError(text)
             warnings.warn(text, stacklevel=6)
 
 

@@ -37,16 +37,14 @@ class Scan:
     It is read once, from its start. The first thing that cannot be parsed ends the scan.
 
     Args:
-        path: the bag.
+        path: the bag, or a folder of MCAPs.
         keep: tells which topics and types are wanted: only their messages are held in memory and deserialised.
         limit: bytes that a compressed chunk may unpack to.
 
     Attributes:
-        connections: sorted by number.
         start_time, end_time: ns since 1970, of the earliest message of any topic and after the latest.
         count: messages of any topic.
-        end: byte at which the first unreadable record begins; the size of the bag if there is none.
-        size: of the bag, bytes; of a folder, that of the last MCAP read.
+        end: byte at which the first unreadable record of the last file begins; its size if there is none.
 
     Raises:
         LogFormatError: a chunk is larger than the limit.
