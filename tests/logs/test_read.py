@@ -80,7 +80,7 @@ def test_an_unset_path_says_how_to_set_it(path):
     ("path", "expected"),
     [
         ("mission.csv", ["mission.csv", "does not exist", "did you mean", "missions.csv"]),
-        ("nothing/like/it", ["does not exist", "(.csv or .tsv)"]),
+        ("nothing/like/it", ["does not exist", "(.csv or .tsv or .slog"]),
         ("empty", ["empty", "0 files", ".csv"]),
         ("other", ["none among its 1 files", ".csv"]),
         ("no*.csv", ["no*.csv", "0 files"]),

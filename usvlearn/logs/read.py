@@ -30,6 +30,7 @@ from usvlearn.logs.channels.channel import (
 )
 from usvlearn.logs.channels.copies import settle_period
 from usvlearn.logs.channels.derived_surge import PAIRS_TOLD, derived_surge, pair_of
+from usvlearn.logs.channels.restarts import segments
 from usvlearn.logs.channels.series import Series
 from usvlearn.logs.formats.foreign import explained
 
@@ -53,6 +54,7 @@ def read_recordings(
     reader: Reader,
     channels: Mapping[str, Source | Mix | Mapping | None],
     boat: str | None = None,
+    boat_column: str | None = None,
 ) -> list[Recording]:
     """Read all logs of one boat, or of several.
 
@@ -66,6 +68,7 @@ def read_recordings(
             several names (`usvlearn.logs.alignment.mixing`). Without a surge, it is computed from other channels
             (`usvlearn.logs.ground_speed`).
         boat: the boat's name; default the name of the log or folder, without suffix.
+        boat_column: of tables, the column that tells which boat a row is of; then `boat` chooses one of these boats.
 
     Raises:
         ConfigError: the path finds no log, or the channels are not declared as expected.
@@ -91,17 +94,25 @@ def read_recordings(
         return [
             recording
             for name, place in path.items()
-            for recording in read_recordings(place, reader, channels, str(name))
+            for recording in read_recordings(place, reader, channels, str(name), boat_column)
         ]
     sources = sources_of(channels)
     root, files = _find(path, reader, [source.name for source in parts_of(_needed(sources)).values()])
+    if boat_column is not None:
+        if (boats_in := getattr(reader, "boats", None)) is None:
+            raise ConfigError(f"data.boat_column: found {boat_column!r}, expected none: it is for tables (data=csv)")
+        boats = {name: each for file in files for name, each in boats_in(file, boat_column).items()}
+        if boat is not None and (boat := str(boat)) not in boats:  # MMSI are numbers in YAML
+            raise ConfigError(f"data.boat: found {boat!r}, expected one of {', '.join(boats)}, as {boat_column!r} has")
+        chosen = boats if boat is None else [boat]
+        return [each for name in chosen for each in read_recordings(path, boats[name], channels, name)]
     if boat is None:
         boat = _run(files[0], files[0].parent) if files == [Path(path).expanduser()] else printable(root.resolve().name)
     recordings, unread = [], []
     for number, file in enumerate(files, 1):
         doing(f"reading {file.name}" + (f", {number} of {len(files)}" if len(files) > 1 else ""))
         try:
-            recordings.append(_read(file, root, reader, sources, str(boat)))
+            recordings += _read(file, root, reader, sources, str(boat))
         except LogFormatError as error:
             unread.append(explained(file, error))
     if not recordings:
@@ -114,23 +125,38 @@ def read_recordings(
     return settle_period(str(boat), recordings)
 
 
-def _read(file: Path, root: Path, reader: Reader, sources: Mapping[str, Source | Mix], boat: str) -> Recording:
+def _read(file: Path, root: Path, reader: Reader, sources: Mapping[str, Source | Mix], boat: str) -> list[Recording]:
     try:
         if file.stat().st_size == 0:
             raise LogFormatError(f"{file}: expected a log, found an empty file: remove it")
-        return recording_of(file, reader, sources, boat, _run(file, root))
+        return recordings_of(file, reader, sources, boat, _run(file, root))
     except OSError as error:
         raise LogFormatError(
             f"{file}: expected a readable file, found: {error.strerror or error}: fix its permissions"
         ) from error
 
 
-def recording_of(log: Path, reader: Reader, sources: Mapping[str, Source | Mix], boat: str, run: str) -> Recording:
-    """One log as a recording; its surge is computed where it has none."""
-    channels, dropped = _channels(log, reader, sources)
-    if SURGE not in channels:
-        channels[SURGE], dropped[SURGE] = derived_surge(str(log), channels)
-    return Recording(boat, run, channels, dropped)
+def recordings_of(
+    log: Path, reader: Reader, sources: Mapping[str, Source | Mix], boat: str, run: str
+) -> list[Recording]:
+    """One log as its runs: each jump back of its clock begins one. A surge is computed where there is none."""
+    read, dropped = _channels(log, reader, sources)
+    parts, jumps = segments(read.values())
+    found = [{name: each for name, each in zip(read, part, strict=True) if len(each.time)} for part in parts]
+    runs: list[Recording] = []
+    for channels in [each for each in found if _needed(sources).keys() <= each.keys()] or [read]:
+        lost = {name: dict(causes) for name, causes in dropped.items()} if not runs else {}
+        if SURGE not in channels:
+            channels[SURGE], lost[SURGE] = derived_surge(str(log), channels)
+        runs.append(Recording(boat, f"{run}-part{len(runs) + 1}" if runs else run, channels, lost))
+    if jumps:
+        where = ", ".join(f"{back:.4g} s at {place}" for place, back in jumps[:5]) + (", …" if len(jumps) > 5 else "")
+        warnings.warn(
+            f"{log}: the stamps jump back, as where a logger starts anew or its clock is set back, by {where} (line or "
+            f"message): a new run begins there, so there are {len(runs)}",
+            stacklevel=2,
+        )
+    return runs
 
 
 def _run(log: Path, root: Path) -> str:
@@ -190,7 +216,7 @@ def _find(path: str | os.PathLike, reader: Reader, names: Sequence[str]) -> tupl
         hint = f"did you mean {here.parent / close[0]}?" if close else f"set it to a folder or log ({endings})"
         raise ConfigError(f"data.path: found {text!r}, but {here.absolute()} does not exist: {hint}")
     found = [Path(name) for name in glob.glob(pattern, recursive=True) if os.path.isfile(name)]
-    files = [file for file in found if file.suffix.lower() in suffixes]
+    files = [file for file in found if file.name.lower().endswith(suffixes)]
     if marker and here.is_dir():
         logs = {folder for folder in {file.parent for file in files} if _is_log(folder, marker)}
         files = [*(file for file in files if file.parent not in logs), *logs]

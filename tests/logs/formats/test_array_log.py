@@ -91,20 +91,42 @@ def test_windows_follow_the_times_and_whole_seconds_are_spread():
     assert same(logs, usvlearn.read(**slow)) and logs.setups["boat"].channels["surge"].window == "auto"
 
 
+def test_arrays_as_programs_give_them():
+    holes = np.arange(len(T)) % 7 == 0
+    late = np.datetime64("2300-01-01", "us") + (T * 1e6).round().astype("m8[us]")
+    column = {name: values[:, None] for name, values in ALL.items()}  # as of MATLAB
+    logs = usvlearn.read(**ALL)
+    for changes in (column, {"time": late}, {"time": np.round(1000 * T - 50e3) % 2**32, "units": {"time": "ms"}}):
+        assert same(logs, usvlearn.read(**ALL | changes), 1e-9)
+    logs = usvlearn.read(**ALL | {"surge": np.where(holes, np.nan, SI["surge"])})
+    gaps = [None if hole else float(x) for hole, x in zip(holes, SI["surge"], strict=True)]
+    for surge in (gaps, np.ma.masked_array(SI["surge"], holes)):
+        assert same(logs, usvlearn.read(**ALL | {"surge": surge}), 1e-12)
+    logs = usvlearn.read(**ALL | {"time": np.where(holes, np.nan, T)})
+    for time in (
+        np.ma.masked_array(late, holes),
+        [None if hole else each for hole, each in zip(holes, late.tolist(), strict=True)],
+    ):
+        assert same(logs, usvlearn.read(**ALL | {"time": time}), 1e-6)
+    with pytest.raises(ConfigError, match="mode: found text, expected numbers"):
+        usvlearn.read(ALL | {"mode": ["x"] * len(T)}, channels={"surge": {"name": "mode"}})
+
+
 BAD = {
     "length": ({"surge": T[:5]}, "surge: found 5 values, expected 1200, one for each of time"),
     "text": ({"surge": np.array(["1"] * len(T))}, "surge: found text, expected numbers"),
-    "object": ({"surge": SI["surge"].astype(object)}, "surge: found objects, expected numbers"),
+    "object": ({"surge": np.array([object()] * len(T))}, "surge: found objects, expected numbers"),
     "shape": ({"surge": np.c_[T, T]}, r"surge: found an array of shape \(1200, 2\)"),
     "scalar": ({"surge": 1.0}, r"surge: found an array of shape \(\)"),
     "falling": ({"time": T[::-1]}, "time: found stamps that fall"),
     "nanoseconds": ({"time": (1e9 * T).astype(np.int64)}, r"stamps 1e\+08 s apart.*give units=\{'time': 'ns'\}"),
     "days": ({"time": np.datetime64("2025-01-01") + np.arange(len(T))}, r"stamps 8.64e\+04 s apart"),
+    "days as seconds": ({"time": 45446 + T / 86400}, r"stamps 1.16e-06 s apart.*give units=\{'time': 'days'\}"),
     "no time": ({"time": T * np.nan}, "time: found 1200 values and no finite one"),
     "absent": ({"heading": None}, "heading: found no such array among time, command_left"),
     "unknown": ({"speed": T}, r"speed: found ndarray of shape \(1200,\)"),
     "unit": ({"units": {"surge": "mph"}}, "surge.unit: found 'mph', expected one of 1, m/s"),
-    "time unit": ({"units": {"time": "h"}}, "units.time: found 'h', expected one of s, ms"),
+    "time unit": ({"units": {"time": "week"}}, "units.time: found 'week', expected one of s, ms"),
     "unit of none": ({"units": {"speed": "m/s"}}, "units: found 'speed'"),
     "data": ({"data": "alog"}, "data: found 'alog' beside arrays"),
     "path": ({"path": "a.csv"}, "found values beside a path"),

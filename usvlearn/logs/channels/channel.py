@@ -199,18 +199,21 @@ def _listing(names: Sequence[str]) -> str:
 def parse_numbers(cells: Sequence[str]) -> np.ndarray:
     """Cells of text as float64, NaN where a cell is not a number.
 
-    >>> parse_numbers(["1.5", "", "nan", "off"])
-    array([1.5, nan, nan, nan])
+    >>> parse_numbers(["1.5", "", "nan", "off", "1_000"])
+    array([1.5, nan, nan, nan, nan])
     """
     try:
-        return np.array(cells, dtype=np.float64)
+        if "_" not in "".join(cells):
+            return np.array(cells, dtype=np.float64)
     except ValueError:  # some cell is not a number: convert one by one
-        return np.array([_number(cell) for cell in cells], dtype=np.float64)
+        pass
+    return np.array([as_number(cell) for cell in cells], dtype=np.float64)
 
 
-def _number(cell: str) -> float:
+def as_number(cell: str) -> float:
+    """A cell as a number, NaN where it is none; Python's own reading takes 20240603_0915 for one."""
     try:
-        return float(cell)
+        return float(cell) if "_" not in cell else math.nan
     except ValueError:
         return math.nan
 

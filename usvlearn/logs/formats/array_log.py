@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Mapping, MutableMapping
+from collections.abc import Container, Mapping, MutableMapping
 from dataclasses import dataclass
+from datetime import UTC
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -30,9 +31,9 @@ from usvlearn.logs.channels.channel import (
 from usvlearn.logs.channels.copies import settle_period
 from usvlearn.logs.channels.derived_surge import PAIRS_TOLD, pair_of
 from usvlearn.logs.channels.series import Series
-from usvlearn.logs.formats.csv.stamps import spread
+from usvlearn.logs.formats.csv.stamps import spread, unwrapped
 from usvlearn.logs.formats.csv.table import TIME_UNITS
-from usvlearn.logs.read import recording_of, sources_of
+from usvlearn.logs.read import recordings_of, sources_of
 
 TIME, BOAT = "time", "boat"
 NAMES = (TIME, *CHANNELS, *AUXILIARY)
@@ -100,7 +101,7 @@ def channels_of_arrays(
     unit = units.get(TIME, "s")
     if unit not in TIME_UNITS:
         raise ConfigError(f"units.time: found {unit!r}, expected one of {', '.join(TIME_UNITS)}")
-    log = Arrays.of(columns, TIME_UNITS[unit])
+    log = Arrays.of(columns, TIME_UNITS[unit], {*NAMES, *(str(keys.get("name")) for keys in own.values())})
     wanted = {name: own.get(name, {}) for name in NAMES[1:] if own.get(name, {}).get("name") or name in log.columns}
     wanted = {name: keys for name, keys in wanted.items() if keys.get("name", name) is not None}
     if missing := [name for name in REQUIRED if name not in wanted and (name != SURGE or pair_of(wanted) is None)]:
@@ -118,9 +119,9 @@ def channels_of_arrays(
 
 
 def read_arrays(log: Arrays, channels: Mapping[str, Mapping[str, Any]], boat: str | None) -> list[Recording]:
-    """The recording of arrays, as a list of one."""
+    """The recordings of arrays: several where the stamps jump back."""
     name = BOAT if boat is None else str(boat)
-    return settle_period(name, [recording_of(Path("arrays"), log, sources_of(channels), name, "arrays")])
+    return settle_period(name, recordings_of(Path("arrays"), log, sources_of(channels), name, "arrays"))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -138,11 +139,11 @@ class Arrays:
     suffixes: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
-    def of(cls, given: Mapping[str, Any], unit: float) -> Arrays:
-        """From what a person gives; `unit` of a number of `time`, s. Columns of other than numbers are left out.
+    def of(cls, given: Mapping[str, Any], unit: float, needed: Container[str] = NAMES) -> Arrays:
+        """From what a person gives; `unit` of a number of `time`, s. Other columns of other than numbers are left out.
 
         Raises:
-            ConfigError: there is no time, or an array of a channel's name is not one of numbers of its length.
+            ConfigError: there is no time, or an array that is `needed` is not one of numbers of its length.
         """
         if TIME not in given:
             raise ConfigError(f"time: found no such array among {', '.join(list(given)[:20])}, expected stamps, s")
@@ -151,12 +152,13 @@ class Arrays:
         steps = np.diff(time[np.isfinite(time)])
         if len(steps) and (steps < 0).mean() > FALLING:
             raise ConfigError("time: found stamps that fall, expected ones that rise: sort all arrays by time")
-        if len(steps) and (step := float(np.median(steps))) > SLOWEST:
+        rising = steps[steps > 0]
+        if len(rising) and ((step := float(np.median(rising))) < FASTEST / 10 or np.median(steps) > SLOWEST):
             likely = [name for name, size in TIME_UNITS.items() if FASTEST <= step / unit * size <= SLOWEST]
-            hint = f"units={{'time': {likely[0]!r}}}" if likely else "units={'time': …}"
+            hint = f"units={{'time': {likely[0 if step > 1 else -1]!r}}}" if likely else "units={'time': …}"
             raise ConfigError(
-                f"time: found stamps {step:.3g} s apart, expected {SLOWEST:g} s at most: if they count something else "
-                f"than seconds, give {hint}"
+                f"time: found stamps {step:.3g} s apart, expected {FASTEST:g} to {SLOWEST:g} s: if they do not "
+                f"count seconds, give {hint}"
             )
         for name, values in given.items():
             if name == TIME:
@@ -167,7 +169,7 @@ class Arrays:
                     raise ConfigError(f"{name}: found {len(column)} values, expected {len(time)}, one for each of time")
                 columns[name] = column
             except ConfigError:
-                if name in NAMES:
+                if name in needed:
                     raise
         spread_time, rate = spread(time, origin)
         if rate:
@@ -197,18 +199,19 @@ class Arrays:
 def _stamps(given: Any, unit: float) -> tuple[np.ndarray, float]:
     """Seconds since the first stamp, and that one, s; of date-times, durations, or numbers of so many seconds."""
     found = _array(TIME, given)
-    if found.dtype.kind == "O" and len(found) and hasattr(found[0], "timestamp"):  # with a zone, or of datetime
-        given, unit = np.asarray([each.timestamp() for each in found]), 1.0
-    if found.dtype.kind in "mM":
-        readable, unit = ~np.isnat(found), 1e-9
-        found = found.astype(f"{found.dtype.kind}8[ns]").astype(np.int64)
-    else:
-        found = _numbers(TIME, given)
-        readable = np.isfinite(found)
+    if found.dtype.kind == "O" and any(hasattr(each, "tzinfo") for each in found):  # of datetime, or with a zone
+        known = [None if each is None or each != each else each for each in found]  # without NaT
+        given, unit = [each and each.replace(tzinfo=each.tzinfo or UTC).timestamp() for each in known], 1.0
+    dates = found.dtype.kind in "mM"
+    found = found if dates else unwrapped(_numbers(TIME, given))
+    readable = ~np.isnat(found) if dates else np.isfinite(found)
     if not readable.any():
         raise ConfigError(f"time: found {len(found)} values and no finite one, expected stamps")
-    first = found[readable][0]
-    return np.where(readable, found - first, np.nan) * unit, float(first) * unit
+    first, passed = found[readable][0], found - found[readable][0]
+    if dates:  # only what has passed is counted in ns: 64 bits of ns since 1970 end in 2262
+        passed, unit = passed.astype("m8[ns]").astype(np.int64), 1e-9
+        first = (first - first.dtype.type(0, "s")) / np.timedelta64(1, "ns")
+    return np.where(readable, passed, np.nan) * unit, float(first) * unit
 
 
 def _numbers(name: str, given: Any) -> np.ndarray:
@@ -219,6 +222,8 @@ def _numbers(name: str, given: Any) -> np.ndarray:
             found = given.to_numpy(dtype=np.float64, na_value=np.nan)
         except (TypeError, ValueError):
             pass
+    if found.dtype.kind == "O" and all(each is None or type(each) in (int, float) for each in found):
+        found = found.astype(np.float64)  # None is NaN
     if found.dtype.kind not in "fiu":
         what = {"U": "text", "S": "text", "b": "booleans", "c": "complex numbers", "O": "objects"}.get(found.dtype.kind)
         raise ConfigError(f"{name}: found {what or found.dtype}, expected numbers: convert it with .astype(float)")
@@ -228,9 +233,15 @@ def _numbers(name: str, given: Any) -> np.ndarray:
 def _array(name: str, given: Any) -> np.ndarray:
     try:
         with warnings.catch_warnings(action="ignore"):
-            found = np.ma.filled(given.astype(np.float64), np.nan) if np.ma.isMaskedArray(given) else np.asarray(given)
+            found = np.asarray(given)
+            if np.ma.isMaskedArray(given):
+                dates = found.dtype.kind in "mM"
+                found = np.ma.filled(
+                    given if dates else given.astype(np.float64), found.dtype.type("NaT") if dates else np.nan
+                )
     except (TypeError, ValueError, RuntimeError):
         raise ConfigError(f"{name}: found {described(given)}, expected an array of numbers") from None
+    found = found.ravel() if found.ndim == 2 and 1 in found.shape else found  # of MATLAB
     if found.ndim != 1:
         raise ConfigError(f"{name}: found an array of shape {found.shape}, expected one dimension: (time,)")
     return found

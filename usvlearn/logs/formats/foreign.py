@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 from usvlearn.errors import LogFormatError
+from usvlearn.logs.formats.csv.packed import PACKED
 
 HEAD, LINE = 4096, 300  # bytes of a file that are looked at, and of a line
 MOST = 0.8  # share of the lines of a text that must be alike
@@ -13,7 +14,7 @@ OWN = "give the log that the boat's computer recorded, with the commands of its 
 CSV = "export its series to a CSV file"
 ARRAYS = "give its arrays to usvlearn.read"
 UNPACK = "unpack it, and give the log in it"
-TABLES = (  # a reader of one of these kinds replaces its row here
+TABLES = (  # with other suffixes than those of `PACKED`, which are read
     (rb"\x1f\x8b", "a file that gzip compressed", UNPACK),
     (rb"PK\x03\x04.*(xl/|\[Content_Types\](?!.*(word|ppt)/)|opendocument\.sp)|\xd0\xcf\x11\xe0", "a spreadsheet",
      "save it as a CSV file"),
@@ -80,6 +81,8 @@ def foreign(path: Path, surely: bool = False) -> str:
         return ""
     with path.open("rb") as file:
         head = file.read(HEAD)
+    if path.name.lower().endswith(PACKED) and b"\0" in head:
+        return ""  # a table that is unpacked
     start = head.removeprefix(b"\xef\xbb\xbf")
     lines = [line[:LINE] for line in start.splitlines()[: -1 if len(head) == HEAD else None] if line.strip()]
     for kinds, texts in ((STARTS, [start]), (LINES if surely else LINES + WEAK, lines)):

@@ -56,7 +56,7 @@ def inspect_logs(given: Sequence[str], name: str | None = None, output: str = "m
     Raises:
         ConfigError, LogFormatError: there is no such log, or it cannot be read.
     """
-    logs = open_logs(given)
+    logs = open_logs(given, name)
     series = candidates(joined(logs.surveyed))
     proposal = propose(series, logs.format.name)
     decisions, notes = list(proposal.decisions), list(logs.notes)

@@ -18,7 +18,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.errors import ConfigError, LogFormatError, reading
+from usvlearn.logs.channels.restarts import segments
 from usvlearn.logs.channels.series import Series
+from usvlearn.logs.formats.csv.packed import PACKED
 from usvlearn.logs.formats.foreign import HEAD, explained, foreign
 from usvlearn.logs.inspection.topics import joined_tables
 
@@ -51,13 +53,13 @@ class Format:
     def fits(self, head: bytes, suffix: str) -> bool:
         return head.startswith(self.begins) if self.begins else self.looks(head, suffix)
 
-    def open(self, path: Path) -> tuple[Any, list[str]]:
+    def open(self, path: Path, boat: str | None) -> tuple[Any, list[str]]:
         """The reader, with the options that this file needs, and what is unsure about them."""
         try:
             found = getattr(importlib.import_module(self.module), self.reader)
         except (ImportError, AttributeError):
             raise LogFormatError(f"{path}: found a log of {self.name}, which this version cannot read") from None
-        return found(path) if self.reader == "table_of" else (found(), [])
+        return found(path, boat) if self.reader == "table_of" else (found(), [])
 
 
 def _is_moos(head: bytes, suffix: str) -> bool:
@@ -81,7 +83,8 @@ def _is_telemetry(head: bytes, suffix: str) -> bool:
     return known and len(head) > 8 and head[8] in (0xFE, 0xFD)
 
 
-TABLE = Format("tables", "usvlearn.logs.formats.csv.options", "table_of", (".csv", ".txt", ".tsv"), looks=_is_text)
+TABLES = (".csv", ".txt", ".tsv", ".slog", *PACKED)
+TABLE = Format("tables", "usvlearn.logs.formats.csv.options", "table_of", TABLES, looks=_is_text)
 FORMATS = (
     Format("ROS 1", "usvlearn.logs.formats.ros.rosbag", "Rosbag", (".bag", ".active"), (b"#ROSBAG V2.0",)),
     Format("ROS 2 (MCAP)", "usvlearn.logs.formats.ros.rosbag", "Rosbag", (".mcap",), (b"\x89MCAP",)),
@@ -95,7 +98,7 @@ FORMATS = (
 ZSTD = ".zstd"  # after the suffix of a file that ROS 2 compressed
 BAGS = (".db3", ".mcap", ZSTD)  # of ROS 2, in a folder with metadata.yaml
 SHOWN = 3  # files that are left out, each with its reason
-NOTES = ".txt"  # of a table, or of notes beside logs
+NOTES = (".txt", ".xlsx", ".parquet", ".mat", ".npz")  # of a table, or of what lies beside logs
 SUFFIXES = tuple(suffix for each in FORMATS for suffix in each.suffixes)
 
 
@@ -128,6 +131,8 @@ def find_format(path: Path) -> Format:
     inner = Path(inside[0].stem).suffix if path.is_dir() and suffix == ZSTD else None
     if packed := next((each for each in FORMATS if inner in each.suffixes), None):
         return packed
+    if suffix == ".slog" or (inside[0].name.lower().endswith(PACKED) and not _is_text(head, suffix)):
+        return TABLE
     known = foreign(inside[0], surely=True)
     if found := next((each for each in FORMATS if each.fits(head, suffix) and (each.begins or not known)), None):
         return found
@@ -135,8 +140,8 @@ def find_format(path: Path) -> Format:
     raise LogFormatError(f"{path}: expected a log ({' '.join(dict.fromkeys(SUFFIXES))}), {known}")
 
 
-def open_logs(given: Sequence[str]) -> Logs:
-    """Find the logs that arguments name, and list all their series.
+def open_logs(given: Sequence[str], only: str | None = None) -> Logs:
+    """Find the logs that arguments name, and list all their series; of a table of several boats those of `only`.
 
     Raises:
         ConfigError: a path does not exist, or no log is there.
@@ -163,7 +168,7 @@ def open_logs(given: Sequence[str]) -> Logs:
     path = _common_path(given, logs)
     whole = Path(path) if joined and Path(path).is_dir() else logs[0].parent
     boat = Path(path).stem if Path(path).is_file() else whole.resolve().name
-    reader, surveyed, notes, doubts = _survey(formats[name], logs)
+    reader, surveyed, notes, doubts = _survey(formats[name], logs, only)
     notes += [f"left out: {error}" for error in refused[:SHOWN]]
     notes += [f"left out: {len(refused) - SHOWN} more files of no known format"] * (len(refused) > SHOWN)
     return Logs(formats[name], reader, path, boat, tuple(logs), surveyed, tuple(notes), tuple(doubts), joined)
@@ -178,10 +183,10 @@ def _files(given: str) -> list[Path]:
             file
             for file in path.rglob("*")
             if file.is_file()
-            and file.suffix.lower() in (*SUFFIXES, ZSTD)
+            and file.name.lower().endswith((*SUFFIXES, ZSTD))
             and not any(part.startswith(".") for part in file.relative_to(path).parts)
         ]
-        inside = [file for file in inside if file.suffix.lower() != NOTES] or inside
+        inside = [file for file in inside if file.suffix.lower() not in NOTES] or inside
         if not inside:
             told = next((f"{file.name}, {known}" for file in sorted(path.rglob("*")) if (known := foreign(file))), "")
             told = told.replace("found ", "", 1) or "none in it: give another folder"
@@ -210,7 +215,7 @@ def _common_path(given: Sequence[str], files: Sequence[Path]) -> str:
         return str(files[0].absolute())
     if len(given) == 1:
         only = Path(given[0]).expanduser().absolute()
-        notes = only.is_dir() and all(file.suffix.lower() == NOTES for file in files)
+        notes = only.is_dir() and all(file.suffix.lower() in NOTES for file in files)
         return f"{glob.escape(str(only))}/**/*{files[0].suffix}" if notes else str(only)
     absolute = [str(file.absolute()) for file in files]
     start, end = _common(absolute), _common([each[::-1] for each in absolute])[::-1]
@@ -259,7 +264,9 @@ def _common(texts: Sequence[str]) -> str:
     return first[: next((k for k, (a, b) in enumerate(zip(first, last, strict=False)) if a != b), len(first))]
 
 
-def _survey(which: Format, files: Sequence[Path]) -> tuple[Any, list[list[Series]], list[str], list[str]]:
+def _survey(
+    which: Format, files: Sequence[Path], boat: str | None
+) -> tuple[Any, list[list[Series]], list[str], list[str]]:
     """The reader of the first log that can be read, the series of each log, and notes and doubts."""
     reader, error, size = None, None, 0
     surveyed: list[list[Series]] = []
@@ -271,12 +278,11 @@ def _survey(which: Format, files: Sequence[Path]) -> tuple[Any, list[list[Series
             break
         size += bytes_of(file)
         try:
-            with reading(file):
-                own, doubts = which.open(file) if reader is None else (reader, doubts)
             with reading(file), warnings.catch_warnings(record=True) as sentence:
                 warnings.simplefilter("always")
+                own, doubts = which.open(file, boat) if reader is None else (reader, doubts)
                 series = own.survey(file)
-            notes += [str(each.message) for each in sentence]
+            notes += [text for each in sentence if (text := str(each.message)) not in notes]
             if not any(np.isfinite(each.value).any() for each in series):
                 why = "; ".join(str(each.message).removeprefix(f"{file}: ") for each in sentence)
                 why = why or "give a log with the commands and the motion of the boat"
@@ -287,7 +293,7 @@ def _survey(which: Format, files: Sequence[Path]) -> tuple[Any, list[list[Series
             notes.append(f"left out: {wrong}")
             continue
         reader = own
-        surveyed.append(series)
+        surveyed += segments(series)[0]
     if reader is None:
         raise error or LogFormatError(f"{files[0]}: no log can be read")
     return reader, surveyed, notes, doubts

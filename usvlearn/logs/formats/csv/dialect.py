@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from usvlearn.errors import LogFormatError
+from usvlearn.logs.formats.csv.packed import open_table
 
 AUTO = "auto"
 HEAD = 1 << 18  # bytes that are looked at
@@ -22,7 +23,7 @@ LINES = 1000  # and lines
 DELIMITERS = (",", ";", "\t", "|", " ")
 COMMENTS = ("#", "%", "//")
 NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|nan|[+-]?inf", re.IGNORECASE)
-CLOCK = r"\d{1,2}:\d\d(:\d\d([.,]\d+)?)?(\s*[AP]\.?M\.?)?"
+CLOCK = r"\d{1,3}:\d\d(:\d\d)?([.,:]\d+)?(\s*[AP]\.?M\.?)?"
 STAMP = re.compile(
     rf"\d{{1,4}}[-./]\d{{1,2}}[-./]\d{{1,4}}([ T]+{CLOCK}\s*(Z|[+-]\d\d:?\d\d)?)?|{CLOCK}", re.IGNORECASE
 )
@@ -106,7 +107,7 @@ def find_dialect(path: Path, time: str, encoding: str, delimiter: str, comment: 
     Raises:
         LogFormatError: the file holds binary data.
     """
-    with path.open("rb") as file:
+    with open_table(path) as file:
         start = file.read(HEAD)
     if encoding == AUTO:
         encoding = _encoding(path, start)
@@ -131,10 +132,17 @@ def _dialect(
         names = names[: best.width or None]
     units, body = [split_unit(name)[1] for name in names], 0 if best.header is None else best.header + 1
     below = next((k for k in range(body, len(lines)) if lines[k].strip()), None)
-    if names and below is not None and _are_units(best.rows[below], len(names)):
+    campbell = best.rows[0][:1] == ["TOA5"]  # its header is in line 2, and units in line 3
+    if names and below is not None and (campbell or _are_units(best.rows[below], len(names))):
         below_names = [*best.rows[below], *[""] * len(names)]
         units = [unit or _unit(cell) for unit, cell in zip(units, below_names, strict=False)]
         body = below + 1
+        while (
+            body < len(lines)
+            and 2 * len(set(best.rows[body])) <= len(names)
+            and not any(map(is_value, best.rows[body]))
+        ):
+            body += 1  # such as types
     skip = [bool(prefixes) and line.lstrip().startswith(prefixes) for line in lines]
     rows = [row for row, remark in zip(best.rows[body:], skip[body:], strict=True) if not remark]
     rows = [row for row in rows if len(row) >= max(2, len(names)) and any(map(is_value, row))]
@@ -150,7 +158,7 @@ def no_header(path: Path, dialect: Dialect) -> LogFormatError:
     first = dialect.delimiter.join(dialect.sample[0])[:60]
     return LogFormatError(
         f"{path}: expected a header, a line with the names of the columns, found none above the first numbers "
-        f"{first!r}: add such a line"
+        f"{first!r}: add such a line, as by sed '1i time,left,right,heading,speed' {path.name} > named.csv"
     )
 
 
@@ -223,11 +231,16 @@ def _header(
     named = [] if time == AUTO else [place for place, row in enumerate(rows) if len(row) > 1 and _has(row, time)]
     if named:
         return max(named, key=lambda place: (_fits(rows[place], width), not remarks[place], -place)), True
+    if rows[0][:1] in (["TOA5"], ["TOACI1"]):
+        return 1, False
     first = next((k for k, row in enumerate(rows) if values[k] and len(row) == width), len(rows))
     above = [k for k in range(first) if not values[k] and len(rows[k]) > 1 and _fits(rows[k], width)]
     candidates = [k for k in above if not remarks[k]] or above or [k for k in range(first) if rows[k]][:1]
-    if len(candidates) > 1 and _are_units(rows[candidates[-1]], len(rows[candidates[-2]])):
-        return candidates[-2], False
+    while len(candidates) > 1 and (
+        _are_units(rows[candidates[-1]], len(rows[candidates[-2]]))
+        or 2 * len(set(rows[candidates[-1]])) <= len(set(rows[candidates[-2]]))  # types
+    ):
+        candidates.pop()
     return (candidates[-1] if candidates else None), False
 
 

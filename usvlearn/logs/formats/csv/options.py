@@ -10,27 +10,33 @@ import numpy as np
 
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.channels.channel import QUOTED
-from usvlearn.logs.formats.csv.dialect import AUTO, Dialect, find_dialect, no_header, split_unit
-from usvlearn.logs.formats.csv.stamps import OFTEN, Stamps, parse_cells, rows_a_second
+from usvlearn.logs.formats.csv.boats import kinds_of, refused
+from usvlearn.logs.formats.csv.dialect import AUTO, UNIT_NAMES, Dialect, find_dialect, no_header, split_unit
+from usvlearn.logs.formats.csv.stamps import OFTEN, WORD, Stamps, joined, parse_cells, part_of, rows_a_second
 from usvlearn.logs.formats.csv.table import CLOCK, TIME_UNITS, TOPICS, Table
 from usvlearn.logs.formats.csv.topics import tables_of
 
 NAMED = {
     "time", "timestamp", "t", "stamp", "datetime", "date_time", "date time", "date/time", "utc", "zeit", "zeitstempel",
     "uhrzeit", "temps", "heure", "horodatage", "tiempo", "hora", "tempo", "ora", "tid", "tidsstempel", "tijd",
-    "tijdstempel", "czas", "aika", "aikaleima",
+    "tijdstempel", "czas", "aika", "aikaleima", "elapsed", "clock", "epoch", "unix", "ts",
 }  # fmt: skip
+COUNTERS = {"", "index", "idx", "row", "line", "sample", "frame", "record", "count", "counter", "seq", "sequence",
+            "packet", "step", "number", "nr", "no", "n", "i", "k", "id", "unnamed"}  # fmt: skip
 PARTS = ("time", "stamp", "zeit")  # of a name that may be one of stamps
 RISING = 0.95  # share of the steps of a column of stamps that are not negative
 ADVANCING = 0.2  # share of them that are positive
 EVEN, FEWEST = -1, 9  # rank of a column that is known only by its even steps, and the least number of these
 READABLE = 0.9  # share of its cells that are stamps
-EPOCHS = {"s": (3e8, 5e9), "ms": (3e11, 5e12), "us": (3e14, 5e15), "ns": (3e17, 5e18)}  # from 1979 to 2128
+# from 1979 to 2128; days of a spreadsheet, of MATLAB, or Julian
+EPOCHS = {"s": (3e8, 5e9), "ms": (3e11, 5e12), "us": (3e14, 5e15), "ns": (3e17, 5e18), "days": (2e4, 3e6)}
+UNIT_OF_PART = {3: "ms", 6: "us", 9: "ns", "second": "s", "minute": "min", "hour": "h", "day": "days"}
 SHORTEST, LONGEST = 0.005, 5.0  # s, usual time between two rows
+JOINED = 2.5  # rank of columns that together are stamps
 
 
 class _Candidate(NamedTuple):
-    rank: int
+    rank: float
     name: str
     kind: str
     unit: str  # that the header declares
@@ -38,13 +44,14 @@ class _Candidate(NamedTuple):
     first: float  # number
 
 
-def table_of(path: Path) -> tuple[Table, list[str]]:
+def table_of(path: Path, boat: str | None = None) -> tuple[Table, list[str]]:
     """A reader for one table, with its options as found, and a sentence for each unsure one that begins with its key.
 
     The option `comment` stays "auto". Of a folder of topics, an option that differs between its tables does, too.
 
     Args:
         path: the table, or a folder whose tables are topics of one run.
+        boat: whose rows are read, where the rows are of several boats.
 
     Raises:
         LogFormatError: the file is no table with a header, or no column can be one of stamps.
@@ -69,12 +76,24 @@ def table_of(path: Path) -> tuple[Table, list[str]]:
             f"{path}: expected a table with a header, a column of stamps and two rows or more, found {found}: "
             "leave it out"
         )
-    candidates = sorted(_candidates(dialect), key=lambda each: -each.rank)
+    rows = "all"
+    if kinds := kinds_of(path, dialect):
+        own = next((each for each in kinds.values if boat is not None and each.strip("/") == boat), None)
+        if kinds.number or own is None:
+            raise refused(path, dialect, kinds)
+        rows, place = f"{kinds.column}={own}", dialect.names.index(kinds.column)
+        dialect = dialect._replace(sample=[row for row in dialect.sample if row[place].strip() == own])
+    advancing, counters = _candidates(dialect)
+    candidates = sorted(advancing, key=lambda each: -each.rank)
     if not candidates:
         listing = ", ".join(repr(name[:QUOTED]) for name in dialect.names[:40]) or "(none)"
+        listing += f", of which {counters[0]!r} counts rows and does not tell their rate" if counters else ""
+        line, sign = dialect.body, {"\t": "\\t", " ": "[ \\t]+"}.get(dialect.delimiter, dialect.delimiter)
         raise LogFormatError(
             f"{path}: expected a table with a header and a column of stamps that rise, found the columns {listing}: "
-            "name the column of the stamps in data.reader.time"
+            "name the column of the stamps, or those of their parts (secs+nsecs), in data.reader.time; or add a column "
+            f"of seconds, as for 10 rows a second: awk -F'{sign}' -v OFS='{dialect.delimiter}' "
+            f"'{{print (NR > {line} ? (NR - {line + 1}) / 10 : \"time\"), $0}}' {path.name} > timed.csv"
         )
     best = candidates[0]
     if best.rank < 0:
@@ -85,8 +104,9 @@ def table_of(path: Path) -> tuple[Table, list[str]]:
     if rivals:
         unsure.append(f"time: found {best.name!r}, but the stamps may also be {' or '.join(map(repr, rivals[:3]))}")
     unit, unclear = _time_unit(best)
-    table = Table(best.name, unit, dialect.delimiter, dialect.decimal, dialect.encoding)
+    table = Table(best.name, unit, dialect.delimiter, dialect.decimal, dialect.encoding, rows=rows)
     kind, doubt = table.stamp_kind(path)
+    table = table if kinds else replace(table, rows=AUTO)
     if doubt:
         unsure.append(f"dates: found {doubt}; {kind} is assumed")
     if kind == CLOCK:
@@ -117,32 +137,69 @@ def _table_of_topics(folder: Path) -> tuple[Table, list[str]]:
     return Table(time, unit, files=TOPICS, **same), list(unsure)
 
 
-def _candidates(dialect: Dialect) -> list[_Candidate]:
-    """The columns that may be stamps; a column of dates goes with one of times."""
-    found, days = [], []
-    for place, name in enumerate(dialect.names):
-        if not name or dialect.names.count(name) > 1:
+def _candidates(dialect: Dialect) -> tuple[list[_Candidate], list[str]]:
+    """The columns that may be stamps, one of dates with one of times; and those that only count the rows."""
+    names = [name for name in dialect.names if name and dialect.names.count(name) == 1]
+    joins, days = _joins(names)
+    found: list[_Candidate] = []
+    counters, taken = list[str](), set[str]()
+    for parts in [*joins, *([name] for name in names)]:
+        places, name = [dialect.names.index(part) for part in parts], "+".join(parts)
+        several = len(parts) > 1
+        cells = [row[places[0]] for row in dialect.sample]
+        if several:
+            cells = joined(parts, ([row[place] for place in places] for row in dialect.sample))
+        time, kind, _ = _stamps(cells, "." if several else dialect.decimal)
+        if parts[-1] in taken or time is None or np.isfinite(time).mean() < READABLE:
             continue
-        cells = [row[place] for row in dialect.sample]
-        time, kind, _ = _stamps(cells, dialect.decimal)
-        if time is None or np.isfinite(time).mean() < READABLE:
-            continue
-        bare, unit = split_unit(name)[0].lower(), dialect.units[place]
-        if kind not in ("number", "time") and not any(":" in cell for cell in cells):
+        bare, unit = split_unit(name)[0].lower(), _declared(name, dialect.units[places[0]])
+        if kind not in ("number", "time") and not any(":" in cell or len(cell.strip()) > 12 for cell in cells):
             days.append(name)
             continue
         rising = np.diff(time[np.isfinite(time)])
         if not len(rising) or (rising >= 0).mean() < RISING or not (rising > 0).any():
             continue
         part = any(part in bare for part in PARTS)
-        rank = 4 * (kind != "number") + 3 * (bare in NAMED) + 2 * part + (unit in TIME_UNITS)
+        rank: float = 4 * (kind != "number") + 3 * (bare in NAMED) + 2 * part + (unit in TIME_UNITS)
         rank = rank if rank and (_advances(time) or kind != "number") else EVEN if _is_even(rising) else 0
-        if rank:
+        if several:
+            rank, unit, taken = JOINED, "s", taken | {*parts}
+        if rank == EVEN and ({*WORD.findall(bare)} <= COUNTERS or (rising == 1).mean() >= RISING):
+            counters.append(name)
+        elif rank:
             found.append(_Candidate(rank, name, kind, unit, time, _first(cells, dialect.decimal)))
     return [
         each._replace(name=f"{days[0]}+{each.name}", rank=each.rank + 4) if each.kind == "time" and days else each
         for each in found
-    ]
+    ], counters
+
+
+def _joins(names: list[str]) -> tuple[list[list[str]], list[str]]:
+    """The columns that may be a stamp together, up to its fraction; and a date in three columns without a time."""
+    groups: dict[tuple[str, ...], dict[str | int | None, str]] = {}
+    for name in names:
+        others = part_of(name)[1]
+        group = groups.setdefault(others, {})
+        group.setdefault(part_of(name, group)[0], name)
+    date, clock = ("year", "month", "day"), ("hour", "minute", "second")
+    dates = [[group[part] for part in date] for group in groups.values() if {*date} <= group.keys()][:1]
+    found = []
+    for others, group in groups.items():
+        fraction = [group[part] for part in (3, 6, 9) if part in group][:1]
+        if {*clock} <= group.keys():
+            found.append([*(dates[0] if dates else []), *(group[part] for part in clock), *fraction])
+        elif fraction and "second" in group:
+            found.append([group["second"], *fraction])
+        elif fraction and not others:
+            found += [[name, *fraction] for name in names if name.lower() in NAMED]
+    return found, [] if any(len(each) > 2 for each in found) else ["+".join(each) for each in dates]
+
+
+def _declared(name: str, unit: str) -> str:
+    """The unit of stamps that a header or the name of their column declares, as in "Time (hours)", "t_min"."""
+    part, others = part_of(unit or name)
+    telling = unit not in UNIT_NAMES and {*others} <= NAMED and (unit or others or len(name) > 2)
+    return UNIT_OF_PART.get(part, unit) if telling else unit
 
 
 def _advances(stamps: np.ndarray) -> bool:
@@ -179,11 +236,18 @@ def _time_unit(stamps: _Candidate) -> tuple[str, str]:
     step = float(np.median(steps[steps > 0]))
     usual = [unit for unit, factor in TIME_UNITS.items() if SHORTEST <= factor * step <= LONGEST]
     for unit in usual:
-        if EPOCHS[unit][0] <= stamps.first <= EPOCHS[unit][1]:
+        if unit in EPOCHS and EPOCHS[unit][0] <= stamps.first <= EPOCHS[unit][1]:
             return unit, ""
-    if not usual:
-        return "s", f"found steps of {step:g} without a unit; s is assumed"
+    fine = [unit for unit in usual if unit not in ("min", "h", "days")]
+    minutes = "min" in usual and _digits(60 * step) < min(3, _digits(step))  # rounder than seconds
     fractions = (np.abs(steps - np.round(steps)) > 1e-9).any()
-    if len(usual) == 1 or (fractions and usual[0] == "s"):
-        return usual[0], ""
-    return usual[0], f"found steps of {step:g}, which may be {' or '.join(usual)}; {usual[0]} is assumed"
+    if fine and not minutes and (len(fine) == 1 or (fractions and fine[0] == "s")):
+        return fine[0], ""
+    may = fine + (["min"] if minutes else []) if fine else ["s", *usual]
+    best = fine[0] if fine else "min" if minutes else next((each for each in ("days", "h") if each in usual), "s")
+    return best, f"found steps of {step:g}, which may be {' or '.join(may)}; {best} is assumed"
+
+
+def _digits(value: float) -> int:
+    """Significant digits, of four at most."""
+    return len(f"{value:.3e}".split("e")[0].replace(".", "").rstrip("0"))

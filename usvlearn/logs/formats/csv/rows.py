@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator, Sequence
+from io import TextIOWrapper
 from itertools import chain, compress, islice
 from operator import itemgetter
 from pathlib import Path
@@ -13,7 +14,8 @@ import numpy as np
 
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.formats.csv.dialect import Dialect, errors_of, not_text
-from usvlearn.logs.formats.csv.stamps import Stamps, parse_cells
+from usvlearn.logs.formats.csv.packed import open_table
+from usvlearn.logs.formats.csv.stamps import Stamps, joined, parse_cells
 
 BLOCK = 200  # rows that are parsed at a time; so many fit the processor's cache
 PART = 1 << 16  # characters that are read at a time
@@ -55,6 +57,8 @@ class Rows:
         dialect: how it is written.
         stamps: the columns of the stamps, one or two.
         columns: the columns of numbers.
+        only: the place of a column and its text, if only rows with it are wanted.
+        texts: whether the cells of the stamps are kept as they are.
 
     Attributes:
         stamps: their cells.
@@ -64,12 +68,17 @@ class Rows:
         first_stamp: its text.
     """
 
-    def __init__(self, path: Path, dialect: Dialect, stamps: list[str], columns: list[str]):
+    def __init__(
+        self, path: Path, dialect: Dialect, stamps: list[str], columns: list[str],
+        only: tuple[int, str] | None = None, texts: bool = False,
+    ):  # fmt: skip
         self.stamps, self.first_stamp, self.torn = Stamps(), "", 0
+        self.texts: list[str] | None = [] if texts else None
         self.columns = {name: Column() for name in columns}
         width, orders, first_torn = len(dialect.names), [], ""
         wanted = itemgetter(*(dialect.names.index(name) for name in (*stamps, *columns)), 0)  # the last is spare
-        with path.open(encoding=dialect.encoding, errors=errors_of(dialect.encoding), newline="") as file:
+        how = dialect.encoding, errors_of(dialect.encoding)
+        with TextIOWrapper(open_table(path), *how, newline="") as file:
             lines = _Lines(file, dialect)
             reader = csv.reader(chain.from_iterable(lines), delimiter=dialect.delimiter)
             given = 0
@@ -83,9 +92,12 @@ class Rows:
                             first_torn = first_torn or f", found {len(rows[lost[0]])} in line {order[lost[0]]}"
                             self.torn += len(lost)
                         rows, order = list(compress(rows, whole)), order[whole]
+                    if only is not None:
+                        whole = np.array([row[only[0]].strip() == only[1] for row in rows], bool)
+                        rows, order = list(compress(rows, whole)), order[whole]
                     if rows:
                         orders.append(order)
-                        self._add(list(zip(*map(wanted, rows), strict=True)), len(stamps), dialect.decimal)
+                        self._add(list(zip(*map(wanted, rows), strict=True)), stamps, dialect.decimal)
             except csv.Error as error:
                 raise LogFormatError(
                     f"{path}, line {lines.places(np.array([reader.line_num]))[0]}: expected cells separated by "
@@ -94,18 +106,23 @@ class Rows:
             except UnicodeError as error:
                 raise not_text(path, dialect.encoding) from error
         if not orders:
+            found = first_torn or (f", found none with {only[1]!r}" if only else ", found nothing below the header")
             raise LogFormatError(
-                f"{path}: expected rows of {width} cells, as many as the header has"
-                f"{first_torn or ', found nothing below the header'}: fix the header, or leave this log out"
+                f"{path}: expected rows of {width} cells, as many as the header has{found}: fix the header, or leave "
+                "this log out"
             )
         self.order = np.concatenate(orders)
 
-    def _add(self, cells: list[tuple[str, ...]], stamps: int, decimal: str) -> None:
+    def _add(self, cells: list[tuple[str, ...]], stamps: list[str], decimal: str) -> None:
         """Take a block, column by column; the first ones hold the stamps."""
-        stamp = cells[0] if stamps == 1 else [" ".join(each) for each in zip(*cells[:stamps], strict=True)]
+        count = len(stamps)
+        stamp = cells[0] if count == 1 else joined(stamps, zip(*cells[:count], strict=True))
         self.first_stamp = self.first_stamp or stamp[0]
-        self.stamps.add(stamp, decimal)
-        for column, each in zip(self.columns.values(), cells[stamps:], strict=False):
+        if self.texts is None:
+            self.stamps.add(stamp, decimal if count == 1 else ".")
+        else:
+            self.texts += stamp
+        for column, each in zip(self.columns.values(), cells[count:], strict=False):
             column.add(each, decimal)
 
 

@@ -6,7 +6,7 @@ A column has one kind of stamps: the one that most of its cells have. Other cell
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Container, Iterable, Sequence
 from datetime import date, datetime
 
 import numpy as np
@@ -21,9 +21,29 @@ MIDNIGHT = datetime(1970, 1, 1)
 EPOCH = MIDNIGHT.toordinal()
 OFTEN, FEW = 1.25, 4  # rows of one whole second, from which they are no duplicates; and the least number of rows
 CERTAIN = 0.99  # share of the telling dates that agree
-TIME = r"(\d{1,2}):(\d\d)(?::(\d\d)(?:[.,](\d+))?)?\s*(?:([AaPp])\.?[Mm]\.?)?"
+TIME = r"(\d{1,3}):(\d\d)(?::(\d\d)(?:[.,:](\d+))?)?\s*(?:([AaPp])\.?[Mm]\.?)?"
 ONLY_TIME = re.compile(rf"\s*{TIME}\s*")
 DATE_TIME = re.compile(rf"\s*(\d{{1,2}})([-./])(\d{{1,2}})\2(\d{{4}}|\d\d)(?:[ T,;]+{TIME})?\s*(Z|[+-]\d\d:?\d\d)?\s*")
+ISO = re.compile(r"\s*\d{4}-\d\d-\d\d[ T]\d\d:")
+YEARLY = re.compile(  # 2024/6/3 9:15:00.25, 20240603091500.25, 20240603091500250
+    r"\s*((?:19|20)\d\d)(\D?)(\d\d?)\2(\d\d?)\D?(\d\d?)(\D?)(\d\d)\6(\d\d)[.,:]?(\d*)\s*Z?\s*"
+)
+MINUTES = re.compile(r"\s*(\d{1,4}):(\d\d[.,]\d+)\s*")  # and seconds, as a spreadsheet shows them
+SHARED = 30  # rows of one minute, from which 12:34 is hours and minutes
+WORD = re.compile(r"[^\W\d_]+")
+MONTHS = ("jan ene gen", "feb fév", "mar mär mrz mrt maa", "apr avr abr", "may mai mei maj mag", "jun juin giu",
+          "jul juil lug", "aug aoû aou ago", "sep set", "oct okt out ott", "nov", "dec dez déc des dic")  # fmt: skip
+MONTH_OF = {word: number for number, words in enumerate(MONTHS, 1) for word in words.split()}
+PARTS: dict[str | int, str] = {  # of a stamp, each in a column of its own: words of its name; a fraction has digits
+    "year": "year yr yyyy yy jahr année annee an año ano anno jaar", "hour": "hour hr hh h stunde heure hora ora uur",
+    "minute": "minute min mn mi mm m minuto minuut", "month": "month mon mo mm monat mois mes mês mese maand måned",
+    "second": "second sec sc ss s sekunde seconde segundo secondo sekund", 3: "millisecond millisec milli msec ms",
+    "day": "day dd dy d jour día dia tag tage giorno dag", 6: "microsecond microsec micro usec us µs μs",
+    9: "nanosecond nanosec nano nsec ns",
+}  # fmt: skip
+PART_OF = {word: part for part, words in PARTS.items() for word in words.split()}
+SIGNS = {"year": " ", "month": "-", "day": "-", "hour": " ", "minute": ":", "second": ":"}
+WRAPS = (2.0**32, 2.0**32 / 1e3, 2.0**32 / 1e6, 604800.0, 604800e3, DAY, DAY * 1e3)  # counters, GPS weeks, days
 
 
 def parse_cells(cells: Sequence[str], decimal: str) -> np.ndarray:
@@ -49,6 +69,7 @@ class Stamps:
         self._values: list[np.ndarray] = []  # number, s since 1970, or s since midnight
         self._dates: list[np.ndarray] = []  # (n, 3) first, second, year; of OTHER_DATE
         self._dotted = False  # dates are written with points
+        self._minutes = self._seconds = False  # some times are minutes:seconds.fraction; some have seconds
         self.origin = 0.0  # the first readable stamp, as a number, or in s since 1970 or midnight; of `seconds`
 
     def add(self, cells: Sequence[str], decimal: str = ".") -> None:
@@ -56,6 +77,10 @@ class Stamps:
         values = parse_cells(cells, decimal)
         kinds = np.where(np.isfinite(values), np.int8(NUMBER), np.int8(UNREADABLE))
         dates = np.zeros((len(cells), 3), np.int16)
+        for place in np.flatnonzero(values > 1.9e13).tolist():  # 14, 17 or 20 digits are of no unit of time
+            digits, stamp = re.split("[.,]", cells[place].strip())[0], _iso(cells[place])
+            if len(digits) in (14, 17, 20) and np.isfinite(stamp):
+                kinds[place], values[place] = YEAR_FIRST, stamp
         texts = np.flatnonzero(kinds == UNREADABLE)
         values[texts] = [_iso(cells[place]) for place in texts.tolist()]
         kinds[texts[np.isfinite(values[texts])]] = YEAR_FIRST
@@ -70,13 +95,18 @@ class Stamps:
         """Kind, value and date of a cell that is no number and not in ISO 8601."""
         none = (0, 0, 0)
         if found := ONLY_TIME.fullmatch(cell):
+            self._seconds |= found[3] is not None
             return CLOCK, _seconds(*found.groups()), none
+        if found := MINUTES.fullmatch(cell):
+            self._minutes = True
+            return CLOCK, 60.0 * int(found[1]) + float(found[2].replace(",", ".")), none
         if found := DATE_TIME.fullmatch(cell):
             first, sign, second, year, *clock, zone = found.groups()
-            self._dotted |= sign == "."
             seconds = _seconds(*clock) - _offset(zone) if clock[0] else 0.0
+            self._dotted |= sign == "."
             return OTHER_DATE, seconds, (int(first), int(second), int(year) + 2000 * (len(year) == 2))
-        return UNREADABLE, np.nan, none
+        stamp = _named(cell)
+        return YEAR_FIRST if np.isfinite(stamp) else UNREADABLE, stamp, none
 
     def clock_numbers(self) -> bool:
         """Whether the stamps are times of a day written as a number, HHMMSS or HHMMSS.s.
@@ -115,7 +145,7 @@ class Stamps:
         kind, doubt = int(counts.argmax()), ""
         values[kinds != kind] = np.nan
         if kind == NUMBER and clock:
-            kind, values = CLOCK, _of_number(values)
+            kind, values, self._seconds = CLOCK, _of_number(values), True
         name = ("number", "year_first", order, "time")[kind]
         if kind == OTHER_DATE:
             dates = np.concatenate(self._dates)
@@ -126,10 +156,18 @@ class Stamps:
         readable = np.flatnonzero(np.isfinite(values))
         if not len(readable):
             return None, name, doubt
-        if kind == CLOCK:  # past midnight they begin anew
-            values[readable] = np.unwrap(values[readable], period=DAY)
+        if kind == CLOCK:
+            values[readable] = self._clock(values[readable])
+        elif kind == NUMBER:
+            values[readable] = unwrapped(values[readable])
         self.origin = float(values[readable[0]])
         return values - self.origin, name, doubt
+
+    def _clock(self, values: np.ndarray) -> np.ndarray:
+        """Times that go on past midnight, and minutes and seconds past an hour."""
+        if not (self._minutes or self._seconds) and len(values) < SHARED * (1 + np.count_nonzero(np.diff(values))):
+            self._minutes, values = True, values / 60
+        return np.unwrap(values, period=3600.0 if self._minutes else DAY)
 
     def _order(self, dates: np.ndarray) -> tuple[str, str]:
         """The order of day and month, from all dates."""
@@ -182,7 +220,10 @@ def rows_a_second(stamps: np.ndarray) -> float:
 
 
 def _iso(cell: str) -> float:
-    """Seconds since 1970 of an ISO 8601 date-time; NaN if it is none."""
+    """Seconds since 1970 of a date-time that begins with the year; NaN if it is none."""
+    if not ISO.match(cell) and (found := YEARLY.fullmatch(cell)):
+        year, _, month, day, hour, _, minute, second, rest = found.groups()
+        cell = f"{year}-{month:0>2}-{day:0>2}T{hour:0>2}:{minute}:{second}.{rest or 0}"
     try:
         stamp = datetime.fromisoformat(cell.strip().replace("/", "-"))
     except ValueError:
@@ -197,9 +238,76 @@ def _seconds(hour: str, minute: str, second: str | None, fraction: str | None, h
         if not 1 <= hours <= 12:
             return np.nan
         hours = hours % 12 + 12 * (half in "Pp")
-    if hours > 24 or int(minute) > 59 or int(second or 0) > 60:
+    if int(minute) > 59 or int(second or 0) > 60:
         return np.nan
     return 3600.0 * hours + 60 * int(minute) + int(second or 0) + float(f"0.{(fraction or '0')[:18]}")
+
+
+def _named(cell: str) -> float:
+    """Seconds since 1970 of a date with the name of its month, such as 03-Jun-2024 09:15:00; NaN if it is none."""
+    words = (word for each in WORD.findall(cell.lower()) for word in (each[:4], each[:3]))
+    months = [MONTH_OF[word] for word in words if word in MONTH_OF]
+    clock = re.search(rf"(?<!\d){TIME}", cell)
+    numbers = re.findall(r"\d+", cell.replace(clock[0], " ", 1) if clock else cell)
+    if not months or not 1 <= len(numbers) <= 2 or max(map(len, numbers)) > 4:
+        return np.nan
+    day, year = sorted([*numbers, "2000"][:2], key=lambda each: len(each) == 4)  # syslog has no year
+    days = _days(np.array([[int(day), months[-1], int(year) + 2000 * (len(year) == 2)]]), "day_first")
+    return float(days[0]) * DAY + (_seconds(*clock.groups()) if clock else 0.0)
+
+
+@np.errstate(all="ignore")
+def unwrapped(stamps: np.ndarray) -> np.ndarray:
+    """Numbers of a counter that begins anew, such as one of 32 bits, as if it went on.
+
+    >>> unwrapped(np.array([4294967000.0, 4294967200.0, 104.0]))
+    array([4.2949670e+09, 4.2949672e+09, 4.2949674e+09])
+    """
+    steps = np.diff(stamps)
+    if not (steps < 0).any() or not (steps > 0).any():
+        return stamps
+    begins, most = np.zeros(len(stamps)), 5 * np.median(steps[steps > 0])
+    for period in WRAPS:
+        begins[1:] += period * ((steps < -period / 2) & (steps + period <= most) & (steps + period > 0))
+    return stamps + np.cumsum(begins)
+
+
+def part_of(name: str, before: Container[str | int | None] = ()) -> tuple[str | int | None, tuple[str, ...]]:
+    """Which of `PARTS` the name of a column tells, if any, and its other words.
+
+    >>> part_of("header.stamp.nsecs"), part_of("UTC_Year"), part_of("speed")
+    ((9, ('header', 'stamp')), ('year', ('utc',)), (None, ('speed',)))
+    """
+    words = tuple(WORD.findall(re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()))
+    for place, word in reversed([*enumerate(words)]):
+        if part := PART_OF.get(word) or PART_OF.get(word[:-1] if word[-1] in "sn" else ""):
+            part = "minute" if word == "mm" and "hour" in before else part
+            return part, words[:place] + words[place + 1 :]
+    return None, words
+
+
+def joined(names: Sequence[str], cells: Iterable[Sequence[str]]) -> list[str]:
+    """The cells of several columns, row by row, as stamps.
+
+    >>> joined(["secs", "nsecs"], [("12", "5000000")]), joined(["Date", "hour", "mm", "s", "ms"], ["A9876"])
+    (['12.005000000'], ['A 09:08:07.006'])
+    """
+    parts: list[str | int | None] = []
+    for name in names:
+        parts.append(part_of(name, parts)[0])
+    split = [isinstance(part, int) for part in (*parts[1:], None)]  # the next column has the fraction
+    return ["".join(map(_part, parts, row, split)).lstrip(" :-") for row in cells]
+
+
+def _part(part: str | int | None, cell: str, split: bool) -> str:
+    """A cell as a part of a stamp, with the sign before it."""
+    whole, _, rest = (cell := cell.strip()).replace(",", ".").partition(".")
+    if part is None or not (part == "month" or (whole + rest).isdigit()):
+        return f" {cell}"
+    if isinstance(part, int):
+        return f".{whole.zfill(part)}" if len(whole) <= part else "?"
+    century = "20" if part == "year" and len(whole) == 2 else ""
+    return f"{SIGNS[part]}{century}{whole.zfill(2)}" + (f".{rest}" if part == "second" and rest and not split else "")
 
 
 def _of_number(values: np.ndarray) -> np.ndarray:

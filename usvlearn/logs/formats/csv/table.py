@@ -16,12 +16,14 @@ import numpy as np
 from usvlearn.errors import ConfigError, LogFormatError, check_choice
 from usvlearn.logs.channels.channel import QUOTED, Channel, Source, build_channel, match_name, matching
 from usvlearn.logs.channels.series import Series
+from usvlearn.logs.formats.csv.boats import kinds_of, labels_of, refused
 from usvlearn.logs.formats.csv.dialect import AUTO, Dialect, find_dialect, no_header, split_unit
 from usvlearn.logs.formats.csv.quaternions import Quaternion, Yaw, quaternions, yaw_of
 from usvlearn.logs.formats.csv.rows import Column, Rows
 from usvlearn.logs.formats.csv.stamps import ORDERS, spread
 
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "days": 86400.0}
+GRAIN = 0.864  # s, of days with five decimals, as a spreadsheet writes them
 CLOCK = "hhmmss"  # in place of a unit: times of a day as numbers
 RUNS, TOPICS = "runs", "topics"  # what the tables of a folder are
 ROTATION, ROS = "quaternion", "geometry_msgs"  # kinds of series
@@ -36,19 +38,23 @@ class Table:
     header (a torn write) is dropped and counted as `torn_row`. In a file with decimal commas a number with a point is
     counted as `not_a_number`, as is one with separators of thousands.
 
-    The last six are "auto" by default: found from the file, the same for the same file. So can `time` be, with its
+    The last seven are "auto" by default: found from the file, the same for the same file. So can `time` be, with its
     unit. Where stamps are whole seconds and repeat, the rows of a second are spread evenly within it
     (`usvlearn.logs.formats.csv.stamps.spread`).
 
     Args:
         time: column of the stamps: numbers, date-times such as `2025-07-24 17:18:48.207`, or times of a day, which go
-            on past midnight; `Date+Time` joins two columns. A date-time without a zone is taken as UTC.
-        time_unit: unit of stamps that are numbers: s, ms, us or ns; or hhmmss, for times of a day such as 091500.25.
+            on past midnight, or of an hour, mm:ss.f. `A+B` joins columns: `Date+Time`, `secs+nsecs`,
+            `year+month+day+hour+minute+second`. A date-time without a zone is taken as UTC.
+        time_unit: unit of stamps that are numbers: s, ms, us, ns, min, h or days; or hhmmss, for times of a day such as
+            091500.25.
         delimiter: what separates the cells; a space stands for any number of spaces and tabs.
         decimal: sign of the numbers, `.` or `,`.
         encoding: of the text, as Python names it.
         comment: what a line begins with that is skipped; null: no line is.
         dates: order of date-times: year_first, day_first or month_first.
+        rows: those that are read: `vehicle=anna`, those with `anna` in the column `vehicle`; `all`; or `auto`: all, but
+            rows of several boats are refused.
         files: what the tables of a folder are: `runs`, each of them a run, or `topics`, which together are one run and
             are joined by time. Then a name is FILE.COLUMN, or the column alone, where one file has it. `auto`: runs,
             if one of them has all columns that are named, or if all have the same columns.
@@ -72,9 +78,10 @@ class Table:
     encoding: str = AUTO
     comment: str | None = AUTO
     dates: str = AUTO
+    rows: str = AUTO
     files: str = AUTO
 
-    suffixes: ClassVar[tuple[str, ...]] = (".csv", ".tsv")
+    suffixes: ClassVar[tuple[str, ...]] = (".csv", ".tsv", ".slog", ".csv.gz", ".tsv.gz")
 
     def __post_init__(self):
         check_choice("data.reader.time_unit", self.time_unit, (*TIME_UNITS, CLOCK))
@@ -156,12 +163,27 @@ class Table:
 
             return replace(table_of(path)[0], files=self.files).open(path)
         dialect = self._dialect(path)
-        return Opened(path, self, dialect, self._stamp_columns(path, dialect))
+        return Opened(path, self, dialect, self._stamp_columns(path, dialect), self._only(path, dialect))
+
+    def boats(self, path: Path, column: str) -> dict[str, Table]:
+        """Boat -> a reader of its rows, by the texts of a column."""
+        dialect = self._dialect(path)
+        labels = {*labels_of(path, dialect, match_name(column, dialect.names, f"{path}: data.boat_column"))} - {""}
+        return {each.strip("/").replace("/", "_"): replace(self, rows=f"{column}={each}") for each in sorted(labels)}
+
+    def _only(self, path: Path, dialect: Dialect) -> tuple[int, str] | None:
+        """The place of the column by which rows are chosen, and its text."""
+        if self.rows == AUTO and (kinds := kinds_of(path, dialect)):
+            raise refused(path, dialect, kinds)
+        if self.rows in (AUTO, "all"):
+            return None
+        column, _, text = self.rows.rpartition("=")
+        return dialect.names.index(match_name(column, dialect.names, f"{path}: data.reader.rows")), text
 
     def stamp_kind(self, path: Path) -> tuple[str, str]:
         """What the stamps are (number, hhmmss, time or one of `ORDERS`), and a doubt about it, or ""."""
         dialect = self._dialect(path)
-        rows = Rows(path, dialect, self._stamp_columns(path, dialect), [])
+        rows = Rows(path, dialect, self._stamp_columns(path, dialect), [], self._only(path, dialect))
         _, kind, doubt = rows.stamps.seconds(self.dates)
         return CLOCK if kind == "number" and rows.stamps.clock_numbers() else kind or "number", doubt
 
@@ -178,9 +200,9 @@ class Table:
         return found
 
     def _stamp_columns(self, path: Path, dialect: Dialect) -> list[str]:
-        """The columns of the stamps: one, or a date and a time."""
+        """The columns of the stamps, one or more."""
         names = [name for name in dialect.names if name]
-        parts = [self.time] if self.time in names else [part.strip() for part in self.time.split("+", 1)]
+        parts = [self.time] if self.time in names else [part.strip() for part in self.time.split("+")]
         bare = [split_unit(name)[0] for name in names]
         for place, part in enumerate(parts):
             if part not in names and bare.count(part) == 1:
@@ -192,14 +214,16 @@ class Table:
     def seconds(self, path: Path, dialect: Dialect, stamps: list[str], rows: Rows) -> tuple[np.ndarray, float]:
         """Stamps as seconds since the first readable one, and that one, s since 1970, midnight or a start."""
         time, origin = self._as_written(path, dialect, stamps, rows)
-        spread_time, rate = spread(time, origin)
-        if rate:
-            warnings.warn(
-                f"{path}: the stamps {self.time!r} are whole seconds, with {rate:.3g} rows each: the rows of a second "
-                "are spread evenly within it",
-                stacklevel=5,
-            )
-        return spread_time, origin
+        grain = GRAIN if self.time_unit == "days" else 1.0
+        even, rate = spread(time, origin) if grain == 1 else spread(np.round(time / grain, 3), 0.0)
+        if not rate:
+            return time, origin
+        kind = "whole seconds" if grain == 1 else "rounded"
+        found = f"{path}: the stamps {self.time!r} are {kind}, with {rate:.3g} rows"
+        if np.nanmedian(np.diff(np.unique(time))) >= 30:
+            raise LogFormatError(f"{found} of each minute, expected seconds: write stamps with seconds")
+        warnings.warn(f"{found} each: the rows of a second are spread evenly within it", stacklevel=5)
+        return even * grain, origin
 
     def _as_written(self, path: Path, dialect: Dialect, stamps: list[str], rows: Rows) -> tuple[np.ndarray, float]:
         time, kind, doubt = rows.stamps.seconds(self.dates, self.time_unit == CLOCK)
@@ -240,13 +264,15 @@ class Opened:
         path: the file.
         table: its reader.
         dialect: how it is written.
-        stamps: the columns of its stamps, one or two.
+        stamps: the columns of its stamps.
+        only: the column and the text of the rows that are read.
     """
 
     path: Path
     table: Table
     dialect: Dialect
     stamps: list[str]
+    only: tuple[int, str] | None
 
     @cached_property
     def quaternions(self) -> dict[str, Quaternion]:
@@ -284,7 +310,7 @@ class Opened:
             raise LogFormatError(
                 f"{self.path}: has several columns {twice[0][:QUOTED]!r}, expected one: rename all but one"
             )
-        rows = Rows(self.path, self.dialect, self.stamps, wanted)
+        rows = Rows(self.path, self.dialect, self.stamps, wanted, self.only)
         time, origin = self.table.seconds(self.path, self.dialect, self.stamps, rows)
         found: dict[str, Column | Yaw] = dict(rows.columns)
         for name, each in rotations.items():
@@ -303,7 +329,7 @@ class Opened:
                 stacklevel=3,
             )
         columns = self.columns([name for name in self.names if every.count(name) < 2 and name not in parts])
-        readable, series = np.isfinite(columns.time), []
+        readable, series, left = np.isfinite(columns.time), list[Series](), list[str]()
         for name in (each for each in list(columns.found) if each not in parts):
             column = columns.found.pop(name)
             known = np.isfinite(column.values)
@@ -311,11 +337,16 @@ class Opened:
                 rotation = self.quaternions.get(name)
                 unit = rotation.unit if rotation else self.dialect.units[every.index(name)]
                 kind = ROTATION if rotation else ROS if ROS_COLUMN.search(name) else ""
-                series.append(
-                    Series(
-                        name, None, columns.time[readable], column.values[readable], columns.order[readable], unit, kind
-                    )
-                )
+                time, value, order = (each[readable] for each in (columns.time, column.values, columns.order))
+                series.append(Series(name, None, time, value, order, unit, kind))
+            elif not column.empty.all():
+                left.append(f"{name[:QUOTED]!r} ({known.sum()} of {(~column.empty).sum()})")
+        if left:
+            warnings.warn(
+                f"left out columns whose cells are mostly no numbers: {', '.join(left[:8])}{', …' * (len(left) > 8)}: "
+                "name one in data.channels to read its numbers",
+                stacklevel=3,
+            )
         return series, columns.origin
 
 

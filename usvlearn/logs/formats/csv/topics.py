@@ -70,7 +70,7 @@ def several_kinds(columns: Sequence[Sequence[str]]) -> bool:
 
 def tables_of(table: Table, folder: Path) -> list[Path]:
     """The tables that lie in a folder."""
-    return sorted(each for each in folder.iterdir() if each.suffix.lower() in table.suffixes and each.is_file())
+    return sorted(each for each in folder.iterdir() if each.name.lower().endswith(table.suffixes) and each.is_file())
 
 
 def open_topics(table: Table, folder: Path) -> dict[str, Opened]:
@@ -161,10 +161,12 @@ def survey_topics(table: Table, folder: Path) -> list[Series]:
     for topic in sorted(spans.keys() - together):
         warnings.warn(f"table left out: {apart(folder, {topic: spans[topic], **_one(spans, together)})}", stacklevel=4)
     start = min(spans[topic].begin for topic in together)
+    times = {
+        topic: surveyed[topic][0][0].time + (surveyed[topic][1] - start) for topic in surveyed if topic in together
+    }
     return [
-        each._replace(name=f"{topic}.{each.name}", time=each.time + (surveyed[topic][1] - start))
-        for topic in surveyed
-        if topic in together
+        each._replace(name=f"{topic}.{each.name}", time=times[topic], order=order)
+        for topic, order in zip(times, _interleaved([*times.values()]), strict=True)
         for each in surveyed[topic][0]
     ]
 

@@ -18,7 +18,7 @@ from typing import ClassVar
 import numpy as np
 
 from usvlearn.errors import LogFormatError
-from usvlearn.logs.channels.channel import LISTED, Channel, Source, build_channel, match_name, parse_numbers
+from usvlearn.logs.channels.channel import LISTED, Channel, Source, as_number, build_channel, match_name, parse_numbers
 from usvlearn.logs.channels.series import Series
 
 ANSI = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
@@ -98,12 +98,12 @@ class Alog:
         lost = 0
         for number, line in enumerate(_lines(path), 1):
             parts = line.split(None, 3)
-            if len(parts) < 3 or not math.isfinite(stamp := _number(parts[0])) or not _is_name(parts[1] + parts[2]):
+            if len(parts) < 3 or not math.isfinite(stamp := as_number(parts[0])) or not _is_name(parts[1] + parts[2]):
                 lost += bool(parts) and not line.startswith("%")
                 continue
             value = parts[3] if len(parts) == 4 else ""
             columns = found.setdefault(parts[1], {}).setdefault(_app(parts[2]), (array("d"), array("d"), array("q")))
-            for column, each in zip(columns, (stamp, _number(ANSI.sub("", value)), number), strict=True):
+            for column, each in zip(columns, (stamp, as_number(ANSI.sub("", value)), number), strict=True):
                 column.append(each)
         if not found:
             raise _no_rows(path)
@@ -175,13 +175,6 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
 
 
 def _no_rows(path: Path) -> LogFormatError:

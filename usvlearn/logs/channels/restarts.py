@@ -1,0 +1,65 @@
+"""Where a log's clock jumps back for good: the logger started anew, or a local clock was set back.
+
+A jump counts if the five stamps after it are, by their median, more than `JUMP` earlier than the five before it. So a
+single wrong stamp is none. It must be seen in most series of the log: the clock of one sensor alone divides no log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from itertools import pairwise
+from typing import TypeVar
+
+import numpy as np
+
+from usvlearn.logs.channels.channel import Channel
+from usvlearn.logs.channels.series import Series
+
+JUMP = 5.0  # s, that a clock is set back at least
+AROUND = 5  # stamps at each side of a jump
+MOST = 50  # jumps, beyond which the rows are in no order of time
+
+T = TypeVar("T", Channel, Series)
+
+
+def segments(series: Collection[T]) -> tuple[list[list[T]], list[tuple[int, float]]]:
+    """The series between the jumps of their clock, and each jump: its place in the log, and how far it goes back, s.
+
+    If there are jumps, times count from the first stamp of each part.
+
+    >>> time = np.array([60.0, 61, 62, 63, 5, 6, 7, 8])
+    >>> parts, jumps = segments([Series("a", None, time, time, np.arange(8))])
+    >>> [part[0].time.tolist() for part in parts], jumps
+    ([[0.0, 1.0, 2.0, 3.0], [0.0, 1.0, 2.0, 3.0]], [(4, 58.0)])
+    """
+    jumps: list[tuple[int, float]] = _jumps(series)
+    parts: list[list[T]] = [] if jumps else [list(series)]
+    for begin, end in pairwise([-np.inf, *(place for place, _ in jumps), np.inf]) if jumps else ():
+        rows = [(each.order >= begin) & (each.order < end) for each in series]
+        start = min(each.time[inside].min() for each, inside in zip(series, rows, strict=True) if inside.any())
+        parts.append(
+            [
+                each._replace(time=each.time[k] - start, value=each.value[k], order=each.order[k])
+                for each, k in zip(series, rows, strict=True)
+            ]
+        )
+    return parts, jumps
+
+
+@np.errstate(all="ignore")
+def _jumps(series: Collection[T]) -> list[tuple[int, float]]:
+    spans: list[tuple[int, int, float]] = []  # places in the log between which a series jumps, and how far
+    for each in series:
+        back = np.flatnonzero(np.diff(each.time) < -JUMP)
+        for k in back.tolist() if len(back) <= AROUND * MOST else ():
+            before, after = each.time[max(0, k + 1 - AROUND) : k + 1], each.time[k + 1 : k + 1 + AROUND]
+            if min(len(before), len(after)) > 2 and np.median(after) < np.median(before) - JUMP:
+                spans.append((int(each.order[k]), int(each.order[k + 1]), float(each.time[k] - each.time[k + 1])))
+    found: list[tuple[int, float]] = []
+    while spans:  # the fewest places that divide all jumps
+        end = min(spans, key=lambda span: span[1])
+        together = [span for span in spans if span[0] < end[1] <= span[1]]
+        if 2 * len(together) > sum(len(each.order) > 0 and each.order[0] < end[1] <= each.order[-1] for each in series):
+            found.append((end[1], end[2]))
+        spans = [span for span in spans if span[0] >= end[1]]
+    return found if len(found) <= MOST else []
