@@ -57,17 +57,17 @@ FILES = {  # name -> content, what it is, the way out
     "text.txt": (b"2024-06-03 09:15:00.01 ATTITUDE {time_boot_ms : 1, roll : 0.1}\n" * 9, "MAVLink", ".tlog"),
     "raw.bin": (b"\xfe\x09\x01\x01\x01\0" + bytes(11), "MAVLink messages without times", ".tlog"),
     "a.moos": (b"// a\n\nServerHost = localhost\n", "MOOS mission", ".alog"),
-    "a.mat": (b"MATLAB 5.0 MAT-file, Platform" + bytes(99), "MATLAB", "usvlearn.read"),
-    "b.mat": (b"MATLAB 7.3 MAT-file, Platform" + bytes(99), "MATLAB", "h5py"),
-    "a.xlsx": (zipped("[Content_Types].xml", "_rels/.rels", "xl/workbook.xml"), "spreadsheet", "CSV"),
+    "a.mat5": (b"MATLAB 5.0 MAT-file, Platform" + bytes(99), "MATLAB", "usvlearn.read"),
+    "b.mat7": (b"MATLAB 7.3 MAT-file, Platform" + bytes(99), "MATLAB", "h5py"),
+    "a.xlsm": (zipped("[Content_Types].xml", "_rels/.rels", "xl/workbook.xml"), "spreadsheet", "CSV"),
     "a.docx": (zipped("[Content_Types].xml", "_rels/.rels", "word/document.xml"), "document", "give the log"),
     "a.zip": (zipped("run.csv"), "archive", "unpack"),
     "a.gz": (gzip.compress(b"t,l\n"), "gzip", "unpack"),
     "a.xz": (b"\xfd7zXZ\0" + bytes(9), "compressed", "unpack"),
     "a.7z": (b"7z\xbc\xaf\x27\x1c" + bytes(9), "archive", "unpack"),
-    "a.parquet": (b"PAR1\x15\4" + bytes(9), "Parquet", "CSV"),
+    "a.pq": (b"PAR1\x15\4" + bytes(9), "Parquet", "CSV"),
     "a.h5": (b"\x89HDF\r\n\x1a\n" + bytes(9), "HDF5", "usvlearn.read"),
-    "a.npz": (saved(np.savez, np.ones(3)), "NumPy", "usvlearn.read"),
+    "a.npz.part": (saved(np.savez, np.ones(3)), "NumPy", "usvlearn.read"),
     "a.npy": (saved(np.save, np.ones(3)), "NumPy", "usvlearn.read"),
     "a.pkl": (pickle.dumps({"a": 1}), "pickle", "load it where it is from"),
     "a.wpilog": (b"WPILOG\0\1" + bytes(9), "WPILib", "CSV"),
@@ -142,6 +142,6 @@ def test_what_is_left_out_of_a_folder_is_named(tmp_path):
     notes = open_logs([str(tmp_path)]).notes
     assert sum("Git LFS" in each and "lost_" in each for each in notes) == 3 and "2 more files" in notes[-1]
     (tmp_path / "empty").mkdir()
-    (tmp_path / "empty" / "a.xlsx").write_bytes(FILES["a.xlsx"][0])
-    with pytest.raises(Exception, match=r"found a\.xlsx, a spreadsheet: save it as a CSV file"):
+    (tmp_path / "empty" / "a.xlsm").write_bytes(FILES["a.xlsm"][0])
+    with pytest.raises(Exception, match=r"found a\.xlsm, a spreadsheet: save it as a CSV file"):
         open_logs([str(tmp_path / "empty")])

@@ -81,7 +81,7 @@ def foreign(path: Path, surely: bool = False) -> str:
         return ""
     with path.open("rb") as file:
         head = file.read(HEAD)
-    if path.name.lower().endswith(PACKED) and b"\0" in head:
+    if path.name.lower().endswith(PACKED) and min(head, default=9) < 9:
         return ""  # a table that is unpacked
     start = head.removeprefix(b"\xef\xbb\xbf")
     lines = [line[:LINE] for line in start.splitlines()[: -1 if len(head) == HEAD else None] if line.strip()]
