@@ -47,6 +47,17 @@ def test_without_a_set_a_node_starts_from_the_prior_of_a_mass_and_a_top_speed(tm
     assert np.nanmean(errors) < 0.1
 
 
+@pytest.mark.parametrize("top, limit", [(2.74, 10.0), (14.0, 17.5)])
+def test_the_limit_of_a_fast_boat_holds_aboard(tmp_path, top, limit):
+    with ready(tmp_path, None, mass=300.0, surge_max=top) as session:
+        found = session._begin
+    assert found.setup.align.get("surge_max", 10.0) == limit
+    kernel = found.facts["kernel"]
+    kernel = kernel.get("surge", kernel)
+    members = {name: each["numbers"].get("surge_max") for name, each in kernel["members"].items()}
+    assert kernel["numbers"]["surge_max"] == members["aid"] == members["arx"] == limit and members["rnn"] == top
+
+
 def test_what_is_saved_is_bounded_and_the_last_is_of_the_end(tmp_path, start):
     with ready(tmp_path, start, save_period=0.01, keep=3) as session:
         for k, message in enumerate(MINUTE):

@@ -16,6 +16,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 from usvlearn.cli.mistakes import in_one_sentence
 from usvlearn.core.samples import LIMIT, speed_limit
 from usvlearn.errors import ConfigError, UsvlearnError, check_positive, did_you_mean, under
+from usvlearn.live.prior import with_limit
 from usvlearn.logs.alignment.align import Aligner
 from usvlearn.logs.checks.data_check import check_level
 from usvlearn.runs.legacy import TARGETS
@@ -48,15 +49,7 @@ def check_settings(cfg: DictConfig) -> None:
     top = (settings.get("vehicle") or {}).get("surge_max")
     if isinstance(top, int | float) and speed_limit(top) > LIMIT:
         for name in ("align", "estimators", "combiners"):
-            _raise_limits(cfg[name], speed_limit(top))
-
-
-def _raise_limits(node: Any, limit: float) -> None:
-    """Raise the limits of speeds that stand at their default, at any depth; references to the top speed are none."""
-    for key in [] if not OmegaConf.is_dict(node) else list(node):
-        if key == "surge_max" and not OmegaConf.is_interpolation(node, key) and node[key] == LIMIT:
-            node[key] = limit
-        _raise_limits(node[key], limit)
+            cfg[name] = with_limit(given[name], speed_limit(top))
 
 
 def instantiate(node: Any, **options: Any) -> Any:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from usvlearn.core import checkpoint
+from usvlearn.core.samples import LIMIT, speed_limit
 from usvlearn.errors import check_positive
 
 FILE = Path(__file__).with_name("prior.safetensors")
@@ -42,6 +43,7 @@ def prior(mass: float, surge_max: float) -> tuple[dict[str, np.ndarray], dict[st
     check_positive("mass", mass, "of kg")
     check_positive("surge_max", surge_max, "of m/s")
     leaves, facts = checkpoint.load(FILE)
+    facts["kernel"] = with_limit(facts["kernel"], speed_limit(surge_max))
     for name, (a, b) in facts["powers"]["state"].items():
         leaves[name] = _scaled(leaves[name], a, b, mass, surge_max)
     for path, (a, b) in facts["powers"]["kernel"].items():
@@ -51,6 +53,13 @@ def prior(mass: float, surge_max: float) -> tuple[dict[str, np.ndarray], dict[st
             entry = entry[parent]
         entry[last] = _scaled(entry[last], a, b, mass, surge_max).tolist()
     return leaves, {"estimator": facts["estimator"], "kernel": facts["kernel"]}
+
+
+def with_limit(node: Any, limit: float) -> Any:
+    """A configuration or description in which the limits of speeds that stand at their default are this one, m/s."""
+    if not isinstance(node, dict):
+        return node
+    return {k: limit if k == "surge_max" and x == LIMIT else with_limit(x, limit) for k, x in node.items()}
 
 
 def _scaled(c: Any, a: Any, b: Any, mass: float, surge_max: float) -> np.ndarray:

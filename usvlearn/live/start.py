@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.core.checkpoint import SUFFIX
+from usvlearn.core.samples import LIMIT, speed_limit
 from usvlearn.errors import CheckpointError, ConfigError, check_not_negative, check_positive, did_you_mean
 from usvlearn.live.node import PATIENCE
 from usvlearn.live.node_folder import NodeFolder, newest
@@ -179,6 +180,8 @@ def _setup(facts: Mapping[str, Any], options: Options, middleware: Middleware) -
     align["patience"] = options.patience
     mass = options.mass if known is None or known.mass is None else known.mass
     top = options.surge_max if options.surge_max is not None else None if known is None else known.surge_max
+    if top is not None and (limit := speed_limit(top)) > LIMIT:
+        align.setdefault("surge_max", limit)
     found = Setup(declared, align, mass, top, middleware.reader)
     return found if planar else found.live()
 
