@@ -195,6 +195,12 @@ def test_a_number_that_is_too_large_to_convert_is_one_more_bad_message(tmp_path,
         assert session.tick().counts == {"command_left": {"not_a_number": 1}}
 
 
+def test_a_number_that_means_unknown_is_no_measurement(tmp_path, start):
+    with ready(tmp_path, start, channels=channel_options({"heading.missing": "511,655"})) as session:
+        session.push("heading", 1.0, 511.0)
+        assert session.tick().counts == {"heading": {"not_a_number": 1}}
+
+
 @pytest.mark.parametrize("stamp", [1e12, -1e13, 1e18, 1e308])
 def test_a_first_stamp_that_is_none_does_not_shift_all_others(tmp_path, start, stamp):
     with ready(tmp_path, start) as session:

@@ -106,7 +106,7 @@ def test_a_path_without_logs_is_refused(tmp_path, monkeypatch, path, expected):
         ({"surge": "v"}, ["data.channels.surge", "'v'"]),
         ({"surge": {"name": "v", "span": "wide"}}, ["data.channels.surge.span", "'wide'"]),
         ({"surge": {"name": "v", "held": "yes"}}, ["data.channels.surge.held", "'yes'"]),
-        ({"surge": {"name": "v", "unit": "mph"}}, ["'mph'", "knots"]),
+        ({"surge": {"name": "v", "unit": "Mach"}}, ["'Mach'", "knots"]),
     ],
 )
 def test_badly_declared_channels_are_refused(tmp_path, change, expected):

@@ -14,7 +14,7 @@ from usvlearn.errors import ConfigError
 if TYPE_CHECKING:
     from usvlearn.logs.inspection.inspected import Inspected
 
-USAGE = "usage: usvlearn inspect LOG…\n       [--output my_boat.yaml] [--name BOAT] [--plot] [--force]"
+USAGE = "usage: usvlearn inspect LOG…\n       [--output my_boat.yaml] [--name BOAT] [--plot] [--force] [--any-vehicle]"
 LISTED = 40  # series on the screen
 EXAMPLES = {  # reader -> a configuration of its logs
     "Alog": "alog.yaml",
@@ -33,6 +33,7 @@ def parser() -> argparse.ArgumentParser:
     found.add_argument("--name", help="of the boat, by default that of the log or its folder")
     found.add_argument("--plot", action="store_true", help="also draw the channels, beside the configuration (.png)")
     found.add_argument("--force", action="store_true", help="replace the configuration if it exists")
+    found.add_argument("--any-vehicle", action="store_true", help="take logs that say that they are of no boat, too")
     return found
 
 
@@ -71,7 +72,7 @@ def work(arguments: Sequence[str]) -> None:
         with themed():  # refuses now, before anything is written, where matplotlib is missing
             pass
     with Activity(console, "reading, and comparing the channels with each other"):
-        found = inspect_logs(options.logs, options.name, options.output)
+        found = inspect_logs(options.logs, options.name, options.output, options.any_vehicle)
     for part in screen.parts(found, LISTED):
         console.print(part)
     if found.proposal.missing:

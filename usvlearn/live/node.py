@@ -176,7 +176,7 @@ class Node:
         if not abs(stamp) < LATEST:
             self.drop(part, "no_time")
             return []
-        if not math.isfinite(raw):
+        if not math.isfinite(raw) or raw in source.missing:
             self.drop(part, "not_a_number")
             return []
         time, channel = self.relative(stamp), self._channels[part]

@@ -125,7 +125,7 @@ BAD = {
     "no time": ({"time": T * np.nan}, "time: found 1200 values and no finite one"),
     "absent": ({"heading": None}, "heading: found no such array among time, command_left"),
     "unknown": ({"speed": T}, r"speed: found ndarray of shape \(1200,\)"),
-    "unit": ({"units": {"surge": "mph"}}, "surge.unit: found 'mph', expected one of 1, m/s"),
+    "unit": ({"units": {"surge": "Mach"}}, "surge.unit: found 'Mach', expected one of 1, m/s"),
     "time unit": ({"units": {"time": "week"}}, "units.time: found 'week', expected one of s, ms"),
     "unit of none": ({"units": {"speed": "m/s"}}, "units: found 'speed'"),
     "data": ({"data": "alog"}, "data: found 'alog' beside arrays"),

@@ -116,7 +116,12 @@ def test_badly_declared_tables_are_refused(option, value):
 
 
 def test_a_source_whose_numbers_are_out_of_range_is_refused():
-    for option, values in {"span": (0, math.nan, math.inf), "window": (0, math.nan), "delay": (-1, math.inf)}.items():
+    for option, values in {
+        "span": (0, math.nan, math.inf),
+        "window": (0, math.nan),
+        "delay": (-1, math.inf),
+        "missing": ("9", ["x"]),
+    }.items():
         for value in values:
             assert f"{option}: found" in refused(ConfigError, Source, "v", **{option: value})
 

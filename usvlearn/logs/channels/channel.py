@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import fnmatch
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -16,6 +17,7 @@ from usvlearn.errors import ConfigError, LogFormatError, check_choice
 LISTED, QUOTED = 60, 60  # names in an error, and characters of one
 COMMANDS, SURGE = ("command_left", "command_right"), "surge"
 CHANNELS = (*COMMANDS, "heading", "yaw_rate", SURGE)
+HEMISPHERE = re.compile(r"(\d{1,5}\.\d+) ?°? ?([NSEW])")  # a latitude or a longitude with its letter
 EPSILON = 1e-6  # s, below which two stamps are one
 SLOWEST = 10.0  # s, the longest period
 LEAST_WINDOW, MOST_WINDOW = 0.2, 5.0  # s, of an automatic one: see `usvlearn.logs.alignment.window_kernel`
@@ -36,26 +38,32 @@ UNITS = {
     "knots": (1852 / 3600, 0.0),
     "cm/s": (0.01, 0.0),
     "mm/s": (0.001, 0.0),
+    "mph": (0.44704, 0.0),
+    "ft/s": (0.3048, 0.0),
     "m": (1.0, 0.0),
     "rad": (1.0, 0.0),
     "deg": (math.pi / 180, 0.0),
+    "ddmm": (math.pi / 180, 0.0),  # degrees and minutes in one number, as 4218.5 for 42° 18.5'
     "rad/s": (1.0, 0.0),
     "deg/s": (math.pi / 180, 0.0),
+    "deg/min": (math.pi / 10800, 0.0),
     "enu_rad": (-1.0, math.pi / 2),  # yaw from east, counter-clockwise
     "enu_deg": (-math.pi / 180, math.pi / 2),
     "enu_rad/s": (-1.0, 0.0),
     "enu_deg/s": (-math.pi / 180, 0.0),
+    "enu_deg/min": (-math.pi / 10800, 0.0),
     **dict.fromkeys(FORCES, (1.0, 0.0)),  # a share of the span, which is in the same unit
 }
 
 
-SPEEDS, ANGLES = ("m/s", "km/h", "knots", "cm/s", "mm/s"), ("rad", "deg", "enu_rad", "enu_deg")
+SPEEDS, RARE = ("m/s", "km/h", "knots", "cm/s", "mm/s"), ("mph", "ft/s")  # the latter where a log says so
+ANGLES = ("rad", "deg", "enu_rad", "enu_deg")
 OWN_UNITS = {  # channel -> the units that it may have, beside "1" for SI
     **dict.fromkeys(COMMANDS, ("percent", *FORCES)),
     **dict.fromkeys(("heading", "course"), ANGLES),
-    "yaw_rate": ("rad/s", "deg/s", "enu_rad/s", "enu_deg/s"),
-    **dict.fromkeys(("surge", SWAY, "ground_speed", *VELOCITIES), SPEEDS),
-    **dict.fromkeys(DEGREES, ("deg", "rad")),
+    "yaw_rate": ("rad/s", "deg/s", "deg/min", "enu_rad/s", "enu_deg/s", "enu_deg/min"),
+    **dict.fromkeys(("surge", SWAY, "ground_speed", *VELOCITIES), (*SPEEDS, *RARE)),
+    **dict.fromkeys(DEGREES, ("deg", "rad", "ddmm")),
     **dict.fromkeys(METRES, ("m",)),
 }
 
@@ -80,6 +88,7 @@ class Source:
         period: time between two measurements of the speed's sensor, s, where messages come faster than it measures: the
             same number again within two periods is a copy of one measurement. 0: every message is a measurement.
             "auto": found from the logs, see `usvlearn.logs.channels.copies`.
+        missing: raw values that mean "unknown", such as [65535]; they count as not a number.
 
     Raises:
         ConfigError: a unit that is not known, or a number outside its range.
@@ -97,8 +106,13 @@ class Source:
     window: float | str = 0.2
     delay: float = 0.0
     period: float | str = 0.0
+    missing: Sequence[float] = ()
 
     def __post_init__(self):
+        given = (self.missing,) if isinstance(self.missing, int | float) else self.missing
+        if not isinstance(given, list | tuple) or not all(isinstance(each, int | float) for each in given):
+            raise ConfigError(f"missing: found {given!r}, expected numbers such as [65535]")
+        object.__setattr__(self, "missing", [*map(float, given)])  # as JSON has it
         check_choice("unit", self.unit, tuple(UNITS))
         if not math.isfinite(self.span) or self.span == 0:
             raise ConfigError(f"span: found {self.span!r}, expected a number other than 0")
@@ -121,6 +135,8 @@ class Source:
             In SI units; shape unchanged.
         """
         factor, offset = UNITS[self.unit]
+        if self.unit == "ddmm":
+            raw = degrees(raw)
         with np.errstate(over="ignore"):
             return factor * (raw - self.zero) / self.span + offset
 
@@ -154,6 +170,16 @@ class Recording(NamedTuple):
     run: str  # its name, within the boat
     channels: dict[str, Channel]  # by the names of `CHANNELS` and `AUXILIARY`
     dropped: dict[str, dict[str, int]]  # channel -> cause -> count of what the reader could not use
+
+
+def degrees(ddmm: np.ndarray) -> np.ndarray:
+    """Degrees and minutes in one number as degrees, shape unchanged.
+
+    >>> degrees(np.array([4218.0, -7106.0])).round(4)
+    array([ 42.3, -71.1])
+    """
+    whole = np.trunc(ddmm / 100)
+    return whole + (ddmm - 100 * whole) / 60
 
 
 def match_name(pattern: str, available: Iterable[str], where: str) -> str:
@@ -215,7 +241,8 @@ def as_number(cell: str) -> float:
     try:
         return float(cell) if "_" not in cell else math.nan
     except ValueError:
-        return math.nan
+        found = HEMISPHERE.fullmatch(cell.strip())
+        return (-1 if found[2] in "SW" else 1) * float(found[1]) if found else math.nan
 
 
 def build_channel(
@@ -239,6 +266,7 @@ def build_channel(
     >>> channel.value, dropped
     (array([0.5]), {'empty': 1, 'not_a_number': 1})
     """
+    raw = np.where(np.isin(raw, source.missing), math.nan, raw) if source.missing else raw
     usable = np.isfinite(time) & np.isfinite(raw)
     bare = np.zeros(len(raw), bool) if empty is None else empty & ~usable
     counts = {

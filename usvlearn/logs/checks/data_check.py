@@ -23,7 +23,7 @@ from usvlearn.logs.checks.evidence import Evidence
 from usvlearn.logs.checks.finding import WARNING, Finding
 
 CHECKS: tuple[Callable[[Evidence], Iterator[Finding]], ...] = (
-    scales.zeros, scales.rest, scales.speed_scale, scales.command_scale, scales.heading_unit,
+    scales.zeros, scales.rest, scales.speed_scale, scales.sign, scales.command_scale, scales.heading_unit,
     scales.heading_sense, scales.yaw_rate, track.degrees, track.axes, track.follows, track.sway,
     thrusters.sides, thrusters.delay, thrusters.excitation, response.short_delay, frozen.frozen,
     delivery.rejected, delivery.stale, delivery.copies, delivery.clock, delivery.horizons,
@@ -34,7 +34,8 @@ CONSEQUENCES = {
     "heading unit": ("rejected", "stale", "position", "position axes"),
     "command scale": ("rejected", "stale", "excitation"),
     "constant": ("thrust", "position"),
-    "side reversed": ("thrust",),
+    "side reversed": ("thrust", "speed sign"),
+    "sides or heading": ("speed sign",),
     "delay": ("stale", "position"),
     "frozen": ("delay", "position"),
     "position unit": ("speed unit", "heading sense", "heading offset", "position", "position axes"),

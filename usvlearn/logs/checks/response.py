@@ -12,12 +12,13 @@ Thresholds, and why:
 - Simulated boats without a delay give -2 to 1 s: filters delay a speed, and an autopilot that follows the speed makes
   later commands tell of it. The best of these is compared with the best of all.
 - A delay is told from 3 s on: 2 s fit best at times where a thruster dies on the way. A speed before its commands by
-  3 s or more is told only where a delay is configured, which then is the cause.
+  3 s or more is told only where a delay is configured, which then is the cause; by 5 s or more always.
 - The squares of residuals have to be less than at a usual delay by 15 % in all and by 4 standard errors of the means
   of blocks of 20 s (neighbouring residuals depend on each other), or by 30 % and 2.4: a few changes of speed make most
   of the squares of a log of ten minutes.
 - The equation has to explain 30 % of the changes of speed, over nine minutes or more: in six minutes of a boat with a
-  dead thruster, a delay of 2 s fits better at times.
+  dead thruster, a delay of 2 s fits better at times. In shorter logs, from 2.5 minutes on, 5 s or more are told where
+  the squares halve and the equation explains 60 %: clocks that differ, such as GPS time and UTC.
 """
 
 from __future__ import annotations
@@ -32,13 +33,14 @@ from usvlearn.logs.channels.bins import bin_edges, bin_means, bin_rates, clipped
 from usvlearn.logs.channels.channel import COMMANDS, SURGE
 from usvlearn.logs.checks.evidence import Evidence
 from usvlearn.logs.checks.finding import Finding, override
-from usvlearn.logs.checks.thrusters import implausible_lag
+from usvlearn.logs.checks.thrusters import CLOCKS, implausible_lag
 
 STEP, OVER = 0.5, 4  # s, of the bins; bins of h
 DELAYS = range(-12, 26)  # s
 USUAL = range(-2, 2)  # s
 LATE, EARLY = 3, -3  # s
-BLOCK, ENOUGH = 40, 1080  # bins: 20 s, 9 min
+BLOCK, ENOUGH, SHORT = 40, 1080, 300  # bins: 20 s, 9 min, 2.5 min
+FAR, CLEAR = 5, (0.5, 0.6)  # s; ratio of squares and share explained: of clocks that differ, in a short log
 SURE = ((4.0, 0.85), (2.4, 0.7))  # standard errors, and the ratio of squares
 EXPLAINED = 0.3
 
@@ -50,13 +52,14 @@ class Fit(NamedTuple):
     certainty: float  # standard errors by which it fits better than a usual one
     ratio: float  # of the squares of residuals, to those of the best usual delay
     explained: float  # share of the squared changes of speed
+    bins: int
 
 
 def best_delay(e: Evidence) -> Fit | None:
     """Fit the equation of motion for each delay; None if there is too little evidence."""
     edges = bin_edges(STEP, e.series[SURGE], e.series["heading"])
     bins = len(edges) - 1
-    if bins < ENOUGH:
+    if bins < SHORT:
         return None
     speed = clipped(bin_means(e.series[SURGE], edges))
     turn = np.abs(clipped(bin_rates(e.series["heading"], edges, wraps=True)))
@@ -72,7 +75,7 @@ def best_delay(e: Evidence) -> Fit | None:
     unknown = ~np.isfinite(forces.sum(0))
     known = np.isfinite(change + motion.sum(0)) & ~np.any([unknown[part] for part in parts.values()], axis=0)
     goal, count = change[known], int(known.sum())
-    if count < ENOUGH or not np.ptp(goal) > 0:
+    if count < SHORT or not np.ptp(goal) > 0:
         return None
     squares = {}
     for delay, part in parts.items():
@@ -87,7 +90,7 @@ def best_delay(e: Evidence) -> Fit | None:
     explained = 1 - sums[best] / float(((goal - goal.mean()) ** 2).sum())
     if not (error > 0 and sums[usual] > 0):
         return None
-    return Fit(best, float(gain.mean()) / error, sums[best] / sums[usual], explained)
+    return Fit(best, float(gain.mean()) / error, sums[best] / sums[usual], explained, count)
 
 
 def _means(*values: np.ndarray) -> np.ndarray:
@@ -104,9 +107,15 @@ def short_delay(e: Evidence) -> Iterator[Finding]:
         return
     if not any(found.certainty >= certain and found.ratio <= ratio for certain, ratio in SURE):
         return
-    if found.delay in (DELAYS[0], DELAYS[-1]) or not (found.delay >= LATE or (found.delay <= EARLY and given > 0)):
+    clear = abs(found.delay) >= FAR and found.ratio <= CLEAR[0] and found.explained >= CLEAR[1]
+    if found.bins < ENOUGH and not clear:
+        return
+    early = found.delay <= EARLY and (given > 0 or found.delay <= -FAR)
+    if found.delay in (DELAYS[0], DELAYS[-1]) or not (found.delay >= LATE or early):
         return
     side = "behind" if found.delay > 0 else "before"
     text = f"changes of speed that fit commands {abs(found.delay)} s {side} best (squares × {found.ratio:.2f})"
-    fix = " ".join(override(name, {"delay": max(0.0, given + found.delay)}) for name in COMMANDS)
-    yield Finding(e.boat, f"commands, {SURGE}", "delay", text, f"less than {LATE} s", fix)
+    right = max(0.0, given + found.delay)
+    fix = " ".join(override(name, {"delay": right}) for name in COMMANDS) if right != given else ""
+    expected = f"less than {LATE} s" if fix else f"less than {LATE} s: {CLOCKS}"
+    yield Finding(e.boat, f"commands, {SURGE}", "delay", text, expected, fix)

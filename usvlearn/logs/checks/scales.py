@@ -23,10 +23,12 @@ from typing import Any
 
 import numpy as np
 
+from usvlearn.logs.channels.astern import without_sign
 from usvlearn.logs.channels.bins import HUGE
 from usvlearn.logs.channels.channel import COMMANDS, METRES, SPEEDS, SURGE, UNITS
+from usvlearn.logs.channels.compass import compass_error
 from usvlearn.logs.channels.relations import rate_slope, speed_on_positions
-from usvlearn.logs.checks.evidence import Evidence, angular, mirrored, spread
+from usvlearn.logs.checks.evidence import STEP, Evidence, angular, mirrored, spread
 from usvlearn.logs.checks.finding import NOTE, Finding, override, see
 from usvlearn.logs.checks.track import half_turn_fix, heading_is_right, mirror_fix, position_unit
 
@@ -48,6 +50,7 @@ SWIFT = 0.3  # rad/s; ten times as much is more than a boat turns: tenths of a d
 CENTURY = (700.0, 2300.0)  # us, the pulses of servos and speed controllers
 FULL = (1.0, 100.0, 1000.0)  # scales that commands usually have
 IDLE, RANGE = 1500.0, 400.0  # us
+MOVED = (*METRES, "heading", SURGE)  # what tells the error of a compass
 
 
 def zeros(e: Evidence) -> Iterator[Finding]:
@@ -99,6 +102,17 @@ def speed_scale(e: Evidence) -> Iterator[Finding]:
         units = [_in_units(e, reached / e.surge_max)] if e.channels else []
         fix = " or ".join([f"vehicle.surge_max={_ceil(reached)}", *units])
         yield Finding(e.boat, SURGE, "speed scale", text, f"about {bound}", fix, NOTE)
+
+
+def sign(e: Evidence) -> Iterator[Finding]:
+    """A speed without a sign of a boat that goes astern."""
+    wrong = without_sign(*e.commands, e.speed)
+    if e.speeds != (SURGE,) or not (seconds := float(wrong.sum()) * STEP):
+        return
+    text = f"a speed that is never below 0, and rises in {seconds:.0f} s in which both commands push astern"
+    name = override(SURGE, {"name": None})
+    ways = "a speed with a sign: velocities to the north and east, or ground_speed and course, or a position alone"
+    yield Finding(e.boat, SURGE, "speed sign", text, ways, name if e.has_position and e.channels else "")
 
 
 def _plausible(e: Evidence) -> tuple[float, float]:
@@ -231,6 +245,11 @@ def heading_sense(e: Evidence) -> Iterator[Finding]:
         other = half_turn_fix(e, found.offset)
         fix = " or ".join(filter(None, [override("heading", {"zero": float(zero)}), other]))
         yield Finding(e.boat, "heading", "heading offset", text, bound, fix)
+    elif e.sense != -1 and e.has_position and (off := compass_error(*(e.series[name] for name in MOVED))):
+        zero = e.settings("heading")["zero"] - off[0] / e.factor("heading")
+        text = f"a heading that is {math.degrees(-off[0]):+.0f}° (± {math.degrees(off[1]):.1f}°) off on all courses"
+        yield Finding(e.boat, "heading", "heading offset", text, "the course on straight legs, less current and drift",
+                      override("heading", {"zero": float(f"{zero:.3g}")}))  # fmt: skip
 
 
 def yaw_rate(e: Evidence) -> Iterator[Finding]:

@@ -46,6 +46,7 @@ FOUND, BETTER = 0.6, 0.2  # correlation at such a lag, and by how much it exceed
 FOLLOWS, LONG = 0.2, 300.0  # correlation; s of evidence
 LEVELS = 3  # values of a command, below which it is on or off
 USED = 0.01  # of full scale: a smaller range is no use of a thruster
+CLOCKS = "the clocks of both differ, as GPS time and UTC do by 18 s, so correct the stamps of one of them"
 STEADY = 0.03  # standard deviation of a speed over its mean
 SHARED = ("name", "field", "unit", "zero", "span", "weight")  # options that belong to a thruster
 
@@ -175,9 +176,8 @@ def delay(e: Evidence) -> Iterator[Finding]:
         given = float(e.logs(COMMANDS[0])[0].delay)
         right = max(0.0, given + lag)
         fix = " ".join(override(name, {"delay": float(round(right))}) for name in COMMANDS)
-        yield Finding(
-            e.boat, pair, "delay", text, f"{EARLY:g} to {LATE:g} s behind them", fix if right != given else ""
-        )
+        expected = f"{EARLY:g} to {LATE:g} s behind them" + (f": {CLOCKS}" if right == given else "")
+        yield Finding(e.boat, pair, "delay", text, expected, fix if right != given else "")
         return
     found = e.searched
     if found.seconds >= LONG and abs(found.correlation) < FOLLOWS and _moves(e):

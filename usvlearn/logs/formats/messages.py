@@ -254,7 +254,9 @@ class MessageLog:
                     values = self.values(key, name, f"{self.path}: {name}")
                 except LogFormatError:  # no servo has this function
                     continue
-                found.append(Series(str(plain), name, *values, "1", key.sender))
+                parameters = self.vehicles.get(key.sender, Vehicle()).parameters
+                known = self.servos.are_known(self.servos.find(name, parameters, ""), parameters)
+                found.append(Series(str(plain), name, *values, "1" if known else "", key.sender))
         return found
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -11,12 +12,18 @@ from typing import Any
 import numpy as np
 
 from usvlearn.logs.channels.series import Series
+from usvlearn.logs.formats.ardupilot.servos import FUNCTIONS, OUTPUTS
 from usvlearn.logs.formats.csv.table import ROTATION
-from usvlearn.logs.inspection.vocabulary import unit_word
+from usvlearn.logs.inspection.vocabulary import fit, unit_word
 
 EVIDENCE_HZ = 10.0  # values a second that relations look at
 WRAP = 0.1  # by how much a jump of a heading may differ from a full turn
 TURNS = {"deg": 360.0, "rad": 2 * math.pi}
+LOOP = re.compile(r"(.*[ ./])?(?:([ryeu])[_.](\w+)|(\w+)[_.]([ryeu]))", re.IGNORECASE)
+MEANINGS = {"r": " reference", "y": "", "e": " error", "u": " input"}  # of a control loop
+UNKNOWN = {511.0, 1023.0, 102.3, 255.0, 65535.0, 32767.0, -32768.0, 9999.0, -9999.0, 999.0, -999.0, 99999.0, -99999.0}
+DIFFERENT, APART, APART_KNOWN = 20, 2.0, 0.35  # values; distances of one from all others, over their extent
+PLAIN_ROLES, DRIVEN = (("command", "rudder"), ("heading", "course")), 5000.0  # which reach full scale, or wrap
 ANGLES = {"deg", "rad", "enu_rad", "enu_deg"}
 
 
@@ -28,6 +35,9 @@ class Candidate:
         name, field, kind: as in `Series`.
         unit: as the log declares it, or as the name tells; "" where neither does.
         time, value: `(n,)`, finite, in the order of the log.
+        spoken: what it is judged by in place of its name: see `of_loops`.
+        span: by which its numbers were divided.
+        missing: numbers that mean "unknown", and are not among the values.
     """
 
     name: str
@@ -36,13 +46,23 @@ class Candidate:
     kind: str
     time: np.ndarray
     value: np.ndarray
+    spoken: str = ""
+    span: float = 1.0
+    missing: tuple[float, ...] = ()
 
     @property
     def label(self) -> str:
         """What a person calls it."""
+        if self.spoken:
+            return self.spoken
         if self.kind == ROTATION:
             return f"{self.name} {ROTATION}"
         return self.name if self.field in (None, "data") else f"{self.name} {self.field}"
+
+    @property
+    def by_parameters(self) -> bool:
+        """Whether the parameters of an autopilot say what it drives, as a share of full scale."""
+        return self.field in FUNCTIONS and re.split(r"[\[@]", self.name)[0] in OUTPUTS
 
     @cached_property
     def intervals(self) -> np.ndarray:
@@ -135,7 +155,7 @@ class Candidate:
         place: dict[str, Any] = {"name": self.name}
         if self.field is not None and self.field != "data":
             place["field"] = self.field
-        return {**place, **keys}
+        return {**place, **keys, **({"missing": list(self.missing)} if self.missing else {})}
 
     def named(self, **changes) -> Candidate:
         return dataclasses.replace(self, **changes)
@@ -149,5 +169,46 @@ def candidates(series: list[Series]) -> list[Candidate]:
         if known.any():
             label = f"{each.name} {each.field or ''}"
             unit = each.unit or unit_word(label)
-            found.append(Candidate(each.name, each.field, unit, each.kind, each.time[known], each.value[known]))
-    return found
+            drives, turns = (max(fit(role, label) for role in roles) >= 1 for roles in PLAIN_ROLES)
+            missing = missing_values(each.value[known], DRIVEN if drives else 360.0 if turns else 0.0)
+            known &= ~np.isin(each.value, missing)
+            one = Candidate(each.name, each.field, unit, each.kind, each.time[known], each.value[known])
+            found.append(one.named(missing=missing))
+    return of_loops(found)
+
+
+def missing_values(value: np.ndarray, plain: float = 0.0) -> tuple[float, ...]:
+    """Numbers that mean "unknown": the same again and again, far beyond all others; none of a size up to `plain`.
+
+    >>> missing_values(np.append(np.sin(np.arange(300.0)), [-9999.0, 1e20, -9999.0, 1e20]))
+    (-9999.0, 1e+20)
+    """
+    found: list[float] = []
+    values, counts = np.unique(value, return_counts=True)
+    while len(values) > DIFFERENT:
+        end = 0 if values[1] - values[0] > values[-1] - values[-2] else -1
+        rest = np.delete(values, end)
+        apart, extent = abs(values[end] - rest[end]), rest[-1] - rest[0]
+        number = float(values[end])
+        least = APART_KNOWN if number in UNKNOWN or abs(number) >= 1e15 else APART
+        if not (apart > least * extent and abs(number) > plain and 1 < counts[end] < 0.5 * len(value)):
+            break
+        found.append(number)
+        values, counts = rest, np.delete(counts, end)
+    return tuple(sorted(found))
+
+
+def of_loops(found: list[Candidate]) -> list[Candidate]:
+    """The series; those of a controller, such as r_speed, y_speed, e_speed, are judged by what these letters mean."""
+    loops: dict[tuple[str, str], dict[str, Candidate]] = {}
+    for each in found:
+        if split := LOOP.fullmatch(each.name if each.field in (None, "data") else f"{each.name} {each.field}"):
+            head, letter, stem = split[1] or "", split[2] or split[5], split[3] or split[4]
+            loops.setdefault((head, stem), {})[letter.lower()] = each
+    spoken = {
+        id(each): f"{head}{stem}{MEANINGS[letter]}"
+        for (head, stem), loop in loops.items()
+        if {"y", "r"} <= loop.keys() or {"y", "e", "u"} <= loop.keys()
+        for letter, each in loop.items()
+    }
+    return [each.named(spoken=spoken[id(each)]) if id(each) in spoken else each for each in found]

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.logs.channels.channel import AUTO, COURSES
-from usvlearn.logs.channels.relations import Relation, sway_on_positions
+from usvlearn.logs.channels.relations import sway_on_positions
 from usvlearn.logs.inspection.candidate import Candidate
-from usvlearn.logs.inspection.decision import CERTAIN, Decision, least
+from usvlearn.logs.inspection.decision import CERTAIN, ORDER, PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.directions import Heading, read_any_turn
 from usvlearn.logs.inspection.places import Pair, Places, course_of
 from usvlearn.logs.inspection.speeds import RATIO, Speed
@@ -30,7 +30,7 @@ class Course(NamedTuple):
 
     course: Heading
     speed: Speed
-    relation: Relation  # of the sway that they give to the rate across the hull
+    why: str
 
 
 def find_course(
@@ -47,7 +47,7 @@ def find_course(
     if places is None or heading is None:
         return None
     known = course_of(places)
-    found: list[Course] = []
+    found: list[tuple[float, Course]] = []
     for each in pool:
         if fit("course", each.label) < 2:
             continue
@@ -59,8 +59,21 @@ def find_course(
             relation = sway_on_positions(places.north, places.east, heading.radians, sway)
             follows = relation.correlation >= FOLLOWS and relation.certainty >= SURE
             if follows and 1 / RATIO < relation.slope < RATIO:
-                found.append(Course(course, speed, relation))
-    return max(found, key=lambda each: each.relation.correlation, default=None)
+                why = f"the sway that both give is {relation.slope:.3g} × the rate of position across the hull"
+                why += f" (correlation {relation.correlation:.2f})"
+                found.append((relation.correlation, Course(course, speed, why)))
+    return max(found, key=lambda each: each[0], default=(0.0, None))[1]
+
+
+def course_beside(pool: Sequence[Candidate], speed: Speed, heading: Heading | None) -> Course | None:
+    """The course over ground of a speed that has no sign, from which the surge gets one; None if none is logged."""
+    named = [each for each in pool if fit("course", each.label) >= 2 and each.varies]
+    if heading is None or not named:
+        return None
+    read = [read_any_turn(each, heading.radians) for each in named]
+    best = max(read, key=lambda each: (ORDER.index(UNSURE) - ORDER.index(each.certainty), each.agreement))
+    best = best._replace(certainty=least(best.certainty, PROBABLE))
+    return Course(best, speed, "by name; with the heading, course and speed give a signed surge")
 
 
 def _across(speed: Pair, course: Pair, heading: Pair) -> Pair:
@@ -77,9 +90,7 @@ def tell_course(found: Course, channels: dict[str, dict[str, Any]], series: dict
     course, speed = found.course, found.speed
     scale = {} if course.span == 1 else {"span": course.span}
     sources = speed.candidate.source(unit=speed.unit), course.candidate.source(unit=course.unit, **scale)
-    why = f"the sway that both give is {found.relation.slope:.3g} × the rate of position across the hull"
-    why += f" (correlation {found.relation.correlation:.2f})"
-    told = []
+    why, told = found.why, []
     both: tuple[Speed | Heading, ...] = speed, course
     for name, source, each in zip(COURSES, sources, both, strict=True):
         channels[name], series[name] = {**source, "window": AUTO}, each.candidate

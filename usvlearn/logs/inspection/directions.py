@@ -13,9 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from usvlearn.logs.channels.channel import AUTO, UNITS
+from usvlearn.logs.channels.compass import compass_error
 from usvlearn.logs.channels.relations import rate_slope
 from usvlearn.logs.inspection.candidate import ANGLES, Candidate
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
+from usvlearn.logs.inspection.known import rank
 from usvlearn.logs.inspection.places import Pair, Places, course_of
 from usvlearn.logs.inspection.vocabulary import fit, words
 
@@ -48,11 +50,13 @@ class Heading(NamedTuple):
     score: float  # of the series
     by_format: bool = False  # whether the format of the log defines the sense
     span: float = 1.0  # of the candidate's numbers in the unit
+    zero: float = 0.0  # likewise: the error of the compass
+    why_zero: str = ""
 
     @property
     def radians(self) -> Pair:
         factor, offset = UNITS[self.unit]
-        return self.candidate.scaled(factor / self.span, offset)
+        return self.candidate.scaled(factor / self.span, offset - factor * self.zero / self.span)
 
     @property
     def is_from_north(self) -> bool:
@@ -111,11 +115,8 @@ def read_heading(candidate: Candidate, course: Pair | None, convention: str = ""
     base = by_size or declared.removeprefix("enu_") or ("rad" if np.ptp(candidate.extent) > 1.5 else "deg")
     unit = f"enu_{base}" if enu else base
     others = (f"enu_{base}",) if not enu else (base,)
-    sentence = why or (
-        f"declared as {declared}"
-        if declared
-        else f"values within {candidate.extent[0]:.1f} … {candidate.extent[1]:.1f}"
-    )
+    low, high = candidate.extent
+    sentence = why or (f"declared as {declared}" if declared else f"values within {low:.1f} … {high:.1f}")
     if by_size and declared and not declared.endswith(by_size):
         return Heading(candidate, unit, UNSURE, f"{why}, but declared as {declared}", (declared,), math.nan, name)
     if agree[best] == agree[best] and agree[best] < AGREES:
@@ -123,9 +124,8 @@ def read_heading(candidate: Candidate, course: Pair | None, convention: str = ""
         return Heading(candidate, unit, UNSURE, sentence, others, agree[best], name + min(agree[best], 0) - 1)
     if not (by_size or declared):
         others = (*others, "deg" if base == "rad" else "rad")
-        return Heading(
-            candidate, unit, UNSURE, sentence + ": a small range fits degrees and radians", others, math.nan, name
-        )
+        sentence += ": a small range fits degrees and radians"
+        return Heading(candidate, unit, UNSURE, sentence, others, math.nan, name)
     sentence += "" if enu else "; taken as 0 north, clockwise"
     by_format = enu or convention in NORTH_FORMATS
     sure = PROBABLE if by_format or NORTH & set(words(candidate.label)) else UNSURE
@@ -134,10 +134,8 @@ def read_heading(candidate: Candidate, course: Pair | None, convention: str = ""
 
 def orient(places: Places, heading: Heading) -> Places | None:
     """Local coordinates of which the heading tells which one is north; None if it does not."""
-    for each in (
-        places,
-        places._replace(first=places.second, second=places.first, north=places.east, east=places.north),
-    ):
+    turned = places._replace(first=places.second, second=places.first, north=places.east, east=places.north)
+    for each in (places, turned):
         if agreement(heading.radians, course_of(each)) >= ALONG:
             return each._replace(oriented=True)
     return None
@@ -169,6 +167,11 @@ def full_turn(candidate: Candidate) -> float:
 def read_any_turn(candidate: Candidate, course: Pair | None, convention: str = "") -> Heading:
     """As `read_heading`, also of tenths or hundredths of degrees, and of gradians, which are read with a span."""
     turn = full_turn(candidate)
+    if convention == "MOOS" and "yaw" in words(candidate.label):
+        found = read_any_turn(candidate.named(value=-candidate.value, unit=candidate.unit or "rad"), course)
+        why = f"the yaw of MOOS counts counter-clockwise from north; {found.reason}"
+        sure = found.certainty if found.certainty == CERTAIN else PROBABLE
+        return found._replace(candidate=candidate, span=-found.span, reason=why, certainty=sure, by_format=True)
     if turn == 360:
         found = read_heading(candidate, course, convention)
         beyond = candidate.size > BEYOND and found.unit.endswith("deg") and found.certainty != CERTAIN
@@ -179,6 +182,22 @@ def read_any_turn(candidate: Candidate, course: Pair | None, convention: str = "
     sure = found.certainty if found.certainty == CERTAIN else UNSURE
     sentence = f"values reach {candidate.size:.0f}, as {FINE_TURNS[turn]} do; {found.reason}"
     return found._replace(candidate=candidate, span=span, certainty=sure, reason=sentence)
+
+
+def without_error(heading: Heading, places: Places, speed: Pair, convention: str) -> Heading:
+    """The same with the error of the compass as its zero, if the position surely tells one."""
+    found = compass_error(places.north, places.east, heading.radians, speed)
+    if found is None:
+        return heading
+    factor = UNITS[heading.unit][0] / heading.span
+    zero = float(f"{-found[0] / factor:.3g}")
+    shifted = heading.candidate.named(value=np.mod(heading.candidate.value - zero, abs(2 * math.pi / factor)))
+    read = read_any_turn(shifted, course_of(places), convention)
+    if read.unit != heading.unit or not read.agreement > heading.agreement:
+        return heading
+    off = f"{math.degrees(-found[0]):+.0f}° ± {math.degrees(found[1]):.1f}°"
+    why = f"it differs from the course by {off} on all courses, apart from current and drift"
+    return read._replace(candidate=heading.candidate, span=heading.span, score=heading.score, zero=zero, why_zero=why)
 
 
 def find_headings(pool: Sequence[Candidate], course: Pair | None, convention: str = "") -> list[Heading]:
@@ -196,11 +215,10 @@ def find_headings(pool: Sequence[Candidate], course: Pair | None, convention: st
                 found.append(read._replace(score=read.score - 1))
         elif over_ground >= 1 and name > -3:
             read = read_any_turn(each, course, convention)
-            sentence = (
-                f"a course over ground, in place of a heading: wrong where the boat drifts or backs up; {read.reason}"
-            )
+            sentence = "a course over ground, in place of a heading: wrong where the boat drifts or backs up; "
+            sentence += read.reason
             found.append(read._replace(score=read.score - 6, certainty=UNSURE, reason=sentence))
-    return sorted(found, key=lambda each: -each.score)
+    return sorted(found, key=lambda each: 0.5 * rank(each.candidate, "heading", convention) - each.score)
 
 
 def _may_be_angle(candidate: Candidate) -> bool:
@@ -236,30 +254,22 @@ def find_yaw_rate(pool: Sequence[Candidate], heading: Heading) -> tuple[YawRate 
             sure = CERTAIN if name >= 1 and abs(relation.correlation) >= 0.75 else PROBABLE
             if each.unit and not unit.endswith(each.unit.removeprefix("enu_")):
                 sentence, sure = f"{sentence}, but declared as {each.unit}", UNSURE
-            found.append(
-                (abs(relation.correlation) + 0.2 * name, YawRate(each, unit, sure, sentence, relation.correlation))
-            )
+            close = abs(relation.correlation) + 0.2 * name
+            found.append((close, YawRate(each, unit, sure, sentence, relation.correlation)))
         elif name >= 2:
-            what = (
-                f"correlation {relation.correlation:.2f}, slope {relation.slope:.3g}"
-                if relation.seconds
-                else "no evidence"
-            )
-            rejected.append(
-                Decision(
-                    "yaw_rate", "rejected", each.label, PROBABLE, f"does not follow the heading's derivative: {what}"
-                )
-            )
+            what = f"correlation {relation.correlation:.2f}, slope {relation.slope:.3g}"
+            why = f"does not follow the heading's derivative: {what if relation.seconds else 'no evidence'}"
+            rejected.append(Decision("yaw_rate", "rejected", each.label, PROBABLE, why))
     return (max(found, key=lambda pair: pair[0])[1] if found else None), rejected
 
 
 def _rate_unit(slope: float, tolerance: float = RATIO) -> str:
     """The unit of a yaw rate whose slope against the heading's derivative in rad/s is known; "" if none fits.
 
-    >>> _rate_unit(1.02), _rate_unit(-55.0), _rate_unit(10.0)
-    ('rad/s', 'enu_deg/s', '')
+    >>> _rate_unit(1.02), _rate_unit(-55.0), _rate_unit(3400.0), _rate_unit(10.0)
+    ('rad/s', 'enu_deg/s', 'deg/min', '')
     """
-    for unit in ("rad/s", "deg/s"):
+    for unit in ("rad/s", "deg/s", "deg/min"):
         ratio = abs(slope) * UNITS[unit][0]
         if 1 / tolerance < ratio < tolerance:
             return unit if slope > 0 else f"enu_{unit}"
@@ -270,6 +280,7 @@ def tell_heading(best: Heading, headings: Sequence[Heading], channels: dict, ser
     """The best heading as the channel, its unit, and its span where it has one."""
     candidate = best.candidate
     scale = {} if best.span == 1 else {"span": best.span}
+    scale |= {"zero": best.zero} if best.zero else {}
     channels["heading"] = candidate.source(unit=best.unit, window=AUTO, **scale)
     series["heading"] = candidate
     close = [each.candidate.label for each in headings[1:] if each.score > best.score - 1]
@@ -285,7 +296,11 @@ def tell_heading(best: Heading, headings: Sequence[Heading], channels: dict, ser
         Decision("heading", "series", candidate.label, sure, why, tuple(close)),
         Decision("heading", "unit", best.unit, best.certainty, best.reason, best.alternatives),
     ]
-    return decisions + [Decision("heading", "span", f"{best.span:g}", best.certainty, best.reason) for _ in scale]
+    if best.span != 1:
+        decisions.append(Decision("heading", "span", f"{best.span:g}", best.certainty, best.reason))
+    if best.zero:
+        decisions.append(Decision("heading", "zero", f"{best.zero:g}", PROBABLE, best.why_zero, ("0",)))
+    return decisions
 
 
 def tell_yaw_rate(

@@ -23,10 +23,12 @@ from usvlearn.logs.inspection.lag import DELAYS, LONG_DELAYS, Lag, find_lag
 from usvlearn.logs.inspection.logfiles import Logs, boats_of, joined, open_logs
 from usvlearn.logs.inspection.override import shell_override
 from usvlearn.logs.inspection.proposal import Proposal, propose
+from usvlearn.logs.inspection.vehicles import check_boat
 from usvlearn.logs.inspection.written import read_settings, settings_of, write_text
 from usvlearn.logs.recordings import align_fleet
 
 USUAL, MARGIN = 3.0, 1.1  # m/s, the top speed where no speed is known; of the greatest one that is logged
+SPEED_CHANNELS = ("surge", "velocity_north", "ground_speed")
 MEANING = "certain: proved by numbers; probable: by name or convention; unsure: please check."
 
 
@@ -45,21 +47,25 @@ class Inspected(NamedTuple):
     findings: list[Finding]  # of the data check, about what the settings read
 
 
-def inspect_logs(given: Sequence[str], name: str | None = None, output: str = "my_boat.yaml") -> Inspected:
+def inspect_logs(
+    given: Sequence[str], name: str | None = None, output: str = "my_boat.yaml", any_vehicle: bool = False
+) -> Inspected:
     """Look at logs, decide, and read them as decided.
 
     Args:
         given: logs, folders or patterns.
         name: of the boat, by default that of the log or folder.
         output: name of the file that will hold the text.
+        any_vehicle: whether logs are taken that say that they are of no boat.
 
     Raises:
-        ConfigError, LogFormatError: there is no such log, or it cannot be read.
+        ConfigError, LogFormatError: there is no such log, it cannot be read, or it is of an aeroplane.
     """
     logs = open_logs(given, name)
     series = candidates(joined(logs.surveyed))
     proposal = propose(series, logs.format.name)
-    decisions, notes = list(proposal.decisions), list(logs.notes)
+    asked = [] if any_vehicle else check_boat(logs.files, series, logs.format.name)
+    decisions, notes = [*asked, *proposal.decisions], list(logs.notes)
     for doubt in logs.doubts:
         option, _, reason = doubt.partition(": ")
         decisions.append(Decision("reader", option, str(getattr(logs.reader, option, "")), UNSURE, reason))
@@ -122,7 +128,7 @@ def _tell_top_speed(settings: dict[str, Any], recordings: Sequence[Recording], d
         return USUAL
     top = math.ceil(MARGIN * greatest * 10) / 10
     settings["vehicle"]["surge_max"] = top
-    units = [each for each in decisions if each.what == "unit" and each.channel in ("surge", "velocity_north")]
+    units = [each for each in decisions if each.what == "unit" and each.channel in SPEED_CHANNELS]
     sure, sentence = least(PROBABLE, *(each.certainty for each in units)), f"the greatest speed is {greatest:.2f} m/s"
     sentence += f", if {units[0].value} is the unit of the speed" if sure == UNSURE else ""
     decisions.append(Decision("vehicle", "surge_max", f"{top:g} m/s", sure, sentence))

@@ -9,7 +9,8 @@ from __future__ import annotations
 import unicodedata
 
 UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue"})
-LETTERS = str.maketrans({"ß": "ss", "æ": "ae", "ø": "o", "œ": "oe", "ł": "l", "đ": "d"})  # without a decomposition
+LETTERS = str.maketrans({"ß": "ss", "æ": "ae", "ø": "o", "œ": "oe", "ł": "l", "đ": "d",  # without a decomposition
+                         "δ": "delta", "ψ": "psi", "χ": "chi", "τ": "tau", "ω": "omega"})  # fmt: skip
 
 
 def plain(text: str) -> str:
@@ -48,6 +49,7 @@ SHORT_LEFT, SHORT_RIGHT = {"sx", "izq", "esq"}, {"dx", "dcha"}  # beside the wor
 SETPOINT = spelled(
     "soll sollwert consigne consigna deseado desejado desiderato gewenst önskad ønsket børværdi börvärde zadana tavoite"
 )
+LATERAL = spelled("bug heck étrave poupe prua poppa boeg hek baug bugstrahlruder heckstrahlruder boegschroef")
 FOREIGN = spelled(
     "strom spannung tiefe temperatur akku luft vent viento vento vind wiatr tuuli batterie bateria batteria batteri "
     "accu courant corriente corrente ström strøm tension tensión tensione spanning profondeur profundidad profondità "

@@ -10,7 +10,7 @@ import numpy as np
 
 from usvlearn.logs.inspection.candidate import Candidate
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE
-from usvlearn.logs.inspection.vocabulary import names_moment, side, words
+from usvlearn.logs.inspection.vocabulary import SIDES, names_moment, side, words
 
 PWM = "PWM in us"
 LEAST_PWM, MOST_PWM = 800.0, 2300.0  # us
@@ -19,7 +19,9 @@ DEAD_BAND = 12.0  # us, within which a neutral pulse may differ from 1500
 COMMON = 0.02  # share of the values that the one at rest has, at least
 STILL = 0.08  # share of the greatest speed, below which a boat stands
 FEWEST = 20  # speeds of a boat that stands
-MIDDLE = 0.3, 0.75  # share of the greatest value, between which the zero of a command without a sign lies, unless at 0
+MIDDLE = 0.3  # share of the greatest value, above which the zero of a command without a sign lies, unless at 0
+AWAY = 0.15  # share of the greatest value, above which a command never comes near 0
+IDLE = 0.04  # of the range of a command, within which a boat that stands is at its least value
 FUZZ = 0.03  # share of the scale, within which two values are taken as equal
 LIMIT = 0.999  # share of the greatest force, above which full scale is reached
 STEADY = 0.3  # share of the values while the boat stands that lie at the zero
@@ -52,7 +54,7 @@ def find_level(candidate: Candidate, pool: Sequence[Candidate], convention: str 
     """
     low, high = candidate.extent
     if low >= LEAST_PWM and high <= MOST_PWM and high > low:
-        return _pwm(candidate, pool)
+        return _pwm(candidate, pool, speed)
     level = _by_size(candidate, convention)
     return _at_mid_scale(level, candidate, speed) if low >= 0 and high > low else level
 
@@ -61,20 +63,22 @@ def _by_size(candidate: Candidate, convention: str) -> Level:
     """With a zero of 0."""
     low, size, unit = candidate.extent[0], candidate.size, candidate.unit
     near = CERTAIN if low < 0 or _rest(candidate) == 0 else PROBABLE
-    zero = (
-        0.0,
-        near,
-        "values of both signs" if low < 0 else "it rests at 0" if _rest(candidate) == 0 else "by convention",
-    )
+    why = "values of both signs" if low < 0 else "it rests at 0" if _rest(candidate) == 0 else "by convention"
+    zero = 0.0, near, why
+    if candidate.by_parameters:
+        why, full = "by the parameters of the autopilot", 1.0 if size <= 1 + 1e-9 else _round(size)
+        lacking = f"by the defaults of ArduPilot: the log lacks some limits of this servo; values reach {size:.3g}"
+        sure, told = (CERTAIN, why) if unit == "1" and full == 1 else (UNSURE, lacking)
+        return Level(0.0, full, "share", CERTAIN if unit == "1" else PROBABLE, why, sure, told, ())
     if unit == "percent" or (size > 2 and abs(size - 100) < 1e-6) or (convention == "MOOS" and 1.5 < size <= 100):
-        why = {"percent": "declared as percent"}.get(
-            unit, "values reach 100" if size > 99.9 else "MOOS counts in percent"
-        )
+        why = "values reach 100" if size > 99.9 else "MOOS counts in percent"
+        why = "declared as percent" if unit == "percent" else why
         sure = PROBABLE if size > 50 or unit == "percent" else UNSURE
         return Level(zero[0], 100.0, "percent", *zero[1:], sure, why, (f"{_round(size):g}",))
     if names_moment(candidate.label):
         return Level(zero[0], _round(size), "N·m", *zero[1:], *_greatest(candidate, "moment"), ())
-    if unit == "N" or {"n", "newton", "newtons", "force"} & set(words(candidate.label)):
+    spoken = {word for word in words(candidate.label) if not word.isdigit()} - SIDES
+    if unit == "N" or {"newton", "newtons", "force"} & spoken or ("n" in spoken and len(spoken) > 1):
         return Level(zero[0], _round(size), "N", *zero[1:], *_greatest(candidate, "force"), ())
     if size <= 1.0 + 1e-9:
         sure = CERTAIN if size > 0.999 else PROBABLE if size > 0 else UNSURE
@@ -112,26 +116,43 @@ def _at_mid_scale(level: Level, candidate: Candidate, speed: tuple[np.ndarray, n
     >>> find_level(command, []).zeros
     ('50',)
     """
-    full, low = level.span, candidate.extent[0]
-    value, share = _where_still(candidate, speed, FUZZ * full)
+    low, high = candidate.extent
+    away = low > AWAY * high
+    full = high if away and level.kind == "share" else level.span
+    value, share, stands = _where_still(candidate, speed, FUZZ * full)
     if math.isnan(value):  # the boat never stands: the value that comes most often may be its zero
         value = next((each for each in (_rest(candidate), float(np.median(candidate.value))) if each > 0), 0.0)
         if low > 0.05 * full and abs(value - full / 2) < 0.1 * full and _both_sides(candidate, value, FUZZ * full):
             return _perhaps_at_half(level, f"{low:g} … {candidate.extent[1]:g}, mostly about {value:.4g}")
-        return _perhaps_at_half(level, f"{low:g} … {candidate.extent[1]:g}") if low > MIDDLE[0] * full else level
-    if not MIDDLE[0] < value / full < MIDDLE[1]:
+        return _perhaps_at_half(level, f"{low:g} … {candidate.extent[1]:g}") if low > MIDDLE * full else level
+    if (low > IDLE * full or candidate.unit == "us") and share > STEADY and value - low < IDLE * (high - low):
+        return _forward_only(level, candidate, value)
+    if not value / full > MIDDLE:
         return level
     centred, crossed = abs(value - full / 2) < FUZZ * full, _both_sides(candidate, value, FUZZ * full)
     if not crossed and not (centred and share > STEADY):
         return level
     zero = full / 2 if centred and level.kind != "raw numbers" else value
-    sentence = f"the boat stands at {value:.4g}, and it " + (
-        "is reached from both sides" if crossed else "is mid-scale"
-    )
-    kept = level._replace(zero=float(f"{zero:.4g}"), zero_reason=sentence, span=_round(full - zero))
-    if centred and crossed and share > STEADY:
-        return kept._replace(zero_certainty=PROBABLE, alternatives=())
+    sentence = f"the boat stands at {stands}, and it is {'reached from both sides' if crossed else 'mid-scale'}"
+    zero = float(f"{zero:.4g}")
+    reach = max(high - zero, zero - low) if zero > 0.6 * full or level.kind == "raw numbers" else full - zero
+    kept = level._replace(zero=zero, zero_reason=sentence, span=_round(reach))
+    if crossed and share > STEADY and (centred or away):
+        sure = level.span_certainty if centred else UNSURE
+        return kept._replace(zero_certainty=PROBABLE, span_certainty=sure, alternatives=())
     return kept._replace(zero_certainty=UNSURE, zeros=("0",), span_certainty=UNSURE, alternatives=(f"{full:g}",))
+
+
+def _forward_only(level: Level, candidate: Candidate, value: float) -> Level:
+    """A command whose least value, above 0, is that of a boat that stands: it never pushes astern."""
+    (low, high), pulses = candidate.extent, level.kind == PWM
+    whole = next((each for each in (1900.0, 2000.0) if pulses and abs(high - each) <= 20), 0.0)
+    top, zero = whole or high, float(f"{low:.4g}")
+    sentence = f"the boat stands at {value:.4g}, its least value: it never pushes astern"
+    reached = f"from there to {top:.4g}, " + ("its full scale" if whole else "the greatest value seen")
+    others = (f"{2000 - zero:g}",) if pulses and not whole else ()
+    span = _round(top - zero), level.kind, PROBABLE, sentence, PROBABLE if whole else UNSURE, reached, others
+    return Level(zero, *span)
 
 
 def _perhaps_at_half(level: Level, extent: str) -> Level:
@@ -143,41 +164,47 @@ def _perhaps_at_half(level: Level, extent: str) -> Level:
     )  # fmt: skip
 
 
-def _where_still(candidate: Candidate, speed: tuple[np.ndarray, np.ndarray] | None, near: float) -> tuple[float, float]:
-    """The median of a command while the boat stands, and the share of these values that lie near it; or NaN."""
+def _where_still(candidate: Candidate, speed: tuple[np.ndarray, np.ndarray] | None,
+                 near: float) -> tuple[float, float, str]:  # fmt: skip
+    """The median of a command while the boat stands, the share of these values near it, and both in words; or NaN."""
     if speed is None or not len(speed[0]):
-        return math.nan, 0.0
+        return math.nan, 0.0, ""
     size = np.abs(speed[1])
     still = speed[0][size < STILL * np.quantile(size, 0.95)]
     if len(still) < max(FEWEST, COMMON * len(size) / 2):
-        return math.nan, 0.0
+        return math.nan, 0.0, ""
     order = np.argsort(candidate.time, kind="stable")
     place = np.searchsorted(candidate.time[order], still, side="right") - 1
     held = candidate.value[order][np.clip(place, 0, None)]
     value = float(np.median(held))
-    return value, float((np.abs(held - value) <= near).mean())
+    beside = held[np.abs(held - value) <= near]
+    low, high = np.quantile(np.append(beside, value), [0.05, 0.95])
+    band = f", and anywhere in {low:.4g} … {high:.4g}: a dead zone" if high - low > near / 2 else ""
+    return value, len(beside) / len(held), f"{value:.4g}{band}"
 
 
 def _both_sides(candidate: Candidate, value: float, near: float) -> bool:
     return min((candidate.value < value - near).mean(), (candidate.value > value + near).mean()) > COMMON
 
 
-def _pwm(candidate: Candidate, pool: Sequence[Candidate]) -> Level:
+def _pwm(candidate: Candidate, pool: Sequence[Candidate], speed: tuple[np.ndarray, np.ndarray] | None) -> Level:
     low, high = candidate.extent
     rest = _rest(candidate)
-    declared = [
-        each
-        for each in pool
-        if NEUTRAL_WORDS & set(words(each.label))
-        and not each.varies
-        and NEUTRAL[0] <= each.size <= NEUTRAL[1]
-        and side(each.label) in ("", side(candidate.label))
-    ]
+    at_rest = NEUTRAL[0] <= rest <= NEUTRAL[1]
+    value, share, stands = _where_still(candidate, speed, 0.05 * (high - low))
+    if low < NEUTRAL[0] - 100 and share > STEADY and value - low < IDLE * (high - low):
+        return _forward_only(Level(value, 400.0, PWM, UNSURE, "", UNSURE, "", ()), candidate, value)
+    still = [each for each in pool if not each.varies and NEUTRAL[0] <= each.size <= NEUTRAL[1]]
+    near = [each for each in still if side(each.label) in ("", side(candidate.label))]
+    declared = [each for each in near if NEUTRAL_WORDS & set(words(each.label))]
     if declared:
         zero = float(declared[0].size), CERTAIN, f"{declared[0].label} says so"
     elif abs(rest - 1500) <= DEAD_BAND:
         zero = rest, PROBABLE, f"it rests at {rest:g}"
-    elif NEUTRAL[0] <= rest <= NEUTRAL[1]:
+    elif share > STEADY and NEUTRAL[0] <= value <= NEUTRAL[1] and (rest == round(value) or not at_rest):
+        neutral = 1500.0 if abs(value - 1500) <= DEAD_BAND else float(round(value))
+        zero = neutral, PROBABLE, f"the boat stands at {stands}"
+    elif at_rest:
         zero = rest, UNSURE, f"it rests at {rest:g}; 1500 by convention"
     elif low > NEUTRAL[0] and rest <= 1150 and rest - low < 50:
         zero = rest, UNSURE, f"it never leaves {low:.0f} … {high:.0f}, and rests at {rest:g}"
@@ -187,13 +214,11 @@ def _pwm(candidate: Candidate, pool: Sequence[Candidate]) -> Level:
     else:
         zero = 1500.0, PROBABLE, "by convention; it never rests"
     reach = max(high - zero[0], zero[0] - low)
-    if reach > 420:
-        return Level(zero[0], 500.0, PWM, *zero[1:], PROBABLE, f"values reach {low:.0f} … {high:.0f}", ("400",))
-    if reach > 380:
-        sentence = f"values reach {low:.0f} … {high:.0f}, as of 1100 … 1900"
-        return Level(zero[0], 400.0, PWM, *zero[1:], PROBABLE, sentence, ("500",))
-    sentence = f"values stay within {low:.0f} … {high:.0f}; full scale is 400 or 500 by convention"
-    return Level(zero[0], 400.0, PWM, *zero[1:], UNSURE, sentence, ("500",))
+    span, other = (500.0, "400") if reach > 420 else (400.0, "500")
+    sentence = f"values reach {low:.0f} … {high:.0f}" + (", as of 1100 … 1900" if span == 400 else "")
+    if reach <= 380:
+        sentence = f"values stay within {low:.0f} … {high:.0f}; full scale is 400 or 500 by convention"
+    return Level(zero[0], span, PWM, *zero[1:], PROBABLE if reach > 380 else UNSURE, sentence, (other,))
 
 
 def sharing(force: Candidate, moment: Candidate, levels: tuple[Level, Level]) -> tuple[Level, Level]:

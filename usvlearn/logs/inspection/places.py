@@ -9,10 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from usvlearn.logs.channels.channel import AUTO
+from usvlearn.logs.channels.channel import AUTO, degrees
 from usvlearn.logs.channels.relations import position_on_velocity, speed_on_positions
 from usvlearn.logs.inspection.candidate import Candidate
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
+from usvlearn.logs.inspection.known import rank
 from usvlearn.logs.inspection.vocabulary import SETPOINT, fit, words
 
 Pair = tuple[np.ndarray, np.ndarray]  # time, s, and value
@@ -38,8 +39,8 @@ class Places(NamedTuple):
     east: Pair  # m
 
 
-def find_places(pool: Sequence[Candidate]) -> list[Places]:
-    """All positions that the names tell, the finest first; geographic ones before local ones."""
+def find_places(pool: Sequence[Candidate], convention: str = "") -> list[Places]:
+    """All positions that the names tell: those that the format defines, then the finest; geographic before local."""
     found = []
     for role, other in (("latitude", "longitude"), ("north", "east")):
         for first in pool:
@@ -51,10 +52,25 @@ def find_places(pool: Sequence[Candidate]) -> list[Places]:
         if "x" in words(x.label) and not NO_PLACE & set(words(x.label)):
             twins = [y for y in pool if _is_twin(x, y)]
             found += [_local(x, y) for y in twins if fit("command", x.label) < 1]
-    return sorted(
-        (each for each in found if each and _moves(each)),
-        key=lambda each: (_grain(each) > COARSE, not each.geographic, not each.oriented, _grain(each)),
-    )
+    return sorted((each for each in found if each and _moves(each)), key=lambda each: _order(each, convention))
+
+
+def _order(places: Places, convention: str) -> tuple[int, bool, bool, bool, float]:
+    known, grain = min(rank(each, "position", convention) for each in places[:2]), _grain(places)
+    return known, grain > COARSE, not places.geographic, not places.oriented, grain
+
+
+def in_degrees(found: Sequence[Candidate]) -> list[Candidate]:
+    """The series, with degrees and minutes in one number as degrees; a column of N, S, E or W tells the sign."""
+    letters, read = {each.unit[-1] for each in found if each.unit.startswith("hemisphere")}, []
+    for each in found:
+        role = next((role for role in ("latitude", "longitude") if fit(role, each.label) >= 1), "")
+        minutes = each.unit != "deg" and not (np.abs(each.value) % 100 >= 60).any()
+        if role and minutes and 100 < each.size <= (9000 if role == "latitude" else 18000):
+            sign = -1.0 if {"latitude": "S", "longitude": "W"}[role] in letters and each.extent[0] >= 0 else 1.0
+            each = each.named(value=degrees(sign * each.value), unit="ddmm", span=sign)
+        read.append(each)
+    return read
 
 
 def guess_places(pool: Sequence[Candidate], speeds: Sequence[Candidate]) -> Places | None:
@@ -135,9 +151,14 @@ def tell_places(places: Places, channels: dict, series: dict, confirmed: bool, a
     pair, doubtful = (places.first, places.second), axes != CERTAIN
     for name, candidate, other in zip(names, pair, pair[::-1], strict=True):
         scale = {} if not places.geographic or places.first.size <= 90 else {"span": 1e7}
-        channels[name] = candidate.source(unit="deg" if places.geographic else "m", window=AUTO, **scale)
+        unit = "ddmm" if candidate.unit == "ddmm" else "deg" if places.geographic else "m"
+        scale |= {"span": candidate.span} if unit == "ddmm" and candidate.span < 0 else {}
+        channels[name] = candidate.source(unit=unit, window=AUTO, **scale)
         series[name] = candidate
         decisions.append(Decision(name, "series", candidate.label, sure, why, (other.label,) * doubtful))
+        if unit == "ddmm":
+            how = "degrees and minutes in one number" + (", to the west or south" if candidate.span < 0 else "")
+            decisions.append(Decision(name, "unit", unit, PROBABLE, f"{how}: values reach {candidate.size:.4g}°"))
     return decisions
 
 
@@ -170,18 +191,10 @@ def _places(first: Candidate, second: Candidate, geographic: bool, oriented: boo
     factor = 1.0 if first.size <= 90 else 1e-7
     if first.size * factor > 90 or second.size * factor > 180 or (first.unit == "rad" and first.size < 1.6):
         return None
-    middle = float(np.median(first.value)) * factor
-    return Places(
-        first,
-        second,
-        True,
-        oriented,
-        first.scaled(factor * METRES, -middle * METRES),
-        second.scaled(
-            factor * METRES * math.cos(math.radians(middle)),
-            -float(np.median(second.value)) * factor * METRES * math.cos(math.radians(middle)),
-        ),
-    )
+    middle, scale = float(np.median(first.value)) * factor, factor * METRES
+    shrunk = scale * math.cos(math.radians(middle))
+    north = first.scaled(scale, -middle * METRES)
+    return Places(first, second, True, oriented, north, second.scaled(shrunk, -float(np.median(second.value)) * shrunk))
 
 
 def _local(x: Candidate, y: Candidate) -> Places | None:

@@ -9,7 +9,7 @@ from usvlearn.logs.channels.channel import UNITS
 from usvlearn.logs.channels.relations import heading_rate
 from usvlearn.logs.inspection.candidate import Candidate
 from usvlearn.logs.inspection.commands import SIDES, tell_commands
-from usvlearn.logs.inspection.courses import find_course, tell_course
+from usvlearn.logs.inspection.courses import course_beside, find_course, tell_course
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.directions import (
     Heading,
@@ -19,6 +19,7 @@ from usvlearn.logs.inspection.directions import (
     orient,
     tell_heading,
     tell_yaw_rate,
+    without_error,
 )
 from usvlearn.logs.inspection.places import (
     Pair,
@@ -26,14 +27,16 @@ from usvlearn.logs.inspection.places import (
     course_of,
     find_places,
     guess_places,
+    in_degrees,
     is_mirror_image,
     rate_of,
     tell_places,
 )
 from usvlearn.logs.inspection.senses import LIKELY
-from usvlearn.logs.inspection.sides import SWAPPED, Commands, doubted, find_commands
+from usvlearn.logs.inspection.sides import SWAPPED, Commands, doubted, find_commands, seconds_astern
 from usvlearn.logs.inspection.speeds import (
     along_hull,
+    by_reaction,
     find_speeds,
     find_velocities,
     interchanged,
@@ -41,8 +44,10 @@ from usvlearn.logs.inspection.speeds import (
     tell_places_as_speed,
     tell_speed,
     tell_velocities,
+    tell_without_sign,
 )
 from usvlearn.logs.inspection.sways import find_sway, tell_sway
+from usvlearn.logs.inspection.vehicles import of_one_vehicle
 from usvlearn.logs.inspection.vocabulary import (
     WORDS,
     fit,
@@ -52,6 +57,7 @@ from usvlearn.logs.inspection.vocabulary import (
     names_side_alone,
     side,
 )
+from usvlearn.logs.inspection.written import scalar
 
 DEGREES = ("latitude", "longitude")  # which rise as evenly as a clock on a straight line
 
@@ -76,10 +82,11 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
         found: all series.
         convention: name of the format.
     """
+    found, decisions = of_one_vehicle(in_degrees(found), convention)
     pool = [
         each for each in found if each.varies and not (each.is_clock and max(fit(x, each.label) for x in DEGREES) < 1)
     ]
-    places = find_places(pool)
+    places = find_places(pool, convention)
     if not places and (guessed := guess_places(*_unnamed(pool))):
         places = [guessed]
     crossing = False  # whether latitude and longitude may be interchanged
@@ -89,7 +96,6 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
         places = [first, *places[1:]]
     channels: dict[str, dict[str, Any]] = {}
     series: dict[str, Candidate] = {}
-    decisions: list[Decision] = []
     oriented = next((each for each in places if each.oriented), None)
     course = course_of(oriented) if oriented else None
     headings = find_headings(pool, course, convention)
@@ -98,6 +104,10 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
     if places and heading and not oriented and (found_axes := orient(places[0], heading)):
         places, axes = [found_axes, *places[1:]], least(PROBABLE, heading.certainty)
         doubt = "which of them is north, is told by the heading, which follows the course then"
+    if heading and oriented:
+        named = [each for each in pool if fit("surge", each.label) >= 1]
+        ahead = next((each.metres for each in find_speeds(named, [oriented], convention)), rate_of(oriented))
+        heading = without_error(heading, oriented, ahead, convention)
     if heading:
         alone = {side(each.label) for each in pool if names_side_alone(each.label)}
         turning = [each for each in pool if len(alone) < 2 or not names_side_alone(each.label)]  # L and R are sides
@@ -112,6 +122,7 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
         taken += [each.first, each.second]
     left = [each for each in pool if not any(each is other for other in taken)]
     speeds = find_speeds([*along_hull(left), *norms(left)], places, convention)
+    speeds = by_reaction(speeds, [each for each in left if fit("command", each.label) >= 1])
     velocities = find_velocities(left, places, heading.radians if heading else None, convention)
     if velocities and speeds and speeds[0].candidate.is_signed:
         velocities = None  # the speed is signed already
@@ -145,7 +156,18 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
         axes, doubt = UNSURE, "the sense that they give the heading is doubtful: north and east may be interchanged"
         decisions = [_doubted(each, "its name or the sides say the opposite") for each in decisions]
     decisions = tell_commands(commands, channels, series) + decisions
-    if velocities:
+    lost = seconds_astern(commands[0], beside.metres) if commands and beside else 0.0
+    signed = next((each for each in speeds[1:] if each.candidate.is_signed and not each.contradicted), None)
+    if lost and signed:
+        speeds, lost = [signed, *(each for each in speeds if each is not signed)], 0.0
+    if lost:
+        over_ground = over_ground or course_beside(left, speeds[0], heading)
+        decisions += tell_without_sign(speeds[0], lost, over_ground, bool(track))
+    if lost and over_ground:
+        decisions += tell_course(over_ground, channels, series)
+    elif lost and track:
+        pass  # the surge comes from the position
+    elif velocities:
         decisions += tell_velocities(velocities, speeds[1:], channels, series)
     elif speeds:
         decisions += tell_speed(speeds, channels, series)
@@ -153,17 +175,22 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
         decisions += tell_places_as_speed()
     if sway:
         decisions += tell_sway(sway, channels, series, least(sense, axes))
-    elif over_ground and least(sense, axes) == CERTAIN:
+    elif over_ground and not lost and least(sense, axes) == CERTAIN:
         decisions += tell_course(over_ground, channels, series)
     if places:
         decisions += tell_places(
             places[0],
             channels,
             series,
-            bool(speeds and speeds[0].confirmed and speeds[0].certainty == CERTAIN),
+            bool(speeds and not lost and speeds[0].confirmed and speeds[0].certainty == CERTAIN),
             axes,
             doubt,
         )
+    spoken = {each.spoken: each.named(spoken="").label for each in found if each.spoken}
+    decisions = [each._replace(value=spoken.get(each.value, each.value)) for each in decisions]
+    why = "it comes again and again, far beyond all others: it means unknown"
+    unknown = {name: one.missing for name, one in series.items() if one.missing}
+    decisions += [Decision(name, "missing", scalar(list(each)), PROBABLE, why) for name, each in unknown.items()]
     missing = [name for name in (*SIDES, "heading") if name not in channels]
     missing += [] if speeds or places else ["surge"]
     order = [*SIDES, "heading", "yaw_rate", "surge"]

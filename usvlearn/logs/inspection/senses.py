@@ -40,6 +40,7 @@ LEAST = 0.02  # range of the commands, share of full scale, below which they tel
 OWN_ERROR = 0.3  # standard deviation of the gains, relative, beside the fit's: turns slow a boat, thrust is not linear
 UNEQUAL = 4.0  # ratio of the gains of both sides, at most
 SWAPPED, MIRRORED, REVERSED = 10.0, 4.0, 6.0  # costs; of a heading that may count the other way
+ALONE = 0.3  # share of the greater gain, below which a command of a throttle or of a rudder drives nothing
 SURE, LIKELY = 14.0, 6.0  # costs by which the motion speaks against every other decision: certain, probable
 MOST_SUPPORT = 10.0  # of one relation, in ranking pairs of series
 
@@ -148,6 +149,14 @@ class Decided(NamedTuple):
     signs: float  # likewise, against other signs
     turning: float  # likewise, by the turn alone, against swapped sides with the same signs
     fits: tuple[tuple[Fit, ...], ...]  # of speed and turn; empty where there is too little evidence
+
+    @property
+    def throttle(self) -> int | None:
+        """Which command is a throttle beside a rudder: it alone drives the speed, and the other one alone the turn."""
+        if not all(self.fits):
+            return None
+        ahead, turn = (np.abs(fits[0].gains) for fits in self.fits)
+        return next((k for k in (0, 1) if ahead[1 - k] < ALONE * ahead[k] and turn[k] < ALONE * turn[1 - k]), None)
 
     @property
     def support(self) -> float:

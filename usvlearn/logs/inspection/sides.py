@@ -13,6 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from usvlearn.logs.channels.astern import without_sign
+from usvlearn.logs.channels.bins import bin_edges, bin_means
 from usvlearn.logs.channels.relations import NOTHING, Relation, side_sign, speed_on_thrust
 from usvlearn.logs.inspection.candidate import Candidate
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, least
@@ -21,6 +23,7 @@ from usvlearn.logs.inspection.places import Pair
 from usvlearn.logs.inspection.senses import LIKELY, SURE, Decided, Senses, decide, pushes
 from usvlearn.logs.inspection.vocabulary import (
     MIDDLE,
+    OTHER_UNITS,
     fit,
     names_force,
     names_moment,
@@ -76,19 +79,22 @@ def find_commands(pool: Sequence[Candidate], everything: Sequence[Candidate], sp
         proved: whether the sense of the heading is.
     """
     still = [each for each in everything if not each.varies and names_command(each)]
+    if known := [each for each in everything if each.by_parameters]:
+        pool, still = known, []  # the parameters of the autopilot say which output drives what
+    pool = [each for each in pool if each.unit not in OTHER_UNITS]
     levels = {id(each): find_level(each, everything, convention, speed) for each in (*pool, *still)}
     named = [each for each in (*pool, *still) if fit("command", each.label) >= 1 and side(each.label)]
     found = [judge(left, right, levels, speed, turn, proved) for left, right in _pairs(named)]
     found = [_without_middle(each, pool) for each in found]
-    if not found:
-        found = list(_groups(pool, levels, speed, turn))
+    found = found or list(_groups(pool, levels, speed, turn))
     if not found:
         alone = [each for each in (*pool, *still) if names_side_alone(each.label)]
         found = [judge(left, right, levels, speed, turn, proved) for left, right in _pairs(alone)]
-    if not found:
-        found = list(_with_rudder([*pool, *still], levels, speed, turn))
-    if not found:
-        found = list(_unnamed(pool, levels, speed, turn))
+    both = [*pool, *still]
+    thrusts = [each for each in both if fit("command", each.label) >= 1 and fit("rudder", each.label) < 1]
+    rudders = [each for each in both if fit("rudder", each.label) >= 1]
+    found = found or list(_with_rudder(thrusts, rudders, levels, speed, turn))
+    found = found or list(_unnamed(pool, levels, speed, turn))
     return sorted(found, key=lambda each: -each.score)
 
 
@@ -195,7 +201,7 @@ def _pairs(named: Sequence[Candidate]) -> Iterator[tuple[list[Candidate], list[C
     """Left and right commands whose names differ in the side only; several of a side as a group."""
     groups: dict[tuple, dict[str, list[Candidate]]] = {}
     for each in named:
-        stem = tuple(word for word in without_side(each.label) if not word.isdigit())
+        stem = _stem(each, without_side(each.label))
         groups.setdefault(stem, {}).setdefault(side(each.label), []).append(each)
     for sides in groups.values():
         if len(sides) == 2:
@@ -210,6 +216,11 @@ def _pairs(named: Sequence[Candidate]) -> Iterator[tuple[list[Candidate], list[C
                 yield groups[one]["left"] + groups[other]["left"], groups[one]["right"] + groups[other]["right"]
 
 
+def _stem(candidate: Candidate, spoken: Sequence[str]) -> tuple[str, ...]:
+    """The words of a name without its numbers, but with its sender: two senders are two vehicles."""
+    return (*(word for word in spoken if not word.isdigit()), candidate.name.partition("@")[2])
+
+
 def _groups(
     pool: Sequence[Candidate], levels: dict[int, Level], speed: Pair | None, turn: Pair | None
 ) -> Iterator[Commands]:
@@ -218,7 +229,7 @@ def _groups(
     for each in pool:
         spoken = words(each.label)
         if fit("command", each.label) >= 1 and not side(each.label) and any(word.isdigit() for word in spoken):
-            stems.setdefault(tuple(word for word in spoken if not word.isdigit()), []).append(each)
+            stems.setdefault(_stem(each, spoken), []).append(each)
     for members in stems.values():
         if len(members) < 2 or turn is None:
             continue
@@ -235,6 +246,10 @@ def _groups(
             continue
         sides = _sides(left, right, levels)
         found = decide(_share(sides[0]), _share(sides[1]), speed, turn, _leveled(sides), proved=True, named=False)
+        alike = all(np.array_equal(each.value, part[0].value) for part in (left, right) for each in part)
+        if alike and (throttle := found.throttle) is not None:
+            yield from _by_motion([left[0], right[0]], throttle, levels, speed, turn)
+            continue
         clear = min(abs(each.certainty) for each in relations if each.seconds) >= CLEAR
         steady = clear and found.sides >= LIKELY and min(found.taken[1:]) > 0
         one = right if found.taken.swapped else left
@@ -244,20 +259,27 @@ def _groups(
         yield _commands(sides, found, PROBABLE if steady else UNSURE, reason + weak, name)._replace(turning=0.0)
 
 
-def _with_rudder(
-    pool: Sequence[Candidate], levels: dict[int, Level], speed: Pair | None, turn: Pair | None
-) -> Iterator[Commands]:
+def _by_motion(both: Sequence[Candidate], throttle: int, levels: dict[int, Level], speed: Pair | None,
+               turn: Pair | None) -> Iterator[Commands]:  # fmt: skip
+    """A throttle and a rudder whose names do not tell them: one drives the speed alone, and the other one the turn."""
+    thrust, rudder = both[throttle], both[1 - throttle]
+    for each in _with_rudder([thrust], [rudder], levels, speed, turn):
+        why = f"{thrust.label} drives the speed alone, and {rudder.label} the turn: a throttle and a rudder"
+        yield each._replace(certainty=UNSURE, reason=why)
+
+
+def _with_rudder(thrusts: Sequence[Candidate], rudders: Sequence[Candidate], levels: dict[int, Level],
+                 speed: Pair | None, turn: Pair | None) -> Iterator[Commands]:  # fmt: skip
     """One thrust for both sides; a steering signal is added on the left and subtracted on the right.
 
     A rudder drives no side, so that it is only told.
     """
-    thrusts = [each for each in pool if fit("command", each.label) >= 1 and fit("rudder", each.label) < 1]
-    rudders = [each for each in pool if fit("rudder", each.label) >= 1]
     for thrust in thrusts:
         level, name = levels[id(thrust)], fit("command", thrust.label)
         one = Side((thrust,), (level,), 1)
         ahead, cost, pushed = pushes(_share(one), speed, _leveled([one]))
         push = _surely(cost, ahead)
+        name += 0.1 * min(max(cost, 0.0), 20.0)  # of several thrusts, the speed tells the one that drives the boat
         other = "reversed" if ahead > 0 else "positive ahead"
         against = (other,) if push == UNSURE else ()
         both = one._replace(sign=ahead)
@@ -277,7 +299,8 @@ def _with_rudder(
             known = abs(_clipped(relation.certainty)) >= CLEAR
             sign = -1 if known and relation.correlation < 0 else 1
             weights = [(float(ahead), float(sign * way)) for way in (1, -1)]
-            if MIXED & set(words(rudder.label)) or names_moment(rudder.label):
+            mixed = MIXED & set(words(rudder.label)) and not rudder.by_parameters  # an output, not what is mixed
+            if mixed or names_moment(rudder.label):
                 left, right = (Side((thrust, rudder), (level, angle), 1, each) for each in weights)
                 reason = "steering is added to the throttle on the left, and subtracted on the right"
                 if names_moment(rudder.label):
@@ -327,6 +350,10 @@ def _unnamed(
                 or not min(on_speed.certainty, on_turn.certainty) > CLEAR
             ):
                 continue
+            throttle = decide(one_share, other_share, speed, turn, _leveled(sides), True, named=False).throttle
+            if throttle is not None:
+                yield from _by_motion([left, right], throttle, levels, speed, turn)
+                continue
             sentence = _correlations(on_speed, on_turn)
             score = on_speed.correlation + on_turn.correlation
             yield Commands(sides[0], sides[1], UNSURE, f"by its numbers alone: {sentence}", UNSURE, sentence, (), score)
@@ -351,6 +378,14 @@ def _mean_of(parts: Sequence[Pair]) -> Pair:
         order = np.argsort(stamps, kind="stable")
         held.append(value[order][np.clip(np.searchsorted(stamps[order], time, side="right") - 1, 0, None)])
     return time, np.mean(held, axis=0)
+
+
+def seconds_astern(found: Commands, speed: Pair) -> float:
+    """How long a speed, m/s, lacks its sign while both commands push astern, s."""
+    sides = [_share(one) for one in (found.left, found.right)]
+    edges = bin_edges(1.0, speed, *sides)
+    left, right = (one.sign * bin_means(each, edges, held=True) for one, each in zip(found[:2], sides, strict=True))
+    return float(without_sign(left, right, bin_means(speed, edges)).sum())
 
 
 def _clipped(certainty: float) -> float:

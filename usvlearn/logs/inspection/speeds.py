@@ -12,17 +12,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from usvlearn.logs.channels.channel import AUTO, UNITS, Channel
+from usvlearn.logs.channels.channel import AUTO, RARE, SPEEDS, UNITS, Channel
 from usvlearn.logs.channels.copies import find_period
-from usvlearn.logs.channels.relations import Relation, speed_on_positions
+from usvlearn.logs.channels.relations import Relation, speed_on_positions, speed_on_thrust
 from usvlearn.logs.inspection.candidate import Candidate
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.directions import agreement
+from usvlearn.logs.inspection.known import known_velocity
 from usvlearn.logs.inspection.places import CLOSE as FOLLOWED
 from usvlearn.logs.inspection.places import Pair, Places, crossed
-from usvlearn.logs.inspection.vocabulary import fit, words
+from usvlearn.logs.inspection.vocabulary import OTHER_UNITS, fit, words
 
-SPEEDS = tuple(unit for unit in ("m/s", "km/h", "knots", "cm/s", "mm/s") if unit in UNITS)
 RATIO = 1.3  # by which a slope may differ from that of a unit, as far as that unit is near at all
 FITS, SAME = 1.05, 0.95  # by which it may differ, and the correlation, of a unit that is certain
 FOLLOWS, SURE = 0.6, 4.0  # correlation with the rate of position, and that in standard errors
@@ -34,6 +34,7 @@ STEADY, TIGHT = 0.4, 1.1  # correlation of a speed that varies little, and then 
 BETTER = 4  # by which 1 − correlation must shrink, to take latitude and longitude against their names
 DOUBT = 2.0  # by which it must shrink where the unit of the speed decides, or both are doubtful
 MORE = 0.005  # by which the correlation must grow, too, where they are doubtful
+MOST, UNLIKE, LIKE = 4, 0.35, 0.5  # series that are compared; correlations with commands
 PLAUSIBLE = 15.0  # m/s, of a boat of this kind
 CONVENTIONS = {  # kind of a message, or of a log -> unit by its standard
     "geometry_msgs": "m/s",
@@ -85,7 +86,8 @@ def find_speeds(pool: Sequence[Candidate], places: Sequence[Places], convention:
         name = fit("surge", each.label)
         angle = max(fit(role, each.label) for role in ("heading", "course"))
         part = max(fit(role, each.label) for role in ("velocity_north", "velocity_east"))
-        if name < 0 or part >= 2 or (name < 1 and (not places or angle >= 1)) or _is_position(each, places):
+        unfit = part >= 2 or (name < 1 and (not places or angle >= 1)) or each.unit in OTHER_UNITS
+        if name < 0 or unfit or _is_position(each, places):
             continue
         relation = speed_on_positions(places[0].north, places[0].east, each.evidence) if places else None
         speed = read_speed(each, relation, convention, name)
@@ -96,6 +98,18 @@ def find_speeds(pool: Sequence[Candidate], places: Sequence[Places], convention:
     found.sort(key=lambda each: (not each.confirmed, -each.score))
     known = next((each for each in found if each.certainty == CERTAIN), None)
     return [by_other(each, known) if known and each.certainty == UNSURE else each for each in found]
+
+
+def by_reaction(speeds: list[Speed], commands: Sequence[Candidate]) -> list[Speed]:
+    """The speeds; where no position proves one, that which follows the commands stands before one that does not."""
+    if len(speeds) < 2 or speeds[0].confirmed or not commands:
+        return speeds
+    pairs, follows = [each.evidence for each in commands[:MOST]], []
+    for each in speeds[:MOST]:
+        found = [speed_on_thrust(pair, pair, each.metres).correlation for pair in pairs]
+        follows.append(float(np.nanmax(np.abs(found), initial=0.0)))
+    first = int(np.argmax(follows)) if follows[0] < UNLIKE < LIKE < max(follows) else 0
+    return [speeds[first], *speeds[:first], *speeds[first + 1 :]]
 
 
 def interchanged(places: Places, speeds: Sequence[Candidate]) -> tuple[Places, bool]:
@@ -123,11 +137,11 @@ def interchanged(places: Places, speeds: Sequence[Candidate]) -> tuple[Places, b
 
 def read_speed(candidate: Candidate, relation: Relation | None, convention: str, name: float) -> Speed:
     """The unit of a speed by all evidence that there is."""
-    declared = candidate.unit if candidate.unit in SPEEDS else ""
+    declared = candidate.unit if candidate.unit in (*SPEEDS, *RARE) else ""
     usual = next((unit for kind, unit in CONVENTIONS.items() if kind in candidate.kind or kind == convention), "")
     score = name + quality(candidate) + 0.3 * ("nav" in words(candidate.name))
     if relation is not None and _enough(relation):
-        unit = unit_of(relation.slope)
+        unit = unit_of(relation.slope, first=declared)
         if relation.correlation >= FOLLOWS and unit and (unit == "m/s" or not _is_twist(candidate)):
             return _near(candidate, unit, relation, declared, declared or usual, score)
         if relation.correlation >= FOLLOWS and _is_twist(candidate):
@@ -139,7 +153,7 @@ def read_speed(candidate: Candidate, relation: Relation | None, convention: str,
             others = (*(unit for unit in SPEEDS[:3] if unit != (declared or "m/s")), _by_span(relation))
             return Speed(candidate, declared or "m/s", UNSURE, sentence, others, False, True, score - 2)
     if relation is not None and relation.seconds >= LONG and relation.correlation >= STEADY:
-        unit = unit_of(relation.slope, TIGHT)
+        unit = unit_of(relation.slope, TIGHT, declared)
         if unit and unit == (declared or "m/s"):
             sentence = f"{relation.slope:.3g} × the rate of position; the speed varies too little to be certain"
             return Speed(candidate, unit, PROBABLE, sentence, (), False, False, score + 1)
@@ -151,37 +165,21 @@ def read_speed(candidate: Candidate, relation: Relation | None, convention: str,
         sentence = f"values reach {candidate.size:.3g}, too much for {unit}{doubt}"
         return Speed(candidate, unit, UNSURE, sentence, others, False, follows_not, score - 3)
     if declared:
-        sentence = (
-            f"the log says {declared}; no position confirms it" if relation is None else f"the log says {declared}"
-        )
-        sure = UNSURE if follows_not else PROBABLE
-        return Speed(
-            candidate,
-            unit,
-            sure,
-            sentence + doubt,
-            others if follows_not else (),
-            False,
-            follows_not,
-            score - 2 * follows_not,
-        )
-    if usual:
-        sure = UNSURE if follows_not else PROBABLE
-        return Speed(
-            candidate, unit, sure, f"m/s by convention{doubt}", others, False, follows_not, score - 2 * follows_not
-        )
-    sentence = "neither the name nor a position tells the unit"
-    return Speed(candidate, unit, UNSURE, sentence + doubt, others, False, follows_not, score - 2 * follows_not)
+        sentence = f"the log says {declared}" + ("; no position confirms it" if relation is None else "")
+        others = others if follows_not else ()
+    else:
+        sentence = "m/s by convention" if usual else "neither the name nor a position tells the unit"
+    sure = UNSURE if follows_not or not (declared or usual) else PROBABLE
+    return Speed(candidate, unit, sure, sentence + doubt, others, False, follows_not, score - 2 * follows_not)
 
 
 def _near(candidate: Candidate, unit: str, relation: Relation, declared: str, expected: str, score: float) -> Speed:
     """A speed that follows the rate of position, in the unit that is nearest; a unit must fit closely to be certain."""
     sentence = f"{relation.slope:.3g} × the rate of position (correlation {relation.correlation:.2f})"
     if declared and declared != unit:
-        return Speed(
-            candidate, unit, UNSURE, f"{sentence}, but declared as {declared}", (declared,), True, False, score
-        )
-    fits = unit_of(relation.slope, FITS) == unit
+        sentence += f", but declared as {declared}"
+        return Speed(candidate, unit, UNSURE, sentence, (declared,), True, False, score)
+    fits = unit_of(relation.slope, FITS, declared) == unit
     score += 2 * relation.correlation
     if fits or unit == expected:
         sure = CERTAIN if fits and relation.correlation > SAME else PROBABLE
@@ -242,6 +240,8 @@ def find_velocities(
     pool: Sequence[Candidate], places: Sequence[Places], heading: Pair | None, convention: str
 ) -> Velocities | None:
     """Two series that are the velocity to the north and to the east, by name or by their direction, if there are."""
+    if known := known_velocity(pool, convention):
+        return _velocities(*known, places, convention)
     for north in pool:
         for east in pool if fit("velocity_north", north.label) >= 2 else ():
             if fit("velocity_east", east.label) >= 2 and (east.name == north.name or north.field in (None, "data")):
@@ -298,13 +298,14 @@ def along_hull(pool: Sequence[Candidate]) -> list[Candidate]:
     return [each for each in pool if not any(each is part for part in parts)]
 
 
-def unit_of(slope: float, tolerance: float = RATIO) -> str:
-    """The unit in which a speed is `slope` times the speed in m/s; "" if there is none.
+def unit_of(slope: float, tolerance: float = RATIO, first: str = "") -> str:
+    """The unit in which a speed is `slope` times the speed in m/s, `first` where it fits; "" if there is none.
 
     >>> unit_of(1.95), unit_of(3.7), unit_of(1.4)
     ('knots', 'km/h', '')
     """
-    ratios = {unit: abs(math.log(max(slope, 1e-9) * UNITS[unit][0])) for unit in SPEEDS}
+    units = (first,) if first in RARE else SPEEDS
+    ratios = {unit: abs(math.log(max(slope, 1e-9) * UNITS[unit][0])) for unit in units}
     best = min(ratios, key=lambda unit: ratios[unit])
     return best if ratios[best] < math.log(tolerance) else ""
 
@@ -320,13 +321,7 @@ def tell_speed(speeds: Sequence[Speed], channels: dict, series: dict) -> list[De
     channels["surge"] = candidate.source(unit=best.unit, window=AUTO, period="auto")
     series["surge"] = candidate
     close = [each for each in speeds[1:] if each.score > best.score - 1.5 and not each.contradicted]
-    sure = (
-        CERTAIN
-        if best.confirmed and fit("surge", candidate.label) >= 1
-        else PROBABLE
-        if not best.contradicted
-        else UNSURE
-    )
+    sure = CERTAIN if best.confirmed else UNSURE if best.contradicted else PROBABLE
     if fit("surge", candidate.label) < 1:
         sure = PROBABLE if best.certainty == CERTAIN else UNSURE
     elif not best.confirmed and _is_part(candidate):
@@ -344,11 +339,8 @@ def tell_speed(speeds: Sequence[Speed], channels: dict, series: dict) -> list[De
     ]
     period, share = _period_of(candidate)
     if period:
-        decisions.append(
-            Decision(
-                "surge", "period", f"{period:g} s", PROBABLE, f"{share:.0%} of the speeds are copies of the one before"
-            )
-        )
+        why = f"{share:.0%} of the speeds are copies of the one before"
+        decisions.append(Decision("surge", "period", f"{period:g} s", PROBABLE, why))
     return decisions
 
 
@@ -374,14 +366,23 @@ def tell_velocities(found: Velocities, speeds: Sequence[Speed], channels: dict, 
         channels[name] = candidate.source(unit=size.unit, window=AUTO)
         series[name] = candidate
         sure = UNSURE if found.guessed else CERTAIN if size.confirmed else PROBABLE
-        why = ("by its direction" if found.guessed else "by name") + (
-            "; their size follows the rate of position" if size.confirmed else ""
-        )
+        why = "by its direction" if found.guessed else "by name"
+        why += "; their size follows the rate of position" if size.confirmed else ""
         decisions.append(Decision(name, "series", candidate.label, sure, why))
         decisions.append(Decision(name, "unit", size.unit, size.certainty, size.reason, size.alternatives))
     why = "velocities and heading give a signed surge" + (f"; before {', '.join(others)}" if others else "")
     sure = UNSURE if found.guessed else PROBABLE
     return [*decisions, Decision("surge", "series", "from the velocities", sure, why, others)]
+
+
+def tell_without_sign(speed: Speed, seconds: float, course: object, placed: bool) -> list[Decision]:
+    """The surge of a boat that goes astern, where its speed has no sign in some seconds, but a course or a position."""
+    why = f"{speed.candidate.label} has no sign, and in {seconds:.0f} s both commands push astern while it rises"
+    if not course and not placed:
+        why += ": log velocities, a course or a position, too, or leave out the logs in which the boat goes astern"
+        return [Decision("surge", "sign", "never astern", UNSURE, why)]
+    value = "from speed and course" if course else "from the position"
+    return [Decision("surge", "series", value, PROBABLE, why, (speed.candidate.label,))]
 
 
 def tell_places_as_speed() -> list[Decision]:

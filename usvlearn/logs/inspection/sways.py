@@ -11,13 +11,13 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from usvlearn.logs.channels.channel import AUTO, SWAY, UNITS
+from usvlearn.logs.channels.channel import AUTO, SPEEDS, SWAY, UNITS
 from usvlearn.logs.channels.relations import NOTHING, Relation, sway_on_positions
 from usvlearn.logs.inspection.candidate import Candidate
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.directions import Heading
 from usvlearn.logs.inspection.places import Places
-from usvlearn.logs.inspection.speeds import SPEEDS, Speed, unit_of
+from usvlearn.logs.inspection.speeds import Speed, unit_of
 from usvlearn.logs.inspection.vocabulary import fit, words
 
 PAIRS = {("x", "y"), ("u", "v"), ("vx", "vy"), ("surge", "sway"), ("ahead", "sideways"), ("forward", "lateral"),

@@ -23,10 +23,10 @@ DERIVED = {"error", "err", "sigma", "gain", "bias", "var", "variance", "std", "a
            "acceleration", "cov", "covariance", "dot", "max", "min", "limit", "avg", "mean", "zero", "point",
            "offset", "upper", "lower", "status", "mode", "flag", "id", "seq", "count", "integral", "iter", "len",
            "gap", "age"}  # fmt: skip
-FOREIGN = {"wind", "water", "solar", "sun", "battery", "batt", "voltage", "volt", "current", "temp",
-           "temperature", "depth", "pressure", "sway", "roll", "pitch", "heave", "wave", "altitude", "alt", "mag",
-           "camera", "rssi", "cpu", "air", "wp", "waypoint", "rc", "vertical", "climb", "down", "lateral", "sideways",
-           "transverse", "rollspeed", "pitchspeed"} | languages.FOREIGN | languages.SIDEWAYS  # fmt: skip
+FOREIGN = {"wind", "water", "solar", "sun", "battery", "batt", "bat", "vbat", "vbatt", "voltage", "volt", "current",
+           "temp", "temperature", "depth", "pressure", "sway", "roll", "pitch", "heave", "wave", "altitude", "alt",
+           "mag", "camera", "rssi", "cpu", "air", "wp", "waypoint", "rc", "vertical", "climb", "down", "lateral",
+           "sideways", "transverse", "rollspeed", "pitchspeed"} | languages.FOREIGN | languages.SIDEWAYS  # fmt: skip
 
 ENGLISH: dict[str, dict[str, float]] = {  # role -> word -> how strongly it names the role
     "heading": {"heading": 3, "hdg": 3, "hdt": 3, "yaw": 3, "psi": 2, "theta": 1.5, "compass": 2, "orientation": 2,
@@ -46,8 +46,8 @@ ENGLISH: dict[str, dict[str, float]] = {  # role -> word -> how strongly it name
     "command": {"thrust": 3, "thruster": 3, "thr": 3, "motor": 2.5, "pwm": 2.6, "esc": 2.6, "servo": 2, "throttle": 3,
                 "prop": 2, "propeller": 2.5, "drive": 2, "cmd": 2, "command": 2.5, "power": 1.5, "actuator": 2,
                 "output": 1, "rcou": 2, "engine": 2, "propulsion": 2, "m": 1, "t": 0.5, "c": 0.5, "ch": 0.5,
-                "rpm": 1.8},
-    "rudder": {"rudder": 3, "steer": 3, "steering": 3, "rud": 3, "nozzle": 2},
+                "rpm": 1.8, "rps": 1.8, "rev": 1.8, "n": 1.5, "duty": 1.8},
+    "rudder": {"rudder": 3, "steer": 3, "steering": 3, "rud": 3, "nozzle": 2, "helm": 2.5, "delta": 2},
 }  # fmt: skip
 WORDS = {role: languages.weights(role) | own for role, own in ENGLISH.items()}
 PLURALS: dict[str, str] = {f"{word}s": word for word in ENGLISH["command"] if len(word) > 2}  # as in motors.port
@@ -56,6 +56,14 @@ RATES = {"rate", "dot", "speed", "vel", "velocity", "rotation"} | languages.RATE
 OVER_GROUND = {"ground", "gprmc", "gps"} | languages.OVER_GROUND
 FORCES = {"tau", "force", "wrench", "kraft", "fx"}  # of the whole boat, beside an axis
 MOMENTS = {"tau", "torque", "moment", "wrench", "mz"}
+SYMBOLS = {"command": {"m", "t", "c", "ch", "n"}, "rudder": {"delta"}, "surge": {"u", "v"}}  # in names of their own
+BESIDE = set("cmd command order measured actual boat ship usv main ekf est filtered body b r x y z".split())
+NO_THRUST = set(
+    "distance dist range bearing energy odometer fuel charge watts watt wh kwh mah strecke distanz peilung energie "
+    "afstand distancia distanza avstand".split()
+)
+LATERAL = {"tunnel", "bowthruster", "sternthruster"} | languages.LATERAL
+OTHER_UNITS = set("m km V mV A mA W kW Wh kWh Ah mAh J kJ Hz Pa hPa bar °C degC dB m/s/s".split())  # of neither
 AZIMUTHS = {"azimuth", "azimuths", "azi", "azipod"}
 AHEAD, ABOUT = {"x", "u", "surge", "ahead", "forward", "1", "fx"}, {"z", "n", "r", "psi", "yaw", "3", "6", "mz"}
 SIDED = {"pwm", "thrust", "thruster", "motor", "cmd", "esc", "prop", "thr", "throttle", "drive"}
@@ -68,7 +76,8 @@ UNIT_WORDS = {  # words of a name that tell a unit
     "deg": "deg", "degree": "deg", "degrees": "deg", "rad": "rad", "radian": "rad", "radians": "rad",
     "kn": "knots", "kt": "knots", "kts": "knots", "knot": "knots", "kmh": "km/h", "kph": "km/h", "mps": "m/s",
     "ms": "m/s", "percent": "percent", "pct": "percent", "newton": "N", "newtons": "N", "pwm": "us", "us": "us",
-    "mm": "mm/s", "cm": "cm/s", **{word: unit for unit, spoken in languages.UNITS.items() for word in spoken},
+    "mm": "mm/s", "cm": "cm/s", "mph": "mph", "fps": "ft/s", "dpm": "deg/min",
+    **{word: unit for unit, spoken in languages.UNITS.items() for word in spoken},
 }  # fmt: skip
 
 
@@ -116,6 +125,16 @@ def names_azimuth(name: str) -> bool:
     return bool(turned) and not FOREIGN & found
 
 
+def is_lateral(name: str) -> bool:
+    """Whether a name tells a thruster that pushes sideways.
+
+    >>> [name for name in ("bow_thruster", "stern tunnel", "bow_thruster_left", "main_engine") if is_lateral(name)]
+    ['bow_thruster', 'stern tunnel']
+    """
+    found = set(words(name))
+    return bool(LATERAL & found or ({"bow", "stern"} & found and not SIDES & found))
+
+
 def names_force(name: str) -> bool:
     """Whether a name tells the force ahead of all thrusters together.
 
@@ -148,7 +167,9 @@ def fit(role: str, name: str) -> float:
     found = set(spoken)
     if len(spoken) > 1 and spoken[-1] == "d" and not spoken[-2].isdigit():
         found.add("desired")  # as in psi_d
-    score = max((WORDS[role].get(word, 0) for word in found), default=0)
+    plain = [word for word in found - UNIT_WORDS.keys() - NUMBER - SIDES - BESIDE if not word.isdigit()]
+    symbols = SYMBOLS.get(role, set()) if len(plain) > 1 else set()
+    score = max((WORDS[role].get(word, 0) for word in found - symbols), default=0)
     rate = bool(TURNS & found and RATES & found) or (
         "z" in found and bool({"angular", "gyro", "gyr", "omega"} & found) and "accel" not in found
     )
@@ -179,12 +200,15 @@ def fit(role: str, name: str) -> float:
         score = min(score, 3) + 0.5 * bool(score and (LEFT | RIGHT) & found)
         score -= 1 * bool({"force", "feedback", "kraft", "newton"} & found)
         score = 2.5 if names_force(name) else score - 4 * names_moment(name)
+        score -= 4 * bool(NO_THRUST & found) + 4 * is_lateral(name)
     elif role == "rudder" and names_moment(name):
         score = 2.5
     if role not in ("command", "rudder"):
         score -= 4 * bool(DRIVES & found)
         score -= 6 * bool(SETPOINT & found) + 3 * bool(COMMANDED & found)
-    derived = DERIVED - ({"dot"} if role == "yaw_rate" else set()) - ({"max", "min"} & WORDS[role].keys())
+    own = {"max", "min"} & WORDS[role].keys() | ({"dot"} if role == "yaw_rate" else set())
+    own |= {"min"} if "/min" in name or {"deg", "degrees"} & found else set()  # a minute
+    derived = DERIVED - own
     foreign = FOREIGN - WORDS["sway"].keys() if role == "sway" else FOREIGN
     return score - 5 * bool(derived & found and not (role == "yaw_rate" and rate)) - 4 * bool(foreign & found)
 

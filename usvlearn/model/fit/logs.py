@@ -18,6 +18,7 @@ from scipy.signal import savgol_filter
 from usvlearn.core.rows import COS, LEFT, MODE, PREDICT, RIGHT, SIN, SURGE, YAW_RATE
 from usvlearn.core.samples import Fleet, tree_map
 from usvlearn.errors import ConfigError
+from usvlearn.logs.channels.astern import without_sign
 from usvlearn.model.fit.gauss_newton import rows_of, scored
 
 DT = 0.1  # s, of the grid
@@ -44,7 +45,7 @@ def missions_of(fleet: Fleet, boat: str, dt: float = DT) -> dict[str, np.ndarray
         dt: s.
 
     Raises:
-        ConfigError: there are too few measured steps in which the boat moves.
+        ConfigError: there are too few measured steps in which the boat moves, or its speed has no sign.
     """
     element, found = fleet.boats.index(boat), dict[str, np.ndarray]()
     for k, run in enumerate(fleet.runs):
@@ -53,6 +54,13 @@ def missions_of(fleet: Fleet, boat: str, dt: float = DT) -> dict[str, np.ndarray
             if scored(rows).any():
                 name = run.names[element]
                 found[name if name not in found else f"{name} ({k + 1})"] = smoothed(rows, dt)
+    back = sum(float(without_sign(rows[:, LEFT], rows[:, RIGHT], rows[:, SURGE]).sum()) for rows in found.values())
+    if back:
+        raise ConfigError(
+            f"{boat}: found {back * dt / 60:.1f} min in which both commands push astern and the speed, which is never "
+            "below 0, rises, expected a speed with a sign: set velocities to the north and east, ground speed and "
+            "course, or the position alone in data.channels, and train again, or leave these logs out"
+        )
     measured = sum(int(scored(rows).sum()) for rows in found.values())
     if measured < FEWEST:
         raise ConfigError(

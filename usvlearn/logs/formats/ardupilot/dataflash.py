@@ -7,7 +7,7 @@ format letters and field names of a type; https://ardupilot.org/dev/docs/code-ov
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, NamedTuple
@@ -17,7 +17,7 @@ import numpy as np
 from usvlearn.errors import LogFormatError, check_choice
 from usvlearn.logs.channels.channel import Channel, Source
 from usvlearn.logs.channels.series import Series
-from usvlearn.logs.formats.ardupilot.servos import Servos
+from usvlearn.logs.formats.ardupilot.servos import OUTPUTS, Servos
 from usvlearn.logs.formats.messages import DISARMED, Field, Key, MessageLog, Messages, Vehicle, warn_of_damage
 
 LETTERS = {  # of a format: the type, and what it is divided by
@@ -34,7 +34,7 @@ KINDS = {"Name": "S", "Label": "S", "UnitIds": "S", "MultIds": "S", "Id": "iu", 
 ARMING = {"ARM": ("ArmState", {1: True, 0: False}), "EV": ("Id", {10: True, 11: False})}  # messages, field, values
 NAME = re.compile(r"\w+", re.ASCII)
 FMT = b"\x80\x59FMT\0" + b"BBnNZ".ljust(16, b"\0") + b"Type,Length,Name,Format,Columns".ljust(64, b"\0")
-SERVOS = Servos(("RCOU", "RCO2", "RCO3"), "C(?:h|han)?{n}")
+SERVOS = Servos(OUTPUTS[:3], "C(?:h|han)?{n}")
 
 
 @dataclass(frozen=True)
@@ -116,6 +116,11 @@ class DataFlash:
         usvlearn.errors.LogFormatError: ...a.bin: expected an ArduPilot DataFlash log, found no message that ...
         """
         return _log(path).survey(DESCRIPTIONS)
+
+
+def parameters_of(path: Path) -> Mapping[str, float]:
+    """The last parameters in a log."""
+    return _log(path).vehicles[""].parameters
 
 
 class Layout(NamedTuple):

@@ -21,6 +21,7 @@ import numpy as np
 
 from usvlearn.errors import LogFormatError
 
+OUTPUTS = ("RCOU", "RCO2", "RCO3", "SERVO_OUTPUT_RAW")  # messages of pulse widths, of a log and of telemetry
 FUNCTIONS = {"throttle_left": 73, "throttle_right": 74, "throttle": 70, "steering": 26}
 DEFAULTS = {"MIN": 1100.0, "TRIM": 1500.0, "MAX": 1900.0, "REVERSED": 0.0}  # of ArduPilot, us
 FUNCTION = re.compile(r"SERVO(\d{1,3})_FUNCTION")
@@ -78,6 +79,10 @@ class Servos:
         if servos := found.get(FUNCTIONS[name]):
             return min(servos)
         raise LogFormatError(f"{where}: {_no_servo(name, found)}")
+
+    def are_known(self, number: int, parameters: Mapping[str, float]) -> bool:
+        """Whether a log holds all limits of a servo."""
+        return all(f"SERVO{number}_{each}" in parameters for each in DEFAULTS)
 
     def column(self, number: int, fields: Collection[str]) -> str | None:
         """The field that holds the pulse width of a servo; None if there is none."""

@@ -16,7 +16,7 @@ from usvlearn.errors import LogFormatError, check_choice
 from usvlearn.logs.channels.channel import Channel, Source
 from usvlearn.logs.channels.series import Series
 from usvlearn.logs.formats.ardupilot.mavlink_messages import MESSAGES
-from usvlearn.logs.formats.ardupilot.servos import Servos
+from usvlearn.logs.formats.ardupilot.servos import OUTPUTS, Servos
 from usvlearn.logs.formats.messages import DISARMED, Key, MessageLog, Messages, Vehicle, warn_of_damage
 
 CLOCK_LIMIT = 5.0  # s; a vehicle's stamp further from the receipt belongs to another boot, or to no clock
@@ -24,7 +24,7 @@ WRAP = 2**32 * 1e-6  # s, after which a stamp of 32 bits in us begins anew
 ARMED = 128  # bit of HEARTBEAT.base_mode
 NO_AUTOPILOT, GROUND_STATION = 8, 6  # HEARTBEAT.autopilot, HEARTBEAT.type
 HEARTBEAT, PARAM_VALUE = 0, 22  # ids
-SERVOS = Servos(("SERVO_OUTPUT_RAW",), "servo{n}_raw")
+SERVOS = Servos(OUTPUTS[3:], "servo{n}_raw")
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from usvlearn.logs.formats.csv.quaternions import Quaternion, Yaw, quaternions, 
 from usvlearn.logs.formats.csv.rows import Column, Rows
 from usvlearn.logs.formats.csv.stamps import ORDERS, spread
 
+HEMISPHERES = ("N", "S", "E", "W")  # cells of a column beside a latitude or a longitude
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "days": 86400.0}
 GRAIN = 0.864  # s, of days with five decimals, as a spreadsheet writes them
 CLOCK = "hhmmss"  # in place of a unit: times of a day as numbers
@@ -333,6 +334,9 @@ class Opened:
         for name in (each for each in list(columns.found) if each not in parts):
             column = columns.found.pop(name)
             known = np.isfinite(column.values)
+            if not known.any() and column.first.strip() in HEMISPHERES:
+                ones, unit = np.ones(int(readable.sum())), f"hemisphere {column.first.strip()}"
+                series.append(Series(name, None, columns.time[readable], ones, columns.order[readable], unit))
             if known.any() and 2 * known.sum() >= (~column.empty).sum():
                 rotation = self.quaternions.get(name)
                 unit = rotation.unit if rotation else self.dialect.units[every.index(name)]

@@ -1,0 +1,271 @@
+"""Logs of strangers: what `usvlearn inspect` concludes of them, and where it asks in place of guessing."""
+
+import numpy as np
+import pytest
+
+from tests.support.ardupilot import PARAMETERS, dataflash, frame
+from tests.support.strangers import concluded, sail, told
+from usvlearn.errors import LogFormatError
+from usvlearn.logs.inspection.candidate import missing_values
+from usvlearn.logs.inspection.inspected import inspect_logs
+from usvlearn.logs.inspection.vocabulary import fit
+
+
+def pulses(share):
+    return np.round(1500 + 400 * share)
+
+
+def driven(boat, **columns):
+    return concluded(boat, pwm_left=pulses(boat["l"]), pwm_right=pulses(boat["r"]), heading=boat["hdg"], **columns)
+
+
+def tell(boat, name, **columns):
+    return told(driven(boat, **columns))[tuple(name.split())]
+
+
+@pytest.mark.parametrize("names", [("RCOU__C1", "RCOU__C3"), ("output_1", "output_2"), ("servo1", "servo3")])
+def test_what_drives_the_speed_alone_is_a_throttle_and_no_side(names):
+    boat = sail(6)
+    steer, throttle = 1500 + 300 * (boat["l"] - boat["r"]), 1500 + 200 * (boat["l"] + boat["r"])
+    found = concluded(boat, **dict(zip(names, (steer, throttle), strict=True)), heading=boat["hdg"], speed=boat["u"])
+    own = [found.channels[f"command_{side}"] for side in ("left", "right")]
+    assert own[0] == own[1]
+    assert own[0].get("field", own[0]["name"]) == names[1].split("__")[-1]
+    assert told(found)["command_left", "series"][1] == "unsure"
+
+
+def test_two_rudders_and_two_motors_with_the_same_commands_are_no_sides():
+    boat = sail(6)
+    steer, throttle = 1500 + 300 * (boat["l"] - boat["r"]), 1500 + 200 * (boat["l"] + boat["r"])
+    outputs = {"RCOU__C1": steer, "RCOU__C2": steer, "RCOU__C3": throttle, "RCOU__C4": throttle}
+    found = concluded(boat, **outputs, heading=boat["hdg"], speed=boat["u"])
+    assert {found.channels[f"command_{side}"]["field"] for side in ("left", "right")} == {"C3"}
+
+
+@pytest.mark.parametrize("steering", [26.0, 73.0])
+def test_the_parameters_of_an_autopilot_decide_first(tmp_path, steering):
+    path, throttle = tmp_path / "a.bin", 70.0 if steering == 26 else 74.0
+    functions = {"SERVO1_FUNCTION": steering, "SERVO3_FUNCTION": throttle}
+    path.write_bytes(dataflash(80, PARAMETERS | functions))
+    found = inspect_logs([str(path)]).proposal
+    fields = [found.channels[f"command_{side}"]["field"] for side in ("left", "right")]
+    assert fields == (["throttle"] * 2 if steering == 26 else ["throttle_left", "throttle_right"])
+    assert told(found)["command_left", "span"] == ("1", "certain")
+
+
+@pytest.mark.parametrize("function", [4.0, 33.0])
+def test_a_log_of_an_aeroplane_or_a_copter_is_refused_unless_it_is_wanted(tmp_path, function):
+    path = tmp_path / "a.bin"
+    path.write_bytes(dataflash(80, PARAMETERS | {"SERVO1_FUNCTION": function, "SERVO3_FUNCTION": 0.0}))
+    with pytest.raises(LogFormatError, match=r"(aeroplane|multicopter).*--any-vehicle"):
+        inspect_logs([str(path)])
+    inspect_logs([str(path)], any_vehicle=True)
+
+
+def test_two_vehicles_of_one_telemetry_log_are_never_one_boat(tmp_path):
+    path, frames = tmp_path / "two.tlog", []
+    for k in range(300):
+        for system in (1, 2):
+            at = {"time_boot_ms": 100 * k}
+            turned = 0.02 * k * system % 6.28 - 3.14
+            frames.append(frame("ATTITUDE", k / 10, sender=(system, 1), yaw=turned, yawspeed=0.2 * system, **at))
+            servos = {f"servo{n}_raw": 1500 + (300 * n + 70 * system + 7 * k) % 400 for n in (1, 3)}
+            frames.append(frame("SERVO_OUTPUT_RAW", k / 10, sender=(system, 1), time_usec=100_000 * k, **servos))
+    path.write_bytes(b"".join(frames))
+    found = inspect_logs([str(path)])
+    names = {str(each["name"]) for each in found.proposal.channels.values() if each["name"]}
+    assert names
+    assert all(name.endswith("@1.1") for name in names)
+    (asked,) = (each for each in found.decisions if each.what == "system")
+    assert (asked.certainty, asked.alternatives) == ("unsure", ("2",))
+    assert "@2.1" in asked.reason
+
+
+def test_the_known_messages_of_a_format_stand_before_backups_and_whole_degrees():
+    boat = sail()
+    whole, fine = np.round(boat["hdg"]), (boat["psi"] + np.pi) % (2 * np.pi) - np.pi
+    north, east = (boat["u"] * each(boat["psi"]) for each in (np.cos, np.sin))
+    ways = {"LOCAL_POSITION_NED__vx": north, "LOCAL_POSITION_NED__vy": east, "VFR_HUD__groundspeed": boat["sog"]}
+    found = concluded(boat, "MAVLink telemetry", AHRS2__yaw=fine, VFR_HUD__heading=whole, ATTITUDE__yaw=fine, **ways,
+                      cmd_left=boat["l"], cmd_right=boat["r"])  # fmt: skip
+    assert found.channels["heading"]["name"] == "ATTITUDE"
+    assert [found.channels[f"velocity_{way}"]["field"] for way in ("north", "east")] == ["vx", "vy"]
+    assert "surge" not in found.channels
+
+
+def test_a_speed_without_a_sign_of_a_boat_that_goes_astern_is_replaced_or_told():
+    boat = sail(6)
+    alone, placed = driven(boat, sog=boat["sog"]), driven(boat, sog=boat["sog"], lat=boat["lat"], lon=boat["lon"])
+    course = driven(boat, sog=boat["sog"], cog=boat["cog"])
+    assert told(alone)["surge", "sign"] == ("never astern", "unsure")
+    assert told(placed)["surge", "series"] == ("from the position", "probable")
+    assert "surge" not in placed.channels
+    assert {"ground_speed", "course"} <= course.channels.keys()
+    assert driven(boat, sog=boat["sog"], ekf_speed=boat["u"]).channels["surge"]["name"] == "ekf_speed"
+    ahead = sail(6, lowest=0.0)
+    assert driven(ahead, sog=np.abs(ahead["u"])).channels["surge"]["name"] == "sog"
+
+
+@pytest.mark.parametrize("names", [("r_speed", "y_speed", "e_speed"), ("speed_r", "speed_y", "speed_e")])
+def test_the_output_of_a_controller_is_the_speed_not_its_reference(names):
+    boat = sail()
+    wanted = 1.2 * (boat["u"] > 0.2)
+    found = driven(boat, **dict(zip(names, (wanted, boat["u"], wanted - boat["u"]), strict=True)))
+    assert found.channels["surge"]["name"] == names[1]
+    assert told(found)["surge", "series"][0] == names[1]
+
+
+def test_of_two_speeds_that_which_follows_the_commands_is_taken():
+    boat = sail(6)
+    other = 1 + np.cumsum(np.random.default_rng(0).normal(0, 0.05, len(boat["u"]))) / 5
+    assert driven(boat, speed=other, vel=boat["u"]).channels["surge"]["name"] == "vel"
+
+
+NEUTRALS = [(7.5, 2, -0.8), (80, 15, -0.8), (0.075, 0.02, -0.8), (2048, 1500, -0.8), (1520, 400, -0.8)]
+IDLE = [(1000, 1000, 0.0), (1100, 800, 0.0), (5, 5, 0.0)]
+
+
+@pytest.mark.parametrize(("zero", "span", "lowest"), [*NEUTRALS, *IDLE])
+def test_where_the_boat_stands_decides_the_zero(zero, span, lowest):
+    boat = sail(6, 2, lowest)
+    left, right = (zero + span * boat[side] for side in "lr")
+    found = concluded(boat, duty_left=left, duty_right=right, heading=boat["hdg"], speed=boat["u"])
+    own = found.channels["command_left"]
+    assert own["zero"] == pytest.approx(zero, rel=1e-3)
+    assert own["span"] == pytest.approx(span, rel=0.03)
+    assert told(found)["command_left", "zero"][1] == "probable"
+
+
+def test_a_dead_zone_is_told():
+    boat = sail(6)
+    idle = 20 * np.random.default_rng(0).uniform(-1, 1, len(boat["l"]))
+    left, right = (1500 + np.where(share == 0, idle, 380 * share) for share in (boat["l"], boat["r"]))
+    found = concluded(boat, pwm_left=left, pwm_right=right, heading=boat["hdg"], speed=boat["u"])
+    (why,) = (each.reason for each in found.decisions if each[:2] == ("command_left", "zero"))
+    assert "14" in why and "15" in why and "a dead zone" in why
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_commands_of_any_kind_make_no_error(seed):
+    rng, boat = np.random.default_rng(seed), sail()
+    size = len(boat["l"])
+    kinds = [rng.normal(1500, 90, size), rng.integers(0, 2, size), rng.integers(0, 3, size) * 50 + 50, np.arange(size)]
+    kinds += [np.full(size, 7.5), np.where(rng.random(size) < 0.5, 1e9, 1.0)]
+    for left in kinds:
+        for right in kinds:
+            concluded(boat, esc_left=left, esc_right=right, heading=boat["hdg"], speed=np.abs(rng.normal(0, 1, size)))
+
+
+@pytest.mark.parametrize("bow", ["bow_thruster", "stern_tunnel_thruster", "Bugstrahlruder"])
+def test_a_thruster_that_pushes_sideways_is_no_throttle(bow):
+    boat = sail()
+    found = concluded(boat, **{bow: 30 * np.sin(boat["time"] / 8)}, main_engine=50 * (boat["l"] + boat["r"]),
+                      helm=20 * (boat["l"] - boat["r"]), heading=boat["hdg"], speed=boat["u"])  # fmt: skip
+    assert {found.channels[f"command_{side}"]["name"] for side in ("left", "right")} == {"main_engine"}
+
+
+@pytest.mark.parametrize(
+    ("throttle", "rudder"),
+    [("rev", "δ"), ("n", "delta"), ("rpm", "helm"), ("rps", "delta_cmd"), ("Drehzahl (1/min)", "Ruder (°)")],
+)
+def test_the_symbols_of_ships_are_known(throttle, rudder):
+    boat = sail()
+    found = concluded(boat, **{throttle: 5 * (boat["l"] + boat["r"]), rudder: boat["l"] - boat["r"]},
+                      psi=boat["psi"] % 6.2832, u=boat["u"])  # fmt: skip
+    assert found.channels["command_left"]["name"] == throttle
+    assert "N: the" not in next(each.reason for each in found.decisions if each.what == "span")
+    assert found.channels["surge"]["name"] == "u"
+
+
+@pytest.mark.parametrize("name", ["Distance (m)", "Bearing", "Energy (Wh)", "range_m", "Peilung"])
+def test_what_drives_nothing_is_no_command(name):
+    boat = sail()
+    found = concluded(boat, **{name: np.cumsum(np.abs(boat["u"]))}, heading=boat["hdg"], speed=boat["u"])
+    assert {"command_left", "command_right"} <= set(found.missing)
+
+
+def test_a_voltage_is_no_speed():
+    boat = sail()
+    volt = 16.8 - 0.6 * np.abs(boat["l"] + boat["r"])
+    assert "surge" not in driven(boat, V_bat=volt, lat=boat["lat"], lon=boat["lon"]).channels
+    assert driven(boat, v_battery=volt).missing == ["surge"]
+    assert fit("surge", "v") >= 1
+
+
+@pytest.mark.parametrize(("name", "factor", "unit"), [("speed_mph", 0.44704, "mph"), ("speed_ft_s", 0.3048, "ft/s")])
+def test_english_units_are_known(name, factor, unit, tmp_path):
+    boat = sail()
+    table = {"time": boat["time"], "pwm_left": pulses(boat["l"]), "pwm_right": pulses(boat["r"]), "yaw": boat["hdg"],
+             name: boat["u"] / factor, "rot (deg/min)": 60 * np.degrees(boat["turn"])}  # fmt: skip
+    path = tmp_path / "a.csv"
+    np.savetxt(path, np.array([*table.values()]).T, "%.5g", ",", header=",".join(table), comments="")
+    found = inspect_logs([str(path)])
+    units = {name: each.get("unit") for name, each in found.proposal.channels.items()}
+    assert (units["surge"], units["yaw_rate"]) == (unit, "deg/min")
+    surge = found.recordings[0].channels["surge"]
+    assert np.abs(surge.value - np.interp(surge.time, boat["time"], boat["u"])).max() < 0.01
+
+
+def test_numbers_that_mean_unknown_are_told_and_count_as_none():
+    boat = sail()
+    bad = np.random.default_rng(0).random(len(boat["u"])) < 0.03
+    found = concluded(boat, cmd_left=100 * boat["l"], cmd_right=100 * boat["r"], hdt=np.where(bad, 511, boat["hdg"]),
+                      sog=np.where(bad, 102.3, boat["u"]))  # fmt: skip
+    assert [found.channels[name]["missing"] for name in ("heading", "surge")] == [[511.0], [102.3]]
+    assert told(found)["command_left", "series"][1] == "certain"
+
+
+@pytest.mark.parametrize("value", [np.arange(400) % 100, np.append(np.arange(50.0), [100.0] * 9), np.ones(99)])
+def test_numbers_of_a_measurement_are_not_taken_for_unknown(value):
+    assert missing_values(np.asarray(value, float)) == ()
+
+
+def test_full_scale_and_a_wrap_are_not_taken_for_unknown():
+    boat = sail()
+    left = np.where(boat["l"] > 0.9, 255, 90 * boat["l"])
+    heading = np.where(np.arange(len(left)) % 50 < 2, 359, 40 * np.abs(boat["l"]))
+    found = concluded(boat, motor_left=left, motor_right=90 * boat["r"], heading=heading, speed=boat["u"])
+    assert not any("missing" in each for each in found.channels.values())
+
+
+@pytest.mark.parametrize("letters", ["column", "cell"])
+def test_degrees_and_minutes_with_their_letters_are_a_position(letters, tmp_path):
+    boat, path = sail(), tmp_path / "a.csv"
+    head = "time,thr_l,thr_r,heading,sog,lat,lon" + (",ns,ew" if letters == "column" else "")
+    lines = [head]
+    for k, time in enumerate(boat["time"]):
+        places = [abs(boat[name][k]) for name in ("lat", "lon")]
+        cells = [f"{int(each) * 100 + each % 1 * 60:.5f}" for each in places]
+        cells = [*cells, "N", "W"] if letters == "column" else [cells[0] + "N", cells[1] + "W"]
+        numbers = [f"{each:.4f}" for each in (time, boat["l"][k], boat["r"][k], boat["hdg"][k], 1.94384 * boat["u"][k])]
+        lines.append(",".join([*numbers, *cells]))
+    path.write_text("\n".join(lines))
+    found = inspect_logs([str(path)])
+    own = found.recordings[0].channels
+    assert np.degrees(own["latitude"].value[0]) == pytest.approx(boat["lat"][0], abs=1e-6)
+    assert np.degrees(own["longitude"].value[0]) == pytest.approx(boat["lon"][0], abs=1e-6)
+    assert found.proposal.channels["surge"]["unit"] == "knots"
+
+
+@pytest.mark.parametrize("off", [20, -35, 9])
+def test_the_error_of_a_compass_is_proposed_as_its_zero(off):
+    boat = sail(6)
+    own = {**boat, "hdg": (boat["hdg"] + off) % 360}
+    found = driven(own, speed=boat["u"], lat=boat["lat"], lon=boat["lon"])
+    assert found.channels["heading"]["zero"] == pytest.approx(off, abs=1.5)
+    assert told(found)["heading", "zero"][1] == "probable"
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_current_is_no_error_of_the_compass(seed):
+    boat = sail(6, seed)
+    lat, lon = (boat[name] + way * boat["time"] / 111195 for name, way in (("lat", 0.5), ("lon", -0.4)))
+    assert "zero" not in driven(boat, speed=boat["u"], lat=lat, lon=lon).channels["heading"]
+
+
+def test_the_yaw_of_moos_counts_counter_clockwise_from_north():
+    boat = sail()
+    found = concluded(boat, "MOOS", NAV_YAW=-((boat["psi"] + np.pi) % (2 * np.pi) - np.pi), NAV_SPEED=boat["u"],
+                      DESIRED_THRUST_L=100 * boat["l"], DESIRED_THRUST_R=100 * boat["r"])  # fmt: skip
+    assert (found.channels["heading"]["unit"], found.channels["heading"]["span"]) == ("rad", -1)
+    assert told(found)["command_left", "series"] == ("DESIRED_THRUST_L", "certain")

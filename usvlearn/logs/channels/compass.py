@@ -1,0 +1,53 @@
+"""By how much a compass is off, from the rate of position, apart from current, leeway and the drift of turns.
+
+The velocity over ground w, north + i east, is that through the water, turned by the error δ of the heading ψ, and a
+current c; in a turn r the hull drifts outwards:
+
+    w = u (a + b r) exp(i ψ) + c,    δ = arg a
+
+a, b and c are complex, and fitted by least squares over bins in which the boat moves ahead. A current is the same on
+all courses, and an error of the compass turns with the boat: so the boat must have gone on several courses. The error
+of δ is that of a jackknife over blocks of the log, so that a current that changes makes δ uncertain.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from usvlearn.logs.channels.bins import Series, bin_edges, bin_means, bin_rates, cleaned
+
+STEP, BLOCKS, FEWEST = 2.0, 6, 40  # s, of the bins; blocks; bins
+MOVES, STRAIGHT = 0.3, 0.9  # of the greatest speed; length of the mean heading, beyond which there is one course alone
+OFF, SURE, EXACT = math.radians(6), 4.0, math.radians(2.5)  # errors that are told; in, and of standard errors
+
+
+def compass_error(north: Series, east: Series, heading: Series, speed: Series) -> tuple[float, float] | None:
+    """What has to be added to a heading, and its standard error, rad; None unless it is surely more than `OFF`.
+
+    >>> time = np.arange(0, 600, 0.5)
+    >>> heading = 0.02 * time + np.sin(time / 9)
+    >>> north, east = (np.cumsum(0.5 * (2 * each(heading) + 0.4)) for each in (np.cos, np.sin))
+    >>> found = compass_error((time, north), (time, east), (time, heading - 0.2), (time, 2 + 0 * time))
+    >>> round(found[0], 2), compass_error((time, north), (time, east), (time, heading), (time, 2 + 0 * time))
+    (0.2, None)
+    """
+    edges = bin_edges(STEP, north, east, heading, speed)
+    time, angle = cleaned(heading)
+    along = bin_means((time, np.cos(angle)), edges) + 1j * bin_means((time, np.sin(angle)), edges)
+    over_ground = bin_rates(north, edges) + 1j * bin_rates(east, edges)
+    ahead, turn = bin_means(speed, edges), bin_rates(heading, edges, wraps=True)
+    fastest = np.nanquantile(np.abs(ahead), 0.98) if np.isfinite(ahead).any() else 0.0
+    with np.errstate(invalid="ignore"):
+        moving = (ahead > MOVES * fastest) & ((over_ground * along.conj()).real > 0)
+    known = moving & np.isfinite(over_ground * along * turn)
+    if known.sum() < FEWEST or abs(np.mean(along[known])) > STRAIGHT:
+        return None
+    push = ahead[known] * along[known]
+    rows = np.stack([push, push * turn[known], np.ones(len(push))], 1)
+    goal, block = over_ground[known], np.arange(len(push)) * BLOCKS // len(push)
+    parts = [np.angle(np.linalg.lstsq(rows[block != k], goal[block != k])[0][0]) for k in range(BLOCKS)]
+    whole = float(np.angle(np.linalg.lstsq(rows, goal)[0][0]))
+    error = math.sqrt((BLOCKS - 1) / BLOCKS * float(np.sum(np.square(np.array(parts) - np.mean(parts)))))
+    return (whole, error) if abs(whole) > max(OFF, SURE * error) and error < EXACT else None

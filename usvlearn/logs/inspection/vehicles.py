@@ -1,0 +1,65 @@
+"""Which vehicle a log is of: one of several that a telemetry log holds, and whether it is a boat at all."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from usvlearn.errors import LogFormatError
+from usvlearn.logs.formats.ardupilot.dataflash import parameters_of
+from usvlearn.logs.formats.ardupilot.servos import FUNCTION, FUNCTIONS
+from usvlearn.logs.inspection.candidate import Candidate
+from usvlearn.logs.inspection.decision import UNSURE, Decision
+from usvlearn.logs.inspection.vocabulary import fit
+
+TYPE = re.compile(r"HEARTBEAT(@\S*)? type|vehicle_status system_type")  # series of MAVLink's MAV_TYPE
+GROUND, BOAT = 10, 11  # a car; boats that run its firmware may keep this type
+OTHERS = {1: "an aeroplane", 12: "a submarine", **dict.fromkeys((2, 3, 4, 13, 14, 15, 29, 35), "a multicopter"),
+          **dict.fromkeys(range(19, 26), "a VTOL aeroplane")}  # fmt: skip
+FIRMWARE = re.compile(rb"(?:Ardu|APM:)(Plane|Copter|Sub) ?V\d")  # as the log's own text says
+FIRMWARES = {b"Plane": "an aeroplane", b"Copter": "a multicopter", b"Sub": "a submarine"}
+WINGS, MOTORS = {4, 19, 77, 78, 79, 80}, {*range(33, 41), *range(82, 86)}  # values of SERVOn_FUNCTION
+OF_BOATS = {*FUNCTIONS.values()}
+
+
+def of_one_vehicle(found: Sequence[Candidate], convention: str) -> tuple[list[Candidate], list[Decision]]:
+    """The series of one system of a telemetry log; of several vehicles, the first that has commands, and a question."""
+    system = {id(each): each.kind.partition(".")[0] for each in found}
+    named = {system[id(each)] for each in found if fit("heading", each.label) >= 2}
+    systems = sorted((each for each in named if each.isdigit()), key=int)
+    if convention != "MAVLink telemetry" or len(systems) < 2:
+        return list(found), []
+    driven = {system[id(each)] for each in found if each.varies and fit("command", each.label) >= 1}
+    chosen = next((each for each in systems if each in driven), systems[0])
+    others = tuple(each for each in systems if each != chosen)
+    why = (
+        f"the log holds {len(systems)} vehicles, the systems {', '.join(systems)}, and this is one of them: of another "
+    )
+    why += f"one, write @{others[0]}.1 in place of @{chosen}.1 in data.channels"
+    own = [each for each in found if system[id(each)] == chosen]
+    return own, [Decision("vehicle", "system", chosen, UNSURE, why, others)]
+
+
+def check_boat(files: Sequence[Path], found: Sequence[Candidate], convention: str) -> list[Decision]:
+    """Refuse the log of an aeroplane, a multicopter or a submarine; ask where a log is of a ground vehicle.
+
+    Raises:
+        LogFormatError: the log says that it is of another vehicle.
+    """
+    kinds = {round(float(each.value[-1])) for each in found if TYPE.fullmatch(each.label)}
+    other = next((OTHERS[kind] for kind in kinds if kind in OTHERS and not kinds & {GROUND, BOAT}), "")
+    parameters = parameters_of(files[0]) if convention == "ArduPilot DataFlash" else {}
+    servos = {value for name, value in parameters.items() if FUNCTION.fullmatch(name)}
+    if servos & WINGS or (servos & MOTORS and not servos & OF_BOATS):
+        other = "an aeroplane" if servos & WINGS else "a multicopter or a submarine"
+    if convention == "ArduPilot DataFlash" and (text := FIRMWARE.search(files[0].read_bytes())):
+        other = FIRMWARES[text[1]]
+    if other:
+        raise LogFormatError(
+            f"{files[0]}: found a log of {other}, expected one of a boat: give one, or add --any-vehicle if it is one"
+        )
+    if GROUND in kinds or (servos & OF_BOATS and parameters.get("FRAME_CLASS") == 1):
+        why = "the log says that it is a ground vehicle, as boats do that keep the settings of one: is it a boat?"
+        return [Decision("vehicle", "kind", "a boat", UNSURE, why, ("a car: its log teaches nothing about a boat",))]
+    return []
