@@ -3,6 +3,7 @@
 import math
 import os
 import time
+from argparse import ArgumentParser
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from tests.support.live import PLAIN, boat, messages, ready
 from usvlearn.core import checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
+from usvlearn.live.arguments import add_arguments, options_of
 from usvlearn.live.node_folder import STATUS, NodeFolder
 from usvlearn.live.session import Session
 from usvlearn.live.start import Middleware, Options, channel_options
@@ -325,6 +327,32 @@ def test_names_of_another_kind_of_log_are_not_taken_from_a_set(tmp_path, start):
     same = Middleware("test", "usvlearn.logs.formats.csv.table.Table", own.channels)
     with Session(Options(tmp_path / "node2", path), same) as session:
         assert session.sources["command_left"].name == "pwm" and session.sources["command_left"].span == 400.0
+
+
+def test_what_was_guessed_is_a_warning_until_a_file_of_channels_confirms_it(tmp_path, start):
+    leaves, facts = checkpoint.load(start)
+    written = {"data.channels.surge.unit": "knots"}
+    facts["setup"]["unconfirmed"] = {"surge.unit": {"certainty": "unsure", "written": written}}
+    path = checkpoint.save(tmp_path / "guessed.safetensors", leaves, **facts)
+    with ready(tmp_path / "node", path) as session:
+        (told,) = session.tick().warnings
+        assert told.startswith("1 guess unconfirmed: surge.unit (unsure).")
+        saved = session.save()
+    assert Setup.of_set(checkpoint.load(saved)[1]).unconfirmed.keys() == {"surge.unit"}
+    file = tmp_path / "my boat.yaml"
+    for section, options, count in (
+        ("", [], 0),
+        ("unconfirmed: {surge.unit: {written: {data.channels.surge.unit: knots}}}", [], 1),
+        ("unconfirmed: {surge.unit: {written: {data.channels.surge.unit: knots}}}", ["--channel", "surge.unit=m/s"], 0),
+        ("unconfirmed: {time_unit: {written: {data.reader.time_unit: s}}}", [], 0),
+    ):
+        file.write_text(f"data: {{channels: {{surge: {{unit: knots}}}}}}\n{section}\n")
+        parser = ArgumentParser()
+        add_arguments(parser)
+        arguments = ["--folder", str(tmp_path / "node"), "--channels", str(file), *options]
+        with Session(options_of(parser.parse_args(arguments)), PLAIN) as session:
+            assert len(session.warnings) == count
+            assert all("--confirm KEY '" in each and "my boat.yaml'" in each for each in session.warnings)
 
 
 def test_a_set_of_an_older_version_tells_its_channels_by_its_configuration(tmp_path, start):

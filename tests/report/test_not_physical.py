@@ -31,6 +31,18 @@ def test_the_first_page_is_red_and_not_green():
     assert wrong.count("goes astern") == 2  # once in each card, and not again among the notes
 
 
+def test_nothing_is_green_while_a_question_is_open_or_a_finding_stands():
+    def shown(findings=(), **more) -> str:
+        viewer = {"runs": [], "colours": {}, "shown": [], "sides": {}}
+        return first_page(Front([boat("a", "", findings)._replace(events=[])], viewer, (), **more), "", {})
+
+    sentence = "1 guess unconfirmed: <mass> (unsure)."
+    guessed, warned = shown(unconfirmed=[sentence]), shown([{"about": "surge", "found": "x", "severity": "warning"}])
+    assert shown().count('class="good"') == 2 and "guess" not in shown()
+    assert 'class="good"' not in guessed + warned and "does not prove what was guessed" in guessed
+    assert guessed.index("1 guess unconfirmed: &lt;mass&gt; (unsure).") < guessed.index("Data check")
+
+
 def test_the_table_of_a_fleet_names_it():
     text = page(boat("a", ""), boat("b", WRONG, [{"about": "surge", "found": "x", "severity": "note"}]))
     assert "<td>no findings</td>" in text and "<td>not a physical boat</td>" in text

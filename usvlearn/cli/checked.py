@@ -9,6 +9,8 @@ from typing import Any
 from rich.console import Console
 
 from usvlearn.core.samples import Fleet
+from usvlearn.core.unconfirmed import open_questions, unconfirmed
+from usvlearn.display.terminal import show
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.checks.data_check import CHECKS, check_data, check_level, refuse
 from usvlearn.logs.checks.finding import Finding
@@ -42,6 +44,7 @@ class CheckedAlignment:
         self._surge_max = (settings.get("vehicle") or {}).get("surge_max") or math.inf
         self._horizons = (settings.get("forecasts") or {}).get("horizons") or ()
         self._console = console
+        self._asked = unconfirmed(open_questions(settings))
 
     def __call__(self, recordings: Iterable, **options: Any) -> Fleet:
         """The fleet; `usvlearn.logs.recordings.align_fleet` has the arguments and errors."""
@@ -58,6 +61,7 @@ class CheckedAlignment:
         new = [each for each in found if each not in (self.findings or ())]
         if self._console is not None and (new or self.findings is None):
             self._console.print(data_check_table([each._asdict() for each in new], len(CHECKS)))
+            show(*[f"{each}\n" for each in self._asked if self.findings is None], to=self._console)
         self.findings = [*(self.findings or []), *new]
         return fleet
 

@@ -20,6 +20,8 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from usvlearn.core.foreign_yaml import read_yaml
+from usvlearn.core.unconfirmed import SECTION as UNCONFIRMED
+from usvlearn.core.unconfirmed import questions_of
 from usvlearn.errors import CheckpointError, ConfigError, did_you_mean
 from usvlearn.logs.inspection.override import hydra_text
 from usvlearn.runs.legacy import current
@@ -71,12 +73,15 @@ def _place(value: str) -> str:
 
 def _register(path: Path) -> None:
     try:
-        node = OmegaConf.create(current(read_yaml(GROUP, path)))
+        content = read_yaml(GROUP, path)
+        if UNCONFIRMED in content:
+            content[UNCONFIRMED] = questions_of(content[UNCONFIRMED], str(path))
+        node = OmegaConf.create(current(content))
     except OmegaConfBaseException as error:
         raise ConfigError(f"data: {path}: {str(error).splitlines()[0]}: correct the file") from error
     if GROUP not in node:
         raise ConfigError(f"data: {path}: has no section data, expected what usvlearn inspect writes: name such a file")
-    if wrong := [str(key) for key in node if key not in SECTIONS]:
+    if wrong := [str(key) for key in node if key not in (*SECTIONS, UNCONFIRMED)]:
         hint = did_you_mean(wrong[0], SECTIONS)
         raise ConfigError(f"data: {path}: found {wrong[0]!r}, expected only {', '.join(SECTIONS)}{hint}")
     try:

@@ -11,8 +11,9 @@ from usvlearn.cli.command import command
 from usvlearn.cli.composition import plain
 from usvlearn.cli.settings import instantiate
 from usvlearn.cli.sweep import load
+from usvlearn.core.unconfirmed import open_questions, unconfirmed
 from usvlearn.display.activity_bar import Activity
-from usvlearn.display.terminal import console
+from usvlearn.display.terminal import console, show
 from usvlearn.errors import ConfigError  # what needs torch is imported where it is used: --help is quick
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.sweeps.launchers import set_threads
@@ -50,7 +51,7 @@ def main(cfg: DictConfig) -> None:
     board = console()
     with Activity(board, "loading"):
         from usvlearn.report.from_runs import Tools, evaluate
-        from usvlearn.runs.saved import is_sweep, run_folders
+        from usvlearn.runs.saved import is_sweep, questions_of_runs, run_folders
         from usvlearn.simulate.truth import truth_of
 
         set_threads(1)
@@ -64,4 +65,6 @@ def main(cfg: DictConfig) -> None:
     else:
         data = cfg.get("data")
         own = Path(cfg.runs, "report" if data is None else "report_of_other_logs")
-        evaluate(run_folders(cfg.runs), Path(cfg.report or own), tools, data)
+        folders, asked = run_folders(cfg.runs), {} if data is None else open_questions(plain(cfg))
+        show(*unconfirmed(questions_of_runs(folders, cfg.trust) | asked))
+        evaluate(folders, Path(cfg.report or own), tools, data, asked=asked)

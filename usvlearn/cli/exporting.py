@@ -122,7 +122,7 @@ def _planar_files(makers: Sequence[Callable[[PlanarBoat], Files]], boat: Identif
     found = read_planar(boat, run)
     if found is None:
         return {}
-    for sentence in found.lacks:
+    for sentence in found.lacks[len(boat.guessed) :]:
         complain(f"{printable(boat.name)}: {sentence}")
     return {end: content for make in makers for end, content in make(found).items()}
 
@@ -142,7 +142,7 @@ def work(arguments: Sequence[str]) -> None:
     for each in export(boats, [*FORMATS] if every else formats, run, out or run / "export", lenient=every):
         print(each)
     for boat in boats:
-        for sentence in boat.found.lacks:
+        for sentence in boat.lacks:
             complain(f"{printable(boat.name)}: {sentence}")
 
 

@@ -57,6 +57,7 @@ def work(arguments: Sequence[str]) -> None:
 
     console = terminal.console()
     with Activity(console, "loading"):
+        from usvlearn.core.unconfirmed import open_questions, unconfirmed
         from usvlearn.model.fit.fitted import check_terms, fit_boat
         from usvlearn.model.fit.logs import missions_of
         from usvlearn.model.fit.shown import tables
@@ -109,6 +110,7 @@ def work(arguments: Sequence[str]) -> None:
             console.print()
         console.print(*tables(found, None if last is None else last.online), sep="\n")
         terminal.show(f"Written to {', '.join(map(str, files))}")
+    terminal.show(*unconfirmed(open_questions({**settings, "data": data})))
     if out == folder / "fit":
         _add_to_results(folder, [found for found, _, _ in done])
         if stopped is None and (folder / REPORT).exists():

@@ -14,8 +14,10 @@ from usvlearn.errors import ConfigError
 if TYPE_CHECKING:
     from usvlearn.logs.inspection.inspected import Inspected
 
-USAGE = "usage: usvlearn inspect LOG…\n       [--output my_boat.yaml] [--name BOAT] [--plot] [--force] [--any-vehicle]"
-LISTED = 40  # series on the screen
+USAGE = (
+    "usage: usvlearn inspect LOG…\n       [--output my_boat.yaml] [--name BOAT] [--plot] [--force] [--all]\n"
+    "       [--any-vehicle]\n       usvlearn inspect --confirm KEY[,KEY …] my_boat.yaml"
+)
 EXAMPLES = {  # reader -> a configuration of its logs
     "Alog": "alog.yaml",
     "DataFlash": "ardupilot.yaml",
@@ -34,6 +36,10 @@ def parser() -> argparse.ArgumentParser:
     found.add_argument("--plot", action="store_true", help="also draw the channels, beside the configuration (.png)")
     found.add_argument("--force", action="store_true", help="replace the configuration if it exists")
     found.add_argument("--any-vehicle", action="store_true", help="take logs that say that they are of no boat, too")
+    found.add_argument("--all", action="store_true", help="also list all series, and the reason of each decision")
+    found.add_argument(
+        "--confirm", action="append", metavar="KEY", help="say that a guess in a configuration is right; all: each"
+    )
     return found
 
 
@@ -48,6 +54,10 @@ def work(arguments: Sequence[str]) -> None:
     from usvlearn.display.activity_bar import Activity
 
     options = parser().parse_args(list(arguments))
+    if options.confirm:
+        from usvlearn.logs.inspection.questions import confirm
+
+        return terminal.show(*confirm(options.logs, options.confirm))
     with Activity(console := terminal.console(), "loading"):
         from usvlearn.core.checkpoint import write_atomically
         from usvlearn.logs.inspection import screen
@@ -73,8 +83,7 @@ def work(arguments: Sequence[str]) -> None:
             pass
     with Activity(console, "reading, and comparing the channels with each other"):
         found = inspect_logs(options.logs, options.name, options.output, options.any_vehicle)
-    for part in screen.parts(found, LISTED):
-        console.print(part)
+    screen.show(found, options.output, console, options.all)
     if found.proposal.missing:
         raise ConfigError(
             f"{options.logs[0]}: found no {', '.join(found.proposal.missing)}, so that nothing was written: "
@@ -102,8 +111,8 @@ def _what_to_do(found: Inspected) -> str:
     others = len(files) == 1 and files[0].suffix.lower() == ".csv" and len(list(files[0].parent.glob("*.csv"))) > 1
     first = "if another table of its folder has them, give the folder; else " if others else ""
     return (
-        f"{first}copy {configs_folder() / 'data' / name} to my_boat.yaml, set its data.path, and name the series of "
-        "the list above in it"
+        f"{first}copy {configs_folder() / 'data' / name} to my_boat.yaml, set its data.path, and name the series in "
+        "it (usvlearn inspect --all lists them)"
     )
 
 

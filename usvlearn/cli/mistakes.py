@@ -24,6 +24,7 @@ from omegaconf.errors import (
 )
 
 from usvlearn.cli.forgiving import hint_of_data
+from usvlearn.core.unconfirmed import SECTION as UNCONFIRMED
 from usvlearn.errors import ConfigError, did_you_mean
 
 GONE = {  # a key of earlier versions -> what does its work now
@@ -149,6 +150,7 @@ def known_names(
             except (HydraException, OmegaConfBaseException, ValueError):
                 continue
             tree: Any = OmegaConf.to_container(cfg)
+            tree.pop(UNCONFIRMED, None)
             return [*cfg.hydra.runtime.choices, *dotted(tree)]
         return []
 

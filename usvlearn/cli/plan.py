@@ -141,7 +141,7 @@ def _show(planned: Planned, limits: Limits, folder: Path, home: tuple[float, flo
         console.print()
     if not aims:
         terminal.show(*_determined(rehearsal.found, plan.expected.found, quantities))
-    terminal.show(*boat.found.lacks, WALK, "", *written)
+    terminal.show(*boat.lacks, WALK, "", *written)
 
 
 def _width(found: Identified, name: str) -> float:

@@ -18,6 +18,7 @@ from usvlearn.cli.composition import plain
 from usvlearn.cli.settings import as_written, check_settings, ensemble_of, instantiate, planar_of
 from usvlearn.cli.stopping import until_stopped
 from usvlearn.cli.sweep import do_job
+from usvlearn.core.unconfirmed import SECTION, open_questions, unconfirmed
 from usvlearn.display import terminal
 from usvlearn.display.activity_bar import Activity
 from usvlearn.errors import check_positive
@@ -41,7 +42,8 @@ from usvlearn.sweeps.tuning.ways import asked
 def work(cfg: DictConfig, folder: Path, overrides: Sequence[str], resume: str | None = None, quiet=False) -> float:
     """Do what is asked for, a replay or tuning; quiet where workers share the terminal. Returns the objective."""
     check_settings(cfg)
-    made = OmegaConf.create(seeded(plain(cfg)))
+    composed = seeded(plain(cfg))
+    made = OmegaConf.create(composed | {SECTION: open_questions(composed, overrides)})
     console = terminal.console(quiet)  # of its own: what a worker is sent must be picklable
     with as_written(cfg):
         if not asked(made):
@@ -115,7 +117,8 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
     console.print(identified_table(surge, truth))
     if planar is not None and run.beside is not None:
         console.print(turning_table(identified_planar_boats(planar, run.beside, fleet.boats), turns, surge))
-    terminal.show(*event_lines(found["events"]), *networks, "", *summary_lines(found, folder), to=console)
+    asked = unconfirmed(open_questions(settings))
+    terminal.show(*event_lines(found["events"]), *networks, "", *asked, *summary_lines(found, folder), to=console)
     return found["objective"]
 
 

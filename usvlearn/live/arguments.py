@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from usvlearn.core.unconfirmed import SECTION, open_questions
 from usvlearn.errors import ConfigError
 from usvlearn.live.node import PATIENCE
 from usvlearn.live.start import Options, boat_of, channel_options
@@ -41,7 +42,7 @@ def options_of(given: argparse.Namespace, warp: float = 1.0) -> Options:
     Raises:
         ConfigError: a value is not legal.
     """
-    channels, vehicle = boat_of(Path(given.channels).expanduser()) if given.channels else ({}, {})
+    channels, vehicle, asked = boat_of(Path(given.channels).expanduser()) if given.channels else ({}, {}, None)
     pairs = {}
     for pair in given.channel:
         key, equals, value = pair.partition("=")
@@ -54,8 +55,11 @@ def options_of(given: argparse.Namespace, warp: float = 1.0) -> Options:
         vehicle.get(name) if value is None else value
         for name, value in (("mass", given.mass), ("surge_max", given.surge_max))
     )
+    if asked is not None:  # by what the file and the options say together, as far as a node uses it
+        used = {"data": {"channels": channels}, "vehicle": {"mass": mass, "surge_max": top}}
+        asked = open_questions({**used, SECTION: asked})
     return Options(
         Path(given.folder).expanduser(), None if given.start is None else Path(given.start).expanduser(), mass,
         top, channels, given.boat, given.record, given.save_period, given.keep, given.patience,
-        None if given.tensorboard is None else Path(given.tensorboard).expanduser(), warp,
+        None if given.tensorboard is None else Path(given.tensorboard).expanduser(), warp, asked,
     )  # fmt: skip

@@ -20,6 +20,7 @@ from typing import Any, TextIO
 
 from usvlearn.core import checkpoint
 from usvlearn.core.checkpoint import SUFFIX, write_atomically
+from usvlearn.core.unconfirmed import SECTION
 from usvlearn.errors import printable
 from usvlearn.live.watched import PLANAR
 from usvlearn.logs.channels.channel import SURGE
@@ -137,6 +138,8 @@ def configuration(path: Path, setup: Setup, boat: str, start: Path) -> str:
     settings: Mapping[str, Any] = {
         "vehicle": {"mass": setup.mass, "surge_max": setup.surge_max}, "align": dict(setup.align), "data": data,
     }  # fmt: skip
+    if setup.unconfirmed:  # under its own names, so that only a person closes them
+        settings = {**settings, SECTION: {key: {**each, "written": {}} for key, each in setup.unconfirmed.items()}}
     lines = [f"{key}: {json.dumps({k: v for k, v in each.items() if v is not None})}" for key, each in settings.items()]
     stem = path.stem
     return "\n".join(

@@ -14,6 +14,7 @@ import numpy as np
 
 from usvlearn.core.checkpoint import SUFFIX
 from usvlearn.core.samples import LIMIT, speed_limit
+from usvlearn.core.unconfirmed import SECTION, Questions, questions_of, unconfirmed
 from usvlearn.errors import CheckpointError, ConfigError, check_not_negative, check_positive, did_you_mean
 from usvlearn.live.node import PATIENCE
 from usvlearn.live.node_folder import NodeFolder, newest
@@ -45,6 +46,7 @@ class Options:
         patience: s, for which a step waits for late messages.
         tensorboard: a folder, or None.
         warp: how many times faster than a clock the stamps run.
+        unconfirmed: the open questions of a file with channels; None without one: those of the checkpoint.
     """
 
     folder: Path
@@ -59,6 +61,7 @@ class Options:
     patience: float = PATIENCE
     tensorboard: Path | None = None
     warp: float = 1.0
+    unconfirmed: Mapping[str, Mapping[str, Any]] | None = None
 
     def __post_init__(self) -> None:
         if not str(self.folder).strip(". ") or "\0" in str(self.folder):
@@ -103,7 +106,7 @@ def begin(folder: NodeFolder, options: Options, middleware: Middleware) -> Begin
     """
     leaves, facts, sentence, told = _found(folder, options)
     setup = _setup(facts, options, middleware)
-    return Begin(leaves, facts, setup, sentence, told)
+    return Begin(leaves, facts, setup, sentence, [*told, *unconfirmed(setup.unconfirmed)])
 
 
 def _found(folder: NodeFolder, options: Options) -> tuple[dict[str, np.ndarray], dict[str, Any], str, list[str]]:
@@ -182,7 +185,8 @@ def _setup(facts: Mapping[str, Any], options: Options, middleware: Middleware) -
     top = options.surge_max if options.surge_max is not None else None if known is None else known.surge_max
     if top is not None and (limit := speed_limit(top)) > LIMIT:
         align.setdefault("surge_max", limit)
-    found = Setup(declared, align, mass, top, middleware.reader)
+    asked = options.unconfirmed if known is None or options.unconfirmed is not None else known.unconfirmed
+    found = Setup(declared, align, mass, top, middleware.reader, asked or {})
     return found if planar else found.live()
 
 
@@ -270,8 +274,9 @@ def _value(dotted: str, key: str, text: str) -> Any:
     return values if len(values) > 1 or key == "weight" else values[0]
 
 
-def boat_of(path: Path) -> tuple[dict[str, dict[str, Any]], dict[str, float]]:
-    """The channels, and the mass and top speed, of a configuration of data, such as `usvlearn inspect` writes.
+def boat_of(path: Path) -> tuple[dict[str, dict[str, Any]], dict[str, float], Questions]:
+    """The channels, the mass and top speed, and the open questions of a configuration of data, such as `usvlearn
+    inspect` writes.
 
     Raises:
         ConfigError: there is no such file, it holds no channels, or PyYAML is not installed.
@@ -287,4 +292,5 @@ def boat_of(path: Path) -> tuple[dict[str, dict[str, Any]], dict[str, float]]:
         raise ConfigError(f"channels: {path} has no data.channels: name a file that usvlearn inspect wrote")
     known = vehicle if isinstance(vehicle, dict) else {}
     numbers = {name: known[name] for name in ("mass", "surge_max") if isinstance(known.get(name), int | float)}
-    return {name: dict(each) for name, each in channels.items() if each is not None}, numbers
+    asked = questions_of(found.get(SECTION), str(path))
+    return {name: dict(each) for name, each in channels.items() if each is not None}, numbers, asked

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
+from usvlearn.core.unconfirmed import SECTION, open_questions, questions_of
 from usvlearn.errors import ConfigError, check_positive, under
 from usvlearn.logs.alignment.align import Aligner, checked
 from usvlearn.logs.alignment.mixing import Mix, parts_of
@@ -33,6 +34,7 @@ class Setup:
         mass: kg, added mass included; None if it is not known.
         surge_max: top speed, m/s, by which the data check judges speeds; None if it is not known.
         reader: the class that reads logs of this boat, which says what the names of the channels are.
+        unconfirmed: the open questions of its configuration, as of `usvlearn.core.unconfirmed`.
 
     >>> names = {"command_left": "L", "command_right": "R", "heading": "psi", "surge": "v"}
     >>> setup = Setup({name: Source(each) for name, each in names.items()}, {"dt": 0.2})
@@ -45,6 +47,7 @@ class Setup:
     mass: float | None = None
     surge_max: float | None = None
     reader: str | None = None
+    unconfirmed: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "align", {"dt": _defaults()["dt"], **self.align})
@@ -71,7 +74,7 @@ class Setup:
         reader = given.get("reader")
         return cls(
             sources_of(channels), dict(align), vehicle.get("mass"), vehicle.get("surge_max"),
-            reader if isinstance(reader, str) else None,
+            reader if isinstance(reader, str) else None, questions_of(given.get(SECTION)),
         )  # fmt: skip
 
     @classmethod
@@ -114,7 +117,8 @@ class Setup:
             name: each.json() if isinstance(each, Mix) else asdict(each) for name, each in self.channels.items()
         }
         vehicle = {"mass": self.mass, "surge_max": self.surge_max}
-        return {"channels": channels, "align": dict(self.align), "vehicle": vehicle, "reader": self.reader}
+        asked = {SECTION: dict(self.unconfirmed)} if self.unconfirmed else {}
+        return {"channels": channels, "align": dict(self.align), "vehicle": vehicle, "reader": self.reader, **asked}
 
     @property
     def one_command(self) -> bool:
@@ -203,8 +207,9 @@ def setups_of(settings: Mapping[str, Any], recordings: Iterable[Recording]) -> d
             if isinstance(each, Source) and each.period == AUTO:
                 channels[name] = settled(each, one.channels.get(SURGE))
         found[one.boat] = Setup(
-            channels, dict(settings.get("align") or {}), vehicle.get("mass"), vehicle.get("surge_max"), reader
-        )
+            channels, dict(settings.get("align") or {}), vehicle.get("mass"), vehicle.get("surge_max"), reader,
+            open_questions(settings),
+        )  # fmt: skip
     return found
 
 

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.core import checkpoint
+from usvlearn.core.unconfirmed import unconfirmed
 from usvlearn.engine.identified import identified, members_of
 from usvlearn.engine.online import read_checkpoint
 from usvlearn.errors import CheckpointError, ConfigError, did_you_mean, printable
@@ -68,6 +69,16 @@ class IdentifiedBoat(NamedTuple):
         """
         if self.found.unphysical:
             raise ConfigError(f"{printable(self.name)}: {self.found.unphysical}{remedy}")
+
+    @property
+    def lacks(self) -> tuple[str, ...]:
+        """What its model rests on that nobody has confirmed, and what is not identified well; a sentence each."""
+        return (*self.guessed, *self.found.lacks)
+
+    @property
+    def guessed(self) -> list[str]:
+        """The sentence on what nobody has confirmed, if there is something."""
+        return unconfirmed(self.setup.unconfirmed) if self.setup else []
 
     @property
     def members(self) -> Mapping[str, Any]:

@@ -13,6 +13,7 @@ from rich.console import Console
 
 from usvlearn.core.lock import Lock
 from usvlearn.core.samples import Fleet, speed_limit
+from usvlearn.core.unconfirmed import Questions, unconfirmed
 from usvlearn.display.activity_bar import Activity
 from usvlearn.display.terminal import show
 from usvlearn.errors import CheckpointError, ConfigError
@@ -24,7 +25,7 @@ from usvlearn.report.sections.fit_file import saved_fits
 from usvlearn.report.sections.parameters import Truth
 from usvlearn.report.sections.section import Section
 from usvlearn.report.track_maps import saved_tracks
-from usvlearn.runs.saved import configuration, data_check, read_seasons, results
+from usvlearn.runs.saved import configuration, data_check, questions_of_runs, read_seasons, results
 
 
 class Tools(NamedTuple):
@@ -90,6 +91,7 @@ def evaluate(
     more: Sequence[Section] = (),
     commands: Sequence[str] = (),
     paper: bool = False,
+    asked: Questions | None = None,
 ) -> Path:
     """Judge every checkpoint of some runs and write the report; returns its page.
 
@@ -99,6 +101,7 @@ def evaluate(
         more: sections to put first.
         commands: that make the report again.
         paper: whether the paper's results stand beside those found here.
+        asked: the open questions of the other logs.
     """
     with Lock(report, "report"):
         check_report_folder(report)
@@ -109,6 +112,7 @@ def evaluate(
             if not finished
         ]
         checks = [data_check(folder) for folder in folders]
+        told = unconfirmed(questions_of_runs(folders, tools.trust) | (asked or {}))
         if data is not None and tools.checked is not None:
             align = tools.checked({**configuration(folders[-1], tools.trust), "data": data})
             ensemble, fleets, truth = _built(folders, tools._replace(align=align), data)
@@ -127,8 +131,9 @@ def evaluate(
             other = "Judged on other logs than those of the runs from which the boats learned."
             notes = [*unfinished, *([] if data is None else [other])]
             parts = [section if paper else section._replace(paper="") for section in (*more, *sections)]
-            page = write_report(report, [*facts(seasons, folders), *notes], parts, commands, errors,
-                                front._replace(notes=notes))  # fmt: skip
+            said = [*facts(seasons, folders), *told, *notes]
+            front = front._replace(notes=notes, unconfirmed=told)
+            page = write_report(report, said, parts, commands, errors, front)
     tools.say(f"report: {page}")
     return page
 

@@ -29,6 +29,7 @@ class Front(NamedTuple):
     viewer: Mapping[str, Any]  # `usvlearn.report.viewer_data`
     pictures: Sequence[Drawn]  # of the last runs of each boat, for a reader without JavaScript
     notes: Sequence[str] = ()  # what a reader must know first, a sentence each
+    unconfirmed: Sequence[str] = ()  # what was guessed (`usvlearn.core.unconfirmed`)
 
 
 def title(front: Front) -> str:
@@ -46,12 +47,12 @@ def first_page(front: Front, links: str, images: Mapping[str, bytes]) -> str:
         images: PNG of the pictures by name.
     """
     boats = front.boats
-    notes = "".join(f'<p class="note">{escape(note)}</p>' for note in front.notes)
+    notes = "".join(f'<p class="note">{escape(note)}</p>' for note in (*front.unconfirmed, *front.notes))
     if len(boats) == 1:
-        return "\n".join([notes, _cards(boats[0]), links, _runs(front, images)])
+        return "\n".join([notes, _cards(boats[0], front), links, _runs(front, images)])
     cards = (
-        f'<details class="part"><summary><h2>{escape(boat.boat)}</h2></summary><div id="boat-{k}">{_cards(boat)}</div>'
-        "</details>"
+        f'<details class="part"><summary><h2>{escape(boat.boat)}</h2></summary><div id="boat-{k}">'
+        f"{_cards(boat, front)}</div></details>"
         for k, boat in enumerate(boats)
     )
     return "\n".join([notes, _fleet(boats), links, *cards, _runs(front, images)])
@@ -94,10 +95,12 @@ def _judged(boat: Overview) -> str:
     return f"{len(boat.findings) or 'no'} finding{'s' * (len(boat.findings) != 1)}"
 
 
-def _cards(boat: Overview) -> str:
+def _cards(boat: Overview, front: Front) -> str:
+    wrong = boat.findings or (boat.identified is not None and boat.identified.unphysical)
+    good = "" if front.unconfirmed or wrong else ' class="good"'
     cards = (
-        (("What was identified", _identified(boat)), ("Data check", _findings(boat))),
-        (("How well it predicts the speed", _accuracy(boat)), ("Events", _events(boat))),
+        (("What was identified", _identified(boat)), ("Data check", _findings(boat, good))),
+        (("How well it predicts the speed", _accuracy(boat)), ("Events", _events(boat, good))),
     )
     runs = "1 run" if len(boat.runs) == 1 else f"{len(boat.runs)} runs"
     who = f'<p class="facts">{runs}, {_duration(boat.hours)} of measured speed.</p>'
@@ -193,11 +196,11 @@ def _accuracy(boat: Overview) -> str:
     )
 
 
-def _events(boat: Overview) -> str:
+def _events(boat: Overview, good: str) -> str:
     if boat.events is None:
         return "<p>Nobody watched the thrusters in these runs.</p>"
     if not boat.events:
-        return '<p class="good">None: no thruster seemed to lose thrust, and the boat did not change.</p>'
+        return f"<p{good}>None: no thruster seemed to lose thrust, and the boat did not change.</p>"
     items = "".join(
         f"<li{BAD if each['kind'] == LOSS else ''}>{escape(str(each['run']))}, "
         f"{each['time'] / 60:.1f} min: {escape(event_of(each).sentence)}.</li>"
@@ -206,7 +209,7 @@ def _events(boat: Overview) -> str:
     return f"<ul>{items}</ul>"
 
 
-def _findings(boat: Overview) -> str:
+def _findings(boat: Overview, good: str) -> str:
     wrong = boat.identified.unphysical if boat.identified is not None else ""
     learned = f'<p class="bad">{escape(wrong)}</p>' if wrong else ""
     if boat.findings is None:
@@ -214,7 +217,8 @@ def _findings(boat: Overview) -> str:
     if not boat.findings and wrong:
         return f"{learned}<p>The check of the log before the run found nothing.</p>"
     if not boat.findings:
-        return '<p class="good">Nothing suspicious was found in the log.</p>'
+        told = "" if good else " But it does not prove what was guessed: see above."
+        return f"<p{good}>Nothing suspicious was found in the log.{told}</p>"
     items = []
     for each in sorted(boat.findings, key=lambda each: each.get("severity") != WARNING):
         about, found, expected, key = (escape(str(each.get(name) or "")) for name in FINDING)

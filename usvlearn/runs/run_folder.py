@@ -17,6 +17,7 @@ import usvlearn
 from usvlearn.core.checkpoint import SUFFIX, checkpoints, restore, write_atomically
 from usvlearn.core.checkpoint import save as save_checkpoint
 from usvlearn.core.samples import Fleet, tree_map
+from usvlearn.core.unconfirmed import SECTION, open_questions
 from usvlearn.engine import of_element
 from usvlearn.engine.rollouts import stack
 from usvlearn.errors import CheckpointError, ConfigError
@@ -227,12 +228,14 @@ class RunFolder:
     def _judged(self, ensemble: Ensemble, began: float, truth: Truth) -> tuple[dict[str, Any], str]:
         """The content of `results.json` and of `errors.csv`."""
         self._wait()
-        objective = self.metadata.get("configuration", {}).get("objective")
+        settings = self.metadata.get("configuration", {})
+        objective, asked = settings.get("objective"), open_questions(settings).items()
         found, errors = judged(
             ensemble, self.fleet, self.state, self.published, self._after, truth, objective, self._horizons,
             self._planar, self.beside,
         )  # fmt: skip
-        return found | self._checked | {"seconds": time.perf_counter() - began}, errors
+        own = {SECTION: [{"key": key, **each} for key, each in asked], "seconds": time.perf_counter() - began}
+        return found | self._checked | own, errors
 
     def _after(self, runs: int) -> EnsembleState | None:
         """The state of every boat after the first `runs` runs, from its checkpoints; None if they are not done.

@@ -12,6 +12,7 @@ import numpy as np
 
 from usvlearn.core.checkpoint import checkpoints, load
 from usvlearn.core.samples import Fleet, tree_map
+from usvlearn.core.unconfirmed import Questions, open_questions
 from usvlearn.engine.check import restored
 from usvlearn.engine.rollouts import stack
 from usvlearn.errors import CheckpointError, ConfigError, check_positive
@@ -110,6 +111,11 @@ def data_check(folder: Path) -> Any:
     found = _results_file(folder)
     partial = found.get("partial", found)
     return partial.get("data_check") if isinstance(partial, dict) else None
+
+
+def questions_of_runs(folders: Sequence[Path], trust: str | Sequence[str] | None = None) -> Questions:
+    """The questions that were open as runs learned. Arguments and errors as of `configuration`."""
+    return {key: each for one in folders for key, each in open_questions(configuration(one, trust)).items()}
 
 
 def _results_file(folder: Path) -> dict[str, Any]:

@@ -15,8 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from usvlearn.core.checkpoint import write_atomically
+from usvlearn.core.unconfirmed import SECTION, unconfirmed
 from usvlearn.display.figures import attempted, rendered
-from usvlearn.display.terminal import console
+from usvlearn.display.terminal import console, show
 from usvlearn.errors import ConfigError, MissingExtraError
 from usvlearn.evaluation.measure import Measure
 from usvlearn.evaluation.ranking import differing, own_objective, ranked_by, scored
@@ -56,7 +57,9 @@ def leaderboard(folder: Path, load: Callable[[Path], Any], objective: Any = None
     found = [job._replace(results=scored(job.results, by)) for job in found]
     ranks = standings(found, by, note.defaults)
     keys = [key for key in keys if key != SEED]
+    asked = {each["key"]: each for one in done for each in one.get(SECTION, ())}
     console().print(printed(folder, ranks, keys, by))
+    show(*unconfirmed(asked))
     if files := write_leaderboard(folder, found, ranks, by):
         console().print("", *last_lines(folder, files), sep="\n", soft_wrap=True)
     return all(job.finished for job in found)

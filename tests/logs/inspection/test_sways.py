@@ -60,7 +60,7 @@ def test_unit_and_side_are_proved_by_the_position(tmp_path, drifting, factor, un
 def test_without_a_position_the_side_is_unsure(tmp_path, drifting):
     found, sway = inspected(tmp_path, drifting, lat=None, lon=None)
     assert (sway["series"].value, sway["sign"].certainty) == ("v", "unsure")
-    assert "sway, sign: to starboard" in found.text and "# or span: -1" in found.text
+    assert "sway.sign: {certainty: unsure, found: to starboard" in found.text and "# or span: -1" in found.text
 
 
 def over_ground(columns, late=0.0):

@@ -27,6 +27,7 @@ from usvlearn.logs.checks.finding import NOTE, WARNING, Finding, override
 NONE = "empty"  # a cell of a table at whose time the channel had no message
 MANY, MOST = 0.05, 0.5  # of the messages of a channel
 STALE, UNUSED = 0.1, 0.5  # of the steps; of the speeds
+UNSORTED, SORT = 0.01, "sort the rows of the log by their stamps"  # share of the stamps
 HARMLESS = ("duplicate", "repeated", "copied", "stale", "lost", "outage", "alone", NONE)
 LIMITS = {SURGE: "surge_max", "yaw_rate": "yaw_rate_max", **dict.fromkeys(COMMANDS, "command_max")}
 
@@ -56,7 +57,8 @@ def rejected(e: Evidence) -> Iterator[Finding]:
 
 
 def _expected(cause: str) -> str:
-    return f"at most {MANY:.0%}{'; sort the rows of the log by their stamps' * (cause == 'backwards')}"
+    rows = {"backwards": SORT, "ahead": "leave out rows whose stamps lie in the future"}
+    return "; ".join(filter(None, [f"at most {MANY:.0%}", rows.get(cause)]))
 
 
 def _remedy(e: Evidence, name: str, cause: str) -> str:
@@ -85,6 +87,7 @@ def stale(e: Evidence) -> Iterator[Finding]:
     for name, share in shares.items():
         if share <= (UNUSED if name == SURGE else STALE):
             continue
+        name = name if e.logs(name) else "heading"  # of which a yaw rate is made
         interval = _interval(e, name)
         held = name in COMMANDS and (_window(e, name) < interval or share > MOST)
         longer, present = math.ceil(15 * interval) / 10, _window(e, name)
@@ -92,8 +95,11 @@ def stale(e: Evidence) -> Iterator[Finding]:
             longer = round(2 * present, 3)
         window = AUTO if present < _automatic(e, name) else longer
         fix = override(name, {"held": True} if held else {"window": window})
-        yield Finding(e.boat, name, "stale", f"{min(share, 1):.0%} of the steps without a recent value",
-                      f"at most {UNUSED if name == SURGE else STALE:.0%}", fix)  # fmt: skip
+        back = np.concatenate([np.diff(each.time) < 0 for each in e.logs(name)] or [np.zeros(1, bool)])
+        expected = f"at most {UNUSED if name == SURGE else STALE:.0%}"
+        if back.mean() > UNSORTED:  # no window helps
+            fix, expected = "", f"{expected}; {SORT}"
+        yield Finding(e.boat, name, "stale", f"{min(share, 1):.0%} of the steps without a recent value", expected, fix)
 
 
 def _window(e: Evidence, name: str) -> float:

@@ -37,12 +37,14 @@ from usvlearn.logs.channels.relations import (
     relate,
     relate_sides,
 )
+from usvlearn.logs.checks.finding import override
 
 STEP = 1.0  # s, of the bins: below the time constants of hulls, and few enough that a check takes milliseconds
 TURNS_WITHIN = (0.0, 5.0)  # s, from a command to the yaw rate: the yaw time constant and a delay
 MOVES_WITHIN = (0.0, 20.0)  # s, from a command to the speed: likewise
 LEG, MOVING = 5.0, 0.25  # s, over which a course is taken; share of the greatest speed from which it is one
 LONG_ENOUGH = 60.0  # s of courses
+FOLLOWS = 0.3  # correlation of the rate of position with the commands
 SEARCHED = (-150.0, 150.0)  # s, in which the delay of the commands is looked for
 NONE = np.empty(0), np.empty(0)
 DEFAULTS = {field.name: field.default for field in fields(Source)}
@@ -178,6 +180,11 @@ class Evidence:
         names = METRES if self.has_position else VELOCITIES
         return self.series.get(names[0], NONE), self.series.get(names[1], NONE)
 
+    def rate(self, step: float) -> np.ndarray:
+        """The size of the rate of position over bins of so many s, m/s, NaN where it is not known."""
+        edges = self.edges if step == STEP else bin_edges(step, *(self.series[name] for name in METRES))
+        return np.hypot(*(bin_rates(self.series[name], edges) for name in METRES))
+
     @property
     def has_position(self) -> bool:
         return all(name in self.series for name in METRES)
@@ -243,6 +250,20 @@ class Evidence:
             relate_sides(left, right, self.turn[part], STEP, TURNS_WITHIN),
             relate_sides(left, right, self.speed[part], STEP, MOVES_WITHIN),
         )
+
+
+def without(e: Evidence, name: str) -> str:
+    """The overrides that leave a channel out, where nothing needs it, or others do its work; else "".
+
+    The heading stands in for a yaw rate, and a position whose rate follows the commands for a speed.
+    """
+    names: tuple[str, ...] = (name,) if name == "yaw_rate" else ()
+    if name in (*METRES, *DEGREES):
+        names = e.places if e.speeds else ()
+    elif name == SURGE and e.speeds == (SURGE,) and e.has_position:
+        moved = relate(e.thrust, e.rate(STEP), STEP, MOVES_WITHIN)
+        names = (SURGE,) if moved.correlation > FOLLOWS else ()
+    return " ".join(override(each, {"name": None}) for each in names) if e.channels else ""
 
 
 def spread(values: np.ndarray) -> float:

@@ -26,7 +26,7 @@ import numpy as np
 
 from usvlearn.logs.channels.bins import GAP, INTERVALS, Series, bin_means, bin_rates, cleaned
 from usvlearn.logs.channels.channel import COMMANDS, METRES, SURGE
-from usvlearn.logs.checks.evidence import LEG, MOVING, NONE, STEP, Evidence, spread
+from usvlearn.logs.checks.evidence import LEG, MOVING, NONE, STEP, Evidence, spread, without
 from usvlearn.logs.checks.finding import Finding, see
 
 LONGEST, MESSAGES, TIMES = 10.0, 20, 20.0  # s; messages; median stretches
@@ -83,7 +83,7 @@ def frozen(e: Evidence) -> Iterator[Finding]:
         about = dict(zip(METRES, e.places, strict=True)).get(name, name)
         text = f"{number} from {began:.0f} to {began + lasted:.0f} s of {run} ({share:.0%} of the time) while {why}"
         also = f", one of {len(found)} such stretches" if len(found) > 1 else ""
-        yield Finding(e.boat, about, "frozen", text + also, see("a value that changes", about))
+        yield Finding(e.boat, about, "frozen", text + also, see("a value that changes", about), without(e, about))
 
 
 def _speed(e: Evidence, name: str, value: float, part: slice) -> str | None:

@@ -28,7 +28,7 @@ from usvlearn.logs.channels.bins import HUGE
 from usvlearn.logs.channels.channel import COMMANDS, METRES, SPEEDS, SURGE, UNITS
 from usvlearn.logs.channels.compass import compass_error
 from usvlearn.logs.channels.relations import rate_slope, speed_on_positions
-from usvlearn.logs.checks.evidence import STEP, Evidence, angular, mirrored, spread
+from usvlearn.logs.checks.evidence import STEP, Evidence, angular, mirrored, spread, without
 from usvlearn.logs.checks.finding import NOTE, Finding, override, see
 from usvlearn.logs.checks.track import half_turn_fix, heading_is_right, mirror_fix, position_unit
 
@@ -49,7 +49,7 @@ SLUGGISH, FRANTIC = 0.03, 10.0  # rad/s of turn for a full difference of the com
 SWIFT = 0.3  # rad/s; ten times as much is more than a boat turns: tenths of a degree, not many turns without a wrap
 CENTURY = (700.0, 2300.0)  # us, the pulses of servos and speed controllers
 FULL = (1.0, 100.0, 1000.0)  # scales that commands usually have
-IDLE, RANGE = 1500.0, 400.0  # us
+IDLE, RANGES = 1500.0, (400.0, 500.0)  # us
 MOVED = (*METRES, "heading", SURGE)  # what tells the error of a compass
 
 
@@ -59,14 +59,15 @@ def zeros(e: Evidence) -> Iterator[Finding]:
         value = e.values.get(name, np.empty(0))
         if len(value) and np.ptp(value) == 0:
             found = f"{value[0]:g} in all of its {len(value)} values"
-            yield Finding(e.boat, name, "constant", found, see("a measured value", name))
+            yield Finding(e.boat, name, "constant", found, see("a measured value", name), without(e, name))
 
 
 def rest(e: Evidence) -> Iterator[Finding]:
     """A boat that never moves; a speed of zeros is found by `zeros`."""
     speed = e.values[SURGE]
     if len(speed) and np.ptp(speed) > 0 and e.fastest < RESTING:
-        yield Finding(e.boat, SURGE, "at rest", f"at most {e.fastest:.2g} m/s", see("a boat that moves", SURGE))
+        yield Finding(e.boat, SURGE, "at rest", f"at most {e.fastest:.2g} m/s", see("a boat that moves", SURGE),
+                      without(e, SURGE))  # fmt: skip
 
 
 def speed_scale(e: Evidence) -> Iterator[Finding]:
@@ -90,7 +91,7 @@ def speed_scale(e: Evidence) -> Iterator[Finding]:
     limit = plausible if FASTEST <= e.surge_max < math.inf else min(plausible, FASTEST)
     top, bound = (e.surge_max, f"{e.surge_max:g} m/s (vehicle.surge_max)") if known else (FASTEST, f"{FASTEST:g} m/s")
     if e.fastest > limit:
-        larger = f"vehicle.surge_max={_ceil(e.fastest)}" if e.fastest <= FASTEST else ""
+        larger = f"vehicle.surge_max={_ceil(e.fastest)}" if e.fastest <= FASTEST or not e.speeds else ""
         unit = _in_units(e, e.fastest / top, limit / top) if e.channels else ""  # simulated boats have no units
         fix = " or ".join(filter(None, [unit, larger]))
         yield Finding(e.boat, SURGE, "speed scale", f"speeds up to {e.fastest:.2g} m/s", f"at most {bound}", fix)
@@ -166,15 +167,17 @@ def command_scale(e: Evidence) -> Iterator[Finding]:
         greatest = float(np.quantile(value, 0.995))
         if WEAK <= greatest <= BEYOND or greatest == 0:
             continue
-        raw = e.values[name] / e.factor(name) + settings["zero"]
+        raw, zero = e.values[name] / e.factor(name) + settings["zero"], settings["zero"]
         low, high = (float(each) for each in np.quantile(raw, [0.005, 0.995]))
-        unit = {"unit": "1"} if settings["unit"] != "1" else {}
-        if CENTURY[0] <= low and high <= CENTURY[1] and high - low > 20:
-            fix = {**unit, "zero": IDLE, "span": math.copysign(RANGE, settings["span"])}
-        else:
-            size = max(abs(low - settings["zero"]), abs(high - settings["zero"]))
-            full = next((full for full in FULL if 0.2 * full < size <= BEYOND * full), float(f"{size:.2g}"))
-            fix = {**unit, "span": math.copysign(full, settings["span"])}
+        size = max(abs(low - zero), abs(high - zero))
+        full = next((full for full in FULL if 0.2 * full < size <= BEYOND * full), float(f"{size:.2g}"))
+        pulses = CENTURY[0] <= low and high <= CENTURY[1] and high - low > 20
+        scales = [*((IDLE, each) for each in RANGES if pulses), (zero, full)]
+        shares = [float(np.quantile(np.abs(raw - idle), 0.995)) / span for idle, span in scales]
+        idle, full = next((each for each, x in zip(scales, shares, strict=True) if WEAK <= x <= BEYOND), scales[-1])
+        fix: dict[str, Any] = {"unit": "1"} if settings["unit"] != "1" else {}
+        fix |= {"zero": idle} if pulses and idle == IDLE else {}
+        fix |= {"span": math.copysign(full, settings["span"])}
         if greatest > BEYOND:
             yield Finding(e.boat, name, "command scale", f"values up to {greatest:.3g} of full scale",
                           f"at most {BEYOND:g}", override(name, fix))  # fmt: skip
@@ -198,8 +201,10 @@ def heading_unit(e: Evidence) -> Iterator[Finding]:
         text = f"all headings within {math.degrees(greatest):.2f}°"
         if wraps or sluggish:
             why = "jumps over that range" if wraps else f"{speeds:.1g} rad/s of turn at a full difference of commands"
+            twice = {"span": math.radians(1) * e.settings("heading")["span"]}  # converted to radians twice
+            fix = {"unit": unit.replace("deg", "rad")} if "deg" in unit else twice
             yield Finding(e.boat, "heading", "heading unit", f"{text}, {why}", "degrees that cover the turns",
-                          override("heading", {"unit": unit.replace("deg", "rad")}))  # fmt: skip
+                          override("heading", fix))  # fmt: skip
         return
     rated, name = ("deg", "degrees") if unit.endswith("deg") else ("rad", "rad")
     scale = UNITS["deg"][0] if rated == "deg" else 1.0
@@ -276,9 +281,9 @@ def yaw_rate(e: Evidence) -> Iterator[Finding]:
                       override(wrong, {"unit": mirrored(angular(e, wrong))}))  # fmt: skip
     if not 1 / 3 < slope < 3:
         text = f"{slope:.2g} times the rate of the heading (r = {found.correlation:.2f})"
-        if 20 < slope < 160:
+        if 20 < slope < 160 and "rad/s" in unit:
             fix = override("yaw_rate", {"unit": unit.replace("rad/s", "deg/s")})
-        elif 1 / 160 < slope < 1 / 20:
+        elif 1 / 160 < slope < 1 / 20 and "deg/s" in unit:
             fix = override("yaw_rate", {"unit": unit.replace("deg/s", "rad/s")})
         else:
             fix = without

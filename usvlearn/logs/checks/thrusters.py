@@ -36,7 +36,7 @@ import numpy as np
 
 from usvlearn.logs.channels.channel import COMMANDS, SURGE
 from usvlearn.logs.channels.relations import Relation
-from usvlearn.logs.checks.evidence import Evidence, angular, mirrored, spread
+from usvlearn.logs.checks.evidence import Evidence, angular, mirrored, spread, without
 from usvlearn.logs.checks.finding import NOTE, Finding, override, see
 
 TURN, MOVE, HALF = 3.0, 2.5, 2.0  # standard errors, of the turn, the speed, and in half of a log
@@ -176,13 +176,16 @@ def delay(e: Evidence) -> Iterator[Finding]:
         given = float(e.logs(COMMANDS[0])[0].delay)
         right = max(0.0, given + lag)
         fix = " ".join(override(name, {"delay": float(round(right))}) for name in COMMANDS)
-        expected = f"{EARLY:g} to {LATE:g} s behind them" + (f": {CLOCKS}" if right == given else "")
-        yield Finding(e.boat, pair, "delay", text, expected, fix if right != given else "")
+        expected = f"{EARLY:g} to {LATE:g} s behind them"
+        if right == given:  # no delay of the commands is below 0
+            fix, expected = "", f"{expected}: {CLOCKS}: add {-lag:.0f} s to the stamps of the speed"
+        yield Finding(e.boat, pair, "delay", text, expected, fix)
         return
     found = e.searched
     if found.seconds >= LONG and abs(found.correlation) < FOLLOWS and _moves(e):
         text = f"a speed without relation to the commands (r = {found.correlation:.2f})"
-        yield Finding(e.boat, pair, "thrust", text, see(f"more than {FOLLOWS:g}", SURGE, *COMMANDS))
+        yield Finding(e.boat, pair, "thrust", text, see(f"more than {FOLLOWS:g}", SURGE, *COMMANDS),
+                      without(e, SURGE))  # fmt: skip
 
 
 def _moves(e: Evidence) -> bool:

@@ -30,10 +30,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from usvlearn.logs.channels.bins import HUGE, bin_edges, bin_means, bin_rates
+from usvlearn.logs.channels.bins import HUGE, bin_edges, bin_means
 from usvlearn.logs.channels.channel import DEGREES, METRES, SWAY, UNITS, VELOCITIES
 from usvlearn.logs.channels.relations import angle_offset, rate_slope, speed_on_positions, sway_on_positions
-from usvlearn.logs.checks.evidence import LEG, MOVING, NONE, Evidence, angular, mirrored
+from usvlearn.logs.checks.evidence import LEG, MOVING, NONE, Evidence, angular, mirrored, without
 from usvlearn.logs.checks.finding import Finding, override, see
 
 UNLIKE, LONG = 0.4, 120.0  # correlation below which nothing follows; s of evidence
@@ -56,7 +56,7 @@ def degrees(e: Evidence) -> Iterator[Finding]:
     if not len(value) or (greatest := float(np.quantile(value, 0.995))) <= POLE:
         return
     raw, other = (_raw(e, name) for name in DEGREES)
-    fix = ""
+    fix = without(e, DEGREES[0])
     if raw <= 90:
         fix = _both(DEGREES, unit="deg")
     elif raw >= WHOLE:
@@ -83,7 +83,8 @@ def axes(e: Evidence) -> Iterator[Finding]:
         fixes = [mirror_fix(e, angle, e.places)]
         if e.channels and e.speeds != VELOCITIES and not (right and "yaw_rate" in e.series):  # the heading may be wrong
             fixes.append(override("heading", {"unit": mirrored(angular(e, "heading"))}))
-        yield Finding(e.boat, ", ".join(e.places), "position axes", text, expected, " or ".join(filter(None, fixes)))
+        fix = " or ".join(filter(None, fixes)) or without(e, e.places[0])
+        yield Finding(e.boat, ", ".join(e.places), "position axes", text, expected, fix)
 
 
 def mirrored_by(e: Evidence) -> float | None:
@@ -150,7 +151,8 @@ def follows(e: Evidence) -> Iterator[Finding]:
         still = f"stands still (its rate changes by {found.scale * found.spread:.2g} m/s)"
         text = still if found.scale < 0.1 else f"does not follow speed and heading (r = {both:.2f})"
         expected = see("one that follows them", *logged)
-        yield Finding(e.boat, ", ".join(logged), "position", f"a position that {text}", expected)
+        fix = without(e, logged[0])
+        yield Finding(e.boat, ", ".join(logged), "position", f"a position that {text}", expected, fix)
 
 
 def position_unit(e: Evidence, slope: float, plausible: tuple[float, float], fits: bool) -> Finding | None:
@@ -165,8 +167,7 @@ def position_unit(e: Evidence, slope: float, plausible: tuple[float, float], fit
     fix = _length(e, slope)
     if not fix or not e.channels or next(degrees(e), None):
         return None
-    edges = bin_edges(LEG, *(e.series[name] for name in METRES))
-    rate = np.hypot(*(bin_rates(e.series[name], edges) for name in METRES))
+    rate = e.rate(LEG)
     fastest = float(np.nanquantile(rate, 0.995)) if np.isfinite(rate).any() else math.nan
     speed, moved = (plausible[0] < each < plausible[1] for each in (e.fastest, fastest))
     if (moved and not speed) or (moved == speed and fits):

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-CERTAIN, PROBABLE, UNSURE = "certain", "probable", "unsure"
+from usvlearn.core import unconfirmed
+
+CERTAIN, PROBABLE, UNSURE = "certain", unconfirmed.PROBABLE, unconfirmed.UNSURE
 ORDER = (CERTAIN, PROBABLE, UNSURE)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import yaml
 
 from usvlearn.core.samples import Fleet, speed_limit
+from usvlearn.core.unconfirmed import SECTION, confirmation
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.channels.channel import Recording
 from usvlearn.logs.checks.data_check import check_data
@@ -23,8 +24,9 @@ from usvlearn.logs.inspection.lag import DELAYS, LONG_DELAYS, Lag, find_lag
 from usvlearn.logs.inspection.logfiles import Logs, boats_of, joined, open_logs
 from usvlearn.logs.inspection.override import shell_override
 from usvlearn.logs.inspection.proposal import Proposal, propose
+from usvlearn.logs.inspection.questions import questions
 from usvlearn.logs.inspection.vehicles import check_boat
-from usvlearn.logs.inspection.written import read_settings, settings_of, write_text
+from usvlearn.logs.inspection.written import MASS, read_settings, settings_of, write_text
 from usvlearn.logs.recordings import align_fleet
 
 USUAL, MARGIN = 3.0, 1.1  # m/s, the top speed where no speed is known; of the greatest one that is logged
@@ -64,8 +66,8 @@ def inspect_logs(
     logs = open_logs(given, name)
     series = candidates(joined(logs.surveyed))
     proposal = propose(series, logs.format.name)
-    asked = [] if any_vehicle else check_boat(logs.files, series, logs.format.name)
-    decisions, notes = [*asked, *proposal.decisions], list(logs.notes)
+    decisions = [] if any_vehicle else check_boat(logs.files, series, logs.format.name)
+    notes = list(logs.notes)
     for doubt in logs.doubts:
         option, _, reason = doubt.partition(": ")
         decisions.append(Decision("reader", option, str(getattr(logs.reader, option, "")), UNSURE, reason))
@@ -76,6 +78,7 @@ def inspect_logs(
         )
         why += f"inspect those of each, or set data.path={{{paths}}} and data.boat=null"
         decisions.append(Decision("boat", "path", name or logs.name, UNSURE, why))
+    decisions += proposal.decisions
     if proposal.missing:
         return Inspected(logs, series, proposal, decisions, {}, "", [], None, notes, [])
     settings = settings_of(logs.path, name or logs.name, logs.reader, proposal.channels, USUAL)
@@ -86,6 +89,9 @@ def inspect_logs(
         top = _tell_top_speed(settings, recordings, decisions)
         lag = find_lag(recordings, speed_limit(top))
         _tell_delay(settings, lag, decisions)
+    why = "not in the logs; forces scale with it"
+    decisions.append(Decision("vehicle", "mass", f"{MASS:g} kg", UNSURE, why))
+    settings[SECTION] = questions(decisions, settings)
     count = len(logs.files)
     origin = f"{count} log{'s' * (count > 1)} ({logs.format.name})"
     vehicle, channels = settings["vehicle"], settings["data"]["channels"]
@@ -95,7 +101,8 @@ def inspect_logs(
         f"To use it: usvlearn train {shell_override(output)}",
         MEANING,
     ]
-    text = write_text(settings, decisions, head, [each.sentence() for each in findings])
+    ask = f"not proved: correct it above, or confirm it: {confirmation(output)}"
+    text = write_text(settings, decisions, head, ask, [each.sentence() for each in findings])
     back = yaml.safe_load(text)
     if back != settings:
         raise AssertionError(f"the file does not read back as it was written: {back} != {settings}")

@@ -1,4 +1,8 @@
-"""What `usvlearn inspect` prints: what is in the logs, what was decided, and what is unsure."""
+"""What `usvlearn inspect` prints: what was found, what to check, and what the data check and the readers say.
+
+By default it takes at most `LINES` lines, with what the command adds: if decisions with their reasons need more,
+there is one row for each channel, and what has no room then is counted. With `whole`, the series of logs come first.
+"""
 
 from __future__ import annotations
 
@@ -7,40 +11,54 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from rich.console import Console
 from rich.text import Text
 
+from usvlearn.core.unconfirmed import SECTION, confirmation
 from usvlearn.display.terminal import Blocks
 from usvlearn.errors import printable
 from usvlearn.logs.channels.channel import COMMANDS, Recording
 from usvlearn.logs.inspection.candidate import Candidate
-from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision
+from usvlearn.logs.inspection.decision import PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.inspected import Inspected
 from usvlearn.logs.inspection.logfiles import bytes_of
-from usvlearn.logs.inspection.written import MASS
 
-STYLES = {CERTAIN: "green", PROBABLE: "", UNSURE: "bold yellow"}
-NOTED = 6  # notes of readers
+LINES, END = 40, 5  # on the screen; of them after these parts
+PLAIN = ("series", "unit", "sign", "posting")  # what is told without its name
 
 
-def parts(found: Inspected, listed: int) -> Iterator[Text | Blocks]:
-    """The parts of the screen, in order.
+def show(found: Inspected, output: str, console: Console, whole: bool = False) -> None:
+    """Print it.
 
     Args:
         found: by `inspect_logs`.
-        listed: series that are listed at most.
+        output: the file that is written.
+        console: on which it is printed.
+        whole: whether everything is printed, however long.
     """
-    yield Text(" ".join(_logs(found)))
-    yield Text()
-    yield _series(found.series, listed)
-    yield _decisions(found)
-    yield from _unsure(found)
-    for each in found.findings:
-        yield Text(f"Data check, {each.severity}: {printable(each.sentence())}")
-    for note in found.notes[:NOTED]:
-        yield Text(f"Note: {printable(note)}")
-    if len(found.notes) > NOTED:
-        yield Text(f"Note: and {len(found.notes) - NOTED} more.")
-    yield Text()
+    log, asked = Text(" ".join(_logs(found))), list(_asked(found, output))
+    said = [Text(f"Data check, {each.severity}: {printable(each.sentence())}") for each in found.findings]
+    said += [Text(f"Note: {printable(note)}") for note in found.notes]
+    parts: list[Text | Blocks] = [log, Text(), _decisions(found, whole), *asked, *said]
+    if whole:
+        parts.insert(2, _series(found.series))
+    elif _height(parts, console) > (room := LINES - END - bool(said)):
+        for reasons in range(len(asked), -2, -1):
+            parts = [log, Text(), _channels(found), *_asked(found, output, reasons)]
+            if (left := room - _height(parts, console)) >= bool(said):
+                break
+        for number, each in enumerate(said):
+            left -= _height([each], console)
+            if left < (number < len(said) - 1):  # a line must be left to count the rest
+                parts.append(Text(f"{len(said) - number} more of the data check and the readers: add --all"))
+                break
+            parts.append(each)
+    for part in [*parts, *[Text()] * bool(said)]:
+        console.print(part)
+
+
+def _height(parts: Sequence[Text | Blocks], console: Console) -> int:
+    return sum(len(console.render_lines(each)) for each in parts)
 
 
 def hours(recordings: Sequence[Recording]) -> float:
@@ -62,42 +80,48 @@ def _logs(found: Inspected) -> Iterator[str]:
         yield f"Reader: {printable(sentence)}."
 
 
-def _series(series: Sequence[Candidate], listed: int) -> Blocks:
-    shown = sorted(series, key=lambda each: not each.varies)[:listed]
-    more = f" ({len(series) - listed} more are not shown)" if len(series) > listed else ""
-    table = Blocks(
-        f"What is in it: {len(series)} series of numbers{more}",
-        ["series", "unit"],
-        ["count", "1/s", "least", "greatest", "gaps", "repeats"],
-        ["series"],
-    )
-    for each in shown:
+def _series(series: Sequence[Candidate]) -> Blocks:
+    numbers = ["count", "1/s", "least", "greatest", "gaps", "repeats"]
+    table = Blocks(f"What is in it: {len(series)} series of numbers", ["series", "unit"], numbers, ["series"])
+    for each in sorted(series, key=lambda each: not each.varies):
         low, high = each.extent
         rate = 1 / each.interval if each.interval > 0 else math.nan
         table.add(
-            printable(each.label),
-            each.unit or "–",
-            f"{len(each.value)}",
-            _short(rate),
-            _short(low, low, high),
-            _short(high, low, high),
-            f"{each.gaps}",
-            f"{each.repeats:.0%}",
-        )
+            printable(each.label), each.unit or "–", f"{len(each.value)}", _short(rate), _short(low, low, high),
+            _short(high, low, high), f"{each.gaps}", f"{each.repeats:.0%}",
+        )  # fmt: skip
     return table
 
 
-def _decisions(found: Inspected) -> Blocks:
-    table = Blocks("What it means", ["channel", "found", "how sure", "why"], [], ["channel", "found", "why"])
+def _decisions(found: Inspected, whole: bool) -> Blocks:
+    title = "What it means" if whole else f"What was found in {len(found.series)} series of numbers; --all lists them"
+    table = Blocks(title, ["channel", "found", "how sure", "why"], [], ["channel", "found", "why"])
     reason = channel = ""
     for each in _merged(found.decisions):
         why = printable(each.reason) if each.reason != reason else "″"
         reason = each.reason
         below = f"  {each.what}" if each.channel in (channel, "both commands") else f"{each.channel} {each.what}"
         name, channel = each.channel if each.what == "series" else below, each.channel
-        value = Text(each.certainty, STYLES[each.certainty])
-        table.add(name, printable(each.value), value, why)
+        table.add(name, printable(each.value), _sure(each.certainty), why)
     return table
+
+
+def _channels(found: Inspected) -> Blocks:
+    """One row for each channel: its series, then what else was decided, and the least of what is how sure."""
+    series = f"{len(found.series)} series of numbers; --all lists them, and says why"
+    table = Blocks(f"What was found in {series}", ["channel", "found", "how sure"], [], ["found"])
+    rows: dict[str, list[Decision]] = {}
+    for each in _merged(found.decisions):
+        rows.setdefault(each.channel, []).append(each)
+    for channel, own in rows.items():
+        words = ((each.what.removesuffix(" of both"), each.value) for each in own)
+        told = ", ".join(value if what in PLAIN else f"{what} {value}" for what, value in words)
+        table.add(channel, printable(told), _sure(least(*(each.certainty for each in own))))
+    return table
+
+
+def _sure(certainty: str) -> Text:
+    return Text(certainty, "bold yellow" if certainty == UNSURE else "")
 
 
 def _merged(decisions: Sequence[Decision]) -> list[Decision]:
@@ -111,15 +135,18 @@ def _merged(decisions: Sequence[Decision]) -> list[Decision]:
     return [*sides, *(each._replace(what=f"{each.what} of both") for each in both), *rest]
 
 
-def _unsure(found: Inspected) -> Iterator[Text]:
-    unsure = _merged([each for each in found.decisions if each.certainty == UNSURE])
-    mass = f"vehicle mass: {MASS:g} kg: not in the logs; the parameters scale with it"
-    yield Text(f"Please check ({len(unsure) + 1}):", "bold")
-    for each in unsure:
-        others = f"; or {', '.join(each.alternatives)}" if each.alternatives else ""
-        yield Text(printable(f"  {each.channel} {each.what.removesuffix(' of both')}: {each.value}{others}"))
-    yield Text(f"  {mass}")
-    yield Text()
+def _asked(found: Inspected, output: str, reasons: int = 1000) -> Iterator[Text]:
+    """The open questions, unsure ones with what they may be, so many with why; below 0, not even in a line each."""
+    if asked := found.settings.get(SECTION):
+        yield Text(f"Please check ({len(asked)}). If wrong, correct {output}; if right: {confirmation(output)}", "bold")
+        told: dict[str, list[str]] = {UNSURE: [], PROBABLE: []}
+        for number, (key, each) in enumerate(asked.items()):
+            if each["certainty"] == UNSURE and reasons >= 0:
+                yield Text(f"  {key}: {each['found']}" + (f" ({each['why']})" if number < reasons else ""))
+            else:
+                told[each["certainty"]].append(f"{key} {each['found']}")
+        yield from (Text(f"  {sure}: {'; '.join(words)}") for sure, words in told.items() if words)
+        yield Text()
 
 
 def _short(value: float, low: float = 0.0, high: float = 0.0) -> str:

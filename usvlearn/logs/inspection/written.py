@@ -5,17 +5,19 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import yaml
 
+from usvlearn.core.unconfirmed import SECTION
 from usvlearn.errors import printable
 from usvlearn.logs.channels.channel import Recording
 from usvlearn.logs.inspection.decision import UNSURE, Decision
 from usvlearn.logs.read import read_recordings
 
 MASS = 36.0  # kg, of configs/data/csv.yaml
+UNITS = {"mass": ["kg, added mass included"], "surge_max": ["m/s, top speed"]}
 KEYS = {"series": "name", "unit": "unit", "zero": "zero", "span": "span", "sign": "span", "posting": "held",
         "period": "period", "delay": "delay"}  # fmt: skip
 
@@ -50,6 +52,13 @@ def read_settings(settings: Mapping[str, Any]) -> list[Recording]:
     return read_recordings(data["path"], reader, data["channels"], data["boat"])
 
 
+def path_of(decision: Decision) -> str:
+    """The setting that it decides, such as `data.channels.surge.unit`."""
+    channel, what = decision.channel, KEYS.get(decision.what, decision.what)
+    sections = {"vehicle": "vehicle", "reader": "data.reader", "boat": "data"}
+    return f"{sections.get(channel, f'data.channels.{channel}')}.{what}"
+
+
 def scalar(value: Any) -> str:
     """A value as YAML in one line, quoted where it must be.
 
@@ -61,43 +70,42 @@ def scalar(value: Any) -> str:
 
 
 def write_text(
-    settings: Mapping[str, Any], decisions: Sequence[Decision], head: Sequence[str], findings: Sequence[str] = ()
+    settings: Mapping[str, Any], decisions: Sequence[Decision], head: Sequence[str], ask: str, findings: Sequence[str]
 ) -> str:
     """The file.
 
     Args:
-        settings: of `settings_of`.
+        settings: of `settings_of`, with the open questions.
         decisions: what is told beside the keys.
         head: lines above all keys.
+        ask: what is said of the open questions.
         findings: of the data check, as sentences.
     """
-    vehicle, data = settings["vehicle"], settings["data"]
-    reasons = {(each.channel, KEYS.get(each.what, each.what)): each for each in reversed(decisions)}
-    top = reasons.get(("vehicle", "surge_max"))
-    lines = ["# @package _global_", *(f"# {_plain(each)}" for each in head), "vehicle:"]
-    lines.append(
-        f"  mass: {vehicle['mass']:g}  # kg, added mass included; unsure: not in the logs; the parameters scale with it"
-    )
-    lines.append(f"  surge_max: {vehicle['surge_max']:g}  # m/s, top speed" + (f"; {_comment(top)}" if top else ""))
-    lines += ["data:", *(f"  {key}: {scalar(data[key])}" for key in ("_target_", "_convert_", "path", "boat"))]
-    lines += ["  reader:", *(f"    {key}: {scalar(value)}" for key, value in data["reader"].items()), "  channels:"]
-    for name, source in data["channels"].items():
-        lines.append(f"    {name}:")
-        for key, value in source.items():
-            sentence = reasons.get((name, key))
-            lines.append(f"      {key}: {scalar(value)}" + (f"  # {_comment(sentence)}" if sentence else ""))
-            if sentence and sentence.certainty == UNSURE:
-                lines += [f"      # or {key}: {_plain(other)}" for other in sentence.alternatives]
-    if unsure := [each for each in decisions if each.certainty == UNSURE]:
-        lines.append("# Unsure, please check:")
-        lines += [f"#   {_plain(f'{each.channel}, {each.what}: {each.value} ({each.reason})')}" for each in unsure]
+    reasons = {path_of(each): each for each in reversed(decisions)}
+    lines = ["# @package _global_", *(f"# {_plain(each)}" for each in head)]
+    lines += _lines({key: each for key, each in settings.items() if key != SECTION}, (), reasons)
+    if settings[SECTION]:
+        lines.append(f"{SECTION}:  # {_plain(ask)}")
+        lines += [f"  {scalar(key)}: {scalar(each)}" for key, each in settings[SECTION].items()]
     if findings:
         lines += ["# The data check says:", *(f"#   {_plain(each)}" for each in findings)]
     return "\n".join(lines) + "\n"
 
 
-def _comment(sentence: Decision) -> str:
-    return _plain(f"{sentence.certainty}: {sentence.reason}")
+def _lines(node: Mapping[str, Any], above: tuple[str, ...], reasons: Mapping[str, Decision]) -> Iterator[str]:
+    """Each key with its value, what is told of it, and what else it may be."""
+    space = "  " * len(above)
+    for key, value in node.items():
+        path = (*above, key)
+        why = reasons.get(".".join(path))
+        if isinstance(value, Mapping):
+            yield f"{space}{key}:"
+            yield from _lines(value, path, reasons)
+            continue
+        told = [*UNITS.get(key, ()), *([f"{why.certainty}: {why.reason}"] if why else [])]
+        yield f"{space}{key}: {scalar(value)}" + (f"  # {_plain('; '.join(told))}" if told else "")
+        for other in why.alternatives if why and why.certainty == UNSURE else ():
+            yield f"{space}# or {key}: {_plain(other)}"
 
 
 def _plain(text: str) -> str:

@@ -213,7 +213,7 @@ def facts(found: Controller) -> dict[str, Any]:
         "boat": found.boat.name,
         "set": found.boat.path.name,
         "basis": found.boat.found.basis,
-        "lacks": list(found.boat.found.lacks),
+        "lacks": list(found.boat.lacks),
         "feedforward": {
             "command": [round(float(x), 5) for x in forward.command],
             "speed_m_s": [round(float(x), 5) for x in forward.speed],

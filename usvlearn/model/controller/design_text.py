@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from textwrap import wrap
 
 import numpy as np
 from rich.text import Text
@@ -24,16 +25,16 @@ def head(found: Controller) -> list[str]:
         f"{found.late:.2f} s of delay of the commands",
         f"poles at {gains.bandwidth:.2f} rad/s with damping {gains.damping:.2f}; worst margins over the 90 % "
         f"intervals: {_decibels(left.gain)}, {left.phase:.0f} deg",
+        *(line for each in found.boat.guessed for line in wrap(each.encode("ascii", "replace").decode(), 90)),
         "throttle or thrust must be in proportion to the command that was learned (ArduRover: MOT_THST_EXPO 0)",
     ]
 
 
 def parts(found: Controller) -> Iterator[str | Text | Blocks]:
     """All of it, for a terminal: sentences, tables, and lines of files, which are not broken."""
-    identified = found.boat.found
     yield printable(f"{found.boat.name}: speed controller from {found.boat.path.name}")
-    yield identified.basis
-    yield from identified.lacks
+    yield found.boat.found.basis
+    yield from found.boat.lacks
     yield ""
     yield from _feedforward(found)
     yield ""

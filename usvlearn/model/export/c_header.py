@@ -44,7 +44,7 @@ def c_header(boat: IdentifiedBoat) -> str:
         *wrap(STEP, 110), "",
         *wrap(SIGNS, 110), "",
         *wrap(f"m = {boat.model.mass:.6g} kg, added mass included. {boat.found.scale}", 110),
-        *wrap(boat.found.basis, 110), *(line for each in boat.found.lacks for line in wrap(each, 110)), "",
+        *wrap(boat.found.basis, 110), *(line for each in boat.lacks for line in wrap(each, 110)), "",
         "Identified, with 90 % intervals; the coefficients are those of motion ahead, where terms are summed:",
         "quantity                       value        from          to  unit",
         *(_row(quantity, boat.found.displayed(quantity)) for quantity in boat.found),

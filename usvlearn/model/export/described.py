@@ -54,7 +54,7 @@ def described(boat: IdentifiedBoat) -> dict[str, Any]:
         "identified": {
             "basis": found.basis,
             "meaning": MEANING,
-            "lacks": list(found.lacks),
+            "lacks": list(boat.lacks),
             "quantities": found.json(),
         },
         "covariance": {

@@ -39,11 +39,11 @@ class PlanarBoat(NamedTuple):
 
     @property
     def lacks(self) -> tuple[str, ...]:
-        """What is not known, a sentence each."""
+        """What is not confirmed or not known, a sentence each."""
         if self.model.sway is not None:
-            return ()
+            return tuple(self.boat.guessed)
         times = f"{self.learned['sway'].updates:.0f} times, expected {USED:.0f}"
-        return (f"The sway was measured {times}: v is 0 in the planar model.",)
+        return (*self.boat.guessed, f"The sway was measured {times}: v is 0 in the planar model.")
 
 
 def read_planar(boat: IdentifiedBoat, run: Path) -> PlanarBoat | None:

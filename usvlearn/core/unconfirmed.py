@@ -1,0 +1,86 @@
+"""What `usvlearn inspect` guessed and nobody has confirmed: the open questions of a configuration, and what is said.
+
+Its section `unconfirmed` has them by key: `delay: {certainty: unsure, found: 0 s, why: …, written: {SETTING: VALUE}}`.
+A question is open as long as a setting under `written` has this value and is not given on the command line.
+`usvlearn inspect --confirm KEY FILE` removes it. Without the section, nothing is open.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from usvlearn.errors import ConfigError, printable
+
+SECTION = "unconfirmed"
+PROBABLE, UNSURE = "probable", "unsure"
+Questions = dict[str, dict[str, Any]]
+
+
+def questions_of(section: Any, file: str = "") -> Questions:
+    """A section that may come from anybody, and the file in which it stands; what is not understood counts as unsure.
+
+    Raises:
+        ConfigError: it is no mapping.
+
+    >>> questions_of({"delay": None}, "a.yaml")
+    {'delay': {'certainty': 'unsure', 'found': '', 'why': '', 'file': 'a.yaml', 'written': {}}}
+    """
+    if not isinstance(section, Mapping | None):
+        raise ConfigError(f"{SECTION}: found {section!r:.60}, expected KEY: {{certainty: …}}, or no such section")
+    found: Questions = {}
+    for key, given in (section or {}).items():
+        known = {"written": {}, **(given if isinstance(given, Mapping) else {})} | ({"file": file} if file else {})
+        found[str(key)] = {
+            "certainty": PROBABLE if known.get("certainty") == PROBABLE else UNSURE,
+            **{name: str(known.get(name, "")) for name in ("found", "why", "file")},
+            "written": dict(known["written"]) if isinstance(known["written"], Mapping) else {},
+        }
+    return found
+
+
+def open_questions(settings: Mapping[str, Any], overrides: Sequence[str] = ()) -> Questions:
+    """The open questions of a whole configuration; an override decides a setting, or a section of settings.
+
+    >>> settings = {"vehicle": {"mass": 36.0}, "unconfirmed": {"mass": {"written": {"vehicle.mass": 36.0}}}}
+    >>> [list(open_questions(settings, given)) for given in ([], ["vehicle.mass=36"])]
+    [['mass'], []]
+    """
+    given = tuple(f"{name}." for each in overrides if "." in (name := each.lstrip("+").partition("=")[0]))
+
+    def stands(path: Any, value: Any) -> bool:
+        return value == at(settings, str(path)) and not f"{path}.".startswith(given)
+
+    known = questions_of(settings.get(SECTION)).items()
+    return {k: x for k, x in known if not x["written"] or any(stands(*each) for each in x["written"].items())}
+
+
+def unconfirmed(questions: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """The sentence that everything says while questions are open; [] if none is.
+
+    >>> print(*unconfirmed({"sides": {"certainty": "probable"}, "delay": {"certainty": "unsure"}}))
+    2 guesses unconfirmed: delay (unsure), sides (probable). Correct my_boat.yaml, or confirm what is right: usvlearn \
+inspect --confirm KEY my_boat.yaml; then train again.
+    """
+    if not questions:
+        return []
+    by = {sure: [k for k, each in questions.items() if each["certainty"] == sure] for sure in (UNSURE, PROBABLE)}
+    told = ", ".join(f"{printable(', '.join(keys))} ({sure})" for sure, keys in by.items() if keys)
+    path = Path(next((each["file"] for each in questions.values() if each.get("file")), "my_boat.yaml"))
+    path = path.relative_to(here) if path.is_relative_to(here := Path.cwd()) else path
+    how = f"Correct {printable(str(path))}, or confirm what is right: {confirmation(path)}; then train again."
+    return [f"{len(questions)} guess{'es' * (len(questions) > 1)} unconfirmed: {told}. {how}"]
+
+
+def confirmation(path: str | Path) -> str:
+    """The command that confirms questions of a file."""
+    return f"usvlearn inspect --confirm KEY {printable(shlex.quote(str(path)))}"
+
+
+def at(settings: Any, path: str) -> Any:
+    """The value of a dotted path; None without one."""
+    for name in path.split("."):
+        settings = settings.get(name) if isinstance(settings, Mapping) else None
+    return settings

@@ -1,0 +1,104 @@
+"""The open questions of what `usvlearn inspect` has decided, and their confirmation in the file that it wrote.
+
+Asked is what is unsure, and what is probable if the numbers depend on it. Not asked are probable details of how
+messages are used, since the data check tells where these are wrong, and what is computed from other channels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from usvlearn.core.checkpoint import write_atomically
+from usvlearn.core.foreign_yaml import read_yaml
+from usvlearn.core.unconfirmed import SECTION, Questions, at, questions_of, unconfirmed
+from usvlearn.errors import ConfigError, did_you_mean, printable
+from usvlearn.logs.channels.channel import COMMANDS
+from usvlearn.logs.inspection.decision import CERTAIN, UNSURE, Decision, least
+from usvlearn.logs.inspection.written import path_of, scalar
+
+DETAILS = ("posting", "period", "window", "rejected")
+ALL = "all"
+
+
+def key_of(decision: Decision) -> str:
+    """The name of its question: in words of the screen, and short, since a person types it."""
+    channel, what = decision.channel, decision.what
+    if channel in COMMANDS:
+        return "sides" if what == "series" else what
+    if channel in ("vehicle", "reader"):
+        return what
+    return channel if what == "series" else f"{channel}.{what}"
+
+
+def is_question(decision: Decision, settings: Mapping[str, Any]) -> bool:
+    """Whether a person should confirm it."""
+    computed = decision.what == "series" and at(settings, path_of(decision)) is None
+    minor = computed or decision.what in DETAILS
+    return decision.certainty == UNSURE or (decision.certainty != CERTAIN and not minor)
+
+
+def questions(decisions: Sequence[Decision], settings: Mapping[str, Any]) -> Questions:
+    """The section of the configuration, the unsure ones first; both commands have one question in common."""
+    asked: dict[str, list[Decision]] = {}
+    for each in decisions:
+        if is_question(each, settings):
+            asked.setdefault(key_of(each), []).append(each)
+    found = {
+        key: {
+            "certainty": least(*(each.certainty for each in same)),
+            "found": _found(same),
+            "why": printable("; ".join(dict.fromkeys(" ".join(each.reason.split()) for each in same))),
+            "written": {path: at(settings, path) for path in map(path_of, same)},
+        }
+        for key, same in asked.items()
+    }
+    return dict(sorted(found.items(), key=lambda item: item[1]["certainty"] != UNSURE))
+
+
+def _found(same: Sequence[Decision]) -> str:
+    """What was found and what else it may be, of each side where they differ."""
+    told = [" or ".join(dict.fromkeys([each.value, *each.alternatives])) for each in same]
+    sides = [f"{each.channel.removeprefix('command_')} {text}" for each, text in zip(same, told, strict=True)]
+    return printable(told[0] if len(set(told)) == 1 else "; ".join(sides))
+
+
+def confirm(files: Sequence[str], given: Sequence[str]) -> Iterator[str]:
+    """Remove questions from a file, and nothing else; yields what is said then.
+
+    Args:
+        files: expected is one that `usvlearn inspect` wrote, with a line for each question.
+        given: keys, also several in one, comma-separated.
+
+    Raises:
+        ConfigError: there is no such file or question, or it does not stand in its own line.
+    """
+    if len(files) > 1 or not files[0].endswith((".yaml", ".yml")):
+        raise ConfigError(f"--confirm: found {', '.join(files)}, expected the one file that usvlearn inspect wrote")
+    content = read_yaml("--confirm", path := Path(files[0]).expanduser())
+    known = questions_of(content.get(SECTION), str(path))
+    keys = [key.strip() for each in given for key in each.split(",")]
+    for key in keys:
+        if key not in (*known, ALL):
+            there = f"expected one of {', '.join([*known, ALL])}" if known else f"but nothing is open in {path}"
+            raise ConfigError(f"--confirm: found {key!r}, {there}{did_you_mean(key, known)}")
+    kept = {} if ALL in keys else {key: each for key, each in known.items() if key not in keys}
+    wanted = {key: each for key, each in content.items() if key != SECTION}
+    wanted |= {SECTION: {key: content[SECTION][key] for key in kept}} if kept else {}
+    lines = path.read_bytes().decode().split("\n")
+    first = last = next((k for k, each in enumerate(lines) if each.startswith(f"{SECTION}:")), len(lines))
+    while last + 1 < len(lines) and lines[last + 1].startswith(" "):
+        last += 1
+    gone = tuple(f"{scalar(key)}:" for key in known if key not in kept)
+    own = [each for each in lines[first + 1 : last + 1] if not each.strip().startswith(gone)]
+    lines[first : last + 1] = [lines[first], *own] if kept else []
+    if yaml.safe_load(text := "\n".join(lines)) != wanted:
+        raise ConfigError(f"--confirm: {path}: found no line of its own for each question: remove them by hand")
+    mode = path.stat().st_mode
+    write_atomically(path.resolve(), text.encode())
+    path.chmod(mode)
+    yield f"Confirmed in {path}: {', '.join(keys)}."
+    yield from unconfirmed(kept) or ["Nothing is open any more."]
