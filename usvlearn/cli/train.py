@@ -43,7 +43,8 @@ def work(cfg: DictConfig, folder: Path, overrides: Sequence[str], resume: str | 
     """Do what is asked for, a replay or tuning; quiet where workers share the terminal. Returns the objective."""
     check_settings(cfg)
     composed = seeded(plain(cfg))
-    made = OmegaConf.create(composed | {SECTION: open_questions(composed, overrides)})
+    still = {SECTION: open_questions(composed, overrides)} if SECTION in composed else {}
+    made = OmegaConf.create(composed | still)
     console = terminal.console(quiet)  # of its own: what a worker is sent must be picklable
     with as_written(cfg):
         if not asked(made):
@@ -117,8 +118,8 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
     console.print(identified_table(surge, truth))
     if planar is not None and run.beside is not None:
         console.print(turning_table(identified_planar_boats(planar, run.beside, fleet.boats), turns, surge))
-    asked = unconfirmed(open_questions(settings))
-    terminal.show(*event_lines(found["events"]), *networks, "", *asked, *summary_lines(found, folder), to=console)
+    guessed = unconfirmed(open_questions(settings))
+    terminal.show(*event_lines(found["events"]), *networks, "", *guessed, *summary_lines(found, folder), to=console)
     return found["objective"]
 
 
