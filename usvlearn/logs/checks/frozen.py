@@ -12,7 +12,7 @@ finding only with a witness, all of them in its own time:
   course over ground is no one direction.
 - A command while the other one changes: the turn is not that which the difference of the commands makes elsewhere,
   but is described twice as well by no turn. At the end of its range a command is no witness: an autopilot that steers
-  against a dead thruster stays there.
+  against a dead thruster stays there. Nor is it in less than 20 s: one gust or wake turns a boat as long.
 - Yaw rate: the heading turns.
 - A coordinate: by speed and heading the boat moved by more than 10 m along that axis, at a quarter of its top speed.
 """
@@ -126,7 +126,7 @@ def _command(e: Evidence, name: str, value: float, part: slice) -> str | None:
     own, other = e.commands[::-1] if name == COMMANDS[1] else e.commands
     low, high = (float(each) for each in np.nanquantile(own, [0.005, 0.995]))
     inside = low + EDGE * (high - low) < value < high - EDGE * (high - low)
-    if not inside or _range(other[part]) < USED:
+    if not inside or _range(other[part]) < USED or (part.stop - part.start) * STEP < 2 * LONGEST:
         return None
     difference, turn = e.commands[0] - e.commands[1], e.turn
     lag = round(e.turns.lag / STEP) if e.turns.seconds else 0
