@@ -74,6 +74,12 @@ def test_stamps_of_every_kind(tmp_path, header):
     assert np.abs(channel.time - TIME).max() < rounded and not [each for each in unsure if "unit" in each]
 
 
+@pytest.mark.parametrize(("header", "cells"), [("time,ns", (0.25, "N")), ("time,ms", (1, 1.25)), ("secs,us", (2, ""))])
+def test_only_integers_are_the_fraction_of_a_second(tmp_path, header, cells):
+    path = write(tmp_path / "a.csv", header, [(round(cells[0] * k, 2), cells[1]) for k in range(600)])
+    assert table_of(path)[0].time == header.split(",")[0]
+
+
 def test_an_underscore_is_no_part_of_a_number():
     assert np.isnan(parse_numbers(["20240603_0915", "1_0"])).all() and parse_numbers(["10"])[0] == 10
 

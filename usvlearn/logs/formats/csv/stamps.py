@@ -302,10 +302,10 @@ def joined(names: Sequence[str], cells: Iterable[Sequence[str]]) -> list[str]:
 def _part(part: str | int | None, cell: str, split: bool) -> str:
     """A cell as a part of a stamp, with the sign before it."""
     whole, _, rest = (cell := cell.strip()).replace(",", ".").partition(".")
+    if isinstance(part, int):  # an integer: "ns" may be north or south, and "ms" a speed
+        return f".{whole.zfill(part)}" if whole.isdigit() and not rest.strip("0") and len(whole) <= part else "?"
     if part is None or not (part == "month" or (whole + rest).isdigit()):
         return f" {cell}"
-    if isinstance(part, int):
-        return f".{whole.zfill(part)}" if len(whole) <= part else "?"
     century = "20" if part == "year" and len(whole) == 2 else ""
     return f"{SIGNS[part]}{century}{whole.zfill(2)}" + (f".{rest}" if part == "second" and rest and not split else "")
 
