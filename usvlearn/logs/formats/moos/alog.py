@@ -178,7 +178,5 @@ def _is_number(text: str) -> bool:
 
 
 def _no_rows(path: Path) -> LogFormatError:
-    return LogFormatError(
-        f"{path}: expected a MOOS log, found no row of the form 'time VARIABLE SOURCE VALUE': "
-        "give the .alog of a run, or choose the data option that fits this file"
-    )
+    told = f"{path}: expected a MOOS log, found no row of the form 'time VARIABLE SOURCE VALUE': give the .alog of a "
+    return LogFormatError(f"{told}run, or choose the data option that fits this file")

@@ -155,10 +155,8 @@ class Rosbag:
         bag = Scan(path, keep, self._limit)
         if not bag.count:
             way = f"try `sqlite3 {path.name} .recover | sqlite3 new.db3`, or " if path.suffix == ".db3" else ""
-            raise LogFormatError(
-                f"{path}: expected a whole ROS bag, found: {what}; and no message could be recovered from it: "
-                f"{way}leave it out, or name its reader"
-            ) from refusal
+            told = f"{path}: expected a whole ROS bag, found: {what}; and no message could be recovered from it: "
+            raise LogFormatError(f"{told}{way}leave it out, or name its reader") from refusal
         ending = f"it breaks off in the one at byte {bag.end} of {bag.size}" if bag.end < bag.size else "all are whole"
         warnings.warn(
             f"{path}: the index of this bag is missing or damaged ({what}): recovered {bag.count} messages of "
