@@ -87,10 +87,8 @@ class Sensors:
         if len(self.stuck) != 2 or not 0 <= min(self.stuck) <= max(self.stuck) < math.inf:
             raise ConfigError(f"stuck: found {self.stuck!r}, expected when the speed sticks and for how long, in s")
         if self.jitter * max(self.surge_hz, self.heading_hz) >= 0.25:
-            raise ConfigError(
-                f"jitter: found {self.jitter} s, expected less than a quarter of the shortest period, "
-                f"{0.25 / max(self.surge_hz, self.heading_hz):g} s"
-            )
+            told = f"jitter: found {self.jitter} s, expected less than a quarter of the shortest period, "
+            raise ConfigError(f"{told}{0.25 / max(self.surge_hz, self.heading_hz):g} s")
 
 
 class Truth(NamedTuple):

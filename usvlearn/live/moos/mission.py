@@ -117,10 +117,8 @@ class Mission:
 
     def _unopened(self, block: Block | None) -> None:
         if block is not None:
-            raise ConfigError(
-                f"{self.path}, line {block.line}: found no {{ after ProcessConfig = {printable(block.name)}, "
-                "expected one on a line of its own"
-            )
+            told = f"{self.path}, line {block.line}: found no {{ after ProcessConfig = {printable(block.name)}, "
+            raise ConfigError(f"{told}expected one on a line of its own")
 
     def get(self, key: str) -> Entry | None:
         """The first entry of a key at the top level, outside all blocks.
@@ -146,10 +144,8 @@ class Mission:
                 return self._entries(block)
         names = [block.name for block in self.blocks]
         listed = ", ".join(map(printable, names[:LISTED])) or "none"
-        raise ConfigError(
-            f"{self.path}: found no ProcessConfig = {name}{did_you_mean(name, names)}; there are {listed}: add the "
-            "block (--example shows one), or name the app by --alias"
-        )
+        told = f"{self.path}: found no ProcessConfig = {name}{did_you_mean(name, names)}; there are {listed}: add "
+        raise ConfigError(f"{told}the block (--example shows one), or name the app by --alias")
 
     def _entries(self, block: Block) -> dict[str, Entry]:
         found: dict[str, Entry] = {}
@@ -159,20 +155,16 @@ class Mission:
             if not equals or not entry.key:
                 raise ConfigError(f"{self.path}, line {number}: found {printable(line)[:60]!r}, expected KEY = VALUE")
             if (before := found.get(entry.key.lower())) is not None:
-                raise ConfigError(
-                    f"{self.path}, line {number}: found {printable(entry.key)} again, which line {before.line} has: "
-                    "remove one of them"
-                )
+                told = f"{self.path}, line {number}: found {printable(entry.key)} again, which line {before.line} "
+                raise ConfigError(f"{told}has: remove one of them")
             found[entry.key.lower()] = entry
         return found
 
     def _expanded(self, text: str, line: int) -> str:
         def value(match: re.Match[str]) -> str:
             if match[1] not in self._variables:
-                raise ConfigError(
-                    f"{self.path}, line {line}: found ${{{printable(match[1])}}}, which neither a define: line nor the "
-                    "environment has: add `define: NAME = VALUE`"
-                )
+                told = f"{self.path}, line {line}: found ${{{printable(match[1])}}}, which neither a define: line "
+                raise ConfigError(f"{told}nor the environment has: add `define: NAME = VALUE`")
             return self._variables[match[1]]
 
         return _VARIABLE.sub(value, text)

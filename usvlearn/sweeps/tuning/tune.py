@@ -113,10 +113,8 @@ def request(configuration: Mapping[str, Any], instantiate: Callable[[Any], Any])
         raise ConfigError(f"objective: found {measure} with {way}={member}, expected one of its errors: {member}, "
                           f"{member}.forecast.SECONDS or {member}.free")  # fmt: skip
     if way == "learn" and measure.kind != ONE_STEP:
-        raise ConfigError(
-            f"objective: found {measure} with learn={member}, which minimises the error one step ahead: use grid or "
-            "search"
-        )
+        told = f"objective: found {measure} with learn={member}, which minimises the error one step ahead: use grid "
+        raise ConfigError(f"{told}or search")
     return Request(way, member, parameters, values, options["evaluations"], options, members[member], build, measure)
 
 
