@@ -41,16 +41,11 @@ def align_fleet(recordings: Iterable[Recording], **options) -> Fleet:
             used = {name: recording.channels[name] for name in CHANNELS if name in recording.channels}
             aligned = align(used, **options)
         counts = rejected.setdefault(recording.boat, {})
-        found = [
-            (channel, cause, count)
-            for source in (recording.dropped, aligned.rejected)
-            for channel, causes in source.items()
-            for cause, count in causes.items()
-        ]
-        for channel, cause, count in found:
-            if count:
-                total = counts.setdefault(channel, {})
-                total[cause] = total.get(cause, 0) + count
+        for channel, causes in (*recording.dropped.items(), *aligned.rejected.items()):
+            for cause, count in causes.items():
+                if count:
+                    total = counts.setdefault(channel, {})
+                    total[cause] = total.get(cause, 0) + count
         steps = int(aligned.samples.measured.sum())
         if steps < SHORTEST:
             short.append(f"{recording.boat}, run {recording.run}: {steps} (rejected: {_causes(aligned.rejected)})")
@@ -89,21 +84,15 @@ class BoatRun(NamedTuple):
 def _side_by_side(elements: list[BoatRun | None]) -> Run:
     """One run per boat, padded to the longest with samples that are neither fresh nor measured."""
     lengths = [0 if element is None else len(element.aligned.time) for element in elements]
-    longest = max(
-        (element.aligned for element in elements if element is not None), key=lambda aligned: len(aligned.time)
-    )
+    longest = max((each.aligned for each in elements if each is not None), key=lambda aligned: len(aligned.time))
     shape = (max(lengths), len(elements))
 
     def empty(fill) -> np.ndarray:
         return np.full(shape, fill, dtype=type(fill))
 
     dt = float(longest.samples.inputs.dt.max())
-    padded = Sample(
-        Inputs(empty(0.0), empty(0.0), empty(0.0), empty(0.0), empty(dt)),
-        empty(np.nan),
-        empty(False),
-        empty(False),
-    )
+    inputs = Inputs(empty(0.0), empty(0.0), empty(0.0), empty(0.0), empty(dt))
+    padded = Sample(inputs, empty(np.nan), empty(False), empty(False))
     time, position, pose = empty(np.nan), np.full((*shape, 2), np.nan), np.full((*shape, POSE), np.nan)
     for element, one in enumerate(elements):
         if one is not None:

@@ -99,12 +99,8 @@ class Setup:
             if each is not None
         }
         reader = data.get("reader")
-        return cls.of(
-            {
-                "channels": settled, "align": settings.get("align"), "vehicle": settings.get("vehicle"),
-                "reader": reader.get("_target_") if isinstance(reader, Mapping) else None,
-            }
-        )  # fmt: skip
+        known = {"channels": settled, "align": settings.get("align"), "vehicle": settings.get("vehicle")}
+        return cls.of({**known, "reader": reader.get("_target_") if isinstance(reader, Mapping) else None})
 
     def live(self) -> Setup:
         """Without channels that only the track of a log needs."""
@@ -113,9 +109,7 @@ class Setup:
 
     def json(self) -> dict[str, Any]:
         """As JSON values."""
-        channels = {
-            name: each.json() if isinstance(each, Mix) else asdict(each) for name, each in self.channels.items()
-        }
+        channels = {name: x.json() if isinstance(x, Mix) else asdict(x) for name, x in self.channels.items()}
         vehicle = {"mass": self.mass, "surge_max": self.surge_max}
         asked = {SECTION: dict(self.unconfirmed)} if self.unconfirmed else {}
         return {"channels": channels, "align": dict(self.align), "vehicle": vehicle, "reader": self.reader, **asked}

@@ -37,12 +37,8 @@ def segments(series: Collection[T]) -> tuple[list[list[T]], list[tuple[int, floa
     for begin, end in pairwise([-np.inf, *(place for place, _ in jumps), np.inf]) if jumps else ():
         rows = [(each.order >= begin) & (each.order < end) for each in series]
         start = min(each.time[inside].min() for each, inside in zip(series, rows, strict=True) if inside.any())
-        parts.append(
-            [
-                each._replace(time=each.time[k] - start, value=each.value[k], order=each.order[k])
-                for each, k in zip(series, rows, strict=True)
-            ]
-        )
+        cut = zip(series, rows, strict=True)
+        parts.append([x._replace(time=x.time[k] - start, value=x.value[k], order=x.order[k]) for x, k in cut])
     return parts, jumps
 
 

@@ -13,7 +13,6 @@ Thresholds, and why:
 from __future__ import annotations
 
 import math
-import re
 from collections import Counter
 from collections.abc import Iterator
 
@@ -150,11 +149,6 @@ def horizons(e: Evidence) -> Iterator[Finding]:
     if short:
         left = [horizon for horizon in e.horizons if horizon not in short]
         text = f"horizons of {', '.join(f'{each:g}' for each in short)} s"
-        key = (
-            "forecasts=null"
-            if not left
-            else re.sub(r"\s", "", f"forecasts.horizons=[{','.join(f'{x:g}' for x in left)}]")
-        )
-        yield Finding(
-            "all boats", "forecasts", "horizons", text, f"{_dt(e) / 2:g} s or more: they never fall due", key, NOTE
-        )
+        key = f"forecasts.horizons=[{','.join(f'{each:g}' for each in left)}]" if left else "forecasts=null"
+        expected = f"{_dt(e) / 2:g} s or more: they never fall due"
+        yield Finding("all boats", "forecasts", "horizons", text, expected, key, NOTE)

@@ -42,9 +42,7 @@ WEAK, BEYOND = 0.05, 1.2  # of full scale
 CIRCLE = 2 * math.pi
 PARTS = (1, 10, math.degrees(1), 100)  # of a degree, in which headings are logged, or converted twice
 TURNED = 0.03  # rad/s, standard deviation of a turn that a yaw rate has to follow
-TURNED_AWAY = math.radians(
-    45
-)  # of the course from the heading: half the speed of the boat as a cross current makes 30°
+TURNED_AWAY = math.radians(45)  # of the course from the heading; a cross current of half the speed makes 30°
 SLUGGISH, FRANTIC = 0.03, 10.0  # rad/s of turn for a full difference of the commands
 SWIFT = 0.3  # rad/s; ten times as much is more than a boat turns: tenths of a degree, not many turns without a wrap
 CENTURY = (700.0, 2300.0)  # us, the pulses of servos and speed controllers
@@ -178,12 +176,10 @@ def command_scale(e: Evidence) -> Iterator[Finding]:
         fix: dict[str, Any] = {"unit": "1"} if settings["unit"] != "1" else {}
         fix |= {"zero": idle} if pulses and idle == IDLE else {}
         fix |= {"span": math.copysign(full, settings["span"])}
+        text, expected = f"at most {greatest:.2g} of full scale", f"more than {WEAK:g}"
         if greatest > BEYOND:
-            yield Finding(e.boat, name, "command scale", f"values up to {greatest:.3g} of full scale",
-                          f"at most {BEYOND:g}", override(name, fix))  # fmt: skip
-        else:
-            yield Finding(e.boat, name, "command scale", f"at most {greatest:.2g} of full scale",
-                          f"more than {WEAK:g}", override(name, fix))  # fmt: skip
+            text, expected = f"values up to {greatest:.3g} of full scale", f"at most {BEYOND:g}"
+        yield Finding(e.boat, name, "command scale", text, expected, override(name, fix))
 
 
 def heading_unit(e: Evidence) -> Iterator[Finding]:

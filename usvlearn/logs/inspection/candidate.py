@@ -161,6 +161,12 @@ class Candidate:
         return dataclasses.replace(self, **changes)
 
 
+def held_at(series: tuple[np.ndarray, np.ndarray], at: np.ndarray) -> np.ndarray:
+    """The value of a series, times and values, that holds at other times until its next one."""
+    order = np.argsort(series[0], kind="stable")
+    return series[1][order][np.clip(np.searchsorted(series[0][order], at, side="right") - 1, 0, None)]
+
+
 def candidates(series: list[Series]) -> list[Candidate]:
     """The series that hold numbers, as candidates."""
     found = []

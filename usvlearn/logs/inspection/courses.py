@@ -16,7 +16,7 @@ from usvlearn.logs.channels.relations import sway_on_positions
 from usvlearn.logs.inspection.candidate import Candidate
 from usvlearn.logs.inspection.decision import CERTAIN, ORDER, PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.directions import Heading, read_any_turn
-from usvlearn.logs.inspection.places import Pair, Places, course_of
+from usvlearn.logs.inspection.places import Pair, Places, course_of, ordered
 from usvlearn.logs.inspection.speeds import RATIO, Speed
 from usvlearn.logs.inspection.sways import FOLLOWS, SURE
 from usvlearn.logs.inspection.vocabulary import fit
@@ -78,10 +78,7 @@ def course_beside(pool: Sequence[Candidate], speed: Speed, heading: Heading | No
 
 def _across(speed: Pair, course: Pair, heading: Pair) -> Pair:
     """The sway at the times of the course, m/s; speed and heading are interpolated."""
-    order = [np.argsort(time, kind="stable") for time, _ in (speed, course, heading)]
-    (at, size), (time, angle), (stamps, turned) = (
-        (pair[0][k], pair[1][k]) for pair, k in zip((speed, course, heading), order, strict=True)
-    )
+    (at, size), (time, angle), (stamps, turned) = map(ordered, (speed, course, heading))
     return time, np.interp(time, at, size) * np.sin(angle - np.interp(time, stamps, np.unwrap(turned)))
 
 

@@ -73,10 +73,8 @@ def inspect_logs(
         decisions.append(Decision("reader", option, str(getattr(logs.reader, option, "")), UNSURE, reason))
     if boats := boats_of(logs.files):
         paths = ", ".join(f"{boat}: {pattern!r}" for boat, pattern in boats.items())
-        why = (
-            f"the names of the logs begin with {' and '.join(boats)}, but all are taken as one boat; of several boats, "
-        )
-        why += f"inspect those of each, or set data.path={{{paths}}} and data.boat=null"
+        why = f"the names of the logs begin with {' and '.join(boats)}, but all are taken as one boat; of several "
+        why += f"boats, inspect those of each, or set data.path={{{paths}}} and data.boat=null"
         decisions.append(Decision("boat", "path", name or logs.name, UNSURE, why))
     decisions += proposal.decisions
     if proposal.missing:
@@ -96,11 +94,8 @@ def inspect_logs(
     origin = f"{count} log{'s' * (count > 1)} ({logs.format.name})"
     vehicle, channels = settings["vehicle"], settings["data"]["channels"]
     findings = check_data(recordings, _aligned(recordings, vehicle["surge_max"]), {}, vehicle["surge_max"], channels)
-    head = [
-        f"{settings['data']['boat']}: written by usvlearn inspect from {origin}.",
-        f"To use it: usvlearn train {shell_override(output)}",
-        MEANING,
-    ]
+    head = [f"{settings['data']['boat']}: written by usvlearn inspect from {origin}."]
+    head += [f"To use it: usvlearn train {shell_override(output)}", MEANING]
     ask = f"not proved: correct it above, or confirm it: {confirmation(output)}"
     text = write_text(settings, decisions, head, ask, [each.sentence() for each in findings])
     back = yaml.safe_load(text)
@@ -144,9 +139,8 @@ def _tell_top_speed(settings: dict[str, Any], recordings: Sequence[Recording], d
 
 def _tell_delay(settings: dict[str, Any], lag: Lag, decisions: list[Decision]) -> None:
     if not len(lag.errors):
-        decisions.append(
-            Decision(SIDES[0], "delay", "0 s", UNSURE, "too few steps to tell a delay: see usvlearn delay")
-        )
+        why = "too few steps to tell a delay: see usvlearn delay"
+        decisions.append(Decision(SIDES[0], "delay", "0 s", UNSURE, why))
         return
     for side in SIDES:
         settings["data"]["channels"][side]["delay"] = lag.delay

@@ -100,12 +100,8 @@ def _rows(fleet: Fleet) -> dict[tuple[int, int, int], tuple[float, ...]]:
             inputs = [each[:, element] for each in samples.inputs]
             surge, good = samples.surge[:, element], (samples.measured & samples.fresh)[:, element]
             time, step = run.time[:, element], inputs[4]
-            after = (
-                np.flatnonzero(
-                    good[1:] & samples.measured[:-1, element] & (np.abs(np.diff(time) - step[:-1]) < 0.6 * step[:-1])
-                )
-                + 1
-            )
+            known = good[1:] & samples.measured[:-1, element]
+            after = np.flatnonzero(known & (np.abs(np.diff(time) - step[:-1]) < 0.6 * step[:-1])) + 1
             left, right, before = inputs[0][after], inputs[1][after], surge[after - 1]
             table = np.stack(
                 [left, right, left * np.abs(left), right * np.abs(right), before, before * np.abs(before),

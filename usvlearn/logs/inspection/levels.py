@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from usvlearn.logs.inspection.candidate import Candidate
+from usvlearn.logs.inspection.candidate import Candidate, held_at
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE
 from usvlearn.logs.inspection.vocabulary import SIDES, names_moment, side, words
 
@@ -173,9 +173,7 @@ def _where_still(candidate: Candidate, speed: tuple[np.ndarray, np.ndarray] | No
     still = speed[0][size < STILL * np.quantile(size, 0.95)]
     if len(still) < max(FEWEST, COMMON * len(size) / 2):
         return math.nan, 0.0, ""
-    order = np.argsort(candidate.time, kind="stable")
-    place = np.searchsorted(candidate.time[order], still, side="right") - 1
-    held = candidate.value[order][np.clip(place, 0, None)]
+    held = held_at((candidate.time, candidate.value), still)
     value = float(np.median(held))
     beside = held[np.abs(held - value) <= near]
     low, high = np.quantile(np.append(beside, value), [0.05, 0.95])
@@ -223,10 +221,8 @@ def _pwm(candidate: Candidate, pool: Sequence[Candidate], speed: tuple[np.ndarra
 
 def sharing(force: Candidate, moment: Candidate, levels: tuple[Level, Level]) -> tuple[Level, Level]:
     """Spans of the force ahead and of the moment, with which the sum of both, as shares, reaches 1 and not more."""
-    (time, push), (stamps, turn) = force.evidence, moment.evidence
-    order = np.argsort(stamps, kind="stable")
-    place = np.clip(np.searchsorted(stamps[order], time, side="right") - 1, 0, None)
-    both = np.abs(push) / max(force.size, 1e-9) + np.abs(turn[order][place]) / max(moment.size, 1e-9)
+    time, push = force.evidence
+    both = np.abs(push) / max(force.size, 1e-9) + np.abs(held_at(moment.evidence, time)) / max(moment.size, 1e-9)
     most, sentence = float(np.quantile(both, 0.999)), "the greatest sum of both is full scale"
     one, other = (
         level._replace(span=_round(most * each.size), span_reason=sentence, span_certainty=PROBABLE, kind=kind)

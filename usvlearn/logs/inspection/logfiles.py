@@ -179,13 +179,8 @@ def _files(given: str) -> list[Path]:
     if path.is_file():
         return [path]
     if path.is_dir():
-        inside = [
-            file
-            for file in path.rglob("*")
-            if file.is_file()
-            and file.name.lower().endswith((*SUFFIXES, ZSTD))
-            and not any(part.startswith(".") for part in file.relative_to(path).parts)
-        ]
+        inside = [file for file in path.rglob("*") if file.name.lower().endswith((*SUFFIXES, ZSTD)) and file.is_file()]
+        inside = [file for file in inside if not any(part[0] == "." for part in file.relative_to(path).parts)]
         inside = [file for file in inside if file.suffix.lower() not in NOTES] or inside
         if not inside:
             told = next((f"{file.name}, {known}" for file in sorted(path.rglob("*")) if (known := foreign(file))), "")
@@ -220,14 +215,10 @@ def _common_path(given: Sequence[str], files: Sequence[Path]) -> str:
     absolute = [str(file.absolute()) for file in files]
     start, end = _common(absolute), _common([each[::-1] for each in absolute])[::-1]
     folder = Path(os.path.commonpath(absolute))
-    for pattern in (f"{glob.escape(start)}*{glob.escape(end)}", str(folder)):
-        found = (
-            glob.glob(pattern)
-            if pattern != str(folder)
-            else [str(each) for each in folder.rglob(f"*{files[0].suffix}")]
-        )
+    pattern, inside = f"{glob.escape(start)}*{glob.escape(end)}", map(str, folder.rglob(f"*{files[0].suffix}"))
+    for path, found in ((pattern, glob.glob(pattern)), (str(folder), inside)):
         if sorted(found) == sorted(absolute):
-            return pattern
+            return path
     told = f"{given[0]} and {len(given) - 1} more: expected one folder, or all logs that a pattern finds: move these "
     raise ConfigError(f"{told}logs to a folder of their own")
 
@@ -241,12 +232,8 @@ def boats_of(files: Sequence[Path]) -> dict[str, str]:
     groups: dict[str, list[str]] = {}
     for file in files:
         groups.setdefault(re.sub(r"[\W_]*\d.*$", "", file.stem), []).append(file.stem)
-    if (
-        len(groups) < 2
-        or "" in groups
-        or min(map(len, groups.values())) < 2
-        or len({file.parent for file in files}) > 1
-    ):
+    several = len(groups) > 1 and "" not in groups and min(map(len, groups.values())) > 1
+    if not several or len({file.parent for file in files}) > 1:
         return {}
     folder = glob.escape(str(files[0].parent))
     return {name: f"{folder}/{glob.escape(_common(stems).rstrip('0123456789'))}*" for name, stems in groups.items()}
@@ -267,9 +254,7 @@ def _survey(
 ) -> tuple[Any, list[list[Series]], list[str], list[str]]:
     """The reader of the first log that can be read, the series of each log, and notes and doubts."""
     reader, error, size = None, None, 0
-    surveyed: list[list[Series]] = []
-    notes: list[str] = []
-    doubts: list[str] = []
+    surveyed, notes, doubts = list[list[Series]](), list[str](), list[str]()
     for number, file in enumerate(files):
         if size > MOST_BYTES:
             notes.append(f"The first {number} of {len(files)} logs were looked at.")
@@ -320,10 +305,8 @@ def joined(surveyed: Iterable[Sequence[Series]]) -> list[Series]:
         begin += high - low + BETWEEN
     found = []
     for several in parts.values():
-        time, value, order = (
-            np.concatenate([getattr(one, key) for one in several]) for key in ("time", "value", "order")
-        )
-        found.append(several[0]._replace(time=time, value=value, order=order))
+        whole: Any = {key: np.concatenate([getattr(one, key) for one in several]) for key in ("time", "value", "order")}
+        found.append(several[0]._replace(**whole))
     return found
 
 

@@ -44,10 +44,8 @@ def draw(found: Inspected, path: Path) -> None:
 def _picture(found: Inspected) -> Any:
     recordings, limit = found.recordings, 2 * found.settings["vehicle"]["surge_max"]
     begins = _begins(recordings)
-    curves = {
-        name: _curve([one.channels.get(name) for one in recordings], begins)
-        for name in (*COMMANDS, "heading", "yaw_rate", "surge")
-    }
+    names = (*COMMANDS, "heading", "yaw_rate", "surge")
+    curves = {name: _curve([one.channels.get(name) for one in recordings], begins) for name in names}
     course, rate = _over_ground(recordings, begins)
     turn = _curve([_derivative(one.channels["heading"]) for one in recordings], begins)
     with themed() as Figure:
@@ -61,11 +59,8 @@ def _picture(found: Inspected) -> Any:
                (_scaled(curves["yaw_rate"], math.degrees(1)), MAIN, "yaw rate"), clip=True)  # fmt: skip
         _panel(axes[3], "speed, m/s", (rate, OTHER, "rate of position"), (curves["surge"], MAIN, "speed"), limit=limit)
         axes[3].set_xlabel("time, s (runs one behind the other)")
-        figure.suptitle(
-            printable(
-                f"{found.settings['data']['boat']}: {len(recordings)} run{'s' * (len(recordings) > 1)} as configured"
-            )
-        )
+        runs = f"{len(recordings)} run{'s' * (len(recordings) > 1)}"
+        figure.suptitle(printable(f"{found.settings['data']['boat']}: {runs} as configured"))
         below = rows[1].subplots(1, 3)
         _against(below[0], _degrees(course), _degrees(curves["heading"]), "course, deg", "heading, deg", line=True)
         _against(below[1], _scaled(turn, math.degrees(1)), _scaled(curves["yaw_rate"], math.degrees(1)),

@@ -43,11 +43,9 @@ def find_places(pool: Sequence[Candidate], convention: str = "") -> list[Places]
     """All positions that the names tell: those that the format defines, then the finest; geographic before local."""
     found = []
     for role, other in (("latitude", "longitude"), ("north", "east")):
-        for first in pool:
-            if fit(role, first.label) >= 1:
-                for second in pool:
-                    if second is not first and fit(other, second.label) >= 1 and _belong(first, second):
-                        found.append(_places(first, second, role == "latitude", True))
+        for first in (each for each in pool if fit(role, each.label) >= 1):
+            beside = [x for x in pool if x is not first and fit(other, x.label) >= 1 and _belong(first, x)]
+            found += [_places(first, second, role == "latitude", True) for second in beside]
     for x in pool:
         if "x" in words(x.label) and not NO_PLACE & set(words(x.label)):
             twins = [y for y in pool if _is_twin(x, y)]
@@ -122,7 +120,7 @@ def rate_of(places: Places) -> Pair:
 
 def is_mirror_image(places: Places, speed: Pair, heading: Pair) -> bool:
     """Whether the track is the mirror image of that of speed and heading, m/s and rad."""
-    (time, size), (stamps, angle) = _ordered(speed), _ordered(heading)
+    (time, size), (stamps, angle) = ordered(speed), ordered(heading)
     turned = np.interp(time, stamps, np.unwrap(angle))
     velocity = (time, size * np.cos(turned)), (time, size * np.sin(turned))
     return position_on_velocity((places.north, places.east), velocity).is_mirrored
@@ -164,7 +162,7 @@ def tell_places(places: Places, channels: dict, series: dict, confirmed: bool, a
 
 def _velocity(places: Places) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Times, and the velocity to the north and to the east over `SPAN` seconds, m/s; gaps are left out."""
-    (time, north), (other, east) = (_ordered(each) for each in (places.north, places.east))
+    (time, north), (other, east) = (ordered(each) for each in (places.north, places.east))
     grid = even_times(time)
     north, east = np.interp(grid, time, north), np.interp(grid, other, east)
     kept = np.diff(grid) < 1.5 * SPAN
@@ -180,7 +178,8 @@ def even_times(time: np.ndarray) -> np.ndarray:
     return np.unique(np.floor(time / SPAN)) * SPAN
 
 
-def _ordered(pair: Pair) -> Pair:
+def ordered(pair: Pair) -> Pair:
+    """The same, sorted by time."""
     order = np.argsort(pair[0], kind="stable")
     return pair[0][order], pair[1][order]
 

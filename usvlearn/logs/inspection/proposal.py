@@ -41,7 +41,6 @@ from usvlearn.logs.inspection.speeds import (
     find_velocities,
     interchanged,
     norms,
-    tell_places_as_speed,
     tell_speed,
     tell_velocities,
     tell_without_sign,
@@ -172,20 +171,15 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
     elif speeds:
         decisions += tell_speed(speeds, channels, series)
     elif places:
-        decisions += tell_places_as_speed()
+        why = "no series is known to be the speed: the position tells it"
+        decisions.append(Decision("surge", "series", "from the position", PROBABLE, why))
     if sway:
         decisions += tell_sway(sway, channels, series, least(sense, axes))
     elif over_ground and not lost and least(sense, axes) == CERTAIN:
         decisions += tell_course(over_ground, channels, series)
     if places:
-        decisions += tell_places(
-            places[0],
-            channels,
-            series,
-            bool(speeds and not lost and speeds[0].confirmed and speeds[0].certainty == CERTAIN),
-            axes,
-            doubt,
-        )
+        confirmed = bool(speeds and not lost and speeds[0].confirmed and speeds[0].certainty == CERTAIN)
+        decisions += tell_places(places[0], channels, series, confirmed, axes, doubt)
     spoken = {each.spoken: each.named(spoken="").label for each in found if each.spoken}
     decisions = [each._replace(value=spoken.get(each.value, each.value)) for each in decisions]
     why = "it comes again and again, far beyond all others: it means unknown"
@@ -239,9 +233,8 @@ def _unnamed(pool: Sequence[Candidate]) -> tuple[list[Candidate], list[Candidate
 
 def _names_state(candidate: Candidate) -> bool:
     """Whether a name tells a measured state, which no command is."""
-    return any(
-        fit(role, candidate.label) >= 2 for role in ("heading", "course", "surge", "yaw_rate", "latitude", "longitude")
-    )
+    roles = "heading", "course", "surge", "yaw_rate", "latitude", "longitude"
+    return any(fit(role, candidate.label) >= 2 for role in roles)
 
 
 def _turn(heading: Heading, yaw: YawRate | None) -> Pair:

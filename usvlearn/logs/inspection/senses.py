@@ -208,23 +208,14 @@ def decide(
     )
     motion = {each: sum(_cost(*pair) for pair in zip(fits, _signs(each), strict=True)) for each in HYPOTHESES}
     against = 0.0 if not named else SWAPPED if proved else MIRRORED
-    whole = {
-        each: motion[each] + against * each.swapped + REVERSED * (min(each.first, each.second) < 0)
-        for each in HYPOTHESES
-    }
+    whole = {each: x + against * each.swapped + REVERSED * (min(each[1:]) < 0) for each, x in motion.items()}
     best = min(whole, key=whole.__getitem__)
     taken = best if proved or not named else best._replace(swapped=False)
     rival = min((each for each in whole if each[1:] != best[1:]), key=motion.__getitem__)
     ahead, across = _signs(taken)[1], _signs(taken._replace(swapped=not taken.swapped))[1]
-    return Decided(
-        taken,
-        best,
-        rival,
-        min(motion[each] for each in HYPOTHESES if each.swapped != taken.swapped) - motion[taken],
-        motion[rival] - motion[best],
-        _cost(fits[1], across) - _cost(fits[1], ahead),
-        fits,
-    )
+    sides = min(motion[each] for each in HYPOTHESES if each.swapped != taken.swapped) - motion[taken]
+    turning = _cost(fits[1], across) - _cost(fits[1], ahead)
+    return Decided(taken, best, rival, sides, motion[rival] - motion[best], turning, fits)
 
 
 def pushes(command: Pair, speed: Pair | None, level: bool) -> tuple[int, float, str]:

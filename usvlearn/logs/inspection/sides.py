@@ -6,7 +6,6 @@ thrusters are told apart by the turn, and unnamed series by speed and turn.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from itertools import combinations
 from typing import NamedTuple
@@ -16,7 +15,7 @@ import numpy as np
 from usvlearn.logs.channels.astern import without_sign
 from usvlearn.logs.channels.bins import bin_edges, bin_means
 from usvlearn.logs.channels.relations import NOTHING, Relation, side_sign, speed_on_thrust
-from usvlearn.logs.inspection.candidate import Candidate
+from usvlearn.logs.inspection.candidate import Candidate, held_at
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, least
 from usvlearn.logs.inspection.levels import PWM, Level, find_level, sharing
 from usvlearn.logs.inspection.places import Pair
@@ -182,12 +181,9 @@ def _sides(left: Sequence[Candidate], right: Sequence[Candidate], levels: dict[i
         own = {key: each if each.zero or each.zero_certainty == CERTAIN else middle for key, each in own.items()}
     common = {}
     for key, level in own.items():
-        wide = max(
-            (each for each in own.values() if (each.kind == PWM) == (level.kind == PWM)), key=lambda each: each.span
-        )
-        common[key] = wide._replace(
-            zero=level.zero, zero_certainty=level.zero_certainty, zero_reason=level.zero_reason, zeros=level.zeros
-        )
+        alike = [each for each in own.values() if (each.kind == PWM) == (level.kind == PWM)]
+        zero = {name: value for name, value in level._asdict().items() if name.startswith("zero")}
+        common[key] = max(alike, key=lambda each: each.span)._replace(**zero)
     return [Side(tuple(part), tuple(common[id(each)] for each in part), 1) for part in (left, right)]
 
 
@@ -210,9 +206,8 @@ def _pairs(named: Sequence[Candidate]) -> Iterator[tuple[list[Candidate], list[C
     stems = [stem for stem, sides in groups.items() if len(sides) == 2]
     for one, other in combinations(stems, 2):
         if len(one) == len(other) and sum(a != b for a, b in zip(one, other, strict=True)) == 1:
-            if {"bow", "stern", "front", "rear", "aft", "fore", "bug", "heck", "inner", "outer"} & (
-                set(one) ^ set(other)
-            ):
+            apart = set(one) ^ set(other)
+            if {"bow", "stern", "front", "rear", "aft", "fore", "bug", "heck", "inner", "outer"} & apart:
                 yield groups[one]["left"] + groups[other]["left"], groups[one]["right"] + groups[other]["right"]
 
 
@@ -296,7 +291,7 @@ def _with_rudder(thrusts: Sequence[Candidate], rudders: Sequence[Candidate], lev
             if turn is not None:
                 time, share = _share(Side((rudder,), (angle,), 1))
                 relation = side_sign((time, share), (time, 0 * share), turn)
-            known = abs(_clipped(relation.certainty)) >= CLEAR
+            known = abs(relation.certainty) >= CLEAR
             sign = -1 if known and relation.correlation < 0 else 1
             weights = [(float(ahead), float(sign * way)) for way in (1, -1)]
             mixed = MIXED & set(words(rudder.label)) and not rudder.by_parameters  # an output, not what is mixed
@@ -345,10 +340,8 @@ def _unnamed(
             sides = _sides([left], [right], levels)
             one_share, other_share = (_share(each) for each in sides)
             on_speed, on_turn = speed_on_thrust(one_share, other_share, speed), side_sign(one_share, other_share, turn)
-            if (
-                min(on_speed.correlation, on_turn.correlation) < STRONG
-                or not min(on_speed.certainty, on_turn.certainty) > CLEAR
-            ):
+            clear = min(on_speed.certainty, on_turn.certainty) > CLEAR
+            if not clear or min(on_speed.correlation, on_turn.correlation) < STRONG:
                 continue
             throttle = decide(one_share, other_share, speed, turn, _leveled(sides), True, named=False).throttle
             if throttle is not None:
@@ -373,11 +366,7 @@ def _mean_of(parts: Sequence[Pair]) -> Pair:
     if len(parts) == 1:
         return parts[0]
     time = parts[0][0]
-    held = []
-    for stamps, value in parts:
-        order = np.argsort(stamps, kind="stable")
-        held.append(value[order][np.clip(np.searchsorted(stamps[order], time, side="right") - 1, 0, None)])
-    return time, np.mean(held, axis=0)
+    return time, np.mean([held_at(each, time) for each in parts], axis=0)
 
 
 def seconds_astern(found: Commands, speed: Pair) -> float:
@@ -386,7 +375,3 @@ def seconds_astern(found: Commands, speed: Pair) -> float:
     edges = bin_edges(1.0, speed, *sides)
     left, right = (one.sign * bin_means(each, edges, held=True) for one, each in zip(found[:2], sides, strict=True))
     return float(without_sign(left, right, bin_means(speed, edges)).sum())
-
-
-def _clipped(certainty: float) -> float:
-    return 0.0 if math.isnan(certainty) else max(-10.0, min(10.0, certainty))

@@ -36,14 +36,7 @@ DOUBT = 2.0  # by which it must shrink where the unit of the speed decides, or b
 MORE = 0.005  # by which the correlation must grow, too, where they are doubtful
 MOST, UNLIKE, LIKE = 4, 0.35, 0.5  # series that are compared; correlations with commands
 PLAUSIBLE = 15.0  # m/s, of a boat of this kind
-CONVENTIONS = {  # kind of a message, or of a log -> unit by its standard
-    "geometry_msgs": "m/s",
-    "nav_msgs": "m/s",
-    "MOOS": "m/s",
-    "ArduPilot DataFlash": "m/s",
-    "MAVLink telemetry": "m/s",
-    "PX4 ULog": "m/s",
-}
+METRIC = ("geometry_msgs", "nav_msgs", "MOOS", "ArduPilot DataFlash", "MAVLink telemetry", "PX4 ULog")  # all m/s
 
 
 class Speed(NamedTuple):
@@ -81,13 +74,13 @@ def find_speeds(pool: Sequence[Candidate], places: Sequence[Places], convention:
         places: of the boat; the first is used.
         convention: name of the format.
     """
-    found = []
+    found, placed = [], {id(each) for place in places for each in place[:2]}
     for each in pool:
         name = fit("surge", each.label)
         angle = max(fit(role, each.label) for role in ("heading", "course"))
         part = max(fit(role, each.label) for role in ("velocity_north", "velocity_east"))
         unfit = part >= 2 or (name < 1 and (not places or angle >= 1)) or each.unit in OTHER_UNITS
-        if name < 0 or unfit or _is_position(each, places):
+        if name < 0 or unfit or id(each) in placed:
             continue
         relation = speed_on_positions(places[0].north, places[0].east, each.evidence) if places else None
         speed = read_speed(each, relation, convention, name)
@@ -138,7 +131,7 @@ def interchanged(places: Places, speeds: Sequence[Candidate]) -> tuple[Places, b
 def read_speed(candidate: Candidate, relation: Relation | None, convention: str, name: float) -> Speed:
     """The unit of a speed by all evidence that there is."""
     declared = candidate.unit if candidate.unit in (*SPEEDS, *RARE) else ""
-    usual = next((unit for kind, unit in CONVENTIONS.items() if kind in candidate.kind or kind == convention), "")
+    usual = "m/s" if any(kind in candidate.kind or kind == convention for kind in METRIC) else ""
     score = name + quality(candidate) + 0.3 * ("nav" in words(candidate.name))
     if relation is not None and _enough(relation):
         unit = unit_of(relation.slope, first=declared)
@@ -199,9 +192,8 @@ def _by_span(relation: Relation) -> str:
 
 
 def _enough(relation: Relation) -> bool:
-    return relation.seconds > 0 and (
-        abs(relation.certainty) >= SURE or (relation.correlation >= CLOSE and relation.seconds >= LONG)
-    )
+    close = relation.correlation >= CLOSE and relation.seconds >= LONG
+    return relation.seconds > 0 and (close or abs(relation.certainty) >= SURE)
 
 
 def by_other(speed: Speed, known: Speed) -> Speed:
@@ -229,11 +221,6 @@ def quality(candidate: Candidate) -> float:
     grain = float(np.quantile(sizes[sizes > 0], 0.05)) if (sizes > 0).any() else math.inf
     fine = 1.0 if grain < 0.02 * max(candidate.size, 1e-9) else 0.5
     return rate + 0.5 * fine + 0.3 * candidate.is_signed - 0.5 * candidate.repeats
-
-
-def _period_of(candidate: Candidate) -> tuple[float, float]:
-    """The period of the sensor behind copies, s, and their share; zeros if there are none."""
-    return find_period([Channel(candidate.time, candidate.value, np.arange(len(candidate.time)))])
 
 
 def find_velocities(
@@ -310,10 +297,6 @@ def unit_of(slope: float, tolerance: float = RATIO, first: str = "") -> str:
     return best if ratios[best] < math.log(tolerance) else ""
 
 
-def _is_position(candidate: Candidate, places: Sequence[Places]) -> bool:
-    return any(candidate is each.first or candidate is each.second for each in places)
-
-
 def tell_speed(speeds: Sequence[Speed], channels: dict, series: dict) -> list[Decision]:
     """The best speed as the channel, its unit, its sensor's period, and how certain each of that is."""
     best = speeds[0]
@@ -337,7 +320,7 @@ def tell_speed(speeds: Sequence[Speed], channels: dict, series: dict) -> list[De
         Decision("surge", "series", candidate.label, sure, why, tuple(each.candidate.label for each in close)),
         Decision("surge", "unit", best.unit, least(best.certainty, sure), best.reason, best.alternatives),
     ]
-    period, share = _period_of(candidate)
+    period, share = find_period([Channel(candidate.time, candidate.value, np.arange(len(candidate.time)))])
     if period:
         why = f"{share:.0%} of the speeds are copies of the one before"
         decisions.append(Decision("surge", "period", f"{period:g} s", PROBABLE, why))
@@ -383,9 +366,3 @@ def tell_without_sign(speed: Speed, seconds: float, course: object, placed: bool
         return [Decision("surge", "sign", "never astern", UNSURE, why)]
     value = "from speed and course" if course else "from the position"
     return [Decision("surge", "series", value, PROBABLE, why, (speed.candidate.label,))]
-
-
-def tell_places_as_speed() -> list[Decision]:
-    """The speed where no series is one."""
-    why = "no series is known to be the speed: the position tells it"
-    return [Decision("surge", "series", "from the position", PROBABLE, why)]

@@ -51,10 +51,9 @@ def joined_tables(files: Sequence[Path]) -> tuple[list[Path], str]:
             )
         logs.append(folder)
         names = ", ".join(sorted(each.stem for each in columns)[:SHOWN])
-        more = ", …" if len(columns) > SHOWN else ""
-        sentence = (
-            f"The {len(columns)} tables of a folder are one run, joined by time ({names}{more}): none has all channels."
-        )
+        names += ", …" if len(columns) > SHOWN else ""
+        sentence = f"The {len(columns)} tables of a folder are one run, joined by time ({names})"
+        sentence += ": none has all channels."
     return logs, sentence
 
 

@@ -33,10 +33,8 @@ def of_one_vehicle(found: Sequence[Candidate], convention: str) -> tuple[list[Ca
     driven = {system[id(each)] for each in found if each.varies and fit("command", each.label) >= 1}
     chosen = next((each for each in systems if each in driven), systems[0])
     others = tuple(each for each in systems if each != chosen)
-    why = (
-        f"the log holds {len(systems)} vehicles, the systems {', '.join(systems)}, and this is one of them: of another "
-    )
-    why += f"one, write @{others[0]}.1 in place of @{chosen}.1 in data.channels"
+    why = f"the log holds {len(systems)} vehicles, the systems {', '.join(systems)}, and this is one of them: of "
+    why += f"another one, write @{others[0]}.1 in place of @{chosen}.1 in data.channels"
     own = [each for each in found if system[id(each)] == chosen]
     return own, [Decision("vehicle", "system", chosen, UNSURE, why, others)]
 

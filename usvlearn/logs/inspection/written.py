@@ -24,23 +24,11 @@ KEYS = {"series": "name", "unit": "unit", "zero": "zero", "span": "span", "sign"
 
 def settings_of(path: str, boat: str, reader: Any, channels: Mapping[str, Mapping], surge_max: float) -> dict[str, Any]:
     """The configuration as plain data."""
-    kind = type(reader)
-    options = {}
-    for field in dataclasses.fields(reader):
-        value = getattr(reader, field.name)
-        if field.default is dataclasses.MISSING or value != field.default:
-            options[field.name] = value
-    return {
-        "vehicle": {"mass": MASS, "surge_max": surge_max},
-        "data": {
-            "_target_": "usvlearn.logs.read.read_recordings",
-            "_convert_": "all",
-            "path": path,
-            "boat": boat,
-            "reader": {"_target_": f"{kind.__module__}.{kind.__name__}", **options},
-            "channels": {name: dict(source) for name, source in channels.items()},
-        },
-    }
+    kind, how = type(reader), {"_target_": "usvlearn.logs.read.read_recordings", "_convert_": "all"}
+    options = {each.name: x for each in dataclasses.fields(reader) if (x := getattr(reader, each.name)) != each.default}
+    place = {"path": path, "boat": boat, "reader": {"_target_": f"{kind.__module__}.{kind.__name__}", **options}}
+    data = {**how, **place, "channels": {name: dict(source) for name, source in channels.items()}}
+    return {"vehicle": {"mass": MASS, "surge_max": surge_max}, "data": data}
 
 
 def read_settings(settings: Mapping[str, Any]) -> list[Recording]:

@@ -58,12 +58,8 @@ def kinds_of(path: Path, dialect: Dialect) -> Kinds | None:
         others = [each for each in varied if each != name][:: 1 + len(varied) // LOOKED]
         steps = {each: step for each in others if (step := _steps(numbers[each][rows], labels))}
         jumping = [across > JUMPS * within for across, within, moved in steps.values() if moved >= HELD]
-        if (
-            (text or words & NAMED)
-            and len(steps) == 1
-            and len(varied) < LOOKED
-            and (one := next(iter(steps.values())))[0] > JUMPS * one[1]
-        ):
+        alone = (text or words & NAMED) and len(steps) == 1 and len(varied) < LOOKED
+        if alone and (one := next(iter(steps.values())))[0] > JUMPS * one[1]:
             found.append(Kinds(name, sorted(counts), *steps))
         elif len(counts) <= MOST and len(jumping) > 1 and 2 * sum(jumping) > len(jumping):
             found.append(Kinds(name, sorted(counts)))

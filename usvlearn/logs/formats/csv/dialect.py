@@ -28,9 +28,7 @@ STAMP = re.compile(
     rf"\d{{1,4}}[-./]\d{{1,2}}[-./]\d{{1,4}}([ T]+{CLOCK}\s*(Z|[+-]\d\d:?\d\d)?)?|{CLOCK}", re.IGNORECASE
 )
 COMMA = re.compile(r"[+-]?\d*(\.\d{3})*,\d+([eE][+-]?\d+)?")  # a decimal comma, perhaps with points at thousands
-POINT = re.compile(
-    r"[+-]?\d*(,\d{3})*\.\d+([eE][+-]?\d+)?|[+-]?\d{1,3}(,\d{3}){2,}"
-)  # a decimal point, or commas at thousands
+POINT = re.compile(r"[+-]?\d*(,\d{3})*\.\d+([eE][+-]?\d+)?|[+-]?\d{1,3}(,\d{3}){2,}")  # or commas at thousands
 EITHER = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")  # one of both
 GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+")  # points at thousands beside decimal commas, else a decimal point
 
@@ -141,11 +139,7 @@ def _dialect(
         below_names = [*best.rows[below], *[""] * len(names)]
         units = [unit or _unit(cell) for unit, cell in zip(units, below_names, strict=False)]
         body = below + 1
-        while (
-            body < len(lines)
-            and 2 * len(set(best.rows[body])) <= len(names)
-            and not any(map(is_value, best.rows[body]))
-        ):
+        while body < len(lines) and 2 * len(set(row := best.rows[body])) <= len(names) and not any(map(is_value, row)):
             body += 1  # such as types
     skip = [bool(prefixes) and line.lstrip().startswith(prefixes) for line in lines]
     rows = [row for row, remark in zip(best.rows[body:], skip[body:], strict=True) if not remark]

@@ -12,7 +12,7 @@ from usvlearn.errors import LogFormatError
 from usvlearn.logs.channels.channel import QUOTED
 from usvlearn.logs.formats.csv.boats import kinds_of, refused
 from usvlearn.logs.formats.csv.dialect import AUTO, UNIT_NAMES, Dialect, find_dialect, no_header, split_unit
-from usvlearn.logs.formats.csv.stamps import OFTEN, WORD, Stamps, joined, parse_cells, part_of, rows_a_second
+from usvlearn.logs.formats.csv.stamps import OFTEN, WORD, Stamps, joined, part_of, rows_a_second
 from usvlearn.logs.formats.csv.table import CLOCK, TIME_UNITS, TOPICS, Table
 from usvlearn.logs.formats.csv.topics import tables_of
 
@@ -147,7 +147,9 @@ def _candidates(dialect: Dialect) -> tuple[list[_Candidate], list[str]]:
         cells = [row[places[0]] for row in dialect.sample]
         if several:
             cells = joined(parts, ([row[place] for place in places] for row in dialect.sample))
-        time, kind, _ = _stamps(cells, "." if several else dialect.decimal)
+        stamps = Stamps()
+        stamps.add(cells, "." if several else dialect.decimal)
+        time, kind, _ = stamps.seconds(AUTO)
         if parts[-1] in taken or time is None or np.isfinite(time).mean() < READABLE:
             continue
         bare, unit = split_unit(name)[0].lower(), _declared(name, dialect.units[places[0]])
@@ -165,7 +167,7 @@ def _candidates(dialect: Dialect) -> tuple[list[_Candidate], list[str]]:
         if rank == EVEN and ({*WORD.findall(bare)} <= COUNTERS or (rising == 1).mean() >= RISING):
             counters.append(name)
         elif rank:
-            found.append(_Candidate(rank, name, kind, unit, time, _first(cells, dialect.decimal)))
+            found.append(_Candidate(rank, name, kind, unit, time, stamps.origin))
     return [
         each._replace(name=f"{days[0]}+{each.name}", rank=each.rank + 4) if each.kind == "time" and days else each
         for each in found
@@ -210,18 +212,6 @@ def _is_even(steps: np.ndarray) -> bool:
     """Whether a column rises at an even rate, as stamps do whatever they are called."""
     usual = float(np.median(steps))
     return len(steps) >= FEWEST and usual > 0 and bool((np.abs(steps - usual) <= 0.5 * usual).mean() >= RISING)
-
-
-def _stamps(cells: list[str], decimal: str) -> tuple[np.ndarray | None, str, str]:
-    stamps = Stamps()
-    stamps.add(cells, decimal)
-    return stamps.seconds(AUTO)
-
-
-def _first(cells: list[str], decimal: str) -> float:
-    """The first number of a column; NaN if there is none."""
-    numbers = parse_cells(cells, decimal)
-    return next(iter(numbers[np.isfinite(numbers)].tolist()), np.nan)
 
 
 def _time_unit(stamps: _Candidate) -> tuple[str, str]:
