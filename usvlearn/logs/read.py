@@ -91,11 +91,8 @@ def read_recordings(
         if boat is not None or not path:
             found = f"boat {boat!r} beside a path per boat" if path else "no boat"
             raise ConfigError(f"data.path: found {found}, expected BOAT: FILE entries that name the boats")
-        return [
-            recording
-            for name, place in path.items()
-            for recording in read_recordings(place, reader, channels, str(name), boat_column)
-        ]
+        each_of = (read_recordings(each, reader, channels, str(name), boat_column) for name, each in path.items())
+        return list(itertools.chain.from_iterable(each_of))
     sources = sources_of(channels)
     root, files = _find(path, reader, [source.name for source in parts_of(_needed(sources)).values()])
     if boat_column is not None:
@@ -261,11 +258,8 @@ def sources_of(channels: Mapping[str, Source | Mix | Mapping | None]) -> dict[st
         if name not in known:
             hint = did_you_mean(name, known)
             raise ConfigError(f"data.channels: found {name!r}, expected channels among {', '.join(known)}{hint}")
-    sources = {
-        name: source
-        for name in known
-        if (source := _source(name, channels[name] if name in channels else None)) is not None
-    }
+    read = {name: _source(name, channels[name] if name in channels else None) for name in known}
+    sources = {name: source for name, source in read.items() if source is not None}
     for name in REQUIRED:
         if name not in sources and (name != SURGE or pair_of(sources) is None):
             more = f", or {PAIRS_TOLD}" if name == SURGE else ""

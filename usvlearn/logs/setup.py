@@ -93,11 +93,10 @@ class Setup:
             return None
         if not isinstance(channels := data.get("channels"), Mapping):
             return None
-        settled = {
-            name: {**each, "period": 0.0} if isinstance(each, Mapping) and each.get("period") == AUTO else each
-            for name, each in channels.items()
-            if each is not None
-        }
+        settled = {name: each for name, each in channels.items() if each is not None}
+        for name, each in settled.items():
+            if isinstance(each, Mapping) and each.get("period") == AUTO:
+                settled[name] = {**each, "period": 0.0}
         reader = data.get("reader")
         known = {"channels": settled, "align": settings.get("align"), "vehicle": settings.get("vehicle")}
         return cls.of({**known, "reader": reader.get("_target_") if isinstance(reader, Mapping) else None})

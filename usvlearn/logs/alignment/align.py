@@ -120,10 +120,8 @@ class Aligner:
         from usvlearn.logs.alignment.window_kernel import usual
 
         memory = self._memory[0]
-        return {
-            name: (usual(memory["seen"], memory["intervals"], place), float(memory["window"][place]))
-            for name, place in self._places.items()
-        }
+        usually = {name: usual(memory["seen"], memory["intervals"], k) for name, k in self._places.items()}
+        return {name: (usually[name], float(memory["window"][k])) for name, k in self._places.items()}
 
     def push(self, channel: str, time: float, value: float) -> list[tuple[float, Sample]]:
         """Take one message.
@@ -239,12 +237,9 @@ def checked(
     check_positive("outage", outage, "of s")
     check_not_negative("patience", patience, "of s")
     command_max = check_positive("command_max", limits["command_max"])
-    most = {
-        **dict.fromkeys(COMMANDS, command_max),
-        "surge": check_positive("surge_max", limits["surge_max"], "of m/s"),
-        "yaw_rate": check_positive("yaw_rate_max", limits["yaw_rate_max"], "of rad/s"),
-        "heading": HEADING,
-    }
+    surge_max = check_positive("surge_max", limits["surge_max"], "of m/s")
+    yaw_rate_max = check_positive("yaw_rate_max", limits["yaw_rate_max"], "of rad/s")
+    most = {"surge": surge_max, "yaw_rate": yaw_rate_max, "heading": HEADING, **dict.fromkeys(COMMANDS, command_max)}
     if missing := [name for name in REQUIRED if name not in channels]:
         raise LogFormatError(f"channels: {', '.join(missing)} missing, expected {', '.join(REQUIRED)}")
     if unknown := [name for name in channels if name not in CHANNELS]:

@@ -269,11 +269,8 @@ def build_channel(
     raw = np.where(np.isin(raw, source.missing), math.nan, raw) if source.missing else raw
     usable = np.isfinite(time) & np.isfinite(raw)
     bare = np.zeros(len(raw), bool) if empty is None else empty & ~usable
-    counts = {
-        "empty": bare.sum(),
-        "not_a_number": (~bare & ~np.isfinite(raw)).sum(),
-        "no_time": (~bare & np.isfinite(raw) & ~usable).sum(),
-    }
+    none, late = ~bare & ~np.isfinite(raw), ~bare & np.isfinite(raw) & ~usable
+    counts = {"empty": bare.sum(), "not_a_number": none.sum(), "no_time": late.sum()}
     dropped = {cause: int(count) for cause, count in counts.items() if count}
     if not usable.any():
         causes = ", ".join(f"{count} {cause}" for cause, count in dropped.items())

@@ -211,10 +211,8 @@ def of_loops(found: list[Candidate]) -> list[Candidate]:
         if split := LOOP.fullmatch(each.name if each.field in (None, "data") else f"{each.name} {each.field}"):
             head, letter, stem = split[1] or "", split[2] or split[5], split[3] or split[4]
             loops.setdefault((head, stem), {})[letter.lower()] = each
-    spoken = {
-        id(each): f"{head}{stem}{MEANINGS[letter]}"
-        for (head, stem), loop in loops.items()
-        if {"y", "r"} <= loop.keys() or {"y", "e", "u"} <= loop.keys()
-        for letter, each in loop.items()
-    }
+    spoken: dict[int, str] = {}
+    for (head, stem), loop in loops.items():
+        if {"y", "r"} <= loop.keys() or {"y", "e", "u"} <= loop.keys():
+            spoken |= {id(each): f"{head}{stem}{MEANINGS[letter]}" for letter, each in loop.items()}
     return [each.named(spoken=spoken[id(each)]) if id(each) in spoken else each for each in found]

@@ -95,11 +95,8 @@ def read_heading(candidate: Candidate, course: Pair | None, convention: str = ""
     ranked = sorted(HEADINGS, key=lambda unit: -agree[unit] if agree[unit] == agree[unit] else 0.0)
     best = ranked[0]
     by_size = candidate.wraps or ("deg" if candidate.size > FULL_TURN else "")
-    why = {
-        "": "",
-        "deg": "it jumps by 360 at a full turn" if candidate.wraps else f"values reach {candidate.size:.0f}",
-        "rad": "it jumps by 2π at a full turn",
-    }[by_size]
+    why = f"it jumps by {'2π' if by_size == 'rad' else 360} at a full turn" if candidate.wraps else ""
+    why = why or (f"values reach {candidate.size:.0f}" if by_size else "")
     name = fit("heading", candidate.label)
     if agree[best] == agree[best] and agree[best] >= AGREES and (not by_size or best.endswith(by_size)):
         margin = agree[best] - agree[ranked[1]]
@@ -248,9 +245,8 @@ def find_yaw_rate(pool: Sequence[Candidate], heading: Heading) -> tuple[YawRate 
         follows = abs(relation.correlation) >= (FOLLOWS if name >= 1 else 0.75) and enough
         unit = _rate_unit(relation.slope, RATIO if name >= 1 else 1.3) if follows else ""
         if unit:
-            sentence = (
-                f"follows the heading's derivative: slope {relation.slope:.3g}, correlation {relation.correlation:.2f}"
-            )
+            sentence = f"follows the heading's derivative: slope {relation.slope:.3g}, "
+            sentence += f"correlation {relation.correlation:.2f}"
             sure = CERTAIN if name >= 1 and abs(relation.correlation) >= 0.75 else PROBABLE
             if each.unit and not unit.endswith(each.unit.removeprefix("enu_")):
                 sentence, sure = f"{sentence}, but declared as {each.unit}", UNSURE

@@ -157,7 +157,5 @@ def _tell_delay(settings: dict[str, Any], lag: Lag, decisions: list[Decision]) -
     elif lag.best:
         sentence = f"{lag.best:g} s fits best, but not surely; {sentence}"
     sure = PROBABLE if lag.sure else UNSURE
-    decisions += [
-        Decision(side, "delay", f"{lag.delay:g} s", sure, sentence, (f"{lag.best:g}",) if lag.best != lag.delay else ())
-        for side in SIDES
-    ]
+    others = (f"{lag.best:g}",) if lag.best != lag.delay else ()
+    decisions += [Decision(side, "delay", f"{lag.delay:g} s", sure, sentence, others) for side in SIDES]

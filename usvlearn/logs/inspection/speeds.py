@@ -272,11 +272,8 @@ def _is_part(candidate: Candidate) -> bool:
 
 def norms(pool: Sequence[Candidate]) -> list[Candidate]:
     """The size of each velocity that is logged as a vector, where it is not along the hull: the Euclidean norm."""
-    return [
-        x.named(field=f"{x.field},{y.field}", value=np.hypot(x.value, y.value))
-        for x, y in vectors(pool)
-        if x.field and len(x.value) == len(y.value) and y.size > ACROSS * x.size
-    ]
+    pairs = [(x, y) for x, y in vectors(pool) if x.field and len(x.value) == len(y.value) and y.size > ACROSS * x.size]
+    return [x.named(field=f"{x.field},{y.field}", value=np.hypot(x.value, y.value)) for x, y in pairs]
 
 
 def along_hull(pool: Sequence[Candidate]) -> list[Candidate]:

@@ -42,13 +42,10 @@ def joined_tables(files: Sequence[Path]) -> tuple[list[Path], str]:
             why = f"{whole.name} has all channels" if whole and differ else "they have the same columns"
             sentence = sentence or f"Each file is a run: {why}."
             continue
-        if others := [
-            each.name for each in tables_of(Table(AUTO), folder) if each not in inside and each.stat().st_size
-        ]:
-            raise LogFormatError(
-                f"{folder}: expected all tables of a run, whose columns differ, found {len(inside)} given and "
-                f"{', '.join(others[:SHOWN])} not: give the folder, or move these tables to one of their own"
-            )
+        rest = [each for each in tables_of(Table(AUTO), folder) if each not in inside and each.stat().st_size]
+        if others := ", ".join(each.name for each in rest[:SHOWN]):
+            told = f"{folder}: expected all tables of a run, whose columns differ, found {len(inside)} given and "
+            raise LogFormatError(f"{told}{others} not: give the folder, or move these tables to one of their own")
         logs.append(folder)
         names = ", ".join(sorted(each.stem for each in columns)[:SHOWN])
         names += ", …" if len(columns) > SHOWN else ""

@@ -107,11 +107,8 @@ def words(name: str) -> tuple[str, ...]:
 
 def _ascii(word: str) -> str:
     """A word in ASCII that keeps its capitals, which tell where the words of a name begin."""
-    return "".join(
-        letter if letter.isascii() else found.capitalize() if letter.isupper() else found
-        for letter in word
-        for found in (languages.plain(letter),)
-    )
+    plain = [each if each.isascii() else languages.plain(each) for each in word]
+    return "".join(new.capitalize() if old.isupper() else new for old, new in zip(word, plain, strict=True))
 
 
 def names_azimuth(name: str) -> bool:

@@ -119,9 +119,7 @@ def _no_servo(name: str, found: Mapping[int, list[int]]) -> str:
     if FUNCTIONS["throttle"] in found and name in ("throttle_left", "throttle_right"):
         throttle, steering = found[FUNCTIONS["throttle"]][0], found.get(FUNCTIONS["steering"], [None])[0]
         rudder = f" and steering at servo {steering} (26)" if steering is not None else ""
-        return (
-            f"{expected} one throttle at servo {throttle} (70){rudder}: set field: throttle for command_left and for "
-            "command_right"
-        )
+        told = f"{expected} one throttle at servo {throttle} (70){rudder}: set field: throttle for command_left"
+        return f"{told} and for command_right"
     listed = ", ".join(f"servo {servos[0]}: {function}" for function, servos in sorted(found.items()) if function)
     return f"{expected} {listed[:200] or 'no function at all'}: {advice}"

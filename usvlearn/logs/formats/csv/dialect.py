@@ -211,11 +211,8 @@ def _layout(lines: Sequence[str], delimiter: str, comment: tuple[str, ...], time
     values = [0 if remark else sum(map(is_value, row)) for row, remark in zip(rows, remarks, strict=True)]
     widths = Counter(len(row) for row, count in zip(rows, values, strict=True) if count and len(row) > 1)
     width = max(widths, key=lambda each: (widths[each], each), default=0)
-    shares = [
-        (count / all_) if len(row) == width else 0.0
-        for row, count, all_, remark in zip(rows, values, filled, remarks, strict=True)
-        if all_ and not remark
-    ]
+    counts = [each[:3] for each in zip(rows, values, filled, remarks, strict=True) if each[2] and not each[3]]
+    shares = [count / all_ if len(row) == width else 0.0 for row, count, all_ in counts]
     header, named = _header(rows, remarks, values, width, time)
     fits = 0 if header is None else _fits(rows[header], width)
     score = (named, fits, sum(shares) / max(1, len(shares)), width)

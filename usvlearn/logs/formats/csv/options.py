@@ -168,10 +168,10 @@ def _candidates(dialect: Dialect) -> tuple[list[_Candidate], list[str]]:
             counters.append(name)
         elif rank:
             found.append(_Candidate(rank, name, kind, unit, time, stamps.origin))
-    return [
-        each._replace(name=f"{days[0]}+{each.name}", rank=each.rank + 4) if each.kind == "time" and days else each
-        for each in found
-    ], counters
+    for k, each in enumerate(found):
+        if each.kind == "time" and days:
+            found[k] = each._replace(name=f"{days[0]}+{each.name}", rank=each.rank + 4)
+    return found, counters
 
 
 def _joins(names: list[str]) -> tuple[list[list[str]], list[str]]:

@@ -117,14 +117,12 @@ class Table:
 
             return read_topics(self, path, sources)
         opened = self.open(path)
-        names = {
-            channel: opened.match(source.name, f"{path}: data.channels.{channel}.name")
-            for channel, source in sources.items()
-        }
-        columns = opened.columns(list(names.values()))
-        return channels_of({path: columns}, {path: columns.order}, {
-            channel: Place(path, name, sources[channel]) for channel, name in names.items()
-        })  # fmt: skip
+        places = {}
+        for channel, source in sources.items():
+            name = opened.match(source.name, f"{path}: data.channels.{channel}.name")
+            places[channel] = Place(path, name, source)
+        columns = opened.columns([each.name for each in places.values()])
+        return channels_of({path: columns}, {path: columns.order}, places)
 
     def survey(self, path: Path) -> list[Series]:
         """All columns with numbers in at least half of their filled cells, and the yaw in place of each quaternion.
@@ -332,11 +330,8 @@ class Opened:
             elif not column.empty.all():
                 left.append(f"{name[:QUOTED]!r} ({known.sum()} of {(~column.empty).sum()})")
         if left:
-            warnings.warn(
-                f"left out columns whose cells are mostly no numbers: {', '.join(left[:8])}{', …' * (len(left) > 8)}: "
-                "name one in data.channels to read its numbers",
-                stacklevel=3,
-            )
+            told = f"left out columns whose cells are mostly no numbers: {', '.join(left[:8])}{', …' * (len(left) > 8)}"
+            warnings.warn(f"{told}: name one in data.channels to read its numbers", stacklevel=3)
         return series, columns.origin
 
 

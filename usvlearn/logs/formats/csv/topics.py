@@ -123,22 +123,17 @@ def read_topics(
         topic, column = locate(source.name, topics, f"{folder}: data.channels.{channel}.name")
         places[channel] = topic, Place(topics[topic].path, column, source)
     used = {topic: topics[topic] for topic in topics if any(topic == each for each, _ in places.values())}
-    columns = {
-        topic: each.columns([place.name for name, place in places.values() if name == topic])
-        for topic, each in used.items()
-    }
+    wanted = {topic: [place.name for name, place in places.values() if name == topic] for topic in used}
+    columns = {topic: each.columns(wanted[topic]) for topic, each in used.items()}
     spans = {topic: Span.of(each.time, each.origin) for topic, each in columns.items()}
     late, early = max(spans, key=lambda topic: spans[topic].begin), min(spans, key=lambda topic: spans[topic].end)
     if spans[late].begin >= spans[early].end:
         raise apart(folder, {name: spans[name] for name in (early, late)})
     start = min(each.begin for each in spans.values())
-    joined = {
-        used[topic].path: each._replace(time=each.time + (each.origin - start)) for topic, each in columns.items()
-    }
-    orders = _interleaved([each.time for each in joined.values()])
-    return channels_of(
-        joined, dict(zip(joined, orders, strict=True)), {channel: place for channel, (_, place) in places.items()}
-    )
+    columns = {topic: each._replace(time=each.time + (each.origin - start)) for topic, each in columns.items()}
+    joined = {used[topic].path: each for topic, each in columns.items()}
+    orders = dict(zip(joined, _interleaved([each.time for each in joined.values()]), strict=True))
+    return channels_of(joined, orders, {channel: place for channel, (_, place) in places.items()})
 
 
 def survey_topics(table: Table, folder: Path) -> list[Series]:
@@ -161,14 +156,12 @@ def survey_topics(table: Table, folder: Path) -> list[Series]:
     for topic in sorted(spans.keys() - together):
         warnings.warn(f"table left out: {apart(folder, {topic: spans[topic], **_one(spans, together)})}", stacklevel=4)
     start = min(spans[topic].begin for topic in together)
-    times = {
-        topic: surveyed[topic][0][0].time + (surveyed[topic][1] - start) for topic in surveyed if topic in together
-    }
-    return [
-        each._replace(name=f"{topic}.{each.name}", time=times[topic], order=order)
-        for topic, order in zip(times, _interleaved([*times.values()]), strict=True)
-        for each in surveyed[topic][0]
-    ]
+    runs = {topic: each for topic, each in surveyed.items() if topic in together}
+    times = [series[0].time + (origin - start) for series, origin in runs.values()]
+    found = []
+    for (topic, (series, _)), time, order in zip(runs.items(), times, _interleaved(times), strict=True):
+        found += [each._replace(name=f"{topic}.{each.name}", time=time, order=order) for each in series]
+    return found
 
 
 class Span(NamedTuple):

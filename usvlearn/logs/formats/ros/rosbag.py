@@ -158,11 +158,9 @@ class Rosbag:
             told = f"{path}: expected a whole ROS bag, found: {what}; and no message could be recovered from it: "
             raise LogFormatError(f"{told}{way}leave it out, or name its reader") from refusal
         ending = f"it breaks off in the one at byte {bag.end} of {bag.size}" if bag.end < bag.size else "all are whole"
-        warnings.warn(
-            f"{path}: the index of this bag is missing or damaged ({what}): recovered {bag.count} messages of "
-            f"{(bag.end_time - bag.start_time) * 1e-9:.4g} s from its records; {ending}",
-            stacklevel=4,
-        )
+        found = f"recovered {bag.count} messages of {(bag.end_time - bag.start_time) * 1e-9:.4g} s from its records"
+        told = f"{path}: the index of this bag is missing or damaged ({what}): {found}; {ending}"
+        warnings.warn(told, stacklevel=4)
         return bag
 
     def _read(self, path: Path, bag, sources: dict[str, Source]):
@@ -212,9 +210,8 @@ class Rosbag:
         unread = {each.topic: why for each in wanted if (why := _unreadable(path, bag, each))}
         heard = {each.topic: Heard(bag, each.topic, each.msgtype) for each in wanted}
         total = Total(path, self._limit)
-        for number, (connection, received, data) in enumerate(
-            bag.messages([each for each in wanted if each.topic not in unread])
-        ):
+        readable = [each for each in wanted if each.topic not in unread]
+        for number, (connection, received, data) in enumerate(bag.messages(readable)):
             topic = connection.topic
             if topic in unread:
                 continue
@@ -257,10 +254,8 @@ class _Counted:
             found += 1
             yield message
         if found < announced:
-            text = (
-                f"{self._path}: found {found} of the {announced} messages that this bag announces: its files or its "
-                "metadata are damaged"
-            )
+            text = f"{self._path}: found {found} of the {announced} messages that this bag announces: its files or "
+            text += "its metadata are damaged"
             if self._refuse:
                 raise ValueError(text)
             warnings.warn(text, stacklevel=6)
