@@ -79,8 +79,7 @@ def themed() -> Iterator[type]:
     ink = dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), INK)
     plain = {"axes.spines.top": False, "axes.spines.right": False, "axes.axisbelow": True, "grid.color": LINE}
     frame = {"legend.frameon": False, "axes.facecolor": "none", "grid.linewidth": 0.6, "font.size": 9}
-    names = {"text.parse_math": False}
-    settings: Any = {**ink, **plain, **frame, **names}
+    settings: Any = {**ink, **plain, **frame, "text.parse_math": False}
     with rc_context(settings):
         yield Figure
 

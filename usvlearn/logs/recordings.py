@@ -48,7 +48,9 @@ def align_fleet(recordings: Iterable[Recording], **options) -> Fleet:
                     total[cause] = total.get(cause, 0) + count
         steps = int(aligned.samples.measured.sum())
         if steps < SHORTEST:
-            short.append(f"{recording.boat}, run {recording.run}: {steps} (rejected: {_causes(aligned.rejected)})")
+            lost = [f"{name} {cause} {n}" for name, causes in aligned.rejected.items() for cause, n in causes.items()]
+            told = ", ".join(lost) or "nothing"
+            short.append(f"{recording.boat}, run {recording.run}: {steps} (rejected: {told})")
         else:
             position = track(recording.channels, aligned.time)
             pose = poses(recording.channels, aligned.time, aligned.samples, aligned.came)
@@ -115,8 +117,3 @@ def _onward(time: np.ndarray, dt: np.ndarray) -> np.ndarray:
     """
     ahead = np.diff(time, prepend=time[:1])
     return time - time[0] + np.cumsum(np.where(ahead < 0, dt.max(initial=0.0) - ahead, 0.0))
-
-
-def _causes(rejected: dict[str, dict[str, int]]) -> str:
-    found = [f"{channel} {cause} {n}" for channel, causes in rejected.items() for cause, n in causes.items()]
-    return ", ".join(found) or "nothing"

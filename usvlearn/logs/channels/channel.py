@@ -31,31 +31,16 @@ AUXILIARY = (SWAY, *VELOCITIES, *COURSES, *DEGREES, *METRES)  # the surge can be
 FORCES = ("N", "kN", "N·m", "kN·m")
 # unit -> (factor, offset): SI value = factor * value + offset
 UNITS = {
-    "1": (1.0, 0.0),
-    "percent": (0.01, 0.0),
-    "m/s": (1.0, 0.0),
-    "km/h": (1 / 3.6, 0.0),
-    "knots": (1852 / 3600, 0.0),
-    "cm/s": (0.01, 0.0),
-    "mm/s": (0.001, 0.0),
-    "mph": (0.44704, 0.0),
-    "ft/s": (0.3048, 0.0),
-    "m": (1.0, 0.0),
-    "rad": (1.0, 0.0),
-    "deg": (math.pi / 180, 0.0),
+    "1": (1.0, 0.0), "percent": (0.01, 0.0),
+    "m/s": (1.0, 0.0), "km/h": (1 / 3.6, 0.0), "knots": (1852 / 3600, 0.0), "cm/s": (0.01, 0.0), "mm/s": (0.001, 0.0),
+    "mph": (0.44704, 0.0), "ft/s": (0.3048, 0.0), "m": (1.0, 0.0),
+    "rad": (1.0, 0.0), "deg": (math.pi / 180, 0.0),
     "ddmm": (math.pi / 180, 0.0),  # degrees and minutes in one number, as 4218.5 for 42° 18.5'
-    "rad/s": (1.0, 0.0),
-    "deg/s": (math.pi / 180, 0.0),
-    "deg/min": (math.pi / 10800, 0.0),
-    "enu_rad": (-1.0, math.pi / 2),  # yaw from east, counter-clockwise
-    "enu_deg": (-math.pi / 180, math.pi / 2),
-    "enu_rad/s": (-1.0, 0.0),
-    "enu_deg/s": (-math.pi / 180, 0.0),
-    "enu_deg/min": (-math.pi / 10800, 0.0),
+    "rad/s": (1.0, 0.0), "deg/s": (math.pi / 180, 0.0), "deg/min": (math.pi / 10800, 0.0),
+    "enu_rad": (-1.0, math.pi / 2), "enu_deg": (-math.pi / 180, math.pi / 2),  # yaw from east, counter-clockwise
+    "enu_rad/s": (-1.0, 0.0), "enu_deg/s": (-math.pi / 180, 0.0), "enu_deg/min": (-math.pi / 10800, 0.0),
     **dict.fromkeys(FORCES, (1.0, 0.0)),  # a share of the span, which is in the same unit
-}
-
-
+}  # fmt: skip
 SPEEDS, RARE = ("m/s", "km/h", "knots", "cm/s", "mm/s"), ("mph", "ft/s")  # the latter where a log says so
 ANGLES = ("rad", "deg", "enu_rad", "enu_deg")
 OWN_UNITS = {  # channel -> the units that it may have, beside "1" for SI

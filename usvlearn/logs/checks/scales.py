@@ -189,8 +189,10 @@ def heading_unit(e: Evidence) -> Iterator[Finding]:
         return
     unit, greatest = angular(e, "heading"), float(np.max(np.abs(value)))
     small = math.radians(CIRCLE)
-    jumps = max(_greatest_jump(each.value) for each in e.logs("heading"))
-    speeds = _turn_of_commands(e)
+    runs = [each.value[np.abs(each.value) < HUGE] for each in e.logs("heading")]
+    jumps = max(float(np.max(np.abs(np.diff(each)), initial=0.0)) for each in runs)
+    turns = abs(e.turns.certainty) > LIKELY_TURN and abs(e.turns.correlation) > 0.3
+    speeds = abs(e.turns.slope) if turns else None  # rad/s, at a full difference of the commands
     if greatest <= small * 1.001:
         wraps = jumps > 0.95 * np.ptp(value) and np.ptp(value) > 0.9 * small
         sluggish = speeds is not None and speeds < SLUGGISH
@@ -217,17 +219,6 @@ def heading_unit(e: Evidence) -> Iterator[Finding]:
             expected = "radians within ±2π" if rated == "rad" else "degrees within ±360"
             yield Finding(e.boat, "heading", "heading unit", text, expected, override("heading", fix))
             return
-
-
-def _greatest_jump(value: np.ndarray) -> float:
-    """Between two values of a run."""
-    return float(np.max(np.abs(np.diff(value[np.abs(value) < HUGE])), initial=0.0))
-
-
-def _turn_of_commands(e: Evidence) -> float | None:
-    """The rate of turn that follows a full difference of the commands, rad/s; None if no turn surely follows one."""
-    found = e.turns
-    return abs(found.slope) if abs(found.certainty) > LIKELY_TURN and abs(found.correlation) > 0.3 else None
 
 
 def heading_sense(e: Evidence) -> Iterator[Finding]:

@@ -195,7 +195,10 @@ class MessageLog:
         names = [each.strip() for each in (name or "").split(",")]
         for each in names:
             if each not in self._holders[key]:
-                raise LogFormatError(self._no_field(key, each, where))
+                fields = self._fields(key)
+                found = f"no field {each[:LISTED]!r}{did_you_mean(each, fields)}." if each else "no field is named."
+                told = f"{where}: {found} The fields of {key} are: {', '.join(fields)}; name one of them"
+                raise LogFormatError(told)
         return self._joined(key, names)
 
     @cached_property
@@ -209,11 +212,6 @@ class MessageLog:
 
     def _fields(self, key: Key) -> list[str]:
         return list(self._holders[key])
-
-    def _no_field(self, key: Key, name: str, where: str) -> str:
-        fields = self._fields(key)
-        found = f"no field {name[:LISTED]!r}{did_you_mean(name, fields)}." if name else "no field is named."
-        return f"{where}: {found} The fields of {key} are: {', '.join(fields)}; name one of them"
 
     def _joined(self, key: Key, names: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """One field, or the norm of several, of all layouts that have them, in the order of the log."""

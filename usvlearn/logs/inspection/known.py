@@ -12,21 +12,14 @@ from usvlearn.logs.inspection.candidate import Candidate
 
 PLACE = re.compile(r"\[\d+\]|@\S*")  # of a name: its instance and its sender
 KNOWN: dict[str, dict[str, tuple[str, ...]]] = {  # format -> role -> messages and fields, the best first
-    "ArduPilot DataFlash": {
-        "heading": ("ATT Yaw", "XKF1 Yaw", "NKF1 Yaw"),
-        "velocity": ("XKF1 VN", "NKF1 VN"),
-        "position": ("POS Lat", "GPS Lat"),
-    },
-    "MAVLink telemetry": {
-        "heading": ("ATTITUDE yaw", "GLOBAL_POSITION_INT hdg"),
-        "velocity": ("LOCAL_POSITION_NED vx", "GLOBAL_POSITION_INT vx"),
-        "position": ("LOCAL_POSITION_NED x", "GLOBAL_POSITION_INT lat"),
-    },
-    "PX4 ULog": {
-        "heading": ("vehicle_attitude q", "vehicle_local_position heading"),
-        "velocity": ("vehicle_local_position vx",),
-        "position": ("vehicle_global_position lat", "vehicle_local_position x"),
-    },
+    "ArduPilot DataFlash": {"heading": ("ATT Yaw", "XKF1 Yaw", "NKF1 Yaw"), "velocity": ("XKF1 VN", "NKF1 VN"),
+                            "position": ("POS Lat", "GPS Lat")},
+    "MAVLink telemetry": {"heading": ("ATTITUDE yaw", "GLOBAL_POSITION_INT hdg"),
+                          "velocity": ("LOCAL_POSITION_NED vx", "GLOBAL_POSITION_INT vx"),
+                          "position": ("LOCAL_POSITION_NED x", "GLOBAL_POSITION_INT lat")},
+    "PX4 ULog": {"heading": ("vehicle_attitude q", "vehicle_local_position heading"),
+                 "velocity": ("vehicle_local_position vx",),
+                 "position": ("vehicle_global_position lat", "vehicle_local_position x")},
 }  # fmt: skip
 EAST = {"VN": "VE", "vx": "vy"}
 UNKNOWN = 9  # the rank of what is not known

@@ -48,8 +48,8 @@ def find_places(pool: Sequence[Candidate], convention: str = "") -> list[Places]
             found += [_places(first, second, role == "latitude", True) for second in beside]
     for x in pool:
         if "x" in words(x.label) and not NO_PLACE & set(words(x.label)):
-            twins = [y for y in pool if _is_twin(x, y)]
-            found += [_local(x, y) for y in twins if fit("command", x.label) < 1]
+            twin = tuple("y" if word == "x" else word for word in words(x.label))
+            found += [_local(x, y) for y in pool if words(y.label) == twin and fit("command", x.label) < 1]
     return sorted((each for each in found if each and _moves(each)), key=lambda each: _order(each, convention))
 
 
@@ -210,11 +210,6 @@ def _belong(first: Candidate, second: Candidate) -> bool:
         return False
     own, other = words(first.label), words(second.label)
     return len(own) == len(other) and sum(a != b for a, b in zip(own, other, strict=True)) <= 1
-
-
-def _is_twin(x: Candidate, y: Candidate) -> bool:
-    own, other = words(x.label), words(y.label)
-    return tuple("y" if word == "x" else word for word in own) == other
 
 
 def _moves(places: Places) -> bool:

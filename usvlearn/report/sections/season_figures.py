@@ -272,13 +272,8 @@ def parameters_figure(
                 shown.append(value)
                 if deviation is not None:
                     low, high = value - 1.645 * deviation, value + 1.645 * deviation
-                    band = {
-                        "color": palette[name],
-                        "alpha": 0.22,
-                        "linewidth": 0,
-                        "label": f"{name}, 90 % of noise alone",
-                    }
-                    panel.fill_between(hours, low, high, **band)
+                    label = f"{name}, 90 % of noise alone"
+                    panel.fill_between(hours, low, high, color=palette[name], alpha=0.22, linewidth=0, label=label)
                     settled = slice(len(value) // 4, None)  # the first bands are those of the prior
                     shown += [low[settled], high[settled]]
             if parameter in truth:

@@ -133,9 +133,8 @@ def _log(path: Path) -> MessageLog:
     for sender, each in sent.items():
         for number, one in _timed(data, each).items():
             message = MESSAGES[number]
-            shown = {
-                name: where for name, where in message.fields.items() if name not in (message.stamp, message.instance)
-            }
+            own = message.stamp, message.instance
+            shown = {name: where for name, where in message.fields.items() if name not in own}
             for instance, part in one.split(data, message.instance):
                 messages[Key(message.name, instance, sender)] = [part._replace(fields=shown)]
     vehicles = {sender: _vehicle(data, each) for sender, each in sent.items()}
@@ -202,7 +201,7 @@ def _vehicle(data: np.ndarray, sent: dict[int, Messages]) -> Vehicle:
 
 
 def _is_autopilot(data: np.ndarray, sent: dict[int, Messages]) -> bool:
-    one = sent.get(HEARTBEAT)
-    return one is not None and bool(
-        ((one.column(data, "autopilot") != NO_AUTOPILOT) & (one.column(data, "type") != GROUND_STATION)).any()
-    )
+    if (one := sent.get(HEARTBEAT)) is None:
+        return False
+    ground = one.column(data, "type") == GROUND_STATION
+    return bool((~ground & (one.column(data, "autopilot") != NO_AUTOPILOT)).any())

@@ -247,7 +247,7 @@ def _has(row: list[str], time: str) -> bool:
 
 def _fits(row: list[str], width: int) -> int:
     """2 if a header belongs to rows of so many cells, 1 if a delimiter may end one of both, else 0."""
-    if len(row) == width or len(_trimmed(row)) == width:
+    if width in (len(row), max((k + 1 for k, cell in enumerate(row) if cell.strip()), default=0)):
         return 2
     return int(len(row) > 1 and abs(len(row) - width) == 1)
 
@@ -273,11 +273,6 @@ def is_value(cell: str) -> bool:
     """
     cell = cell.strip()
     return bool(NUMBER.fullmatch(cell) or STAMP.fullmatch(cell))
-
-
-def _trimmed(row: list[str]) -> list[str]:
-    """A row without empty cells at its end."""
-    return row[: max((k + 1 for k, cell in enumerate(row) if cell.strip()), default=0)]
 
 
 def _unit(cell: str) -> str:

@@ -88,15 +88,10 @@ def _read_one(message, field: str, where: str) -> float:
             raise LogFormatError(f"{where}: no field {step!r} in {field!r}. {_listing(value)}")
     if all(hasattr(value, axis) for axis in "xyzw"):
         return yaw(value.x, value.y, value.z, value.w)
-    try:
-        return float(_byte(value) if isinstance(value, bytes) and len(value) == 1 else value)
+    try:  # rclpy has bytes of a field of type `byte`; rosbags reads it with a sign, as ROS 1 does
+        return float(int.from_bytes(value, signed=True) if isinstance(value, bytes) and len(value) == 1 else value)
     except (TypeError, ValueError):
         raise LogFormatError(f"{where}: expected a number in {field!r}. {_listing(value)}") from None
-
-
-def _byte(value: bytes) -> int:
-    """The number in rclpy's bytes of a field of type `byte`; rosbags reads it with a sign, as ROS 1 does."""
-    return int.from_bytes(value, signed=True)
 
 
 def _listing(value) -> str:

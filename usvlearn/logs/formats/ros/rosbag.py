@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fnmatch
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -12,7 +11,7 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 
 from usvlearn.errors import LogFormatError, MissingExtraError, check_choice, check_positive, printable
-from usvlearn.logs.channels.channel import Channel, Source, build_channel, match_name
+from usvlearn.logs.channels.channel import Channel, Source, build_channel, match_name, matching
 from usvlearn.logs.channels.series import ELEMENTS, Series
 from usvlearn.logs.formats.ros.clock import CLOCK, Heard, find_clock, has_stamp
 from usvlearn.logs.formats.ros.decompress import MB, Total, limit_chunks, limited
@@ -98,7 +97,7 @@ class Rosbag:
         patterns = [source.name for source in sources.values()]
 
         def keep(topic: str, msgtype: str) -> bool:
-            return msgtype == CLOCK or any(_may_match(pattern, topic) for pattern in patterns)
+            return msgtype == CLOCK or any(matching(pattern, [topic]) for pattern in patterns)
 
         return self._open(path, keep, lambda bag: self._read(path, bag, sources))
 
@@ -268,8 +267,3 @@ def _unreadable(path: Path, bag, connection) -> str:
     except LogFormatError as error:
         return str(error).removeprefix(f"{path}: ")
     return ""
-
-
-def _may_match(pattern: str, topic: str) -> bool:
-    """Whether `match_name` can choose this topic."""
-    return topic.lstrip("/") == pattern.lstrip("/") or fnmatch.fnmatchcase(topic, pattern)
