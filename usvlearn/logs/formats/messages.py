@@ -10,11 +10,11 @@ from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from usvlearn.errors import LogFormatError, did_you_mean, printable
+from usvlearn.errors import LogFormatError, check_choice, did_you_mean, printable
 from usvlearn.logs.channels.channel import LISTED, Channel, Source, build_channel, match_name
 from usvlearn.logs.channels.series import Series
 from usvlearn.logs.formats.ardupilot.servos import FUNCTIONS, Servos
@@ -250,6 +250,72 @@ class MessageLog:
                 known = self.servos.are_known(self.servos.find(name, parameters, ""), parameters)
                 found.append(Series(str(plain), name, *values, "1" if known else "", key.sender))
         return found
+
+
+@dataclass(frozen=True)
+class MessageReader:
+    """What the readers of an autopilot's logs have in common.
+
+    Args:
+        disarmed: as of `usvlearn.logs.formats.ardupilot.dataflash.DataFlash`.
+    """
+
+    disarmed: str = "drop"
+
+    left_out: ClassVar[tuple[str, ...]] = ()  # messages that hold no series
+
+    def __post_init__(self):
+        check_choice("data.reader.disarmed", self.disarmed, DISARMED)
+
+    def _log(self, path: Path) -> MessageLog:
+        raise NotImplementedError
+
+    def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
+        """The channels of a log.
+
+        Args:
+            path: the log.
+            sources: channel -> where it is found.
+
+        Returns:
+            The channels, in SI units; and the counts of unusable values: channel -> cause -> count.
+
+        Raises:
+            LogFormatError: the file is no log of this format, or lacks a message, a field or a servo.
+
+        >>> from tempfile import TemporaryDirectory
+        >>> from usvlearn.logs.formats.ardupilot.dataflash import DataFlash
+        >>> with TemporaryDirectory() as folder:
+        ...     path = Path(folder) / "a.bin"
+        ...     _ = path.write_bytes(b"")
+        ...     DataFlash().read(path, {})  # doctest: +ELLIPSIS
+        Traceback (most recent call last):
+        usvlearn.errors.LogFormatError: ...a.bin: expected an ArduPilot DataFlash log, found no message that ...
+        """
+        return self._log(path).channels(sources, keep_disarmed=self.disarmed == "keep")
+
+    def survey(self, path: Path) -> list[Series]:
+        """All numbers of a log that is described, with its units; also while the vehicle is disarmed.
+
+        Args:
+            path: the log.
+
+        Returns:
+            The numbers, as they stand in the log.
+
+        Raises:
+            LogFormatError: the file is no log of this format.
+
+        >>> from tempfile import TemporaryDirectory
+        >>> from usvlearn.logs.formats.ardupilot.tlog import Tlog
+        >>> with TemporaryDirectory() as folder:
+        ...     path = Path(folder) / "a.tlog"
+        ...     _ = path.write_bytes(b"")
+        ...     Tlog().survey(path)  # doctest: +ELLIPSIS
+        Traceback (most recent call last):
+        usvlearn.errors.LogFormatError: ...a.tlog: expected a MAVLink telemetry log, found no time of receipt that ...
+        """
+        return self._log(path).survey(self.left_out)
 
 
 def warn_of_damage(path: Path, data: np.ndarray, skipped: np.ndarray, what: str) -> None:

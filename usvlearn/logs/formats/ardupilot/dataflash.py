@@ -14,11 +14,9 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from usvlearn.errors import LogFormatError, check_choice
-from usvlearn.logs.channels.channel import Channel, Source
-from usvlearn.logs.channels.series import Series
+from usvlearn.errors import LogFormatError
 from usvlearn.logs.formats.ardupilot.servos import OUTPUTS, Servos
-from usvlearn.logs.formats.messages import DISARMED, Field, Key, MessageLog, Messages, Vehicle, warn_of_damage
+from usvlearn.logs.formats.messages import Field, Key, MessageLog, MessageReader, Messages, Vehicle, warn_of_damage
 
 LETTERS = {  # of a format: the type, and what it is divided by
     "b": ("i1", 1), "B": ("u1", 1), "h": ("<i2", 1), "H": ("<u2", 1), "i": ("<i4", 1), "I": ("<u4", 1),
@@ -29,7 +27,6 @@ LETTERS = {  # of a format: the type, and what it is divided by
 PREFIXES = {1e-1: "d", 1e-2: "c", 1e-3: "m", 1e-6: "µ", 1e-9: "n"}  # of a unit
 STAMPS = ("TimeUS", "TimeMS")  # since boot; logs before 2015 have the latter
 PLAIN = {"degheading": "deg", "deglatitude": "deg", "deglongitude": "deg", "UNKNOWN": ""}  # units of UNIT messages
-DESCRIPTIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM")
 KINDS = {"Name": "S", "Label": "S", "UnitIds": "S", "MultIds": "S", "Id": "iu", "FmtType": "iu"}  # others: numbers
 ARMING = {"ARM": ("ArmState", {1: True, 0: False}), "EV": ("Id", {10: True, 11: False})}  # messages, field, values
 NAME = re.compile(r"\w+", re.ASCII)
@@ -38,7 +35,7 @@ SERVOS = Servos(OUTPUTS[:3], "C(?:h|han)?{n}")
 
 
 @dataclass(frozen=True)
-class DataFlash:
+class DataFlash(MessageReader):
     """Reads an ArduPilot log. `Source.name` is a message such as `ATT`, `Source.field` one of its fields such as `Yaw`.
 
     `IMU[1]` is the second of several sensors, `IMU` the first. Several fields, comma-separated, give their Euclidean
@@ -65,57 +62,11 @@ class DataFlash:
     usvlearn.errors.ConfigError: data.reader.disarmed: found 'zero', expected one of drop, keep
     """
 
-    disarmed: str = "drop"
-
     suffixes: ClassVar[tuple[str, ...]] = (".bin",)
+    left_out: ClassVar[tuple[str, ...]] = ("FMT", "FMTU", "UNIT", "MULT", "PARM")
 
-    def __post_init__(self):
-        check_choice("data.reader.disarmed", self.disarmed, DISARMED)
-
-    def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
-        """The channels of a log.
-
-        Args:
-            path: the log.
-            sources: channel -> where it is found.
-
-        Returns:
-            The channels, in SI units; and the counts of unusable values: channel -> cause -> count.
-
-        Raises:
-            LogFormatError: the file is no DataFlash log, or lacks a message, a field or a servo.
-
-        >>> from tempfile import TemporaryDirectory
-        >>> with TemporaryDirectory() as folder:
-        ...     path = Path(folder) / "a.bin"
-        ...     _ = path.write_bytes(b"")
-        ...     DataFlash().read(path, {})  # doctest: +ELLIPSIS
-        Traceback (most recent call last):
-        usvlearn.errors.LogFormatError: ...a.bin: expected an ArduPilot DataFlash log, found no message that ...
-        """
-        return _log(path).channels(sources, keep_disarmed=self.disarmed == "keep")
-
-    def survey(self, path: Path) -> list[Series]:
-        """All numbers of a log, with the units that it declares; also while the vehicle is disarmed.
-
-        Args:
-            path: the log.
-
-        Returns:
-            The numbers, as they stand in the log.
-
-        Raises:
-            LogFormatError: the file is no DataFlash log.
-
-        >>> from tempfile import TemporaryDirectory
-        >>> with TemporaryDirectory() as folder:
-        ...     path = Path(folder) / "a.bin"
-        ...     _ = path.write_bytes(b"")
-        ...     DataFlash().survey(path)  # doctest: +ELLIPSIS
-        Traceback (most recent call last):
-        usvlearn.errors.LogFormatError: ...a.bin: expected an ArduPilot DataFlash log, found no message that ...
-        """
-        return _log(path).survey(DESCRIPTIONS)
+    def _log(self, path: Path) -> MessageLog:
+        return _log(path)
 
 
 def parameters_of(path: Path) -> Mapping[str, float]:

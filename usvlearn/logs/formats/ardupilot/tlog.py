@@ -12,12 +12,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from usvlearn.errors import LogFormatError, check_choice
-from usvlearn.logs.channels.channel import Channel, Source
-from usvlearn.logs.channels.series import Series
+from usvlearn.errors import LogFormatError
 from usvlearn.logs.formats.ardupilot.mavlink_messages import MESSAGES
 from usvlearn.logs.formats.ardupilot.servos import OUTPUTS, Servos
-from usvlearn.logs.formats.messages import DISARMED, Key, MessageLog, Messages, Vehicle, warn_of_damage
+from usvlearn.logs.formats.messages import Key, MessageLog, MessageReader, Messages, Vehicle, warn_of_damage
 
 CLOCK_LIMIT = 5.0  # s; a vehicle's stamp further from the receipt belongs to another boot, or to no clock
 WRAP = 2**32 * 1e-6  # s, after which a stamp of 32 bits in us begins anew
@@ -28,7 +26,7 @@ SERVOS = Servos(OUTPUTS[3:], "servo{n}_raw")
 
 
 @dataclass(frozen=True)
-class Tlog:
+class Tlog(MessageReader):
     """Reads a telemetry log. `Source.name` is a message such as `ATTITUDE`, `Source.field` a field such as `yaw`.
 
     `ATTITUDE@1.1` is what component 1 of system 1 sent. Without it, the autopilot's is meant: the component whose
@@ -52,57 +50,11 @@ class Tlog:
     ('.tlog',)
     """
 
-    disarmed: str = "drop"
-
     suffixes: ClassVar[tuple[str, ...]] = (".tlog",)
+    left_out: ClassVar[tuple[str, ...]] = ("PARAM_VALUE",)
 
-    def __post_init__(self):
-        check_choice("data.reader.disarmed", self.disarmed, DISARMED)
-
-    def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
-        """The channels of a log.
-
-        Args:
-            path: the log.
-            sources: channel -> where it is found.
-
-        Returns:
-            The channels, in SI units; and the counts of unusable values: channel -> cause -> count.
-
-        Raises:
-            LogFormatError: the file is no telemetry log, or lacks a message, a field or a servo.
-
-        >>> from tempfile import TemporaryDirectory
-        >>> with TemporaryDirectory() as folder:
-        ...     path = Path(folder) / "a.tlog"
-        ...     _ = path.write_bytes(b"")
-        ...     Tlog().read(path, {})  # doctest: +ELLIPSIS
-        Traceback (most recent call last):
-        usvlearn.errors.LogFormatError: ...a.tlog: expected a MAVLink telemetry log, found no time of receipt that ...
-        """
-        return _log(path).channels(sources, keep_disarmed=self.disarmed == "keep")
-
-    def survey(self, path: Path) -> list[Series]:
-        """All numbers of the declared messages, in the units of MAVLink; also while the vehicle is disarmed.
-
-        Args:
-            path: the log.
-
-        Returns:
-            The numbers, as they stand in the log.
-
-        Raises:
-            LogFormatError: the file is no telemetry log.
-
-        >>> from tempfile import TemporaryDirectory
-        >>> with TemporaryDirectory() as folder:
-        ...     path = Path(folder) / "a.tlog"
-        ...     _ = path.write_bytes(b"")
-        ...     Tlog().survey(path)  # doctest: +ELLIPSIS
-        Traceback (most recent call last):
-        usvlearn.errors.LogFormatError: ...a.tlog: expected a MAVLink telemetry log, found no time of receipt that ...
-        """
-        return _log(path).survey(("PARAM_VALUE",))
+    def _log(self, path: Path) -> MessageLog:
+        return _log(path)
 
 
 def _log(path: Path) -> MessageLog:
