@@ -98,7 +98,7 @@ def test_a_confirmed_file_is_the_same_elsewhere(found, tmp_path, end):
         list(confirm([str(path)], [first]))
     assert list(confirm([str(path)], ["all"]))[1] == "Nothing is open any more."
     assert SECTION not in yaml.safe_load(path.read_bytes()) and open_questions(yaml.safe_load(path.read_bytes())) == {}
-    with pytest.raises(ConfigError, match="but nothing is open"):
+    with pytest.raises(ConfigError, match="found no open question"):
         list(confirm([str(path)], ["mass"]))
 
 

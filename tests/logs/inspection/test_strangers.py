@@ -220,6 +220,53 @@ def test_numbers_of_a_measurement_are_not_taken_for_unknown(value):
     assert missing_values(np.asarray(value, float)) == ()
 
 
+def test_impossible_numbers_within_reach_mean_unknown():
+    boat = sail(6)
+    lost, no_fix = np.arange(len(boat["time"])) % 40 == 7, boat["time"] < 5
+    heading = np.where(lost, -1, np.round(boat["hdg"] % 360, 1))
+    lat, lon = (np.where(no_fix, 0, boat[key]) for key in ("lat", "lon"))
+    left = np.where(lost, 0, pulses(boat["l"]))
+    found = concluded(boat, pwm_left=left, pwm_right=pulses(boat["r"]), heading=heading, lat=lat, lon=lon)
+    assert found.channels["heading"]["missing"] == [-1] and found.channels["command_left"]["missing"] == [0]
+    assert found.channels["latitude"]["missing"] == found.channels["longitude"]["missing"] == [0]
+
+
+@pytest.mark.parametrize("name", ["{0}_{1}", "{1}.{0}", "{0} {1}"])
+def test_vehicles_that_only_names_tell_apart_are_never_one_boat(name):
+    one, other = sail(6), sail(6, seed=7)
+    columns = {}
+    for vehicle, boat in zip(("1", "2") if name[1] == "0" else ("anna", "bert"), (one, other), strict=True):
+        own = {
+            "pwm_left": pulses(boat["l"]),
+            "pwm_right": pulses(boat["r"]),
+            "heading": boat["hdg"],
+            "speed": boat["u"],
+        }
+        columns |= {name.format(key, vehicle): value for key, value in own.items()}
+    found = concluded(one, **columns)
+    first = "1" if name[1] == "0" else "anna"
+    assert {each["name"] for each in found.channels.values() if each["name"]} == {
+        name.format(key, first) for key in ("pwm_left", "pwm_right", "heading", "speed")
+    }
+    assert told(found)["vehicle", "system"][1] == "unsure"
+
+
+def test_a_propeller_at_the_bow_is_no_heading_and_electrical_power_no_command():
+    boat = sail(6)
+    found = driven(boat, helice_proa=30 * np.sin(boat["time"] / 8), speed=boat["u"])
+    assert found.channels["heading"]["name"] == "heading"
+    watts = {f"power_{side}_W": 300 * np.abs(boat[side[0]]) for side in ("left", "right")}
+    assert "command_left" in concluded(boat, **watts, heading=boat["hdg"], speed=boat["u"]).missing
+
+
+def test_a_declared_unit_of_an_angle_stands_above_its_size():
+    boat = sail(6)
+    found = concluded(
+        boat, pwm_left=pulses(boat["l"]), pwm_right=pulses(boat["r"]), yaw_rad=boat["psi"] + 40, u=boat["u"]
+    )
+    assert found.channels["heading"]["unit"] == "rad"
+
+
 def test_full_scale_and_a_wrap_are_not_taken_for_unknown():
     boat = sail()
     left = np.where(boat["l"] > 0.9, 255, 90 * boat["l"])

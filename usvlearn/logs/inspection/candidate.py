@@ -21,7 +21,12 @@ WRAP = 0.1  # by how much a jump of a heading may differ from a full turn
 TURNS = {"deg": 360.0, "rad": 2 * math.pi}
 LOOP = re.compile(r"(.*[ ./])?(?:([ryeu])[_.](\w+)|(\w+)[_.]([ryeu]))", re.IGNORECASE)
 MEANINGS = {"r": " reference", "y": "", "e": " error", "u": " input"}  # of a control loop
-UNKNOWN = {511.0, 1023.0, 102.3, 255.0, 65535.0, 32767.0, -32768.0, 9999.0, -9999.0, 999.0, -999.0, 99999.0, -99999.0}
+UNKNOWN = {511.0, 1023.0, 102.3, 255.0, 65535.0, 32767.0, -32768.0, -128.0,
+           *(sign * (10.0**k - part) for sign in (1, -1) for k in (2, 3, 4, 5) for part in (1, 0.1, 0.01))}  # fmt: skip
+IMPOSSIBLE = {
+    360.0: (0.0, 360.0),
+    5000.0: (800.0, 2200.0),
+}  # size of a plain number -> where others lie, if one below is none
 DIFFERENT, APART, APART_KNOWN = 20, 2.0, 0.35  # values; distances of one from all others, over their extent
 PLAIN_ROLES, DRIVEN = (("command", "rudder"), ("heading", "course")), 5000.0  # which reach full scale, or wrap
 ANGLES = {"deg", "rad", "enu_rad", "enu_deg"}
@@ -176,7 +181,9 @@ def candidates(series: list[Series]) -> list[Candidate]:
             label = f"{each.name} {each.field or ''}"
             unit = each.unit or unit_word(label)
             drives, turns = (max(fit(role, label) for role in roles) >= 1 for roles in PLAIN_ROLES)
-            missing = missing_values(each.value[known], DRIVEN if drives else 360.0 if turns else 0.0)
+            placed = max(fit(role, label) for role in ("latitude", "longitude")) >= 2  # 0, 0 is no fix of a receiver
+            plain = DRIVEN if drives else 360.0 if turns else -1.0 if placed else 0.0
+            missing = missing_values(each.value[known], plain)
             known &= ~np.isin(each.value, missing)
             one = Candidate(each.name, each.field, unit, each.kind, each.time[known], each.value[known])
             found.append(one.named(missing=missing))
@@ -192,12 +199,15 @@ def missing_values(value: np.ndarray, plain: float = 0.0) -> tuple[float, ...]:
     found: list[float] = []
     values, counts = np.unique(value, return_counts=True)
     while len(values) > DIFFERENT:
-        end = 0 if values[1] - values[0] > values[-1] - values[-2] else -1
+        low, high = IMPOSSIBLE.get(plain, (-math.inf, math.inf))
+        below = bool(values[0] < low <= values[1] and values[0] == round(values[0]) and values[-1] <= high)
+        end = 0 if below or values[1] - values[0] > values[-1] - values[-2] else -1
         rest = np.delete(values, end)
         apart, extent = abs(values[end] - rest[end]), rest[-1] - rest[0]
         number = float(values[end])
         least = APART_KNOWN if number in UNKNOWN or abs(number) >= 1e15 else APART
-        if not (apart > least * extent and abs(number) > plain and 1 < counts[end] < 0.5 * len(value)):
+        beyond = below or (apart > least * extent and abs(number) > plain)
+        if not (beyond and 1 < counts[end] < 0.5 * len(value)):
             break
         found.append(number)
         values, counts = rest, np.delete(counts, end)

@@ -94,7 +94,7 @@ def read_heading(candidate: Candidate, course: Pair | None, convention: str = ""
     enu = declared.startswith("enu_")
     ranked = sorted(HEADINGS, key=lambda unit: -agree[unit] if agree[unit] == agree[unit] else 0.0)
     best = ranked[0]
-    by_size = candidate.wraps or ("deg" if candidate.size > FULL_TURN else "")
+    by_size = candidate.wraps or ("deg" if candidate.size > FULL_TURN and not declared.endswith("rad") else "")
     why = f"it jumps by {'2π' if by_size == 'rad' else 360} at a full turn" if candidate.wraps else ""
     why = why or (f"values reach {candidate.size:.0f}" if by_size else "")
     name = fit("heading", candidate.label)

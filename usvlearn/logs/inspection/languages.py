@@ -49,7 +49,7 @@ SHORT_LEFT, SHORT_RIGHT = {"sx", "izq", "esq"}, {"dx", "dcha"}  # beside the wor
 SETPOINT = spelled(
     "soll sollwert consigne consigna deseado desejado desiderato gewenst önskad ønsket børværdi börvärde zadana tavoite"
 )
-LATERAL = spelled("bug heck étrave poupe prua poppa boeg hek baug bugstrahlruder heckstrahlruder boegschroef")
+LATERAL = spelled("bug heck étrave poupe prua poppa proa popa boeg hek baug bugstrahlruder heckstrahlruder boegschroef")
 FOREIGN = spelled(
     "strom spannung tiefe temperatur akku luft vent viento vento vind wiatr tuuli batterie bateria batteria batteri "
     "accu courant corriente corrente ström strøm tension tensión tensione spanning profondeur profundidad profondità "
@@ -61,7 +61,9 @@ RATES = spelled(
     "geschwindigkeit vitesse taux velocidad velocità velocidade hastighet hastighed snelheid nopeus prędkość"
 )
 OVER_GROUND = spelled("grund fond fondo grond fundo")
-DRIVES = spelled("drehzahl schub poussée empuje spinta empuxo stuwkracht skyvekraft ciąg")
+DRIVES = spelled(
+    "drehzahl schub poussée empuje spinta empuxo stuwkracht skyvekraft ciąg hélice elica schroef potkuri śruba skrue"
+)
 ROLES: dict[str, dict[float, str]] = {  # role -> how strongly -> words
     "heading": {3: "steuerkurs gierwinkel lacet guiñada guinada imbardata prua", 2: "kurs koers rumbo rumo proa kurssi "
                 "ausrichtung cap", 1: "richtung azimut retning suunta"},

@@ -81,10 +81,13 @@ def confirm(files: Sequence[str], given: Sequence[str]) -> Iterator[str]:
     content = read_yaml("--confirm", path := Path(files[0]).expanduser())
     known = questions_of(content.get(SECTION), str(path))
     keys = [key.strip() for each in given for key in each.split(",")]
+    if not known:
+        told = "either all are confirmed, or an older version wrote it, and usvlearn inspect writes it anew"
+        raise ConfigError(f"--confirm: found no open question in {path}: {told}")
     for key in keys:
         if key not in (*known, ALL):
-            there = f"expected one of {', '.join([*known, ALL])}" if known else f"but nothing is open in {path}"
-            raise ConfigError(f"--confirm: found {key!r}, {there}{did_you_mean(key, known)}")
+            there = f"expected one of {', '.join([*known, ALL])}{did_you_mean(key, known)}"
+            raise ConfigError(f"--confirm: found {key!r}, {there}")
     kept = {} if ALL in keys else {key: each for key, each in known.items() if key not in keys}
     wanted = {key: each for key, each in content.items() if key != SECTION}
     wanted |= {SECTION: {key: content[SECTION][key] for key in kept}} if kept else {}

@@ -14,6 +14,7 @@ from usvlearn.logs.inspection.decision import UNSURE, Decision
 from usvlearn.logs.inspection.vocabulary import fit
 
 TYPE = re.compile(r"HEARTBEAT(@\S*)? type|vehicle_status system_type")  # series of MAVLink's MAV_TYPE
+OF_VEHICLES = tuple(map(re.compile, (r"/([^/]+)/.+", r"([A-Za-z]+\d*)[._].+", r".*?[A-Za-z][ _.]?(\d+)")))  # in names
 GROUND, BOAT = 10, 11  # a car; boats that run its firmware may keep this type
 OTHERS = {1: "an aeroplane", 12: "a submarine", **dict.fromkeys((2, 3, 4, 13, 14, 15, 29, 35), "a multicopter"),
           **dict.fromkeys(range(19, 26), "a VTOL aeroplane")}  # fmt: skip
@@ -24,19 +25,33 @@ OF_BOATS = {*FUNCTIONS.values()}
 
 
 def of_one_vehicle(found: Sequence[Candidate], convention: str) -> tuple[list[Candidate], list[Decision]]:
-    """The series of one system of a telemetry log; of several vehicles, the first that has commands, and a question."""
-    system = {id(each): each.kind.partition(".")[0] for each in found}
-    named = {system[id(each)] for each in found if fit("heading", each.label) >= 2}
-    systems = sorted((each for each in named if each.isdigit()), key=int)
-    if convention != "MAVLink telemetry" or len(systems) < 2:
-        return list(found), []
-    driven = {system[id(each)] for each in found if each.varies and fit("command", each.label) >= 1}
-    chosen = next((each for each in systems if each in driven), systems[0])
-    others = tuple(each for each in systems if each != chosen)
-    why = f"the log holds {len(systems)} vehicles, the systems {', '.join(systems)}, and this is one of them: of "
-    why += f"another one, write @{others[0]}.1 in place of @{chosen}.1 in data.channels"
-    own = [each for each in found if system[id(each)] == chosen]
-    return own, [Decision("vehicle", "system", chosen, UNSURE, why, others)]
+    """The series of one vehicle; of several, those of the first that has commands, and a question.
+
+    Systems of a telemetry log are vehicles. So are namespaces, prefixes or numbers of names, if each has all there is.
+    """
+    if convention == "MAVLink telemetry":
+        places = [{id(each): each.kind.partition(".")[0] for each in found}]
+    else:
+        places = [{id(each): key[1] for each in found if (key := one.fullmatch(each.name))} for one in OF_VEHICLES]
+    for system in places:
+        having = [
+            {system.get(id(each), "") for each in found if each.varies and fit(role, each.label) >= least}
+            for role, least in (("heading", 2), ("command", 1))
+        ]
+        telemetry = convention == "MAVLink telemetry"
+        named = having[0] if telemetry else having[0] & having[1]
+        systems = sorted(filter(str.isdigit, named), key=int) if telemetry else sorted(named - {""})
+        if len(systems) < 2:
+            continue
+        chosen = next((each for each in systems if each in having[1]), systems[0])
+        others = tuple(each for each in systems if each != chosen)
+        why = f"the log holds {len(systems)} vehicles, {', '.join(systems)}, and this is one of them: of another one, "
+        one, other = (f"@{each}.1" if telemetry else repr(each) for each in (chosen, others[0]))
+        why += f"write {other} in place of {one} in data.channels"
+        own = [each for each in found if system.get(id(each), "" if telemetry else chosen) not in others]
+        own = [each for each in own if system[id(each)] == chosen] if telemetry else own
+        return own, [Decision("vehicle", "system", chosen, UNSURE, why, others)]
+    return list(found), []
 
 
 def check_boat(files: Sequence[Path], found: Sequence[Candidate], convention: str) -> list[Decision]:

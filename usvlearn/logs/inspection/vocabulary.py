@@ -195,6 +195,7 @@ def fit(role: str, name: str) -> float:
             score = max(score, 1) + 0.5  # of a twist, which is in the axes of the boat
     elif role == "command":
         score = min(score, 3) + 0.5 * bool(score and (LEFT | RIGHT) & found)
+        score -= 4 * bool({"w", "kw", "wh", "watt", "watts"} & found)  # electrical power
         score -= 1 * bool({"force", "feedback", "kraft", "newton"} & found)
         score = 2.5 if names_force(name) else score - 4 * names_moment(name)
         score -= 4 * bool(NO_THRUST & found) + 4 * is_lateral(name)
