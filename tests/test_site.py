@@ -94,7 +94,7 @@ def test_the_menu_names_every_page_once_but_data_pages_and_decisions():
 
 
 def test_the_site_stays_short():
-    """At most 30 written pages with 45,000 words; code, formulas and the pages made of docstrings do not count."""
+    """At most 30 written pages with 46,000 words; code, formulas and the pages made of docstrings do not count."""
     written = [name for name in NAMED if not name.startswith("reference/") or name == "reference/index.md"]
     assert len(written) <= 30
     words = 0
@@ -107,7 +107,7 @@ def test_the_site_stays_short():
             text = (ROOT / "CONTRIBUTING.md" if name == "contributing.md" else path).read_text()
         text = re.sub(r"^( *)```.*?^\1```|\$\$.*?\$\$|<!--.*?-->", "", text, flags=re.M | re.S)
         words += sum(bool(re.search(r"\w", word)) for word in text.split())
-    assert words <= 45_000
+    assert words <= 46_000
 
 
 def test_the_release_is_the_same_in_every_file():
