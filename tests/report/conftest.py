@@ -23,9 +23,9 @@ def drawn_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """A page whose figures are all its first one, for tests of its words: drawing is most of a report's time."""
     made: list[tuple[str, bytes, bytes]] = []
 
-    def first(drawn: Drawn) -> tuple[str, bytes, bytes]:
+    def first(drawn: Drawn, *others) -> tuple[str, bytes, bytes]:
         if not made:
-            made.append(_drawing(drawn))
+            made.append(_drawing(drawn, *others))
         return made[0]
 
     monkeypatch.setattr("usvlearn.report.page._drawing", first)

@@ -408,6 +408,6 @@ def test_a_compass_that_is_off_is_found_and_a_current_is_none(off):
 @pytest.mark.parametrize("late", [18.0, -18.0, 7.0])
 def test_clocks_that_differ_are_found_in_both_directions_of_a_short_log(late):
     found = told_of(stranger(sail(4), late))["delay"]
-    assert ("clocks of both differ" in found.sentence()) == (late < 0)
+    assert "clocks of both differ" in found.sentence()
     assert ("command_left.delay=" in found.key) == (late > 0)
     assert "delay" not in told_of(stranger(sail(4)))

@@ -160,7 +160,7 @@ class Evidence:
 
         It comes from positions; without them from the course and speed over ground, or from velocities.
         """
-        first, second = self._moved
+        first, second = self.moved
         edges = bin_edges(LEG, first, second)
         north, east = ((bin_rates if self.has_position else bin_means)(each, edges) for each in (first, second))
         at = (edges[:-1] + edges[1:]) / 2
@@ -170,7 +170,7 @@ class Evidence:
         return angle_offset((at[moving], np.arctan2(east, north)[moving]), self.series["heading"], LEG)
 
     @property
-    def _moved(self) -> tuple[Series, Series]:
+    def moved(self) -> tuple[Series, Series]:
         """Positions north and east; without them velocities over ground."""
         if not self.has_position and all(name in self.series for name in COURSES):
             (time, speed), (stamps, course) = (cleaned(self.series[name]) for name in COURSES)

@@ -1,0 +1,60 @@
+"""Two clocks in one log: the heading and the course over ground, which fit each other best some seconds apart.
+
+For each lag, the concentration of the angle 2 (χ − ψ) between course χ and heading ψ is compared, on bins of 2 s in
+which the boat moves: |mean exp(2i (χ − ψ))|. The factor 2 makes a boat that goes astern count like one that goes ahead,
+and a constant error of the compass changes nothing. Neither commands nor the sign of a speed are needed.
+
+A lag is told from 5 s on, if it leaves less than half of the dispersion 1 − |mean| that no lag leaves, and is better by
+4 standard errors over blocks of 20 s: filters and receivers are late by up to 3 s.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from usvlearn.logs.channels.bins import bin_edges, bin_means, bin_rates, cleaned
+from usvlearn.logs.checks.evidence import MOVING, Evidence
+from usvlearn.logs.checks.finding import Finding
+from usvlearn.logs.checks.thrusters import CLOCKS
+
+STEP, FARTHEST, LEAST = 2.0, 25, 5.0  # s, of the bins; bins of lag that are tried; s
+HALF, CLOSE, SURE = 0.5, 0.3, 4.0  # of the dispersion that is left; dispersion; standard errors
+BLOCK, FEWEST = 10, 3  # bins: 20 s; blocks
+
+
+def clocks(e: Evidence) -> Iterator[Finding]:
+    """A heading whose stamps are of another clock than those of the position or of the velocity over ground."""
+    first, second = e.moved
+    edges = bin_edges(STEP, first, second, e.series["heading"])
+    if len(edges) <= BLOCK * FEWEST + 2 * FARTHEST:
+        return
+    time, angle = cleaned(e.series["heading"])
+    heading = np.exp(
+        2j * np.angle(bin_means((time, np.cos(angle)), edges) + 1j * bin_means((time, np.sin(angle)), edges))
+    )
+    measured = bin_rates if e.has_position else bin_means
+    velocity = measured(first, edges) + 1j * measured(second, edges)
+    velocity[np.abs(velocity) < MOVING * min(e.surge_max, e.fastest)] = np.nan
+    course = np.exp(2j * np.angle(velocity))[FARTHEST:-FARTHEST]
+    lags = range(-FARTHEST, FARTHEST + 1)
+    angles = np.stack([course * heading[FARTHEST + lag : len(heading) - FARTHEST + lag].conj() for lag in lags])
+    angles = angles[:, np.isfinite(angles).all(0)]
+    blocks = angles[:, : angles.shape[1] // BLOCK * BLOCK].reshape(len(angles), -1, BLOCK)
+    if blocks.shape[1] < FEWEST:
+        return
+    means = blocks.mean((1, 2))
+    spread = 1 - np.abs(means)
+    best, none = int(spread.argmin()), FARTHEST
+    lag = (best - none) * STEP
+    aligned = (blocks * (means.conj() / np.abs(means))[:, None, None]).real.mean(2)  # (lags, blocks)
+    gain = aligned[best] - aligned[none]
+    sure = float(gain.mean()) > SURE * float(gain.std(ddof=1)) / math.sqrt(len(gain))
+    if abs(lag) < LEAST or abs(best - none) == FARTHEST or spread[best] > min(CLOSE, HALF * spread[none]) or not sure:
+        return
+    channels = ", ".join(e.places if e.has_position else e.speeds)
+    side, less = "later" if lag > 0 else "earlier", spread[best] / spread[none]
+    text = f"a heading that fits the course over ground {abs(lag):.0f} s {side} (dispersion × {less:.2f})"
+    yield Finding(e.boat, f"heading, {channels}", "clocks", text, f"less than {LEAST:g} s: {CLOCKS}")
