@@ -1,13 +1,13 @@
 """A run that all tests of reports look at."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.support import made_once
 from tests.support.commands import SMALL, run
 from usvlearn.report.page import _drawing
-from usvlearn.report.sections.section import Drawn
 
 LEAST_SQUARES = "+estimator@estimators.steady_rls=steady_rls"  # whose parameters have a band
 
@@ -23,9 +23,9 @@ def drawn_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """A page whose figures are all its first one, for tests of its words: drawing is most of a report's time."""
     made: list[tuple[str, bytes, bytes]] = []
 
-    def first(drawn: Drawn, *others) -> tuple[str, bytes, bytes]:
+    def first(name: str, figure: Any) -> tuple[str, bytes, bytes]:
         if not made:
-            made.append(_drawing(drawn, *others))
+            made.append(_drawing(name, figure))
         return made[0]
 
     monkeypatch.setattr("usvlearn.report.page._drawing", first)
