@@ -126,13 +126,14 @@ def test_killed_and_resumed_equals_uninterrupted(whole, tmp_path, sets):
     assert not (tmp_path / "run" / "results.json").exists()
     refused = run(*arguments, folder=tmp_path)
     assert refused.returncode == 2 and "resume=latest" in refused.stderr
-    newest = checkpoint.checkpoints(tmp_path / "run" / "checkpoints" / "heron1")[-1]
-    newest.write_bytes(newest.read_bytes()[:-7])  # and the disk failed, too
+    for newest in checkpoint.checkpoints(tmp_path / "run" / "checkpoints" / "heron1")[
+        -2:
+    ]:  # the last one has no predictions
+        newest.write_bytes(newest.read_bytes()[:-7])  # and the disk failed, too
     resumed = run(*arguments, "resume=latest", folder=tmp_path)
     assert resumed.returncode == 0, resumed.stderr
-    assert "damaged" in resumed.stderr
     if sets > 1:
-        assert "resuming after step" in resumed.stdout
+        assert "damaged" in resumed.stderr and "resuming after step" in resumed.stdout
     assert_equal_runs(tmp_path / "run", whole)
 
 

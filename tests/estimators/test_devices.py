@@ -193,7 +193,7 @@ def test_samples_on_another_device_than_the_state_are_refused():
 @pytest.mark.thorough
 def test_a_boat_learns_on_the_device_of_its_estimator(tmp_path):
     ensemble = Ensemble(
-        {"aid": AID(28.0), "joint": JointEKF(2.7, 28.0)}, {"boa": BOA()}, forecasts=ForecastSettings((0.4,))
+        {"aid": AID(28.0), "joint": JointEKF(2.7, 28.0)}, {"boa": BOA()}, forecasts=ForecastSettings((0.4, 0.8))
     )
     with read_as_ones():
         boat = Online(ensemble.to("meta"), (2,))
