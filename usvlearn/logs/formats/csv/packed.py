@@ -50,7 +50,7 @@ def _text(path: Path, suffix: str) -> bytes:
     if suffix == ".gz":
         return gzip.decompress(path.read_bytes())
     if suffix in (".xlsx", ".parquet"):
-        import pandas
+        import pandas  # pyright: ignore[reportMissingImports]
 
         if suffix == ".parquet":
             frame = pandas.read_parquet(path)
