@@ -22,7 +22,6 @@ from data_check import (
 
 import usvlearn
 from tests.support import REAL_LOGS, RECORDED, cases, few
-from tests.support.strangers import sail
 from usvlearn.cli.composition import recordings_of
 from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.logs.channels.channel import AUXILIARY, COMMANDS, SURGE, Channel, Recording
@@ -372,42 +371,3 @@ def test_no_numbers_stop_the_check(count):
                 channels[name] = Channel(stamps(rng, n), values(rng, n), np.arange(n))
         for each in check_data([Recording("boat", "run", channels, {})], None, {}, 2.0, sources if seed % 2 else None):
             assert each.severity in (WARNING, NOTE) and each.found and each.expected
-
-
-def stranger(boat, late=0.0, **values):
-    """A recording of a boat of `tests.support.strangers`, whose speed and heading are stamped `late` seconds late."""
-    time, order = boat["time"], np.arange(len(boat["time"]))
-    own = {"command_left": boat["l"], "command_right": boat["r"], "heading": boat["psi"], SURGE: boat["u"], **values}
-    stamps = {name: time + late * (name not in COMMANDS) for name in own}
-    channels = {name: Channel(stamps[name], value, order) for name, value in own.items()}
-    return Recording("a", "1", channels, {})
-
-
-def told_of(recording, **channels):
-    given = {name: {"name": name} for name in recording.channels} | channels
-    return {each.kind: each for each in check_data([recording], None, {}, 2.5, given)}
-
-
-def test_a_speed_without_a_sign_of_a_boat_that_goes_astern_is_found():
-    found = told_of(stranger(sail(6), surge=sail(6)["sog"]))["speed sign"]
-    assert (found.severity, found.key) == (WARNING, "")
-    assert "both commands push astern" in found.found
-    assert "speed sign" not in told_of(stranger(sail(6)))
-    assert "speed sign" not in told_of(stranger(sail(6, lowest=0.0), surge=sail(6, lowest=0.0)["sog"]))
-
-
-@pytest.mark.parametrize("off", [20.0, -10.0])
-def test_a_compass_that_is_off_is_found_and_a_current_is_none(off):
-    boat = sail(6)
-    moved = {"north": boat["n"] + 0.4 * boat["time"], "east": boat["e"] - 0.3 * boat["time"]}
-    wrong = told_of(stranger(boat, heading=boat["psi"] + np.radians(off), **moved))["heading offset"]
-    assert float(wrong.key.partition("zero=")[2]) == pytest.approx(np.radians(off), abs=0.03)
-    assert "heading offset" not in told_of(stranger(boat, **moved))
-
-
-@pytest.mark.parametrize("late", [18.0, -18.0, 7.0])
-def test_clocks_that_differ_are_found_in_both_directions_of_a_short_log(late):
-    found = told_of(stranger(sail(4), late))["delay"]
-    assert "clocks of both differ" in found.sentence()
-    assert ("command_left.delay=" in found.key) == (late > 0)
-    assert "delay" not in told_of(stranger(sail(4)))

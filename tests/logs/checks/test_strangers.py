@@ -1,0 +1,64 @@
+"""The data check on boats that are not ours: signs of speeds, compasses and clocks."""
+
+import numpy as np
+import pytest
+
+from tests.support.strangers import sail
+from usvlearn.logs.channels.channel import SURGE, Channel, Recording
+from usvlearn.logs.checks.data_check import check_data
+from usvlearn.logs.checks.finding import WARNING
+
+
+def stranger(boat, late=0.0, channels=(SURGE, "heading"), **values):
+    """A recording of a boat of `tests.support.strangers`, of which some channels are stamped `late` seconds late."""
+    time, order = boat["time"], np.arange(len(boat["time"]))
+    own = {"command_left": boat["l"], "command_right": boat["r"], "heading": boat["psi"], SURGE: boat["u"], **values}
+    series = {name: Channel(time + late * (name in channels), value, order) for name, value in own.items()}
+    return Recording("a", "1", series, {})
+
+
+def told_of(recording, **channels):
+    given = {name: {"name": name} for name in recording.channels} | channels
+    return {each.kind: each for each in check_data([recording], None, {}, 2.5, given)}
+
+
+def test_a_speed_without_a_sign_of_a_boat_that_goes_astern_is_found():
+    found = told_of(stranger(sail(6), surge=sail(6)["sog"]))["speed sign"]
+    assert (found.severity, found.key) == (WARNING, "")
+    assert "both commands push astern" in found.found
+    assert "speed sign" not in told_of(stranger(sail(6)))
+    assert "speed sign" not in told_of(stranger(sail(6, lowest=0.0), surge=sail(6, lowest=0.0)["sog"]))
+
+
+@pytest.mark.parametrize("off", [20.0, -10.0])
+def test_a_compass_that_is_off_is_found_and_a_current_is_none(off):
+    boat = sail(6)
+    moved = {"north": boat["n"] + 0.4 * boat["time"], "east": boat["e"] - 0.3 * boat["time"]}
+    wrong = told_of(stranger(boat, heading=boat["psi"] + np.radians(off), **moved))["heading offset"]
+    assert float(wrong.key.partition("zero=")[2]) == pytest.approx(np.radians(off), abs=0.03)
+    assert "heading offset" not in told_of(stranger(boat, **moved))
+
+
+@pytest.mark.parametrize("late", [18.0, -18.0, 7.0])
+def test_clocks_that_differ_are_found_in_both_directions_of_a_short_log(late):
+    found = told_of(stranger(sail(4), late))["delay"]
+    assert "clocks of both differ" in found.sentence()
+    assert ("command_left.delay=" in found.key) == (late > 0)
+    assert "delay" not in told_of(stranger(sail(4)))
+
+
+def receiver(late, off=0.0):
+    """Kinds of findings where the receiver is so many s late, and the compass off by so many degrees."""
+    boat = sail(8)
+    moved = {"north": boat["n"], "east": boat["e"]}
+    return told_of(stranger(boat, late, tuple(moved), heading=boat["psi"] + np.radians(off), **moved))
+
+
+@pytest.mark.parametrize("late", [18.0, -18.0, 8.0, -30.0])
+def test_a_receiver_with_another_clock_is_found_in_both_directions(late):
+    assert "clocks" in receiver(late)
+
+
+@pytest.mark.parametrize(("late", "off"), [(0, 0), (2, 0), (0, 30), (-1, -40)])
+def test_a_late_receiver_and_a_wrong_compass_are_no_other_clock(late, off):
+    assert "clocks" not in receiver(late, off)
