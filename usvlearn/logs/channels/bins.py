@@ -79,6 +79,12 @@ def clipped(values: np.ndarray) -> np.ndarray:
     return np.clip(values, -limit, limit)
 
 
+def bin_directions(series: Series, edges: np.ndarray) -> np.ndarray:
+    """Means of exp(iψ) over bins, `(bins,)` complex, of angles ψ, rad; NaN in a gap."""
+    time, angle = cleaned(series)
+    return bin_means((time, np.cos(angle)), edges) + 1j * bin_means((time, np.sin(angle)), edges)
+
+
 def bin_rates(series: Series, edges: np.ndarray, wraps: bool = False) -> np.ndarray:
     """Mean rates of change over bins, `(bins,)`, NaN in a gap.
 

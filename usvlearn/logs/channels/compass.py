@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from usvlearn.logs.channels.bins import Series, bin_edges, bin_means, bin_rates, cleaned
+from usvlearn.logs.channels.bins import Series, bin_directions, bin_edges, bin_means, bin_rates
 
 STEP, BLOCKS, FEWEST = 2.0, 6, 40  # s, of the bins; blocks; bins
 MOVES, STRAIGHT = 0.3, 0.9  # of the greatest speed; length of the mean heading, beyond which there is one course alone
@@ -34,8 +34,7 @@ def compass_error(north: Series, east: Series, heading: Series, speed: Series) -
     (0.2, None)
     """
     edges = bin_edges(STEP, north, east, heading, speed)
-    time, angle = cleaned(heading)
-    along = bin_means((time, np.cos(angle)), edges) + 1j * bin_means((time, np.sin(angle)), edges)
+    along = bin_directions(heading, edges)
     over_ground = bin_rates(north, edges) + 1j * bin_rates(east, edges)
     ahead, turn = bin_means(speed, edges), bin_rates(heading, edges, wraps=True)
     fastest = np.nanquantile(np.abs(ahead), 0.98) if np.isfinite(ahead).any() else 0.0

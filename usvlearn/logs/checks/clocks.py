@@ -15,7 +15,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from usvlearn.logs.channels.bins import bin_edges, bin_means, bin_rates, cleaned
+from usvlearn.logs.channels.bins import bin_directions
 from usvlearn.logs.checks.evidence import MOVING, Evidence
 from usvlearn.logs.checks.finding import Finding
 from usvlearn.logs.checks.thrusters import CLOCKS
@@ -27,16 +27,12 @@ BLOCK, FEWEST = 10, 3  # bins: 20 s; blocks
 
 def clocks(e: Evidence) -> Iterator[Finding]:
     """A heading whose stamps are of another clock than those of the position or of the velocity over ground."""
-    first, second = e.moved
-    edges = bin_edges(STEP, first, second, e.series["heading"])
+    edges = e.moving_edges(STEP, e.series["heading"])
     if len(edges) <= BLOCK * FEWEST + 2 * FARTHEST:
         return
-    time, angle = cleaned(e.series["heading"])
-    heading = np.exp(
-        2j * np.angle(bin_means((time, np.cos(angle)), edges) + 1j * bin_means((time, np.sin(angle)), edges))
-    )
-    measured = bin_rates if e.has_position else bin_means
-    velocity = measured(first, edges) + 1j * measured(second, edges)
+    heading = np.exp(2j * np.angle(bin_directions(e.series["heading"], edges)))
+    north, east = e.velocity(edges)
+    velocity = north + 1j * east
     velocity[np.abs(velocity) < MOVING * min(e.surge_max, e.fastest)] = np.nan
     course = np.exp(2j * np.angle(velocity))[FARTHEST:-FARTHEST]
     lags = range(-FARTHEST, FARTHEST + 1)

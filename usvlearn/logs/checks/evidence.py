@@ -160,17 +160,26 @@ class Evidence:
 
         It comes from positions; without them from the course and speed over ground, or from velocities.
         """
-        first, second = self.moved
-        edges = bin_edges(LEG, first, second)
-        north, east = ((bin_rates if self.has_position else bin_means)(each, edges) for each in (first, second))
+        edges = self.moving_edges(LEG)
+        north, east = self.velocity(edges)
         at = (edges[:-1] + edges[1:]) / 2
         ahead = bin_means(self.series[SURGE], edges) if len(edges) else at
         computed = self.speeds != (SURGE,)  # with a wrong heading such a surge has a wrong sign
         moving = (np.hypot(north, east) > MOVING * min(self.surge_max, self.fastest)) & (computed | (ahead > 0))
         return angle_offset((at[moving], np.arctan2(east, north)[moving]), self.series["heading"], LEG)
 
+    def moving_edges(self, step: float, *others: Series) -> np.ndarray:
+        """The edges of bins, s, in which the velocity over ground and other series are known."""
+        return bin_edges(step, *self._moved, *others)
+
+    def velocity(self, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The velocity over ground to the north and to the east, `(bins,)`, m/s."""
+        measured = bin_rates if self.has_position else bin_means
+        first, second = self._moved
+        return measured(first, edges), measured(second, edges)
+
     @property
-    def moved(self) -> tuple[Series, Series]:
+    def _moved(self) -> tuple[Series, Series]:
         """Positions north and east; without them velocities over ground."""
         if not self.has_position and all(name in self.series for name in COURSES):
             (time, speed), (stamps, course) = (cleaned(self.series[name]) for name in COURSES)
