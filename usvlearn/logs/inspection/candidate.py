@@ -23,12 +23,12 @@ LOOP = re.compile(r"(.*[ ./])?(?:([ryeu])[_.](\w+)|(\w+)[_.]([ryeu]))", re.IGNOR
 MEANINGS = {"r": " reference", "y": "", "e": " error", "u": " input"}  # of a control loop
 UNKNOWN = {511.0, 1023.0, 102.3, 255.0, 65535.0, 32767.0, -32768.0, -128.0,
            *(sign * (10.0**k - part) for sign in (1, -1) for k in (2, 3, 4, 5) for part in (1, 0.1, 0.01))}  # fmt: skip
-IMPOSSIBLE = {
-    360.0: (0.0, 360.0),
-    5000.0: (800.0, 2200.0),
-}  # size of a plain number -> where others lie, if one below is none
 DIFFERENT, APART, APART_KNOWN = 20, 2.0, 0.35  # values; distances of one from all others, over their extent
-PLAIN_ROLES, DRIVEN = (("command", "rudder"), ("heading", "course")), 5000.0  # which reach full scale, or wrap
+PLAIN = (  # roles, how well a name must fit, and the size up to which a number means itself; where all of them lie
+    (("command", "rudder"), 1, 5000.0, (800.0, 2200.0)),  # full scale; pulses, of which 0 is none
+    (("heading", "course"), 1, 360.0, (0.0, 360.0)),  # a wrap
+    (("latitude", "longitude"), 2, -1.0, (-math.inf, math.inf)),  # 0, 0 is no fix of a receiver
+)
 ANGLES = {"deg", "rad", "enu_rad", "enu_deg"}
 
 
@@ -180,26 +180,28 @@ def candidates(series: list[Series]) -> list[Candidate]:
         if known.any():
             label = f"{each.name} {each.field or ''}"
             unit = each.unit or unit_word(label)
-            drives, turns = (max(fit(role, label) for role in roles) >= 1 for roles in PLAIN_ROLES)
-            placed = max(fit(role, label) for role in ("latitude", "longitude")) >= 2  # 0, 0 is no fix of a receiver
-            plain = DRIVEN if drives else 360.0 if turns else -1.0 if placed else 0.0
-            missing = missing_values(each.value[known], plain)
+            kinds = (own for roles, least, *own in PLAIN if max(fit(role, label) for role in roles) >= least)
+            missing = missing_values(each.value[known], *next(kinds, ()))
             known &= ~np.isin(each.value, missing)
             one = Candidate(each.name, each.field, unit, each.kind, each.time[known], each.value[known])
             found.append(one.named(missing=missing))
     return of_loops(found)
 
 
-def missing_values(value: np.ndarray, plain: float = 0.0) -> tuple[float, ...]:
+def missing_values(
+    value: np.ndarray, plain: float = 0.0, within: tuple[float, float] = (-math.inf, math.inf)
+) -> tuple[float, ...]:
     """Numbers that mean "unknown": the same again and again, far beyond all others; none of a size up to `plain`.
+
+    So is an integer below `within`, where all others lie.
 
     >>> missing_values(np.append(np.sin(np.arange(300.0)), [-9999.0, 1e20, -9999.0, 1e20]))
     (-9999.0, 1e+20)
     """
     found: list[float] = []
     values, counts = np.unique(value, return_counts=True)
+    low, high = within
     while len(values) > DIFFERENT:
-        low, high = IMPOSSIBLE.get(plain, (-math.inf, math.inf))
         below = bool(values[0] < low <= values[1] and values[0] == round(values[0]) and values[-1] <= high)
         end = 0 if below or values[1] - values[0] > values[-1] - values[-2] else -1
         rest = np.delete(values, end)
