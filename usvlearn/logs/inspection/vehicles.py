@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 
 from usvlearn.errors import LogFormatError
@@ -29,29 +30,36 @@ def of_one_vehicle(found: Sequence[Candidate], convention: str) -> tuple[list[Ca
 
     Systems of a telemetry log are vehicles. So are namespaces, prefixes or numbers of names, if each has all there is.
     """
-    if convention == "MAVLink telemetry":
-        places = [{id(each): each.kind.partition(".")[0] for each in found}]
-    else:
-        places = [{id(each): key[1] for each in found if (key := one.fullmatch(each.name))} for one in OF_VEHICLES]
-    for system in places:
-        having = [
-            {system.get(id(each), "") for each in found if each.varies and fit(role, each.label) >= least}
+    telemetry = convention == "MAVLink telemetry"
+    for system in _vehicles_of(found, telemetry):
+        headed, driven = (
+            {
+                system[id(each)]
+                for each in found
+                if id(each) in system and each.varies and fit(role, each.label) >= least
+            }
             for role, least in (("heading", 2), ("command", 1))
-        ]
-        telemetry = convention == "MAVLink telemetry"
-        named = having[0] if telemetry else having[0] & having[1]
-        systems = sorted(filter(str.isdigit, named), key=int) if telemetry else sorted(named - {""})
+        )
+        systems = sorted(filter(str.isdigit, headed), key=int) if telemetry else sorted(headed & driven)
         if len(systems) < 2:
             continue
-        chosen = next((each for each in systems if each in having[1]), systems[0])
+        chosen = next((each for each in systems if each in driven), systems[0])
         others = tuple(each for each in systems if each != chosen)
         why = f"the log holds {len(systems)} vehicles, {', '.join(systems)}, and this is one of them: of another one, "
         one, other = (f"@{each}.1" if telemetry else repr(each) for each in (chosen, others[0]))
         why += f"write {other} in place of {one} in data.channels"
-        own = [each for each in found if system.get(id(each), "" if telemetry else chosen) not in others]
-        own = [each for each in own if system[id(each)] == chosen] if telemetry else own
+        foreign = {*system.values()} - {chosen} if telemetry else {*others}  # what no vehicle has, is of all
+        own = [each for each in found if system.get(id(each)) not in foreign]
         return own, [Decision("vehicle", "system", chosen, UNSURE, why, others)]
     return list(found), []
+
+
+def _vehicles_of(found: Sequence[Candidate], telemetry: bool) -> Iterator[dict[int, str]]:
+    """Series, by `id` -> the vehicle that they may be of: by the sender, or by each way in which names tell it."""
+    if telemetry:
+        yield {id(each): each.kind.partition(".")[0] for each in found}
+    else:
+        yield from ({id(each): key[1] for each in found if (key := one.fullmatch(each.name))} for one in OF_VEHICLES)
 
 
 def check_boat(files: Sequence[Path], found: Sequence[Candidate], convention: str) -> list[Decision]:
@@ -66,8 +74,10 @@ def check_boat(files: Sequence[Path], found: Sequence[Candidate], convention: st
     servos = {value for name, value in parameters.items() if FUNCTION.fullmatch(name)}
     if servos & WINGS or (servos & MOTORS and not servos & OF_BOATS):
         other = "an aeroplane" if servos & WINGS else "a multicopter or a submarine"
-    if convention == "ArduPilot DataFlash" and (text := FIRMWARE.search(files[0].read_bytes())):
-        other = FIRMWARES[text[1]]
+    if convention == "ArduPilot DataFlash":
+        with files[0].open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as content:  # it may be large
+            if text := FIRMWARE.search(content):
+                other = FIRMWARES[text[1]]
     if other:
         raise LogFormatError(
             f"{files[0]}: found a log of {other}, expected one of a boat: give one, or add --any-vehicle if it is one"
