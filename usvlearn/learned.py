@@ -294,8 +294,10 @@ class Learned:
 
             own = float(self.logs.settings["vehicle"]["mass"])
             if fit.boat != self.boats[element] or fit.found.mass != own:
-                told = f"fit: found that of {fit.boat}, {fit.found.mass:g} kg, expected one of "
-                raise ConfigError(f"{told}{self.boats[element]}, {own:g} kg")
+                raise ConfigError(
+                    f"fit: found that of {fit.boat}, {fit.found.mass:g} kg, expected one of {self.boats[element]}, "
+                    f"{own:g} kg"
+                )
             leaves = {name: leaf.numpy() for name, leaf in named_leaves(state)}
             state, fitted = handed_over(leaves, kernel, fit, float(self.logs.settings["align"]["dt"]))
         return checkpoint.save(

@@ -123,8 +123,10 @@ def _half(name: str, boats: Sequence[np.ndarray]) -> Half:
     for rows in boats:
         count = rows.shape[1] // BLOCK
         if count < LEAST_BLOCKS:
-            told = f"data.path: found {rows.shape[1]} steps to compare in the {name} half of a boat's runs, expected "
-            raise LogFormatError(f"{told}{BLOCK * LEAST_BLOCKS}: give longer logs, or a smaller align.dt")
+            raise LogFormatError(
+                f"data.path: found {rows.shape[1]} steps to compare in the {name} half of a boat's runs, expected "
+                f"{BLOCK * LEAST_BLOCKS}: give longer logs, or a smaller align.dt"
+            )
         if not (scale := rows[-1].mean()) > 0:
             raise LogFormatError(f"data.path: the speed never changes in the {name} half: give logs of a moving boat")
         each = 1 - rows[:-1] / scale

@@ -100,8 +100,10 @@ def export(
                 warnings.warn(f"{what} of {printable(boat.name)} is left out: {error}", stacklevel=2)
                 continue
             if twice := made.keys() & files.keys():
-                told = f"--boat: found two boats whose files would have one name, {min(twice).name}: give one of "
-                raise ConfigError(f"{told}them, and another folder for the files of each")
+                raise ConfigError(
+                    f"--boat: found two boats whose files would have one name, {min(twice).name}: give one of them, "
+                    "and another folder for the files of each"
+                )
             made |= files
     out.mkdir(parents=True, exist_ok=True)
     for path, content in made.items():

@@ -192,8 +192,10 @@ def _logs(folder: Path, settings: Mapping[str, Any], data: Mapping[str, Any]) ->
     learned, found = list(_runs(folder)), list(dict.fromkeys(each.boat for each in recordings))
     if learned and not set(found) <= set(learned):
         if len(learned) > 1 or len(found) > 1:
-            told = f"the logs are of {', '.join(found)}, and the run has learned {', '.join(learned)}: give its logs "
-            raise ConfigError(f"{told}by data.path")
+            raise ConfigError(
+                f"the logs are of {', '.join(found)}, and the run has learned {', '.join(learned)}: give its logs by "
+                "data.path"
+            )
         recordings = [
             each._replace(boat=learned[0]) for each in recordings
         ]  # named after their folder, which has moved

@@ -85,11 +85,15 @@ def work(arguments: Sequence[str]) -> None:
         found = inspect_logs(options.logs, options.name, options.output, options.any_vehicle)
     screen.show(found, options.output, console, options.all)
     if found.proposal.missing:
-        told = f"{options.logs[0]}: found no {', '.join(found.proposal.missing)}, so that nothing was written: "
-        raise ConfigError(f"{told}{found.proposal.unfit or _what_to_do(found)}")
+        raise ConfigError(
+            f"{options.logs[0]}: found no {', '.join(found.proposal.missing)}, so that nothing was written: "
+            f"{found.proposal.unfit or _what_to_do(found)}"
+        )
     if "${" in json.dumps(found.settings):
-        told = f"{options.logs[0]}: found '${{' in the name of a file or a series, which a configuration takes for a "
-        raise ConfigError(f"{told}reference: rename it")
+        raise ConfigError(
+            f"{options.logs[0]}: found '${{' in the name of a file or a series, which a configuration takes for a "
+            "reference: rename it"
+        )
     write_atomically(output, found.text.encode())
     if options.plot:
         from usvlearn.logs.inspection.picture import draw

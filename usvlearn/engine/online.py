@@ -272,8 +272,10 @@ class Online:
         """
         if headings is None:
             if not hasattr(self._live, "track"):
-                told = f"headings: found none, and {self._name}, which forecasts speeds alone; expected headings, or "
-                raise ConfigError(f"{told}Online(Planar(…)), which forecasts where the boat will be")
+                raise ConfigError(
+                    f"headings: found none, and {self._name}, which forecasts speeds alone; expected headings, or "
+                    "Online(Planar(…)), which forecasts where the boat will be"
+                )
             return self._live.track(commands, dt)
         inputs = plan_inputs(commands, headings, yaw_rates, dt, self._live.batch)
         surge, width = self._live.forecast(inputs)

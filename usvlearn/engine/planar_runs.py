@@ -43,8 +43,10 @@ def planar_stretches(
 def forecast_tracks(planar: Any, state: PlanarState, inputs: Inputs) -> Track:
     """`usvlearn.forecast` of boats in the plane."""
     if not hasattr(planar, "yaw"):
-        told = f"inputs.heading: found None with {type(planar).__name__}, expected headings, or a Planar, which "
-        raise ConfigError(f"{told}forecasts them, too")
+        raise ConfigError(
+            f"inputs.heading: found None with {type(planar).__name__}, expected headings, or a Planar, which forecasts "
+            "them, too"
+        )
     from usvlearn.engine.planar_steps import PlanarLive
 
     left, right, dt = (np.asarray(x, float) for x in (inputs.command_left, inputs.command_right, inputs.dt))

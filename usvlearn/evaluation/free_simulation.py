@@ -127,6 +127,8 @@ def check_halves(fleet: Fleet) -> None:
     """Raise a ConfigError unless each boat has runs in both halves."""
     for element, boat in enumerate(fleet.boats):
         if not has_halves(fleet, element):
-            told = f"objective: found open-loop simulations, and too few logs of {boat}, expected two or more of "
-            told += "each boat, about as many as of the others: the first half is learned, the second one is "
-            raise ConfigError(f"{told}simulated")
+            raise ConfigError(
+                f"objective: found open-loop simulations, and too few logs of {boat}, expected two or more of each "
+                "boat, about as "
+                "many as of the others: the first half is learned, the second one is simulated"
+            )

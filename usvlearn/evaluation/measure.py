@@ -151,8 +151,10 @@ def check_measure(measure: Measure, ensemble: Ensemble, fleet: Fleet) -> None:
     if measure.kind == FORECAST:
         horizons = [] if made is None else made.horizons.tolist()
         if measure.horizon not in horizons:
-            told = f"objective: found a forecast over {measure.horizon:g} s, expected one of forecasts.horizons: "
-            raise ConfigError(f"{told}{', '.join(f'{h:g}' for h in horizons) or 'there are none'}")
+            raise ConfigError(
+                f"objective: found a forecast over {measure.horizon:g} s, expected one of forecasts.horizons: "
+                f"{', '.join(f'{h:g}' for h in horizons) or 'there are none'}"
+            )
         if made is not None and measure.estimator not in (*made.columns[:-1], ensemble.output):
             raise ConfigError(
                 f"objective: found forecasts of {measure.estimator}, which makes none: add it to forecasts.members"

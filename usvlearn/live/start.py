@@ -126,8 +126,10 @@ def _found(folder: NodeFolder, options: Options) -> tuple[dict[str, np.ndarray],
             raise CheckpointError(f"start: {error}") from error
         return leaves, facts, f"starting from {path}", [*damaged, *told]
     if options.mass is None or options.surge_max is None:
-        text = f"{folder.folder}: found no checkpoint, and no mass and top speed for a prior: give a checkpoint to "
-        raise ConfigError(f"{text}start from (start), or mass in kg and surge_max in m/s")
+        raise ConfigError(
+            f"{folder.folder}: found no checkpoint, and no mass and top speed for a prior: give a checkpoint to start "
+            "from (start), or mass in kg and surge_max in m/s"
+        )
     from usvlearn.live.prior import prior
 
     leaves, facts = prior(options.mass, options.surge_max)
@@ -206,8 +208,10 @@ def _check_alike(channels: Mapping[str, Mapping[str, Any]], changes: Mapping[str
     left, right = (channels[side] for side in COMMANDS)
     for key in sorted(left.keys() | right.keys()):
         if key not in changes and left.get(key) != right.get(key):
-            told = f"{THROTTLE}: found {key} {left.get(key)!r} of {COMMANDS[0]} and {right.get(key)!r} of "
-            raise ConfigError(f"{told}{COMMANDS[1]} in the checkpoint, expected one for both: give {THROTTLE}.{key}")
+            raise ConfigError(
+                f"{THROTTLE}: found {key} {left.get(key)!r} of {COMMANDS[0]} and {right.get(key)!r} of {COMMANDS[1]} "
+                f"in the checkpoint, expected one for both: give {THROTTLE}.{key}"
+            )
 
 
 def _changed(own: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

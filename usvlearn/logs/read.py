@@ -148,8 +148,11 @@ def recordings_of(
         runs.append(Recording(boat, f"{run}-part{len(runs) + 1}" if runs else run, channels, lost))
     if jumps:
         where = ", ".join(f"{back:.4g} s at {place}" for place, back in jumps[:5]) + (", …" if len(jumps) > 5 else "")
-        told = f"{log}: the stamps jump back, as where a logger starts anew or its clock is set back, by {where} "
-        warnings.warn(f"{told}(line or message): a new run begins there, so there are {len(runs)}", stacklevel=2)
+        warnings.warn(
+            f"{log}: the stamps jump back, as where a logger starts anew or its clock is set back, by {where} (line or "
+            f"message): a new run begins there, so there are {len(runs)}",
+            stacklevel=2,
+        )
     return runs
 
 
@@ -224,8 +227,10 @@ def _find(path: str | os.PathLike, reader: Reader, names: Sequence[str]) -> tupl
     if not files and found and not here.is_dir():
         files = found  # the pattern names another suffix
     if not files:
-        told = f"data.path: expected logs ({endings}) in {text!r}, found none among its {len(found)} files: set "
-        raise ConfigError(f"{told}data.path to a log, or choose the data option that fits these files")
+        raise ConfigError(
+            f"data.path: expected logs ({endings}) in {text!r}, found none among its {len(found)} files: "
+            "set data.path to a log, or choose the data option that fits these files"
+        )
     return root, sorted(files, key=lambda file: _natural(file.relative_to(root)))
 
 
@@ -278,8 +283,10 @@ def _source(channel: str, given: Source | Mix | Mapping | None) -> Source | Mix 
     for part in given.parts if isinstance(given, Mix) else [given] if given else []:
         _check_unit(key, channel, part.unit)
         if part.unit in FORCES[::2] and abs(part.span) == 1:
-            told = f"{key}.span: found {part.span:g} for {printable(part.name)!r} in {part.unit}, expected the "
-            raise ConfigError(f"{told}greatest one: a command is a share of it")
+            raise ConfigError(
+                f"{key}.span: found {part.span:g} for {printable(part.name)!r} in {part.unit}, expected the greatest "
+                "one: a command is a share of it"
+            )
     return given
 
 

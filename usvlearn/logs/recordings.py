@@ -56,9 +56,10 @@ def align_fleet(recordings: Iterable[Recording], **options) -> Fleet:
             pose = poses(recording.channels, aligned.time, aligned.samples, aligned.came)
             boats.setdefault(recording.boat, []).append(BoatRun(recording.run, aligned, position, pose))
     if not boats:
-        told = f"measured steps: expected at least {SHORTEST} in a run, found {'; '.join(short[:3]) or 'no run'}: "
-        told += "give a longer log, or fix what was rejected (window, held, unit of channels; limits, patience of "
-        raise LogFormatError(f"{told}align)")
+        raise LogFormatError(
+            f"measured steps: expected at least {SHORTEST} in a run, found {'; '.join(short[:3]) or 'no run'}: "
+            "give a longer log, or fix what was rejected (window, held, unit of channels; limits, patience of align)"
+        )
     for text in short:
         warnings.warn(f"run left out, expected at least {SHORTEST} measured steps: {text}", stacklevel=2)
     runs = [_side_by_side([boats[boat][k] if k < len(boats[boat]) else None for boat in boats])

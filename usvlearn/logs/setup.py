@@ -151,8 +151,10 @@ class Setup:
     def check_live(self) -> None:
         """Raise a ConfigError if it cannot be used live; the values of the alignment are checked by `aligner`."""
         if SURGE not in self.channels and pair_of(self.channels) not in LIVE_PAIRS:
-            told = "data.channels: found no surge, nor velocities or ground speed and course, expected one of them: "
-            raise ConfigError(f"{told}live messages do not give it from positions")
+            raise ConfigError(
+                "data.channels: found no surge, nor velocities or ground speed and course, expected one of them: live "
+                "messages do not give it from positions"
+            )
         self.check_alignment()
 
     def check_alignment(self) -> None:

@@ -96,8 +96,10 @@ def read_velocities(
         time, samples = parts[first].time, parts[first].samples
         for name, other in parts.items():
             if other.time.shape != time.shape or not np.allclose(other.time, time, rtol=0, atol=1e-6):
-                told = f"{run}: found other stamps of {name} than of {first}, expected both in the same messages: "
-                raise LogFormatError(f"{told}name fields of one message, or leave one component out")
+                raise LogFormatError(
+                    f"{run}: found other stamps of {name} than of {first}, expected both in the same messages: name "
+                    "fields of one message, or leave one component out"
+                )
         velocity = np.stack([each.samples.surge for each in parts.values()], -1)
         fresh = np.logical_and.reduce([each.samples.fresh for each in parts.values()])
         measured = np.stack([each.samples.measured for each in parts.values()], -1)

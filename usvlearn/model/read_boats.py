@@ -134,8 +134,10 @@ def _apart(boats: Mapping[str, IdentifiedBoat]) -> list[IdentifiedBoat]:
     owners: dict[str, str] = {}
     for folder, each in boats.items():
         if (other := owners.setdefault(re.sub(r"\W", "_", each.stem).casefold(), folder)) != folder:
-            told = f"--boat: found {printable(other)} and {printable(folder)}, whose files would have one name, "
-            raise ConfigError(f"{told}{each.stem}: give one of them, and another folder for the files of each")
+            raise ConfigError(
+                f"--boat: found {printable(other)} and {printable(folder)}, whose files would have one name, "
+                f"{each.stem}: give one of them, and another folder for the files of each"
+            )
     return list(boats.values())
 
 

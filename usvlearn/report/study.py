@@ -87,8 +87,10 @@ class Study:
     def _keep_plan(self) -> None:
         path = self.folder / PLAN
         if path.exists() and _read(path) != self.plan:
-            told = f"{path}: found a study of another plan or version, expected the same: choose another folder=DIR, "
-            raise ConfigError(f"{told}or remove this one")
+            raise ConfigError(
+                f"{path}: found a study of another plan or version, expected the same: choose another folder=DIR, or "
+                "remove this one"
+            )
         write_atomically(path, json.dumps(self.plan, indent=2).encode())
 
     def _tuned(self, member: str) -> dict[str, Any]:

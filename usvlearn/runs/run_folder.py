@@ -119,8 +119,10 @@ class RunFolder:
             else:
                 raise CheckpointError(f"resume: {source} does not exist: give a run's folder, a checkpoint or latest")
         if _has_checkpoints(self.path) and not (continued and source.resolve() == self.path.resolve()):
-            told = f"{self.path}: already holds the checkpoints of a run: continue from them with resume=latest, or "
-            raise ConfigError(f"{told}choose another hydra.run.dir")
+            raise ConfigError(
+                f"{self.path}: already holds the checkpoints of a run: continue from them with resume=latest, "
+                "or choose another hydra.run.dir"
+            )
         own = own_predictions(self.path)
         if foreign := [path for path in self._resumption.published(self.path).paths() if path not in own]:
             raise no_run(foreign[0])

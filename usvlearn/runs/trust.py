@@ -77,8 +77,10 @@ def check_setting(where: str, setting: Any) -> dict[str, float]:
     for path, value in setting.items():
         named = all(part.isidentifier() and not part.startswith("_") for part in path.split("."))
         if not (named and type(value) in (int, float) and math.isfinite(value)):
-            told = f"{where}: found the setting {_short(path)}: {_short(value)}, expected a hyperparameter and a "
-            raise ConfigError(f"{told}finite number: remove that file")
+            raise ConfigError(
+                f"{where}: found the setting {_short(path)}: {_short(value)}, expected a hyperparameter and a finite "
+                "number: remove that file"
+            )
     return setting
 
 

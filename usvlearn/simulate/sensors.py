@@ -87,8 +87,10 @@ class Sensors:
         if len(self.stuck) != 2 or not 0 <= min(self.stuck) <= max(self.stuck) < math.inf:
             raise ConfigError(f"stuck: found {self.stuck!r}, expected when the speed sticks and for how long, in s")
         if self.jitter * max(self.surge_hz, self.heading_hz) >= 0.25:
-            told = f"jitter: found {self.jitter} s, expected less than a quarter of the shortest period, "
-            raise ConfigError(f"{told}{0.25 / max(self.surge_hz, self.heading_hz):g} s")
+            raise ConfigError(
+                f"jitter: found {self.jitter} s, expected less than a quarter of the shortest period, "
+                f"{0.25 / max(self.surge_hz, self.heading_hz):g} s"
+            )
 
 
 class Truth(NamedTuple):

@@ -91,8 +91,10 @@ def check_sweep(folder: Path, load: Callable[[Path], Any], hydra: Mapping[str, A
     except (KeyError, TypeError, AttributeError) as error:
         raise ConfigError(f"{held}: is damaged ({error!r}): choose another hydra.sweep.dir") from error
     if asked[0] != asked[1]:
-        told = f"{folder}: holds the jobs of another sweep, {shlex.join(old['overrides']['task'])}: repeat that "
-        raise ConfigError(f"{told}command, or choose another hydra.sweep.dir")
+        raise ConfigError(
+            f"{folder}: holds the jobs of another sweep, {shlex.join(old['overrides']['task'])}: repeat that command, "
+            "or choose another hydra.sweep.dir"
+        )
 
 
 def digest(settings: Mapping) -> str:

@@ -50,8 +50,10 @@ def leaderboard(folder: Path, load: Callable[[Path], Any], objective: Any = None
     done = [job.results for job in found if job.finished]
     by = ranked_by(objective or note.objective or own_objective(done), note.swept or keys, done)
     if objective is not None and by is not None and not any(map(by.known, done)):
-        told = f"objective: found {objective}, which no finished job of {folder} has measured: see boats, forecast "
-        raise ConfigError(f"{told}and free in their results.json")
+        raise ConfigError(
+            f"objective: found {objective}, which no finished job of {folder} has measured: see boats, forecast and "
+            "free in their results.json"
+        )
     found = [job._replace(results=scored(job.results, by)) for job in found]
     ranks = standings(found, by, note.defaults)
     keys = [key for key in keys if key != SEED]

@@ -80,8 +80,10 @@ class Trial(nn.Module):
         self.register_buffer("dropped", as_tensor(dropped, "trial.dropped"))
         between = (self.dropped < self.leads) & (self.leads < self.confirmed())
         if not bool(between.all()):
-            told = f"trial.leads: found {self.leads.tolist()}, expected a number between trial.dropped, "
-            raise ConfigError(f"{told}{self.dropped.tolist()}, and trial.confirmed, {self.confirmed().tolist()}")
+            raise ConfigError(
+                f"trial.leads: found {self.leads.tolist()}, expected a number between trial.dropped, "
+                f"{self.dropped.tolist()}, and trial.confirmed, {self.confirmed().tolist()}"
+            )
         if not isinstance(steps, int) or not 1 <= steps <= 10**6:
             raise ConfigError(f"trial.steps: found {steps!r}, expected a whole number from 1 to 1000000")
         self.steps = steps

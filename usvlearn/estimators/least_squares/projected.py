@@ -105,8 +105,10 @@ class Projected(Estimator):
         self.estimator = estimator
         self.signs: tuple[int, ...] = tuple(estimator.model.signs if signs is None else signs)
         if len(self.signs) != len(estimator.model.names) or not set(self.signs) <= {-1, 0, 1}:
-            told = f"signs: found {list(self.signs)}, expected -1, 0 or 1 for each of the "
-            raise ConfigError(f"{told}{len(estimator.model.names)} parameters")
+            raise ConfigError(
+                f"signs: found {list(self.signs)}, expected -1, 0 or 1 for each of the "
+                f"{len(estimator.model.names)} parameters"
+            )
         if not (isinstance(iterations, int) and 1 <= iterations <= ROUNDS):
             raise ConfigError(f"iterations: found {iterations!r}, expected a whole number, 1 … {ROUNDS}")
         self.iterations = iterations

@@ -139,8 +139,10 @@ class Planar(nn.Module):
                     f"{axis}: found an ensemble without compiled code or forecasts, expected both: set forecasts"
                 )
             if at.filter_of(axis, own) is None:
-                told = f"{axis}: found the members {', '.join(own['members'])}, expected a filter of the kind "
-                raise ConfigError(f"{told}{at.FILTERS[axis]} among them")
+                raise ConfigError(
+                    f"{axis}: found the members {', '.join(own['members'])}, expected a filter of the kind "
+                    f"{at.FILTERS[axis]} among them"
+                )
             found[axis] = own
         numbers = {"coverage": self.surge.coverage, "overlap": self.overlap}
         return found | {"numbers": numbers, "vectors": {"horizons": list(self.horizons)}}

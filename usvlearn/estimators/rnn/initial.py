@@ -52,6 +52,8 @@ def pretrained_weights(given: str, n: int) -> ShallowWeights:
         raise ConfigError(f"pretrained: found {len(found)} networks for {given!r}, expected one: give one of {names}")
     weights = found[0].weights
     if (shape := weights.W2.shape) != (n, 4):
-        told = f"pretrained: found {shape[0]} neurons and {shape[1]} inputs in {given}, expected {n} and 4: set "
-        raise ConfigError(f"{told}neurons to the file's, or give another file")
+        raise ConfigError(
+            f"pretrained: found {shape[0]} neurons and {shape[1]} inputs in {given}, expected {n} and 4: set neurons "
+            "to the file's, or give another file"
+        )
     return ShallowWeights(*map(torch.from_numpy, weights))

@@ -96,8 +96,10 @@ def _route(part: str, source: Source) -> Route:
     names = [name for name in NUMBERS if fnmatchcase(name, plain)]
     if len(names) != 1:
         hint = did_you_mean(plain, NUMBERS) or "."
-        told = f"{where}.name: found {source.name!r}, expected the name of a MAVLink message{hint} Name the messages "
-        raise ConfigError(f"{told}of this vehicle in --channels FILE")
+        raise ConfigError(
+            f"{where}.name: found {source.name!r}, expected the name of a MAVLink message{hint} Name the messages of "
+            "this vehicle in --channels FILE"
+        )
     message, output = MESSAGES[NUMBERS[names[0]]], names[0] in SERVOS.outputs
     fields = tuple(each.strip() for each in (source.field or "").split(","))
     if output and source.held:

@@ -117,8 +117,10 @@ class Mission:
 
     def _unopened(self, block: Block | None) -> None:
         if block is not None:
-            told = f"{self.path}, line {block.line}: found no {{ after ProcessConfig = {printable(block.name)}, "
-            raise ConfigError(f"{told}expected one on a line of its own")
+            raise ConfigError(
+                f"{self.path}, line {block.line}: found no {{ after ProcessConfig = {printable(block.name)}, "
+                "expected one on a line of its own"
+            )
 
     def get(self, key: str) -> Entry | None:
         """The first entry of a key at the top level, outside all blocks.
@@ -144,8 +146,10 @@ class Mission:
                 return self._entries(block)
         names = [block.name for block in self.blocks]
         listed = ", ".join(map(printable, names[:LISTED])) or "none"
-        told = f"{self.path}: found no ProcessConfig = {name}{did_you_mean(name, names)}; there are {listed}: add "
-        raise ConfigError(f"{told}the block (--example shows one), or name the app by --alias")
+        raise ConfigError(
+            f"{self.path}: found no ProcessConfig = {name}{did_you_mean(name, names)}; there are {listed}: add the "
+            "block (--example shows one), or name the app by --alias"
+        )
 
     def _entries(self, block: Block) -> dict[str, Entry]:
         found: dict[str, Entry] = {}
@@ -155,16 +159,20 @@ class Mission:
             if not equals or not entry.key:
                 raise ConfigError(f"{self.path}, line {number}: found {printable(line)[:60]!r}, expected KEY = VALUE")
             if (before := found.get(entry.key.lower())) is not None:
-                told = f"{self.path}, line {number}: found {printable(entry.key)} again, which line {before.line} "
-                raise ConfigError(f"{told}has: remove one of them")
+                raise ConfigError(
+                    f"{self.path}, line {number}: found {printable(entry.key)} again, which line {before.line} has: "
+                    "remove one of them"
+                )
             found[entry.key.lower()] = entry
         return found
 
     def _expanded(self, text: str, line: int) -> str:
         def value(match: re.Match[str]) -> str:
             if match[1] not in self._variables:
-                told = f"{self.path}, line {line}: found ${{{printable(match[1])}}}, which neither a define: line "
-                raise ConfigError(f"{told}nor the environment has: add `define: NAME = VALUE`")
+                raise ConfigError(
+                    f"{self.path}, line {line}: found ${{{printable(match[1])}}}, which neither a define: line nor the "
+                    "environment has: add `define: NAME = VALUE`"
+                )
             return self._variables[match[1]]
 
         return _VARIABLE.sub(value, text)

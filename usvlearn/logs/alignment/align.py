@@ -252,8 +252,10 @@ def checked(
         raise ConfigError("data.channels.surge.held: found true, expected false: an old speed is not measured again")
     for name, channel in channels.items():
         if channel.period == AUTO:
-            told = f"data.channels.{name}.period: found {AUTO}, expected a time in s: live messages do not tell it; "
-            raise ConfigError(f"{told}take that which reading a log of this boat prints, or 0")
+            raise ConfigError(
+                f"data.channels.{name}.period: found {AUTO}, expected a time in s: live messages do not tell it; "
+                "take that which reading a log of this boat prints, or 0"
+            )
         if channel.period and name != "surge":
             raise ConfigError(f"data.channels.{name}.period: found {channel.period}, expected 0: it is for surge")
     logged = [channels.get(name, channels["heading"]) for name in CHANNELS]  # its slope replaces a missing yaw rate

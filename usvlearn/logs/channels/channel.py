@@ -260,8 +260,10 @@ def build_channel(
     if not usable.any():
         causes = ", ".join(f"{count} {cause}" for cause, count in dropped.items())
         shown = f" ({causes}; the first is {raw[0] if first is None else first[:QUOTED]!r})" if len(raw) else ""
-        told = f"{where}: expected numbers in {source.name!r}, found none among its {len(raw)} values{shown}: name "
-        raise LogFormatError(f"{told}another source, or leave this log out")
+        raise LogFormatError(
+            f"{where}: expected numbers in {source.name!r}, found none among its {len(raw)} values{shown}: "
+            "name another source, or leave this log out"
+        )
     places = np.asarray(order, dtype=np.int64)[usable]
     how = source.held, source.window, source.delay, source.period
     return Channel(time[usable], source.convert(raw[usable]), places, *how), dropped

@@ -77,8 +77,10 @@ def derived_surge(where: str, channels: Mapping[str, Channel]) -> tuple[Channel,
     dropped["unsure"] = int((known & ~given).sum())
     if not given.any():
         causes = ", ".join(f"{count} {cause}" for cause, count in dropped.items() if count)
-        told = f"{where}: found no speed in {pair[0]} and {pair[1]} ({causes or 'no message'}): expected both in one "
-        raise LogFormatError(f"{told}row or message, and a heading beside them: correct data.channels")
+        raise LogFormatError(
+            f"{where}: found no speed in {pair[0]} and {pair[1]} ({causes or 'no message'}): expected both in one row "
+            "or message, and a heading beside them: correct data.channels"
+        )
     surge_channel = one._replace(time=time[given], value=surge[given], order=order[given])
     return surge_channel, {cause: count for cause, count in dropped.items() if count}
 

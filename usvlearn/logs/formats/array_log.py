@@ -63,8 +63,10 @@ def arrays_among(given: Any, settings: MutableMapping[str, Any]) -> dict[str, An
     elif given is None or isinstance(given, Mapping):
         table = {}
     else:
-        told = f"path: found {described(given)}, expected a path, a pattern, a dictionary of boat: path, or arrays "
-        raise ConfigError(f"{told}by name (time=…, surge=…)")
+        raise ConfigError(
+            f"path: found {described(given)}, expected a path, a pattern, a dictionary of boat: path, or arrays by "
+            "name (time=…, surge=…)"
+        )
     if isinstance(column := found.get(TIME), str):
         if column not in table:
             raise ConfigError(f"time: found {column!r}, expected a column{did_you_mean(column, table)}")
@@ -104,8 +106,10 @@ def channels_of_arrays(
     wanted = {name: keys for name, keys in wanted.items() if keys.get("name", name) is not None}
     if missing := [name for name in REQUIRED if name not in wanted and (name != SURGE or pair_of(wanted) is None)]:
         more = f", or {PAIRS_TOLD}" if SURGE in missing else ""
-        told = f"{missing[0]}: found no such array among {', '.join(list(columns)[:20])}, expected "
-        raise ConfigError(f"{told}{', '.join(REQUIRED)}{more}: give it by this name, or name its column in channels")
+        raise ConfigError(
+            f"{missing[0]}: found no such array among {', '.join(list(columns)[:20])}, expected {', '.join(REQUIRED)}"
+            f"{more}: give it by this name, or name its column in channels"
+        )
     found: dict[str, dict[str, Any]] = {name: {"name": None} for name in NAMES[1:]}
     found |= {name: keys for name, keys in own.items() if name not in NAMES}  # named in an error
     for name, keys in wanted.items():
@@ -152,8 +156,10 @@ class Arrays:
         if len(rising) and ((step := float(np.median(rising))) < FASTEST / 10 or np.median(steps) > SLOWEST):
             likely = [name for name, size in TIME_UNITS.items() if FASTEST <= step / unit * size <= SLOWEST]
             hint = f"units={{'time': {likely[0 if step > 1 else -1]!r}}}" if likely else "units={'time': …}"
-            told = f"time: found stamps {step:.3g} s apart, expected {FASTEST:g} to {SLOWEST:g} s: if they do not "
-            raise ConfigError(f"{told}count seconds, give {hint}")
+            raise ConfigError(
+                f"time: found stamps {step:.3g} s apart, expected {FASTEST:g} to {SLOWEST:g} s: if they do not "
+                f"count seconds, give {hint}"
+            )
         for name, values in given.items():
             if name == TIME:
                 continue
@@ -167,8 +173,11 @@ class Arrays:
                     raise
         spread_time, rate = spread(time, origin)
         if rate:
-            told = f"arrays: the stamps are whole seconds, with {rate:.3g} values each: the values of a second are "
-            warnings.warn(f"{told}spread evenly within it", stacklevel=5)
+            warnings.warn(
+                f"arrays: the stamps are whole seconds, with {rate:.3g} values each: the values of a second are spread "
+                "evenly within it",
+                stacklevel=5,
+            )
         return cls(spread_time, columns)
 
     def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:

@@ -138,11 +138,15 @@ class MessageLog:
 
     def _check_disarmed(self, where: str, source: Source, disarmed: int, total: int) -> None:
         if disarmed and source.held:
-            told = f"{where}.held: found true, expected false, because the last command before disarming would stay "
-            raise LogFormatError(f"{told}in force: set it to false, or data.reader.disarmed=keep")
+            raise LogFormatError(
+                f"{where}.held: found true, expected false, because the last command before disarming would stay in "
+                "force: set it to false, or data.reader.disarmed=keep"
+            )
         if disarmed and disarmed == total:
-            told = f"{where}.name: found no {source.name} while the vehicle was armed, {total} while it was not: "
-            raise LogFormatError(f"{told}leave this log out, or set data.reader.disarmed=keep")
+            raise LogFormatError(
+                f"{where}.name: found no {source.name} while the vehicle was armed, {total} while it was not: leave "
+                "this log out, or set data.reader.disarmed=keep"
+            )
 
     def armed(self, sender: str, order: np.ndarray) -> np.ndarray:
         """Whether a vehicle was armed at these messages, `(n,)` bool."""
@@ -187,8 +191,10 @@ class MessageLog:
             number = self.servos.find(name, parameters, where)
             column = self.servos.column(number, self._fields(key))
             if column is None:
-                told = f"{where}: the {name.replace('_', ' ')} is servo {number}, which {key} does not hold: name "
-                raise LogFormatError(f"{told}another of {', '.join(self.servos.outputs)}, or the servo's own column")
+                raise LogFormatError(
+                    f"{where}: the {name.replace('_', ' ')} is servo {number}, which {key} does not hold: name another "
+                    f"of {', '.join(self.servos.outputs)}, or the servo's own column"
+                )
             limits = self.servos.limits(number, parameters, where)
             time, pwm, order = self._joined(key, [column])
             return time, limits.share(pwm), order
@@ -333,5 +339,8 @@ def warn_of_damage(path: Path, data: np.ndarray, skipped: np.ndarray, what: str)
     if (tail != tail[:1]).any():
         count, gaps = count + len(data) - end, gaps + 1
     if gaps:
-        told = f"{printable(str(path))}: the log is damaged: skipped {count} of {len(data)} bytes, in {gaps} places, "
-        warnings.warn(f"{told}which are no {what} message", stacklevel=4)
+        warnings.warn(
+            f"{printable(str(path))}: the log is damaged: skipped {count} of {len(data)} bytes, in {gaps} places, "
+            f"which are no {what} message",
+            stacklevel=4,
+        )

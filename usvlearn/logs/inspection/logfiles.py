@@ -219,8 +219,10 @@ def _common_path(given: Sequence[str], files: Sequence[Path]) -> str:
     for path, found in ((pattern, glob.glob(pattern)), (str(folder), inside)):
         if sorted(found) == sorted(absolute):
             return path
-    told = f"{given[0]} and {len(given) - 1} more: expected one folder, or all logs that a pattern finds: move these "
-    raise ConfigError(f"{told}logs to a folder of their own")
+    raise ConfigError(
+        f"{given[0]} and {len(given) - 1} more: expected one folder, or all logs that a pattern finds: move these logs "
+        "to a folder of their own"
+    )
 
 
 def boats_of(files: Sequence[Path]) -> dict[str, str]:

@@ -146,9 +146,10 @@ def _range(name: str, forward: Feedforward, wanted: Wanted) -> tuple[float, floa
     else:
         low, high = max(LOWEST * forward.top[0], forward.least[0]), HIGHEST * forward.top[1]
         if not low < high:
-            told = f"{name}: the greatest speed, {forward.top[0]:.2f} m/s ({forward.top[1]:.2f} … "
-            told += f"{forward.top[2]:.2f}), is not known well enough: sail straight ahead at full command for 2 "
-            raise ConfigError(f"{told}min, and learn from that log, too")
+            raise ConfigError(
+                f"{name}: the greatest speed, {forward.top[0]:.2f} m/s ({forward.top[1]:.2f} … {forward.top[2]:.2f}), "
+                "is not known well enough: sail straight ahead at full command for 2 min, and learn from that log, too"
+            )
     if wanted.speed is not None:
         forward.check(name, "--speed", wanted.speed)
         if wanted.range is None:

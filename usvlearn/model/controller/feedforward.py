@@ -85,8 +85,10 @@ class Feedforward:
         falls = np.flatnonzero(np.diff(speeds[first : last + 1]) <= 0)
         at, lost = (first + int(falls[0]), True) if len(falls) else (last, top - speeds[-1] > FALL * top)
         if lost:
-            told = f"{name}: the steady speed does not rise with the command but falls from {speeds[at]:.2f} m/s at "
-            raise ConfigError(f"{told}{100 * curve.at[at]:.0f} %, so that no command belongs to a speed: {SAIL}")
+            raise ConfigError(
+                f"{name}: the steady speed does not rise with the command but falls from {speeds[at]:.2f} m/s at "
+                f"{100 * curve.at[at]:.0f} %, so that no command belongs to a speed: {SAIL}"
+            )
         kept = slice(first, last + 1)
         if not (np.isfinite(curve.low[kept]).all() and np.isfinite(curve.high[kept]).all()):
             raise ConfigError(f"{name}: the steady speeds have no interval: {SAIL}")
@@ -119,9 +121,13 @@ class Feedforward:
         """Raise a ConfigError if a speed cannot be held."""
         top, least = self.top, self.least
         if not speed <= top[0]:
-            told = f"{option}: found {speed:g} m/s, and {name} reaches {top[0]:.2f} m/s ({top[1]:.2f} … "
-            told += f"{top[2]:.2f}) at full command: give a lower speed, or where the boat is faster, sail at full "
-            raise ConfigError(f"{told}command for 2 min and learn anew")
+            raise ConfigError(
+                f"{option}: found {speed:g} m/s, and {name} reaches {top[0]:.2f} m/s ({top[1]:.2f} … {top[2]:.2f}) at "
+                "full command: give a lower speed, or where the boat is faster, sail at full command for 2 min and "
+                "learn anew"
+            )
         if not speed >= least[0]:
-            told = f"{option}: found {speed:g} m/s, and the lowest speed that {name} can hold is {least[0]:.2f} m/s, "
-            raise ConfigError(f"{told}at {100 * least[1]:.0f} % command (dead band below): give a higher speed")
+            raise ConfigError(
+                f"{option}: found {speed:g} m/s, and the lowest speed that {name} can hold is {least[0]:.2f} m/s, at "
+                f"{100 * least[1]:.0f} % command (dead band below): give a higher speed"
+            )

@@ -96,9 +96,11 @@ def linearised(name: str, found: Identified, commands: np.ndarray) -> Linearised
         wrong = np.flatnonzero(~(curve.low > 0))
         if len(wrong):
             k = int(wrong[0])
-            told = f"{name}: the 90 % interval of the {what} at {100 * commands[k]:.0f} % command, "
-            told += f"{curve.low[k]:.2g} … {curve.high[k]:.2g} {unit}, holds 0, so that no gains are safe: {SAIL}, "
-            raise ConfigError(f"{told}or narrow --range to speeds that were sailed")
+            raise ConfigError(
+                f"{name}: the 90 % interval of the {what} at {100 * commands[k]:.0f} % command, {curve.low[k]:.2g} … "
+                f"{curve.high[k]:.2g} {unit}, holds 0, so that no gains are safe: {SAIL}, or narrow --range to speeds "
+                "that were sailed"
+            )
     return Linearised(T, b)
 
 

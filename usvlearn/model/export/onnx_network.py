@@ -33,8 +33,10 @@ def onnx_networks(boat: IdentifiedBoat) -> dict[str, bytes]:
     """
     networks = {name: each for name, each in boat.members.items() if each is not None and each["kind"] == "rnn"}
     if not networks:
-        told = f"{boat.path}: found no network among {', '.join(boat.members)}, expected a member that is an RNN: "
-        raise ConfigError(f"{told}learn with the estimator rnn")
+        raise ConfigError(
+            f"{boat.path}: found no network among {', '.join(boat.members)}, expected a member that is an RNN: "
+            "learn with the estimator rnn"
+        )
     return {name or "rnn": _network(boat.leaves, f"members.{name}." if name else "", each, name or "rnn")
             for name, each in networks.items()}  # fmt: skip
 

@@ -70,8 +70,11 @@ def read_planar(boat: IdentifiedBoat, run: Path) -> PlanarBoat | None:
         )
     learned = {axis: _learned(axis, leaves, facts["kernel"][axis]) for axis in AXES}
     if learned["yaw"].updates < USED:
-        told = f"the planar model of {printable(boat.name)} is left out: its yaw rate was measured "
-        warnings.warn(f"{told}{learned['yaw'].updates:.0f} times, expected {USED:.0f}", stacklevel=2)
+        warnings.warn(
+            f"the planar model of {printable(boat.name)} is left out: its yaw rate was measured "
+            f"{learned['yaw'].updates:.0f} times, expected {USED:.0f}",
+            stacklevel=2,
+        )
         return None
     sway = learned["sway"].mean if learned["sway"].updates >= USED else None
     try:

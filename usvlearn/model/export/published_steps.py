@@ -51,8 +51,10 @@ def stretches(folder: Path, boat: str) -> Iterator[Stretch]:
             found = True
             yield one
     if not found:
-        told = f"{folder}: found no predictions of {boat} ({PREDICTIONS}/*.npz), expected the folder of a run of "
-        raise ConfigError(f"{told}train.py: give it in place of a checkpoint")
+        raise ConfigError(
+            f"{folder}: found no predictions of {boat} ({PREDICTIONS}/*.npz), expected the folder of a run "
+            "of train.py: give it in place of a checkpoint"
+        )
 
 
 def _read(path: Path, boat: str) -> Stretch | None:

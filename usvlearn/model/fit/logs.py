@@ -63,8 +63,10 @@ def missions_of(fleet: Fleet, boat: str, dt: float = DT) -> dict[str, np.ndarray
         )
     measured = sum(int(scored(rows).sum()) for rows in found.values())
     if measured < FEWEST:
-        told = f"{boat}: found {measured} measured speeds of a boat that moves, expected at least {FEWEST}: a fit "
-        raise ConfigError(f"{told}needs some minutes of logs in which the boat sails")
+        raise ConfigError(
+            f"{boat}: found {measured} measured speeds of a boat that moves, expected at least {FEWEST}: a fit needs "
+            "some minutes of logs in which the boat sails"
+        )
     return found
 
 
@@ -96,8 +98,10 @@ def lacking(boat: str, missions: Sequence[np.ndarray]) -> tuple[str, ...]:
         )
     slow, fast = np.quantile(speed, [SOME, 1 - SOME])
     if fast - slow < MOVES:
-        told = f"{boat}: found speeds of {slow:.2f} to {fast:.2f} m/s that hardly ever changed, expected a boat that "
-        raise ConfigError(f"{told}speeds up and slows down: check the speed channel")
+        raise ConfigError(
+            f"{boat}: found speeds of {slow:.2f} to {fast:.2f} m/s that hardly ever changed, expected a boat that "
+            "speeds up and slows down: check the speed channel"
+        )
     found = []
     if np.std(commands[:, 0] - commands[:, 1]) < APART:
         found.append(

@@ -74,13 +74,16 @@ class Limits:
         if self.minutes > MOST_MINUTES:
             raise ConfigError(f"--minutes: found {self.minutes:g}, expected {MOST_MINUTES:g} at most")
         if self.segments > MOST_SEGMENTS:
-            told = f"--minutes: found {self.minutes:g}, expected {MOST_SEGMENTS * self.segment / 60:g} or less, "
-            told += f"which are {MOST_SEGMENTS} segments of {self.segment:g} s: sail a shorter plan, learn from it, "
-            raise ConfigError(f"{told}and plan again, or give a longer --segment")
+            raise ConfigError(
+                f"--minutes: found {self.minutes:g}, expected {MOST_SEGMENTS * self.segment / 60:g} or less, which are "
+                f"{MOST_SEGMENTS} segments of {self.segment:g} s: sail a shorter plan, learn from it, and plan again, "
+                "or give a longer --segment"
+            )
         if self.segments < LEAST_SEGMENTS:
-            told = f"--minutes: found {self.minutes:g}, expected {LEAST_SEGMENTS * self.segment / 60:g} or more, so "
-            told += f"that there are {LEAST_SEGMENTS} segments of {self.segment:g} s: give more minutes, or a "
-            raise ConfigError(f"{told}shorter --segment")
+            raise ConfigError(
+                f"--minutes: found {self.minutes:g}, expected {LEAST_SEGMENTS * self.segment / 60:g} or more, so that "
+                f"there are {LEAST_SEGMENTS} segments of {self.segment:g} s: give more minutes, or a shorter --segment"
+            )
 
     @property
     def segments(self) -> int:

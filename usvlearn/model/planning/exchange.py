@@ -120,9 +120,11 @@ def search(rehearsal: Rehearsal, limits: Limits, dt: float, aims: Sequence[str],
     if beyond(path, limits).max() > TOLERANCE:
         fastest = abs(rehearsal.top_speed(limits.most))
         wider = max(2 * fastest * limits.segment, 1.5 * limits.area)
-        told = f"--area: found {limits.area:g} m, and no course was found that stays within it, since the boat goes "
-        told += f"{fastest:.2g} m/s at --command-max and keeps a heading for {limits.segment:g} s: give an area of "
-        raise ConfigError(f"{told}{wider:.0f} m, a shorter --segment, or a lower --command-max")
+        raise ConfigError(
+            f"--area: found {limits.area:g} m, and no course was found that stays within it, since the boat goes "
+            f"{fastest:.2g} m/s at --command-max and keeps a heading for {limits.segment:g} s: give an area of "
+            f"{wider:.0f} m, a shorter --segment, or a lower --command-max"
+        )
     return Plan(course, expected, path, levels[places], quarters)
 
 

@@ -113,8 +113,10 @@ def request(configuration: Mapping[str, Any], instantiate: Callable[[Any], Any])
         raise ConfigError(f"objective: found {measure} with {way}={member}, expected one of its errors: {member}, "
                           f"{member}.forecast.SECONDS or {member}.free")  # fmt: skip
     if way == "learn" and measure.kind != ONE_STEP:
-        told = f"objective: found {measure} with learn={member}, which minimises the error one step ahead: use grid "
-        raise ConfigError(f"{told}or search")
+        raise ConfigError(
+            f"objective: found {measure} with learn={member}, which minimises the error one step ahead: use grid or "
+            "search"
+        )
     return Request(way, member, parameters, values, options["evaluations"], options, members[member], build, measure)
 
 

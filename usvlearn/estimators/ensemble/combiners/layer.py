@@ -113,8 +113,10 @@ class FixedWeights(Combiner):
 
     def bind(self, names: Sequence[str]) -> None:
         if len(names) != len(self.weights):
-            told = f"weights: found {len(self.weights)} of them, expected one for each of {', '.join(names)}: name "
-            raise ConfigError(f"{told}the columns of a bank, not the bank")
+            raise ConfigError(
+                f"weights: found {len(self.weights)} of them, expected one for each of {', '.join(names)}: name the "
+                "columns of a bank, not the bank"
+            )
         super().bind(names)
 
     def combine(self, state: Any, predictions: Tensor) -> Tensor:

@@ -67,8 +67,10 @@ class ForecastSettings(nn.Module):
         begins = [0.0, *chosen[:-1]]  # of the ages at which a forecast has not yet reached the horizon
         self.slots = sum(int(overlap * (1 - a / b) + 1e-9) + 1 for a, b in zip(begins, chosen, strict=True))
         if self.slots > at.MOST_SLOTS:
-            told = f"forecasts.overlap: found {overlap}, expected less: {self.slots} forecasts would be under way at "
-            raise ConfigError(f"{told}the same time, of {at.MOST_SLOTS} at most")
+            raise ConfigError(
+                f"forecasts.overlap: found {overlap}, expected less: {self.slots} forecasts would be under way at the "
+                f"same time, of {at.MOST_SLOTS} at most"
+            )
         self.members = [members] if isinstance(members, str) else None if members is None else list(members)
         memory, growth = check_positive("forecasts.memory", memory, "of s"), check_not_negative("growth", growth)
         self.register_buffer("horizons", torch.tensor(chosen, dtype=torch.float64))

@@ -96,8 +96,10 @@ def _log(path: Path) -> MessageLog:
     with announced(str(compiled.__file__), "readers of binary logs"):
         places, kinds, described, skipped = compiled.scan_dataflash(data, sizes)
     if not kinds.any():
-        told = f"{path}: expected an ArduPilot DataFlash log, found no message that an FMT message describes: choose "
-        raise LogFormatError(f"{told}the data option that fits this file")
+        raise LogFormatError(
+            f"{path}: expected an ArduPilot DataFlash log, found no message that an FMT message describes: choose the "
+            "data option that fits this file"
+        )
     warn_of_damage(path, data, skipped, "DataFlash")
     layouts = [_layout(FMT), *(_layout(data[place + 3 : place + 3 + len(FMT)].tobytes()) for place in described[1:])]
     time = compiled.dataflash_stamps(data, places, kinds, *_stamps(layouts))

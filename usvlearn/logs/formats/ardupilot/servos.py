@@ -105,9 +105,11 @@ class Servos:
         finite = all(map(math.isfinite, (low, trim, high, backward)))  # a vehicle may send any float
         if not finite or not low <= trim <= high or not low < high:
             reverse = "" if math.isfinite(backward) else f", SERVO{number}_REVERSED {backward:g}"
-            told = f"{where}: found SERVO{number}_MIN {low:g}, SERVO{number}_TRIM {trim:g}, SERVO{number}_MAX "
-            told += f"{high:g}{reverse}, expected {'them to rise' if finite else 'finite numbers that rise'}: name "
-            raise LogFormatError(f"{told}the servo's column in place of its function, with its zero and span")
+            raise LogFormatError(
+                f"{where}: found SERVO{number}_MIN {low:g}, SERVO{number}_TRIM {trim:g}, SERVO{number}_MAX {high:g}"
+                f"{reverse}, expected {'them to rise' if finite else 'finite numbers that rise'}: name the servo's "
+                "column in place of its function, with its zero and span"
+            )
         return Limits(low, trim, high, backward == 1)
 
 

@@ -69,8 +69,10 @@ def _log(path: Path) -> MessageLog:
     with announced(str(compiled.__file__), "readers of binary logs"):
         starts, lengths, ids, senders, stamps, skipped = compiled.scan_tlog(data, extras)
     if not len(starts):
-        told = f"{path}: expected a MAVLink telemetry log, found no time of receipt that a known message follows: "
-        raise LogFormatError(f"{told}choose the data option that fits this file")
+        raise LogFormatError(
+            f"{path}: expected a MAVLink telemetry log, found no time of receipt that a known message follows: choose "
+            "the data option that fits this file"
+        )
     warn_of_damage(path, data, skipped, "MAVLink")
     received = (stamps - stamps[0]) * 1e-6
     groups = senders.astype(np.int64) * compiled.IDS + ids

@@ -72,8 +72,10 @@ def table_of(path: Path, boat: str | None = None) -> tuple[Table, list[str]]:
     unsure = [f"decimal: found {doubt}; '.' is assumed" for doubt in dialect.doubts.values()]
     if (count := len(dialect.sample)) < 2:
         found = "a header and no rows" if not count else "a header and a single row"
-        told = f"{path}: expected a table with a header, a column of stamps and two rows or more, found {found}: "
-        raise LogFormatError(f"{told}leave it out")
+        raise LogFormatError(
+            f"{path}: expected a table with a header, a column of stamps and two rows or more, found {found}: "
+            "leave it out"
+        )
     rows = "all"
     if kinds := kinds_of(path, dialect):
         own = next((each for each in kinds.values if boat is not None and each.strip("/") == boat), None)

@@ -107,8 +107,10 @@ class Rows:
                 raise not_text(path, dialect.encoding) from error
         if not orders:
             found = first_torn or (f", found none with {only[1]!r}" if only else ", found nothing below the header")
-            told = f"{path}: expected rows of {width} cells, as many as the header has{found}: fix the header, or "
-            raise LogFormatError(f"{told}leave this log out")
+            raise LogFormatError(
+                f"{path}: expected rows of {width} cells, as many as the header has{found}: fix the header, or leave "
+                "this log out"
+            )
         self.order = np.concatenate(orders)
 
     def _add(self, cells: list[tuple[str, ...]], stamps: list[str], decimal: str) -> None:

@@ -190,8 +190,10 @@ class Table:
         """How a file is written, by the options given and by what is found."""
         found = find_dialect(path, self.time, self.encoding, self.delimiter, self.comment, self.decimal)
         if "decimal" in found.doubts:
-            told = f"{path}: expected to find the decimal sign from the numbers, found {found.doubts['decimal']}: "
-            raise LogFormatError(f"{told}set data.reader.decimal")
+            raise LogFormatError(
+                f"{path}: expected to find the decimal sign from the numbers, found {found.doubts['decimal']}: set "
+                "data.reader.decimal"
+            )
         if not found.names and found.sample:
             raise no_header(path, found)
         return found
@@ -225,21 +227,30 @@ class Table:
     def _as_written(self, path: Path, dialect: Dialect, stamps: list[str], rows: Rows) -> tuple[np.ndarray, float]:
         time, kind, doubt = rows.stamps.seconds(self.dates, self.time_unit == CLOCK)
         if time is None:
-            told = f"{path}, line {rows.order[0]}: expected a number or a date-time in the time column "
-            told += f"{self.time!r}, found {rows.first_stamp[:QUOTED]!r}: name the column of the stamps in "
-            raise LogFormatError(f"{told}data.reader.time")
+            raise LogFormatError(
+                f"{path}, line {rows.order[0]}: expected a number or a date-time in the time column "
+                f"{self.time!r}, found {rows.first_stamp[:QUOTED]!r}: name the column of the stamps in data.reader.time"
+            )
         if doubt:
-            told = f"{path}: expected to find the order of day, month and year from the column {self.time!r}, found "
-            raise LogFormatError(f"{told}{doubt}: set data.reader.dates to one of {', '.join(ORDERS)}")
+            raise LogFormatError(
+                f"{path}: expected to find the order of day, month and year from the column {self.time!r}, found "
+                f"{doubt}: set data.reader.dates to one of {', '.join(ORDERS)}"
+            )
         if kind != "number":
             return time, rows.stamps.origin
         if self.time_unit == "s" and rows.stamps.clock_numbers():
-            told = f"{path}: the numbers of {self.time!r} are times of a day, such as {rows.first_stamp[:QUOTED]!r}, "
-            warnings.warn(f"{told}but they are read as seconds: set data.reader.time_unit={CLOCK}", stacklevel=6)
+            warnings.warn(
+                f"{path}: the numbers of {self.time!r} are times of a day, such as {rows.first_stamp[:QUOTED]!r}, but "
+                f"they are read as seconds: set data.reader.time_unit={CLOCK}",
+                stacklevel=6,
+            )
         declared = dialect.units[dialect.names.index(stamps[0])]
         if declared in TIME_UNITS and declared != self.time_unit:
-            told = f"{path}: the header declares {stamps[0][:QUOTED]!r} in {declared}, but it is read in "
-            warnings.warn(f"{told}{self.time_unit}: set data.reader.time_unit={declared}", stacklevel=6)
+            warnings.warn(
+                f"{path}: the header declares {stamps[0][:QUOTED]!r} in {declared}, but it is read in {self.time_unit}"
+                f": set data.reader.time_unit={declared}",
+                stacklevel=6,
+            )
         factor = TIME_UNITS[self.time_unit]
         return time * factor, rows.stamps.origin * factor
 
@@ -311,8 +322,11 @@ class Opened:
         every = self.dialect.names
         parts = {name for each in self.quaternions.values() for name in each.columns}
         if twice := list(dict.fromkeys(name for name in self.names if name and every.count(name) > 1)):
-            told = f"{self.path}: several columns are called {', '.join(repr(name[:QUOTED]) for name in twice[:3])}, "
-            warnings.warn(f"{told}and none of them is taken: give them different names", stacklevel=3)
+            warnings.warn(
+                f"{self.path}: several columns are called {', '.join(repr(name[:QUOTED]) for name in twice[:3])}, and "
+                "none of them is taken: give them different names",
+                stacklevel=3,
+            )
         columns = self.columns([name for name in self.names if every.count(name) < 2 and name not in parts])
         readable, series, left = np.isfinite(columns.time), list[Series](), list[str]()
         for name in (each for each in list(columns.found) if each not in parts):

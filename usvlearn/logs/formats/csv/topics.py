@@ -199,9 +199,11 @@ def _one(spans: dict[str, Span], names: Iterable[str]) -> dict[str, Span]:
 def apart(folder: Path, spans: dict[str, Span]) -> LogFormatError:
     """The error for tables whose times do not overlap."""
     (one, first), (other, second) = list(spans.items())[:2]
-    told = f"{folder}: expected tables of one run, whose times overlap, found {one} from {first} and {other} from "
-    told += f"{second}: their clocks differ, or they are of several runs: write the stamps of one clock, or give "
-    return LogFormatError(f"{told}each run a folder of its own")
+    return LogFormatError(
+        f"{folder}: expected tables of one run, whose times overlap, found {one} from {first} and {other} from "
+        f"{second}: their clocks differ, or they are of several runs: write the stamps of one clock, or give each run "
+        "a folder of its own"
+    )
 
 
 def locate(pattern: str, topics: dict[str, Opened], where: str) -> tuple[str, str]:

@@ -178,5 +178,7 @@ def _is_number(text: str) -> bool:
 
 
 def _no_rows(path: Path) -> LogFormatError:
-    told = f"{path}: expected a MOOS log, found no row of the form 'time VARIABLE SOURCE VALUE': give the .alog of a "
-    return LogFormatError(f"{told}run, or choose the data option that fits this file")
+    return LogFormatError(
+        f"{path}: expected a MOOS log, found no row of the form 'time VARIABLE SOURCE VALUE': "
+        "give the .alog of a run, or choose the data option that fits this file"
+    )

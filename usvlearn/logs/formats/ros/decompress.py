@@ -92,8 +92,10 @@ class Total:
     def message(self, data: bytes) -> None:
         """Count a message before it is read; raise a LogFormatError if it, or all of them, are too large."""
         if len(data) > MESSAGE:
-            told = f"{self.path}: found a message of {len(data) / MB:.1f} MB, expected at most {MESSAGE / MB:g} MB: "
-            raise LogFormatError(f"{told}name another topic in data.channels")
+            raise LogFormatError(
+                f"{self.path}: found a message of {len(data) / MB:.1f} MB, expected at most {MESSAGE / MB:g} MB: name "
+                "another topic in data.channels"
+            )
         self.add(len(data))
 
     def add(self, count: int) -> None:

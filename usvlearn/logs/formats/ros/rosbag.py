@@ -154,8 +154,10 @@ class Rosbag:
         bag = Scan(path, keep, self._limit)
         if not bag.count:
             way = f"try `sqlite3 {path.name} .recover | sqlite3 new.db3`, or " if path.suffix == ".db3" else ""
-            told = f"{path}: expected a whole ROS bag, found: {what}; and no message could be recovered from it: "
-            raise LogFormatError(f"{told}{way}leave it out, or name its reader") from refusal
+            raise LogFormatError(
+                f"{path}: expected a whole ROS bag, found: {what}; and no message could be recovered from it: "
+                f"{way}leave it out, or name its reader"
+            ) from refusal
         ending = f"it breaks off in the one at byte {bag.end} of {bag.size}" if bag.end < bag.size else "all are whole"
         found = f"recovered {bag.count} messages of {(bag.end_time - bag.start_time) * 1e-9:.4g} s from its records"
         told = f"{path}: the index of this bag is missing or damaged ({what}): {found}; {ending}"

@@ -27,8 +27,10 @@ def check_type(path: Path, msgtype: str, definitions: Mapping[str, Any]) -> None
     known: dict[str, tuple[int, int]] = {}
 
     def refused(what: str) -> LogFormatError:
-        told = f"{path}: found the message type {msgtype[:QUOTED]!r} with {what}, expected one that holds some "
-        return LogFormatError(f"{told}numbers: name another topic in data.channels")
+        return LogFormatError(
+            f"{path}: found the message type {msgtype[:QUOTED]!r} with {what}, expected one that holds some numbers: "
+            "name another topic in data.channels"
+        )
 
     def measure(description: Any, depth: int) -> tuple[int, int]:
         """The least bytes and the most fields of a type."""
@@ -43,9 +45,10 @@ def check_type(path: Path, msgtype: str, definitions: Mapping[str, Any]) -> None
                 way = "or export the topic to a CSV file"
                 if "/" not in inner:
                     raise LogFormatError(f"{path}: {inner[:QUOTED]!r} is no type of ROS: name another topic, {way}")
-                told = f"{path}: the definition of {inner[:QUOTED]} is missing: where {package} is installed, "
-                told += f"convert the bag to MCAP, which stores definitions (`ros2 bag convert`), {way} (`ros2 topic "
-                raise LogFormatError(f"{told}echo --csv`)")
+                raise LogFormatError(
+                    f"{path}: the definition of {inner[:QUOTED]} is missing: where {package} is installed, convert the "
+                    f"bag to MCAP, which stores definitions (`ros2 bag convert`), {way} (`ros2 topic echo --csv`)"
+                )
             if inner not in known:
                 fields = [measure(each, depth + 1) for name, each in definitions[inner][1] if name != NOTHING]
                 known[inner] = sum(size for size, _ in fields), 1 + sum(count for _, count in fields)
