@@ -24,10 +24,11 @@ MEANINGS = {"r": " reference", "y": "", "e": " error", "u": " input"}  # of a co
 UNKNOWN = {511.0, 1023.0, 102.3, 255.0, 65535.0, 32767.0, -32768.0, -128.0,
            *(sign * (10.0**k - part) for sign in (1, -1) for k in (2, 3, 4, 5) for part in (1, 0.1, 0.01))}  # fmt: skip
 DIFFERENT, APART, APART_KNOWN = 20, 2.0, 0.35  # values; distances of one from all others, over their extent
+ANYWHERE = (-math.inf, math.inf)
 PLAIN = (  # roles, how well a name must fit, and the size up to which a number means itself; where all of them lie
     (("command", "rudder"), 1, 5000.0, (800.0, 2200.0)),  # full scale; pulses, of which 0 is none
     (("heading", "course"), 1, 360.0, (0.0, 360.0)),  # a wrap
-    (("latitude", "longitude"), 2, -1.0, (-math.inf, math.inf)),  # 0, 0 is no fix of a receiver
+    (("latitude", "longitude"), 2, -1.0, ANYWHERE),  # 0, 0 is no fix of a receiver
 )
 ANGLES = {"deg", "rad", "enu_rad", "enu_deg"}
 
@@ -180,17 +181,19 @@ def candidates(series: list[Series]) -> list[Candidate]:
         if known.any():
             label = f"{each.name} {each.field or ''}"
             unit = each.unit or unit_word(label)
-            kinds = (own for roles, least, *own in PLAIN if max(fit(role, label) for role in roles) >= least)
-            missing = missing_values(each.value[known], *next(kinds, ()))
+            kinds = (
+                (plain, within)
+                for roles, least, plain, within in PLAIN
+                if max(fit(role, label) for role in roles) >= least
+            )
+            missing = missing_values(each.value[known], *next(kinds, (0.0, ANYWHERE)))
             known &= ~np.isin(each.value, missing)
             one = Candidate(each.name, each.field, unit, each.kind, each.time[known], each.value[known])
             found.append(one.named(missing=missing))
     return of_loops(found)
 
 
-def missing_values(
-    value: np.ndarray, plain: float = 0.0, within: tuple[float, float] = (-math.inf, math.inf)
-) -> tuple[float, ...]:
+def missing_values(value: np.ndarray, plain: float = 0.0, within: tuple[float, float] = ANYWHERE) -> tuple[float, ...]:
     """Numbers that mean "unknown": the same again and again, far beyond all others; none of a size up to `plain`.
 
     So is an integer below `within`, where all others lie.
