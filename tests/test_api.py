@@ -119,6 +119,7 @@ def written(folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.thorough
 def test_a_saved_set_goes_on_by_learn_and_by_online(tmp_path):
     folder = written(tmp_path / "heron")
     whole = usvlearn.learn(usvlearn.read(folder, channels=CHANNELS))

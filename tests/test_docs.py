@@ -115,6 +115,7 @@ def test_every_configuration_composes_and_its_ensemble_runs(data):
     assert cfg.vehicle.mass > 0 and cfg.data._target_.startswith("usvlearn.")
 
 
+@pytest.mark.thorough
 def test_every_estimator_and_combiner_file_instantiates():
     folder = ROOT / "configs" / "estimator"
     names = sorted(p.stem for p in folder.glob("*.yaml"))

@@ -140,6 +140,7 @@ def test_certify_is_a_leaf_of_few_packages():
     assert [f"{name_of(path)} imports {found}" for path in modules for found in refused_in_certify(path)] == []
 
 
+@pytest.mark.thorough
 def test_no_test_module_imports_another():
     """What two of them need lies in tests/support. The gates compare what the estimators and logs there give."""
     files = [path for folder in ("tests", "benchmarks") for path in (ROOT / folder).rglob("*.py")]
@@ -211,12 +212,14 @@ def test_package_logs_and_checkpoints_import_without_torch():
     assert not loaded(code) & {*HEAVY, "hydra", "rich"}
 
 
+@pytest.mark.thorough
 def test_a_log_is_read_and_shown_without_torch(tmp_path):
     rows = [f"{k / 10},0.5,0.5,90,1.0" for k in range(50)]
     (tmp_path / "log.csv").write_text("\n".join(["time,command_left,command_right,heading,surge", *rows]))
     assert "torch" not in loaded(f"import usvlearn\nprint(usvlearn.read({str(tmp_path)!r}))")
 
 
+@pytest.mark.thorough
 def test_kernels_run_without_torch():
     """Nor does any part of them import it, at any depth."""
     code = "import usvlearn.engine.free_runs, usvlearn.engine.single_steps, usvlearn.engine.run, usvlearn.engine.online"
@@ -238,6 +241,7 @@ def test_the_command_waits_for_nothing():
         assert not found & {*HEAVY, "numpy", "hydra", "rich"}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("script", ["train.py", "evaluate.py"])
 def test_help_waits_for_nothing_heavy(script):
     for flag, needed in (("--help", set()), ("--help=all", {"hydra"})):

@@ -53,6 +53,7 @@ def voyage(steps: int = 600) -> list[Sample]:
     return [sample for _, sample in samples]
 
 
+@pytest.mark.thorough
 def test_nothing_here_imports_torch():
     code = (
         "import sys; sys.modules.update(torch=None, scipy=None, hydra=None, rich=None)\n"
@@ -128,6 +129,7 @@ def test_what_is_no_set_or_does_not_say_how_it_is_built_is_refused(sets, tmp_pat
         Online.open(other)
 
 
+@pytest.mark.thorough
 def test_a_state_read_while_another_thread_steps_is_one_between_two_steps(sets):
     samples, done = voyage(3000), threading.Event()
 

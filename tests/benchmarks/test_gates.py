@@ -135,6 +135,7 @@ def cases(shared):
 }
 
 
+@pytest.mark.thorough
 def test_the_command_records_compares_and_names_what_a_change_changed(tmp_path):
     """In a small repository with one case, whose record is committed with the change that it records."""
     repository = tmp_path / "repository"

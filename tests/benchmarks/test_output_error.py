@@ -34,6 +34,7 @@ def simulated(runs, theta, current):
     return [one._replace(surge=part) for one, part in zip(runs, np.split(speeds, len(runs)), strict=True)]
 
 
+@pytest.mark.thorough
 def test_the_derivatives_are_those_of_the_step(truth):
     row = np.zeros(13)
     row[:5], row[oe.YAW] = (0.4, 0.7, 0.3, 0.2, 0.6), 0.2
@@ -66,6 +67,7 @@ def test_the_step_is_that_of_the_differential_equation(truth):
     assert wrong[0] / wrong[1] == pytest.approx(8, rel=0.1) and wrong[1] / wrong[2] == pytest.approx(8, rel=0.1)
 
 
+@pytest.mark.thorough
 def test_a_boat_of_the_model_is_found_exactly(truth):
     flow = np.array([[0.2, -0.1], [0.0, 0.15], [-0.1, 0.0]])
     runs = simulated([run(seed) for seed in range(3)], truth, flow)

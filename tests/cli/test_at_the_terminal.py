@@ -130,6 +130,7 @@ def test_a_command_that_lacks_an_argument_says_so_within_the_width(arguments, fi
     assert said[0] == f"usvlearn {first}: loading …" and max(map(len, said)) <= COLUMNS
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", few(HELP, ["evaluate"], "thorough"))
 def test_help_fits_a_screen_and_the_rest_is_asked_for(name, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(sys, "argv", [])
@@ -146,6 +147,7 @@ class Terminal(io.StringIO):
         return True
 
 
+@pytest.mark.thorough
 def test_a_compilation_counts_its_seconds_at_a_terminal(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "stderr", Terminal())
     monkeypatch.setattr(jit, "folder", lambda source: tmp_path)

@@ -53,6 +53,7 @@ def test_a_warning_is_shown_and_saved_and_survives_a_resume(knots, tmp_path):
     assert results(tmp_path / "run")["data_check"] == [finding]
 
 
+@pytest.mark.thorough
 def test_strict_refuses_and_writes_nothing(knots, tmp_path, monkeypatch, capsys):
     own = [*TABLE, f"data.path={knots}", f"hydra.run.dir={tmp_path}/run", "check=strict"]
     error = sentence(train.main, own, monkeypatch, capsys)
@@ -78,6 +79,7 @@ def test_the_jobs_of_a_sweep_are_quiet_and_keep_their_findings(knots, tmp_path):
         assert [each["kind"] for each in results(tmp_path / "sweep" / job)["data_check"]] == ["speed scale"]
 
 
+@pytest.mark.thorough
 def test_read_keeps_and_prints_the_findings(knots):
     how = {"channels": {"heading": {"unit": "rad"}}, "surge_max": 2.74}
     logs = usvlearn.read(knots, **how)

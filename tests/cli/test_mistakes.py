@@ -154,6 +154,7 @@ def test_flags_are_hydras_own():
         parse(["-x"])
 
 
+@pytest.mark.thorough
 def test_a_bug_keeps_its_traceback(monkeypatch, tmp_path):
     def bug(cfg):
         raise ZeroDivisionError("of nothing")

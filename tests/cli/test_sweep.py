@@ -36,6 +36,7 @@ def test_a_sweep_composes_each_value_before_and_each_job_where_it_runs(tmp_path,
     assert len(composed) == 2 + 2 - 1 + 4
 
 
+@pytest.mark.thorough
 def test_no_job_starts_where_a_later_one_cannot_be_composed(tmp_path):
     done = run("-m", "data=simulated,csv", "data.hours=0.1,0.2", "hydra.sweep.dir=sweep", folder=tmp_path)
     assert done.returncode == 2 and "data.hours" in done.stderr and not list(tmp_path.glob("sweep/*/")), done.stderr

@@ -228,6 +228,7 @@ def test_bad_input_is_told_in_one_sentence(case, tmp_path, monkeypatch):
     assert "\n" not in sentence and not (tmp_path / "run").exists()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "case", few(["missing file", "no such channel", "a channel with no numbers", "a grid"], ["a grid"], "thorough")
 )

@@ -232,6 +232,7 @@ def test_files_that_are_not_in_machine_code_change_no_folder(copied):
     assert folder() == before
 
 
+@pytest.mark.thorough
 def test_a_family_declared_in_another_file_is_in_the_folder(copied):
     """A state.py without @jit, from which a kernel takes a constant, in any form of import."""
     root, folder = copied

@@ -188,6 +188,7 @@ def test_estimate_is_drawn_to_the_measurement_exactly():
     torch.testing.assert_close(end.surge, torch.tensor(-0.8, dtype=torch.float64).exp(), rtol=1e-9, atol=0)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("gain", few([0.1, 10.0, 1e4], [10.0], "thorough"))
 def test_lyapunov_function_of_parallel_mode_never_rises(gain):
     """V = ½Δv² + ½ Δθᵀ Γ⁻¹ Δθ falls by ½ (1 − exp(2 a_m dt) + N) ε² at least, on a boat that goes ahead."""
@@ -272,6 +273,7 @@ class Sled(nn.Module):
         return surge, inputs.dt[..., None] * torch.stack([surge, inputs.command_left, torch.ones_like(surge)], -1)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("push", [-0.3, 0.3])
 def test_any_linear_model_is_identified(push):
     inputs = random_samples(1500).inputs

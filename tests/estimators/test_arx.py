@@ -121,6 +121,7 @@ def noise(steps: int, deviation: float = 0.02) -> torch.Tensor:
     return deviation * torch.randn(steps, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("options", few(OPTIONS, ["default"], "thorough"))
 @over("backend", BACKENDS)
 def test_equals_a_dense_kalman_filter(options, backend):
@@ -152,6 +153,7 @@ def test_without_walk_and_tails_it_is_a_ridge_regression():
     np.testing.assert_allclose(covariance(state), np.linalg.inv(wide.T @ wide), atol=1e-8)
 
 
+@pytest.mark.thorough
 @over("options", [{}, {"lags": 1, "turning": True, "thrust_speed": True}])
 def test_recovers_a_boat_that_is_an_arx_model(options):
     """All weights, over steps of different lengths: without noise only the prior keeps the filter from the truth."""

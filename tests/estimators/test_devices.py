@@ -165,6 +165,7 @@ def one_by_one(function, axes):
     return mapped
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", few(SOME, FIRST, "thorough"))
 def test_mapped_gradients_are_those_of_each_element(name):
     """Also where the batch elements use their samples differently."""

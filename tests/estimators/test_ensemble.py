@@ -227,6 +227,7 @@ def half() -> FixedWeights:
     return FixedWeights({"aid": 0.5, "wild": 0.5})
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("rule", few([BOA, Average, ExponentialWeights, RecursiveWeights, half], [BOA], "thorough"))
 def test_a_member_that_says_nonsense_does_not_spoil_the_rest(rule):
     wrong = torch.tensor([math.nan, math.inf, -math.inf, 1e30, -11.0], dtype=torch.float64)  # a batch element each
@@ -257,6 +258,7 @@ def test_an_ensemble_of_which_all_sleep_says_nothing_and_recovers():
     assert all(leaf.isfinite().all() for leaf in tree_leaves(end.combiners))
 
 
+@pytest.mark.thorough
 def test_coverage_is_what_was_asked_for():
     samples = random_samples(1500)
     for coverage in (0.5, 0.9):

@@ -46,6 +46,7 @@ def test_dynamic_rls_equals_batch_least_squares_on_the_increment():
     torch.testing.assert_close(end.covariance, covariance, rtol=1e-8, atol=1e-8)
 
 
+@pytest.mark.thorough
 def test_textbook_covariance_diverges_where_the_square_root_form_does_not():
     """Rounding asymmetry grows by 1/λ a step in P − K φᵀP (`docs/theory/estimators.md#rls`)."""
     lam, steps = 0.98, 4000
@@ -144,6 +145,7 @@ def test_deviation_equals_the_formula():
     assert rls.monitor(after)["deviation"] is after.deviation
 
 
+@pytest.mark.thorough
 def test_noise_is_moved_little_by_one_outlier_and_comes_back_from_rest():
     samples, rls = linear(400), RLS(Linear())
     with torch.no_grad():

@@ -255,6 +255,7 @@ def test_illegal_hyperparameters_are_refused(wrong):
         RNN(**wrong)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("updates", [pytest.param(25, id="some"), pytest.param(2000, id="1e5", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("condition", few(CONDITIONS, ["tight"], "thorough"))
 def test_projection_holds_exactly_after_every_update(condition, updates):

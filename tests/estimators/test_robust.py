@@ -62,6 +62,7 @@ def test_moment_equals_quadrature(c):
     assert clipped_moment(c) == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("threshold", "patience"), few([(1.345, 8), (4.0, 2)], [(4.0, 2)], "thorough"))
 def test_scale_is_the_standard_deviation_of_what_is_no_outlier(threshold, patience):
     """With 2 % of gross outliers the plain deviation is 0.7 m/s; that of the rest, 0.05.
@@ -213,6 +214,7 @@ def test_recovery_from_a_change_keeps_up_with_the_plain_estimator():
     assert errors["robust"] < 1.3 * errors["plain"]
 
 
+@pytest.mark.thorough
 def test_elements_are_clipped_each_by_its_own_scale():
     samples = linear(300, 2, share=0.03)
     samples = samples._replace(surge=samples.surge * torch.tensor([1.0, 10.0]))

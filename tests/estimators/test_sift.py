@@ -75,6 +75,7 @@ def bierman(U, D, x):
     return U, D, gain / alpha
 
 
+@pytest.mark.thorough
 def test_equals_the_information_form():
     phi, y, lam = series(3000)
     theta, factor = run(phi, y, lam, 3.0 * torch.eye(4, dtype=torch.float64))
@@ -83,6 +84,7 @@ def test_equals_the_information_form():
     np.testing.assert_allclose(factor @ factor.mT, covariance, rtol=1e-10, atol=1e-13)
 
 
+@pytest.mark.thorough
 def test_equals_the_ud_form():
     phi, y, lam = series(2000, seed=1)
     theta, factor = run(phi, y, lam, 3.0 * torch.eye(4, dtype=torch.float64))

@@ -130,6 +130,7 @@ def mission():
     return learned(run().samples, run().poses)
 
 
+@pytest.mark.thorough
 def test_a_mission_tells_the_quantities(mission):
     found = identified_planar_boats(*mission, ["planar"])["planar"]
     (boat,) = planar_boats(1, seed=3)
@@ -210,6 +211,7 @@ def test_a_reversed_simulated_turn_is_the_same_turn():
     assert -port[2] == pytest.approx(simulated.true_turning(HERON)["yaw_rate_full"], rel=1e-6)
 
 
+@pytest.mark.thorough
 def test_the_names_of_boats_are_those_of_the_fleet():
     logs = planar_fleet(2, hours=0.02, mission_minutes=1.2)
     known = simulated.turning_of([{"_target_": "x.planar_fleet.planar_fleet", "n": 2}])

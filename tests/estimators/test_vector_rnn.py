@@ -141,6 +141,7 @@ def test_what_is_learned_simulates_better_than_a_linear_fit():
     assert (errors[0][1:] < errors[1][1:]).all(), errors
 
 
+@pytest.mark.thorough
 def test_a_component_that_is_missing_is_not_learned_from_and_coasts(boat):
     """Its number does not matter, and the network predicts on from its own."""
     one = tree_map(lambda x: x[:30, 0], boat)
@@ -182,6 +183,7 @@ def test_a_bad_sample_changes_nothing(boat):
     assert all(torch.equal(x, y) for x, y in zip(coasted.weights, state.weights, strict=True))
 
 
+@pytest.mark.thorough
 def test_elements_do_not_mix_and_a_window_never_joins_two_segments(boat):
     """One batch element after the other as alone; and after a start the oldest samples are of no influence once M new
     ones came.

@@ -95,6 +95,7 @@ def test_elements_equal_single_simulations(ensemble, sets, elements):
                 assert found.diverged[k, j, m] == diverged, (k, j, name)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("backend", few(["kernel", "torch"], ["kernel"], "thorough"))
 @pytest.mark.parametrize("thrust", few([-1e4, torch.nan], [-1e4], "thorough"))
 def test_a_simulation_that_leaves_the_limit_backwards_or_is_no_number_counts_as_the_limit(
@@ -190,6 +191,7 @@ def test_the_best_set_is_chosen_on_runs_that_it_was_not_saved_in():
     assert best_checkpoints(seasons, errors, "average") == [1]
 
 
+@pytest.mark.thorough
 def test_judge_writes_every_section_of_a_simulated_fleet():
     ensemble, seasons = boats(np.random.default_rng(2).uniform(0.8, 1.2, (2, 9)))
     sections, errors = assemble(ensemble, seasons, {})

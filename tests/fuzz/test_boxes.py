@@ -60,6 +60,7 @@ def decided(rng: np.random.Generator, cases: int) -> int:
     return certified
 
 
+@pytest.mark.thorough
 @pytest.mark.fuzz(cases=120, slow=10_000)
 def test_every_rate_is_decided_as_by_exact_cells(rng, cases):
     assert decided(rng, cases) > cases / 2

@@ -222,6 +222,7 @@ def test_a_damaged_file_is_read_or_refused_in_one_sentence(rng, cases, tmp_path)
     assert read
 
 
+@pytest.mark.thorough
 @pytest.mark.fuzz(cases=1_000, slow=100_000)
 @pytest.mark.parametrize("programs", [False, True], ids=["boxes", "programs"])
 def test_no_tree_proves_a_rate_that_is_reached(rng, cases, programs, monkeypatch):

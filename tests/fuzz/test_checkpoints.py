@@ -111,6 +111,7 @@ def made(header: dict, data: bytes) -> bytes:
     return len(text).to_bytes(8, "little") + text + data
 
 
+@pytest.mark.thorough
 @pytest.mark.fuzz(cases=500, slow=10_000)
 def test_forged_files_are_refused_or_legal(rng, cases, whole, tmp_path):
     """By `load`, `Online.open` and `Online.restore`; a folder falls back to the checkpoint before."""

@@ -146,6 +146,7 @@ def opened(path, run: list[Sample]) -> Online | None:
     return boat
 
 
+@pytest.mark.thorough
 @pytest.mark.fuzz(cases=300, slow=10_000)
 def test_a_changed_description_is_refused_or_legal(rng, cases, sets, tmp_path):
     """A legal one steps, at once, and its state stays finite."""

@@ -45,6 +45,7 @@ def mutate(rng: np.random.Generator, packet: bytearray) -> None:
         struct.pack_into("<i", packet, 0, len(packet))  # so that the rest is looked at, too
 
 
+@pytest.mark.thorough
 @pytest.mark.fuzz(cases=3_000, slow=100_000)
 def test_a_mutated_packet_is_read_or_refused(rng, cases):
     refused = 0

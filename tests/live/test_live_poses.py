@@ -92,6 +92,7 @@ def test_live_is_the_whole_log(name, steps):
     assert len(live) > 500 and np.isfinite(live).mean() > 0.85
 
 
+@pytest.mark.thorough
 def test_nothing_after_a_step_is_used():
     """The numbers of a step are the same, whatever comes after it."""
     channels = turning().channels

@@ -104,6 +104,7 @@ def test_intervals_of_a_foreign_set_begin_anew(given):
     assert held.halfwidth(2.0) == math.inf
 
 
+@pytest.mark.thorough
 def test_a_plan_is_answered_by_the_forecast_of_its_commands(start):
     """Also with delays, and the commands in force until the first row; in both forms."""
     one = node(start)
@@ -163,6 +164,7 @@ def test_a_bad_plan_is_answered_by_a_sentence_and_counted(start, text, sentence)
     assert one.counts["plan"] == {"refused": 1}
 
 
+@pytest.mark.thorough
 def test_a_plan_is_answered_where_the_longest_forecast_has_more_steps_than_an_answer(start):
     one = node(start)
     setup = Setup.of({**one.setup.json(), "align": {**one.setup.align, "dt": 0.04}})
@@ -199,6 +201,7 @@ def test_a_lost_thruster_is_told_once(start):
     assert given.low < 0.4 < given.high and one.loss.low < 0.4 < one.loss.high
 
 
+@pytest.mark.thorough
 def test_one_command_for_both_sides_makes_the_steps_of_two_equal_ones(start):
     channels = Setup.of(checkpoint.load(start)[1]["setup"]).channels
     given = {**channels, "command_right": channels["command_left"]}
@@ -287,6 +290,7 @@ def test_what_an_interval_does_not_tell_is_no_number(start):
     assert low < value < high < 2 * value
 
 
+@pytest.mark.thorough
 def test_commands_of_two_sources_and_velocities_make_the_same_steps(start):
     """Two thrusters a side that run alike, and velocities in place of the speed."""
     recording = boat(0.05)

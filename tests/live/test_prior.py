@@ -51,6 +51,7 @@ def test_the_boat_matters():
     assert one != other
 
 
+@pytest.mark.thorough
 def test_online_starts_from_it_and_learns_as_with_torch():
     from usvlearn.cli.composition import compose_train, plain
     from usvlearn.cli.settings import ensemble_of

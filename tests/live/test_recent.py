@@ -10,6 +10,7 @@ from usvlearn.live.start import channel_options
 from usvlearn.logs.channels.channel import REQUIRED
 
 
+@pytest.mark.thorough
 def test_the_data_check_of_a_replay_watches_the_live_data(tmp_path, start):
     """Speeds in km/h that are taken for m/s."""
     with ready(tmp_path, start) as session:

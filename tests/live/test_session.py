@@ -96,6 +96,7 @@ def test_what_is_missing_is_said(tmp_path, start):
         assert health.ages["heading"] == math.inf
 
 
+@pytest.mark.thorough
 def test_the_end_waits_for_a_save_that_is_being_made(tmp_path, start, monkeypatch):
     """As when SIGTERM comes while a checkpoint is written to a slow disk."""
     write = checkpoint.write_atomically

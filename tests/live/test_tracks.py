@@ -49,6 +49,7 @@ def sailed():
     return one, steps, np.array(due)
 
 
+@pytest.mark.thorough
 def test_live_is_replay(sailed):
     """To the last bit: what is learned, the tracks that have become due, and so all samples."""
     one, steps, due = sailed

@@ -68,6 +68,7 @@ def test_a_node_that_loses_many_steps_says_so_within_a_minute(tmp_path, start, p
     assert {row[1] for row in found} <= {"waiting", "ok"}
 
 
+@pytest.mark.thorough
 def test_a_channel_that_comes_too_seldom_is_never_ok(tmp_path, start):
     """It was ok after each heading, and stale before the next one."""
     with ready(tmp_path, start) as session:
@@ -114,6 +115,7 @@ def test_a_rate_that_changes_again_and_again_is_told_with_a_window_that_spans_it
         assert session._node.learned > 1.4 * learned
 
 
+@pytest.mark.thorough
 def test_a_channel_that_slows_down_and_recovers_is_told_and_forgotten(tmp_path, start):
     changes = channel_options({"heading.window": "0.25"})
     with ready(tmp_path, start, channels=changes) as session:

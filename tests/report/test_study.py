@@ -99,6 +99,7 @@ def test_every_experiment_composes(path):
         assert study.tuning != study.season
 
 
+@pytest.mark.thorough
 def test_a_study_is_not_for_train(tmp_path):
     done = run("experiment=paper_small", folder=tmp_path)
     assert done.returncode == 2 and "python evaluate.py experiment=" in done.stderr

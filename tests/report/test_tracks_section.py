@@ -61,6 +61,7 @@ def made(tmp_path_factory) -> Made:
     return Made(folder, ensemble, fleet, read_seasons([folder], ensemble, [fleet]))
 
 
+@pytest.mark.thorough
 def test_the_table_has_the_scores_of_the_run(made):
     section = tracks_section(made.tracks())
     (sheet,) = section.sheets

@@ -30,6 +30,7 @@ def sets(copy: Path) -> list[Path]:
     return sorted(copy.glob("checkpoints/*/*.safetensors"))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["00099_0000010", "00000_9999999", "00000_" + "9" * 200])
 def test_a_set_of_no_step_of_the_runs_is_passed_over(copy, name):
     shutil.copy(sets(copy)[-1], sets(copy)[-1].with_stem(name))

@@ -62,6 +62,7 @@ def swept(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.thorough
 def test_leaderboard_of_a_sweep(swept):
     rows = table(swept / "sweep")
     assert [(row["align.inputs"], row["estimators.sift_map.memory"]) for row in rows[2:]] == [
@@ -160,6 +161,7 @@ def test_a_launcher_that_cannot_be_used_is_told_in_one_sentence(monkeypatch, tmp
         check_launcher(["hydra/launcher=slurm"])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", few(SWEEPS, {"inputs", "none"}, "thorough"))
 def test_every_value_of_every_sweep_composes_and_instantiates(name):
     with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
@@ -298,6 +300,7 @@ def test_results_of_others_may_be_of_any_form(k, tmp_path, capsys):
     assert "0/results.json is damaged" in capsys.readouterr().out
 
 
+@pytest.mark.thorough
 def test_rows_of_the_hparams_page_have_short_safe_names_and_are_replaced(tmp_path):
     rows = scores(np.array([[1.0, 2.0]]), np.array([1.5]), ["aid", "persistence"])
     good = {"boats": {"heron": rows}, "objective": 0.5, "seconds": 2.0}

@@ -84,6 +84,7 @@ def test_the_table_and_its_summary(files, capsys):
     assert "continuum 0…1" in text and "τ, s" in text and "anna" in text and "at rest" in text
 
 
+@pytest.mark.thorough
 def test_no_number_and_no_name_of_the_table_is_cut(files, capsys, monkeypatch):
     """At any width, and without a limit where the output is no terminal."""
     folder = files / "a_folder_of_a_season_with_a_long_name"
@@ -142,6 +143,7 @@ def test_certificates_are_written_and_verified(files, capsys, condition, monkeyp
     assert code == 1 and [result["valid"] for result in results] == [False] + [True] * (len(proofs) - 1)
 
 
+@pytest.mark.thorough
 def test_pictures(files, capsys):
     pytest.importorskip("matplotlib")
     assert main([str(files / "good.npz"), str(files / "tooth.npz"), "--plot", str(files / "out/map.png")]) == 1

@@ -42,6 +42,7 @@ def test_a_tree_of_halves_is_refused_for_other_weights_or_another_rate():
     assert cuts and not any(proves(weights, over, " ".join(tokens[:k] + tokens[k + 2 :]), 0.1795) for k in cuts[:20])
 
 
+@pytest.mark.thorough
 def test_no_tree_proves_what_is_false():
     """Trees at random, from the right tokens and others, at a rate just below the truth, and real ones changed."""
     weights, over = star()

@@ -216,6 +216,7 @@ def test_nothing_is_proved_by_what_was_tampered_with():
         assert proves("lmi", a, w1, found) and not proves("gershgorin", a, w1, found)
 
 
+@pytest.mark.thorough
 def test_the_papers_matrix_is_sound_though_only_semidefinite():
     """M ⪰ 0 with Λ in the corner gives 4K² ≤ p(2 − p) for any p and Λ ≥ 0, singular ones too."""
     generator, singular, definite = np.random.default_rng(4), 0, 0

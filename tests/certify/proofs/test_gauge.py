@@ -21,6 +21,7 @@ def slopes(a, w1):
     return [Fraction(x) * Fraction(y) for x, y in zip(a, w1, strict=True)]
 
 
+@pytest.mark.thorough
 @settings(max_examples=300, deadline=None)
 @given(NETWORKS)
 def test_the_theorem(network):

@@ -168,6 +168,7 @@ def test_a_tampered_proof_by_programs_is_refused(duals):
     assert not proves(weights._replace(b=weights.b + 0.3), over, tree, asked)
 
 
+@pytest.mark.thorough
 def test_hostile_leaves_are_answered_soon(part):
     """A megabyte of leaves and splits of the statement: of many planes, of long numbers, and of none."""
     weights, over = network(200, 4, 0), operating_box(4)

@@ -57,6 +57,7 @@ def referee(condition: str, count: int, seed: int = 0) -> dict[str, int]:
     return counts
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("condition", ["lmi", "tight"])
 @cases(20, 40)
 def test_solver_agrees_with_the_closed_form(condition, count):

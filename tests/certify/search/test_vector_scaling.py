@@ -78,6 +78,7 @@ def test_full_scaling_finds_the_basis_of_a_linear_map():
         assert radius * (1 - 1e-9) <= found.rate <= radius * 1.01 and unscaled(weights, RELU) > 1.1 * found.rate
 
 
+@pytest.mark.thorough
 @cases(6, 9)
 def test_best_scaling_is_exact_and_never_worse_than_none(count):
     rng, kinds = np.random.default_rng(4), set()

@@ -51,6 +51,7 @@ def results(weights: ShallowWeights) -> dict:
     return found | {"interval": interval(weights, *BOX)}
 
 
+@pytest.mark.thorough
 def test_rate_is_the_largest_slope_over_all_patterns():
     a, w1, *_ = networks(50)
     slopes = (a * w1) @ patterns(6).mT

@@ -88,6 +88,7 @@ def test_while_code_compiles_it_answers_and_then_asks_again(tmp_path, monkeypatc
     asyncio.run(work())
 
 
+@pytest.mark.thorough
 def test_an_old_last_value_is_no_news_but_a_held_command_is(tmp_path):
     async def work():
         database, old = Moosdb(), time.time() - 5000
@@ -136,6 +137,7 @@ def test_a_plain_community_is_told_what_to_name(tmp_path):
     asyncio.run(work())
 
 
+@pytest.mark.thorough
 def test_one_command_for_both_sides_is_learned_and_its_limits_are_told(tmp_path, capsys):
     channels = {"throttle": {"name": "DESIRED_THRUST"}}
 
@@ -163,6 +165,7 @@ def test_one_command_for_both_sides_is_learned_and_its_limits_are_told(tmp_path,
     assert "Note        one command drives both sides" in "\n".join(status_lines(tmp_path))
 
 
+@pytest.mark.thorough
 def test_a_plan_that_is_posted_is_answered(tmp_path):
     async def work():
         database = Moosdb()

@@ -19,6 +19,7 @@ from usvlearn.live.node_folder import NodeFolder
 from usvlearn.live.session import Session
 
 
+@pytest.mark.thorough
 def test_messages_that_are_no_numbers(tmp_path):
     async def work():
         async with at_sea(prior(tmp_path)) as sea:
@@ -44,6 +45,7 @@ def test_messages_that_are_no_numbers(tmp_path):
     assert counts["out_of_range"] == 3
 
 
+@pytest.mark.thorough
 def test_a_database_that_knows_a_name_with_another_type(tmp_path):
     async def work():
         database = Moosdb()

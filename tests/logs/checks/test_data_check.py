@@ -137,6 +137,7 @@ CORRECTED = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", few(CORRECTED, list(CORRECTED)[:3], "thorough"))
 def test_the_named_key_corrects_the_mistake(name, table, tmp_path):
     """Findings of a table are applied until none is left, as a user would."""
@@ -357,6 +358,7 @@ def stamps(rng, n):
     return kinds_[rng.integers(len(kinds_))]()
 
 
+@pytest.mark.thorough
 @cases(120, 300)
 def test_no_numbers_stop_the_check(count):
     """Warnings are errors here, too."""

@@ -112,6 +112,7 @@ def test_the_position_of_another_boat_is_told(local):
     assert [each[:2] for each in found(mixed, LOCAL, TOP["heron"])] == [("position", "north, east")]
 
 
+@pytest.mark.thorough
 def test_a_position_that_freezes_is_told_with_its_time(local, drifting):
     for recordings, channels, name in ((local, LOCAL, "east"), (drifting, GLOBAL, "longitude")):
         told = check_data(changed(recordings, frozen(name, 200, 320)), None, ALIGN, 2.74, channels)

@@ -32,6 +32,7 @@ def same(one, other, error=0.0) -> bool:
     return all(np.allclose(a, b, rtol=0, atol=error, equal_nan=True) for (_, a), (_, b) in pairs)
 
 
+@pytest.mark.thorough
 def test_arrays_give_the_samples_of_a_file(tmp_path):
     holes = SI | {"surge": np.where(np.arange(len(T)) % 7, SI["surge"], np.nan)}
     cells = {name: ["" if np.isnan(x) else repr(float(x)) for x in values] for name, values in holes.items()}
@@ -42,6 +43,7 @@ def test_arrays_give_the_samples_of_a_file(tmp_path):
     assert logs.rejected["boat"]["surge"]["empty"] == from_file.rejected["a"]["surge"]["empty"]
 
 
+@pytest.mark.thorough
 def test_a_dictionary_and_a_table_with_units_give_the_same():
     logs = usvlearn.read(**ALL)
     assert same(logs, usvlearn.read(ALL))
@@ -71,6 +73,7 @@ def test_a_real_table_of_pandas():
         assert same(logs, usvlearn.read(pandas.DataFrame(SI, index=index.rename("time"))), 1e-6)
 
 
+@pytest.mark.thorough
 def test_date_times_lists_forces_and_derived_speeds():
     logs = usvlearn.read(**ALL)
     stamps = np.datetime64("2025-07-24") + (T * 1e9).round().astype("timedelta64[ns]")
@@ -84,6 +87,7 @@ def test_date_times_lists_forces_and_derived_speeds():
     assert np.nanmedian(found["surge"]) == pytest.approx(1)
 
 
+@pytest.mark.thorough
 def test_windows_follow_the_times_and_whole_seconds_are_spread():
     slow = {name: values[::5] for name, values in ALL.items()}
     with pytest.warns(UserWarning, match="whole seconds, with 2 values each"):
@@ -144,6 +148,7 @@ def test_what_is_wrong_is_one_sentence_without_numbers(name):
         usvlearn.read(**{**ALL, **changes})
 
 
+@pytest.mark.thorough
 def test_no_number_at_all_and_too_few():
     message = refused(LogFormatError, lambda: usvlearn.read(**ALL | {"surge": T * np.nan}))
     assert message.startswith("surge: expected numbers in 'surge', found none among its 1200 values (1200 empty")
@@ -189,6 +194,7 @@ def test_what_is_masked_is_no_value(kind):
     assert same(expected, found) and found.rejected["boat"]["surge"]["empty"] == HOLES.sum()
 
 
+@pytest.mark.thorough
 def test_masked_stamps_are_no_stamps():
     stamps = np.ma.masked_array(np.where(HOLES, 1e6, T), HOLES)
     plain = usvlearn.read(**ALL | {"time": np.where(HOLES, np.nan, T)})

@@ -171,6 +171,7 @@ def test_binary_data_that_look_like_rows_of_an_alog_are_none(tmp_path):
     assert "no row of the form" in refused(LogFormatError, one, Alog(), path, name="NAV_SPEED")
 
 
+@pytest.mark.thorough
 def test_alog_of_260k_lines(tmp_path):
     lines = [
         f"{k / 1000:.3f} {('NAV_SPEED', 'APPCAST', 'NAV_X', 'NAV_HEADING')[k % 4]:20} pApp {k % 7} \n"

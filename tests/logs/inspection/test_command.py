@@ -47,6 +47,7 @@ def run(tmp_path, monkeypatch, capsys):
     return call
 
 
+@pytest.mark.thorough
 def test_it_writes_a_configuration_that_reads_the_log(run, log):
     code, printed = run(log, "--name", "my boat")
     assert code == 0
@@ -112,6 +113,7 @@ def test_any_name_is_quoted(run, tmp_path):
     assert channels["heading"]["name"] == 'heading \\ "true"'
 
 
+@pytest.mark.thorough
 def test_the_picture_is_drawn(run, log):
     assert run(log, "--plot")[0] == 0
     assert Path("my_boat.png").read_bytes()[:4] == b"\x89PNG"
@@ -187,6 +189,7 @@ def test_several_logs_are_one_boat(run, tmp_path):
     assert yaml.safe_load(Path("my_boat.yaml").read_text())["data"]["path"] == str(tmp_path / "logs" / "run_*.alog")
 
 
+@pytest.mark.thorough
 def test_logs_of_several_boats_are_told_and_what_is_told_works(run, tmp_path):
     folder = tmp_path / "logs"
     folder.mkdir()

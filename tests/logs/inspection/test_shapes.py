@@ -67,6 +67,7 @@ def test_a_top_speed_is_as_sure_as_the_unit_of_the_speed(scored):
     assert sure["vehicle", "surge_max"] == sure["surge", "unit"] == "unsure"
 
 
+@pytest.mark.thorough
 def test_a_long_delay_is_found_and_one_at_the_end_of_the_search_is_unsure(tmp_path):
     own = columns(voyage(0))
     for side in ("thrust_left", "thrust_right"):

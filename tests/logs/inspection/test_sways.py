@@ -70,6 +70,7 @@ def over_ground(columns, late=0.0):
     return {"u": None, "v": None, "sog": np.hypot(columns["u"], columns["v"]), "cog": DEG * turned % 360}
 
 
+@pytest.mark.thorough
 def test_speed_and_course_over_ground_are_written_where_they_tell_the_sway(tmp_path, drifting):
     found, _ = inspected(tmp_path, drifting, **over_ground(drifting))
     channels = found.settings["data"]["channels"]

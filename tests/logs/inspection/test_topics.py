@@ -38,6 +38,7 @@ def run(tmp_path, monkeypatch, capsys):
     return call
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", few(TOPICS, ["rostopic"], "thorough"))
 def test_topics_are_read_as_they_were_written(tmp_path, name):
     found = inspect_logs([str(TOPICS[name].write(tmp_path, voyage(0, minutes=4.0)))])
@@ -90,6 +91,7 @@ def plain(path, **changes):
     return write_table(path, columns | changes)
 
 
+@pytest.mark.thorough
 def test_runs_stay_apart_and_it_says_why(tmp_path, run):
     plain(tmp_path / "run_1.csv")
     plain(tmp_path / "run_2.csv")
@@ -109,6 +111,7 @@ def test_several_tables_of_a_run_are_given_by_name(tmp_path):
         inspect_logs(files[:-1])
 
 
+@pytest.mark.thorough
 def test_a_table_of_another_clock_is_left_out(tmp_path):
     folder = rostopic(tmp_path, voyage(0, minutes=2.0))
     lines = (folder / "imu.csv").read_text().splitlines()

@@ -65,6 +65,7 @@ def test_two_hundred_boats_settle_and_none_is_unstable():
     assert max(np.quantile(step.overshoot, 0.95) for step in found.loops[1].steps) < 0.15
 
 
+@pytest.mark.thorough
 def test_gains_beyond_the_margins_are_seen_to_be_unstable():
     found = controller(known_boat(), Wanted(boats=50))
     times = 1.5 * 10 ** (found.margins.gain / 20)
@@ -115,6 +116,7 @@ def test_a_range_that_slow_boats_do_not_reach_is_told():
     assert ["slowest boats" in "".join(map(str, each)) for each in told] == [False, True]
 
 
+@pytest.mark.thorough
 def test_a_set_that_does_not_tell_its_step_asks_for_the_delay():
     with pytest.raises(ConfigError, match="give --delay"):
         controller(known_boat()._replace(setup=None))

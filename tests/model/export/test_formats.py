@@ -47,6 +47,7 @@ def without_even(boat):
     return boat._replace(model=SurgeModel(boat.model.mass, {k: boat.model.coefficients[k] for k in WITHOUT_EVEN}))
 
 
+@pytest.mark.thorough
 def test_the_c_header_prints_no_number_for_what_is_not_known(boat):
     vague = replace(boat.found, unknown=frozenset({"thrust_ratio"}))
     rows = c_header(boat._replace(found=vague)).splitlines()

@@ -33,6 +33,7 @@ def at(times, values, when):
     return values[np.searchsorted(times, when, side="right") - 1]
 
 
+@pytest.mark.thorough
 def test_the_table_states_the_commands_of_every_moment(plan):
     rows = list(csv.DictReader(csv_lines(plan)))
     times = np.array([float(row["time_s"]) for row in rows])
@@ -152,6 +153,7 @@ def test_bad_options_are_said_in_one_sentence(arguments, said, saved, tmp_path, 
     assert said in error and len(error.splitlines()) == 1 and not (tmp_path / "next").exists()
 
 
+@pytest.mark.thorough
 def test_a_boats_name_leads_into_no_other_folder(saved, tmp_path, monkeypatch, capsys):
     leaves, facts = checkpoint.load(saved)
     path = checkpoint.save(tmp_path / "a.safetensors", leaves, **{**facts, "boat": "../../evil\n"})
@@ -183,6 +185,7 @@ def test_the_table_states_the_speed_at_each_time(plan):
     assert rows[0][6:] == [0.0, 0.0, 0.0]
 
 
+@pytest.mark.thorough
 def test_a_boat_with_one_command_gets_one_and_learns_no_side(saved, tmp_path, monkeypatch, capsys):
     """Left and right of a plan were posted to the same variable, one after the other."""
     leaves, facts = checkpoint.load(saved)

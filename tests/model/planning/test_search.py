@@ -27,6 +27,7 @@ def plan(rehearsal):
     return search(rehearsal, SHORT, STEP, wide(rehearsal.found))
 
 
+@pytest.mark.thorough
 def test_a_rehearsal_is_the_recursion_of_the_torch_filter_on_its_own_predictions(rehearsal, boat, reader):
     rows = planned(np.array([1.0, 0.0, 0.5, 0.25]), np.array([0, 1, 3, 2]), Limits(minutes=1.0), STEP).rows
     own = {key.partition(".")[2].partition(".")[2]: leaf for key, leaf in boat.leaves.items() if ".jointekf." in key}
@@ -60,6 +61,7 @@ def test_parts_add_up_to_the_whole(rehearsal):
     assert parts[-1].found.json() == rehearsal(rows).found.json()
 
 
+@pytest.mark.thorough
 def test_a_plan_is_better_than_a_lawn_mower_and_keeps_its_bounds(rehearsal, plan):
     aims = wide(rehearsal.found)
     mower = rehearsal(lawn_mower(SHORT, rehearsal.top_speed(1.0), STEP).rows)
@@ -109,6 +111,7 @@ def test_a_boat_stays_in_a_small_area_in_a_current_that_would_carry_it_out(boat)
     assert beyond(found.path, limits).max() <= 0.01 and found.throttles.max() > 0
 
 
+@pytest.mark.thorough
 def test_an_area_that_is_too_small_is_said_with_one_that_would_do(rehearsal):
     with pytest.raises(
         ConfigError, match=r"--area: found 10 m, and no course was found .* give an area of \d+ m, a shorter --segment"

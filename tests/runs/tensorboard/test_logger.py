@@ -70,6 +70,7 @@ def whole(tmp_path_factory, fleet):
     return boards(folder / "tensorboard" / "rnn.neurons=4"), found, folder
 
 
+@pytest.mark.thorough
 def test_every_boat_has_a_run_per_estimator_and_the_seven_have_the_seven_colours(whole, fleet):
     read, found, _ = whole
     estimators = set(found["boats"]["heron1"])
@@ -120,6 +121,7 @@ def test_steps_are_seconds_on_the_water_and_increase(whole, fleet):
     assert len(steps(read["heron1/aid"], f"1 overview/{MAE}")) >= 3
 
 
+@pytest.mark.thorough
 def test_the_last_points_are_the_errors_of_the_last_steps(fleet, tmp_path):
     """Of fewer steps than the window: the rolling errors are those of the whole log."""
     short = fleet._replace(runs=fleet.runs[:2])
@@ -209,6 +211,7 @@ def test_log_all_writes_every_number_and_figure(tmp_path, fleet):
         TensorBoardLogger(tmp_path, fleet, ensemble, log="al")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("stop", few([2, 3, 5, 8], [3], "thorough"))  # the first before any checkpoint
 def test_a_resumed_run_has_every_point_once(tmp_path, fleet, stop):
     """Points after the last checkpoint are written again; TensorBoard keeps those that were written last."""
@@ -240,6 +243,7 @@ def test_a_boat_without_measured_speed_is_drawn_without_errors(tmp_path, fleet):
     assert values(read["heron2/ensemble"], "5 data/measured speed (share)")[-1] == 0
 
 
+@pytest.mark.thorough
 def test_awkward_names_have_folders_of_their_own(tmp_path):
     """A boat that is called like the means of the fleet, and members of a bank."""
     boats = align_fleet([recording(name, "one", 30.0) for name in ("fleet", "a:b", "a?b")])

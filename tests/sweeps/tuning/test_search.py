@@ -46,6 +46,7 @@ def test_a_search_that_broke_off_goes_on_to_the_count(fleet, tmp_path):
         searched(fleet, tmp_path, 13, request("search=aid", "tuning.ranges.aid.gain=[0.1,1]"))
 
 
+@pytest.mark.thorough
 def test_a_journal_that_names_code_is_refused(fleet, tmp_path):
     searched(fleet, tmp_path, 2, batch=2)
     journal = tmp_path / "optuna.log"

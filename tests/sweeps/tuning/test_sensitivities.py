@@ -156,6 +156,7 @@ class Foreign(Persistence):
         return state, Cut.apply(self.gain() * state.surge)
 
 
+@pytest.mark.thorough
 def test_an_estimator_without_forward_derivatives_is_told(fleet):
     objective = Objective(lambda values: Foreign(**values), fleet)
     with pytest.raises(ConfigError, match=r"no forward derivative .*: use grid or search"):

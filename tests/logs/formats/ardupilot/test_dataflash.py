@@ -50,6 +50,7 @@ def refused(path, name="RCOU", field="throttle_left", **how) -> str:
 # ---------------------------------------------------------------- names and numbers
 
 
+@pytest.mark.thorough
 def test_numbers_are_scaled_and_stamped(tmp_path):
     path = write(tmp_path, dataflash())
     roll, dropped = one(path, "ATT", "Roll", unit="deg")

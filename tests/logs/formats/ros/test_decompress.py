@@ -149,6 +149,7 @@ def test_a_small_bag_of_ros1_cannot_fill_the_memory(tmp_path, kind):
             assert sentence == "read"  # as far as it was announced
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", few(["zstd", "lz4"], ["zstd"], "thorough"))
 def test_a_small_bag_of_ros2_cannot_fill_the_memory(tmp_path, kind):
     """Whatever its chunk announces, with a summary and without."""

@@ -69,6 +69,7 @@ def test_a_scan_equals_the_reading_by_the_index(tmp_path, compression, name, ind
     assert "index" in warning and "missing or damaged" in warning
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("compression", few(COMPRESSIONS, ["lz4"], "thorough"))
 @cases(75, 150)
 def test_whatever_is_left_of_a_cut_bag_is_read(tmp_path, compression, count):
@@ -146,6 +147,7 @@ def test_a_scan_ends_at_a_chunk_that_does_not_unpack_to_its_end(tmp_path, compre
     np.testing.assert_array_equal(channels["surge"].value[:count], before["surge"].value)
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore:.*missing or damaged:UserWarning")
 @pytest.mark.parametrize("compression", few(COMPRESSIONS, ["bz2"], "thorough"))
 def test_damage_anywhere_is_refused_or_read_around(tmp_path, compression):
