@@ -181,12 +181,8 @@ def candidates(series: list[Series]) -> list[Candidate]:
         if known.any():
             label = f"{each.name} {each.field or ''}"
             unit = each.unit or unit_word(label)
-            kinds = (
-                (plain, within)
-                for roles, least, plain, within in PLAIN
-                if max(fit(role, label) for role in roles) >= least
-            )
-            missing = missing_values(each.value[known], *next(kinds, (0.0, ANYWHERE)))
+            kinds = [kind[2:] for kind in PLAIN if any(fit(role, label) >= kind[1] for role in kind[0])]
+            missing = missing_values(each.value[known], *(kinds or [(0.0, ANYWHERE)])[0])
             known &= ~np.isin(each.value, missing)
             one = Candidate(each.name, each.field, unit, each.kind, each.time[known], each.value[known])
             found.append(one.named(missing=missing))
