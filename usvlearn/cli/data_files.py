@@ -21,7 +21,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from usvlearn.core.foreign_yaml import read_yaml
 from usvlearn.core.unconfirmed import SECTION as UNCONFIRMED
-from usvlearn.core.unconfirmed import questions_of
+from usvlearn.core.unconfirmed import questions_in
 from usvlearn.errors import CheckpointError, ConfigError, did_you_mean
 from usvlearn.logs.inspection.override import hydra_text
 from usvlearn.runs.legacy import current
@@ -74,8 +74,8 @@ def _place(value: str) -> str:
 def _register(path: Path) -> None:
     try:
         content = read_yaml(GROUP, path)
-        if UNCONFIRMED in content:
-            content[UNCONFIRMED] = questions_of(content[UNCONFIRMED], str(path))
+        if asked := questions_in(content, path):
+            content[UNCONFIRMED] = asked
         node = OmegaConf.create(current(content))
     except OmegaConfBaseException as error:
         raise ConfigError(f"data: {path}: {str(error).splitlines()[0]}: correct the file") from error

@@ -2,7 +2,8 @@
 
 Its section `unconfirmed` has them by key: `delay: {certainty: unsure, found: 0 s, why: …, written: {SETTING: VALUE}}`.
 A question is open as long as a setting under `written` has this value and is not given on the command line.
-`usvlearn inspect --confirm KEY FILE` removes it. Without the section, nothing is open.
+`usvlearn inspect --confirm KEY FILE` removes it. Without the section, nothing is open, unless an older `inspect` wrote
+the file, which asked nothing.
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ from typing import Any
 
 from usvlearn.errors import ConfigError, printable
 
-SECTION = "unconfirmed"
+SECTION, ALL = "unconfirmed", "all"
+WRITTEN = "written by usvlearn inspect"  # in a comment above all keys
+OLDER = "An older version of usvlearn inspect wrote this file and asked nothing: run it again."
 PROBABLE, UNSURE = "probable", "unsure"
 Questions = dict[str, dict[str, Any]]
 
@@ -39,6 +42,17 @@ def questions_of(section: Any, file: str = "") -> Questions:
             "written": dict(known["written"]) if isinstance(known["written"], Mapping) else {},
         }
     return found
+
+
+def questions_in(content: Mapping[str, Any], path: Path) -> Questions:
+    """The questions of a file that was read; of a file by an `inspect` that wrote no such section, one for all of it.
+
+    Raises:
+        ConfigError: as of `questions_of`.
+    """
+    head = path.read_text(encoding="utf-8", errors="replace")[:1000] if SECTION not in content else ""
+    older = any(WRITTEN in line for line in head.splitlines() if line.startswith("#"))
+    return questions_of({ALL: {"why": OLDER}} if older else content.get(SECTION), str(path))
 
 
 def open_questions(settings: Mapping[str, Any], overrides: Sequence[str] = ()) -> Questions:
@@ -71,7 +85,8 @@ inspect --confirm KEY my_boat.yaml; then train again.
     path = Path(next((each["file"] for each in questions.values() if each.get("file")), "my_boat.yaml"))
     path = path.relative_to(here) if path.is_relative_to(here := Path.cwd()) else path
     how = f"Correct {printable(str(path))}, or confirm what is right: {confirmation(path)}; then train again."
-    return [f"{len(questions)} guess{'es' * (len(questions) > 1)} unconfirmed: {told}. {how}"]
+    more = next((f" {each['why']}" for each in questions.values() if each.get("why") == OLDER), "")
+    return [f"{len(questions)} guess{'es' * (len(questions) > 1)} unconfirmed: {told}.{more} {how}"]
 
 
 def confirmation(path: str | Path) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 
 from usvlearn.core.checkpoint import SUFFIX
 from usvlearn.core.samples import LIMIT, speed_limit
-from usvlearn.core.unconfirmed import SECTION, Questions, questions_of, unconfirmed
+from usvlearn.core.unconfirmed import Questions, questions_in, unconfirmed
 from usvlearn.errors import CheckpointError, ConfigError, check_not_negative, check_positive, did_you_mean
 from usvlearn.live.node import PATIENCE
 from usvlearn.live.node_folder import NodeFolder, newest
@@ -292,5 +292,5 @@ def boat_of(path: Path) -> tuple[dict[str, dict[str, Any]], dict[str, float], Qu
         raise ConfigError(f"channels: {path} has no data.channels: name a file that usvlearn inspect wrote")
     known = vehicle if isinstance(vehicle, dict) else {}
     numbers = {name: known[name] for name in ("mass", "surge_max") if isinstance(known.get(name), int | float)}
-    asked = questions_of(found.get(SECTION), str(path))
-    return {name: dict(each) for name, each in channels.items() if each is not None}, numbers, asked
+    own = {name: dict(each) for name, each in channels.items() if each is not None}
+    return own, numbers, questions_in(found, path)

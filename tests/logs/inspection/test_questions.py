@@ -10,7 +10,7 @@ from rich.console import Console
 from tests.support.exported import write_table
 from tests.support.voyages import voyage
 from usvlearn.cli import inspect as command
-from usvlearn.core.unconfirmed import SECTION, open_questions, questions_of, unconfirmed
+from usvlearn.core.unconfirmed import SECTION, open_questions, questions_in, questions_of, unconfirmed
 from usvlearn.errors import ConfigError
 from usvlearn.logs.inspection import screen
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision
@@ -97,9 +97,29 @@ def test_a_confirmed_file_is_the_same_elsewhere(found, tmp_path, end):
     with pytest.raises(ConfigError, match=f"found '{first}', expected one of {', '.join(rest)}, all"):
         list(confirm([str(path)], [first]))
     assert list(confirm([str(path)], ["all"]))[1] == "Nothing is open any more."
-    assert SECTION not in yaml.safe_load(path.read_bytes()) and open_questions(yaml.safe_load(path.read_bytes())) == {}
+    assert yaml.safe_load(path.read_bytes())[SECTION] == {} == questions_in(yaml.safe_load(path.read_bytes()), path)
     with pytest.raises(ConfigError, match="found no open question"):
         list(confirm([str(path)], ["mass"]))
+
+
+def test_a_file_of_an_older_inspect_asks_for_a_new_one_and_one_of_a_person_nothing(tmp_path):
+    path = tmp_path / "a.yaml"
+    path.write_text(
+        "# @package _global_\n# boat: written by usvlearn inspect from 1 log (tables).\nvehicle: {mass: 3}\n"
+    )
+    assert (
+        "all (unsure). An older version"
+        in unconfirmed(asked := questions_in(yaml.safe_load(path.read_text()), path))[0]
+    )
+    assert (
+        "run it again" in unconfirmed(open_questions({"vehicle": {"mass": 3}, SECTION: asked}, ["vehicle.mass=3"]))[0]
+    )
+    assert list(confirm([str(path)], ["all"]))[1] == "Nothing is open any more."
+    assert questions_in(yaml.safe_load(path.read_text()), path) == {} and path.read_text().endswith(
+        "3}\nunconfirmed: {}\n"
+    )
+    path.write_text("# as usvlearn inspect would write it\nvehicle: {mass: 3}  # written by usvlearn inspect\n")
+    assert questions_in(yaml.safe_load(path.read_text()), path) == {}
 
 
 def test_what_cannot_be_removed_by_line_is_left_as_it_is(tmp_path):

@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 
 from usvlearn.core.samples import Fleet, speed_limit
-from usvlearn.core.unconfirmed import SECTION, confirmation
+from usvlearn.core.unconfirmed import SECTION, WRITTEN, confirmation
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.channels.channel import Recording
 from usvlearn.logs.checks.data_check import check_data
@@ -94,7 +94,7 @@ def inspect_logs(
     origin = f"{count} log{'s' * (count > 1)} ({logs.format.name})"
     vehicle, channels = settings["vehicle"], settings["data"]["channels"]
     findings = check_data(recordings, _aligned(recordings, vehicle["surge_max"]), {}, vehicle["surge_max"], channels)
-    head = [f"{settings['data']['boat']}: written by usvlearn inspect from {origin}."]
+    head = [f"{settings['data']['boat']}: {WRITTEN} from {origin}."]
     head += [f"To use it: usvlearn train {shell_override(output)}", MEANING]
     ask = f"not proved: correct it above, or confirm it: {confirmation(output)}"
     text = write_text(settings, decisions, head, ask, [each.sentence() for each in findings])

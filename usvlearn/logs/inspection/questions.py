@@ -14,14 +14,13 @@ import yaml
 
 from usvlearn.core.checkpoint import write_atomically
 from usvlearn.core.foreign_yaml import read_yaml
-from usvlearn.core.unconfirmed import SECTION, Questions, at, questions_of, unconfirmed
+from usvlearn.core.unconfirmed import ALL, SECTION, Questions, at, questions_in, unconfirmed
 from usvlearn.errors import ConfigError, did_you_mean, printable
 from usvlearn.logs.channels.channel import COMMANDS
 from usvlearn.logs.inspection.decision import CERTAIN, UNSURE, Decision, least
 from usvlearn.logs.inspection.written import path_of, scalar
 
 DETAILS = ("posting", "period", "window", "rejected")
-ALL = "all"
 
 
 def key_of(decision: Decision) -> str:
@@ -79,26 +78,24 @@ def confirm(files: Sequence[str], given: Sequence[str]) -> Iterator[str]:
     if len(files) > 1 or not files[0].endswith((".yaml", ".yml")):
         raise ConfigError(f"--confirm: found {', '.join(files)}, expected the one file that usvlearn inspect wrote")
     content = read_yaml("--confirm", path := Path(files[0]).expanduser())
-    known = questions_of(content.get(SECTION), str(path))
+    known = questions_in(content, path)
     keys = [key.strip() for each in given for key in each.split(",")]
     if not known:
-        told = "either all are confirmed, or an older version wrote it, and usvlearn inspect writes it anew"
-        raise ConfigError(f"--confirm: found no open question in {path}: {told}")
+        raise ConfigError(f"--confirm: found no open question in {path}: all are confirmed, or nothing was guessed")
     for key in keys:
         if key not in (*known, ALL):
-            there = f"expected one of {', '.join([*known, ALL])}{did_you_mean(key, known)}"
+            there = f"expected one of {', '.join(dict.fromkeys([*known, ALL]))}{did_you_mean(key, known)}"
             raise ConfigError(f"--confirm: found {key!r}, {there}")
     kept = {} if ALL in keys else {key: each for key, each in known.items() if key not in keys}
-    wanted = {key: each for key, each in content.items() if key != SECTION}
-    wanted |= {SECTION: {key: content[SECTION][key] for key in kept}} if kept else {}
-    lines = path.read_bytes().decode().split("\n")
+    wanted = {**content, SECTION: {key: content[SECTION][key] for key in kept}}
+    lines = path.read_bytes().decode().rstrip("\n").split("\n")
     first = last = next((k for k, each in enumerate(lines) if each.startswith(f"{SECTION}:")), len(lines))
     while last + 1 < len(lines) and lines[last + 1].startswith(" "):
         last += 1
     gone = tuple(f"{scalar(key)}:" for key in known if key not in kept)
     own = [each for each in lines[first + 1 : last + 1] if not each.strip().startswith(gone)]
-    lines[first : last + 1] = [lines[first], *own] if kept else []
-    if yaml.safe_load(text := "\n".join(lines)) != wanted:
+    lines[first : last + 1] = [lines[first], *own] if kept else [f"{SECTION}: {{}}"]
+    if yaml.safe_load(text := "\n".join([*lines, ""])) != wanted:
         raise ConfigError(f"--confirm: {path}: found no line of its own for each question: remove them by hand")
     mode = path.stat().st_mode
     write_atomically(path.resolve(), text.encode())
