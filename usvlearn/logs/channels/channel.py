@@ -141,6 +141,7 @@ class Channel(NamedTuple):
     window: float | str = 0.2  # staleness window, s; see `Source`
     delay: float = 0.0  # from a stamp to its effect on the measured speed, s
     period: float | str = 0.0  # between two measurements of the sensor, s; see `Source`
+    start: float = math.nan  # of the log, s since 1970, where it tells; earlier ones count from another event
 
 
 class Recording(NamedTuple):
@@ -238,6 +239,7 @@ def build_channel(
     order: Sequence[int] | np.ndarray,  # (n,) place in the log
     empty: np.ndarray | None = None,  # (n,) bool, where the log had an empty cell
     first: str | None = None,  # the first value as logged, to quote in an error
+    start: float = math.nan,  # of the log; see `Channel`
 ) -> tuple[Channel, dict[str, int]]:
     """A channel in SI units from the values of a reader, and the counts of dropped values, by cause.
 
@@ -266,4 +268,4 @@ def build_channel(
         )
     places = np.asarray(order, dtype=np.int64)[usable]
     how = source.held, source.window, source.delay, source.period
-    return Channel(time[usable], source.convert(raw[usable]), places, *how), dropped
+    return Channel(time[usable], source.convert(raw[usable]), places, *how, start), dropped

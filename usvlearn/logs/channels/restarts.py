@@ -38,7 +38,8 @@ def segments(series: Collection[T]) -> tuple[list[list[T]], list[tuple[int, floa
         rows = [(each.order >= begin) & (each.order < end) for each in series]
         start = min(each.time[inside].min() for each, inside in zip(series, rows, strict=True) if inside.any())
         cut = zip(series, rows, strict=True)
-        parts.append([x._replace(time=x.time[k] - start, value=x.value[k], order=x.order[k]) for x, k in cut])
+        moved = [x._replace(time=x.time[k] - start, value=x.value[k], order=x.order[k]) for x, k in cut]
+        parts.append([x._replace(start=x.start + start) for x in moved])
     return parts, jumps
 
 

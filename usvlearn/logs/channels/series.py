@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +22,7 @@ class Series(NamedTuple):
     order: np.ndarray  # (n,) int64, place in the log
     unit: str = ""  # as the log declares it, such as "deg" or "km/h" of a header "Speed (km/h)"; "" where it does not
     kind: str = ""  # type of the message or the posting app, where there is one
+    start: float = math.nan  # as of a `Channel`
 
 
 ELEMENTS = 16  # of an array, at most

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -107,6 +108,7 @@ class MessageLog:
         vehicles: sender -> what is known about it.
         preferred: the senders that a name without one means, where they send it.
         unknown: messages of types that are not known.
+        start: s since 1970, if it tells.
     """
 
     path: Path
@@ -116,6 +118,7 @@ class MessageLog:
     vehicles: dict[str, Vehicle] = field(default_factory=dict)
     preferred: Sequence[str] = ("",)
     unknown: int = 0
+    start: float = math.nan
 
     def channels(self, sources: dict[str, Source], keep_disarmed: bool):
         """The channels, and the counts of unusable values: see a reader's `read`."""
@@ -131,7 +134,9 @@ class MessageLog:
                 disarmed = int((~usable).sum())
                 self._check_disarmed(where, source, disarmed, len(raw))
                 time, raw, order = time[usable], raw[usable], order[usable]
-            channels[channel], dropped[channel] = build_channel(f"{self.path}: {channel}", source, time, raw, order)
+            channels[channel], dropped[channel] = build_channel(
+                f"{self.path}: {channel}", source, time, raw, order, start=self.start
+            )
             if disarmed:
                 dropped[channel]["disarmed"] = disarmed
         return channels, dropped

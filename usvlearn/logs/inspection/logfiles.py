@@ -278,7 +278,10 @@ def _survey(
             notes.append(f"left out: {wrong}")
             continue
         reader = own
-        surveyed += segments(series)[0]
+        parts, jumps = segments(series)
+        surveyed += parts
+        if jumps and (doubt := getattr(own, "doubt", None)):
+            doubts += filter(None, [doubt(file, [place for place, _ in jumps])])
     if reader is None:
         raise error or LogFormatError(f"{files[0]}: no log can be read")
     return reader, surveyed, notes, doubts

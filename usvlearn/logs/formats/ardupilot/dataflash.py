@@ -6,6 +6,7 @@ format letters and field names of a type; https://ardupilot.org/dev/docs/code-ov
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -31,6 +32,7 @@ KINDS = {"Name": "S", "Label": "S", "UnitIds": "S", "MultIds": "S", "Id": "iu", 
 ARMING = {"ARM": ("ArmState", {1: True, 0: False}), "EV": ("Id", {10: True, 11: False})}  # messages, field, values
 NAME = re.compile(r"\w+", re.ASCII)
 FMT = b"\x80\x59FMT\0" + b"BBnNZ".ljust(16, b"\0") + b"Type,Length,Name,Format,Columns".ljust(64, b"\0")
+GPS_EPOCH, WEEK = 315964800, 604800  # s since 1970; s
 SERVOS = Servos(OUTPUTS[:3], "C(?:h|han)?{n}")
 
 
@@ -110,7 +112,10 @@ def _log(path: Path) -> MessageLog:
         if len(rows) and layout.name:
             lengths = np.full(len(rows), layout.size, dtype=np.uint8)
             found.append((layout, Messages(layout.fields, places[rows] + 3, lengths, seconds[rows], rows)))
-    return MessageLog(path, data, _by_key(data, found), SERVOS, {"": _vehicle(data, found)})
+    fixes = [each for each in _rows(data, found, "GPS", "TimeUS", "GWk", "GMS") if each[1]]
+    starts = [GPS_EPOCH + WEEK * week + ms / 1e3 - (us - int(time[0])) * 1e-6 for us, week, ms in fixes]
+    start = float(np.median(starts)) if starts else math.nan
+    return MessageLog(path, data, _by_key(data, found), SERVOS, {"": _vehicle(data, found)}, start=start)
 
 
 def _layout(fmt: bytes) -> Layout:

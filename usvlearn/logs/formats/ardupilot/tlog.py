@@ -93,7 +93,7 @@ def _log(path: Path) -> MessageLog:
                 messages[Key(message.name, instance, sender)] = [part._replace(fields=shown)]
     vehicles = {sender: _vehicle(data, each) for sender, each in sent.items()}
     pilots = [each for each in sent if _is_autopilot(data, sent[each])]
-    return MessageLog(path, data, messages, SERVOS, vehicles, pilots, int(skipped[3]))
+    return MessageLog(path, data, messages, SERVOS, vehicles, pilots, int(skipped[3]), stamps[0] * 1e-6)
 
 
 def _timed(data: np.ndarray, sent: dict[int, Messages]) -> dict[int, Messages]:

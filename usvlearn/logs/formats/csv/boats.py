@@ -7,6 +7,8 @@ far more than between two rows of the same. Where one boat changes its mode or g
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,6 +22,21 @@ from usvlearn.logs.formats.csv.stamps import WORD, parse_cells
 VEHICLES = {"vehicle", "boat", "robot", "vessel", "ship", "usv", "asv", "auv", "agent", "mmsi", "imo", "callsign",
             "hull", "sysid", "system", "boot", "schiff", "fahrzeug", "bateau", "navire", "barco", "buque"}  # fmt: skip
 NUMBERED = {"id", "name", "number", "no", "nr", "code"}  # words beside these
+RUNS = {
+    "run",
+    "session",
+    "trial",
+    "test",
+    "lap",
+    "leg",
+    "mission",
+    "experiment",
+    "episode",
+    "log",
+    "file",
+    "day",
+    "date",
+}
 NAMED = {"id", "variable", "signal", "channel", "parameter", "tag", "key", "sensor"}  # of a column of quantities
 MOST, FEWEST, LOOKED = 20, 3, 16  # boats; rows of each; columns that are looked at
 JUMPS, BLOCKS, HELD = 3.0, 0.02, 0.1  # how much more numbers jump; shares of rows of another boat, with another number
@@ -75,6 +92,18 @@ def _steps(values: np.ndarray, labels: np.ndarray) -> tuple[float, float, float]
     if len(across) <= FEWEST or not len(within) or not (within < 0).any():
         return None
     return float(across.mean()), float(np.abs(within).mean()), float((within != 0).mean())
+
+
+def changes_at(path: Path, dialect: Dialect, lines: Sequence[int]) -> str:
+    """The column whose text changes at these lines and nowhere else, so that rows of another boat may follow; or ""."""
+    for name in dict.fromkeys(name for name in dialect.names if dialect.names.count(name) == 1):
+        cells = [row[dialect.names.index(name)].strip() for row in dialect.sample]
+        if sum(a != b for a, b in pairwise(cells)) <= len(lines) and not {*WORD.findall(name.lower())} & RUNS:
+            rows = Rows(path, dialect, [name], [], texts=True)
+            texts = np.array([each.strip() for each in rows.texts or ()])
+            if rows.order[1:][texts[1:] != texts[:-1]].tolist() == list(lines):
+                return name
+    return ""
 
 
 def refused(path: Path, dialect: Dialect, kinds: Kinds) -> LogFormatError:

@@ -16,7 +16,7 @@ import numpy as np
 from usvlearn.errors import ConfigError, LogFormatError, check_choice
 from usvlearn.logs.channels.channel import QUOTED, Channel, Source, build_channel, match_name, matching
 from usvlearn.logs.channels.series import Series
-from usvlearn.logs.formats.csv.boats import kinds_of, labels_of, refused
+from usvlearn.logs.formats.csv.boats import changes_at, kinds_of, labels_of, refused
 from usvlearn.logs.formats.csv.dialect import AUTO, Dialect, find_dialect, no_header, split_unit
 from usvlearn.logs.formats.csv.quaternions import Quaternion, Yaw, quaternions, yaw_of
 from usvlearn.logs.formats.csv.rows import Column, Rows
@@ -169,6 +169,15 @@ class Table:
         dialect = self._dialect(path)
         labels = {*labels_of(path, dialect, match_name(column, dialect.names, f"{path}: data.boat_column"))} - {""}
         return {each.strip("/").replace("/", "_"): replace(self, rows=f"{column}={each}") for each in sorted(labels)}
+
+    def doubt(self, path: Path, jumps: Sequence[int]) -> str:
+        """What is unsure about the rows of a file whose clock jumps back at these lines, or ""."""
+        if self.rows != AUTO or path.is_dir() or not (column := changes_at(path, self._dialect(path), jumps)):
+            return ""
+        return (
+            f"rows: the clock jumps back where {column!r} changes, as where rows of another boat begin: if so, set "
+            f"data.boat_column={column} and data.boat=null; then, or if all are of one boat, confirm it"
+        )
 
     def _only(self, path: Path, dialect: Dialect) -> tuple[int, str] | None:
         """The place of the column by which rows are chosen, and its text."""
@@ -381,8 +390,9 @@ def channels_of(
     for channel, (path, name, source) in places.items():
         table, column = tables[path], tables[path].found[name]
         channels[channel], causes = build_channel(
-            f"{path}: {channel}", source, table.time, column.values, orders[path], column.empty, column.first or None
-        )
+            f"{path}: {channel}", source, table.time, column.values, orders[path], column.empty, column.first or None,
+            table.origin,
+        )  # fmt: skip
         if isinstance(column, Yaw) and column.bad:
             others = causes.pop("not_a_number", 0) - column.bad
             causes = {**causes, "no_rotation": column.bad} | ({"not_a_number": others} if others > 0 else {})

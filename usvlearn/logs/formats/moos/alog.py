@@ -12,6 +12,7 @@ import warnings
 from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import ClassVar
 
@@ -21,6 +22,7 @@ from usvlearn.errors import LogFormatError
 from usvlearn.logs.channels.channel import LISTED, Channel, Source, as_number, build_channel, match_name, parse_numbers
 from usvlearn.logs.channels.series import Series
 
+START = re.compile(r"%%\s*LOGSTART\s+(\d+\.?\d*)\s*$")  # s since 1970
 ANSI = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
 
@@ -63,14 +65,15 @@ class Alog:
             where = f"{path}: data.channels.{channel}.name"
             matched[channel] = match_name(source.name, posts["@" in source.name], where)
         rows = _rows(path, set(matched.values()))
+        start = next((float(found[1]) for line in islice(_lines(path), 9) if (found := START.match(line))), math.nan)
         channels, dropped = {}, {}
         for channel, source in sources.items():
             order, time, cells = rows[matched[channel]]
             raw = parse_numbers(cells)
             empty = np.array([not cell.strip() for cell in cells], bool)
             channels[channel], dropped[channel] = build_channel(
-                f"{path}: {channel}", source, parse_numbers(time), raw, order, empty, cells[0] if cells else ""
-            )
+                f"{path}: {channel}", source, parse_numbers(time), raw, order, empty, cells[0] if cells else "", start
+            )  # fmt: skip
         return channels, dropped
 
     def survey(self, path: Path) -> list[Series]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -188,22 +189,23 @@ class Rosbag:
                 field = sources[channel].field or default_field(connection.msgtype, channel)
                 value[channel].append(read_field(message, field, f"{path}: data.channels.{channel}.field"))
 
-        seconds = self._seconds(path, bag, list(heard.values()))
+        seconds, start = self._seconds(path, bag, list(heard.values()))
         channels, dropped = {}, {}
         for channel, topic in matched.items():
             raw, order = np.array(value[channel], float), heard[topic].order.tolist()
             channels[channel], dropped[channel] = build_channel(
-                f"{path}: {channel}", sources[channel], seconds[topic], raw, order
+                f"{path}: {channel}", sources[channel], seconds[topic], raw, order, start=start
             )
         return channels, dropped
 
-    def _seconds(self, path: Path, bag, heard: list[Heard]) -> dict[str, np.ndarray]:
-        """The times of all messages by topic, s since the start of the bag; warns if they are simulated."""
+    def _seconds(self, path: Path, bag, heard: list[Heard]) -> tuple[dict[str, np.ndarray], float]:
+        """The times of all messages by topic, s since the start of the bag, and this; warns if they are simulated."""
         receive = self.clock == "receive"
         clock, told = find_clock([] if receive else heard)
         if told:
             warnings.warn(f"{path}: {told}", stacklevel=6)
-        return {each.topic: each.seconds(bag.start_time, clock, receive) for each in heard}
+        seconds = {each.topic: each.seconds(bag.start_time, clock, receive) for each in heard}
+        return seconds, math.nan if clock else bag.start_time * 1e-9
 
     def _survey(self, path: Path, bag) -> list[Series]:
         topics: dict[str, Collected] = {}
@@ -237,7 +239,7 @@ class Rosbag:
             names[SHOWN:] = [f"{len(names) - SHOWN} more"] * (len(names) > SHOWN)
             are = "is" if len(names) == 1 else "are"
             warnings.warn(f"{path}: {', '.join(names)} {are} skipped, since {why}", stacklevel=5)
-        seconds = self._seconds(path, bag, [heard[topic] for topic in topics if topic not in unread])
+        seconds, _ = self._seconds(path, bag, [heard[topic] for topic in topics if topic not in unread])
         return [series for topic in sorted(seconds) for series in topics[topic].series(seconds[topic])]
 
 
