@@ -74,6 +74,22 @@ def test_what_is_saved_is_bounded_and_the_last_is_of_the_end(tmp_path, start):
     assert not list(tmp_path.glob(".*.tmp"))
 
 
+def test_a_member_that_is_not_finite_begins_again_where_a_set_is_saved(tmp_path, start):
+    with ready(tmp_path, start) as session:
+        for message in MINUTE:
+            session.push(*message)
+        leaves = session._node.online.state
+        leaves["members.aid.theta"][:] = math.nan
+        session._node.online.state = leaves
+        saved = checkpoint.load(session.save())[0]
+        first = session._begin.leaves
+        assert np.array_equal(saved["members.aid.theta"], first["members.aid.theta"])
+        assert np.array_equal(saved["members.arx.theta"], leaves["members.arx.theta"])
+        assert np.array_equal(session._node.online.state["members.aid.theta"], first["members.aid.theta"])
+        health = session.tick()
+        assert health.counts["members"] == {"not_finite": 1} and "begins again" in " ".join(health.warnings)
+
+
 def test_an_outage_saves_once(tmp_path, start):
     with ready(tmp_path, start) as session:
         for message in MINUTE:

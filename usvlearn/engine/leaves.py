@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -22,6 +23,7 @@ from usvlearn.estimators.planar import state as track
 from usvlearn.estimators.planar.state import AXES
 
 Description = Mapping[str, Any]
+MEMBER = re.compile(r"(\w+\.)?members\.\w+\.")  # prefix of the leaves of one
 KNOWN = "forecasts.conditional."  # prefix of what the intervals of forecasts know of the manoeuvre
 
 
@@ -118,6 +120,33 @@ def _forecasts(description: Description) -> dict[str, Field]:
             found[f"forecasts.frozen.{name}.{leaf}"] = replace(field, shape=(made["slots"], *field.shape), legal=legal)
     found |= forecasts.FAMILY.leaves(size := forecast_size(made), "forecasts.")
     return found | (conditional.FAMILY.leaves(size[:2], KNOWN) if description.get("conditional") else {})
+
+
+def afresh(
+    leaves: dict[str, np.ndarray], first: Callable[[], Mapping[str, np.ndarray]]
+) -> tuple[dict[str, np.ndarray], list[str]]:
+    """The leaves, where a member whose state is not finite begins again in its vehicle; and a sentence for each.
+
+    Args:
+        leaves: of an ensemble, or of a boat in the plane, `(*batch, …)`.
+        first: makes those with which a member begins.
+
+    >>> leaves = {"predictions": np.ones((2, 1)), "members.a.theta": np.array([1.0, np.nan])}
+    >>> afresh(leaves, lambda: {"members.a.theta": np.zeros(2)})[1]
+    ['the state of a is not finite in 1 of 2 vehicles: it begins again there']
+    """
+    wrong = [name for name, leaf in leaves.items() if leaf.dtype != bool and not np.isfinite(leaf).all()]
+    members = sorted({own[0] for name in wrong if (own := MEMBER.match(name))})
+    leaves, begin, told = dict(leaves), first() if members else {}, list[str]()
+    for member in members:
+        batch = leaves[f"{member.partition('members.')[0]}predictions"].shape[:-1]
+        own = {name: leaf for name, leaf in leaves.items() if name.startswith(member)}
+        bad = ~np.all([np.isfinite(leaf).reshape(*batch, -1).all(-1) for leaf in own.values()], 0)
+        for name, leaf in own.items():
+            leaves[name] = np.where(np.reshape(bad, (*batch, *[1] * (leaf.ndim - len(batch)))), begin[name], leaf)
+        name = member.replace("members.", "").rstrip(".")
+        told.append(f"the state of {name} is not finite in {bad.sum()} of {bad.size} vehicles: it begins again there")
+    return leaves, told
 
 
 def batch_of(fields: Mapping[str, Field], leaves: Mapping[str, np.ndarray]) -> tuple[int, ...]:

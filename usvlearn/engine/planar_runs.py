@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ import torch
 from usvlearn.core.plans import Track
 from usvlearn.core.samples import Inputs, PlanarSample, Sample, tree_map
 from usvlearn.engine.backend import arrays_of, tree_of
+from usvlearn.engine.leaves import afresh
 from usvlearn.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -33,10 +35,13 @@ def planar_stretches(
     from usvlearn.engine.run import roll
 
     description, leaves = planar.spec(), arrays_of(state)
-    dtype = leaves["surge.predictions"].dtype
+    dtype, batch = leaves["surge.predictions"].dtype, leaves["surge.predictions"].shape[:-1]
     for part in parts:
         own: PlanarSample = tree_map(lambda x: x if x.dtype == bool else x.astype(dtype, copy=False), part)
         leaves, _, kept = roll(description, leaves, own, record=record, threads=torch.get_num_threads())
+        leaves, told = afresh(leaves, lambda: arrays_of(planar.init(batch)))
+        if told:
+            warnings.warn("; ".join(told), stacklevel=2)
         yield tree_of(state, leaves), kept
 
 

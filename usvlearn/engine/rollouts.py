@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
@@ -11,13 +12,9 @@ from torch import Tensor
 
 from usvlearn.core.plans import NONE, Forecast, Track, check_plan
 from usvlearn.core.protocol import EVERY, Estimator, Kinds, State, Step, advance, clean
-from usvlearn.core.samples import (
-    Inputs,
-    Sample,
-    named_leaves,
-    tree_map,
-)
+from usvlearn.core.samples import Inputs, Sample, named_leaves, tree_map
 from usvlearn.engine.backend import array_of, arrays_of, choose, is_transformed, tensors_in, tree_of
+from usvlearn.engine.leaves import afresh
 from usvlearn.errors import ConfigError, ShapeError
 
 CHUNK = 256  # most steps whose whole states are held at a time, for a `record` that is a function,
@@ -147,7 +144,8 @@ def stretches(
         record: names of leaves of the state.
 
     Yields:
-        The state after each stretch; the leaves after each of its steps, `(time, *batch, …)`.
+        The state after each stretch, in which members that are not finite begin again, with a warning; the leaves
+        after each of its steps, `(time, *batch, …)`.
 
     Raises:
         ShapeError: the first samples do not fit the state.
@@ -156,6 +154,7 @@ def stretches(
 
     leaves, first = arrays_of(state), True
     dtype = next(leaf.dtype for leaf in leaves.values() if leaf.dtype != bool)
+    batch = leaves["predictions"].shape[:-1] if "predictions" in leaves else ()
     device = next(tensors_in(state)).device
     for part in samples:
         part = tree_map(lambda x: x if x.dtype == bool else x.astype(dtype, copy=False), part)
@@ -169,6 +168,11 @@ def stretches(
             else:
                 state, _, named = rollout(estimator, state, _moved(part, device), record, backend="torch")
                 kept = tree_map(array_of, named)
+                leaves = arrays_of(state)
+            leaves, told = afresh(leaves, lambda: arrays_of(estimator.init(batch)))
+            if told:
+                warnings.warn("; ".join(told), stacklevel=2)
+                state = tree_of(state, leaves, device)
         yield state, kept
 
 

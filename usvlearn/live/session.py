@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import usvlearn
 from usvlearn.core.lock import Lock
+from usvlearn.engine.leaves import afresh
 from usvlearn.errors import ConfigError
 from usvlearn.live import watched
 from usvlearn.live.background import Background
@@ -344,7 +345,12 @@ class Session:
             KEY: self.setup.json(), HELD: node.held.json(), "boat": self.options.boat, "run": "live",
             "step": node.steps, "time": 0.0 if self.last is None else self.last.time, "version": usvlearn.__version__,
         }  # fmt: skip
-        return node.online.state, facts
+        leaves, told = afresh(node.online.state, lambda: self._begin.leaves)
+        if told:
+            node.online.state = leaves
+            node.drop("members", "not_finite", len(told))
+            self.advise("afresh", "; ".join(told))
+        return leaves, facts
 
     def _save_soon(self, clock: float) -> None:
         """Write a checkpoint in the thread, unless one is being written, and check the data."""
