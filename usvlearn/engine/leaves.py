@@ -136,7 +136,7 @@ def afresh(
     ['the state of a is not finite in 1 of 2 vehicles: it begins again there']
     """
     wrong = [name for name, leaf in leaves.items() if leaf.dtype != bool and not np.isfinite(leaf).all()]
-    members = sorted({own[0] for name in wrong if (own := MEMBER.match(name))})
+    members = sorted({found[0] for name in wrong if (found := MEMBER.match(name))})
     leaves, begin, told = dict(leaves), first() if members else {}, list[str]()
     for member in members:
         batch = leaves[f"{member.partition('members.')[0]}predictions"].shape[:-1]

@@ -316,3 +316,43 @@ def test_the_yaw_of_moos_counts_counter_clockwise_from_north():
                       DESIRED_THRUST_L=100 * boat["l"], DESIRED_THRUST_R=100 * boat["r"])  # fmt: skip
     assert (found.channels["heading"]["unit"], found.channels["heading"]["span"]) == ("rad", -1)
     assert told(found)["command_left", "series"] == ("DESIRED_THRUST_L", "certain")
+
+
+@pytest.mark.parametrize(
+    "names", [("u_ref", "u_out"), ("v_soll", "v_ist"), ("speed_d", "speed_m"), ("u_cmd", "u_meas")]
+)
+def test_the_measured_speed_is_taken_beside_its_reference(names):
+    boat = sail(6)
+    reference = np.where(boat["u"] > 0.2, 1.2, 0) + 0.3 * np.sin(boat["time"] / 30)
+    assert tell(boat, "surge series", **dict(zip(names, (reference, boat["u"]), strict=True)))[0] == names[1]
+
+
+def test_where_no_name_tells_a_speed_those_that_may_be_it_are_named():
+    boat = sail(6)
+    found = driven(boat, w1=boat["u"], w2=20 + np.sin(boat["time"] / 30))
+    assert found.missing == ["surge"] and found.unfit.startswith("if 'w1', which follow the commands, is the speed")
+
+
+@pytest.mark.parametrize(("seed", "begin", "sign"), [(1, 0.0, 1), (2, 6.0, 1), (3, -3.0, -1)])
+def test_radians_that_count_on_are_radians_or_a_question_that_says_both(seed, begin, sign):
+    boat = sail(6, seed)
+    columns = {"yaw": sign * boat["psi"] + begin, "speed": boat["u"]}
+    found = concluded(boat, pwm_left=pulses(boat["l"]), pwm_right=pulses(boat["r"]), **columns)
+    unit = next(each for each in found.decisions if each[:2] == ("heading", "unit"))
+    assert unit.value == "rad" and (unit.certainty == "certain" or {"deg", "enu_rad"} <= {*unit.alternatives})
+    steady = concluded(boat, pwm_left=pulses(boat["l"]), pwm_right=pulses(boat["r"]), **columns | {
+        "yaw": 40 + 9 * np.sin(boat["time"] / 9)})  # fmt: skip
+    assert told(steady)["heading", "unit"] in (("deg", "unsure"), ("rad", "unsure"))
+
+
+@pytest.mark.parametrize("off", [20.0, -15.0])
+@pytest.mark.parametrize("names", [("cog", "sog"), ("course", "speed")])
+def test_a_compass_that_is_off_is_told_by_a_course_without_a_position(off, names):
+    boat = sail(8, 6)
+    along = dict(zip(names, (boat["cog"], boat["sog"]), strict=True))
+    found = concluded(
+        boat, pwm_left=pulses(boat["l"]), pwm_right=pulses(boat["r"]), heading=(boat["hdg"] + off) % 360, **along
+    )
+    value, sure = told(found)["heading", "zero"]
+    assert float(value) == pytest.approx(off, abs=2) and sure == "probable"
+    assert ("heading", "zero") not in told(driven(boat, **along))

@@ -33,7 +33,7 @@ from usvlearn.logs.channels.bins import bin_edges, bin_means, bin_rates, clipped
 from usvlearn.logs.channels.channel import COMMANDS, SURGE
 from usvlearn.logs.checks.evidence import Evidence
 from usvlearn.logs.checks.finding import Finding, override
-from usvlearn.logs.checks.thrusters import CLOCKS, implausible_lag
+from usvlearn.logs.checks.thrusters import CLOCKS, LONGEST, implausible_lag, restamped
 
 STEP, OVER = 0.5, 4  # s, of the bins; bins of h
 DELAYS = range(-12, 26)  # s
@@ -116,6 +116,8 @@ def short_delay(e: Evidence) -> Iterator[Finding]:
     side = "behind" if found.delay > 0 else "before"
     text = f"changes of speed that fit commands {abs(found.delay)} s {side} best (squares × {found.ratio:.2f})"
     right = max(0.0, given + found.delay)
-    fix = " ".join(override(name, {"delay": right}) for name in COMMANDS) if right != given else ""
-    expected = f"less than {LATE} s" + (f" (a longer one hardly is: {CLOCKS})" if fix else f": {CLOCKS}")
+    fix = " ".join(override(name, {"delay": right}) for name in COMMANDS) if given != right <= LONGEST else ""
+    expected = f"less than {LATE} s" + (
+        f" (a longer one hardly is: {CLOCKS})" if fix else f": {restamped(found.delay)}"
+    )
     yield Finding(e.boat, f"commands, {SURGE}", "delay", text, expected, fix)

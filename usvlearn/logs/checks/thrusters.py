@@ -46,6 +46,7 @@ FOUND, BETTER = 0.6, 0.2  # correlation at such a lag, and by how much it exceed
 FOLLOWS, LONG = 0.2, 300.0  # correlation; s of evidence
 LEVELS = 3  # values of a command, below which it is on or off
 USED = 0.01  # of full scale: a smaller range is no use of a thruster
+LONGEST = 12.0  # s, of a delay that is proposed
 CLOCKS = "the clocks of both differ, as GPS time and UTC do by 18 s, so correct the stamps of one of them"
 STEADY = 0.03  # standard deviation of a speed over its mean
 SHARED = ("name", "field", "unit", "zero", "span", "weight")  # options that belong to a thruster
@@ -174,11 +175,10 @@ def delay(e: Evidence) -> Iterator[Finding]:
         side = "behind" if lag > 0 else "before"
         text = f"speeds {abs(lag):.0f} s {side} the commands (r = {e.searched.correlation:.2f})"
         given = float(e.logs(COMMANDS[0])[0].delay)
-        right = max(0.0, given + lag)
-        fix = " ".join(override(name, {"delay": float(round(right))}) for name in COMMANDS)
-        expected = f"{EARLY:g} to {LATE:g} s behind them"
-        if right == given:  # no delay of the commands is below 0
-            fix, expected = "", f"{expected}: {CLOCKS}: add {-lag:.0f} s to the stamps of the speed"
+        right = float(round(max(0.0, given + lag)))
+        possible = given != right <= LONGEST  # no delay is below 0
+        fix = " ".join(override(name, {"delay": right}) for name in COMMANDS) if possible else ""
+        expected = f"{EARLY:g} to {LATE:g} s behind them" + ("" if fix else f": {restamped(lag)}")
         yield Finding(e.boat, pair, "delay", text, expected, fix)
         return
     found = e.searched
@@ -186,6 +186,12 @@ def delay(e: Evidence) -> Iterator[Finding]:
         text = f"a speed without relation to the commands (r = {found.correlation:.2f})"
         yield Finding(e.boat, pair, "thrust", text, see(f"more than {FOLLOWS:g}", SURGE, *COMMANDS),
                       without(e, SURGE))  # fmt: skip
+
+
+def restamped(lag: float) -> str:
+    """What to do where the speed lies so many s behind the commands because of its clock."""
+    how = f"take {lag:.0f} s from" if lag > 0 else f"add {-lag:.0f} s to"
+    return f"{CLOCKS}: {how} the stamps of the speed"
 
 
 def _moves(e: Evidence) -> bool:

@@ -19,7 +19,7 @@ from usvlearn.logs.inspection.directions import Heading, read_any_turn
 from usvlearn.logs.inspection.places import Pair, Places, course_of, ordered
 from usvlearn.logs.inspection.speeds import RATIO, Speed
 from usvlearn.logs.inspection.sways import FOLLOWS, SURE
-from usvlearn.logs.inspection.vocabulary import fit
+from usvlearn.logs.inspection.vocabulary import OVER_GROUND, fit, words
 
 MOST = 4  # speeds that are tried
 SIGNED = 0.03  # share of the greatest size below zero, from which a speed is signed
@@ -74,6 +74,20 @@ def course_beside(pool: Sequence[Candidate], speed: Speed, heading: Heading | No
     best = max(read, key=lambda each: (ORDER.index(UNSURE) - ORDER.index(each.certainty), each.agreement))
     best = best._replace(certainty=least(best.certainty, PROBABLE))
     return Course(best, speed, "by name; with the heading, course and speed give a signed surge")
+
+
+def reckoned(pool: Sequence[Candidate], speeds: Sequence[Candidate]) -> tuple[tuple[Pair, Pair], Pair, Pair] | None:
+    """The track that course and speed give, north and east, the course, rad, and the speed, if both are logged."""
+    named = sorted(
+        (each for each in pool if fit("course", each.label) >= 2), key=lambda each: -fit("course", each.label)
+    )
+    if not named or not speeds:
+        return None
+    size = max(speeds, key=lambda each: bool({"sog", *OVER_GROUND} & {*words(each.label)}))
+    time, angle = ordered(read_any_turn(named[0], None).radians)
+    way = np.gradient(time) * np.abs(np.interp(time, *ordered(size.evidence)))
+    track = (time, np.cumsum(way * np.cos(angle))), (time, np.cumsum(way * np.sin(angle)))
+    return track, (time, angle), size.evidence
 
 
 def _across(speed: Pair, course: Pair, heading: Pair) -> Pair:

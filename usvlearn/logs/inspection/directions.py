@@ -33,7 +33,8 @@ NORTH = {"heading", "hdg", "hdt", "compass", "steuerkurs", "kurs", "ned", "cap",
 NORTH_FORMATS = {"MOOS", "ArduPilot DataFlash", "MAVLink telemetry", "PX4 ULog"}  # whose headings are from north
 FULL_TURN = 6.6  # a heading in rad, within ±2π, is smaller
 FINE_TURNS = {400.0: "gradians", 3600.0: "tenths of a degree", 36000.0: "hundredths of a degree"}
-FASTEST_TURN = 60.0  # °/s, of a boat
+FASTEST_TURN, SLOW_TURN = 60.0, 0.05  # °/s, of a boat; rad/s, that one exceeds which turns several times
+MOST_RADIANS = 100.0  # 16 turns, of a heading that counts on
 BEYOND = 361.0  # values above this are no degrees of one turn
 NOT_MEASURED = {"innovation", "innovations", "innov", "ratio", "ratios", "test", "residual", "uncertainty"}
 
@@ -94,7 +95,9 @@ def read_heading(candidate: Candidate, course: Pair | None, convention: str = ""
     enu = declared.startswith("enu_")
     ranked = sorted(HEADINGS, key=lambda unit: -agree[unit] if agree[unit] == agree[unit] else 0.0)
     best = ranked[0]
-    by_size = candidate.wraps or ("deg" if candidate.size > FULL_TURN and not declared.endswith("rad") else "")
+    both = candidate.size < MOST_RADIANS and not declared and 0 < turning(candidate) < math.radians(FASTEST_TURN)
+    large = candidate.size > FULL_TURN and not (declared.endswith("rad") or both)
+    by_size = candidate.wraps or ("deg" if large else "")
     why = f"it jumps by {'2π' if by_size == 'rad' else 360} at a full turn" if candidate.wraps else ""
     why = why or (f"values reach {candidate.size:.0f}" if by_size else "")
     name = fit("heading", candidate.label)
@@ -109,9 +112,11 @@ def read_heading(candidate: Candidate, course: Pair | None, convention: str = ""
         sentence += ", which does not tell it from " + " or ".join(unit for unit in (best, *close) if unit != choice)
         others = tuple(unit for unit in (best, *close) if unit != choice)
         return Heading(candidate, choice, sure, sentence, others, agree[choice], name + agree[best])
-    base = by_size or declared.removeprefix("enu_") or ("rad" if np.ptp(candidate.extent) > 1.5 else "deg")
+    radians = np.ptp(candidate.extent) > 1.5 and (candidate.size < FULL_TURN or turning(candidate) > SLOW_TURN)
+    base = by_size or declared.removeprefix("enu_") or ("rad" if radians else "deg")
     unit = f"enu_{base}" if enu else base
-    others = (f"enu_{base}",) if not enu else (base,)
+    either = () if by_size or declared else ("deg" if base == "rad" else "rad",)
+    others = (f"enu_{base}" if not enu else base, *either)
     low, high = candidate.extent
     sentence = why or (f"declared as {declared}" if declared else f"values within {low:.1f} … {high:.1f}")
     if by_size and declared and not declared.endswith(by_size):
@@ -119,9 +124,8 @@ def read_heading(candidate: Candidate, course: Pair | None, convention: str = ""
     if agree[best] == agree[best] and agree[best] < AGREES:
         sentence += f"; it does not follow the course over ground (mean cosine {agree[best]:.2f} at best)"
         return Heading(candidate, unit, UNSURE, sentence, others, agree[best], name + min(agree[best], 0) - 1)
-    if not (by_size or declared):
-        others = (*others, "deg" if base == "rad" else "rad")
-        sentence += ": a small range fits degrees and radians"
+    if either:
+        sentence += ", which may be degrees or radians"
         return Heading(candidate, unit, UNSURE, sentence, others, math.nan, name)
     sentence += "" if enu else "; taken as 0 north, clockwise"
     by_format = enu or convention in NORTH_FORMATS
@@ -152,13 +156,17 @@ def full_turn(candidate: Candidate) -> float:
     if not candidate.size > BEYOND or candidate.extent[0] < -BEYOND:
         return 360.0
     turn = next((each for each in FINE_TURNS if candidate.size <= each * 1.001), 360.0)
+    jumps = (np.abs(np.diff(candidate.evidence[1])) > 0.9 * turn).any()
+    return turn if jumps or turning(candidate) > FASTEST_TURN or candidate.size <= 400.4 else 360.0
+
+
+def turning(candidate: Candidate) -> float:
+    """The rate that 5 % of its steps exceed, 1/s; 0 where few are known."""
     time, value = candidate.evidence
-    passed, steps = np.diff(time), np.abs(np.diff(value))
-    jumps = (steps > 0.9 * turn).any()
+    passed = np.diff(time)
     steady = (passed > 0) & (passed < 1.0)
-    rates = steps[steady] / passed[steady]
-    fast = len(rates) > ENOUGH and np.quantile(rates, 0.95) > FASTEST_TURN
-    return turn if jumps or fast or candidate.size <= 400.4 else 360.0
+    rates = np.abs(np.diff(value))[steady] / passed[steady]
+    return float(np.quantile(rates, 0.95)) if len(rates) > ENOUGH else 0.0
 
 
 def read_any_turn(candidate: Candidate, course: Pair | None, convention: str = "") -> Heading:
@@ -181,16 +189,16 @@ def read_any_turn(candidate: Candidate, course: Pair | None, convention: str = "
     return found._replace(candidate=candidate, span=span, certainty=sure, reason=sentence)
 
 
-def without_error(heading: Heading, places: Places, speed: Pair, convention: str) -> Heading:
-    """The same with the error of the compass as its zero, if the position surely tells one."""
-    found = compass_error(places.north, places.east, heading.radians, speed)
+def without_error(heading: Heading, track: tuple[Pair, Pair], course: Pair, speed: Pair, convention: str) -> Heading:
+    """The same with the error of the compass as its zero, if positions to the north and to the east surely tell one."""
+    found = compass_error(*track, heading.radians, speed)
     if found is None:
         return heading
     factor = UNITS[heading.unit][0] / heading.span
     zero = float(f"{-found[0] / factor:.3g}")
     shifted = heading.candidate.named(value=np.mod(heading.candidate.value - zero, abs(2 * math.pi / factor)))
-    read = read_any_turn(shifted, course_of(places), convention)
-    if read.unit != heading.unit or not read.agreement > heading.agreement:
+    read = read_any_turn(shifted, course, convention)
+    if read.unit != heading.unit or read.agreement <= heading.agreement:
         return heading
     off = f"{math.degrees(-found[0]):+.0f}° ± {math.degrees(found[1]):.1f}°"
     why = f"it differs from the course by {off} on all courses, apart from current and drift"

@@ -9,7 +9,7 @@ from usvlearn.logs.channels.channel import UNITS
 from usvlearn.logs.channels.relations import heading_rate
 from usvlearn.logs.inspection.candidate import Candidate
 from usvlearn.logs.inspection.commands import SIDES, tell_commands
-from usvlearn.logs.inspection.courses import course_beside, find_course, tell_course
+from usvlearn.logs.inspection.courses import course_beside, find_course, reckoned, tell_course
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.directions import (
     Heading,
@@ -39,6 +39,7 @@ from usvlearn.logs.inspection.speeds import (
     by_reaction,
     find_speeds,
     find_velocities,
+    following,
     interchanged,
     norms,
     tell_speed,
@@ -88,9 +89,9 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
     places = find_places(pool, convention)
     if not places and (guessed := guess_places(*_unnamed(pool))):
         places = [guessed]
+    named = [each for each in pool if fit("surge", each.label) >= 1]
     crossing = False  # whether latitude and longitude may be interchanged
     if places:
-        named = [each for each in pool if fit("surge", each.label) >= 1]
         first, crossing = interchanged(places[0], named)
         places = [first, *places[1:]]
     channels: dict[str, dict[str, Any]] = {}
@@ -103,10 +104,11 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
     if places and heading and not oriented and (found_axes := orient(places[0], heading)):
         places, axes = [found_axes, *places[1:]], least(PROBABLE, heading.certainty)
         doubt = "which of them is north, is told by the heading, which follows the course then"
-    if heading and oriented:
-        named = [each for each in pool if fit("surge", each.label) >= 1]
+    if heading and oriented and course:
         ahead = next((each.metres for each in find_speeds(named, [oriented], convention)), rate_of(oriented))
-        heading = without_error(heading, oriented, ahead, convention)
+        heading = without_error(heading, (oriented.north, oriented.east), course, ahead, convention)
+    elif heading and not places and (found_course := reckoned(pool, named)):
+        heading = without_error(heading, *found_course, convention)
     if heading:
         alone = {side(each.label) for each in pool if names_side_alone(each.label)}
         turning = [each for each in pool if len(alone) < 2 or not names_side_alone(each.label)]  # L and R are sides
@@ -187,6 +189,9 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
     decisions += [Decision(name, "missing", scalar(list(each)), PROBABLE, why) for name, each in unknown.items()]
     missing = [name for name in (*SIDES, "heading") if name not in channels]
     missing += [] if speeds or places else ["surge"]
+    if missing == ["surge"]:
+        others = [each for each in rest if not any(each is other for other in series.values())]
+        unfit = following(others, [series[side] for side in SIDES if side in series])
     order = [*SIDES, "heading", "yaw_rate", "surge"]
     ordered = {name: channels[name] for name in (*order, *channels) if name in channels}
     return Proposal(ordered, series, decisions, speed, heading, yaw, missing, unfit)

@@ -97,12 +97,25 @@ def by_reaction(speeds: list[Speed], commands: Sequence[Candidate]) -> list[Spee
     """The speeds; where no position proves one, that which follows the commands stands before one that does not."""
     if len(speeds) < 2 or speeds[0].confirmed or not commands:
         return speeds
-    pairs, follows = [each.evidence for each in commands[:MOST]], []
-    for each in speeds[:MOST]:
-        found = [speed_on_thrust(pair, pair, each.metres).correlation for pair in pairs]
-        follows.append(float(np.nanmax(np.abs(found), initial=0.0)))
+    follows = [_follows(each.metres, commands) for each in speeds[:MOST]]
     first = int(np.argmax(follows)) if follows[0] < UNLIKE < LIKE < max(follows) else 0
     return [speeds[first], *speeds[:first], *speeds[first + 1 :]]
+
+
+def following(pool: Sequence[Candidate], commands: Sequence[Candidate]) -> str:
+    """Which series may be the speed since they follow the commands, and what to do; "" if none does."""
+    named = [
+        x for x in pool if (fit("surge", x.label) >= 0 or len(words(x.label)[0]) == 1) and x.unit not in OTHER_UNITS
+    ]
+    known = [repr(each.label.strip()) for each in named if _follows(each.evidence, commands) > LIKE]
+    return f"if {' or '.join(known[:MOST])}, which follow the commands, is the speed, call it speed" if known else ""
+
+
+def _follows(speed: Pair, commands: Sequence[Candidate]) -> float:
+    """The greatest correlation with a command, 0 … 1."""
+    pairs = [each.evidence for each in commands[:MOST]]
+    found = [speed_on_thrust(pair, pair, speed).correlation for pair in pairs]
+    return float(np.nanmax(np.abs(found), initial=0.0))
 
 
 def interchanged(places: Places, speeds: Sequence[Candidate]) -> tuple[Places, bool]:

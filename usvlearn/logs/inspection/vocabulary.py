@@ -57,7 +57,8 @@ OVER_GROUND = {"ground", "gprmc", "gps"} | languages.OVER_GROUND
 FORCES = {"tau", "force", "wrench", "kraft", "fx"}  # of the whole boat, beside an axis
 MOMENTS = {"tau", "torque", "moment", "wrench", "mz"}
 SYMBOLS = {"command": {"m", "t", "c", "ch", "n"}, "rudder": {"delta"}, "surge": {"u", "v"}}  # in names of their own
-BESIDE = set("cmd command order measured actual boat ship usv main ekf est filtered body b r x y z".split())
+BESIDE = set("cmd command order measured meas actual act real ist out output hat boat ship usv main ekf est filtered "
+             "body b m r x y z".split())  # fmt: skip
 NO_THRUST = set(
     "distance dist range bearing energy odometer fuel charge watts watt wh kwh mah strecke distanz peilung energie "
     "afstand distancia distanza avstand".split()
