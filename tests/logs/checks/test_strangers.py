@@ -44,7 +44,7 @@ def test_clocks_that_differ_are_found_in_both_directions_of_a_short_log(late):
     found = told_of(stranger(sail(4), late))["delay"]
     assert "clocks of both differ" in found.sentence()
     assert ("command_left.delay=" in found.key) == (late == 7)
-    assert (f"{abs(late):.0f} s {'from' if late > 0 else 'to'} the stamps" in found.expected) == (late != 7)
+    assert (f" s {'from' if late > 0 else 'to'} the stamps" in found.expected) == (late != 7)
     assert "delay" not in told_of(stranger(sail(4)))
 
 
