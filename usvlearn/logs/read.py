@@ -10,7 +10,7 @@ import re
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any
 
 from usvlearn.display.activity import doing
 from usvlearn.errors import ConfigError, LogFormatError, did_you_mean, printable, reading, under
@@ -31,22 +31,8 @@ from usvlearn.logs.channels.channel import (
 from usvlearn.logs.channels.copies import settle_period
 from usvlearn.logs.channels.derived_surge import PAIRS_TOLD, derived_surge, pair_of
 from usvlearn.logs.channels.restarts import segments
-from usvlearn.logs.channels.series import Series
 from usvlearn.logs.formats.foreign import explained
-
-
-class Reader(Protocol):
-    """A reader of one log: `Alog`, `DataFlash`, `Rosbag`, `Table`, `Tlog`, `Ulog`.
-
-    A reader may have a `marker`, the name of a file and what it contains: a folder with such a file is one log. Or it
-    may have a method `is_log(folder, files, names)`, which tells this from a folder's files and the names of channels.
-    """
-
-    suffixes: ClassVar[tuple[str, ...]]
-
-    def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]: ...
-
-    def survey(self, path: Path) -> list[Series]: ...
+from usvlearn.logs.formats.reader import Reader
 
 
 def read_recordings(

@@ -19,6 +19,7 @@ from usvlearn.errors import LogFormatError, check_choice, did_you_mean, printabl
 from usvlearn.logs.channels.channel import LISTED, Channel, Source, build_channel, match_name
 from usvlearn.logs.channels.series import Series
 from usvlearn.logs.formats.ardupilot.servos import FUNCTIONS, Servos
+from usvlearn.logs.formats.reader import Reader
 
 NAME = re.compile(r"(.+?)(?:\[(\d{1,3})\])?(?:@([^@]*))?")  # NAME, NAME[instance], NAME@sender, NAME[instance]@sender
 DISARMED = "drop", "keep"  # what a reader may do with servo outputs while the vehicle is disarmed
@@ -241,7 +242,6 @@ class MessageLog:
         return np.concatenate([part.time for part in parts])[place], np.concatenate(values)[place], order[place]
 
     def survey(self, left_out: Iterable[str]) -> list[Series]:
-        """All numbers, except those of some messages; see `usvlearn.logs.channels.series`."""
         found = []
         if self.unknown:
             warnings.warn(f"{self.path}: skipped {self.unknown} messages of types that are not known", stacklevel=3)
@@ -264,7 +264,7 @@ class MessageLog:
 
 
 @dataclass(frozen=True)
-class MessageReader:
+class MessageReader(Reader):
     """What the readers of an autopilot's logs have in common.
 
     Args:
@@ -282,27 +282,6 @@ class MessageReader:
         raise NotImplementedError
 
     def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
-        """The channels of a log.
-
-        Args:
-            path: the log.
-            sources: channel -> where it is found.
-
-        Returns:
-            The channels, in SI units; and the counts of unusable values: channel -> cause -> count.
-
-        Raises:
-            LogFormatError: the file is no log of this format, or lacks a message, a field or a servo.
-
-        >>> from tempfile import TemporaryDirectory
-        >>> from usvlearn.logs.formats.ardupilot.dataflash import DataFlash
-        >>> with TemporaryDirectory() as folder:
-        ...     path = Path(folder) / "a.bin"
-        ...     _ = path.write_bytes(b"")
-        ...     DataFlash().read(path, {})  # doctest: +ELLIPSIS
-        Traceback (most recent call last):
-        usvlearn.errors.LogFormatError: ...a.bin: expected an ArduPilot DataFlash log, found no message that ...
-        """
         return self._log(path).channels(sources, keep_disarmed=self.disarmed == "keep")
 
     def survey(self, path: Path) -> list[Series]:

@@ -21,6 +21,7 @@ from usvlearn.logs.formats.csv.dialect import AUTO, Dialect, find_dialect, no_he
 from usvlearn.logs.formats.csv.quaternions import Quaternion, Yaw, quaternions, yaw_of
 from usvlearn.logs.formats.csv.rows import Column, Rows
 from usvlearn.logs.formats.csv.stamps import ORDERS, spread
+from usvlearn.logs.formats.reader import Reader
 
 HEMISPHERES = ("N", "S", "E", "W")  # cells of a column beside a latitude or a longitude
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "days": 86400.0}
@@ -32,7 +33,7 @@ ROS_COLUMN = re.compile(r"(^|[./])(linear|angular|angular_velocity|linear_accele
 
 
 @dataclass(frozen=True)
-class Table:
+class Table(Reader):
     """Reads a CSV file. `Source.name` is a column, with its unit as in `Speed (m/s)`, or without.
 
     Lines above the header are skipped, and a line below it that holds units. A row with more or fewer cells than the
@@ -100,18 +101,6 @@ class Table:
             ) from None
 
     def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
-        """The channels of a table.
-
-        Args:
-            path: the file, or a folder of tables of one run.
-            sources: channel -> where it is found.
-
-        Returns:
-            The channels, in SI units; and the counts of unusable cells: channel -> cause -> count.
-
-        Raises:
-            LogFormatError: the file is no table, or lacks a column, or does not tell how it is written.
-        """
         if path.is_dir():
             from usvlearn.logs.formats.csv.topics import read_topics
 
@@ -125,24 +114,6 @@ class Table:
         return channels_of({path: columns}, {path: columns.order}, places)
 
     def survey(self, path: Path) -> list[Series]:
-        """All columns with numbers in at least half of their filled cells, and the yaw in place of each quaternion.
-
-        Args:
-            path: the file, or a folder of tables of one run.
-
-        Returns:
-            The columns, as they stand in the file.
-
-        Raises:
-            LogFormatError: as for `read`.
-
-        >>> from tempfile import TemporaryDirectory
-        >>> with TemporaryDirectory() as folder:
-        ...     path = Path(folder) / "a.csv"
-        ...     _ = path.write_text("t,Speed (m/s)\\n0.0,1.2\\n0.1,1.3\\n")
-        ...     [(each.name, each.unit, each.value.tolist()) for each in Table("t").survey(path)]
-        [('Speed (m/s)', 'm/s', [1.2, 1.3])]
-        """
         if path.is_dir():
             from usvlearn.logs.formats.csv.topics import survey_topics
 

@@ -21,13 +21,14 @@ import numpy as np
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.channels.channel import LISTED, Channel, Source, as_number, build_channel, match_name, parse_numbers
 from usvlearn.logs.channels.series import Series
+from usvlearn.logs.formats.reader import Reader
 
 START = re.compile(r"%%\s*LOGSTART\s+(\d+\.?\d*)\s*$")  # s since 1970
 ANSI = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
 
 @dataclass(frozen=True)
-class Alog:
+class Alog(Reader):
     """Reads a MOOS log.
 
     `Source.name` is a variable, from whichever app posts it, or `VARIABLE@app` to keep one app's posts only
@@ -45,18 +46,6 @@ class Alog:
     suffixes: ClassVar[tuple[str, ...]] = (".alog",)
 
     def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
-        """The channels of a log.
-
-        Args:
-            path: the log.
-            sources: channel -> where it is found.
-
-        Returns:
-            The channels, in SI units; and the counts of unusable rows: channel -> cause -> count.
-
-        Raises:
-            LogFormatError: the file holds no rows, or lacks a channel.
-        """
         posts = _posts(path)
         if not posts:
             raise _no_rows(path)
@@ -77,26 +66,6 @@ class Alog:
         return channels, dropped
 
     def survey(self, path: Path) -> list[Series]:
-        """All variables with numbers in at least half of their posts, in the order of their first post.
-
-        A variable that several apps post gives one series an app, named `VARIABLE@app`.
-
-        Args:
-            path: the log.
-
-        Returns:
-            The variables, as they stand in the log.
-
-        Raises:
-            LogFormatError: the file holds no rows.
-
-        >>> from tempfile import TemporaryDirectory
-        >>> with TemporaryDirectory() as folder:
-        ...     path = Path(folder) / "a.alog"
-        ...     _ = path.write_text("%% LOGSTART 1.5e9\\n0.5 NAV_SPEED iGPS 1.2\\n0.9 NAV_SPEED iGPS 1.3\\n")
-        ...     [(each.name, each.value.tolist()) for each in Alog().survey(path)]
-        [('NAV_SPEED', [1.2, 1.3])]
-        """
         found: dict[str, dict[str, tuple[array, array, array]]] = {}  # variable -> app -> stamps, values, line numbers
         lost = 0
         for number, line in enumerate(_lines(path), 1):

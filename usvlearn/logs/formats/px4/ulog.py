@@ -19,6 +19,7 @@ import numpy as np
 from usvlearn.errors import LogFormatError, MissingExtraError, printable
 from usvlearn.logs.channels.channel import QUOTED, Channel, Source, build_channel, match_name
 from usvlearn.logs.channels.series import ELEMENTS, Series
+from usvlearn.logs.formats.reader import Reader
 from usvlearn.logs.formats.ros.message_fields import yaw
 
 FIELDS = 50_000  # of all subscriptions of a log; a log of PX4 has some thousands
@@ -54,7 +55,7 @@ class _Topic(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Ulog:
+class Ulog(Reader):
     """Reads a log of PX4. `Source.name` is a topic, `Source.field` a field of its messages.
 
     A topic is named as in `vehicle_attitude`, and its further instances as in `actuator_outputs[1]`. A field is named
@@ -68,27 +69,6 @@ class Ulog:
     suffixes: ClassVar[tuple[str, ...]] = (".ulg", ".ulog")
 
     def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
-        """The channels of a log.
-
-        Args:
-            path: the log.
-            sources: channel -> where it is found.
-
-        Returns:
-            The channels, in SI units; and the counts of unusable messages: channel -> cause -> count.
-
-        Raises:
-            LogFormatError: the file is no ULog, or lacks a topic or a field.
-            MissingExtraError: pyulog is not installed.
-
-        >>> from tempfile import TemporaryDirectory
-        >>> with TemporaryDirectory() as folder:
-        ...     path = Path(folder) / "a.ulg"
-        ...     _ = path.write_bytes(b"")
-        ...     Ulog().read(path, {})  # doctest: +ELLIPSIS
-        Traceback (most recent call last):
-        usvlearn.errors.LogFormatError: ...a.ulg: expected a ULog of PX4, found: ...
-        """
         wanted = [source.name for source in sources.values()]
         wanted += [found[1] for name in wanted if (found := ELEMENT.fullmatch(name))]
         seen: set[str] = set()
@@ -117,26 +97,6 @@ class Ulog:
         return channels, dropped
 
     def survey(self, path: Path) -> list[Series]:
-        """All numbers of a log, but no stamps.
-
-        Args:
-            path: the log.
-
-        Returns:
-            The numbers, as they stand in the log.
-
-        Raises:
-            LogFormatError: the file is no ULog.
-            MissingExtraError: pyulog is not installed.
-
-        >>> from tempfile import TemporaryDirectory
-        >>> with TemporaryDirectory() as folder:
-        ...     path = Path(folder) / "a.ulg"
-        ...     _ = path.write_bytes(b"")
-        ...     Ulog().survey(path)  # doctest: +ELLIPSIS
-        Traceback (most recent call last):
-        usvlearn.errors.LogFormatError: ...a.ulg: expected a ULog of PX4, found: ...
-        """
         topics = _topics(path, lambda name: True)
         series = []
         for topic, order in zip(topics, _orders([topic.time for topic in topics]), strict=True):

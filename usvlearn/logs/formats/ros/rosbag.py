@@ -14,6 +14,7 @@ import numpy as np
 from usvlearn.errors import LogFormatError, MissingExtraError, check_choice, check_positive, printable
 from usvlearn.logs.channels.channel import Channel, Source, build_channel, match_name, matching
 from usvlearn.logs.channels.series import ELEMENTS, Series
+from usvlearn.logs.formats.reader import Reader
 from usvlearn.logs.formats.ros.clock import CLOCK, Heard, find_clock, has_stamp
 from usvlearn.logs.formats.ros.decompress import MB, Total, limit_chunks, limited
 from usvlearn.logs.formats.ros.journal import joined_journals
@@ -29,7 +30,7 @@ Found = TypeVar("Found")
 
 
 @dataclass(frozen=True)
-class Rosbag:
+class Rosbag(Reader):
     """Reads a ROS bag. `Source.name` is a topic, `Source.field` a field of its messages.
 
     A field is a dotted path (`twist.linear.x`; a number indexes an array). By default it is that of `default_field`:
@@ -73,28 +74,6 @@ class Rosbag:
         return int(MB * self.chunk_limit)
 
     def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
-        """The channels of a bag.
-
-        Args:
-            path: the bag, a file or a folder.
-            sources: channel -> where it is found.
-
-        Returns:
-            The channels, in SI units; and the counts of unusable messages: channel -> cause -> count.
-
-        Raises:
-            LogFormatError: the file is no bag, has no readable message, a chunk beyond the limit, or lacks a topic or
-                a field.
-            MissingExtraError: rosbags is not installed.
-
-        >>> from tempfile import TemporaryDirectory
-        >>> with TemporaryDirectory() as folder:
-        ...     path = Path(folder) / "a.bag"
-        ...     _ = path.write_bytes(b"")
-        ...     Rosbag().read(path, {})  # doctest: +ELLIPSIS
-        Traceback (most recent call last):
-        usvlearn.errors.LogFormatError: ...a.bag: expected a whole ROS bag, found: ...
-        """
         patterns = [source.name for source in sources.values()]
 
         def keep(topic: str, msgtype: str) -> bool:
@@ -103,22 +82,6 @@ class Rosbag:
         return self._open(path, keep, lambda bag: self._read(path, bag, sources))
 
     def survey(self, path: Path) -> list[Series]:
-        """All numbers of a bag; a topic with messages of more than `LARGE` bytes, such as images, is left out.
-
-        Args:
-            path: the bag.
-
-        Returns:
-            The numbers, as they stand in the bag.
-
-        Raises:
-            LogFormatError: the file is no bag, or has no readable message, or a chunk beyond the limit.
-            MissingExtraError: rosbags is not installed.
-
-        >>> Rosbag().survey(Path("nowhere.bag"))  # doctest: +ELLIPSIS
-        Traceback (most recent call last):
-        usvlearn.errors.LogFormatError: nowhere.bag: ...
-        """
         return self._open(path, lambda topic, msgtype: msgtype not in IMAGES, lambda bag: self._survey(path, bag))
 
     def _open(self, path: Path, keep: Callable[[str, str], bool], use: Callable[[Any], Found]) -> Found:
