@@ -124,16 +124,14 @@ def _forecasts(description: Description) -> dict[str, Field]:
 
 def afresh(
     leaves: dict[str, np.ndarray], first: Callable[[], Mapping[str, np.ndarray]]
-) -> tuple[dict[str, np.ndarray], list[str]]:
-    """The leaves, where a member whose state is not finite begins again in its vehicle; and a sentence for each.
+) -> tuple[dict[str, np.ndarray], str]:
+    """The leaves, where a member whose state is not finite begins again in its vehicle; and a sentence about it, or "".
 
-    Args:
-        leaves: of an ensemble, or of a boat in the plane, `(*batch, …)`.
-        first: makes those with which a member begins.
+    `leaves` are of an ensemble or of a boat in the plane, `(*batch, …)`; `first` makes those of the beginning.
 
     >>> leaves = {"predictions": np.ones((2, 1)), "members.a.theta": np.array([1.0, np.nan])}
     >>> afresh(leaves, lambda: {"members.a.theta": np.zeros(2)})[1]
-    ['the state of a is not finite in 1 of 2 vehicles: it begins again there']
+    'the state of a is not finite in 1 of 2 vehicles: it begins again there'
     """
     wrong = [name for name, leaf in leaves.items() if leaf.dtype != bool and not np.isfinite(leaf).all()]
     members = sorted({found[0] for name in wrong if (found := MEMBER.match(name))})
@@ -146,7 +144,7 @@ def afresh(
             leaves[name] = np.where(np.reshape(bad, (*batch, *[1] * (leaf.ndim - len(batch)))), begin[name], leaf)
         name = member.replace("members.", "").rstrip(".")
         told.append(f"the state of {name} is not finite in {bad.sum()} of {bad.size} vehicles: it begins again there")
-    return leaves, told
+    return leaves, "; ".join(told)
 
 
 def batch_of(fields: Mapping[str, Field], leaves: Mapping[str, np.ndarray]) -> tuple[int, ...]:

@@ -41,7 +41,7 @@ def planar_stretches(
         leaves, _, kept = roll(description, leaves, own, record=record, threads=torch.get_num_threads())
         leaves, told = afresh(leaves, lambda: arrays_of(planar.init(batch)))
         if told:
-            warnings.warn("; ".join(told), stacklevel=2)
+            warnings.warn(told, stacklevel=2)
         yield tree_of(state, leaves), kept
 
 

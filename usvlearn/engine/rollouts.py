@@ -144,8 +144,7 @@ def stretches(
         record: names of leaves of the state.
 
     Yields:
-        The state after each stretch, in which members that are not finite begin again, with a warning; the leaves
-        after each of its steps, `(time, *batch, …)`.
+        The state after each stretch, in which a member that is not finite has begun again; the leaves after each step.
 
     Raises:
         ShapeError: the first samples do not fit the state.
@@ -171,7 +170,7 @@ def stretches(
                 leaves = arrays_of(state)
             leaves, told = afresh(leaves, lambda: arrays_of(estimator.init(batch)))
             if told:
-                warnings.warn("; ".join(told), stacklevel=2)
+                warnings.warn(told, stacklevel=2)
                 state = tree_of(state, leaves, device)
         yield state, kept
 
@@ -289,12 +288,3 @@ def stack(trees: Sequence[Any]) -> Any:
     torch.Size([2, 2])
     """
     return tree_map(lambda *leaves: torch.stack(leaves), *trees)
-
-
-def free_totals(description: dict[str, Any], state: Any, samples: Sample, learning: Sequence[int]) -> np.ndarray:
-    """`engine.free_runs.free_totals` of tensors."""
-    from usvlearn.engine import free_runs
-
-    return free_runs.free_totals(
-        description, arrays_of(state), tree_map(array_of, samples), learning, torch.get_num_threads()
-    )

@@ -23,8 +23,8 @@ from torch import Tensor
 
 from usvlearn.core.protocol import clean
 from usvlearn.core.samples import Inputs, Sample, masks, named_leaves, tree_map, where
-from usvlearn.engine.backend import choose
-from usvlearn.engine.rollouts import free_totals, simulate
+from usvlearn.engine.backend import array_of, arrays_of, choose
+from usvlearn.engine.rollouts import simulate
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.season import Season
 
@@ -142,8 +142,11 @@ def _simulated(ensemble: Ensemble, state: Any, runs: Sequence[Sample], advance: 
     scored = masks(samples, ensemble.surge_limit).learns.to(dtype).sum(0).cpu().numpy()
     whole = tree_map(lambda x: x[:, None].expand(-1, *batch), samples)
     if (description := choose(ensemble, state, whole, backend)) is not None:
+        from usvlearn.engine.free_runs import free_totals
+
         rules = [list(ensemble.combiners).index(name) for name in learning]
-        totals = free_totals(description, state, whole, rules)
+        arrays = arrays_of(state), tree_map(array_of, whole)
+        totals = free_totals(description, *arrays, rules, torch.get_num_threads())
         advance(scored.sum().item() * sets)
         return totals[..., 0], totals[..., 1], totals[..., 2] > 0, scored
     total: list[Any] = [0.0, 0.0, False]

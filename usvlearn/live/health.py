@@ -48,20 +48,9 @@ def quantity(value: float, low: float, high: float, unit: str) -> str:
 
 
 COMPILING = Health(
-    "compiling",
-    "preparing compiled code, for minutes at the first start",
-    {},
-    {},
-    0,
-    0,
-    0,
-    None,
-    0.0,
-    math.inf,
-    {},
-    {},
-    (),
-)
+    "compiling", "preparing compiled code, for minutes at the first start", {}, {}, 0, 0, 0, None, 0.0, math.inf, {},
+    {}, (),
+)  # fmt: skip
 
 
 def seconds(value: float) -> str:

@@ -348,8 +348,8 @@ class Session:
         leaves, told = afresh(node.online.state, lambda: self._begin.leaves)
         if told:
             node.online.state = leaves
-            node.drop("members", "not_finite", len(told))
-            self.advise("afresh", "; ".join(told))
+            node.drop("members", "not_finite")
+            self.advise("afresh", told)
         return leaves, facts
 
     def _save_soon(self, clock: float) -> None:

@@ -31,8 +31,8 @@ from usvlearn.logs.channels.channel import (
 from usvlearn.logs.channels.copies import settle_period
 from usvlearn.logs.channels.derived_surge import PAIRS_TOLD, derived_surge, pair_of
 from usvlearn.logs.channels.restarts import segments
+from usvlearn.logs.channels.series import Reader
 from usvlearn.logs.formats.foreign import explained
-from usvlearn.logs.formats.reader import Reader
 
 
 def read_recordings(
@@ -195,7 +195,8 @@ def _find(path: str | os.PathLike, reader: Reader, names: Sequence[str]) -> tupl
             raise ConfigError(
                 f"data.path: found {text!r}, which is a device or a pipe: set it to a folder or log ({endings})"
             )
-        close = difflib.get_close_matches(here.name, _names(here.parent), n=1)
+        beside = os.listdir(here.parent) if here.parent.is_dir() else []
+        close = difflib.get_close_matches(here.name, beside, n=1)
         hint = f"did you mean {here.parent / close[0]}?" if close else f"set it to a folder or log ({endings})"
         raise ConfigError(f"data.path: found {text!r}, but {here.absolute()} does not exist: {hint}")
     found = [Path(name) for name in glob.glob(pattern, recursive=True) if os.path.isfile(name)]
@@ -226,10 +227,6 @@ def _is_log(folder: Path, marker: tuple[str, bytes] | None) -> bool:
         return False
     with (folder / marker[0]).open("rb") as file:
         return marker[1] in file.read(1 << 16)
-
-
-def _names(folder: Path) -> list[str]:
-    return [entry.name for entry in folder.iterdir()] if folder.is_dir() else []
 
 
 def _natural(path: Path) -> list[list]:

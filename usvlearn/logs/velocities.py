@@ -19,7 +19,7 @@ from usvlearn.core.samples import VectorSample
 from usvlearn.errors import ConfigError, LogFormatError, UsvlearnError
 from usvlearn.logs.alignment.align import Aligned, align
 from usvlearn.logs.channels.channel import CHANNELS, SURGE, Source
-from usvlearn.logs.formats.reader import Reader
+from usvlearn.logs.channels.series import Reader
 from usvlearn.logs.read import read_recordings
 
 

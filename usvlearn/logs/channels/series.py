@@ -1,11 +1,14 @@
-"""All numbers that a log holds, before anybody has said what they mean: what `usvlearn inspect` looks at."""
+"""What readers of logs do, and all numbers of a log, before anybody has said what they mean: for `usvlearn inspect`."""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from pathlib import Path
+from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
+
+from usvlearn.logs.channels.channel import Channel, Source
 
 
 class Series(NamedTuple):
@@ -26,3 +29,55 @@ class Series(NamedTuple):
 
 
 ELEMENTS = 16  # of an array, at most
+
+
+class Reader(Protocol):
+    """A reader of one log: `Alog`, `DataFlash`, `Rosbag`, `Table`, `Tlog`, `Ulog`.
+
+    A reader may have a `marker`, the name of a file and what it contains: a folder with such a file is one log. Or it
+    may have a method `is_log(folder, files, names)`, which tells this from a folder's files and the names of channels.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> from usvlearn.logs.formats.moos.alog import Alog
+    >>> with TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "a.alog"
+    ...     _ = path.write_text("0.5 NAV_SPEED iGPS 1.2\\n0.9 NAV_SPEED iGPS off\\n")
+    ...     channels, dropped = Alog().read(path, {"surge": Source("NAV_SPEED")})
+    ...     survey = [(each.name, each.value.tolist()) for each in Alog().survey(path)]
+    >>> channels["surge"].value, dropped, survey
+    (array([1.2]), {'surge': {'not_a_number': 1}}, [('NAV_SPEED', [1.2, nan])])
+    """
+
+    suffixes: ClassVar[tuple[str, ...]]
+
+    def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
+        """The channels of a log.
+
+        Args:
+            path: the log, a file or a folder that is one.
+            sources: channel -> where it is found.
+
+        Returns:
+            The channels, in SI units; and the counts of unusable values: channel -> cause -> count.
+
+        Raises:
+            LogFormatError: the file is no log of this format, or lacks a channel.
+            MissingExtraError: the package that reads it is not installed.
+        """
+        ...
+
+    def survey(self, path: Path) -> list[Series]:
+        """All numbers that a log holds, also while a vehicle is disarmed; without images and stamps.
+
+        Columns and variables have numbers in at least half of their cells; a quaternion is its yaw.
+
+        Args:
+            path: as of `read`.
+
+        Returns:
+            The numbers, as they stand in the log, in their order there.
+
+        Raises:
+            LogFormatError, MissingExtraError: as `read`.
+        """
+        ...

@@ -18,7 +18,7 @@ from typing import Any
 from usvlearn.core.samples import Fleet
 from usvlearn.errors import LogFormatError, check_choice
 from usvlearn.logs.channels.channel import Recording
-from usvlearn.logs.checks import clocks, delivery, frozen, response, scales, thrusters, together, track
+from usvlearn.logs.checks import clocks, delivery, frozen, response, scales, thrusters, track
 from usvlearn.logs.checks.evidence import Evidence
 from usvlearn.logs.checks.finding import WARNING, Finding
 
@@ -26,7 +26,7 @@ CHECKS: tuple[Callable[[Evidence], Iterator[Finding]], ...] = (
     scales.zeros, scales.rest, scales.speed_scale, scales.sign, scales.command_scale, scales.heading_unit,
     scales.heading_sense, scales.yaw_rate, track.degrees, track.axes, track.follows, track.sway,
     thrusters.sides, thrusters.delay, thrusters.excitation, response.short_delay, clocks.clocks, frozen.frozen,
-    delivery.rejected, delivery.stale, delivery.copies, delivery.clock, delivery.horizons, together.together,
+    delivery.rejected, delivery.stale, delivery.copies, delivery.clock, delivery.horizons, delivery.together,
 )  # fmt: skip
 # kind of a finding -> kinds that follow from it, and are left out beside it
 CONSEQUENCES = {

@@ -1,4 +1,5 @@
-"""What alignment made of the messages: rejected, stale and copied ones, clocks that jump, horizons without a step.
+"""What alignment made of the messages: rejected, stale and copied ones, clocks that jump, horizons without a step;
+and runs of the same minutes.
 
 Thresholds, and why:
 
@@ -8,6 +9,7 @@ Thresholds, and why:
 - A speed may come less often than the steps. It is used less than it could be if the measured steps are below half of
   what the intervals of the speeds allow.
 - A clock jumps if a stamp lies more than `align.outage` before an earlier one of its channel.
+- Two runs are of the same minutes if they share 10 s, and 5 % of the shorter: parts of one log overlap by less.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 
@@ -27,6 +30,7 @@ NONE = "empty"  # a cell of a table at whose time the channel had no message
 MANY, MOST = 0.05, 0.5  # of the messages of a channel
 STALE, UNUSED = 0.1, 0.5  # of the steps; of the speeds
 UNSORTED, SORT = 0.01, "sort the rows of the log by their stamps"  # share of the stamps
+DATED, SHARED, OVERLAP = 3e8, 10.0, 0.05  # s since 1970, of a clock that was set; s; share of a run
 HARMLESS = ("duplicate", "repeated", "copied", "stale", "lost", "outage", "alone", NONE)
 LIMITS = {SURGE: "surge_max", "yaw_rate": "yaw_rate_max", **dict.fromkeys(COMMANDS, "command_max")}
 
@@ -152,3 +156,19 @@ def horizons(e: Evidence) -> Iterator[Finding]:
         key = f"forecasts.horizons=[{','.join(f'{each:g}' for each in left)}]" if left else "forecasts=null"
         expected = f"{_dt(e) / 2:g} s or more: they never fall due"
         yield Finding("all boats", "forecasts", "horizons", text, expected, key, NOTE)
+
+
+def together(e: Evidence) -> Iterator[Finding]:
+    """Two runs in the same minutes."""
+    spans = []
+    for one in e.recordings:
+        time, start = one.channels[COMMANDS[0]].time, one.channels[COMMANDS[0]].start
+        if start > DATED and len(time):
+            spans.append((*(start + np.quantile(time, (0.01, 0.99))).tolist(), one.run))
+    for (begin, end, run), (later, last, other) in pairwise(sorted(spans)):
+        if (both := min(end, last) - later) > max(SHARED, OVERLAP * min(end - begin, last - later)):
+            text = f"that {run} and {other} are of the same {both:.0f} s: of several boats, or copies"
+            expected = "runs of one boat, one after the other: of several, set data.path to the run of one, or to "
+            expected += f"{{{run}: FILE, {other}: FILE}} (of one table, set data.boat_column) and data.boat to null"
+            yield Finding(e.boat, "runs", "together", text, expected)
+            return

@@ -176,8 +176,7 @@ def delay(e: Evidence) -> Iterator[Finding]:
         text = f"speeds {abs(lag):.0f} s {side} the commands (r = {e.searched.correlation:.2f})"
         given = float(e.logs(COMMANDS[0])[0].delay)
         right = float(round(max(0.0, given + lag)))
-        possible = given != right <= LONGEST  # no delay is below 0
-        fix = " ".join(override(name, {"delay": right}) for name in COMMANDS) if possible else ""
+        fix = " ".join(override(name, {"delay": right}) for name in COMMANDS) if given != right <= LONGEST else ""
         expected = f"{EARLY:g} to {LATE:g} s behind them" + ("" if fix else f": {restamped(lag)}")
         yield Finding(e.boat, pair, "delay", text, expected, fix)
         return

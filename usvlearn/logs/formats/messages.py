@@ -17,9 +17,8 @@ import numpy as np
 
 from usvlearn.errors import LogFormatError, check_choice, did_you_mean, printable
 from usvlearn.logs.channels.channel import LISTED, Channel, Source, build_channel, match_name
-from usvlearn.logs.channels.series import Series
+from usvlearn.logs.channels.series import Reader, Series
 from usvlearn.logs.formats.ardupilot.servos import FUNCTIONS, Servos
-from usvlearn.logs.formats.reader import Reader
 
 NAME = re.compile(r"(.+?)(?:\[(\d{1,3})\])?(?:@([^@]*))?")  # NAME, NAME[instance], NAME@sender, NAME[instance]@sender
 DISARMED = "drop", "keep"  # what a reader may do with servo outputs while the vehicle is disarmed
@@ -242,6 +241,7 @@ class MessageLog:
         return np.concatenate([part.time for part in parts])[place], np.concatenate(values)[place], order[place]
 
     def survey(self, left_out: Iterable[str]) -> list[Series]:
+        """All numbers, except those of some messages; see `usvlearn.logs.channels.series`."""
         found = []
         if self.unknown:
             warnings.warn(f"{self.path}: skipped {self.unknown} messages of types that are not known", stacklevel=3)
@@ -285,26 +285,6 @@ class MessageReader(Reader):
         return self._log(path).channels(sources, keep_disarmed=self.disarmed == "keep")
 
     def survey(self, path: Path) -> list[Series]:
-        """All numbers of a log that is described, with its units; also while the vehicle is disarmed.
-
-        Args:
-            path: the log.
-
-        Returns:
-            The numbers, as they stand in the log.
-
-        Raises:
-            LogFormatError: the file is no log of this format.
-
-        >>> from tempfile import TemporaryDirectory
-        >>> from usvlearn.logs.formats.ardupilot.tlog import Tlog
-        >>> with TemporaryDirectory() as folder:
-        ...     path = Path(folder) / "a.tlog"
-        ...     _ = path.write_bytes(b"")
-        ...     Tlog().survey(path)  # doctest: +ELLIPSIS
-        Traceback (most recent call last):
-        usvlearn.errors.LogFormatError: ...a.tlog: expected a MAVLink telemetry log, found no time of receipt that ...
-        """
         return self._log(path).survey(self.left_out)
 
 

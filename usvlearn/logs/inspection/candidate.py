@@ -18,7 +18,6 @@ from usvlearn.logs.inspection.vocabulary import fit, unit_word
 
 EVIDENCE_HZ = 10.0  # values a second that relations look at
 WRAP = 0.1  # by how much a jump of a heading may differ from a full turn
-MEASURED = ("surge", "heading", "yaw_rate")  # roles of no length
 TURNS = {"deg": 360.0, "rad": 2 * math.pi}
 LOOP = re.compile(r"(.*[ ./])?(?:([ryeu])[_.](\w+)|(\w+)[_.]([ryeu]))", re.IGNORECASE)
 MEANINGS = {"r": " reference", "y": "", "e": " error", "u": " input"}  # of a control loop
@@ -182,7 +181,8 @@ def candidates(series: list[Series]) -> list[Candidate]:
         if known.any():
             label = f"{each.name} {each.field or ''}"
             unit = each.unit or unit_word(label)
-            if unit == "m" and each.name.endswith("_m") and max(fit(role, label) for role in MEASURED) >= 1:
+            speed = max(fit(role, label) for role in ("surge", "heading", "yaw_rate")) >= 1
+            if unit == "m" and each.name.endswith("_m") and speed:
                 unit = ""  # measured, and no metres
             kinds = [kind[2:] for kind in PLAIN if any(fit(role, label) >= kind[1] for role in kind[0])]
             missing = missing_values(each.value[known], *(kinds or [(0.0, ANYWHERE)])[0])

@@ -11,12 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from usvlearn.logs.channels.bins import cleaned
 from usvlearn.logs.channels.channel import AUTO, COURSES
 from usvlearn.logs.channels.relations import sway_on_positions
 from usvlearn.logs.inspection.candidate import Candidate
 from usvlearn.logs.inspection.decision import CERTAIN, ORDER, PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.directions import Heading, read_any_turn
-from usvlearn.logs.inspection.places import Pair, Places, course_of, ordered
+from usvlearn.logs.inspection.places import Pair, Places, course_of
 from usvlearn.logs.inspection.speeds import RATIO, Speed
 from usvlearn.logs.inspection.sways import FOLLOWS, SURE
 from usvlearn.logs.inspection.vocabulary import OVER_GROUND, fit, words
@@ -84,15 +85,15 @@ def reckoned(pool: Sequence[Candidate], speeds: Sequence[Candidate]) -> tuple[tu
     if not named or not speeds:
         return None
     size = max(speeds, key=lambda each: bool({"sog", *OVER_GROUND} & {*words(each.label)}))
-    time, angle = ordered(read_any_turn(named[0], None).radians)
-    way = np.gradient(time) * np.abs(np.interp(time, *ordered(size.evidence)))
+    time, angle = cleaned(read_any_turn(named[0], None).radians)
+    way = np.gradient(time) * np.abs(np.interp(time, *cleaned(size.evidence)))
     track = (time, np.cumsum(way * np.cos(angle))), (time, np.cumsum(way * np.sin(angle)))
     return track, (time, angle), size.evidence
 
 
 def _across(speed: Pair, course: Pair, heading: Pair) -> Pair:
     """The sway at the times of the course, m/s; speed and heading are interpolated."""
-    (at, size), (time, angle), (stamps, turned) = map(ordered, (speed, course, heading))
+    (at, size), (time, angle), (stamps, turned) = map(cleaned, (speed, course, heading))
     return time, np.interp(time, at, size) * np.sin(angle - np.interp(time, stamps, np.unwrap(turned)))
 
 

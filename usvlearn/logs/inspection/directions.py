@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from usvlearn.logs.channels.bins import cleaned
 from usvlearn.logs.channels.channel import AUTO, UNITS
 from usvlearn.logs.channels.compass import compass_error
 from usvlearn.logs.channels.relations import rate_slope
@@ -76,15 +77,12 @@ def agreement(heading: Pair, course: Pair) -> float:
     >>> round(agreement((time, 0.1 * time), (time, 0.1 * time + 0.5)), 2)
     0.88
     """
-    time, angle = heading
+    time, angle = cleaned(heading)
     if len(course[0]) < ENOUGH or len(time) < ENOUGH:
         return math.nan
-    order = np.argsort(time, kind="stable")
-    place = np.searchsorted(time[order], course[0]).clip(0, len(time) - 1)
-    near = np.abs(time[order][place] - course[0]) < 3.0
-    if near.sum() < ENOUGH:
-        return math.nan
-    return float(np.cos(angle[order][place][near] - course[1][near]).mean())
+    place = np.searchsorted(time, course[0]).clip(0, len(time) - 1)
+    near = np.abs(time[place] - course[0]) < 3.0
+    return float(np.cos(angle[place][near] - course[1][near]).mean()) if near.sum() >= ENOUGH else math.nan
 
 
 def read_heading(candidate: Candidate, course: Pair | None, convention: str = "") -> Heading:

@@ -11,6 +11,7 @@ import numpy as np
 
 from usvlearn.display.figures import LINE, guarded, rendered, themed
 from usvlearn.errors import printable
+from usvlearn.logs.channels.bins import cleaned
 from usvlearn.logs.channels.channel import COMMANDS, Channel, Recording
 from usvlearn.logs.channels.positions import track
 from usvlearn.logs.channels.relations import heading_rate
@@ -86,8 +87,7 @@ def _curve(channels: Sequence[Channel | None], begins: Sequence[tuple[float, flo
     for channel, (first, begin) in zip(channels, begins, strict=True):
         if channel is None or not len(channel.time):
             continue
-        order = np.argsort(channel.time, kind="stable")
-        time, value = channel.time[order], channel.value[order]
+        time, value = cleaned((channel.time, channel.value))
         silent = np.flatnonzero(np.diff(time) > LOST) + 1 if not channel.held else np.empty(0, int)
         times.append(np.append(np.insert(time - first + begin, silent, np.nan), np.nan))
         values.append(np.append(np.insert(value, silent, np.nan), np.nan))

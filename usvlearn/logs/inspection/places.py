@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from usvlearn.logs.channels.bins import cleaned
 from usvlearn.logs.channels.channel import AUTO, degrees
 from usvlearn.logs.channels.relations import position_on_velocity, speed_on_positions
 from usvlearn.logs.inspection.candidate import Candidate
@@ -120,7 +121,7 @@ def rate_of(places: Places) -> Pair:
 
 def is_mirror_image(places: Places, speed: Pair, heading: Pair) -> bool:
     """Whether the track is the mirror image of that of speed and heading, m/s and rad."""
-    (time, size), (stamps, angle) = ordered(speed), ordered(heading)
+    (time, size), (stamps, angle) = cleaned(speed), cleaned(heading)
     turned = np.interp(time, stamps, np.unwrap(angle))
     velocity = (time, size * np.cos(turned)), (time, size * np.sin(turned))
     return position_on_velocity((places.north, places.east), velocity).is_mirrored
@@ -162,7 +163,7 @@ def tell_places(places: Places, channels: dict, series: dict, confirmed: bool, a
 
 def _velocity(places: Places) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Times, and the velocity to the north and to the east over `SPAN` seconds, m/s; gaps are left out."""
-    (time, north), (other, east) = (ordered(each) for each in (places.north, places.east))
+    (time, north), (other, east) = (cleaned(each) for each in (places.north, places.east))
     grid = even_times(time)
     north, east = np.interp(grid, time, north), np.interp(grid, other, east)
     kept = np.diff(grid) < 1.5 * SPAN
@@ -176,12 +177,6 @@ def even_times(time: np.ndarray) -> np.ndarray:
     [0.0, 2.0, 1000000000000.0]
     """
     return np.unique(np.floor(time / SPAN)) * SPAN
-
-
-def ordered(pair: Pair) -> Pair:
-    """The same, sorted by time."""
-    order = np.argsort(pair[0], kind="stable")
-    return pair[0][order], pair[1][order]
 
 
 def _places(first: Candidate, second: Candidate, geographic: bool, oriented: bool) -> Places | None:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from usvlearn.logs.channels.bins import cleaned
 from usvlearn.logs.channels.channel import AUTO, RARE, SPEEDS, UNITS, Channel
 from usvlearn.logs.channels.copies import find_period
 from usvlearn.logs.channels.relations import Relation, speed_on_positions, speed_on_thrust
@@ -213,8 +214,7 @@ def by_other(speed: Speed, known: Speed) -> Speed:
     """The unit of a speed by its ratio to one whose unit is known."""
     if speed.contradicted or speed.candidate is known.candidate or _is_twist(speed.candidate):
         return speed
-    order = np.argsort(known.candidate.evidence[0], kind="stable")
-    time, value = (each[order] for each in known.metres)
+    time, value = cleaned(known.metres)
     own_time, own = speed.candidate.evidence
     other = np.interp(own_time, time, value)
     fast = np.abs(other) > 0.3 * np.quantile(np.abs(other), 0.99)

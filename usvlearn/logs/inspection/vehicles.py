@@ -8,7 +8,7 @@ from mmap import ACCESS_READ, mmap
 from pathlib import Path
 
 from usvlearn.errors import LogFormatError
-from usvlearn.logs.formats.ardupilot.dataflash import parameters_of
+from usvlearn.logs.formats.ardupilot.dataflash import DataFlash
 from usvlearn.logs.formats.ardupilot.servos import FUNCTION, FUNCTIONS
 from usvlearn.logs.inspection.candidate import Candidate
 from usvlearn.logs.inspection.decision import UNSURE, Decision
@@ -70,7 +70,7 @@ def check_boat(files: Sequence[Path], found: Sequence[Candidate], convention: st
     """
     kinds = {round(float(each.value[-1])) for each in found if TYPE.fullmatch(each.label)}
     other = next((OTHERS[kind] for kind in kinds if kind in OTHERS and not kinds & {GROUND, BOAT}), "")
-    parameters = parameters_of(files[0]) if convention == "ArduPilot DataFlash" else {}
+    parameters = DataFlash()._log(files[0]).vehicles[""].parameters if convention == "ArduPilot DataFlash" else {}
     servos = {value for name, value in parameters.items() if FUNCTION.fullmatch(name)}
     if servos & WINGS or (servos & MOTORS and not servos & OF_BOATS):
         other = "an aeroplane" if servos & WINGS else "a multicopter or a submarine"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, NamedTuple
@@ -68,12 +68,35 @@ class DataFlash(MessageReader):
     left_out: ClassVar[tuple[str, ...]] = ("FMT", "FMTU", "UNIT", "MULT", "PARM")
 
     def _log(self, path: Path) -> MessageLog:
-        return _log(path)
+        from usvlearn.core.jit import announced
+        from usvlearn.logs.formats.ardupilot import binary_kernel as compiled
 
-
-def parameters_of(path: Path) -> Mapping[str, float]:
-    """The last parameters in a log."""
-    return _log(path).vehicles[""].parameters
+        data = np.fromfile(path, dtype=np.uint8)
+        sizes = np.zeros(256, dtype=np.int64)
+        for letter, (kind, _) in LETTERS.items():
+            sizes[ord(letter)] = np.dtype(kind).itemsize
+        with announced(str(compiled.__file__), "readers of binary logs"):
+            places, kinds, described, skipped = compiled.scan_dataflash(data, sizes)
+        if not kinds.any():
+            raise LogFormatError(
+                f"{path}: expected an ArduPilot DataFlash log, found no message that an FMT message describes: choose "
+                "the data option that fits this file"
+            )
+        warn_of_damage(path, data, skipped, "DataFlash")
+        texts = (data[place + 3 : place + 3 + len(FMT)].tobytes() for place in described[1:])
+        layouts = [_layout(FMT), *map(_layout, texts)]
+        time = compiled.dataflash_stamps(data, places, kinds, *_stamps(layouts))
+        seconds = (time - time[0]) * 1e-6
+        ends = np.cumsum(np.bincount(kinds, minlength=len(layouts)))
+        found = []
+        for layout, rows in zip(layouts, np.split(np.argsort(kinds, kind="stable"), ends[:-1]), strict=True):
+            if len(rows) and layout.name:
+                lengths = np.full(len(rows), layout.size, dtype=np.uint8)
+                found.append((layout, Messages(layout.fields, places[rows] + 3, lengths, seconds[rows], rows)))
+        fixes = [each for each in _rows(data, found, "GPS", "TimeUS", "GWk", "GMS") if each[1]]
+        starts = [GPS_EPOCH + WEEK * week + ms / 1e3 - (us - int(time[0])) * 1e-6 for us, week, ms in fixes]
+        start = float(np.median(starts)) if starts else math.nan
+        return MessageLog(path, data, _by_key(data, found), SERVOS, {"": _vehicle(data, found)}, start=start)
 
 
 class Layout(NamedTuple):
@@ -84,38 +107,6 @@ class Layout(NamedTuple):
     name: str
     fields: dict[str, Field]
     stamp: str | None  # the field that tells when a message was logged
-
-
-def _log(path: Path) -> MessageLog:
-    """All messages of a log."""
-    from usvlearn.core.jit import announced
-    from usvlearn.logs.formats.ardupilot import binary_kernel as compiled
-
-    data = np.fromfile(path, dtype=np.uint8)
-    sizes = np.zeros(256, dtype=np.int64)
-    for letter, (kind, _) in LETTERS.items():
-        sizes[ord(letter)] = np.dtype(kind).itemsize
-    with announced(str(compiled.__file__), "readers of binary logs"):
-        places, kinds, described, skipped = compiled.scan_dataflash(data, sizes)
-    if not kinds.any():
-        raise LogFormatError(
-            f"{path}: expected an ArduPilot DataFlash log, found no message that an FMT message describes: choose the "
-            "data option that fits this file"
-        )
-    warn_of_damage(path, data, skipped, "DataFlash")
-    layouts = [_layout(FMT), *(_layout(data[place + 3 : place + 3 + len(FMT)].tobytes()) for place in described[1:])]
-    time = compiled.dataflash_stamps(data, places, kinds, *_stamps(layouts))
-    seconds = (time - time[0]) * 1e-6
-    ends = np.cumsum(np.bincount(kinds, minlength=len(layouts)))
-    found = []
-    for layout, rows in zip(layouts, np.split(np.argsort(kinds, kind="stable"), ends[:-1]), strict=True):
-        if len(rows) and layout.name:
-            lengths = np.full(len(rows), layout.size, dtype=np.uint8)
-            found.append((layout, Messages(layout.fields, places[rows] + 3, lengths, seconds[rows], rows)))
-    fixes = [each for each in _rows(data, found, "GPS", "TimeUS", "GWk", "GMS") if each[1]]
-    starts = [GPS_EPOCH + WEEK * week + ms / 1e3 - (us - int(time[0])) * 1e-6 for us, week, ms in fixes]
-    start = float(np.median(starts)) if starts else math.nan
-    return MessageLog(path, data, _by_key(data, found), SERVOS, {"": _vehicle(data, found)}, start=start)
 
 
 def _layout(fmt: bytes) -> Layout:

@@ -54,46 +54,41 @@ class Tlog(MessageReader):
     left_out: ClassVar[tuple[str, ...]] = ("PARAM_VALUE",)
 
     def _log(self, path: Path) -> MessageLog:
-        return _log(path)
+        from usvlearn.core.jit import announced
+        from usvlearn.logs.formats.ardupilot import binary_kernel as compiled
 
-
-def _log(path: Path) -> MessageLog:
-    """All known messages of a log."""
-    from usvlearn.core.jit import announced
-    from usvlearn.logs.formats.ardupilot import binary_kernel as compiled
-
-    data = np.fromfile(path, dtype=np.uint8)
-    extras = np.full(compiled.IDS, -1, dtype=np.int16)
-    for number, message in MESSAGES.items():
-        extras[number] = message.extra
-    with announced(str(compiled.__file__), "readers of binary logs"):
-        starts, lengths, ids, senders, stamps, skipped = compiled.scan_tlog(data, extras)
-    if not len(starts):
-        raise LogFormatError(
-            f"{path}: expected a MAVLink telemetry log, found no time of receipt that a known message follows: choose "
-            "the data option that fits this file"
-        )
-    warn_of_damage(path, data, skipped, "MAVLink")
-    received = (stamps - stamps[0]) * 1e-6
-    groups = senders.astype(np.int64) * compiled.IDS + ids
-    kinds, counts = np.unique(groups, return_counts=True)
-    rows = np.split(np.argsort(groups, kind="stable"), np.cumsum(counts)[:-1])
-    sent: dict[str, dict[int, Messages]] = {}  # sender -> id -> messages
-    for kind, chosen in zip(kinds.tolist(), rows, strict=True):
-        sender, number = divmod(kind, compiled.IDS)
-        one = Messages(MESSAGES[number].fields, starts[chosen], lengths[chosen], received[chosen], chosen)
-        sent.setdefault(f"{sender >> 8}.{sender & 255}", {})[number] = one
-    messages: dict[Key, list[Messages]] = {}
-    for sender, each in sent.items():
-        for number, one in _timed(data, each).items():
-            message = MESSAGES[number]
-            own = message.stamp, message.instance
-            shown = {name: where for name, where in message.fields.items() if name not in own}
-            for instance, part in one.split(data, message.instance):
-                messages[Key(message.name, instance, sender)] = [part._replace(fields=shown)]
-    vehicles = {sender: _vehicle(data, each) for sender, each in sent.items()}
-    pilots = [each for each in sent if _is_autopilot(data, sent[each])]
-    return MessageLog(path, data, messages, SERVOS, vehicles, pilots, int(skipped[3]), stamps[0] * 1e-6)
+        data = np.fromfile(path, dtype=np.uint8)
+        extras = np.full(compiled.IDS, -1, dtype=np.int16)
+        for number, message in MESSAGES.items():
+            extras[number] = message.extra
+        with announced(str(compiled.__file__), "readers of binary logs"):
+            starts, lengths, ids, senders, stamps, skipped = compiled.scan_tlog(data, extras)
+        if not len(starts):
+            raise LogFormatError(
+                f"{path}: expected a MAVLink telemetry log, found no time of receipt that a known message follows: "
+                "choose the data option that fits this file"
+            )
+        warn_of_damage(path, data, skipped, "MAVLink")
+        received = (stamps - stamps[0]) * 1e-6
+        groups = senders.astype(np.int64) * compiled.IDS + ids
+        kinds, counts = np.unique(groups, return_counts=True)
+        rows = np.split(np.argsort(groups, kind="stable"), np.cumsum(counts)[:-1])
+        sent: dict[str, dict[int, Messages]] = {}  # sender -> id -> messages
+        for kind, chosen in zip(kinds.tolist(), rows, strict=True):
+            sender, number = divmod(kind, compiled.IDS)
+            one = Messages(MESSAGES[number].fields, starts[chosen], lengths[chosen], received[chosen], chosen)
+            sent.setdefault(f"{sender >> 8}.{sender & 255}", {})[number] = one
+        messages: dict[Key, list[Messages]] = {}
+        for sender, each in sent.items():
+            for number, one in _timed(data, each).items():
+                message = MESSAGES[number]
+                own = message.stamp, message.instance
+                shown = {name: where for name, where in message.fields.items() if name not in own}
+                for instance, part in one.split(data, message.instance):
+                    messages[Key(message.name, instance, sender)] = [part._replace(fields=shown)]
+        vehicles = {sender: _vehicle(data, each) for sender, each in sent.items()}
+        pilots = [each for each in sent if _is_autopilot(data, sent[each])]
+        return MessageLog(path, data, messages, SERVOS, vehicles, pilots, int(skipped[3]), stamps[0] * 1e-6)
 
 
 def _timed(data: np.ndarray, sent: dict[int, Messages]) -> dict[int, Messages]:

@@ -23,20 +23,8 @@ VEHICLES = {"vehicle", "boat", "robot", "vessel", "ship", "usv", "asv", "auv", "
             "hull", "sysid", "system", "boot", "schiff", "fahrzeug", "bateau", "navire", "barco", "buque"}  # fmt: skip
 NUMBERED = {"id", "name", "number", "no", "nr", "code"}  # words beside these
 RUNS = {
-    "run",
-    "session",
-    "trial",
-    "test",
-    "lap",
-    "leg",
-    "mission",
-    "experiment",
-    "episode",
-    "log",
-    "file",
-    "day",
-    "date",
-}
+    *"run session trial test lap leg mission experiment episode log file part segment day date".split()
+}  # of one boat
 NAMED = {"id", "variable", "signal", "channel", "parameter", "tag", "key", "sensor"}  # of a column of quantities
 MOST, FEWEST, LOOKED = 20, 3, 16  # boats; rows of each; columns that are looked at
 JUMPS, BLOCKS, HELD = 3.0, 0.02, 0.1  # how much more numbers jump; shares of rows of another boat, with another number
@@ -95,14 +83,15 @@ def _steps(values: np.ndarray, labels: np.ndarray) -> tuple[float, float, float]
 
 
 def changes_at(path: Path, dialect: Dialect, lines: Sequence[int]) -> str:
-    """The column whose text changes at these lines and nowhere else, so that rows of another boat may follow; or ""."""
+    """What is said where the text of a column changes at these lines, and nowhere else; or ""."""
     for name in dict.fromkeys(name for name in dialect.names if dialect.names.count(name) == 1):
         cells = [row[dialect.names.index(name)].strip() for row in dialect.sample]
         if sum(a != b for a, b in pairwise(cells)) <= len(lines) and not {*WORD.findall(name.lower())} & RUNS:
             rows = Rows(path, dialect, [name], [], texts=True)
             texts = np.array([each.strip() for each in rows.texts or ()])
             if rows.order[1:][texts[1:] != texts[:-1]].tolist() == list(lines):
-                return name
+                how = f"set data.boat_column={name} and data.boat=null; then, or if all are of one boat, confirm it"
+                return f"rows: the clock jumps back where {name!r} changes, as where another boat's rows begin: {how}"
     return ""
 
 

@@ -15,13 +15,12 @@ import numpy as np
 
 from usvlearn.errors import ConfigError, LogFormatError, check_choice
 from usvlearn.logs.channels.channel import QUOTED, Channel, Source, build_channel, match_name, matching
-from usvlearn.logs.channels.series import Series
+from usvlearn.logs.channels.series import Reader, Series
 from usvlearn.logs.formats.csv.boats import changes_at, kinds_of, labels_of, refused
 from usvlearn.logs.formats.csv.dialect import AUTO, Dialect, find_dialect, no_header, split_unit
 from usvlearn.logs.formats.csv.quaternions import Quaternion, Yaw, quaternions, yaw_of
 from usvlearn.logs.formats.csv.rows import Column, Rows
 from usvlearn.logs.formats.csv.stamps import ORDERS, spread
-from usvlearn.logs.formats.reader import Reader
 
 HEMISPHERES = ("N", "S", "E", "W")  # cells of a column beside a latitude or a longitude
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "days": 86400.0}
@@ -143,12 +142,7 @@ class Table(Reader):
 
     def doubt(self, path: Path, jumps: Sequence[int]) -> str:
         """What is unsure about the rows of a file whose clock jumps back at these lines, or ""."""
-        if self.rows != AUTO or path.is_dir() or not (column := changes_at(path, self._dialect(path), jumps)):
-            return ""
-        return (
-            f"rows: the clock jumps back where {column!r} changes, as where rows of another boat begin: if so, set "
-            f"data.boat_column={column} and data.boat=null; then, or if all are of one boat, confirm it"
-        )
+        return changes_at(path, self._dialect(path), jumps) if self.rows == AUTO and not path.is_dir() else ""
 
     def _only(self, path: Path, dialect: Dialect) -> tuple[int, str] | None:
         """The place of the column by which rows are chosen, and its text."""
@@ -315,7 +309,7 @@ class Opened:
             if not known.any() and column.first.strip() in HEMISPHERES:
                 ones, unit = np.ones(int(readable.sum())), f"hemisphere {column.first.strip()}"
                 series.append(Series(name, None, columns.time[readable], ones, columns.order[readable], unit))
-            if known.any() and 2 * known.sum() >= (~column.empty).sum():
+            elif known.any() and 2 * known.sum() >= (~column.empty).sum():
                 rotation = self.quaternions.get(name)
                 unit = rotation.unit if rotation else self.dialect.units[every.index(name)]
                 kind = ROTATION if rotation else ROS if ROS_COLUMN.search(name) else ""

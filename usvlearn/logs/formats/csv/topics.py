@@ -130,9 +130,7 @@ def read_topics(
     if spans[late].begin >= spans[early].end:
         raise apart(folder, {name: spans[name] for name in (early, late)})
     start = min(each.begin for each in spans.values())
-    columns = {
-        topic: each._replace(time=each.time + (each.origin - start), origin=start) for topic, each in columns.items()
-    }
+    columns = {k: x._replace(time=x.time + (x.origin - start), origin=start) for k, x in columns.items()}
     joined = {used[topic].path: each for topic, each in columns.items()}
     orders = dict(zip(joined, _interleaved([each.time for each in joined.values()]), strict=True))
     return channels_of(joined, orders, {channel: place for channel, (_, place) in places.items()})

@@ -20,8 +20,7 @@ import numpy as np
 
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.channels.channel import LISTED, Channel, Source, as_number, build_channel, match_name, parse_numbers
-from usvlearn.logs.channels.series import Series
-from usvlearn.logs.formats.reader import Reader
+from usvlearn.logs.channels.series import Reader, Series
 
 START = re.compile(r"%%\s*LOGSTART\s+(\d+\.?\d*)\s*$")  # s since 1970
 ANSI = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")

@@ -18,8 +18,7 @@ import numpy as np
 
 from usvlearn.errors import LogFormatError, MissingExtraError, printable
 from usvlearn.logs.channels.channel import QUOTED, Channel, Source, build_channel, match_name
-from usvlearn.logs.channels.series import ELEMENTS, Series
-from usvlearn.logs.formats.reader import Reader
+from usvlearn.logs.channels.series import ELEMENTS, Reader, Series
 from usvlearn.logs.formats.ros.message_fields import yaw
 
 FIELDS = 50_000  # of all subscriptions of a log; a log of PX4 has some thousands

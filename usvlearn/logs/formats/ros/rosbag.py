@@ -13,8 +13,7 @@ import numpy as np
 
 from usvlearn.errors import LogFormatError, MissingExtraError, check_choice, check_positive, printable
 from usvlearn.logs.channels.channel import Channel, Source, build_channel, match_name, matching
-from usvlearn.logs.channels.series import ELEMENTS, Series
-from usvlearn.logs.formats.reader import Reader
+from usvlearn.logs.channels.series import ELEMENTS, Reader, Series
 from usvlearn.logs.formats.ros.clock import CLOCK, Heard, find_clock, has_stamp
 from usvlearn.logs.formats.ros.decompress import MB, Total, limit_chunks, limited
 from usvlearn.logs.formats.ros.journal import joined_journals
