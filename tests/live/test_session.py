@@ -1,7 +1,6 @@
 """A session in use: what it starts from, what it saves, what it says, and what goes wrong aboard."""
 
 import math
-import os
 import time
 from argparse import ArgumentParser
 from pathlib import Path
@@ -13,10 +12,8 @@ from tests.support.live import PLAIN, boat, messages, ready
 from usvlearn.core import checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.live.arguments import add_arguments, options_of
-from usvlearn.live.node_folder import STATUS, NodeFolder
 from usvlearn.live.session import Session
 from usvlearn.live.start import Middleware, Options, channel_options
-from usvlearn.live.status.status_file import status_lines
 from usvlearn.logs.channels.channel import REQUIRED
 from usvlearn.logs.setup import Setup
 
@@ -293,39 +290,6 @@ def test_the_end_says_what_was_saved(tmp_path, start, monkeypatch):
     assert session.close().startswith("ends; no checkpoint can be saved")
 
 
-@pytest.mark.parametrize(
-    "status",
-    ['{"warnings": 5}', '{"written": 1%s}' % ("0" * 400), '{"written": -1e300, "last": {"speed": 1%s}}' % ("0" * 400),
-     '{"identified": {"a": [1e999, 1, 2, "m"]}, "contraction": {"rnn": {"equilibrium": 1%s}}}' % ("0" * 400),
-     '{"last": {"speed": NaN}, "warnings": ["\\u001b[2J"]}'],
-)  # fmt: skip
-def test_a_status_from_others_is_shown_without_harm(tmp_path, status):
-    (tmp_path / "status.json").write_text(status)
-    assert all(len(line) < 400 and line.isprintable() for line in status_lines(tmp_path))
-
-
-def test_a_pipe_is_no_status(tmp_path):
-    os.mkfifo(tmp_path / "status.json")
-    with pytest.raises(CheckpointError, match="it is no regular file"):
-        status_lines(tmp_path)
-
-
-def test_the_status_of_another_program_is_not_replaced(tmp_path):
-    (tmp_path / STATUS).write_text('{"orders": 3}')
-    with pytest.raises(ConfigError, match="is not the status of a node: choose another folder"):
-        NodeFolder(tmp_path)
-    assert (tmp_path / STATUS).read_text() == '{"orders": 3}'
-    (tmp_path / STATUS).write_text('{"orders":')  # cut short by a disk: a node starts
-    NodeFolder(tmp_path)
-
-
-def test_the_status_is_json(tmp_path, start):
-    with ready(tmp_path, start) as session:
-        session.push(*MINUTE[0])
-        session.tick()
-    assert "NaN" not in (tmp_path / "status.json").read_text()
-
-
 def test_names_of_another_kind_of_log_are_not_taken_from_a_set(tmp_path, start):
     """A checkpoint that was learned from CSV says nothing about the variables of a MOOSDB, but its delays hold."""
     leaves, facts = checkpoint.load(start)
@@ -407,34 +371,6 @@ def test_tensorboard_shows_a_session(tmp_path, start, monkeypatch):
 def test_a_node_that_has_learned_nothing_writes_no_set(tmp_path, start):
     ready(tmp_path, start).close()
     assert checkpoint.checkpoints(tmp_path) == []
-
-
-def test_the_status_of_a_folder_is_told(tmp_path, start):
-    folder = tmp_path / "node"
-    with pytest.raises(ConfigError, match="found no folder"):
-        status_lines(folder)
-    folder.mkdir()
-    assert status_lines(folder) == [f"{folder}: no node has written here"]
-    with ready(folder, start) as session:
-        for message in MINUTE:
-            session.push(*message)
-        session.tick()
-        session._background.wait()
-        lines = "\n".join(status_lines(folder))
-        assert "Node        running" in lines and "Network     rnn: contracting by" in lines
-    lines = "\n".join(status_lines(folder))
-    assert "Node        ended" in lines and "Identified  steady_speed_full" in lines and "Checkpoints 1," in lines
-    (sets,) = checkpoint.checkpoints(folder)
-    newer = sets.with_name("live_00000002.safetensors")
-    newer.write_bytes(sets.read_bytes())
-    assert f"Checkpoints 2, the newest readable is {newer.name}" in "\n".join(status_lines(folder))
-    assert "cannot be read" not in "\n".join(status_lines(folder))
-    newer.write_bytes(sets.read_bytes()[:-7])
-    assert f"Checkpoints 2, the newest readable is {sets.name}" in "\n".join(status_lines(folder))
-    assert "; 1 newer cannot be read" in "\n".join(status_lines(folder))
-    (folder / "status.json").write_text("[1]")
-    with pytest.raises(CheckpointError, match="is not the status of a node"):
-        status_lines(folder)
 
 
 def test_a_set_that_started_from_a_prior_tells_its_step(tmp_path):
