@@ -93,7 +93,8 @@ def read_heading(candidate: Candidate, course: Pair | None, convention: str = ""
     enu = declared.startswith("enu_")
     ranked = sorted(HEADINGS, key=lambda unit: -agree[unit] if agree[unit] == agree[unit] else 0.0)
     best = ranked[0]
-    both = candidate.size < MOST_RADIANS and not declared and 0 < turning(candidate) < math.radians(FASTEST_TURN)
+    known = declared or convention in NORTH_FORMATS or candidate.size > MOST_RADIANS
+    both = not known and 0 < turning(candidate) < math.radians(FASTEST_TURN)
     large = candidate.size > FULL_TURN and not (declared.endswith("rad") or both)
     by_size = candidate.wraps or ("deg" if large else "")
     why = f"it jumps by {'2π' if by_size == 'rad' else 360} at a full turn" if candidate.wraps else ""
