@@ -6,7 +6,8 @@ import pytest
 from tests.support.ardupilot import PARAMETERS, dataflash, frame
 from tests.support.strangers import concluded, sail, told
 from usvlearn.errors import LogFormatError
-from usvlearn.logs.inspection.candidate import missing_values
+from usvlearn.logs.channels.series import Series
+from usvlearn.logs.inspection.candidate import candidates, missing_values
 from usvlearn.logs.inspection.inspected import inspect_logs
 from usvlearn.logs.inspection.vocabulary import fit
 
@@ -325,6 +326,12 @@ def test_the_measured_speed_is_taken_beside_its_reference(names):
     boat = sail(6)
     reference = np.where(boat["u"] > 0.2, 1.2, 0) + 0.3 * np.sin(boat["time"] / 30)
     assert tell(boat, "surge series", **dict(zip(names, (reference, boat["u"]), strict=True)))[0] == names[1]
+
+
+@pytest.mark.parametrize(("name", "unit"), [("speed_m", ""), ("yaw_m", ""), ("depth_m", "m"), ("north_m", "m")])
+def test_a_measured_speed_is_not_in_metres(name, unit):
+    one = Series(name, None, np.arange(9.0), np.arange(9.0), np.arange(9), "m")
+    assert candidates([one])[0].unit == unit
 
 
 def test_where_no_name_tells_a_speed_those_that_may_be_it_are_named():
