@@ -354,10 +354,9 @@ class Session:
 
     def _save_soon(self, clock: float) -> None:
         """Write a checkpoint in the thread, unless one is being written, and check the data."""
-        node = self._node
-        assert node is not None
+        assert self._node is not None
         if self._background.submit("save", self._folder.save, *self._checkpoint()):
-            self._due, self._hoped = clock, node.learned
+            self._due, self._hoped = clock, self._node.learned
             self._check()
 
     def _check(self) -> None:
