@@ -23,7 +23,6 @@ import accuracy
 import numpy as np
 import torch
 from speed_steps import as_numbers
-from vector import tensors as vector_tensors
 
 from certify.analysis import assess, vector_assess
 from certify.analysis.families import initial_networks, random_networks, signed_networks
@@ -38,7 +37,7 @@ from tests.support.shapes import SHAPES, Shape, certainties, score
 from tests.support.traps import TRAPS
 from tests.support.vector_networks import draw_scaling
 from tests.support.voyages import voyage
-from usvlearn import Ensemble, Estimator, Inputs, Online, PlanarSample, Sample, VectorRNN, forecast, rollout
+from usvlearn import Ensemble, Estimator, Inputs, Online, PlanarSample, Sample, forecast, rollout
 from usvlearn.cli.exporting import export
 from usvlearn.cli.settings import planar_of
 from usvlearn.cli.train import work
@@ -50,7 +49,6 @@ from usvlearn.errors import UsvlearnError
 from usvlearn.logs.inspection.inspected import inspect_logs
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.model.read_boats import read_boats
-from usvlearn.simulate.planar import planar_runs
 from usvlearn.simulate.planar_fleet import planar_fleet
 
 Case = dict[str, Any]
@@ -74,7 +72,6 @@ def cases(shared: Path) -> dict[str, Callable[[], Case | None]]:
     return {
         **{f"steps/{name}": partial(steps_of, make, ()) for name, make in ESTIMATORS.items()},
         **{f"steps/batch_{name}": partial(steps_of, make, (4,)) for name, make in LONG.items()},
-        "steps/vector_rnn": vector_steps,
         "steps/default_ensemble": partial(steps_of, partial(accuracy.ensemble, ()), ()),
         "steps/default_tracks": track_steps,
         "runs/default": partial(run_of, ("data.hours=0.3",)),
@@ -123,16 +120,6 @@ def called(name: str, online: Online, calls: Sequence[Any]) -> Case:
     """What `Online` predicts, and the state that it ends with."""
     surge = np.array([online.step(each) for each in calls])
     return {f"{name} by step": surge, f"{name}, last state": dict(named_leaves(online.state))}
-
-
-@torch.no_grad()
-def vector_steps() -> Case:
-    """A network of surge, sway and yaw rate, which torch alone runs."""
-    samples = vector_tensors(planar_runs(0, 0.5, 1, 0.2)[0])
-    rnn = VectorRNN((2.75, 0.25, 0.75), kept=50)
-    state, predicted = rnn.rollout(rnn.init((1,)), samples)
-    free = rnn.rollout(state, samples, learn=False)[1]
-    return {"replay by step": predicted, "open loop by step": free, "last state": dict(named_leaves(state))}
 
 
 @torch.no_grad()

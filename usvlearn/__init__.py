@@ -49,7 +49,6 @@ if TYPE_CHECKING:  # what type checkers and editors see; a test compares it with
     from usvlearn.estimators.regressors.layer import QuasiStatic as QuasiStatic
     from usvlearn.estimators.regressors.layer import SurgeDynamics as SurgeDynamics
     from usvlearn.estimators.rnn.layer import RNN as RNN
-    from usvlearn.estimators.vector_rnn.layer import VectorRNN as VectorRNN
     from usvlearn.estimators.wrappers.bank import Bank as Bank
     from usvlearn.estimators.wrappers.memory.layer import WithMemory as WithMemory
     from usvlearn.estimators.wrappers.robust.layer import Robust as Robust
@@ -77,7 +76,6 @@ _HOME = {
     "Robust": "estimators.wrappers.robust.layer",
     "Projected": "estimators.least_squares.projected",
     "RNN": "estimators.rnn.layer",
-    "VectorRNN": "estimators.vector_rnn.layer",
     "Persistence": "estimators.baselines.persistence.layer",
     "Acceleration": "estimators.baselines.acceleration.layer",
     "JointEKF": "estimators.joint.layer",

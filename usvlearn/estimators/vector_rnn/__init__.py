@@ -1,1 +1,0 @@
-"""The recurrent network of surge, sway and yaw rate."""
