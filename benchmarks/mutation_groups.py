@@ -25,7 +25,7 @@ EVERY = "tests/engine/test_kernels.py::test_every_estimator_and_setting"
 GROUPS = {
     "certify": Group(
         (
-            *(f"certify/*/vector_{name}*.py" for name in ("a", "b*e", "c", "e", "f", "l", "p", "r", "sc")),
+            "certify/*/vector_*.py",
             "certify/networks/vector.py",
         ),
         18,
@@ -33,20 +33,7 @@ GROUPS = {
             *named("certify/proofs", "vector_exact vector_certificate"),
             *named("certify/command", "vector_certify"),
             *named("certify/search", "vector_scaling"),
-            *named("certify/training", "vector_projections"),
-            *named("certify/search", "vector_lmi vector_box"),
-        ),
-    ),
-    "certify_box": Group(
-        (
-            *(f"certify/search/vector_{name}.py" for name in ("box", "box_search")),
-            *(f"certify/proofs/vector_{name}.py" for name in ("box_proof", "slopes", "statements")),
-        ),
-        8,
-        (
-            *named("certify/proofs", "vector_slopes"),
-            *named("certify/search", "vector_box"),
-            *named("certify/proofs", "steps"),
+            *named("certify/search", "vector_lmi"),
         ),
     ),
     "live": Group(

@@ -6,8 +6,8 @@ from certify.aliases import Moved
 
 _ROOMS = {  # room -> its modules that were documented as modules of `certify`
     "proofs": ("certificate", "equilibria", "exact", "gauge", "steps", "vector_certificate", "vector_exact"),
-    "search": ("box", "lmi", "vector_box", "vector_lmi", "vector_scaling"),
-    "training": ("conditions", "projections", "vector_projections", "vector_rates"),
+    "search": ("box", "lmi", "vector_lmi", "vector_scaling"),
+    "training": ("conditions", "projections"),
     "command": ("compare",),
 }
 sys.meta_path.append(

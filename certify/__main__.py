@@ -20,7 +20,7 @@ import numpy as np
 from certify.analysis import sweep_jobs, sweep_rows
 from certify.command import verification
 from certify.command.comparison_start import start
-from certify.command.vector_run import Judged, judge, plot, write_certificates
+from certify.command.vector_run import Judged, judge, write_certificates
 from certify.errors import CertifyError, about, complain
 from certify.networks.shallow import Network, find
 from certify.networks.vector import VectorNetwork, activation, read_both
@@ -91,8 +91,7 @@ def parser() -> argparse.ArgumentParser:
         nargs="?",
         const="",
         metavar="LO:HI,…",
-        help="search the exact rate on a box of x, u₁ … u_m; by default x and headings in 0:1, commands in "
-        "-1:1; all in -1:1 for a state of several components",
+        help="search the exact rate on a box of x, u₁ … u_m; by default x and headings in 0:1, commands in -1:1",
     )
     found.add_argument("--seconds", type=float, default=10.0, help="of the search on a box, each (default: 10)")
     found.add_argument(
@@ -197,7 +196,7 @@ def _run(options: argparse.Namespace) -> int:
         code, written = _write_certificates(options, networks, rows, held, judged, code)
         notes += written
     if options.plot and not jobs:
-        notes += _plot(options, networks, judged)
+        notes += _plot(options, networks)
     if jobs:
         table = sweep_rows.rows(jobs, networks, rows, held)
         left = sweep_rows.unjudged(jobs, table)
@@ -337,7 +336,7 @@ def _names(networks: Sequence[Network | VectorNetwork]) -> list[str]:
     return names
 
 
-def _plot(options, networks: Sequence[Network], judged: Judged) -> list[str]:
+def _plot(options, networks: Sequence[Network]) -> list[str]:
     from certify.display.figures import equilibria_figure, save
     from certify.proofs.equilibria import surge_inputs
 
@@ -348,7 +347,6 @@ def _plot(options, networks: Sequence[Network], judged: Judged) -> list[str]:
         u = _input(options.input, network.inputs, network.path) if headings is None else surge_inputs(headings)
         save(equilibria_figure(network.weights, u, network.path, headings=headings), path)
         written.append(str(path))
-    written += plot(judged, file, len(written))
     return [f"pictures: {', '.join(written[:3])}{f' … {written[-1]}' if len(written) > 3 else ''}"]
 
 

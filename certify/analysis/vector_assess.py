@@ -8,24 +8,19 @@ from fractions import Fraction
 from typing import Any
 
 from certify.analysis.assess import time_constant
-from certify.errors import CertifyError
 from certify.networks.vector import VectorNetwork
 from certify.proofs import vector_certificate, vector_exact
-from certify.proofs.box_planes import Box
-from certify.proofs.certificate import provable_rate
 from certify.proofs.rounding import float_above
-from certify.proofs.vector_certificate import SMALLEST_RATE
 from certify.proofs.vector_exact import Matrix
 from certify.search.vector_scaling import best_scaling
 
 STEPS = "steps"  # the certificate of all steps, beside those of the conditions
 NEARLY = Fraction(99, 100)  # of the largest step: at the largest itself the rate is 1
-SHARE = 0.1  # of the seconds of a search on a box, for the search of a scaling
+SHARE = 0.1  # of the seconds of a search on a box, which the search of a scaling takes
 
 
 def assess(
     network: VectorNetwork,
-    box: Box | None = None,
     seconds: float = 10.0,
     solver: str | None = None,
     steps: bool = False,
@@ -34,8 +29,7 @@ def assess(
 
     Args:
         network: one checkpoint.
-        box: on which the rate is searched for, if any.
-        seconds: for that search; a tenth of it for the search of a scaling.
+        seconds: as for the search on a box of a network with one state; that of a scaling takes a tenth.
         solver: of the LMIs, if they are to be solved; a name that cvxpy knows.
         steps: whether to prove, in the norm of `exact`, that all steps up to the largest contract. This certificate
             has the key `STEPS`.
@@ -78,11 +72,9 @@ def assess(
     }
     if statuses:
         row["solver"] = {"name": solver, **statuses}
-    if box is not None:
-        row["box"], made["box"] = _searched(network, box, norm, scaling, seconds, exact)
     found = {name: each for name, each in made.items() if each is not None}
     row["certified"] = {name: name in found for name in vector_certificate.CONDITIONS if name in made}
-    smallest = [Fraction(each["contraction_rate"]) for name, each in found.items() if name != "box"]
+    smallest = [Fraction(each["contraction_rate"]) for each in found.values()]
     row["rate"] = float_above(min(smallest)) if smallest else None
     row["time_constant"] = time_constant(min(smallest)) if smallest else None  # in steps
     if steps:  # about other steps: no verdict about the network's own
@@ -117,42 +109,6 @@ def _all_steps(
     if made is None:
         return None, None
     row = {"largest": str(found.largest), "fastest": str(found.fastest), "proved": str(proved)}
-    return row, made
-
-
-def _searched(
-    network: VectorNetwork, box: Box, norm: str, scaling: Matrix, seconds: float, exact: Fraction
-) -> tuple[dict[str, Any], dict[str, Any] | None]:
-    """The bracket of the rate on a box, the verdict on rate < 1, and the certificate of the smallest rate found."""
-    from certify.search.vector_box import certify, invariance, rate
-
-    weights, phi = network.weights, network.activation
-    intervals = [[float(lo), float(hi)] for lo, hi in zip(box.lo, box.hi, strict=True)]
-    try:
-        bracket = rate(weights, phi, box, norm, scaling, seconds=seconds / 2)
-    except CertifyError as error:  # weights too large for the search
-        nothing = {"verdict": "unknown", "bracket": [0.0, float_above(exact)], "forward_invariant": "unknown"}
-        return {**nothing, "intervals": intervals, "error": str(error)}, None
-    lower, upper, tree, verdict = bracket.lower, bracket.upper, bracket.tree, "certified"
-    if upper < 1:
-        invariant, invariance_tree, _ = invariance(weights, phi, box, seconds / 2)
-    else:
-        found = certify(weights, phi, box, 1.0, norm, scaling, seconds / 2)
-        lower, upper = max(lower, found.lower), min(upper, found.upper)
-        verdict, tree = found.verdict, found.tree or ""
-        invariant, invariance_tree = found.invariant, found.invariance_tree
-    row = {
-        "verdict": verdict,
-        "bracket": [lower, upper],
-        "forward_invariant": invariant,
-        "intervals": intervals,
-    }
-    if verdict != "certified":
-        return row, None
-    kappa = provable_rate(max(Fraction(upper), SMALLEST_RATE)) if upper < 1 else Fraction(1)
-    made = vector_certificate.make(
-        network, "box", kappa, norm=norm, scaling=scaling, box=box, tree=tree, invariance_tree=invariance_tree
-    )
     return row, made
 
 

@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable, Sequence
-from fractions import Fraction
 from pathlib import Path
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from certify.analysis.vector_assess import STEPS, assess, best
 from certify.errors import CertifyError, about
 from certify.networks.vector import VectorNetwork
 from certify.proofs import certificate, vector_certificate
-from certify.search.box import box
 
-SCALAR_ALONE = ("simple", "interval")  # conditions of shallow networks alone
+SCALAR_ALONE = ("simple", "interval", "box")  # conditions of shallow networks alone
 
 
 class Judged(NamedTuple):
@@ -44,22 +40,16 @@ def judge(options: argparse.Namespace, networks: Sequence[VectorNetwork]) -> Jud
             f"--condition: found {options.condition}, which is for networks with one state, and {networks[0].path} is "
             f"another kind: give one of {', '.join(vector_certificate.CONDITIONS)}"
         )
-    if options.headings or options.input is not None:
-        raise CertifyError(
-            f"--headings, --input: are for networks with one state, and {networks[0].path} is another kind"
-        )
+    alone = {"--headings": options.headings, "--input": options.input, "--box": options.box, "--plot": options.plot}
+    if wrong := [name for name, value in alone.items() if value not in (None, False)]:
+        raise CertifyError(f"{wrong[0]}: is for networks with one state, and {networks[0].path} is another kind")
     solver = options.solver.upper() if options.lmi or options.condition in ("lmi", "tight") else None
     judged = Judged([], [], [], [], [])
-    boxes = {}
-    for network in networks:  # report every bad argument before computing anything
-        if options.box is not None:
-            boxes[network.states, network.inputs] = _box(options.box, network)
     for each in _shown(networks):
         try:
             with about(each.path):
                 _refuse_condition(options.condition, each)
-                where = boxes.get((each.states, each.inputs))
-                row, made = assess(each, where, options.seconds, solver, options.steps)
+                row, made = assess(each, options.seconds, solver, options.steps)
         except CertifyError as error:  # the other networks are still judged
             judged.failures.append(error)
             continue
@@ -87,16 +77,6 @@ def _shown(networks: Sequence[VectorNetwork]) -> Iterable[VectorNetwork]:
     return progress(networks, "certifying")
 
 
-def _box(text: str, network: VectorNetwork) -> Any:
-    q, m = network.states, network.inputs
-    if not text:
-        return box([("-1", "1")] * (q + m), m, q)
-    try:
-        return box(text, m, q)
-    except CertifyError as error:
-        raise CertifyError(f"{network.path}: {error}") from error
-
-
 def write_certificates(folder: Path, judged: Judged, names: Sequence[str]) -> int:
     """Write the certificate of each network that holds, and that of its steps; returns their number."""
     written = 0
@@ -105,18 +85,4 @@ def write_certificates(folder: Path, judged: Judged, names: Sequence[str]) -> in
             if content is not None:
                 certificate.write(folder / f"{name}.{kind}.json", content)
                 written += 1
-    return written
-
-
-def plot(judged: Judged, file: Path, first: int) -> list[str]:
-    """Draw each network; the files are numbered from `first` on."""
-    from certify.display.figures import save
-    from certify.display.vector_figures import contraction_figure
-
-    written = []
-    for k, (network, row) in enumerate(zip(judged.networks, judged.rows, strict=True), first):
-        path = file if k == 0 else file.with_name(f"{file.stem}-{k + 1}{file.suffix}")
-        scaling = np.array([[float(Fraction(x)) for x in each] for each in row["scaling"]])
-        save(contraction_figure(network, row, scaling), path)
-        written.append(str(path))
     return written

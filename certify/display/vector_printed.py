@@ -8,7 +8,7 @@ from typing import Any
 
 from rich.text import Text
 
-from certify.display.marks import mark, time_constant
+from certify.display.marks import time_constant
 from certify.proofs.rounding import above, below
 from certify.proofs.vector_certificate import CONDITIONS
 
@@ -27,10 +27,10 @@ def table(
     """
 
     shown = [name for name in CONDITIONS if any(name in row["rates"] for row in rows)]
-    stepped, boxed = (any(key in row for row in rows) for key in ("steps", "box"))
+    stepped = any("steps" in row for row in rows)
     unit = "steps" if dt is None else "s"
     headings = ["checkpoint", "q", "n", "φ", *(f"rate {name}" for name in shown), "norm", f"τ, {unit}"]
-    headings += [f"all steps to, {unit}"] * stepped + ["on the box"] * boxed
+    headings += [f"all steps to, {unit}"] * stepped
     lines = []
     for row, path in zip(rows, paths, strict=True):
         line: list[str | Text] = [path, str(row["states"]), str(row["n"]), row["activation"]]
@@ -39,11 +39,6 @@ def table(
         if stepped:
             found = row.get("steps")
             line.append("–" if found is None else below(Fraction(found["proved"]) * Fraction(dt or 1), 4))
-        if boxed:
-            found = row["box"]
-            low, high = found["bracket"]
-            kept = {"yes": "kept", "no": "left", "unknown": "?"}[found["forward_invariant"]]
-            line.append(Text().append(mark(found["verdict"])).append(f" {below(low, 4)}…{above(high, 4)}, {kept}"))
         lines.append(line)
     return headings, lines
 
@@ -76,7 +71,6 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[str]:
         f"{len(rows) - held.count(None)} of {len(rows)} with a vector state certified contracting"
         + (f" (by {by})" if by else "") + ", in rational arithmetic"
     ]  # fmt: skip
-    lines += [f"{row['path']}: {row['box']['error']}" for row in rows if "error" in row.get("box", {})]
     if any(row["judged"] is None and not row["certified"]["exact"] and "solver" not in row for row in rows):
         lines.append("a full metric P may prove more: --lmi searches for it (extra lmi)")
     return lines

@@ -279,14 +279,14 @@ def pairs(box: Box) -> list[list[str]]:
     return [[str(Fraction(float(lo))), str(Fraction(float(hi)))] for lo, hi in zip(box.lo, box.hi, strict=True)]
 
 
-def box_of(given: list[list[str]], states: int = 1) -> Box:
-    """A box from its pairs of fractions; the first `states` of them are of x."""
+def box_of(given: list[list[str]]) -> Box:
+    """A box from its pairs of fractions; the first of them is of x."""
     if not (isinstance(given, list) and all(isinstance(pair, list) for pair in given)):
         raise TypeError("the box is no list of pairs")
     ends = [[fraction(x) for x in pair] for pair in given]
     if any(len(pair) != 2 or pair[0] > pair[1] or any(Fraction(float(x)) != x for x in pair) for pair in ends):
         raise ValueError("the box's ends are no floats in order")
-    if any(least == most for least, most in ends[:states]):
+    if ends[0][0] == ends[0][1]:
         raise ValueError("x has no width: a rate compares two states")
     lo, hi = np.array([[float(x) for x in pair] for pair in ends]).T
     return Box(lo.copy(), hi.copy())

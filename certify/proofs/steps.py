@@ -14,8 +14,6 @@ K(0) = 1. Hence for 0 < η ≤ η_max
 
 So if K(η_max) < 1, every smaller step contracts. After the time t = k η h the distance of two trajectories is at most
 K(η)ᵏ ≤ exp(−λ t) times that at the start, with the rate λ = (1 − K(η_max))/(η_max h) per second, for all these steps.
-All of this holds on a box as well, with K(η) the supremum over the box. If f maps a box into its intervals of x, so
-does f_η with η ≤ 1, since f_η(x, u) lies between x and f(x, u).
 
 **Which steps contract.** For one hidden layer and the ∞-norm, with c_rε = max [J ε]_r over all slopes, see
 `certify.proofs.vector_exact`,
@@ -91,8 +89,6 @@ def steps(weights: VectorWeights, slopes: Sequence[Slopes], norm: str = "inf", s
 def stepped(weights: VectorWeights, eta: Fraction) -> VectorWeights:
     """f_η of (1) exactly: its R and A are lists of rows of fractions, for the functions of
     `certify.proofs.vector_exact`.
-
-    `certify.proofs.vector_box_proof.proves` accepts it, too, and so proves the rate of all steps up to η on a box.
 
     Args:
         weights: of one network with one or two hidden layers.

@@ -3,7 +3,6 @@
     gershgorin, lmi     P and Λ with M(P, Λ) ≻ 0, slopes in [0, 2]: the paper's lemma and its LMI for a vector state
     tight               P and Λ with M(P, Λ) ≻ 0, the slopes of φ                        (`vector_exact`, 3)
     exact               a norm and a scaling T, in which all activation patterns contract (`vector_exact`, 2)
-    box                 a norm, a scaling, and a tree of boxes                            (`vector_box_proof`)
 
 `exact` names a step η, by default 1. With another one the claim is about f_η(x) = x + η (f(x, u) − x), which is f at η
 times its step, and it holds for all smaller steps, too (`certify.proofs.steps`).
@@ -12,23 +11,19 @@ times its step, and it holds for all smaller steps, too (`certify.proofs.steps`)
 from __future__ import annotations
 
 from collections.abc import Mapping
-from decimal import Decimal
 from fractions import Fraction
 from typing import Any
 
 from certify.errors import CertifyError, shortened
 from certify.networks.vector import Activation, VectorNetwork, VectorWeights, check, digest
-from certify.proofs import vector_box_proof, vector_exact
-from certify.proofs.box_planes import Box
+from certify.proofs import vector_exact
 from certify.proofs.certificate import (
     DIGITS,
     KEYS,
     Verification,
-    box_of,
     described,
     fraction,
     frame_refusal,
-    pairs,
     provable_rate,
     signed,
 )
@@ -38,7 +33,7 @@ from certify.proofs.steps import stepped
 from certify.proofs.vector_exact import NORMS, Matrix, Proof
 
 FORMAT = "usvlearn vector certificate 1"
-CONDITIONS = ("gershgorin", "lmi", "tight", "exact", "box")
+CONDITIONS = ("gershgorin", "lmi", "tight", "exact")
 BY_MATRIX = CONDITIONS[:3]
 OWN_KEYS = KEYS | {"states", "activation"}
 LONGEST_NUMBER = 120  # characters of an entry of P or Λ, or of a step
@@ -55,9 +50,6 @@ def make(
     norm: str = "inf",
     scaling: Matrix | None = None,
     step: Fraction | None = None,
-    box: Box | None = None,
-    tree: str = ".",
-    invariance_tree: str | None = None,
 ) -> dict[str, Any] | None:
     """A certificate, ready for JSON.
 
@@ -67,18 +59,15 @@ def make(
         rate: κ at which it is to hold, no unit, at most 1. By default, of `gershgorin` and `exact`, a short decimal
             just above the smallest one; otherwise 1.
         proof: P and Λ, of `lmi` and `tight` from `certify.search.vector_lmi`; of `gershgorin` they are computed here.
-        norm: "inf" or "one", of `exact` and `box`.
-        scaling: T of them, `(q, q)`; the identity by default.
+        norm: "inf" or "one", of `exact`.
+        scaling: T of it, `(q, q)`; the identity by default.
         step: η of `exact`, a number of steps of the network; 1 by default.
-        box: of `box`.
-        tree: of `box`, from `certify.search.vector_box.certify`.
-        invariance_tree: likewise, where f maps the box into its intervals of x.
 
     Returns:
         The certificate; None where the condition does not hold, or the proof does not prove it.
 
     Raises:
-        CertifyError: weights that are no network, an unknown condition, a rate that is not in (0, 1], or no box.
+        CertifyError: weights that are no network, an unknown condition, or a rate that is not in (0, 1].
 
     >>> import numpy as np
     >>> from certify.networks.vector import RELU
@@ -113,13 +102,8 @@ def make(
         }
     else:
         own = vector_exact.identity(len(weights.R)) if scaling is None else scaling
-        parts = {"norm": norm, "scaling": [[str(x) for x in row] for row in own]}
-        if condition == "exact":
-            parts["step"] = str(Fraction(1) if step is None else step)
-        elif box is None:
-            raise CertifyError("box: found no box, expected the box on which the condition is to hold")
-        else:
-            parts |= {"box": pairs(box), "tree": tree, "invariance_tree": invariance_tree}
+        scaled = [[str(x) for x in row] for row in own]
+        parts = {"norm": norm, "scaling": scaled, "step": str(Fraction(1) if step is None else step)}
     if not _short(parts):
         return None
     content = described(_claims(weights, network.activation, condition, kappa, parts), parts, network.path)
@@ -164,8 +148,9 @@ def _refusal(content: dict[str, Any], network: VectorNetwork) -> str | None:
     """Why a certificate is refused; None where it is valid."""
     weights, phi = network.weights, network.activation
     condition: Any = content.get("condition")
-    expected = {"norm", "scaling"} | ({"step"} if condition == "exact" else {"box", "tree", "invariance_tree"})
-    expected = {"metric", "multipliers"} if condition in BY_MATRIX else expected
+    if condition == "box":
+        return "it is about a box of a vector state, which is proved no more: make it again, by exact or tight"
+    expected = {"metric", "multipliers"} if condition in BY_MATRIX else {"norm", "scaling", "step"}
     if reason := frame_refusal(content, FORMAT, OWN_KEYS, CONDITIONS, expected, digest(weights)):
         return reason
     if content["activation"] != str(phi):
@@ -192,21 +177,11 @@ def _refusal(content: dict[str, Any], network: VectorNetwork) -> str | None:
     q = len(weights.R)
     if proof["norm"] not in NORMS or len(scaling) != q or any(len(row) != q for row in scaling):
         return "its norm or its T is of another kind"
-    leaves = str(proof.get("tree", "")).count(".")
-    if vector_exact.effort(weights, scaling, leaves) > vector_exact.WORK:
+    if vector_exact.effort(weights, scaling) > vector_exact.WORK:
         return f"its T is too long, or the network too large: the check would take longer than {LONGEST_CHECK}"
-    if condition == "exact":
-        step = _number(proof["step"])
-        if not step > 0 or not _below(_exact_rate(weights, phi, proof["norm"], scaling, step), kappa):
-            return "the exact rate in its norm is not below its rate"
-        return None
-    box, tree, invariance_tree = box_of(proof["box"], q), proof["tree"], proof["invariance_tree"]
-    if len(box.lo) != q + weights.W2.shape[-1]:
-        return "its box has another number of intervals than the network has states and inputs"
-    if not vector_box_proof.proves(weights, phi, box, tree, kappa, proof["norm"], scaling):
-        return "its tree does not bound the rate on the box, or is too long to replay"
-    if invariance_tree is not None and not vector_box_proof.proves_range(weights, phi, box, invariance_tree):
-        return "its tree does not keep x inside the box, or is too long to replay"
+    step = _number(proof["step"])
+    if not step > 0 or not _below(_exact_rate(weights, phi, proof["norm"], scaling, step), kappa):
+        return "the exact rate in its norm is not below its rate"
     return None
 
 
@@ -233,12 +208,6 @@ def _claims(
         what = "f_η(x₁, u) − f_η(x₂, u)"
         right = f"(1 − {below((1 - bound) / step, DIGITS)} η)"
         where = f"for all x₁, x₂, u and 0 < η ≤ {step}, f_η(x, u) = x + η (f(x, u) − x)"
-    if condition == "box":
-        lo, hi = box_of(proof["box"], len(weights.R))
-        intervals = ", ".join(f"[{Decimal(a)}, {Decimal(b)}]" for a, b in zip(lo, hi, strict=True))
-        kept = "which f maps into itself" if proof["invariance_tree"] is not None else "for as long as x stays in it"
-        where = f"for (x, u) in {intervals}, {kept}"
-        how = "slope intervals on every box of the tree, in rational arithmetic"
     if phi.name != "relu":
         where += f", φ = {phi}"
     relation = "<" if bound == 1 else "≤"

@@ -283,13 +283,12 @@ def inequality(
     return M
 
 
-def effort(weights: VectorWeights, scaling: Matrix | None = None, leaves: int = 0) -> float:
+def effort(weights: VectorWeights, scaling: Matrix | None = None) -> float:
     """About how many ns it takes to check a proof, told from the sizes and before any work: compare with `WORK`.
 
     Args:
         weights: of one network.
         scaling: T of a rate (2), `(q, q)`; without it, of M (3), before its LDLᵀ.
-        leaves: of a tree of boxes.
 
     Raises:
         CertifyError: T is singular.
@@ -308,8 +307,8 @@ def effort(weights: VectorWeights, scaling: Matrix | None = None, leaves: int = 
     numbers = [*itertools.chain(*scaling), *itertools.chain(*back)]
     bits = 106 + sum(over_one_denominator(X)[1].bit_length() for X in (scaling, back))
     bits += max(x.numerator.bit_length() - x.denominator.bit_length() for x in numbers)
-    fractions, whole = (5 if leaves else 2) * n * q * q, float(2 ** (q + 1) * (n * q + (n + q) * last))
-    return fractions * (4000 + 5 * bits + bits**2 / 4000) + whole * (100 + bits**2 / 4000 * (1 + leaves / 4))
+    fractions, whole = 2 * n * q * q, float(2 ** (q + 1) * (n * q + (n + q) * last))
+    return fractions * (4000 + 5 * bits + bits**2 / 4000) + whole * (100 + bits**2 / 4000)
 
 
 def proves(

@@ -82,10 +82,8 @@ class BoxVerdict(NamedTuple):
     seconds: float  # wall time, s
 
 
-def box(given: Any, m: int, states: int = 1) -> Box:
+def box(given: Any, m: int) -> Box:
     """A box for a network of m inputs, from `lo:hi` of x, u₁ … u_m separated by commas, or from pairs.
-
-    With several states the intervals are those of x₁ … x_q, u₁ … u_m.
 
     Raises:
         CertifyError: another count, no number, not finite, lo > hi, or x without a width.
@@ -94,7 +92,7 @@ def box(given: Any, m: int, states: int = 1) -> Box:
     [0.0, -1.0]
     """
     parts = [part.split(":") for part in given.split(",")] if isinstance(given, str) else list(given)
-    names = [*(["x"] if states == 1 else [f"x{j}" for j in range(1, states + 1)]), *(f"u{j}" for j in range(1, m + 1))]
+    names = ["x", *(f"u{j}" for j in range(1, m + 1))]
     if len(parts) != len(names):
         raise CertifyError(
             f"box: found {len(parts)} intervals, expected {len(names)}: give lo:hi of {', '.join(names)}, with commas"
@@ -110,7 +108,7 @@ def box(given: Any, m: int, states: int = 1) -> Box:
             raise CertifyError(f"box: found {lo}:{hi} for {name}, expected finite numbers")
         if lo > hi:
             raise CertifyError(f"box: found {lo}:{hi} for {name}, expected lo ≤ hi: exchange them")
-        if name[0] == "x" and lo == hi:
+        if name == "x" and lo == hi:
             raise CertifyError(f"box: found {lo}:{hi} for {name}, expected lo < hi: a rate compares two states")
         ends.append((lo + 0.0, hi + 0.0))
     lo, hi = np.array(ends).T

@@ -2,12 +2,11 @@
 
 import pytest
 
-from certify.proofs import box_proof, vector_box_proof, vector_statements
+from certify.proofs import box_proof
 
 
 @pytest.fixture(params=[10, pytest.param(1, marks=pytest.mark.thorough)])
 def part(request, monkeypatch) -> int:
     """A tenth of the size and of the work of a replay by default; the thorough tests take all of both."""
-    for module in (box_proof, vector_box_proof, vector_statements):
-        monkeypatch.setattr(module, "WORK", module.WORK // request.param)
+    monkeypatch.setattr(box_proof, "WORK", box_proof.WORK // request.param)
     return request.param

@@ -12,10 +12,7 @@ from itertools import product
 import numpy as np
 
 from certify.networks.shallow import ShallowWeights
-from certify.networks.vector import Activation, VectorWeights
 from certify.proofs.box_planes import Box
-from certify.proofs.vector_exact import Matrix, identity, inverse
-from certify.proofs.vector_exact import product as times
 
 
 def exact_rate(weights: ShallowWeights, box: Box) -> Fraction:
@@ -28,26 +25,6 @@ def exact_rate(weights: ShallowWeights, box: Box) -> Fraction:
             slopes.append(Fraction(ai) * Fraction(wi))
     cells = _cells(forms, [*zip(map(Fraction, box.lo.tolist()), map(Fraction, box.hi.tolist()), strict=True)])
     return max(abs(sum(s for s, on in zip(slopes, signs, strict=True) if on)) for signs in cells)
-
-
-def exact_norm(weights: VectorWeights, phi: Activation, box: Box, norm: str, scaling: Matrix | None = None) -> Fraction:
-    """The largest ‖T J T⁻¹‖ of a network with one hidden layer of relu or leaky over the same cells."""
-    T = identity(len(weights.R)) if scaling is None else scaling
-    R, A, W, W2, b = (_exact(x) for x in (weights.R, weights.A, weights.W, weights.W2, weights.b[:, None]))
-    back, sizes = inverse(T), []
-    forms = [(*w, *w2, *constant) for w, w2, constant in zip(W, W2, b, strict=True)]
-    crossing = [i for i, form in enumerate(forms) if any(form[:-1])]
-    for signs in _cells([forms[i] for i in crossing], [*zip(*(_exact([x])[0] for x in box), strict=True)]):
-        slope = {i: Fraction(1) if on else phi.least for i, on in zip(crossing, signs, strict=True)}
-        moved = [[slope.get(i, Fraction(0)) * x for x in row] for i, row in enumerate(W)]
-        J = [[x + y for x, y in zip(*rows, strict=True)] for rows in zip(R, times(A, moved), strict=True)]
-        J = times(times(T, J), back)
-        sizes += [sum(map(abs, row)) for row in (J if norm == "inf" else zip(*J, strict=True))]
-    return max(sizes)
-
-
-def _exact(x: np.ndarray) -> list[list[Fraction]]:
-    return [[Fraction(value) for value in row] for row in np.asarray(x, dtype=np.float64).tolist()]
 
 
 def _cells(forms: list[tuple[Fraction, ...]], sides: list[tuple[Fraction, Fraction]]) -> Iterator[tuple[bool, ...]]:

@@ -6,15 +6,10 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from certify.errors import CertifyError
 from certify.networks.vector import RELU, VectorWeights, activation, check
-from certify.proofs.box_planes import Box
 from certify.proofs.steps import proves, short, stepped, steps
-from certify.proofs.vector_box_proof import proves as proves_on_box
-from certify.proofs.vector_box_proof import proves_range
 from certify.proofs.vector_exact import Proof, everywhere, rate
 from certify.proofs.vector_exact import proves as proves_metric
-from certify.search.vector_box import certify
 from tests.support import few
 
 ETAS = [Fraction(k, 7) for k in range(1, 30)]
@@ -108,23 +103,12 @@ def test_trajectories_of_all_steps_approach_each_other_at_the_rate_per_second():
             assert np.abs(x - y).max() <= start * np.exp(-decay * time) * (1 + 1e-12)
 
 
-def test_a_metric_and_a_box_prove_all_smaller_steps_too():
+def test_a_metric_proves_all_smaller_steps_too():
     net = check(VectorWeights([[0.0]], [[0.5, -0.5]], [[1.0], [1.0]], np.zeros((2, 0)), [0.0, -0.5]))
     proof = Proof([[Fraction(1)]], [[Fraction(1, 2), Fraction(1, 2)]])
     assert all(
         proves_metric(stepped(net, eta), RELU, proof, Fraction(99, 100)) for eta in (Fraction(1), Fraction(1, 3))
     )
-    unit = Box(np.zeros(1), np.ones(1))
-    eta = Fraction(7, 4)  # everywhere 1 + N = 3/2 allows η < 4/3 alone; on the box no slope is below 0
-    assert steps(net, everywhere(net, RELU)).largest == Fraction(4, 3)
-    found = certify(net, RELU, unit, 0.99)
-    assert found.verdict == "certified"
-    assert proves_on_box(stepped(net, eta), RELU, unit, "x . .", 0.99)
-    for smaller in (Fraction(1, 8), Fraction(1)):
-        assert proves_on_box(stepped(net, smaller), RELU, unit, "x . .", 1 - smaller / eta * Fraction(1, 100))
-    assert not proves_on_box(stepped(net, Fraction(2)), RELU, unit, "x . .", 1)
-    with pytest.raises(CertifyError, match="float64"):
-        proves_range(stepped(net, eta), RELU, unit, ".")  # fractions are no integers over a power of two
 
 
 def test_bad_steps_prove_nothing():
