@@ -58,7 +58,6 @@ CERTIFY = {
         "certify.networks.shallow",
     },
     "scipy": {"certify.search"},
-    "highspy": {"certify.search.box_duals"},
     "cvxpy": {"certify.search.lmi"},
     "clarabel": {"certify.search.vector_lmi"},
     "matplotlib": {"certify.display.figures"},
@@ -192,7 +191,7 @@ def loaded(code: str) -> set[str]:
     return set(done.stdout.splitlines()[-1].split())
 
 
-HEAVY = {"torch", "scipy", "matplotlib", "tensorboard", "numba", "rosbags", "cvxpy", "clarabel", "highspy",
+HEAVY = {"torch", "scipy", "matplotlib", "tensorboard", "numba", "rosbags", "cvxpy", "clarabel",
          "optuna"}  # fmt: skip
 
 

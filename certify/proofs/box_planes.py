@@ -29,8 +29,7 @@ class Planes(NamedTuple):
     A fixed input is part of the constant, so hyperplanes that coincide at that input are merged too.
     """
 
-    neuron: list[int]  # (G,) the first neuron of each; its z > 0 is "above"
-    rows: list[list[int]]  # (G, 1 + m) integers with which z = (row·(x, u) + constant) / 2^z_bits
+    rows: list[list[int]]  # (G, 1 + m) integers with which z = (row·(x, u) + constant) / 2^z_bits, of its first neuron
     constants: list[int]  # (G,)
     above: list[int]  # (G,) what the plane adds to the slope where z > 0, times 2^slope_bits
     below: list[int]  # (G,) and where z < 0
@@ -64,7 +63,8 @@ def planes(weights: ShallowWeights, box: Box) -> Planes:
     fixed = [j for j in range(len(lo)) if lo[j] == hi[j]]
     values = [Fraction(float(lo[j])) for j in fixed]
     groups: dict[tuple[int, ...], int] = {}
-    merged = Planes([], [], [], [], [], z_bits, a_bits + w_bits)
+    first: list[int] = []  # neuron of each
+    merged = Planes([], [], [], [], z_bits, a_bits + w_bits)
     for i, row in enumerate(rows):
         s = a[i] * w[i]
         if not s:
@@ -78,12 +78,12 @@ def planes(weights: ShallowWeights, box: Box) -> Planes:
         key = (constant // unit, *(k // unit for k in row))
         g = groups.setdefault(key, len(groups))
         if g == len(merged.rows):
-            merged.neuron.append(i)
+            first.append(i)
             merged.rows.append(row)
             merged.constants.append(constant)
             merged.above.append(0)
             merged.below.append(0)
-        (merged.above if w[i] * w[merged.neuron[g]] > 0 else merged.below)[g] += s
+        (merged.above if w[i] * w[first[g]] > 0 else merged.below)[g] += s
     return merged
 
 
@@ -189,23 +189,6 @@ def halved(
         else:
             found.append((g, least + k * lowered, most + k * raised))
     return found
-
-
-def excluded(found: Planes, region: Region, multipliers: dict[int, int]) -> bool:
-    """Whether Σ μ_g z_g ≤ 0 on a whole box, so that no point in it has all z_g of the sign of μ_g; plane: μ."""
-    if not multipliers or not all(multipliers.values()):
-        return False
-    return region.extremes(*combined(found, multipliers))[1] <= 0
-
-
-def combined(found: Planes, multipliers: dict[int, int]) -> tuple[list[int], int]:
-    """Σ μ_g z_g as a row and a constant; plane: μ, at least one.
-
-    >>> combined(Planes([0, 1], [[1], [3]], [0, 2], [1, 1], [0, 0], 0, 0), {0: -1, 1: 2})
-    ([5], 4)
-    """
-    columns = zip(*([mu * k for k in found.rows[g]] for g, mu in multipliers.items()), strict=True)
-    return list(map(sum, columns)), sum(mu * found.constants[g] for g, mu in multipliers.items())
 
 
 def _preactivations(weights: ShallowWeights, point: Any) -> tuple[list[int], int]:

@@ -37,7 +37,8 @@ DIGITS = 6  # of the rate that is proved, rounded up
 LONGEST = 100_000  # characters of p and Λ together, which take about 2 s
 MOST_ROWS = 5_000  # of M, whose entries are all looked at once
 LARGEST = 10_000_000  # bytes of a file
-FRACTION = re.compile(rf"-?[0-9]{{1,{box_proof.DIGITS}}}(/[0-9]{{1,{box_proof.DIGITS}}})?")
+LONGEST_PART = 1500  # digits of a numerator or a denominator
+FRACTION = re.compile(rf"-?[0-9]{{1,{LONGEST_PART}}}(/[0-9]{{1,{LONGEST_PART}}})?")
 KEYS: set[str] = set("format claim weights neurons inputs condition rate margin contraction_rate verified".split())
 KEYS |= set("proof path versions sha256".split())
 
@@ -169,6 +170,8 @@ def _refusal(content: dict[str, Any], weights: ShallowWeights) -> str | None:
     box, tree, invariance_tree = box_of(proof["box"]), proof["tree"], proof["invariance_tree"]
     if len(box.lo) != 1 + weights.W2.shape[-1] or (condition == "interval" and tree != "."):
         return "its box or its tree is of another kind than its condition"
+    if isinstance(tree, str) and re.search(r"(^|\s)[zesd]", tree):
+        return "its tree has cells of neurons or linear programs, by which nothing is proved any more: make it again"
     if not box_proof.proves(weights, box, tree, kappa):
         return "its tree does not bound the slope on the box, or is too long to replay"
     if invariance_tree is not None and not box_proof.proves_range(weights, box, invariance_tree):

@@ -7,10 +7,8 @@ At fixed u each z_i with s_i ≠ 0 changes sign at one x. So every slope of x �
 the least rate with |f(x₁, u) − f(x₂, u)| ≤ K_box |x₁ − x₂| on the box. A cell whose closure only touches the box does
 not count. An input of zero width is fixed: cells are then open in x and the other inputs. x itself has a width.
 
-`certify.search.box_slopes` chooses the search; `certify.proofs.box_proof` proves the result, in integers. With five
-inputs or more the search is much faster if the package `highspy` is installed (`pip install "usvlearn[lmi]"`). Without
-it the bracket of `rate` may be wider, and `certify` may answer "unknown" more often; what they state is proved all the
-same.
+`certify.search.box_search` searches; `certify.proofs.box_proof` proves the result, in integers. With many inputs, and
+where hyperplanes meet in a point, the bracket of `rate` may stay open, and `certify` may answer "unknown".
 """
 
 from __future__ import annotations
@@ -27,8 +25,7 @@ from certify.networks.shallow import ShallowWeights, check
 from certify.proofs.box_planes import Box, planes, slope_at, value_at
 from certify.proofs.box_proof import proves, proves_range
 from certify.proofs.rounding import float_below
-from certify.search.box_search import BOXES, REPLAYED, Search, constant, forms_of, search_range
-from certify.search.box_slopes import search_slopes
+from certify.search.box_search import BOXES, REPLAYED, Search, constant, forms_of, search_range, search_slopes
 
 LARGEST = 1e60  # a weight or an end of the box; products of a few are floats
 
@@ -149,7 +146,7 @@ def rate(weights: ShallowWeights, box: Box, gap: float = 1e-6, seconds: float = 
     started = time.perf_counter()
     weights = _checked(weights, box)
     forms = forms_of(planes(weights, box), box)
-    search = Search(lambda best: best + max(gap * best, forms.slack), math.inf, started + seconds, proof=False)
+    search = Search(lambda best: best + max(gap * best, forms.slack), math.inf, started + seconds)
     search_slopes(search, forms, box, 10 * BOXES)
     seen = _witness(weights, search.point)
     lower = abs(seen.slope) if seen else 0.0

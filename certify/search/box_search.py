@@ -2,8 +2,8 @@
 
 Boxes: bound the slope by interval arithmetic (neurons surely on, surely off, free) and halve the boxes whose bound is
 too high (Moore, Kearfott and Cloud, Introduction to Interval Analysis, 2009). The slope at any point bounds the
-maximum from below. Boxes that stay open are split into cells (`certify.search.box_cells`). `certify.proofs.box_proof`
-proves the result.
+maximum from below. Where more hyperplanes meet in a point than there are coordinates, no halving decides: such a box
+stays open. `certify.proofs.box_proof` proves the result.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from certify.proofs.box_planes import Box, Planes, region
 BATCH = 256  # boxes halved at once
 BOXES = 200_000  # boxes tried
 LEFT = 64  # the search ends when more boxes than this cannot be halved
+SMALL = 2.0**-16  # share of the whole box's width down to which boxes are halved
 REPLAYED = 30_000  # boxes whose proof is replayed in about a second
 CLIMBERS = 32  # points from which the search for a high slope begins
 EPS, TINY = float(np.finfo(np.float64).eps), float(np.finfo(np.float64).tiny)
@@ -43,7 +44,7 @@ def forms_of(found: Planes, box: Box) -> Forms:
     """The planes that cross a box of any number of coordinates, in floats; the others are counted in the start."""
     here = region(box)
     crossing, start = [], 0
-    for g, (row, constant, above, below) in enumerate(zip(*found[1:5], strict=True)):
+    for g, (row, constant, above, below) in enumerate(zip(*found[:4], strict=True)):
         least, most = here.extremes(row, constant)
         if least < 0 < most:
             crossing.append(g)
@@ -51,7 +52,6 @@ def forms_of(found: Planes, box: Box) -> Forms:
         else:
             start += above if least >= 0 else below
     found = found._replace(
-        neuron=[found.neuron[g] for g in crossing],
         rows=[found.rows[g] for g in crossing],
         constants=[found.constants[g] for g in crossing],
         above=[found.above[g] for g in crossing],
@@ -76,51 +76,39 @@ def constant(threshold: float) -> Callable[[float], float]:
 class Search:
     """Branch and bound: the tree so far, the best value so far, and the open leaves."""
 
-    def __init__(self, threshold: Callable[[float], float], target: float, end: float, proof: bool = True):
+    def __init__(self, threshold: Callable[[float], float], target: float, end: float):
         self.threshold = threshold  # a bound up to threshold(best) needs no further split
         self.target = target  # a best of this or more ends the search
         self.end = end  # of time
         self.best = -math.inf
         self.point: np.ndarray | None = None  # where best was reached
-        self.limit = math.inf  # an upper bound that is known already
         self.closed = -math.inf  # the greatest bound among the leaves that were closed
         self.open = -math.inf  # and among those that were left open
         self.count = 1  # nodes
-        self.splits: dict[int, tuple[str, int]] = {}  # node: token, first child
-        self.halvings: list[tuple[np.ndarray, ...]] = []  # the same of many boxes each: nodes, tokens, first children
-        self.leaves: dict[int, str] = {}  # proofs of the leaves that are not "."
-        self.proof = proof  # whether the tree is needed
+        self.halvings: list[tuple[np.ndarray, ...]] = []  # of many boxes each: nodes, tokens, first children
 
     def over(self) -> bool:
         return self.best >= self.target or time.perf_counter() > self.end
 
     def upper(self) -> float:
-        return float(max(self.best, min(self.limit, max(self.closed, self.open))))
+        return float(max(self.best, self.closed, self.open))
 
     def reached(self, values: np.ndarray, points: np.ndarray) -> None:
         k = int(values.argmax())
         if values[k] > self.best:
             self.best, self.point = float(values[k]), points[k].copy()
 
-    def restart(self) -> None:
-        """Forget the tree; the bound that it has reached stays."""
-        self.limit, self.closed, self.open = self.upper(), -math.inf, -math.inf
-        self.count, self.halvings, self.splits, self.leaves = 1, [], {}, {}
-
-    def text(self, count: float = math.inf) -> str:
-        """The tree of the first `count` nodes, or one less, in preorder."""
+    def text(self) -> str:
+        """The tree in preorder."""
+        splits: dict[int, tuple[str, int]] = {}  # node: token, first child
         for nodes, names, children in self.halvings:
-            self.splits.update(zip(nodes.tolist(), zip(names, children.tolist(), strict=True), strict=True))
-        self.halvings = []
+            splits.update(zip(nodes.tolist(), zip(names, children.tolist(), strict=True), strict=True))
         tokens, pending = [], [0]
         while pending:
-            node = pending.pop()
-            if node in self.splits and self.splits[node][1] + 1 < count:
-                token, child = self.splits[node]
-                pending += [child + 1, child]
-            else:
-                token = self.leaves.get(node, ".")
+            token, child = splits.get(pending.pop(), (".", 0))
             tokens.append(token)
+            if child:
+                pending += [child + 1, child]
         return " ".join(tokens)
 
     def boxes(
@@ -207,6 +195,15 @@ def slope_bounds(forms: Forms) -> tuple[Callable, Callable]:
         return (((signs == 0) * gain / (radius @ sizes.T + TINY) @ sizes) * radius).argmax(1)
 
     return bound, halve
+
+
+def search_slopes(search: Search, forms: Forms, box: Box, most: int) -> None:
+    """Search max |slope| in at most `most` boxes; `search` receives the tree, the best point and the bounds."""
+    bound, halve = slope_bounds(forms)
+    start = np.random.default_rng(0).uniform(box.lo, box.hi, (CLIMBERS, len(box.lo)))
+    search.reached(*climb(forms, box, start))
+    queue = search.boxes(bound, halve, lambda y: climb(forms, box, y), box, len(forms.c), most, SMALL)
+    search.open = queue[0].max(initial=-math.inf)
 
 
 def climb(forms: Forms, box: Box, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -12,9 +12,8 @@ import pytest
 from certify.errors import CertifyError
 from certify.networks.shallow import ShallowWeights
 from certify.proofs import certificate, exact
-from certify.proofs.box_planes import Box, planes
+from certify.proofs.box_planes import Box
 from certify.proofs.box_proof import proves
-from certify.search import box_slopes
 from certify.search.box import certify, operating_box
 from tests.support.exact_cells import exact_rate
 
@@ -24,20 +23,9 @@ TOKENS = (
     "u2",
     "u9",
     "z0",
-    "z1",
-    "z9",
     ".",
     "e0:1",
-    "e0:-1",
-    "e0:1,1:1",
-    "e0:1,1:-1,2:3",
-    "e",
-    "e0:0",
     "s",
-    "d1",
-    "d2,0:1",
-    "d4,0:3,1:-1",
-    "d0,0:1",
     "y",
     "",
 )
@@ -83,6 +71,8 @@ def made_of(weights: ShallowWeights, rng: np.random.Generator) -> dict | None:
         if not 0 < rate <= 1:
             return None
         found = certify(weights, box, rate, 20.0)
+        if found.tree is None:  # planes that meet in a point
+            return None
         box, tree, invariance_tree = box, found.tree, found.invariance_tree
         return certificate.make(weights, condition, rate, box, tree, invariance_tree, "net.npz")
     return certificate.make(weights, condition, box=box, path="net.npz")
@@ -224,13 +214,8 @@ def test_a_damaged_file_is_read_or_refused_in_one_sentence(rng, cases, tmp_path)
 
 @pytest.mark.thorough
 @pytest.mark.fuzz(cases=1_000, slow=100_000)
-@pytest.mark.parametrize("programs", [False, True], ids=["boxes", "programs"])
-def test_no_tree_proves_a_rate_that_is_reached(rng, cases, programs, monkeypatch):
+def test_no_tree_proves_a_rate_that_is_reached(rng, cases):
     """Trees at random and honest trees changed, of the right tokens, at the exact rate and just above it."""
-    if programs:
-        pytest.importorskip("highspy")
-        for name, value in (("programs_are_better", lambda *counts: True), ("FEW_BOXES", 0), ("LEFT", 0)):
-            monkeypatch.setattr(box_slopes, name, value)
     tried = proved = 0
     while tried < cases:
         weights = draw(rng)
@@ -238,36 +223,19 @@ def test_no_tree_proves_a_rate_that_is_reached(rng, cases, programs, monkeypatch
         truth = exact_rate(weights, box)
         if not truth:
             continue
-        neurons = planes(weights, box).neuron
-        splits = ["s", "x", *(f"u{j}" for j in range(1, len(box.lo))), *(f"z{k}" for k in neurons)]
-        honest = certify(weights, box, float(truth) * (1 + 1e-9), 20.0).tree.split()
+        splits = ["x", *(f"u{j}" for j in range(1, len(box.lo)))]
+        honest = (certify(weights, box, float(truth) * (1 + 1e-9), 20.0).tree or ".").split()
 
-        def leaf(neurons=neurons):
-            chosen = rng.permutation(neurons)[: rng.integers(1, 4)]
-            pairs = ",".join(f"{k}:{rng.choice([-2, -1, 1, 2])}" for k in chosen)
-            return str(rng.choice([".", f"e{pairs}", f"d{rng.choice([1, 4, 16])},{pairs}"]))
-
-        def shifted(token):
-            """A leaf of multipliers with one of them changed a little."""
-            k = int(rng.integers(token.count(":"))) + 1 if ":" in token else 0
-            head, *tail = token.split(":")
-            parts = [head, *tail]
-            if k:
-                number, comma, rest = parts[k].partition(",")
-                parts[k] = str(int(number) + int(rng.choice([-1, 1, 3]))) + comma + rest
-            return ":".join(parts)
-
-        def grown(depth, splits=splits, leaf=leaf):
+        def grown(depth, splits=splits):
             if depth == 0 or rng.random() < 0.2:
-                return [leaf()]
+                return ["."]
             return [str(rng.choice(splits)), *grown(depth - 1), *grown(depth - 1)]
 
         for _ in range(20):
             tokens = list(honest)
             for _ in range(int(rng.integers(1, 4))):
                 k = int(rng.integers(len(tokens)))
-                changed = [shifted(tokens[k])] if rng.random() < 0.5 else [leaf()]
-                tokens[k : k + 1] = changed if tokens[k][0] in ".ed" and rng.random() < 0.7 else grown(2)
+                tokens[k : k + 1] = ["."] if rng.random() < 0.5 else grown(2)
             for tree in (" ".join(tokens), " ".join(grown(int(rng.integers(1, 5))))):
                 assert not proves(weights, box, tree, truth), (weights, tree)
                 proved += proves(weights, box, tree, truth * (1 + Fraction(1, 10**9)))

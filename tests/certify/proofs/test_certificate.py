@@ -331,3 +331,12 @@ def test_weights_with_many_digits_do_not_make_a_check_long(condition, n):
     found = certificate.verify(content, weights)
     assert not found.valid and time.process_time() - began < 5
     assert ("about 5 s" in found.reason) == (n > certificate.MOST_ROWS or condition == "gershgorin")
+
+
+def test_a_tree_of_cells_of_earlier_versions_is_refused_in_one_sentence():
+    weights, made = boxed()
+    parts = {**made["proof"], "tree": "z0 . z1 . e0:1,1:1"}
+    claims = certificate._claims(weights, "box", Fraction(1), parts)
+    assert (
+        "proved any more: make it again" in certificate.verify(certificate.described(claims, parts, ""), weights).reason
+    )
