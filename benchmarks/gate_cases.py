@@ -22,10 +22,10 @@ from typing import Any
 import accuracy
 import numpy as np
 import torch
+from families import initial_networks, random_networks, signed_networks
 from speed_steps import as_numbers
 
 from certify.analysis import assess, vector_assess
-from certify.analysis.families import initial_networks, random_networks, signed_networks
 from certify.networks.shallow import Network, ShallowWeights
 from certify.networks.vector import RELU, VectorNetwork
 from certify.proofs import certificate, vector_certificate

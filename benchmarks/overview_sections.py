@@ -12,14 +12,18 @@ import faults
 import numpy as np
 import stress
 import torch
+from families import initial_networks, random_networks, trained_networks
 from history import Figure, timed
 from peers.online import MODULES
 from speed_steps import WAYS, costs, costs_of_others, estimators, loop, median, times
 from timing import Effort, Work, in_turn, micro, ratio, table, three_digits
 
 from certify.analysis.assess import solver
-from certify.analysis.families import initial_networks, random_networks, trained_networks
-from certify.command import compare
+from certify.command.compare import examine
+from certify.command.compare import table as compared
+from certify.proofs import exact
+from certify.search import box
+from certify.training import conditions
 
 LOOP = "plain RLS in numpy"  # the reference of a time that has none in C
 SHOWN = ("aid", "rls, exponential", "sift", "joint, n = 23", "rnn, n = 20", "default ensemble")
@@ -33,10 +37,6 @@ ANSWERS = {
     "commands": "commands", "ensemble": "ensemble", "joint": "joint", "oracle": "oracle", "NLMS": "NLMS", "RLS": "RLS",
     "persistence": "persistence", "alarm": "alarm", "in 90 %": "in 90 %", "side right": "side right",
     "effect ± .10": "share of the thrust ± .10", "interval holds": "its interval holds",
-}  # fmt: skip
-TIMES = {
-    "closed_tight": "closed form, torch", "exact_rate": "exact rate", "proof": "proof in fractions",
-    "lmi_first": "Clarabel, first", "lmi_again": "again", "box": "exact rate on the box",
 }  # fmt: skip
 FOLLOWED = {("closed_tight", 100): 200, ("exact_rate", 100): 20, ("proof", 100): 2, ("box", 20): 2}  # calls a round
 Costs = Mapping[str, Sequence[float]]
@@ -54,20 +54,18 @@ class Amount(NamedTuple):
     boats: int  # of each plant, to which something happens
     networks: int  # of each family
     training: int  # steps of those that are trained
-    sizes: tuple[int, ...]  # neurons
-    largest: int  # neurons up to which the LMI is solved
 
 
 WHOLE = Amount(
     effort=Effort(repeats=15, steps=50_000, eager=50, calls=2000, clock=process_time),
     plants=accuracy.PLANTS, data=(), cases=CASES, steps=100_000, elements=24, boats=3,
-    networks=20, training=3000, sizes=(10, 20, 50, 100, 200), largest=100,
+    networks=20, training=3000,
 )  # fmt: skip
 QUICK = Amount(
     effort=Effort(repeats=3, steps=1000, eager=10, calls=100, clock=process_time),
     plants=("heron",), data=("data.hours=0.2", "data.mission_minutes=2"),
     cases=("outliers", "nan"), steps=300, elements=2, boats=2,
-    networks=2, training=100, sizes=(5, 10), largest=10,
+    networks=2, training=100,
 )  # fmt: skip
 
 
@@ -242,41 +240,37 @@ def certificates(amount: Amount, logs: Path | None) -> Part:
         "trained": trained_networks(count, n, rng, steps=amount.training),
     }
     solve = solver() if (solvable := bool(find_spec("cvxpy") and find_spec("clarabel"))) else None
-    seen = {name: [compare.examine(each, solve, 2.0) for each in networks] for name, networks in families.items()}
-    rows, differ, closed = [], 0, 0
+    seen = {name: [examine(each, 2.0, solve) for each in networks] for name, networks in families.items()}
+    told = {(row["networks"], row["condition"]): row for row in compared(seen)}
+    rows, every = [], ("lmi", "tight", "box")
     for name, found in seen.items():
-        tiers = compare.summarise(found)
-        differ += (wrong := sum(tiers[tier]["disagreements"] or 0 for tier in ("lmi", "tight")))
-        closed += (narrow := sum(each["closed"] for each in found))
-        rows.append([
-            name, str(count), *(f"{tiers[tier]['share']:.0%}" for tier in ("lmi", "tight", "box")),
-            str(wrong) if solvable else "–", f"{narrow} of {count}",
-        ])  # fmt: skip
-    timings = [compare.timing(size, "CLARABEL", amount.largest if solvable else 0, rng) for size in amount.sizes]
-    cells = [
-        [f"n = {row['n']}", *("–" if row[key] is None else three_digits(1e3 * row[key]) for key in TIMES)]
-        for row in timings
-    ]
-    text = [f"The exact rate on the box is found for {closed} of {count * len(seen)} networks of {n} neurons."]
-    if solvable:
-        slower = between(row["lmi_again"] / row["closed_tight"] for row in timings if row["lmi_again"])
-        text += [
-            f"Clarabel and the closed forms disagree in {differ} of {2 * count * len(seen)} verdicts.",
-            f"An LMI that is solved again takes {slower} times as long as its closed form.",
-        ]
-    else:
-        text.append("No LMI was solved, since the extra `lmi` was not installed.")
+        wrong = str(sum(told[name, tier]["disagreements"] for tier in every[:2])) if solvable else "–"
+        shares = (f"{told[name, tier]['certified'] / count:.0%}" for tier in every)
+        rows.append([name, str(count), *shares, wrong, f"{sum(each['closed'] for each in found)} of {count}"])
     lines = [
         *table([f"n = {n}", "networks", "certified by lmi", "by tight", "on the box", "Clarabel disagrees",
                 "rate on the box found"], rows), "",
-        *table(["ms, one network", *TIMES.values()], cells), "",
-        *text, "",
         "`lmi` is the paper's condition, `tight` its extension to all rates below 1; each has a closed form. On the "
-        "box: the exact rate over the states and inputs that occur. A time is the least of some calls. More times: "
+        "box: the exact rate over the states and inputs that occur. Times: "
         "[Time of contraction verdicts](verdicts.md). What a constraint costs: [The cost of contraction while learning]"
         "(stability.md), [Which boats a constrained network can represent](representable.md).",
     ]  # fmt: skip
     return Part(lines, verdict_times(amount.effort))
+
+
+def followed(n: int, rng: np.random.Generator) -> dict[str, Work]:
+    """What is timed of networks of n neurons; `box` takes an initial network."""
+    weights, initial = random_networks(1, n, rng)[0], initial_networks(1, n, rng)[0]
+    a, w1 = torch.tensor(weights.a), torch.tensor(weights.w1)
+    a *= 0.9 / float(conditions.rate(a, w1))
+    return {
+        "closed_tight": partial(conditions.tight, a, w1),
+        "exact_rate": partial(exact.extreme_slopes, a.numpy(), weights.w1),
+        "proof": lambda: exact.proves(
+            "tight", a.numpy(), weights.w1, exact.multipliers("tight", a.numpy(), weights.w1)
+        ),
+        "box": partial(box.rate, initial, box.operating_box(4)),
+    }
 
 
 def verdict_times(effort: Effort) -> list[Figure]:
@@ -286,8 +280,8 @@ def verdict_times(effort: Effort) -> list[Figure]:
         for _ in range(calls):
             work()
 
-    spent_on = {n: compare.works(n, np.random.default_rng(1))[1] for n in {n for _, n in FOLLOWED}}
-    works = {f"{name}, n = {n}": partial(often, spent_on[n][name][0], calls) for (name, n), calls in FOLLOWED.items()}
+    spent_on = {n: followed(n, np.random.default_rng(1)) for n in {n for _, n in FOLLOWED}}
+    works = {f"{name}, n = {n}": partial(often, spent_on[n][name], calls) for (name, n), calls in FOLLOWED.items()}
     spent = in_turn({"loop": loop(effort.calls), **works}, effort.repeats, effort.clock)
     return [timed(f"certify: {name}", by_round(spent[name], spent["loop"]), LOOP) for name in works]
 

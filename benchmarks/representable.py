@@ -10,10 +10,10 @@ is reported is the open-loop simulation over a third one of half an hour.
 import math
 
 import torch
+from families import SURGE_MAX, surge_dot
 from pages import publish
 from torch import Tensor
 
-from certify.analysis.families import SURGE_MAX, surge_dot
 from certify.networks.shallow import ShallowWeights
 from certify.training.conditions import rate as contraction_rate
 from certify.training.projections import project

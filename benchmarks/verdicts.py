@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from families import initial_networks, random_networks
 from pages import publish
 from torch import Tensor
 
-from certify.analysis.families import initial_networks, random_networks
 from certify.networks.shallow import ShallowWeights
 from certify.proofs import exact
 from certify.proofs.equilibria import equilibria

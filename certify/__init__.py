@@ -5,7 +5,7 @@ import sys
 from certify.aliases import Moved
 
 _ROOMS = {  # room -> its modules that were documented as modules of `certify`
-    "proofs": ("certificate", "equilibria", "exact", "gauge", "steps", "vector_certificate", "vector_exact"),
+    "proofs": ("certificate", "equilibria", "exact", "steps", "vector_certificate", "vector_exact"),
     "search": ("box", "lmi", "vector_lmi", "vector_scaling"),
     "training": ("conditions", "projections"),
     "command": ("compare",),

@@ -17,9 +17,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from certify.analysis import sweep_jobs, sweep_rows
 from certify.command import verification
-from certify.command.comparison_start import start
 from certify.command.vector_run import Judged, judge, write_certificates
 from certify.errors import CertifyError, about, complain
 from certify.networks.shallow import Network, find
@@ -35,11 +33,10 @@ exit code: 0 all certified by --condition, 1 not all, 2 bad input, 3 a fault of 
 
 python -m certify outputs/RUN                             the checkpoints of a run
 python -m certify 'outputs/*/checkpoints/heron/*' --box   with the exact rate on the operating box
-python -m certify multirun/SWEEP --plot sweep.png         a table of its jobs: stability against accuracy
 python -m certify net.npz --certificate proofs            a JSON certificate each
 python -m certify --verify proofs/*.json                  check certificates, without solver and torch
 python -m certify net3.npz --lmi --steps                  a state of several components: A, W, W2, b, and R, V, c
-python -m certify compare outputs/RUN --page page         the conditions against the LMI, see compare --help
+python -m certify compare outputs/RUN --lmi              all conditions side by side, see compare --help
 """
 
 
@@ -52,7 +49,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.reconfigure(errors="replace")
     try:
         if arguments[:1] == ["compare"]:
-            return start(arguments[1:], _say)
+            from certify.command import compare
+
+            return compare.main(arguments[1:], _say)
         return _run(_parse(arguments))
     except (CertifyError, OSError) as error:
         return _error(error)
@@ -81,9 +80,8 @@ def parser() -> argparse.ArgumentParser:
     found = argparse.ArgumentParser(
         "python -m certify", description=__doc__, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    found.add_argument("paths", nargs="*", metavar="PATH", help="checkpoints, folders of runs or sweeps, patterns")
+    found.add_argument("paths", nargs="*", metavar="PATH", help="checkpoints, folders of runs, patterns")
     found.add_argument("--condition", choices=EVERY_CONDITION, help="what is judged (default: tight)")
-    found.add_argument("--all", action="store_true", help="of a sweep: every checkpoint, not each boat's last one")
     found.add_argument("--lmi", action="store_true", help="solve both linear matrix inequalities too (extra lmi)")
     found.add_argument("--solver", default="CLARABEL", help="of --lmi, a name that cvxpy knows (default: CLARABEL)")
     found.add_argument(
@@ -111,7 +109,7 @@ def parser() -> argparse.ArgumentParser:
     found.add_argument(
         "--plot",
         metavar="FILE",
-        help="draw the map and its equilibria; FILE, FILE-2, … for several checkpoints; sweep: rates against errors",
+        help="draw the map and its equilibria; FILE, FILE-2, … for several checkpoints",
     )
     found.add_argument("--headings", action="store_true", help="of --plot: the maps at rest over all headings")
     found.add_argument(
@@ -154,12 +152,7 @@ def _joined(arguments: Sequence[str]) -> list[str]:
 def _run(options: argparse.Namespace) -> int:
     phi = activation(options.activation or "relu")
     code, networks, vectors = CERTIFIED, [], []
-    jobs = [] if options.verify else sweep_jobs.jobs(options.paths)
-    if jobs:
-        _refuse_options_of_checkpoints(options)
-    for problem in (text for job in jobs for text in job.damaged):
-        code = _error(problem)
-    for path in sweep_jobs.chosen(jobs, options.all) if jobs else find(options.paths):
+    for path in find(options.paths):
         try:
             most = verification.MOST_NETWORKS if options.verify else math.inf
             shallow, others = read_both(path, phi, as_vectors=options.steps and not options.verify, most=most)
@@ -170,8 +163,6 @@ def _run(options: argparse.Namespace) -> int:
         vectors += others
     if options.paths and not networks and not vectors:
         return code
-    if jobs:
-        vectors = []  # the table of a sweep is about shallow networks
     if options.headings and any(network.inputs != 4 for network in networks):
         raise CertifyError("--headings: found a network without the four inputs of heading and commands")
     if options.plot is not None and (not options.plot or options.plot.endswith(os.sep) or Path(options.plot).is_dir()):
@@ -195,38 +186,17 @@ def _run(options: argparse.Namespace) -> int:
     if options.certificate is not None:
         code, written = _write_certificates(options, networks, rows, held, judged, code)
         notes += written
-    if options.plot and not jobs:
+    if options.plot:
         notes += _plot(options, networks)
-    if jobs:
-        table = sweep_rows.rows(jobs, networks, rows, held)
-        left = sweep_rows.unjudged(jobs, table)
-        if options.plot:
-            notes += _plot_sweep(options, table)
-        code = max(code, NOT_ALL if left else CERTIFIED)
-        rows = [*table, *left]
     if options.json:
         _say(print, json.dumps([*rows, *judged.rows], indent=1, allow_nan=False))
         for note in notes:
             print(note, file=sys.stderr)
-    elif jobs:
-        from certify.display.printed import show_sweep
-
-        _say(show_sweep, table, left, condition, options.all, notes)
     else:
         from certify.display.printed import show
 
         _say(show, rows, condition, held, notes, options.dt, judged.rows)
     return max(code, CERTIFIED if all(held + judged.held) else NOT_ALL)
-
-
-def _refuse_options_of_checkpoints(options: argparse.Namespace) -> None:
-    given = {"--lmi": options.lmi, "--headings": options.headings, "--input": options.input, "--dt": options.dt}
-    given |= {"--steps": options.steps, "--activation": options.activation}
-    if wrong := [name for name, value in given.items() if value not in (None, False)]:
-        raise CertifyError(
-            f"{wrong[0]}: is about single checkpoints, and {options.paths[0]} is the folder of a sweep: give the "
-            "folders of its jobs"
-        )
 
 
 def _say(write: Callable, *arguments: Any) -> None:
@@ -348,14 +318,6 @@ def _plot(options, networks: Sequence[Network]) -> list[str]:
         save(equilibria_figure(network.weights, u, network.path, headings=headings), path)
         written.append(str(path))
     return [f"pictures: {', '.join(written[:3])}{f' … {written[-1]}' if len(written) > 3 else ''}"]
-
-
-def _plot_sweep(options: argparse.Namespace, table: Sequence[dict[str, Any]]) -> list[str]:
-    from certify.display.figures import save
-    from certify.display.sweep_figure import sweep_figure
-
-    save(sweep_figure(table), options.plot)
-    return [f"picture: {options.plot}"]
 
 
 if __name__ == "__main__":

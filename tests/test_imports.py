@@ -42,7 +42,7 @@ OURS: dict[str, set[str]] = {
     "usvlearn.report": LEARNS | {"usvlearn.display", "usvlearn.evaluation", "usvlearn.runs", "certify.display",
                                  "certify.proofs"},
     "usvlearn.sweeps": LEARNS | {"usvlearn.display", "usvlearn.evaluation", "usvlearn.runs", "usvlearn.report",
-                                 "certify.analysis", "certify.proofs"},
+                                 "certify.proofs"},
     "usvlearn.learned": LEARNS | {"usvlearn.display", "usvlearn.evaluation", "usvlearn.logs", "usvlearn.model",
                                   "usvlearn.report", "usvlearn.runs"},
     "usvlearn.cli": {"usvlearn"},  # everything
@@ -53,11 +53,9 @@ OURS: dict[str, set[str]] = {
 CERTIFY = {
     "torch": {
         "certify.training",
-        "certify.command.compare",
-        "certify.analysis.families",
         "certify.networks.shallow",
     },
-    "scipy": {"certify.search"},
+    "scipy": {"certify.search", "certify.command.compare"},
     "cvxpy": {"certify.search.lmi"},
     "clarabel": {"certify.search.vector_lmi"},
     "matplotlib": {"certify.display.figures"},

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import io
-import re
-from html import escape
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -198,28 +196,27 @@ def save(figure, path: str | Path) -> None:
         raise CertifyError(f"{path}: cannot be written ({error}): give a file such as map.png") from error
 
 
-def svg_of_page(figure, name: str) -> tuple[str, bytes, bytes]:
-    """A figure as SVG for a page, whose theme it follows, and as SVG and PNG files on white.
+def comparison_figure(families: Mapping[str, Sequence[Mapping[str, Any]]], conditions: Sequence[str]):
+    """The smallest rate at which each condition holds: a dot for each network; below 1 it is certified.
 
     Args:
-        figure: of matplotlib, with text in INK or black, grids in #EEEEEE.
-        name: by which its ids differ from those of the page's other figures.
+        families: name -> rows of `certify.command.compare.examine`.
+        conditions: in their order.
+
+    Raises:
+        CertifyError: matplotlib is not installed.
     """
-    from matplotlib import rc_context
-
-    def saved(kind: str, **options: Any) -> bytes:
-        content = io.BytesIO()
-        figure.savefig(content, format=kind, bbox_inches="tight", pad_inches=0.05, **options)
-        return content.getvalue()
-
-    with rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
-        drawn = saved("svg", transparent=True, metadata={"Date": None}).decode()
-    whole = re.sub("(<svg[^>]*>)", r'\1<rect width="100%" height="100%" fill="white"/>', drawn, count=1).encode()
-    inline = re.sub("<metadata>.*?</metadata>", "", drawn[drawn.index("<svg") :], flags=re.DOTALL)
-    inline = re.sub(r'(id="|href="#|url\(#)', rf"\g<1>{name}-", inline)
-    theme = {INK: "currentColor", "#000000": "currentColor", "#eeeeee": "var(--line)", "#ffffff": "var(--page)"}
-    for colour, variable in theme.items():
-        inline = re.sub(re.escape(colour), variable, inline, flags=re.IGNORECASE)
-    own = 1.3 * figure.get_size_inches()[0]
-    start = f'<svg style="--own: {own:.1f}in" role="img" aria-label="{escape(name)}"'
-    return inline.replace("<svg", start, 1), whole, saved("png", dpi=150, facecolor="white")
+    figure = blank("the figure of the comparison", figsize=(1.5 + 3.2 * len(families), 4.2), dpi=110,
+                   layout="constrained")  # fmt: skip
+    rng = np.random.default_rng(0)  # places of dots within a column mean nothing
+    for axes, (name, rows) in zip(figure.subplots(1, len(families), sharey=True, squeeze=False)[0], families.items(),
+                                  strict=True):  # fmt: skip
+        axes.axhline(1, color=PALE, linewidth=1)
+        for k, condition in enumerate(conditions):
+            rates = [row["rates"][condition] for row in rows if row["rates"][condition]]
+            axes.plot(k + rng.uniform(-0.2, 0.2, len(rates)), rates, ".", color=TIER_COLOURS[condition], alpha=0.7)
+        axes.set(yscale="log", title=Path(name).name, xlim=(-0.6, len(conditions) - 0.4))
+        axes.set_xticks(range(len(conditions)), conditions, rotation=30)
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.supylabel("smallest rate at which the condition holds", fontsize=10, color=INK)
+    return figure

@@ -6,7 +6,6 @@ import os
 import sys
 from collections import Counter
 from collections.abc import Sequence
-from contextlib import nullcontext
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
@@ -15,7 +14,6 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from certify.analysis.sweep_rows import ranges, short_keys, short_values
 from certify.display import vector_printed
 from certify.display.marks import MARKS, mark, time_constant
 from certify.errors import folded
@@ -202,78 +200,6 @@ def summary(rows: Sequence[dict[str, Any]], condition: str, held: Sequence[bool]
     return lines
 
 
-def show_sweep(
-    rows: Sequence[dict[str, Any]],
-    left: Sequence[dict[str, Any]],
-    condition: str,
-    every: bool,
-    notes: Sequence[str],
-) -> None:
-    """One row per job and network, or per network over seeds; below it the jobs without one.
-
-    Args:
-        rows, left: see `certify.analysis.sweep_rows.rows`, `certify.analysis.sweep_rows.unjudged`.
-        condition: that was asked.
-        every: whether all checkpoints were judged, not the last of each boat.
-        notes: further lines.
-    """
-    console = _console()
-    free, seeds = any(row["free"] is not None for row in rows), any(len(row["jobs"]) > 1 for row in rows)
-    networks = len({row["network"] for row in rows}) > 1
-    names = ["gersh." if name == "gershgorin" else name for name in rows[0]["certified"]]
-    verdicts = [[f"{count}/{row['sets']}" for count in row["certified"].values()] for row in rows]
-    widths = [max(map(len, column)) for column in zip(names, *verdicts, strict=True)]  # one column, never torn apart
-    keys = ", ".join(short_keys(next((row["settings"] for row in rows if row["settings"]), {})))
-    headings = ["job", *[keys] * bool(keys), *["network"] * networks, "free", "MAE", "rate K"]
-    headings += ["  ".join(map(str.rjust, names, widths)), *["K on box"] * ("box_rate" in rows[0])]
-    lines: list[list[str | Text]] = []
-    for row, counts in zip(rows, verdicts, strict=True):
-        line: list[str | Text] = [", ".join(ranges(row["jobs"]))]
-        line += [short_values(row["settings"])] * bool(keys) + [row["network"]] * networks
-        line += [_error(row["free"], row["free_deviation"]), _error(row["mae"], row["mae_deviation"])]
-        colours = ["green" if count == row["sets"] else "red" for count in row["certified"].values()]
-        line += [above(row["rate"], 4), Text("  ").join(map(Text, map(str.rjust, counts, widths), colours))]
-        lines.append(line + [above(row["box_rate"], 4) for _ in headings[len(line) :]])
-    order = "the error of open-loop simulations" if free else "the MAE one step ahead"
-    of = "" if networks else f"{rows[0]['network']}: "
-    _print(console, f"{of}jobs certified by {condition} first, then by {order}", headings, lines, [keys])
-    over = " ±: standard deviation over seeds." if seeds else ""
-    console.print(
-        f"free: MAE of open-loop simulations; MAE: one step ahead; both in m/s, mean over boats.{over} rate K: the "
-        "largest of "
-        f"{'all checkpoints' if every else 'the last checkpoints of the boats'}. simple … tight: how many of "
-        "them are certified."
-    )
-    held = sum(row["holds"] for row in rows)
-    console.print(f"{held} of {len(rows)} rows certified contracting by {condition}, in rational arithmetic")
-    if begun := {name: None for row in rows for name in row["unfinished"]}:
-        console.print(f"not finished, judged by the checkpoints saved so far: job {', '.join(ranges(list(begun)))}")
-    for row in left:
-        settings = row["settings"] or {}
-        values = zip(short_keys(settings), settings.values(), strict=True)
-        shown = ", ".join(f"{key}={value}" for key, value in values if value is not None)
-        console.print(f"job {row['jobs'][0]}{f' ({shown})' if shown else ''}: {row['error']}")
-    for note in notes:
-        _say(console, note)
-
-
-def _error(mean: float | None, deviation: float | None) -> str:
-    """An error in m/s, with its deviation.
-
-    >>> _error(None, None), _error(0.03125, None), _error(0.25, 0.0123)
-    ('–', '0.0312', '0.2500±0.0123')
-    """
-    if mean is None:
-        return "–"
-    return f"{mean:.4f}" if deviation is None else f"{mean:.4f}±{deviation:.4f}"
-
-
-def busy(what: str):
-    """A context that says at a terminal what is done, on the standard error stream; nothing is left of it."""
-    console = Console(stderr=True)
-    return console.status(what) if console.is_terminal else nullcontext()
-
-
 def progress(items: Sequence, lines: str):
     """The items, with a temporary progress bar on the standard error stream."""
     from rich.progress import track
@@ -281,19 +207,23 @@ def progress(items: Sequence, lines: str):
     return track(items, lines, console=Console(stderr=True), transient=True)
 
 
-def show_comparison(result: dict[str, Any]) -> None:
-    """The result of `certify.command.compare` in words, then question by question with its tables."""
-    from certify.display.comparison_tables import headline, highlights, parts, settings
-
-    console = _console()
-    _say(console, headline(result), *highlights(result))
-    for part in parts(result):
-        console.print()
-        _say(console, part.title, style="bold")
-        for sentence in part.said:
-            _say(console, f"  {sentence}")
-        console.print()
-        for table in part.tables:
-            _print(console, *table)
-    for sentence in settings(result):
-        _say(console, sentence)
+def show_comparison(rows: Sequence[dict[str, Any]]) -> None:
+    """The table of `certify.command.compare`."""
+    console, solved = _console(), any(row["disagreements"] is not None for row in rows)
+    several = len({row["networks"] for row in rows}) > 1
+    headings = ["condition", *["networks"] * several, "certified", "95 %", "rate/K", "largest rate"]
+    headings += ["solver differs"] * solved
+    lines: list[list[str | Text]] = []
+    for row in rows:
+        ends = "–" if row["interval"] is None else "{:.0%}…{:.0%}".format(*row["interval"])
+        cells = ["–" if row[key] is None else above(row[key], 4) for key in ("over_K", "largest")]
+        line: list[str | Text] = [row["condition"], *[row["networks"]] * several, f"{row['certified']} of {row['of']}"]
+        differs = "–" if row["disagreements"] is None else str(row["disagreements"])
+        lines.append([*line, ends, *cells, *[differs] * solved])
+    title = f"{rows[0]['networks']}: networks that each condition certifies" if not several else "certified networks"
+    _print(console, title, headings, lines, ["networks"])
+    _say(
+        console,
+        "rate/K: the median of the smallest rate at which a condition holds, over the exact rate K of all activation "
+        "patterns. largest rate: of the networks that it certifies; box: on the operating box.",
+    )

@@ -10,7 +10,7 @@ from certify.__main__ import main
 
 NEEDED = {
     "rich": ["net.npz"],
-    "torch": ["compare"],
+    "scipy": ["compare", "net.npz"],
     "cvxpy": ["net.npz", "--lmi"],
     "matplotlib": ["net.npz", "--plot", "map.png"],
 }
@@ -18,7 +18,6 @@ IMPORTING = (
     "certify.display.printed",
     "certify.command.compare",
     "certify.training.conditions",
-    "certify.analysis.families",
     "certify.training.projections",
 )
 

@@ -1,4 +1,4 @@
-"""Networks on which conditions are compared: random, initialised, trained."""
+"""Networks on which conditions are measured: random, initialised, trained."""
 
 from __future__ import annotations
 
