@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from certify.command.compare import random_networks as initial_networks
 from certify.networks.shallow import ShallowWeights
 from certify.training import conditions
 
@@ -29,17 +30,6 @@ def random_networks(count: int, n: int, rng: np.random.Generator) -> list[Shallo
         gain = math.sqrt(K / float(conditions.rate(torch.tensor(a), torch.tensor(w1))))
         found.append(ShallowWeights(gain * a, gain * w1, rng.normal(size=(n, 4)), b))
     return found
-
-
-def initial_networks(count: int, n: int, rng: np.random.Generator, inputs: int = 4) -> list[ShallowWeights]:
-    """As torch.nn.Linear draws them: uniform within ±1/√(fan-in), the fan-in being 1 + m and n."""
-    width = 1 / math.sqrt(1 + inputs)
-    return [
-        ShallowWeights(
-            rng.uniform(-1, 1, n) / math.sqrt(n), *(rng.uniform(-width, width, size) for size in (n, (n, inputs), n))
-        )
-        for _ in range(count)
-    ]
 
 
 def signed_networks(count: int, n: int, rarer: int, rng: np.random.Generator) -> list[ShallowWeights]:

@@ -12,7 +12,7 @@ from tests.support.certify_command import told
 def networks(count: int, n: int) -> list:
     """Of which some are beyond each condition."""
     drawn = random_networks(count, n, np.random.default_rng(1))
-    return [w._replace(a=w.a * 4.0 * (k + 1) / count) for k, w in enumerate(drawn)]
+    return [w._replace(a=w.a * 16.0 * (k + 1) / count) for k, w in enumerate(drawn)]
 
 
 def test_the_table_counts_what_was_examined():
