@@ -98,7 +98,7 @@ def parser() -> argparse.ArgumentParser:
     found.add_argument(
         "--activation",
         metavar="PHI",
-        help="of the networks: relu, tanh or leaky:α (default: relu; --verify: as claimed)",
+        help="of the networks: relu, tanh or leaky:α (default: what the file states, else relu; --verify: as claimed)",
     )
     found.add_argument("--steps", action="store_true", help="prove also that all steps up to the largest contract")
     found.add_argument("--dt", type=float, metavar="S", help="step in s, to give time constants in s")
@@ -150,7 +150,7 @@ def _joined(arguments: Sequence[str]) -> list[str]:
 
 
 def _run(options: argparse.Namespace) -> int:
-    phi = activation(options.activation or "relu")
+    phi = None if options.activation is None else activation(options.activation)
     code, networks, vectors = CERTIFIED, [], []
     for path in find(options.paths):
         try:

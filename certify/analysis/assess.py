@@ -46,17 +46,18 @@ def assess(
     """
     weights = network.weights
     n, m = weights.W2.shape
-    conditions = exact.conditions(weights.a, weights.w1)
-    K = max(exact.extreme_slopes(weights.a, weights.w1))
+    verdict = exact.verdict(weights)
+    assert verdict is not None  # `load` refuses other weights
+    K = verdict.rate
     u = np.zeros(m) if u is None else u
     found = {
         "path": network.path,
         "n": n,
         "m": m,
-        "margins": {name: float_below(condition.margin) for name, condition in conditions.items()},
+        "margins": {name: float_below(margin) for name, margin in verdict.margins.items()},
         "rate": float_above(K),
         "time_constant": time_constant(K),  # in steps
-        "certified": {name: condition.margin > 0 for name, condition in conditions.items()},
+        "certified": {name: margin > 0 for name, margin in verdict.margins.items()},
         "best_gauge": {name: rate < 1 for name, rate in exact.best_gauge(weights.a, weights.w1).items()},
         "input": list(map(float, u)),
         "equilibria": [_findings(each) for each in equilibria(weights, u)],  # in [0, 1], as in the paper

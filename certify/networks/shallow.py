@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import glob
 import hashlib
+import json
 import math
 import re
 import zipfile
@@ -18,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from certify.errors import CertifyError, shortened
+from certify.errors import CertifyError, quoted, shortened
 
 SUFFIXES = (".safetensors", ".npz", ".pt", ".pth")
 LARGEST = 1e150  # largest weight in a file; sums of products of two such weights are still finite floats
@@ -218,7 +219,10 @@ def load(path: str | Path) -> list[Network]:
     ...     load(f"{folder}/net.npz")[0].weights.a
     array([0.5])
     """
-    return from_tensors(read_tensors(path), str(path))
+    networks = from_tensors(read_tensors(path), str(path))
+    if (stated := stated_activation(path)) not in (None, "relu"):
+        raise CertifyError(f"{path}: states the activation {quoted(stated)}, expected relu")
+    return networks
 
 
 def read_tensors(path: str | Path) -> dict[str, np.ndarray]:
@@ -251,6 +255,31 @@ def read_tensors(path: str | Path) -> dict[str, np.ndarray]:
         cause = shortened(error) or type(error).__name__
         raise CertifyError(f"{path}: cannot be read as {path.suffix} of float32 or float64 ({cause})") from error
     return tensors
+
+
+def stated_activation(path: str | Path) -> str | None:
+    """The activation that a file states, None where it states none.
+
+    It is an entry `activation` of an .npz, or of the metadata of .safetensors, as usvlearn writes them.
+
+    Raises:
+        CertifyError: as `read_tensors`, or metadata that cannot be read.
+    """
+    path = Path(path)
+    if path.suffix == ".npz":
+        found = read_tensors(path).get("activation")
+        return None if found is None else str(found)
+    if path.suffix != ".safetensors":
+        return None
+    from safetensors import safe_open
+
+    try:
+        with safe_open(path, "np") as file:
+            known = file.metadata() or {}
+        facts = json.loads(known.get("usvlearn", "{}"))
+        return known.get("activation") or (facts.get("activation") if isinstance(facts, dict) else None)
+    except Exception as error:  # a damaged file can make a reader raise anything
+        raise CertifyError(f"{path}: its metadata cannot be read ({shortened(error)}): save it again") from error
 
 
 def _read_safetensors(path: Path) -> dict[str, np.ndarray]:

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from certify.errors import CertifyError, quoted, shortened
+from certify.errors import CertifyError, about, quoted, shortened
 from certify.networks.shallow import (
     LARGEST,
     Network,
@@ -28,6 +28,7 @@ from certify.networks.shallow import (
     holds_shallow,
     read_tensors,
     refuse_many,
+    stated_activation,
 )
 from certify.networks.shallow import from_tensors as shallow_networks
 
@@ -264,16 +265,25 @@ def _layers(tensors: Mapping[str, Any], path: str) -> list[VectorWeights]:
 
 
 def read_both(
-    path: str | Path, phi: Activation = RELU, as_vectors: bool = False, most: float = math.inf
+    path: str | Path, phi: Activation | None = None, as_vectors: bool = False, most: float = math.inf
 ) -> tuple[list[Network], list[VectorNetwork]]:
     """The shallow networks and the networks (1) in a file.
 
-    With another activation, or `as_vectors`, all are of the second kind.
+    With another activation than relu, or `as_vectors`, all are of the second kind. The activation is the one that the
+    file states, or else relu, unless it is given.
 
     Raises:
-        CertifyError: as `certify.networks.shallow.load`; or there are more than `most` of a kind.
+        CertifyError: as `certify.networks.shallow.load`; the file states another activation than the given one; or
+            there are more than `most` of a kind.
     """
     tensors = read_tensors(path)
+    if (stated := stated_activation(path)) is not None:
+        with about(str(path)):
+            own = activation(stated)
+        if phi not in (None, own):
+            raise CertifyError(f"{path}: states the activation {own}, found --activation {phi}: leave it out")
+        phi = own
+    phi = phi or RELU
     vectors = from_tensors(tensors, str(path), phi, most)
     shallow = [] if vectors and not holds_shallow(tensors) else shallow_networks(tensors, str(path), most)
     if phi == RELU and not as_vectors:

@@ -13,10 +13,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from fractions import Fraction
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+
+from certify.networks.shallow import ShallowWeights
+from certify.proofs.rounding import float_above, float_below
 
 CORNER = {"simple": 1, "gershgorin": 1, "lmi": 1, "tight": 2}  # c of each condition's matrix
 ZERO, ONE = Fraction(0), Fraction(1)
@@ -89,6 +92,44 @@ def condition(name: str, a: ArrayLike, w1: ArrayLike) -> Condition:
         return Condition(margin, (n + 1) * max(shares) if least > 0 else None)
     half = pairwise_sum(shares) / 2
     return Condition(min(1 - half, least), half if least > 0 else None)
+
+
+class Verdict(NamedTuple):
+    """What is proved of one network."""
+
+    margins: dict[str, Fraction]  # of each condition, the narrowest first; > 0 where it holds
+    rate: Fraction  # K, the exact rate over all activation patterns, per step
+
+    @property
+    def held(self) -> tuple[str, ...]:
+        """The conditions that hold, the narrowest first; none if the network is not certified contracting."""
+        return tuple(name for name, margin in self.margins.items() if margin > 0)
+
+    @property
+    def bound(self) -> float:
+        """K, rounded so that the verdict stays true."""
+        return (float_above if self.held else float_below)(self.rate)
+
+
+def verdict(weights: ShallowWeights) -> Verdict | None:
+    """The verdict on one network; None where a weight is not finite.
+
+    >>> found = verdict(ShallowWeights([0.5], [0.5], [[0.0]], [0.0]))
+    >>> found.held, found.bound
+    (('gershgorin', 'lmi', 'tight'), 0.25)
+    """
+    if not all(np.isfinite(each).all() for each in weights):
+        return None
+    found = conditions(weights.a, weights.w1)
+    K = found["tight"].rate
+    assert K is not None  # it holds at some rate
+    return Verdict({name: each.margin for name, each in found.items()}, K)
+
+
+def as_json(found: Verdict | None) -> dict[str, Any]:
+    """A verdict as it is saved and published."""
+    held = found.held if found else ()
+    return {"contracting": bool(held), "condition": held[0] if held else None, "rate": found and found.bound}
 
 
 def lemma_is_long(W: ArrayLike) -> bool:

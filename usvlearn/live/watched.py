@@ -85,24 +85,17 @@ def _network(online: Online, prefix: str, scale: float) -> dict[str, Any]:
     from certify.networks.shallow import ShallowWeights
     from certify.proofs import exact
     from certify.proofs.equilibria import equilibria
-    from certify.proofs.rounding import float_above, float_below
 
     weights = ShallowWeights(*(np.asarray(online.leaf(f"{prefix}weights.{w}"), float) for w in ("a", "w1", "W2", "b")))
-    unknown = {"contracting": False, "condition": None, "rate": None, "time_constant": None, "equilibrium": None}
-    if not all(np.isfinite(w).all() for w in weights):
-        return unknown
-    conditions = exact.conditions(weights.a, weights.w1)
-    held = [name for name, condition in conditions.items() if condition.margin > 0]
-    K = max(exact.extreme_slopes(weights.a, weights.w1))
-    rate, dt = (float_above if held else float_below)(K), float(online.leaf(f"{prefix}dt"))
+    verdict = exact.verdict(weights)
+    if verdict is None:
+        return {**exact.as_json(None), "time_constant": None, "equilibrium": None}
+    rate, dt = verdict.bound, float(online.leaf(f"{prefix}dt"))
     constant = -dt / math.log(rate) if 0 < rate < 1 and dt > 0 else None
     u, speed = online.leaf(f"{prefix}inputs_before"), float(online.leaf(f"{prefix}surge"))
     places = equilibria(weights, [float(u[0]), float(u[1]), 0.0, 0.0], -1.0, 1.0)
     nearest = min((each.x / scale for each in places), key=lambda v: abs(v - speed), default=None)
-    return {
-        "contracting": bool(held), "condition": held[0] if held else None, "rate": rate, "time_constant": constant,
-        "equilibrium": nearest,
-    }  # fmt: skip
+    return {**exact.as_json(verdict), "time_constant": constant, "equilibrium": nearest}
 
 
 def horizons(description: Mapping[str, Any]) -> tuple[float, ...]:

@@ -9,7 +9,7 @@ from certify.proofs.rounding import above, below
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.state import EnsembleState
 from usvlearn.evaluation.metrics import PERSISTENCE
-from usvlearn.evaluation.networks import Verdict, verdicts
+from usvlearn.evaluation.networks import Judged, verdicts
 
 SHOWN = 8  # most boats with a line each
 FAR = 2.0  # times the error of the combiner that predicts: open-loop simulations that are far off
@@ -72,14 +72,15 @@ def free_words(name: str, free: Mapping[str, float | None], output: str) -> str:
     return f"open-loop simulations {'are far off: they ' if far else ''}err by {own:.3f} m/s{beside}"
 
 
-def _sentence(verdict: Verdict) -> str:
-    if verdict.rate is None:
+def _sentence(judged: Judged) -> str:
+    verdict = judged.proved
+    if verdict is None:
         return "its weights are not finite"
     if not verdict.held:
         return (
             f"not certified contracting, K = {below(verdict.rate, 4)} (≥ 1) a step; usvlearn certify --box may still "
             "certify it"
         )
-    rest = f"; at rest {verdict.equilibrium:.3f} m/s" if math.isfinite(verdict.equilibrium) else ""
-    slow = f" ({verdict.time_constant:.3g} s)" if verdict.time_constant > 0 else ""
+    rest = f"; at rest {judged.equilibrium:.3f} m/s" if math.isfinite(judged.equilibrium) else ""
+    slow = f" ({judged.time_constant:.3g} s)" if judged.time_constant > 0 else ""
     return f"certified contracting by {', '.join(verdict.held)}, K = {above(verdict.rate, 4)} a step{slow}{rest}"

@@ -10,7 +10,8 @@ from safetensors.numpy import save_file
 
 from certify.errors import CertifyError
 from certify.networks import shallow
-from certify.networks.shallow import NAMES, ShallowWeights, check, digest, find, from_tensors, load
+from certify.networks.shallow import NAMES, ShallowWeights, check, digest, find, from_tensors, load, stated_activation
+from certify.networks.vector import RELU, activation, read_both
 from usvlearn import AID, RNN, Ensemble
 from usvlearn.core.checkpoint import save
 
@@ -203,3 +204,24 @@ def test_an_archive_that_unpacks_to_gigabytes_is_refused_before_it_is_unpacked(t
     assert path.stat().st_size < 2**20
     with pytest.raises(CertifyError, match="unpacks to 21 MB, expected 17 MB at most"):
         load(path)
+
+
+def test_a_file_states_its_activation_and_a_contradiction_is_refused(tmp_path):
+    ensemble = Ensemble({"rnn": RNN(6)})
+    own = save(tmp_path / "set.safetensors", ensemble.init(), boat="heron")
+    assert stated_activation(own) == "relu" and read_both(own)[0] and read_both(own, RELU)[0]
+    with pytest.raises(CertifyError, match="states the activation relu, found --activation tanh"):
+        read_both(own, activation("tanh"))
+    for file in (tmp_path / "net.npz", tmp_path / "net.safetensors"):
+        arrays = weights()._asdict()
+        if file.suffix == ".npz":
+            np.savez(file, **arrays, activation="leaky:0.01")
+        else:
+            save_file(arrays, file, {"activation": "leaky:0.01"})
+        (found,) = read_both(file)[1]
+        assert str(found.activation) == "leaky:1/100" and read_both(file, activation("leaky:1/100"))[1]
+        with pytest.raises(CertifyError, match="states the activation 'leaky"):
+            load(file)
+    np.savez(tmp_path / "bad.npz", **weights()._asdict(), activation="gelu")
+    with pytest.raises(CertifyError, match="activation: found 'gelu'"):
+        read_both(tmp_path / "bad.npz")

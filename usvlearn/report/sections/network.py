@@ -46,15 +46,14 @@ def network_section(seasons: Sequence[Season], ensemble: Ensemble, errors: Mappi
     surge_max = 0.5 / network.scale
     networks = {s.boat: [element_weights(s.state.members[name], k) for k in range(len(s.own))] for s in seasons}
     margins: dict[str, dict[str, np.ndarray]] = {}
+    rates = {}
     for boat, some in networks.items():
-        found = [exact.conditions(weights.a, weights.w1) for weights in some]
-        for condition in found[0]:
-            margins.setdefault(condition, {})[boat] = np.array([float_below(each[condition].margin) for each in found])
+        found = [exact.verdict(weights) for weights in some]
+        rates[boat] = np.array([float_above(each.rate) if each else np.nan for each in found])
+        for name in exact.CORNER:
+            own = [float_below(each.margins[name]) if each else np.nan for each in found]
+            margins.setdefault(name, {})[boat] = np.array(own)
     held = {condition: sum(int((m > 0).sum()) for m in boats.values()) for condition, boats in margins.items()}
-    rates = {
-        boat: np.array([float_above(max(exact.extreme_slopes(w.a, w.w1))) for w in some])
-        for boat, some in networks.items()
-    }
     headings = np.linspace(0, 2 * np.pi, HEADINGS, endpoint=False)
     inputs = surge_inputs(headings)
     rows, single = [], True
