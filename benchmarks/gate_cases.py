@@ -25,7 +25,7 @@ import torch
 from families import initial_networks, random_networks, signed_networks
 from speed_steps import as_numbers
 
-from certify.analysis import assess, vector_assess
+from certify.analysis.assess import assess
 from certify.networks.shallow import Network, ShallowWeights
 from certify.networks.vector import RELU, VectorNetwork
 from certify.proofs import certificate, vector_certificate
@@ -232,7 +232,7 @@ def verdicts(group: int) -> Case:
 
 def assessed(weights: ShallowWeights) -> Case:
     inside = box.operating_box(weights.W2.shape[1])
-    row = assess.assess(Network("network", weights), box=inside, seconds=UNLIMITED)
+    row, _ = assess(Network("network", weights), box=inside, seconds=UNLIMITED)
     made = {name: certificate.make(weights, name) for name in certificate.CLOSED_FORMS}
     made["interval"] = certificate.make(weights, "interval", box=inside)
     if (rate := row["box"]["proved_rate"]) is not None:
@@ -248,7 +248,7 @@ def vector_verdicts(group: int) -> Case:
         q, n, last = ((2, 3, 0), (2, 4, 2), (3, 3, 0))[k % 3]
         network = VectorNetwork("network", vector_network(rng, q, 1, n, last), RELU)
         if k % 5 == 0:
-            row, made = vector_assess.assess(network, UNLIMITED, steps=True)
+            row, made = assess(network, seconds=UNLIMITED, steps=True)
             found[f"network {k}"] = {"verdicts": lasting(row), "certificates": lasting(made)}
             continue
         T, norm = draw_scaling(rng, q), ("inf", "one")[k % 2]

@@ -18,7 +18,6 @@ from peers.online import MODULES
 from speed_steps import WAYS, costs, costs_of_others, estimators, loop, median, times
 from timing import Effort, Work, in_turn, micro, ratio, table, three_digits
 
-from certify.analysis.assess import solver
 from certify.command.compare import examine
 from certify.command.compare import table as compared
 from certify.proofs import exact
@@ -239,7 +238,7 @@ def certificates(amount: Amount, logs: Path | None) -> Part:
         "initialised": initial_networks(count, n, rng),
         "trained": trained_networks(count, n, rng, steps=amount.training),
     }
-    solve = solver() if (solvable := bool(find_spec("cvxpy") and find_spec("clarabel"))) else None
+    solve = "CLARABEL" if (solvable := bool(find_spec("cvxpy") and find_spec("clarabel"))) else None
     seen = {name: [examine(each, 2.0, solve) for each in networks] for name, networks in families.items()}
     told = {(row["networks"], row["condition"]): row for row in compared(seen)}
     rows, every = [], ("lmi", "tight", "box")

@@ -10,19 +10,18 @@ import os
 import re
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Sequence
-from fractions import Fraction
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
 
 from certify.command import verification
-from certify.command.vector_run import Judged, judge, write_certificates
-from certify.errors import CertifyError, about, complain
+from certify.command.judged import input_of, judge, write_certificates
+from certify.errors import CertifyError, complain
 from certify.networks.shallow import Network, find
-from certify.networks.vector import VectorNetwork, activation, read_both
-from certify.proofs import certificate, vector_certificate
+from certify.networks.vector import activation, read_both
+from certify.proofs import vector_certificate
 from certify.proofs.certificate import CONDITIONS
 
 CERTIFIED, NOT_ALL, BAD_INPUT, FAULT, STOPPED = 0, 1, 2, 3, 130  # exit codes
@@ -174,29 +173,33 @@ def _run(options: argparse.Namespace) -> int:
         if results.rows:
             _say(print, json.dumps(results.rows, indent=1) if options.json else "\n".join(results.lines))
         return max(code, CERTIFIED if all(row["valid"] for row in results.rows) else NOT_ALL)
-    judged = judge(options, vectors) if vectors else Judged([], [], [], [], [])
-    for failure in judged.failures:
+    judged, failures = judge(options, [*networks, *vectors])
+    for failure in failures:
         code = _error(failure)
-    networks, rows, code = _assess(options, networks, code)
-    if not rows and not judged.rows:
+    if not judged:
         return code
-    condition = _for_one_state(options.condition)
-    held = [_holds(row, condition) for row in rows]
-    notes = []
+    rows, notes = [each.row for each in judged], []
     if options.certificate is not None:
-        code, written = _write_certificates(options, networks, rows, held, judged, code)
-        notes += written
+        folder = Path(options.certificate)
+        if not options.certificate or (folder.exists() and not folder.is_dir()):
+            raise CertifyError(
+                f"--certificate: found {options.certificate!r}, which is a file or empty, expected a folder"
+            )
+        written, too_long = write_certificates(folder, judged)
+        for each in too_long:
+            code = _error(f"{each}: is certified, but its proof is longer than --verify reads: it has no file")
+        notes.append(f"{written} certificates: {folder}; check them with --verify")
     if options.plot:
-        notes += _plot(options, networks)
+        notes += _plot(options, [each.network for each in judged if isinstance(each.network, Network)])
     if options.json:
-        _say(print, json.dumps([*rows, *judged.rows], indent=1, allow_nan=False))
+        _say(print, json.dumps(rows, indent=1, allow_nan=False))
         for note in notes:
             print(note, file=sys.stderr)
     else:
         from certify.display.printed import show
 
-        _say(show, rows, condition, held, notes, options.dt, judged.rows)
-    return max(code, CERTIFIED if all(held + judged.held) else NOT_ALL)
+        _say(show, rows, options.condition, notes, options.dt)
+    return max(code, CERTIFIED if all(row["judged"] for row in rows) else NOT_ALL)
 
 
 def _say(write: Callable, *arguments: Any) -> None:
@@ -208,104 +211,6 @@ def _say(write: Callable, *arguments: Any) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _assess(options: argparse.Namespace, networks: Sequence[Network], code: int) -> tuple[list, list, int]:
-    """The networks that could be judged, the findings for each, and the exit code so far."""
-    from certify.analysis.assess import assess, solver
-
-    solve = solver(options.solver) if options.lmi else None
-    boxes: dict[int, Any] = {}
-    inputs: dict[int, np.ndarray] = {}
-    for network in networks:  # report every bad argument before computing anything
-        m = network.inputs
-        if options.box is not None and m not in boxes:
-            from certify.search.box import box, operating_box
-
-            try:
-                boxes[m] = box(options.box, m) if options.box else operating_box(m)
-            except CertifyError as error:
-                raise CertifyError(f"{network.path}: {error}") from error
-        if m not in inputs:
-            inputs[m] = _input(options.input, m, network.path)
-    shown: Iterable[Network] = networks
-    if (options.lmi or options.box is not None) and len(networks) > 1:
-        from certify.display.printed import progress
-
-        shown = progress(networks, "certifying")
-    judged, rows = [], []
-    for each in shown:
-        try:
-            with about(each.path):
-                rows.append(assess(each, inputs[each.inputs], boxes.get(each.inputs), options.seconds, solve))
-            judged.append(each)
-        except CertifyError as error:  # the other networks are still judged
-            code = _error(error)
-    return judged, rows, code
-
-
-def _input(text: str | None, m: int, path: str) -> np.ndarray:
-    if text is None:
-        return np.zeros(m)
-    try:
-        u = np.array([float(part) for part in text.split(",")])
-    except ValueError:
-        raise CertifyError(f"--input: found {text!r}, expected numbers separated by commas") from None
-    if u.shape != (m,) or not np.isfinite(u).all():
-        raise CertifyError(f"--input: found {text!r}, expected {m} finite numbers, the inputs of {path}")
-    return u
-
-
-def _for_one_state(condition: str | None) -> str:
-    """What is judged of a shallow network; its tight condition is exact."""
-    return "tight" if condition in (None, "exact") else str(condition)
-
-
-def _holds(row: dict[str, Any], condition: str) -> bool:
-    if condition in row["certified"]:
-        return row["certified"][condition]
-    return row["box"]["verdict" if condition == "box" else "interval"] == "certified"
-
-
-def _write_certificates(
-    options, networks: Sequence[Network], rows, held, judged: Judged, code: int
-) -> tuple[int, list[str]]:
-    """The exit code so far, and what was written."""
-    folder, written = Path(options.certificate), 0
-    if not options.certificate or (folder.exists() and not folder.is_dir()):
-        raise CertifyError(f"--certificate: found {options.certificate!r}, which is a file or empty, expected a folder")
-    condition, names = _for_one_state(options.condition), _names([*networks, *judged.networks])
-    written += write_certificates(folder, judged, names[len(networks) :])
-    for network, name, row, holds in zip(networks, names, rows, held, strict=False):
-        if not holds:
-            continue
-        more: dict[str, Any] = {}
-        if condition in ("interval", "box"):
-            from certify.search.box import box
-
-            found = row["box"]
-            more = {"box": box(found["intervals"], row["m"]), "invariance_tree": found["invariance_tree"]}
-            if condition == "box":
-                more |= {"tree": found["tree"], "rate": Fraction(found["proved_rate"])}
-        made = certificate.make(network.weights, condition, path=network.path, **more)
-        if made is None:
-            code = _error(f"{network.path}: is certified, but its proof is longer than --verify reads: it has no file")
-            continue
-        certificate.write(folder / f"{name}.{condition}.json", made)
-        written += 1
-    return code, [f"{written} certificates: {folder}; check them with --verify"]
-
-
-def _names(networks: Sequence[Network | VectorNetwork]) -> list[str]:
-    """A file name for each checkpoint: the part of its path that differs from the others."""
-    paths = [os.path.abspath(network.path) for network in networks]
-    shared = os.path.commonpath([os.path.dirname(path) for path in paths])
-    names = [re.sub(r"\.(safetensors|npz|pth?)(?=\W|$)", "", os.path.relpath(path, shared)) for path in paths]
-    names = [re.sub(r"[^\w.-]+", "_", name).strip("_") for name in names]
-    for k in range(len(names)):
-        while names[k] in names[:k]:
-            names[k] += "_"
-    return names
-
-
 def _plot(options, networks: Sequence[Network]) -> list[str]:
     from certify.display.figures import equilibria_figure, save
     from certify.proofs.equilibria import surge_inputs
@@ -314,7 +219,7 @@ def _plot(options, networks: Sequence[Network]) -> list[str]:
     for k, network in enumerate(networks):
         path = file if k == 0 else file.with_name(f"{file.stem}-{k + 1}{file.suffix}")
         headings = np.linspace(0.0, 2 * np.pi, 24, endpoint=False) if options.headings else None
-        u = _input(options.input, network.inputs, network.path) if headings is None else surge_inputs(headings)
+        u = input_of(options.input, network.inputs, network.path) if headings is None else surge_inputs(headings)
         save(equilibria_figure(network.weights, u, network.path, headings=headings), path)
         written.append(str(path))
     return [f"pictures: {', '.join(written[:3])}{f' … {written[-1]}' if len(written) > 3 else ''}"]

@@ -1,55 +1,77 @@
-"""Everything that `certify` finds about one checkpoint, as a JSON object."""
+"""Everything that `certify` finds about one checkpoint: a JSON object, and its certificates."""
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Sequence
 from fractions import Fraction
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 from certify.errors import CertifyError
 from certify.networks.shallow import Network, ShallowWeights
-from certify.proofs import exact
+from certify.networks.vector import VectorNetwork
+from certify.proofs import exact, vector_certificate, vector_exact
 from certify.proofs.box_planes import Box, value_at
 from certify.proofs.box_proof import proves
 from certify.proofs.equilibria import equilibria, surge_inputs, sweep
 from certify.proofs.rounding import float_above, float_below
+from certify.proofs.vector_exact import Matrix
+from certify.search.vector_scaling import best_scaling
 
 HEADINGS = np.linspace(0.0, 2 * math.pi, 12, endpoint=False)  # rad, of the equilibria at rest
 AT_REST = (-1.0, 1.0)  # interval of x that is searched for equilibria: twice the largest speed, ahead or astern
+STEPS = "steps"  # the certificate of all steps, beside those of the conditions
+NEARLY = Fraction(99, 100)  # of the largest step: at the largest itself the rate is 1
+SHARE = 0.1  # of the seconds of a search on a box, which the search of a scaling takes
 
 
 def assess(
-    network: Network,
+    network: Network | VectorNetwork,
     u: np.ndarray | None = None,
     box: Box | None = None,
     seconds: float = 10.0,
-    solve: Callable[[ShallowWeights], dict[str, Any]] | None = None,
-) -> dict[str, Any]:
-    """Every condition, decided exactly; the equilibria; the results of the solver and of the search on the box.
+    solver: str | None = None,
+    steps: bool = False,
+) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+    """Every condition of one checkpoint, and what else is found.
 
     Margins are rounded down and rates up, so that the printed bounds are true. Places and slopes: rounded to nearest.
 
     Args:
-        network: one checkpoint.
-        u: constant input of the equilibria, `(m,)`; zeros, as in the paper, by default.
-        box: on which the exact rate is searched for, if any.
-        seconds: for that search.
-        solve: solves the LMI, if given; see `solver`.
+        network: with one state or with a vector state.
+        u: of one state: constant input of the equilibria, `(m,)`; zeros, as in the paper, by default.
+        box: of one state: on which the exact rate is searched for, if any.
+        seconds: for that search; the search of a scaling of a vector state takes a tenth.
+        solver: of the LMIs, if they are to be solved; a name that cvxpy knows.
+        steps: of a vector state: whether to prove, in the norm of `exact`, that all steps up to the largest contract.
+            This certificate has the key `STEPS`.
 
-    >>> found = assess(Network("a.npz", ShallowWeights(*map(np.array, ([0.5], [1.0], [[0.0]], [0.25])))))
+    Returns:
+        What is found; and of a vector state a verified certificate of each condition that holds.
+
+    >>> found, _ = assess(Network("a.npz", ShallowWeights(*map(np.array, ([0.5], [1.0], [[0.0]], [0.25])))))
     >>> found["rate"], found["certified"]["tight"], found["equilibria"][0]["x"]
     (0.5, True, 0.25)
+    >>> turn = VectorWeights(None, [[0.0, 0.5], [-0.5, 0.0]], np.eye(2), np.zeros((2, 1)), np.zeros(2))
+    >>> row, made = assess(VectorNetwork("turn.npz", check(turn)))
+    >>> row["rates"]["exact"], sorted(made)
+    (0.5, ['exact'])
     """
+    if isinstance(network, VectorNetwork):
+        return _vector_state(network, seconds, solver, steps)
+    return _one_state(network, np.zeros(network.inputs) if u is None else u, box, seconds, solver), {}
+
+
+def _one_state(network: Network, u: np.ndarray, box: Box | None, seconds: float, solver: str | None) -> dict[str, Any]:
     weights = network.weights
     n, m = weights.W2.shape
     verdict = exact.verdict(weights)
     assert verdict is not None  # `load` refuses other weights
     K = verdict.rate
-    u = np.zeros(m) if u is None else u
     found = {
         "path": network.path,
         "n": n,
@@ -74,8 +96,8 @@ def assess(
             "x": [float(f(each.x for each in every)) for f in (min, max)] if every else [],
             "classes": sorted({each.kind for each in every}),
         }
-    if solve is not None:
-        found["lmi"] = solve(weights)
+    if solver is not None:
+        found["lmi"] = solved(weights, solver)
     if box is not None:
         found["box"] = search_box(weights, box, seconds)
     return found
@@ -137,37 +159,128 @@ def _point(witness) -> dict[str, Any] | None:
     return {"x": float(witness.x), "u": list(map(float, witness.u)), "slope": float(witness.slope)}
 
 
-def solver(name: str = "CLARABEL") -> Callable[[ShallowWeights], dict[str, Any]]:
-    """A function that solves both matrices' LMI for a network; problems are compiled once per size."""
+def solved(weights: ShallowWeights, solver: str = "CLARABEL") -> dict[str, Any]:
+    """What a solver says of both matrices' LMI; problems are compiled once per size."""
+    found: dict[str, Any] = {"solver": solver}
+    for condition in ("lmi", "tight"):
+        problem = _problem(len(weights.a), condition, solver)
+        try:
+            solution = problem.solve(weights.a, weights.w1)
+            rate, _ = problem.smallest_rate(weights.a, weights.w1)
+        except CertifyError as error:  # weights that no float solver can take
+            nothing = {"margin": None, "rate": None, "metric": None, "status": str(error), "seconds": 0.0}
+            found[condition] = {"verdict": "unknown", **nothing}
+            continue
+        found[condition] = {
+            "verdict": solution.verdict,
+            "margin": _number(solution.margin),
+            "rate": _number(rate),
+            "metric": _number(solution.metric),
+            "status": solution.status,
+            "seconds": solution.seconds,
+        }
+    return found
+
+
+@cache
+def _problem(n: int, condition: str, solver: str) -> Any:
     from certify.search.lmi import LMI
 
-    problems: dict[tuple[int, str], LMI] = {}
-
-    def solve(weights: ShallowWeights) -> dict[str, Any]:
-        found = {}
-        for condition in ("lmi", "tight"):
-            key = len(weights.a), condition
-            if key not in problems:
-                problems[key] = LMI(*key, solver=name)
-            try:
-                solution = problems[key].solve(weights.a, weights.w1)
-                rate, _ = problems[key].smallest_rate(weights.a, weights.w1)
-            except CertifyError as error:  # weights that no float solver can take
-                nothing = {"margin": None, "rate": None, "metric": None, "status": str(error), "seconds": 0.0}
-                found[condition] = {"verdict": "unknown", **nothing}
-                continue
-            found[condition] = {
-                "verdict": solution.verdict,
-                "margin": _number(solution.margin),
-                "rate": _number(rate),
-                "metric": _number(solution.metric),
-                "status": solution.status,
-                "seconds": solution.seconds,
-            }
-        return {"solver": name, **found}
-
-    return solve
+    return LMI(n, condition, solver=solver)
 
 
 def _number(x: float) -> float | None:
     return float(x) if math.isfinite(x) else None
+
+
+def _vector_state(
+    network: VectorNetwork, seconds: float, solver: str | None, steps: bool
+) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+    weights, phi = network.weights, network.activation
+    rates: dict[str, Fraction | None] = {"gershgorin": None}
+    made: dict[str, dict[str, Any] | None] = {}
+    if weights.V is None and phi.name == "relu":
+        rates["gershgorin"] = vector_exact.gershgorin(weights)[1]
+        made["gershgorin"] = vector_certificate.make(network, "gershgorin")
+    statuses, metric = {}, None
+    if solver is not None:
+        for name in ("lmi", "tight"):
+            rates[name] = None
+            if name == "tight" or phi.name == "relu":
+                made[name], statuses[name] = _solved_vector(network, name, solver)
+                if (proved := made[name]) is not None:
+                    rates[name] = Fraction(proved["rate"])
+                    metric = [[Fraction(x) for x in each] for each in proved["proof"]["metric"]]
+    norm, scaling, exact, _ = best_scaling(weights, phi, SHARE * seconds, metric)
+    rates["exact"] = exact
+    made["exact"] = vector_certificate.make(network, "exact", norm=norm, scaling=scaling)
+    row: dict[str, Any] = {
+        "path": network.path,
+        "states": network.states,
+        "n": network.neurons,
+        "m": network.inputs,
+        "activation": str(phi),
+        "hidden_layers": 1 if weights.V is None else 2,
+        "rates": {name: None if rate is None else float_above(rate) for name, rate in rates.items()},
+        "norm": norm,
+        "scaling": [[str(x) for x in each] for each in scaling],
+    }
+    if statuses:
+        row["solver"] = {"name": solver, **statuses}
+    found = {name: each for name, each in made.items() if each is not None}
+    row["certified"] = {name: name in found for name in vector_certificate.CONDITIONS if name in made}
+    smallest = [Fraction(each["contraction_rate"]) for each in found.values()]
+    row["rate"] = float_above(min(smallest)) if smallest else None
+    row["time_constant"] = time_constant(min(smallest)) if smallest else None  # in steps
+    if steps:  # about other steps: no verdict about the network's own
+        row["steps"], all_steps = _all_steps(network, norm, scaling)
+        if all_steps is not None:
+            found[STEPS] = all_steps
+    return row, found
+
+
+def _solved_vector(network: VectorNetwork, name: str, solver: str) -> tuple[dict[str, Any] | None, dict[str, Any]]:
+    from certify.search.vector_lmi import smallest_rate
+
+    found = smallest_rate(network.weights, network.activation, 2 if name == "lmi" else 1, solver)
+    made = None
+    if found.proof is not None and found.kappa is not None and found.kappa <= 1:
+        made = vector_certificate.make(network, name, found.kappa, found.proof)
+    answer = {"rate": found.rate if math.isfinite(found.rate) else None, "status": found.status}
+    return made, {**answer, "seconds": found.seconds}
+
+
+def _all_steps(
+    network: VectorNetwork, norm: str, scaling: Matrix
+) -> tuple[dict[str, str] | None, dict[str, Any] | None]:
+    """The steps that contract, in steps of the network, and the certificate for all of them but the last percent."""
+    from certify.proofs.steps import short, steps
+
+    found = steps(network.weights, vector_exact.everywhere(network.weights, network.activation), norm, scaling)
+    proved = short(NEARLY * found.largest)
+    made = None
+    if proved is not None:
+        made = vector_certificate.make(network, "exact", norm=norm, scaling=scaling, step=proved)
+    if made is None:
+        return None, None
+    row = {"largest": str(found.largest), "fastest": str(found.fastest), "proved": str(proved)}
+    return row, made
+
+
+def judged(row: dict[str, Any], certificates: dict[str, dict[str, Any]], condition: str | None) -> str | None:
+    """The condition that certifies a network: the one asked for, if it holds; None where none does.
+
+    Without one asked it is `tight` of one state, where it is the exact rate; of a vector state that of `exact` and
+    `tight` with the smaller rate.
+
+    >>> judged({"states": 2}, {"exact": {"contraction_rate": "1/2"}, "tight": {"contraction_rate": "1/3"}}, None)
+    'tight'
+    """
+    if "states" not in row:
+        name = "tight" if condition in (None, "exact") else str(condition)
+        if name in row["certified"]:
+            return name if row["certified"][name] else None
+        return name if row["box"]["verdict" if name == "box" else "interval"] == "certified" else None
+    names: Sequence[str] = ("exact", "tight") if condition is None else (condition,)
+    held = [name for name in names if name in certificates]
+    return min(held, key=lambda name: Fraction(certificates[name]["contraction_rate"]), default=None)

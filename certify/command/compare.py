@@ -14,7 +14,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from certify.analysis.assess import solver
+from certify.analysis.assess import solved
 from certify.display.figures import comparison_figure, save
 from certify.display.printed import progress, show_comparison
 from certify.errors import CertifyError
@@ -42,13 +42,13 @@ def random_networks(count: int, n: int, rng: np.random.Generator, inputs: int = 
     ]
 
 
-def examine(weights: ShallowWeights, seconds: float, solve: Callable | None = None) -> dict[str, Any]:
+def examine(weights: ShallowWeights, seconds: float, solver: str | None = None) -> dict[str, Any]:
     """The smallest rate at which each condition holds, None where there is none, and whether it certifies the network.
 
     Args:
         weights: of one network.
         seconds: of each search on the operating box.
-        solve: see `certify.analysis.assess.solver`; None: no LMI is solved.
+        solver: a name that cvxpy knows; None: no LMI is solved.
     """
     found, inside = exact.conditions(weights.a, weights.w1), box.operating_box(weights.W2.shape[-1])
     bracket = box.rate(weights, inside, seconds=seconds)
@@ -60,8 +60,8 @@ def examine(weights: ShallowWeights, seconds: float, solve: Callable | None = No
         "certified": {**certified, "box": box.certify(weights, inside, seconds=seconds).verdict == "certified"},
         "closed": bracket.closed,
     }
-    if solve is not None:
-        row["solved"] = {name: each["verdict"] for name, each in solve(weights).items() if name != "solver"}
+    if solver is not None:
+        row["solved"] = {name: each["verdict"] for name, each in solved(weights, solver).items() if name != "solver"}
     return row
 
 
@@ -99,14 +99,15 @@ def table(families: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[dict[str,
 def main(arguments: Sequence[str], say: Callable) -> int:
     """The command; returns its exit code. `say` calls what writes to standard output."""
     options = parse(arguments)
+    import scipy.stats  # noqa: F401  # what is missing is told before the work
+
     drawn = random_networks(options.networks, options.neurons, np.random.default_rng(options.seed))
     networks = {str(path): [each.weights for file in find([path]) for each in load(file)]
                 for path in matched(options.paths)} or {RANDOM: drawn}  # fmt: skip
-    solve = solver(options.solver) if options.lmi else None
     work = [(name, weights) for name, some in networks.items() for weights in some]
     families: dict[str, list[dict[str, Any]]] = {name: [] for name in networks}
     for name, weights in progress(work, "comparing"):
-        families[name].append(examine(weights, options.seconds, solve))
+        families[name].append(examine(weights, options.seconds, options.solver if options.lmi else None))
     rows = table(families)
     if options.json:
         say(print, json.dumps(rows, indent=1, allow_nan=False))

@@ -6,6 +6,7 @@ import os
 import sys
 from collections import Counter
 from collections.abc import Sequence
+from fractions import Fraction
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
@@ -14,9 +15,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from certify.display import vector_printed
-from certify.display.marks import MARKS, mark, time_constant
 from certify.errors import folded
+from certify.proofs import vector_certificate
 from certify.proofs.exact import CORNER
 from certify.proofs.rounding import above, below
 
@@ -24,25 +24,31 @@ MARGINS = tuple(CORNER)
 UNLIMITED = 100_000  # columns of a file or a pipe
 FOLDED = 24  # least width, in columns, of a text that may be folded
 GAP = 2
+MARKS = {
+    "certified": ("✓", "green"),
+    "refuted": ("✗", "red"),
+    "not certified": ("✗", "red"),
+    "unknown": ("?", "yellow"),
+}
+NORMS = {"inf": "∞", "one": "1"}
 
 
-def show(
-    rows: Sequence[dict[str, Any]],
-    condition: str,
-    held: Sequence[bool],
-    notes: Sequence[str],
-    dt: float | None,
-    vectors: Sequence[dict[str, Any]] = (),
-) -> None:
-    """One row per checkpoint, and a summary; networks with a vector state have a table of their own."""
+def show(rows: Sequence[dict[str, Any]], condition: str | None, notes: Sequence[str], dt: float | None) -> None:
+    """One row per checkpoint, and a summary; networks with a vector state have a table of their own.
+
+    Args:
+        rows: of `certify.analysis.assess.assess`, with the condition that certifies each: `judged`.
+        condition: that was asked for, if any.
+        notes: further lines.
+        dt: s, of a step, to give time constants in s.
+    """
     console, lines = _console(), []
-    if rows:
-        _print(console, *_table(rows, dt))
-        lines += summary(rows, condition, held)
-    if vectors:
-        paths, shared = _short([row["path"] for row in vectors])
-        _print(console, f"Below {shared}: proved rates, < 1 contracts", *vector_printed.table(vectors, paths, dt))
-        lines += vector_printed.summary(vectors)
+    if one := [row for row in rows if "states" not in row]:
+        _print(console, *_table(one, dt))
+        lines += _summary(one, "tight" if condition in (None, "exact") else condition)
+    if vectors := [row for row in rows if "states" in row]:
+        _print(console, *_vector_table(vectors, dt))
+        lines += _vector_summary(vectors)
     _say(console, *lines, *notes)
 
 
@@ -115,9 +121,19 @@ def _table(
         ]
         cells = [_lmi(row["lmi"])] if solved else []
         cells += [_box(row["box"])] if boxed else []
-        constant = time_constant(row["time_constant"], dt)
+        constant = _time_constant(row["time_constant"], dt)
         found.append([path, str(row["n"]), *margins, above(row["rate"]), constant, *cells, _every_place(row)])
     return title, headings, found, ["equilibria"]
+
+
+def _time_constant(steps: float | None, dt: float | None) -> str:
+    """τ = −1/ln K in steps, or in s, rounded up."""
+    return "–" if steps is None else above(steps * (dt or 1), 3)
+
+
+def _mark(verdict: str) -> Text:
+    """The mark of a verdict, in its colour."""
+    return Text(*MARKS[verdict])
 
 
 def _short(paths: Sequence[str]) -> tuple[list[str], str]:
@@ -155,7 +171,7 @@ def _lmi(found: dict[str, Any]) -> Text:
     marks = Text()
     for condition in ("lmi", "tight"):
         rate = found[condition]["rate"]
-        marks.append(mark(found[condition]["verdict"])).append(" –  " if rate is None else f" {rate:.4g}  ")
+        marks.append(_mark(found[condition]["verdict"])).append(" –  " if rate is None else f" {rate:.4g}  ")
     return marks
 
 
@@ -163,16 +179,16 @@ def _box(found: dict[str, Any]) -> Text:
     low, high = found["bracket"]
     rate = above(high, 4) if found["closed"] else f"{below(low, 4)}…{above(high, 4)}"
     kept = {"yes": "kept", "no": "left", "unknown": "?"}[found["forward_invariant"]]
-    return Text().append(mark(found["verdict"])).append(f" {rate}, {kept}")
+    return Text().append(_mark(found["verdict"])).append(f" {rate}, {kept}")
 
 
-def summary(rows: Sequence[dict[str, Any]], condition: str, held: Sequence[bool]) -> list[str]:
+def _summary(rows: Sequence[dict[str, Any]], condition: str | None) -> list[str]:
     """The result in a few lines."""
-    n = len(rows)
+    n, held = len(rows), sum(bool(row["judged"]) for row in rows)
     counts = Counter(name for row in rows for name in MARGINS if row["certified"][name])
-    gauge = Counter(name for row in rows for name, held in row["best_gauge"].items() if held)
+    gauge = Counter(name for row in rows for name, holds in row["best_gauge"].items() if holds)
     lines = [
-        f"{sum(held)} of {n} certified contracting by {condition}, in rational arithmetic",
+        f"{held} of {n} certified contracting by {condition}, in rational arithmetic",
         ", ".join(f"{name} {counts[name]}" for name in MARGINS)
         + f"; after rescaling neurons: simple {gauge['simple']}, gershgorin {gauge['gershgorin']}",
     ]
@@ -197,6 +213,61 @@ def summary(rows: Sequence[dict[str, Any]], condition: str, held: Sequence[bool]
             u = ", ".join(f"{x:.4g}" for x in point["u"])
             slope = ("−" if point["slope"] < 0 else "") + below(abs(point["slope"]))
             lines.append(f"witness: {refuted['path']}: slope {slope} at x = {point['x']:.4g}, u = ({u})")
+    return lines
+
+
+def _vector_table(
+    rows: Sequence[dict[str, Any]], dt: float | None
+) -> tuple[str, list[str], list[list[str | Text]], Sequence[str]]:
+    """The title, headings, rows and texts of `_print`."""
+    paths, shared = _short([row["path"] for row in rows])
+    shown = [name for name in vector_certificate.CONDITIONS if any(name in row["rates"] for row in rows)]
+    stepped = any("steps" in row for row in rows)
+    unit = "steps" if dt is None else "s"
+    headings = ["checkpoint", "q", "n", "φ", *(f"rate {name}" for name in shown), "norm", f"τ, {unit}"]
+    headings += [f"all steps to, {unit}"] * stepped
+    lines = []
+    for row, path in zip(rows, paths, strict=True):
+        line: list[str | Text] = [path, str(row["states"]), str(row["n"]), row["activation"]]
+        line += [_proved_rate(row, name) for name in shown]
+        line += [_norm(row), _time_constant(row["time_constant"], dt)]
+        if stepped:
+            found = row.get("steps")
+            line.append("–" if found is None else below(Fraction(found["proved"]) * Fraction(dt or 1), 4))
+        lines.append(line)
+    return f"Below {shared}: proved rates, < 1 contracts", headings, lines, ()
+
+
+def _proved_rate(row: dict[str, Any], name: str) -> Text:
+    rate = row["rates"].get(name)
+    if rate is None:
+        return Text("–", "red")
+    return Text(above(rate, 4), "green" if row["certified"].get(name) else "red")
+
+
+def _norm(row: dict[str, Any]) -> str:
+    """The norm of the exact rate: ∞ or 1, and whether the states are scaled one by one or mixed.
+
+    >>> _norm({"norm": "inf", "scaling": [["1", "0"], ["0", "1/2"]]})
+    '∞, scaled'
+    """
+    scaling = row["scaling"]
+    mixed = any(x != "0" for i, line in enumerate(scaling) for j, x in enumerate(line) if i != j)
+    plain = not mixed and all(scaling[i][i] == scaling[0][0] for i in range(len(scaling)))
+    return NORMS[row["norm"]] + ("" if plain else ", mixed" if mixed else ", scaled")
+
+
+def _vector_summary(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """The result in a few lines."""
+    held = [row["judged"] for row in rows]
+    counts = {name: held.count(name) for name in vector_certificate.CONDITIONS if name in held}
+    by = ", ".join(f"{name} {count}" for name, count in counts.items())
+    lines = [
+        f"{len(rows) - held.count(None)} of {len(rows)} with a vector state certified contracting"
+        + (f" (by {by})" if by else "") + ", in rational arithmetic"
+    ]  # fmt: skip
+    if any(row["judged"] is None and not row["certified"]["exact"] and "solver" not in row for row in rows):
+        lines.append("a full metric P may prove more: --lmi searches for it (extra lmi)")
     return lines
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from certify.__main__ import main
+from certify.analysis.assess import _problem
 
 NEEDED = {
     "rich": ["net.npz"],
@@ -30,6 +31,7 @@ def test_certify_names_the_package_that_is_missing(package, tmp_path, monkeypatc
     for name in loaded:  # what was imported before must not help
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, package, None)
+    _problem.cache_clear()
     assert main(NEEDED[package]) == 2
     error = capsys.readouterr().err
     assert error.startswith("error: ") and package in error and "pip install" in error

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from certify.__main__ import main
-from certify.networks.shallow import Network, ShallowWeights
-from certify.networks.vector import VectorNetwork
+from certify.analysis.assess import _problem
+from certify.networks.shallow import ShallowWeights
 from tests.support import few
 from tests.support.certify_command import told
 
@@ -82,16 +82,14 @@ def test_a_certified_set_whose_proof_is_too_long_stops_no_other(files, capsys, m
 
 def test_errors_that_nobody_foresaw_stop_no_other_set(files, capsys, monkeypatch):
     from certify.analysis import assess
-    from certify.command import vector_run
 
-    def fails(network, *rest):
+    def fails(network, **rest):
         if "good" in network.path:
             raise OverflowError("too large")
-        return known[type(network)](network, *rest)
+        return known(network, **rest)
 
-    known = {type(n): f for n, f in ((Network("", None), assess.assess), (VectorNetwork("", None), vector_run.assess))}
+    known = assess.assess
     monkeypatch.setattr(assess, "assess", fails)
-    monkeypatch.setattr(vector_run, "assess", fails)
     for more in ([], ["--activation", "tanh"]):
         assert main([str(files / "good.npz"), str(files / "off.npz"), *more]) == 2
         output = capsys.readouterr()
@@ -182,6 +180,7 @@ def test_bad_input_is_one_sentence_and_code_2(files, capsys, monkeypatch, argume
 
 def test_a_missing_solver_package_says_which_extra(files, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "cvxpy", None)
+    _problem.cache_clear()
     assert main([str(files / "good.npz"), "--lmi"]) == 2
     assert "usvlearn[lmi]" in capsys.readouterr().err
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from certify.analysis.vector_assess import assess
+from certify.analysis.assess import assess
 from certify.errors import CertifyError
 from certify.networks.shallow import ShallowWeights
 from certify.networks.vector import (
