@@ -37,7 +37,7 @@ OURS: dict[str, set[str]] = {
     "usvlearn.engine": BASE | {"usvlearn.estimators"},
     "usvlearn.evaluation": LEARNS | {"certify.networks", "certify.proofs"},
     "usvlearn.live": LEARNS | {"usvlearn.display", "usvlearn.logs", "certify.networks", "certify.proofs"},
-    "usvlearn.runs": LEARNS | {"usvlearn.display", "usvlearn.evaluation", "certify.proofs"},
+    "usvlearn.runs": LEARNS | {"usvlearn.display", "usvlearn.evaluation"},
     "usvlearn.model": LEARNS | {"usvlearn.display", "usvlearn.evaluation", "usvlearn.logs", "usvlearn.runs"},
     "usvlearn.report": LEARNS | {"usvlearn.display", "usvlearn.evaluation", "usvlearn.runs", "certify.display",
                                  "certify.proofs"},

@@ -32,7 +32,6 @@ SCHEMA = 2  # schema 1 had another square root of the covariance of least square
 SUFFIX = ".safetensors"
 RENAMED = {"members.rls.": "members.sift_map.", "members.reader.": "members.joint_averaged."}  # since 0.1, since 0.2
 KEY = "usvlearn"  # of the metadata in the safetensors header
-NETWORK = "weights.w1"  # how the name of a leaf ends that belongs to a network
 LISTED = 8  # folders in an error
 QUOTED = 400  # characters of an error that quotes the file
 HOST = hashlib.sha256(platform.node().encode()).hexdigest()[:8]  # in the names of temporary files
@@ -60,9 +59,7 @@ def save(path: str | Path, state: Any, **metadata: Any) -> Path:
     """
     path = Path(path)
     leaves = {name: as_array(leaf) for name, leaf in named_leaves(state)}
-    facts = {"schema": SCHEMA, **metadata}
-    if any(name.endswith(NETWORK) for name in leaves):
-        facts["activation"] = "relu"  # of every network here; certify refuses a contradiction
+    facts = {"schema": SCHEMA, **metadata} | ({"activation": "relu"} if any("weights.w1" in x for x in leaves) else {})
     facts["sha256"] = _digest(leaves, facts)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, save_tensors(leaves, {KEY: json.dumps(facts)}))

@@ -6,7 +6,8 @@ The mathematics is in `docs/theory/ensemble.md#comparing-settings`; the equation
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -205,3 +206,14 @@ def _objectives(values: np.ndarray, weights: tuple[np.ndarray, np.ndarray], meas
         found = 1 - found if measure.kind == SKILL else found
         weight = np.where(np.isfinite(found), boats, 0.0)
         return ((weight * np.nan_to_num(found)).sum(-1) / weight.sum(-1)).T
+
+
+def short_keys(keys: Iterable[str]) -> list[str]:
+    """The last part of each key; more of it where two end alike.
+
+    >>> short_keys(["estimators.rnn.rate", "estimators.aid.rate", "align.dt"])
+    ['rnn.rate', 'aid.rate', 'dt']
+    """
+    keys = list(keys)
+    ends = Counter(key.rpartition(".")[2] for key in keys)
+    return [".".join(key.split(".")[-(1 if ends[key.rpartition(".")[2]] == 1 else 2) :]) for key in keys]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from certify.proofs import exact
 from usvlearn.estimators.ensemble.layer import Ensemble
@@ -17,6 +17,10 @@ class Judged(NamedTuple):
     proved: exact.Verdict | None  # None if the weights are not finite
     time_constant: float  # s; not positive if there is none
     equilibrium: float  # m/s, at rest, the one that is nearest to the speed; NaN if there is none
+
+    def json(self) -> dict[str, Any]:
+        """For `results.json`."""
+        return exact.as_json(self.proved)
 
 
 def verdicts(ensemble: Ensemble, state: EnsembleState, boats: Sequence[str]) -> dict[str, dict[str, Judged]]:

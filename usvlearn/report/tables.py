@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 import sys
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -261,17 +260,6 @@ def identified_table(found: Mapping[str, Identified], truth: Mapping[str, Mappin
     return Group(
         Text(), table, *map(Text, [MEANING, *stated, *more]), *(Text(f"\n{each}", "bold red") for each in wrong)
     )
-
-
-def short_keys(keys: Iterable[str]) -> list[str]:
-    """The last part of each key; more of it where two end alike.
-
-    >>> short_keys(["estimators.rnn.rate", "estimators.aid.rate", "align.dt"])
-    ['rnn.rate', 'aid.rate', 'dt']
-    """
-    keys = list(keys)
-    ends = Counter(key.rpartition(".")[2] for key in keys)
-    return [".".join(key.split(".")[-(1 if ends[key.rpartition(".")[2]] == 1 else 2) :]) for key in keys]
 
 
 def short_settings(settings: Mapping[str, str], keys: Sequence[str]) -> str:

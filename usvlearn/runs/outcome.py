@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from certify.proofs.exact import as_json
 from usvlearn.core.samples import Fleet
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.state import EnsembleState
@@ -68,7 +67,7 @@ def judged(
         found["free_fit"] = free.fit(fleet.boats, ensemble.names)
     if networks := verdicts(ensemble, state, fleet.boats):
         found["network"] = {
-            boat: {name: as_json(each.proved) for name, each in members.items()} for boat, members in networks.items()
+            boat: {name: each.json() for name, each in members.items()} for boat, members in networks.items()
         }
     measure = measure_of(objective, ensemble.output)
     one_step = one_step_sums(fleet, published.only("predictions"), len(ensemble.names), ensemble.surge_limit)

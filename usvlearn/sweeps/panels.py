@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from usvlearn.display.figures import INK, LINE, colours, rendered, themed
+from usvlearn.evaluation.comparison import short_keys
 from usvlearn.evaluation.measure import Measure
-from usvlearn.report.tables import short_keys
 from usvlearn.sweeps.standings import Standing
 
 MOST_ROWS = 25  # settings
