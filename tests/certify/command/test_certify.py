@@ -93,7 +93,7 @@ def test_no_number_and_no_name_of_the_table_is_cut(files, capsys, monkeypatch):
         _, rows = told(capsys, *paths, "--box", "--lmi", "--seconds", "0.2")
         for columns in (60, 80, 100, 160, None):
             monkeypatch.setenv("COLUMNS", str(columns)) if columns else monkeypatch.delenv("COLUMNS")
-            show(rows, "tight", [], 0.4)
+            show([{**row, "judged": "tight"} for row in rows], "tight", [], 0.4)
             text = capsys.readouterr().out
             head, blocks = text[: text.index(f"\n\n{len(rows)} of")].split("\n\n", 1)
             words = blocks.split()
