@@ -1,4 +1,4 @@
-"""Which tests see a fault: 100 places of the sources are changed one by one, and the tests that ought to fail are run.
+"""Which tests see a fault: places of the sources are changed one by one, and the tests that ought to fail are run.
 
     python benchmarks/mutations.py                 try those of mutations.json beside this, draw missing ones
     python benchmarks/mutations.py --again         try the places of mutations.json alone, wherever their files are now
