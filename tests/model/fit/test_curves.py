@@ -194,7 +194,7 @@ def found_boat(quantities_: dict[str, Quantity]) -> SimpleNamespace:
     own = SimpleNamespace(displayed=quantities_.__getitem__, scale="By a mass of 28 kg.", lacks=("It never turned.",))
     fits = {"nine": fit_of("nine", 2), "cubic": fit_of("cubic", 2)}
     return SimpleNamespace(
-        boat="heron", quantities=quantities_, found=own, fits=fits, fit=fits["cubic"], chosen="cubic", simulation=None,
+        boat="heron", missions=SimpleNamespace(number=2), quantities=quantities_, found=own, fits=fits, fit=fits["cubic"], chosen="cubic", simulation=None,
         scores={"nine": Score(np.zeros(2), -0.5, math.inf), "cubic": Score(np.zeros(2), 0.0, 0.0)},
         errors={"nine": 0.0512, "cubic": 0.0341},
     )  # fmt: skip

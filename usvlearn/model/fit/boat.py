@@ -15,7 +15,7 @@ from usvlearn.estimators.joint.quantities import QUANTITIES
 from usvlearn.estimators.joint.reading import Beside, Identified, says_nothing, scale_sentence
 from usvlearn.estimators.regressors.terms import LAG
 from usvlearn.model.fit.choice import Score
-from usvlearn.model.fit.gauss_newton import Fit
+from usvlearn.model.fit.gauss_newton import Fit, Missions
 from usvlearn.model.fit.intervals import OWN_ERROR, disagreement, intervals, spread
 from usvlearn.model.fit.logs import DT
 from usvlearn.model.fit.quantities import CurvedAhead, quantities
@@ -35,22 +35,27 @@ class FittedBoat(Identified):
     Attributes:
         terms: a name of `terms.SETS`.
         top: top speed of the prior and of the nodes of drag, m/s.
+        late: s by which the measured speeds followed the commands, beside the lag of the thrust.
     """
 
     terms: str = "nine"
     top: float = 1.0
+    late: float = 0.0
 
     @classmethod
     def of(
-        cls, fits: Mapping[str, Fit], scores: Mapping[str, Score], chosen: str, mass: float, lacks: tuple[str, ...]
-    ) -> FittedBoat:
+        cls, missions: Missions, fits: Mapping[str, Fit], scores: Mapping[str, Score], chosen: str, mass: float,
+        lacks: tuple[str, ...], late: float = 0.0,
+    ) -> FittedBoat:  # fmt: skip
         """The boat of the chosen set.
 
         Args:
+            missions: all of them.
             fits, scores: of all sets, by name.
             chosen: the set to use.
             mass: kg.
             lacks: what the logs lack, one sentence each.
+            late: s by which measured speeds follow the commands, and were moved (`usvlearn.model.fit.lag`).
         """
         fit = fits[chosen]
         found, differ = intervals(fits, scores, chosen, mass), disagreement(fits, scores, chosen, mass)
@@ -61,17 +66,17 @@ class FittedBoat(Identified):
                 *lacks,
                 "The logs hardly separate linear from quadratic drag: use drag_half_speed.",
             )
-        many = "1 mission" if len(fit.count) == 1 else f"{len(fit.count)} missions"
+        many = "1 mission" if missions.number == 1 else f"{missions.number} missions"
         return cls._made(
             fit.terms, fit.top, mass, fit.theta[fit.known.active], spread(fit), found,
             math.hypot(OWN_ERROR, common if math.isfinite(common) else 0.0), lacks,
-            f"Fitted to {many} at once, with 90 % intervals; terms: {chosen}.",
+            f"Fitted to {many} at once, with 90 % intervals; terms: {chosen}.", late,
         )  # fmt: skip
 
     @classmethod
     def _made(
         cls, terms: str, top: float, mass: float, theta: np.ndarray, covariance: np.ndarray,
-        found: Mapping[str, Quantity], common: float, lacks: tuple[str, ...], basis: str,
+        found: Mapping[str, Quantity], common: float, lacks: tuple[str, ...], basis: str, late: float,
     ) -> FittedBoat:  # fmt: skip
         known = prior(terms, top)
         start = known.mean[known.active]
@@ -82,7 +87,7 @@ class FittedBoat(Identified):
             np.zeros(len(theta)), theta, covariance,
             Beside(common, theta, start, np.diag(np.linalg.inv(known.information)), vague=False),
             frozenset(name for name, each in found.items() if says_nothing(name, each, first, mass)), impossible,
-            terms, top,
+            terms, top, late,
         )  # fmt: skip
 
     @property
@@ -102,8 +107,8 @@ class FittedBoat(Identified):
         for name, unit in ((TIME_CONSTANT, 1.0), (LAG, DT)):
             if name in self.names:
                 k = self.names.index(name)
-                return float(self.theta[k]) * unit, math.sqrt(max(self.covariance[k, k], 0.0)) * unit
-        return 0.0, 0.0
+                return self.late + float(self.theta[k]) * unit, math.sqrt(max(self.covariance[k, k], 0.0)) * unit
+        return self.late, 0.0
 
     @property
     def model(self) -> SurgeModel:
@@ -123,6 +128,7 @@ class FittedBoat(Identified):
                 name: [x if math.isfinite(x) else None for x in each[:3]] for name, each in self.quantities.items()
             },
             "common": self.beside.common,
+            "late": self.late,
             "lacks": list(self.lacks),
             "basis": self.basis,
         }
@@ -137,10 +143,10 @@ class FittedBoat(Identified):
         try:
             terms, top, mass, common = facts["terms"], *(float(facts[key]) for key in ("top", "mass", "common"))
             theta = np.array([float(facts["theta"][name]) for name in NAMES if name in SETS[terms]])
-            covariance = np.array(facts["covariance"], dtype=float)
+            covariance, late = np.array(facts["covariance"], dtype=float), float(facts.get("late", 0.0))
             if covariance.shape != (len(theta), len(theta)):
                 raise ValueError(f"its covariance has the shape {covariance.shape}, expected {(len(theta),) * 2}")
-            if not (all(np.isfinite(x).all() for x in (theta, covariance)) and 0 <= common < LARGEST):
+            if not (all(np.isfinite(x).all() for x in (theta, covariance, late)) and 0 <= common < LARGEST):
                 raise ValueError("a number is not finite")
             if not (1 / LARGEST < top < LARGEST and 1 / LARGEST < mass < LARGEST):
                 raise ValueError(f"its top speed is {top:g} m/s, and its mass {mass:g} kg")
@@ -157,5 +163,5 @@ class FittedBoat(Identified):
             raise CheckpointError(f"its fit is damaged ({error!r}): run usvlearn fit again") from error
         impossible = unphysical({name: found[name] for name in POSITIVE_OF_BOATS})
         return cls._made(
-            terms, top, mass, theta, covariance, found, common, tuple(x for x in lacks if x != impossible), basis
+            terms, top, mass, theta, covariance, found, common, tuple(x for x in lacks if x != impossible), basis, late
         )

@@ -1,4 +1,4 @@
-"""Which terms a log supports, by leaving out one mission at a time.
+"""Which terms a log supports, by leaving out one mission, or piece of one, at a time.
 
 A set of terms is fitted to all missions, which gives each mission's g and H at θ. Without mission m one Gauss-Newton
 step leads to
@@ -7,9 +7,10 @@ step leads to
 
 and the loss of mission m is then that of a mission which nothing has learned. So a set costs one pass more over the
 missions, not one fit for each. Where missions are few, one step would be too far, and a fit is made. Missions, never
-single steps, are left out: errors of neighbouring steps are alike. A larger set is taken only if its losses are lower
-than those of the smaller one by more than their standard error over the missions. Of one or two missions the set with
-the largest evidence is taken, which is a weaker reason.
+single steps, are left out: errors of neighbouring steps are alike. Long missions are cut before (`pieces`). The
+smallest set is taken whose losses are higher than those of the best by at most one standard error over the missions
+(Breiman et al. 1984, section 3.4.3). Of one or two missions the set with the largest evidence is taken, which is a
+weaker reason.
 
 The derivation is in `docs/theory/identification.md#batch-fit-choice`.
 """
@@ -26,7 +27,7 @@ from usvlearn.model.fit.gauss_newton import Fit, Missions, legal
 
 FEWEST = 3  # missions, of which one can be left out
 FEW = 10  # missions, up to which each is left out by a fit of its own: one step of so many is too far
-FEWEST_WORN = 6  # of which wear can be seen: three of them may rise by chance
+FEWEST_WORN = 6  # stretches, of which wear can be seen: three of them may rise by chance
 WEAR = ", wear"  # what the name of a set with wear ends with
 Wear = Callable[[Missions, Fit, float], tuple[Fit, np.ndarray]]
 
@@ -76,7 +77,7 @@ def choose(
         chosen = terms or max(fits, key=lambda name: fits[name].evidence)
     else:
         chosen = terms or _smallest(losses, steps)
-        if wear is not None and len(missions.rows) >= FEWEST_WORN:
+        if wear is not None and len(set(missions.stretches)) >= FEWEST_WORN:
             worn = {name: wear(missions, fits[name], deviation) for name in ([terms] if terms else list(fits))}
             of = _smallest({name: each[1] for name, each in worn.items()}, steps)
             fits[f"{of}{WEAR}"], losses[f"{of}{WEAR}"] = worn[of]
@@ -86,13 +87,13 @@ def choose(
 
 
 def _smallest(losses: Mapping[str, np.ndarray], steps: Sequence[int]) -> str:
-    """The first set than which no later one is better by more than the standard error."""
-    chosen = next(iter(losses))
+    """The first set than which the best one is better by at most the standard error."""
+    best = min(losses, key=lambda name: float(losses[name] @ np.asarray(steps)))
     for name in losses:
-        better, error = compared(losses[chosen], losses[name], steps)
-        if better > error:
-            chosen = name
-    return chosen
+        better, error = compared(losses[name], losses[best], steps)
+        if better <= error:
+            return name
+    return best
 
 
 def compared(first: np.ndarray, second: np.ndarray, steps: Sequence[int]) -> tuple[float, float]:

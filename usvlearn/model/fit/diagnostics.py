@@ -67,8 +67,13 @@ def diagnostics(missions: Missions, fit: Fit, mass: float, others: Sequence[Fit]
         mass: kg.
         others: fits of other sets of terms that do about as well, which widen the bands of the curves.
     """
-    made = zip(missions.names, missions.rows, missions.simulate(fit), strict=True)
-    every = [simulated(name, rows, speed, current) for name, rows, (speed, current) in made]
+    pieces: dict[str, list[tuple[np.ndarray, np.ndarray, np.ndarray]]] = {}  # of each mission
+    for name, part, (speed, current) in zip(missions.names, missions.rows, missions.simulate(fit), strict=True):
+        pieces.setdefault(name, []).append((part, speed, current))
+    every = [
+        simulated(name, np.concatenate([x[0] for x in each]), np.concatenate([x[1] for x in each]), each[-1][2])
+        for name, each in pieces.items()
+    ]
     dt = float(np.median(np.concatenate([rows[rows[:, DT] > 0, DT] for rows in missions.rows])))
     most = ROBUST * fit.deviation  # beyond, an outlier would hide what is correlated
     errors = [np.clip(each.error, -most, most) for each in every]

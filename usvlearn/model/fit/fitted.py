@@ -18,8 +18,10 @@ from usvlearn.model.fit.choice import WEAR, Score, choose
 from usvlearn.model.fit.diagnostics import diagnostics
 from usvlearn.model.fit.gauss_newton import Fit, Missions
 from usvlearn.model.fit.intervals import alike
-from usvlearn.model.fit.logs import lacking
+from usvlearn.model.fit.lag import late
+from usvlearn.model.fit.logs import DT, lacking
 from usvlearn.model.fit.open_loop import FreeMode
+from usvlearn.model.fit.pieces import cut
 from usvlearn.model.fit.terms import AT, NAMES, SETS, TIME_CONSTANT, by_name
 from usvlearn.model.fit.wear import worn
 
@@ -75,7 +77,8 @@ class Fitted:
             "mass": mass,
             "top": self.fit.top,
             "terms": self.chosen,
-            "missions": len(self.fit.count),
+            "missions": self.missions.number,
+            "pieces": len(self.missions.rows),
             "steps": int(self.fit.count.sum()),
             "deviation": self.fit.deviation,
             "parameters": {name: forces[name] * float(self.fit.theta[AT[name]]) for name in self.found.names},
@@ -131,13 +134,21 @@ def fit_boat(
     check_terms(terms)
     terms = None if terms is None else terms.removesuffix(WEAR)
     lacks = lacking(boat, list(rows.values()))
-    missions, fits, deviation = Missions(list(rows.values()), top, list(rows)), dict[str, Fit](), None
+    (missions, steps), fits, deviation = late(cut(rows, top, DT)), dict[str, Fit](), None
     start = None if online is None else by_name(online.names, online.theta)
 
     def chosen() -> Fitted:
         name, scores = choose(missions, fits, terms, worn)
         errors = {each: float(np.mean(np.abs(missions.errors(fit)))) for each, fit in fits.items()}
-        return Fitted(boat, missions, fits, scores, name, FittedBoat.of(fits, scores, name, mass, lacks), errors)
+        return Fitted(
+            boat,
+            missions,
+            fits,
+            scores,
+            name,
+            FittedBoat.of(missions, fits, scores, name, mass, lacks, steps * DT),
+            errors,
+        )
 
     try:
         for name in SETS:

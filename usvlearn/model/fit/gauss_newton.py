@@ -36,6 +36,7 @@ NOISE, NOISE_LEAST = 0.1, 0.01  # m/s, the first deviation of a speed, and the l
 ROUNDS, STEPS = 3, 5  # of the variance, each with as many steps of Gauss-Newton
 PASSES = 20  # of the iteration for the variance
 SHRINK, SHORTEST = 0.35, 6  # of a step that makes (1) larger, so often
+TOGETHER = 4  # pieces of a mission in which thrust and drag stay the same
 TOLERANCE = 1e-2  # of (1): a smaller gain ends a round
 NEGATIVE = tuple(name for name, sign in SURGE.items() if sign < 0)  # drag, and the thrust that is lost with speed
 LAGS, TIMES = (-0.5, 1.5), (0.02, 5.0)  # the limits of μ, and of τ, s
@@ -119,7 +120,10 @@ class Missions:
     Args:
         rows: prepared samples of each, see `rows_of`.
         top: top speed, m/s.
-        names: of the missions; numbers from 1 by default.
+        names: of the missions, that of its mission for each piece of one; numbers from 1 by default.
+
+    `stretches` has the place of each piece among the stretches, of up to ten minutes, from one to the next of which a
+    boat may wear.
     """
 
     def __init__(self, rows: Sequence[np.ndarray], top: float, names: Sequence[str] = ()):
@@ -127,6 +131,10 @@ class Missions:
         self.rows, self.top = list(rows), top
         self.names = list(names) or [str(k + 1) for k in range(len(rows))]
         self.steps = [int(scored(each).sum()) for each in self.rows]
+        self.number = len(set(self.names))  # of missions, whose pieces `rows` may be
+        places = [self.names[:k].count(name) // TOGETHER for k, name in enumerate(self.names)]
+        stretches = list(dict.fromkeys(zip(self.names, places, strict=True)))
+        self.stretches = np.array([stretches.index(each) for each in zip(self.names, places, strict=True)], int)
 
     def evaluate(self, terms: str, theta: np.ndarray, deviation: float) -> Fit:
         """Simulate all missions with the sensitivities of a set of terms."""

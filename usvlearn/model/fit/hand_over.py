@@ -72,7 +72,7 @@ def _parameters(fitted: Fitted, even: bool, dt: float, member: Mapping[str, Any]
         fit, _ = worn(fitted.missions, fit, fit.deviation)
     own, places = names(even), {int(place): k for k, place in enumerate(fit.known.active)}
     scale = np.array([DT / dt if name == LAG else 1.0 for name in own])
-    theta = np.array([fit.theta[AT[name]] for name in own]) * scale
+    theta = np.array([fit.theta[AT[name]] + (fitted.found.late / DT if name == LAG else 0.0) for name in own]) * scale
     theta[-1] = np.clip(theta[-1], LAG_LEAST, LAG_MOST)
     covariance = np.diag(np.asarray(member["vectors"]["variance"], float))
     there = [k for k, name in enumerate(own) if AT[name] in places]

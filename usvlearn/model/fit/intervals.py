@@ -1,12 +1,12 @@
-"""90 % intervals of what was fitted: from the missions' scatter and from the sets of terms.
+"""90 % intervals of what was fitted: from the scatter of the missions' pieces and from the sets of terms.
 
-With A = (Σ H + I₀)⁻¹ and the scatter B of the missions' scores g_m about their mean, M/(M − 1) Σ (g_m − ḡ)(g_m − ḡ)ᵀ,
-a quantity q with gradient ∇q has the variance
+With A = (Σ H + I₀)⁻¹ and the scatter B of the scores g_m of the M pieces about their mean, M/(M − 1) Σ (g_m − ḡ)(g_m −
+ḡ)ᵀ, a quantity q with gradient ∇q has the variance
 
-    ∇qᵀ (A + SCATTER · A B A) ∇q + (q' − q)² + (own error)²                                            (1)
+    ∇qᵀ (A + (SCATTER + FEW/M) · A B A) ∇q + (q' − q)² + (own error)²                                  (1)
 
 A alone supposes that the model is true and that errors are independent; A B A, the sandwich, sees what differs from
-mission to mission (White 1982). q' is the value, farthest from q, by another set of terms that does about as well on
+piece to piece (White 1982), and is too small for few of them. q' is the value, farthest from q, by another set of terms that does about as well on
 missions which it has not learned. The own error is what no log shows, such as what every set lacks: gusts make drag and
 thrust look more linear than they are. SCATTER and the own errors were chosen on simulated boats.
 
@@ -28,10 +28,10 @@ from usvlearn.model.fit.choice import Score
 from usvlearn.model.fit.gauss_newton import Fit
 from usvlearn.model.fit.quantities import quantities
 
-SCATTER = 2.0
+SCATTER, FEW = 2.0, 18.0
 STEP = 0.1  # deviations: the step of a central difference
 OWN_ERROR = 0.015  # of a value
-OWN = dict.fromkeys(QUANTITIES, OWN_ERROR) | {"stopping_distance": 0.03, "drag_cross": 0.3}
+OWN = dict.fromkeys(QUANTITIES, OWN_ERROR) | {"time_constant": 0.03, "stopping_distance": 0.03, "drag_cross": 0.3}
 OWN_SHARES = {  # of the full drag or thrust that the terms add up to: how it splits is an extrapolation
     "drag_linear": 0.05, "drag_quadratic": 0.13,
     **{f"thrust_{kind}_{side}": share for side in SIDES
@@ -91,12 +91,12 @@ def alike(scores: Mapping[str, Score], chosen: str) -> list[str]:
 
 
 def spread(fit: Fit) -> np.ndarray:
-    """A + SCATTER · A B A of (1), `(m, m)`; A alone where there is one mission."""
+    """A + (SCATTER + FEW/M) · A B A of (1), `(m, m)`; A alone where there is one piece."""
     A, count = fit.covariance, len(fit.score)
     if count < 2:
         return A
     away = fit.score - fit.score.mean(0)
-    found: np.ndarray = A + SCATTER * count / (count - 1) * A @ (away.T @ away) @ A
+    found: np.ndarray = A + (SCATTER + FEW / count) * count / (count - 1) * A @ (away.T @ away) @ A
     return found
 
 

@@ -29,7 +29,7 @@ def tables(found: Fitted, online: Identified | None) -> list[RenderableType]:
         used = f"{name} (used)" if name == found.chosen else name
         worse, error = ("–", "–") if name == found.chosen else (worse, error)
         sets.add(used, str(len(found.fits[name].known.active)), worse, error, f"{found.errors[name]:.4f}")
-    many = "1 mission errs" if len(found.fit.count) == 1 else f"{len(found.fit.count)} missions err"
+    many = "1 mission errs" if found.missions.number == 1 else f"{found.missions.number} missions err"
     lines = [
         MEANING,
         "Use the values of the fit: it has learned from all missions at once, online each sample is seen once.",

@@ -1,13 +1,13 @@
 """Thrust and drag that change from mission to mission, as a boat fouls, wears, or carries another load.
 
-In mission k the thrust of the left side, that of the right side and the drag are multiplied by 1 + δ_k, three numbers
-that walk at random by `WALK` from a mission to the next, and are 0 in the last one, whose boat the parameters θ
-describe. With the columns B = ∂θ/∂δ, and g_k and H_k of `motion_kernel` at the fit θ̂ without wear, θ = θ̂ + Δ and all
+Long missions are several stretches here (`Missions.stretches`), whose g and H are sums over their pieces. In stretch k
+the thrust of the left side, that of the right side and the drag are multiplied by 1 + δ_k, three numbers that walk at
+random by `WALK` from a stretch to the next, and are 0 in the last one, whose boat the parameters θ describe. With the columns B = ∂θ/∂δ, and g_k and H_k of `motion_kernel` at the fit θ̂ without wear, θ = θ̂ + Δ and all
 δ minimise
 
     Σ_k [g_kᵀ e_k + ½ e_kᵀ H_k e_k] + ½ (θ − θ₀)ᵀ I₀ (θ − θ₀) + ½ Σ_k |δ_{k+1} − δ_k|²/WALK²,   e_k = Δ + B δ_k   (1)
 
-which is a linear system. Without the terms of mission k it predicts that mission, and its loss says whether wear helps.
+which is a linear system. Without the terms of stretch k it predicts that stretch, and its loss says whether wear helps.
 
 The derivation is in `docs/theory/identification.md#batch-fit-wear`.
 """
@@ -22,22 +22,26 @@ from usvlearn.estimators.joint.quantities import SIDES
 from usvlearn.model.fit.gauss_newton import Fit, Missions, legal
 from usvlearn.model.fit.terms import NAMES
 
-WALK = 0.005  # of thrust and drag, from a mission to the next
+WALK = 0.005  # of thrust and drag, from a stretch to the next
 
 
 def worn(missions: Missions, fit: Fit, deviation: float) -> tuple[Fit, np.ndarray]:
-    """The fit of the boat as it is in its last mission, and the loss of each mission left out, `(missions,)`, over its
-    measured steps.
+    """The fit of the boat as it is in its last stretch, and the loss of each piece, its stretch left out, `(pieces,)`,
+    over its measured steps.
 
     Args:
         missions: all of them, in the order in which they were sailed.
         fit: to all of them, without wear.
         deviation: σ of a speed at which the losses are computed, m/s, as in `choice.left_out`.
     """
-    count, m, known = len(missions.rows), len(fit.known.active), fit.known
+    of, m, known = missions.stretches, len(fit.known.active), fit.known
+    count, pieces = len(set(of)), len(of)
+    g, H = np.zeros((count, m)), np.zeros((count, m, m))
+    np.add.at(g, of, fit.score)
+    np.add.at(H, of, fit.information)
     B = columns(fit)
-    HB = fit.information @ B  # (missions, m, 3)
-    parts = [slice(m + 3 * k, m + 3 * (k + 1)) for k in range(count - 1)]  # of δ; that of the last mission is 0
+    HB = H @ B  # (stretches, m, 3)
+    parts = [slice(m + 3 * k, m + 3 * (k + 1)) for k in range(count - 1)]  # of δ; that of the last stretch is 0
     K, right = np.zeros((m + 3 * (count - 1),) * 2), np.zeros(m + 3 * (count - 1))
     apart = (np.eye(count)[1:] - np.eye(count)[:-1])[:, :-1]
     K[m:, m:] = np.kron(apart.T @ apart, np.eye(3)) / WALK**2
@@ -46,31 +50,33 @@ def worn(missions: Missions, fit: Fit, deviation: float) -> tuple[Fit, np.ndarra
     for k, part in enumerate(parts):
         K[:m, part], K[part, :m] = HB[k], HB[k].T
         K[part, part] += B.T @ HB[k]
-        right[part] -= B.T @ fit.score[k]
+        right[part] -= B.T @ g[k]
     C = np.linalg.inv(K)
     z, covariance = C @ right, C[:m, :m]
-    losses, score, each = np.zeros(count), np.zeros_like(fit.score), np.tile(fit.theta, (count, 1))
+    losses, score, each = np.zeros(pieces), fit.score.copy(), np.tile(fit.theta, (pieces, 1))
     for k in range(count):
         away, spread = z[:m].copy(), covariance.copy()  # e_k of (1), and its covariance
         if k < count - 1:
             across = C[:m, parts[k]] @ B.T
             away += B @ z[parts[k]]
             spread += across + across.T + B @ C[parts[k], parts[k]] @ B.T
-        score[k] = fit.score[k] + fit.information[k] @ away
-        each[k, known.active] += away
-        each[k] = legal(each[k], known, covariance)
-        unseen = np.eye(m) - spread @ fit.information[k]  # what is left without mission k, (1) solved again
+        unseen = np.eye(m) - spread @ H[k]  # what is left without stretch k, (1) solved again
         theta = fit.theta.copy()
-        theta[known.active] += np.linalg.solve(unseen, away + spread @ fit.score[k])
-        losses[k] = missions.loss(legal(theta, known, covariance), deviation, k)
+        theta[known.active] += np.linalg.solve(unseen, away + spread @ g[k])
+        theta = legal(theta, known, covariance)
+        for j in np.flatnonzero(of == k):
+            score[j] += fit.information[j] @ away
+            each[j, known.active] += away
+            each[j] = legal(each[j], known, covariance)
+            losses[j] = missions.loss(theta, deviation, j)
     theta = fit.theta.copy()
     theta[known.active] += z[:m]
-    said = (np.linalg.inv(covariance) - known.information) / count  # by all missions, of the last one's boat
+    said = (np.linalg.inv(covariance) - known.information) / pieces  # by all, of the last stretch's boat
     found = replace(
         fit,
         theta=legal(theta, known, covariance),
         score=score,
-        information=np.tile(said, (count, 1, 1)),
+        information=np.tile(said, (pieces, 1, 1)),
         by_mission=each,
     )
     return found, losses / np.maximum(missions.steps, 1)
