@@ -6,9 +6,10 @@ With A = (Σ H + I₀)⁻¹ and the scatter B of the scores g_m of the M pieces 
     ∇qᵀ (A + (SCATTER + FEW/M) · A B A) ∇q + (q' − q)² + (own error)²                                  (1)
 
 A alone supposes that the model is true and that errors are independent; A B A, the sandwich, sees what differs from
-piece to piece (White 1982), and is too small for few of them. q' is the value, farthest from q, by another set of terms that does about as well on
-missions which it has not learned. The own error is what no log shows, such as what every set lacks: gusts make drag and
-thrust look more linear than they are. SCATTER and the own errors were chosen on simulated boats.
+piece to piece (White 1982), and is too small for few of them. q' is the value, farthest from q, by another set of terms
+that does about as well on pieces which it has not learned. The own error is what no log shows, such as what every set
+lacks: gusts make drag and thrust look more linear than they are. SCATTER, FEW and the own errors were chosen on
+simulated boats.
 
 The derivation is in `docs/theory/identification.md#batch-fit-intervals`.
 """

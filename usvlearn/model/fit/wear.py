@@ -2,8 +2,8 @@
 
 Long missions are several stretches here (`Missions.stretches`), whose g and H are sums over their pieces. In stretch k
 the thrust of the left side, that of the right side and the drag are multiplied by 1 + δ_k, three numbers that walk at
-random by `WALK` from a stretch to the next, and are 0 in the last one, whose boat the parameters θ describe. With the columns B = ∂θ/∂δ, and g_k and H_k of `motion_kernel` at the fit θ̂ without wear, θ = θ̂ + Δ and all
-δ minimise
+random by `WALK` from a stretch to the next, and are 0 in the last one, whose boat the parameters θ describe. With the
+columns B = ∂θ/∂δ, and g_k and H_k of `motion_kernel` at the fit θ̂ without wear, θ = θ̂ + Δ and all δ minimise
 
     Σ_k [g_kᵀ e_k + ½ e_kᵀ H_k e_k] + ½ (θ − θ₀)ᵀ I₀ (θ − θ₀) + ½ Σ_k |δ_{k+1} − δ_k|²/WALK²,   e_k = Δ + B δ_k   (1)
 
@@ -64,7 +64,7 @@ def worn(missions: Missions, fit: Fit, deviation: float) -> tuple[Fit, np.ndarra
         theta = fit.theta.copy()
         theta[known.active] += np.linalg.solve(unseen, away + spread @ g[k])
         theta = legal(theta, known, covariance)
-        for j in np.flatnonzero(of == k):
+        for j in np.flatnonzero(of == k).tolist():
             score[j] += fit.information[j] @ away
             each[j, known.active] += away
             each[j] = legal(each[j], known, covariance)
