@@ -59,10 +59,10 @@ def work(arguments: Sequence[str]) -> None:
     with Activity(console, "loading"):
         from usvlearn.core.unconfirmed import open_questions, unconfirmed
         from usvlearn.model.fit.fitted import check_terms, fit_boat
-        from usvlearn.model.fit.logs import missions_of
+        from usvlearn.model.fit.logs import missions_of, without_losses
         from usvlearn.model.fit.shown import tables
         from usvlearn.model.fit.terms import SETS
-        from usvlearn.runs.saved import configuration
+        from usvlearn.runs.saved import configuration, results
 
         check_terms(given.terms)
         _check_run(folder)
@@ -75,6 +75,11 @@ def work(arguments: Sequence[str]) -> None:
         raise ConfigError(f"--boat: found {given.boat!r}, expected one of {', '.join(fine.boats)}{hint}")
     mass, top = float(settings["vehicle"]["mass"]), float(settings["vehicle"]["surge_max"])
     missions = {boat: missions_of(fine, boat) for boat in fine.boats if given.boat in (None, boat)}
+    events = (results(folder) or {}).get("events") or {}
+    for boat, rows in missions.items():
+        if boat not in changed:
+            missions[boat], lost = without_losses(boat, rows, events.get(boat, []))
+            changed |= {f"{boat} {k}": f"{boat}: {each}" for k, each in enumerate(lost)}
     for sentence in changed.values():
         complain(f"warning: {sentence}")
     found: Fitted | None = None

@@ -128,7 +128,9 @@ def front_of(
         free[season.boat] = list(free_runs(ensemble, season))
         advance(sum(int(run.steps.sum()) for run in season.runs))
     boats = [
-        each._replace(batch=fit.quantities) if isinstance(fit := (fits or {}).get(each.boat), SavedFit) else each
+        each._replace(batch=fit.quantities, doubted=bool(fit.doubts))
+        if isinstance(fit := (fits or {}).get(each.boat), SavedFit)
+        else each
         for each in overviews(ensemble, seasons, free, checks)
     ]
     shown = viewer_data(ensemble, seasons, free, tracks)

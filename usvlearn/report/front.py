@@ -118,8 +118,9 @@ def _identified(boat: Overview) -> str:
         return online
     wide = [words[0].lower() + words[1:] for name, words in MAIN.items() if _is_wide(boat.batch.get(name))]
     unsure = f'<p class="bad">The log does not determine: {", ".join(wide)}.</p>' if wide else ""
+    use = "do not use these values before its doubts are settled" if boat.doubted else "use these values"
     return (
-        f'<p>Fitted to all missions at once; use these values. <a href="#fit">The batch fit</a></p>{_rows(boat.batch)}'
+        f'<p>Fitted to all missions at once; {use}. <a href="#fit">The batch fit</a></p>{_rows(boat.batch)}'
         f"{unsure}<details><summary>Learned online</summary>{online}</details>"
     )
 

@@ -63,6 +63,7 @@ class Overview(NamedTuple):
     events: Sequence[Mapping[str, Any]] | None  # None if nobody watched
     findings: Sequence[Mapping[str, Any]] | None  # of the data check; None if there was none
     batch: Mapping[str, Quantity] | None = None  # the quantities of a batch fit, if there is one
+    doubted: bool = False  # whether something speaks against their use
 
 
 def overviews(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from usvlearn.estimators.regressors.terms import LAG
 from usvlearn.model.fit.boat import FittedBoat
 from usvlearn.model.fit.choice import WEAR, Score, choose
 from usvlearn.model.fit.diagnostics import diagnostics
+from usvlearn.model.fit.doubts import doubts
 from usvlearn.model.fit.gauss_newton import Fit, Missions
 from usvlearn.model.fit.intervals import alike
 from usvlearn.model.fit.lag import late
@@ -39,6 +41,7 @@ class Fitted:
         found: the quantities of the chosen set, with 90 % intervals; it prints as a table.
         errors: mean |error| of the simulation of each set over the logs, m/s.
         simulation: which open-loop simulation to use; None where that was not asked.
+        online: what was identified online; None where nothing was.
     """
 
     boat: str
@@ -49,6 +52,17 @@ class Fitted:
     found: FittedBoat
     errors: dict[str, float]
     simulation: FreeMode | None = None
+    online: Identified | None = None
+
+    @cached_property
+    def diagnostics(self) -> dict[str, Any]:
+        """As of `usvlearn.model.fit.diagnostics`."""
+        return diagnostics(self.missions, self.fit, self.found.mass, [self.fits[name] for name in self.alike])
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What speaks against the use of its values, one sentence each."""
+        return doubts(self.fit, self.found, self.diagnostics["cross_correlation"], self.online)
 
     @property
     def fit(self) -> Fit:
@@ -85,7 +99,8 @@ class Fitted:
             "quantities": {name: each._asdict() for name, each in self.found.items()},
             "lacks": list(self.found.lacks),
             "simulation": None if self.simulation is None else self.simulation.json(),
-            "diagnostics": diagnostics(self.missions, self.fit, mass, [self.fits[name] for name in self.alike]),
+            "doubts": list(self.doubts),
+            "diagnostics": self.diagnostics,
             "sets": {
                 name: {
                     "parameters": len(self.fits[name].known.active),
@@ -140,15 +155,8 @@ def fit_boat(
     def chosen() -> Fitted:
         name, scores = choose(missions, fits, terms, worn)
         errors = {each: float(np.mean(np.abs(missions.errors(fit)))) for each, fit in fits.items()}
-        return Fitted(
-            boat,
-            missions,
-            fits,
-            scores,
-            name,
-            FittedBoat.of(missions, fits, scores, name, mass, lacks, steps * DT),
-            errors,
-        )
+        made = FittedBoat.of(missions, fits, scores, name, mass, lacks, steps * DT)
+        return Fitted(boat, missions, fits, scores, name, made, errors, online=online)
 
     try:
         for name in SETS:

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from scipy.signal import savgol_filter
 
-from usvlearn.core.rows import COS, LEFT, MODE, PREDICT, RIGHT, SIN, SURGE, YAW_RATE
+from usvlearn.core.events import LOSS, RECOVERY
+from usvlearn.core.rows import COS, HOLD, LEFT, MODE, PREDICT, RIGHT, SIN, SURGE, YAW_RATE
 from usvlearn.core.samples import Fleet, tree_map
 from usvlearn.errors import ConfigError
 from usvlearn.logs.channels.astern import without_sign
@@ -27,6 +28,7 @@ FEWEST = 600  # measured steps, below which nothing is fitted
 CHANGE = 0.02  # standard deviation of the mean command, below which nothing tells thrust from drag
 APART = 0.02  # likewise of the difference of the sides
 MOVES, TURNS = 0.15, 0.02  # m/s; mean square of the sine to the main heading
+BEFORE = 60.0  # s before an alarm, in which the thruster may have been weak already
 ASTERN, SMALL, LARGE, SOME = -0.1, 0.15, 0.85, 0.01  # commands; share of the steps
 
 
@@ -68,6 +70,42 @@ def missions_of(fleet: Fleet, boat: str, dt: float = DT) -> dict[str, np.ndarray
             "some minutes of logs in which the boat sails"
         )
     return found
+
+
+def without_losses(
+    boat: str, missions: Mapping[str, np.ndarray], events: Sequence[Mapping[str, Any]], dt: float = DT
+) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+    """The missions without the times in which a run has found that a thruster lacked thrust, and a sentence of each.
+
+    Args:
+        boat, missions, dt: see `missions_of`.
+        events: of the boat, as `results.json` has them: with run, time in s, kind and side.
+
+    Raises:
+        ConfigError: too little is left.
+    """
+    found, lost, said = dict[str, np.ndarray](), set[str](), list[str]()
+    for name, rows in missions.items():
+        leaves = np.full(len(rows), bool(lost))
+        for each in (each for each in events if each["run"] == name and each["kind"] in (LOSS, RECOVERY)):
+            begins = each["kind"] == LOSS
+            lost ^= {each["side"]} - lost if begins else {each["side"]} & lost
+            leaves[np.arange(len(rows)) * dt >= each["time"] - BEFORE * begins] = bool(lost)
+            if begins:
+                said.append(
+                    f"The {each['side']} thruster lost thrust at {each['time']:.0f} s of {name} (events of the run): the "
+                    "fit leaves out what follows until its recovery."
+                )
+        kept = rows.copy()
+        kept[leaves, MODE] = HOLD
+        if scored(kept).any():
+            found[name] = kept
+    if said and (left := sum(int(scored(rows).sum()) for rows in found.values())) < FEWEST:
+        raise ConfigError(
+            f"{boat}: found {left} measured steps with both thrusters whole, expected at least {FEWEST}. {said[0]} Fit "
+            "logs from before that, or from after its repair (data.path)"
+        )
+    return found, tuple(said)
 
 
 def smoothed(rows: np.ndarray, dt: float) -> np.ndarray:

@@ -12,10 +12,18 @@ from usvlearn.estimators.joint.quantities import MEANING
 from usvlearn.estimators.joint.reading import Identified, shown
 from usvlearn.model.fit.fitted import Fitted
 
+USE = "Use the values of the fit: it has learned from all missions at once, online each sample is seen once."
+
 
 def tables(found: Fitted, online: Identified | None) -> list[RenderableType]:
     """The quantities beside those learned online, the sets of terms, and what they mean."""
-    heads = ["fit (use)", "from", "to", *(["online", "from", "to"] if online is not None else []), "unit"]
+    heads = [
+        "fit" if found.doubts else "fit (use)",
+        "from",
+        "to",
+        *(["online", "from", "to"] if online is not None else []),
+        "unit",
+    ]
     table = Blocks(f"{found.boat}: fitted to all missions, with 90 % intervals", ["quantity"], heads)
     for name, each in found.quantities.items():
         beside = [shown(x) for x in online.displayed(name)[:3]] if online is not None and name in online else []
@@ -32,7 +40,7 @@ def tables(found: Fitted, online: Identified | None) -> list[RenderableType]:
     many = "1 mission errs" if found.missions.number == 1 else f"{found.missions.number} missions err"
     lines = [
         MEANING,
-        "Use the values of the fit: it has learned from all missions at once, online each sample is seen once.",
+        *(["Do not use the values of the fit before this is settled:", *found.doubts] if found.doubts else [USE]),
         f"Simulated in open loop, {many} by {found.errors[found.chosen]:.4f} m/s in the mean.",
         *([] if found.simulation is None else [found.simulation.sentence]),
         found.found.scale,

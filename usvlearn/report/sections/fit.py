@@ -21,7 +21,7 @@ from usvlearn.report.sections.section import Drawn, Section
 WEAR = ", wear"  # what the name of a set ends with, if the boat wears
 STRONG = 0.6  # m/s, a current that is larger than what is expected, twice its prior deviation
 TINY = 1e-12
-UNKNOWN = "no: not determined"
+UNKNOWN, DOUBTED = "no: not determined", "no: see above"
 USES = (
     "Use the values of the fit: it has learned from all missions at once, the online estimate sees each sample once. "
     f"“{UNKNOWN}” marks an interval that is wider than ± half of the value."
@@ -74,14 +74,14 @@ def fit_section(
             for name, each in fit.sets.items()
         ]
         held += [each.low <= known[name] <= each.high for name, each in fit.quantities.items() if name in known]
-        here += _findings(season, fit, beside)
+        here += _findings(season, fit)
         if fit.diagnostics is not None:
             rows["fit_missions"] += [
                 (season.boat, each.name, *map(_known, each[1:])) for each in fit.diagnostics.missions
             ]
             drawn += _figures(season.boat, fit.diagnostics, known)
     if rows["fit"]:
-        here += [USES, MEANING]
+        here += [*([] if any(DOUBTED in row for row in rows["fit"]) else [USES]), MEANING]
     if held:
         here.insert(0, f"The intervals of the fit hold {100 * np.mean(held):.0f} % of the truths (90 % asked).")
     true = any(row[-1] is not None for row in rows["fit"])
@@ -103,7 +103,7 @@ def _quantities(boat: str, fit: SavedFit, online: Mapping[str, Quantity], truth:
     rows = []
     for name, (value, low, high, unit) in fit.quantities.items():
         beside = [_known(x) for x in online[name][:3]] if name in online else [None] * 3
-        use = "yes" if high - low <= 2 * WIDE * abs(value) else UNKNOWN
+        use = DOUBTED if fit.doubts else "yes" if high - low <= 2 * WIDE * abs(value) else UNKNOWN
         rows.append((boat, name, unit, *map(_known, (value, low, high)), *beside, use, truth.get(name)))
     return rows
 
@@ -113,7 +113,7 @@ def _known(x: float) -> float | None:
     return None if math.isnan(x) else int(x) if x == int(x) and abs(x) >= 1 else x
 
 
-def _findings(season: Season, fit: SavedFit, online: Mapping[str, Quantity]) -> list[str]:
+def _findings(season: Season, fit: SavedFit) -> list[str]:
     """Sentences about one boat."""
     boat, used = season.boat, fit.sets.get(fit.terms)
     here = [f"{boat}: fitted to {_count(fit.missions, 'mission')} with the terms “{fit.terms}”."]
@@ -133,13 +133,8 @@ def _findings(season: Season, fit: SavedFit, online: Mapping[str, Quantity]) -> 
         here.append(
             f"{boat}: the report has {_count(len(season.runs), 'run')}, less than the fit: run usvlearn fit again."
         )
+    here += [f"{boat}: do not use these values before this is settled: {each}" for each in fit.doubts]
     here += [f"{boat}: {each}" for each in fit.lacks]
-    apart = [
-        name for name, each in fit.quantities.items()
-        if name in online and (online[name].low > each.high or online[name].high < each.low)
-    ]  # fmt: skip
-    if apart:
-        here.append(f"{boat}: the intervals of fit and online estimate do not meet for {', '.join(apart)}.")
     if fit.diagnostics is None:
         return [*here, f"{boat}: this fit is of an older version without diagnostics: run usvlearn fit again."]
     return here + [f"{boat}: {each}" for each in _diagnosed(fit.diagnostics)]

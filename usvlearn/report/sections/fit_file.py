@@ -102,6 +102,7 @@ class SavedFit(NamedTuple):
     sets: Mapping[str, SetOfTerms]
     simulation: str  # which open-loop simulation to use, a sentence; "" where that was not compared
     diagnostics: Diagnostics | None  # None in files of before
+    doubts: Sequence[str] = ()  # what speaks against the use of its values
 
 
 def saved_fits(folders: Sequence[Path], boats: Sequence[str]) -> dict[str, SavedFit | str]:
@@ -153,6 +154,7 @@ def read_fit(path: Path) -> SavedFit:
         },
         _text(facts["simulation"]["sentence"]) if facts.get("simulation") is not None else "",
         _diagnostics(facts["diagnostics"]) if facts.get("diagnostics") is not None else None,
+        [_text(each) for each in _some(facts.get("doubts", []), FEW)],
     )
 
 
