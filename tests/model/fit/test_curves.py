@@ -127,7 +127,7 @@ def test_an_interval_adds_the_spread_the_disagreement_and_the_own_error():
     found = intervals(fits, scores, "cubic", MASS)["thrust_full_left"]
     A = np.linalg.inv(fit.information.sum(0) + fit.known.information)
     away = fit.score - fit.score.mean(0)
-    S = A + 2.0 * A @ (3 / 2 * away.T @ away) @ A
+    S = A + (2.0 + 18.0 / 3) * A @ (3 / 2 * away.T @ away) @ A
     np.testing.assert_allclose(spread(fit), S, rtol=1e-9)
     own = [NAMES[place] for place in fit.known.active]
     slope = MASS * np.array([name in [f"thrust_{x}_left" for x in ("linear", "quadratic", "cubic")] for name in own])
@@ -189,12 +189,13 @@ def test_measured_steps_of_a_boat_that_moves_are_counted():
     assert (fit.information[0] == fit.information[0].T).all() and np.linalg.eigvalsh(fit.information[0])[0] > -1e-9
 
 
-def found_boat(quantities_: dict[str, Quantity]) -> SimpleNamespace:
+def found_boat(quantities_: dict[str, Quantity], doubts: tuple[str, ...] = ()) -> SimpleNamespace:
     """What `tables` reads of a fitted boat."""
     own = SimpleNamespace(displayed=quantities_.__getitem__, scale="By a mass of 28 kg.", lacks=("It never turned.",))
     fits = {"nine": fit_of("nine", 2), "cubic": fit_of("cubic", 2)}
     return SimpleNamespace(
-        boat="heron", missions=SimpleNamespace(number=2), quantities=quantities_, found=own, fits=fits, fit=fits["cubic"], chosen="cubic", simulation=None,
+        boat="heron", missions=SimpleNamespace(number=2), doubts=doubts, quantities=quantities_,
+        found=own, fits=fits, fit=fits["cubic"], chosen="cubic", simulation=None,
         scores={"nine": Score(np.zeros(2), -0.5, math.inf), "cubic": Score(np.zeros(2), 0.0, 0.0)},
         errors={"nine": 0.0512, "cubic": 0.0341},
     )  # fmt: skip
@@ -215,11 +216,15 @@ def test_the_tables_of_a_fit_have_a_cell_for_each_head():
         assert [[str(cell) for cell in row] for row in sets.rows] == [
             ["nine", "9", "0.5000", "–", "0.0512"], ["cubic (used)", "12", "–", "–", "0.0341"],
         ]  # fmt: skip
-        assert "2 missions err by 0.0341 m/s in the mean" in "\n".join(map(str, lines))
+        said = "\n".join(map(str, lines))
+        assert "2 missions err by 0.0341 m/s in the mean" in said and "Use the values of the fit" in said
         console = Console(width=160)
         with console.capture() as caught:
             console.print(table)
         assert "time_constant" in caught.get()
+    table, _, _, *lines = tables(found_boat(known, ("The lag is at its bound.",)), None)
+    assert "Use the values" not in (said := "\n".join(map(str, lines))) and "(use)" not in str(table.head)
+    assert "Do not use the values of the fit before this is settled:\nThe lag is at its bound." in said
 
 
 def test_quantities_of_the_prior_are_closed_forms():

@@ -93,8 +93,8 @@ def without_losses(
             leaves[np.arange(len(rows)) * dt >= each["time"] - BEFORE * begins] = bool(lost)
             if begins:
                 said.append(
-                    f"The {each['side']} thruster lost thrust at {each['time']:.0f} s of {name} (events of the run): the "
-                    "fit leaves out what follows until its recovery."
+                    f"The {each['side']} thruster lost thrust at {each['time']:.0f} s of {name} (events of the run): "
+                    "the fit leaves out what follows until its recovery."
                 )
         kept = rows.copy()
         kept[leaves, MODE] = HOLD

@@ -1,0 +1,44 @@
+"""What speaks against the use of a fit."""
+
+import numpy as np
+import pytest
+
+from tests.support.fitted_boats import TOP
+from tests.support.saved_fits import facts
+from usvlearn.estimators.joint.lacking import Quantity
+from usvlearn.model.fit.doubts import doubts
+from usvlearn.model.fit.gauss_newton import LAGS, Missions
+from usvlearn.model.fit.terms import AT, PLACE_LAG, prior
+
+
+def said(theta=(), cross=None, online=None, **changed: float) -> tuple[str, ...]:
+    fit = Missions([], TOP).evaluate("curves", prior("curves", TOP).mean.copy(), 0.1)
+    for place, value in theta:
+        fit.theta[place] = value
+    found = {name: Quantity(*each.values()) for name, each in facts()["quantities"].items()}
+    found |= {name: Quantity(value, value - 1, value + 1, "") for name, value in changed.items()}
+    lags = [-1.0, 0.0, 0.5, 1.0]
+    white = {"lags": lags, "values": [0.9, 0.1, 0.1, None], "bounds": [0.1, 0.1, 0.1, None]}
+    return doubts(fit, found, {"mean": white, "difference": white} | (cross or {}), online)
+
+
+def test_nothing_speaks_against_a_good_fit():
+    assert said() == () == said(online=facts() and {"drag_linear": Quantity(-900.0, -901.0, -899.0, "")})
+
+
+@pytest.mark.parametrize(
+    "given, words",
+    [
+        ({"drag_linear": 2.0}, "drag_linear would push the boat"),
+        ({"theta": [(AT["drag_node_0.6"], 9.0)]}, "The drag does not grow with the speed everywhere"),
+        ({"theta": [(PLACE_LAG, LAGS[1])]}, "The lag of the thrust is at its bound"),
+        (
+            {"cross": {"mean": {"lags": [0.0, 0.5, 1.0], "values": [0.0, 0.1, -0.3], "bounds": [0.1] * 3}}},
+            "follow the mean command, most after 1 s",
+        ),
+        ({"online": {"time_constant": Quantity(99.0, 98.0, np.inf, "s")}}, "do not meet for time_constant"),
+    ],
+)
+def test_each_doubt_is_one_sentence_with_what_to_do(given, words):
+    (sentence,) = said(**given)
+    assert words in sentence and sentence.endswith(".") and len(sentence) < 300
