@@ -75,13 +75,11 @@ def work(arguments: Sequence[str]) -> None:
         raise ConfigError(f"--boat: found {given.boat!r}, expected one of {', '.join(fine.boats)}{hint}")
     mass, top = float(settings["vehicle"]["mass"]), float(settings["vehicle"]["surge_max"])
     missions = {boat: missions_of(fine, boat) for boat in fine.boats if given.boat in (None, boat)}
-    events = (results(folder) or {}).get("events") or {}
-    for boat, rows in missions.items():
-        if boat not in changed:
-            missions[boat], lost = without_losses(boat, rows, events.get(boat, []))
-            changed |= {f"{boat} {k}": f"{boat}: {each}" for k, each in enumerate(lost)}
     for sentence in changed.values():
         complain(f"warning: {sentence}")
+    for boat in missions.keys() - changed.keys():
+        events = results(folder).get("events", {}).get(boat, [])
+        missions[boat] = without_losses(boat, missions[boat], events)
     found: Fitted | None = None
     done: list[tuple[Fitted, Last | None, list[Path]]] = []
     stopped: Stopped | None = None

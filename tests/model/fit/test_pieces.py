@@ -8,8 +8,7 @@ from usvlearn.core.rows import HOLD, LEARN, MODE, START, SURGE
 from usvlearn.model.fit.choice import _smallest
 from usvlearn.model.fit.gauss_newton import Missions
 from usvlearn.model.fit.intervals import spread
-from usvlearn.model.fit.lag import late, moved
-from usvlearn.model.fit.pieces import MOST, cut
+from usvlearn.model.fit.pieces import MOST, cut, late, moved
 
 
 def log(steps: int, seed: int = 0, noise: float = 0.02) -> np.ndarray:

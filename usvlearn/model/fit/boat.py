@@ -55,7 +55,7 @@ class FittedBoat(Identified):
             chosen: the set to use.
             mass: kg.
             lacks: what the logs lack, one sentence each.
-            late: s by which measured speeds follow the commands, and were moved (`usvlearn.model.fit.lag`).
+            late: s by which measured speeds follow the commands, and were moved (`usvlearn.model.fit.pieces`).
         """
         fit = fits[chosen]
         found, differ = intervals(fits, scores, chosen, mass), disagreement(fits, scores, chosen, mass)

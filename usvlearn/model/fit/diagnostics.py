@@ -14,20 +14,23 @@ each curve stands for how many seconds the boat sailed at such commands and spee
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from usvlearn.core.events import NINETY
 from usvlearn.core.rows import DT, LEFT, MODE, PREDICT, RIGHT, SURGE
+from usvlearn.estimators.joint.lacking import Quantity
 from usvlearn.estimators.joint.quantities import SIDES
+from usvlearn.estimators.regressors.terms import SURGE as COEFFICIENTS
 from usvlearn.evaluation.metrics import fit as per_cent
 from usvlearn.model.fit.correlations import autocorrelation, cross_correlation
-from usvlearn.model.fit.gauss_newton import ROBUST, Fit, Missions, scored
+from usvlearn.model.fit.gauss_newton import LAGS, NEGATIVE, ROBUST, TIMES, Fit, Missions, scored
 from usvlearn.model.fit.intervals import OWN_ERROR, spread
 from usvlearn.model.fit.motion_kernel import REST
 from usvlearn.model.fit.quantities import CurvedAhead
+from usvlearn.model.fit.terms import PLACE_LAG, PLACE_TIME
 
 MINUTE, AROUND = 60.0, 30.0  # s: the worst stretch of a mission, and what is shown before and after it
 SHOWN = 6  # missions whose worst minutes are kept as courses, those with the largest errors
@@ -37,6 +40,8 @@ COMMANDS = np.linspace(-1.0, 1.0, 81)  # of the curves of thrust
 SPEEDS = 61  # points of the curve of drag
 COMMAND_BINS, SPEED_BINS = np.linspace(-1.0, 1.0, 41), 30  # of the seconds beside the curves
 FASTEST = 0.999  # quantile of the speed that ends the curve of drag
+TINY = 1e-6  # of the drag at half speed: a smaller force is rounding
+FOLLOW = 1.5  # 99 % bounds, beyond which errors follow a command: with that many lags, some are beyond one by chance
 HALF = 0.5  # of the known steps of the fullest minute: fewer are no minute that is compared
 
 
@@ -90,6 +95,49 @@ def diagnostics(missions: Missions, fit: Fit, mass: float, others: Sequence[Fit]
         "cross_correlation": {name: cross_correlation(errors, u, dt)._asdict() for name, u in pushes.items()},
         **_curves(every, fit, mass, others, dt),
     })  # fmt: skip
+
+
+def doubts(
+    fit: Fit, found: Mapping[str, Quantity], cross: Mapping[str, Any], online: Mapping[str, Quantity] | None
+) -> tuple[str, ...]:
+    """What speaks against the use of a fit, one sentence each with what to do.
+
+    Args:
+        fit, found: the chosen one, and its quantities.
+        cross: correlations of its errors with commands, as of `diagnostics`.
+        online: what was identified online, if anything.
+    """
+    said, least = [], TINY * abs(found["drag_half_speed"].value)
+    pushes = [name for name in NEGATIVE if name in found and name.startswith("drag") and found[name].value > least]
+    if pushes or not CurvedAhead(fit.theta, fit.top).brakes:
+        said.append(
+            f"The drag would push the boat, or falls with speed ({', '.join(pushes) or 'its curve'}): the logs do not "
+            "tell it. Check the speed channel, or give longer logs, with turns and commands from low to full."
+        )
+    if fit.theta[PLACE_LAG] >= LAGS[1] or fit.theta[PLACE_TIME] >= TIMES[1]:
+        said.append(
+            "The lag of the thrust is at its bound: the speed follows the commands later than the fit allows. Find the "
+            "delay by usvlearn delay, set data.channels.command_left.delay and command_right.delay, and train again."
+        )
+    for name, what in (("mean", "mean command"), ("difference", "difference of the commands")):
+        lags, values, bounds = (np.array(cross[name][key], float) for key in ("lags", "values", "bounds"))
+        over = np.nan_to_num(np.abs(values) / bounds)[lags >= 0]
+        if over.max(initial=0.0) > FOLLOW:
+            said.append(
+                f"The errors of the simulation follow the {what}, most after {lags[lags >= 0][over.argmax()]:g} s: the "
+                "model lacks something. Check the commands' delay, zero and sides, and the rate of the speed."
+            )
+    apart = [
+        name for name, each in found.items()
+        if online is not None and name in online and name not in COEFFICIENTS
+        and (online[name].low > each.high or online[name].high < each.low)
+    ]  # fmt: skip
+    if apart:
+        said.append(
+            f"The intervals of fit and online estimate do not meet for {', '.join(apart[:SHOWN])}: one is wrong, or the boat "
+            "has changed. Fit the missions before and after a change apart."
+        )
+    return tuple(said)
 
 
 def simulated(name: str, rows: np.ndarray, speed: np.ndarray, current: np.ndarray) -> Simulated:

@@ -16,14 +16,12 @@ from usvlearn.estimators.joint.reading import Identified
 from usvlearn.estimators.regressors.terms import LAG
 from usvlearn.model.fit.boat import FittedBoat
 from usvlearn.model.fit.choice import WEAR, Score, choose
-from usvlearn.model.fit.diagnostics import diagnostics
-from usvlearn.model.fit.doubts import doubts
+from usvlearn.model.fit.diagnostics import diagnostics, doubts
 from usvlearn.model.fit.gauss_newton import Fit, Missions
 from usvlearn.model.fit.intervals import alike
-from usvlearn.model.fit.lag import late
 from usvlearn.model.fit.logs import DT, lacking
 from usvlearn.model.fit.open_loop import FreeMode
-from usvlearn.model.fit.pieces import cut
+from usvlearn.model.fit.pieces import cut, late
 from usvlearn.model.fit.terms import AT, NAMES, SETS, TIME_CONSTANT, by_name
 from usvlearn.model.fit.wear import worn
 

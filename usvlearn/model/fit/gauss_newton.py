@@ -132,9 +132,8 @@ class Missions:
         self.names = list(names) or [str(k + 1) for k in range(len(rows))]
         self.steps = [int(scored(each).sum()) for each in self.rows]
         self.number = len(set(self.names))  # of missions, whose pieces `rows` may be
-        places = [self.names[:k].count(name) // TOGETHER for k, name in enumerate(self.names)]
-        stretches = list(dict.fromkeys(zip(self.names, places, strict=True)))
-        self.stretches = np.array([stretches.index(each) for each in zip(self.names, places, strict=True)], int)
+        places = [(name, self.names[:k].count(name) // TOGETHER) for k, name in enumerate(self.names)]
+        self.stretches = np.array([list(dict.fromkeys(places)).index(each) for each in places], int)
 
     def evaluate(self, terms: str, theta: np.ndarray, deviation: float) -> Fit:
         """Simulate all missions with the sensitivities of a set of terms."""

@@ -18,7 +18,7 @@ from scipy.signal import savgol_filter
 from usvlearn.core.events import LOSS, RECOVERY
 from usvlearn.core.rows import COS, HOLD, LEFT, MODE, PREDICT, RIGHT, SIN, SURGE, YAW_RATE
 from usvlearn.core.samples import Fleet, tree_map
-from usvlearn.errors import ConfigError
+from usvlearn.errors import ConfigError, complain
 from usvlearn.logs.channels.astern import without_sign
 from usvlearn.model.fit.gauss_newton import rows_of, scored
 
@@ -74,38 +74,36 @@ def missions_of(fleet: Fleet, boat: str, dt: float = DT) -> dict[str, np.ndarray
 
 def without_losses(
     boat: str, missions: Mapping[str, np.ndarray], events: Sequence[Mapping[str, Any]], dt: float = DT
-) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
-    """The missions without the times in which a run has found that a thruster lacked thrust, and a sentence of each.
+) -> dict[str, np.ndarray]:
+    """The missions without the times in which a thruster lacked thrust, with a warning of each.
 
     Args:
         boat, missions, dt: see `missions_of`.
-        events: of the boat, as `results.json` has them: with run, time in s, kind and side.
+        events: of the boat, as `results.json` has them.
 
     Raises:
         ConfigError: too little is left.
     """
-    found, lost, said = dict[str, np.ndarray](), set[str](), list[str]()
+    found, lost, said = dict[str, np.ndarray](), set[str](), ""
     for name, rows in missions.items():
-        leaves = np.full(len(rows), bool(lost))
+        found[name], place = rows.copy(), np.arange(len(rows)) * dt
+        found[name][:, MODE] = HOLD if lost else rows[:, MODE]
         for each in (each for each in events if each["run"] == name and each["kind"] in (LOSS, RECOVERY)):
-            begins = each["kind"] == LOSS
-            lost ^= {each["side"]} - lost if begins else {each["side"]} & lost
-            leaves[np.arange(len(rows)) * dt >= each["time"] - BEFORE * begins] = bool(lost)
+            begins, side = each["kind"] == LOSS, {each["side"]}
+            lost = lost | side if begins else lost - side
+            later = place >= each["time"] - BEFORE * begins
+            found[name][later, MODE] = HOLD if lost else rows[later, MODE]
             if begins:
-                said.append(
-                    f"The {each['side']} thruster lost thrust at {each['time']:.0f} s of {name} (events of the run): "
-                    "the fit leaves out what follows until its recovery."
+                said = (
+                    f"{boat}: the {each['side']} thruster lost thrust at {each['time']:.0f} s of {name} (run's events)"
                 )
-        kept = rows.copy()
-        kept[leaves, MODE] = HOLD
-        if scored(kept).any():
-            found[name] = kept
+                complain(f"warning: {said}: the fit leaves out what follows until its recovery")
     if said and (left := sum(int(scored(rows).sum()) for rows in found.values())) < FEWEST:
         raise ConfigError(
-            f"{boat}: found {left} measured steps with both thrusters whole, expected at least {FEWEST}. {said[0]} Fit "
-            "logs from before that, or from after its repair (data.path)"
+            f"{said}: found {left} measured steps with both thrusters whole, expected at least {FEWEST}: fit logs from "
+            "before that, or from after its repair (data.path)"
         )
-    return found, tuple(said)
+    return {name: rows for name, rows in found.items() if scored(rows).any()}
 
 
 def smoothed(rows: np.ndarray, dt: float) -> np.ndarray:

@@ -1,7 +1,11 @@
-"""Missions cut in pieces: the units of scatter, of leaving out and of wear, whatever the files are.
+"""Missions cut in pieces, the units of scatter and of leaving out, with the measured speeds at their times.
 
 Errors of neighbouring steps are alike for some seconds to a minute, hardly those of pieces of `SECONDS`. So one long
 log tells as much as many short ones. Each piece has a start and a current of its own.
+
+A receiver filters its speed, and a command takes its way to the motor. Which of both is late cannot be told. Measured
+speeds are moved against all else by whole steps of the grid, while the set `TERMS` simulates them better. What is left
+is μ or τ of `motion_kernel`.
 """
 
 from __future__ import annotations
@@ -10,11 +14,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from usvlearn.core.rows import HOLD, LEARN, MODE, START
+from usvlearn.core.rows import HOLD, LEARN, MODE, PREDICT, START, SURGE
 from usvlearn.model.fit.gauss_newton import Missions, scored
 
 SECONDS = 150.0  # s
 MOST = 200  # pieces of all missions together, about; of longer logs pieces are longer
+TERMS, ENOUGH = "even", 30  # the set that tells how late speeds are, fitted to about as many pieces
+LATEST, EARLIEST = 20, -8  # steps
+GAIN = 1e-3  # of the loss a step: a smaller gain ends the search
 
 
 def cut(missions: Mapping[str, np.ndarray], top: float, dt: float) -> Missions:
@@ -33,13 +40,46 @@ def cut(missions: Mapping[str, np.ndarray], top: float, dt: float) -> Missions:
     for name, rows in missions.items():
         for k, part in enumerate(np.array_split(rows, max(1, round(len(rows) / length)))):
             if scored(part).any():
-                pieces.append(_opened(part) if k else part)
+                part = part.copy()
+                if k:
+                    part[0, MODE] = START if part[0, MODE] == LEARN else HOLD
+                pieces.append(part)
                 names.append(name)
     return Missions(pieces, top, names)
 
 
-def _opened(rows: np.ndarray) -> np.ndarray:
-    """A piece that starts a segment with its first measured speed, where it has one."""
-    rows = rows.copy()
-    rows[0, MODE] = START if rows[0, MODE] == LEARN else HOLD
-    return rows
+def moved(rows: np.ndarray, steps: int) -> np.ndarray:
+    """Prepared samples whose measured speeds are earlier by some steps; a speed that has no place is left out.
+
+    >>> rows = np.zeros((4, 8))
+    >>> rows[:, MODE], rows[:, SURGE] = [1, PREDICT, LEARN, LEARN], [0.0, 1.0, 2.0, 3.0]
+    >>> moved(rows, 1)[:, MODE].tolist(), moved(rows, 1)[1:3, SURGE].tolist()
+    ([1.0, 3.0, 3.0, 2.0], [2.0, 3.0])
+    """
+    found, places = rows.copy(), np.arange(len(rows)) + steps
+    source = rows[places.clip(0, len(rows) - 1)]
+    measured, made = (source[:, MODE] == LEARN) & (places >= 0) & (places < len(rows)), rows[:, MODE] >= PREDICT
+    found[measured, SURGE] = source[measured, SURGE]
+    found[made, MODE] = np.where(measured[made], LEARN, PREDICT)
+    return found
+
+
+def late(missions: Missions) -> tuple[Missions, int]:
+    """The missions with their speeds moved, and by how many steps of the grid these were late."""
+    some = range(0, len(missions.rows), max(1, len(missions.rows) // ENOUGH))
+    part = Missions([missions.rows[k] for k in some], missions.top)
+    tried = {0: part.fit(TERMS)}
+
+    def loss(steps: int, beside: int) -> float:
+        if steps not in tried:
+            tried[steps] = _moved(part, steps).settled(tried[beside])
+        return tried[steps].total
+
+    at, way = 0, 1 if loss(1, 0) < loss(-1, 0) else -1
+    while EARLIEST <= at + way <= LATEST and loss(at + way, at) < tried[at].total - GAIN * sum(part.steps):
+        at += way
+    return _moved(missions, at), at
+
+
+def _moved(missions: Missions, steps: int) -> Missions:
+    return Missions([moved(rows, steps) for rows in missions.rows], missions.top, missions.names)

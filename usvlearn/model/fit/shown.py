@@ -17,13 +17,8 @@ USE = "Use the values of the fit: it has learned from all missions at once, onli
 
 def tables(found: Fitted, online: Identified | None) -> list[RenderableType]:
     """The quantities beside those learned online, the sets of terms, and what they mean."""
-    heads = [
-        "fit" if found.doubts else "fit (use)",
-        "from",
-        "to",
-        *(["online", "from", "to"] if online is not None else []),
-        "unit",
-    ]
+    use = "" if found.doubts else " (use)"
+    heads = [f"fit{use}", "from", "to", *(["online", "from", "to"] if online is not None else []), "unit"]
     table = Blocks(f"{found.boat}: fitted to all missions, with 90 % intervals", ["quantity"], heads)
     for name, each in found.quantities.items():
         beside = [shown(x) for x in online.displayed(name)[:3]] if online is not None and name in online else []
