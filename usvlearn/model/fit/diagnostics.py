@@ -134,8 +134,8 @@ def doubts(
     ]  # fmt: skip
     if apart:
         said.append(
-            f"The intervals of fit and online estimate do not meet for {', '.join(apart[:SHOWN])}: one is wrong, or the boat "
-            "has changed. Fit the missions before and after a change apart."
+            f"The intervals of fit and online estimate do not meet for {', '.join(apart[:SHOWN])}: one is wrong, or "
+            "the boat has changed. Fit the missions before and after a change apart."
         )
     return tuple(said)
 

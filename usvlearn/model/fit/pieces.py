@@ -4,8 +4,8 @@ Errors of neighbouring steps are alike for some seconds to a minute, hardly thos
 log tells as much as many short ones. Each piece has a start and a current of its own.
 
 A receiver filters its speed, and a command takes its way to the motor. Which of both is late cannot be told. Measured
-speeds are moved against all else by whole steps of the grid, while the set `TERMS` simulates them better. What is left
-is μ or τ of `motion_kernel`.
+speeds are moved against all else by whole steps of the grid where μ of the set `TERMS` is not between 0 and 1, while it
+simulates them better. What is left is μ or τ of `motion_kernel`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from usvlearn.core.rows import HOLD, LEARN, MODE, PREDICT, START, SURGE
-from usvlearn.model.fit.gauss_newton import Missions, scored
+from usvlearn.model.fit.gauss_newton import LAGS, Missions, scored
+from usvlearn.model.fit.terms import PLACE_LAG
 
 SECONDS = 150.0  # s
 MOST = 200  # pieces of all missions together, about; of longer logs pieces are longer
@@ -75,8 +76,8 @@ def late(missions: Missions) -> tuple[Missions, int]:
             tried[steps] = _moved(part, steps).settled(tried[beside])
         return tried[steps].total
 
-    at, way = 0, 1 if loss(1, 0) < loss(-1, 0) else -1
-    while EARLIEST <= at + way <= LATEST and loss(at + way, at) < tried[at].total - GAIN * sum(part.steps):
+    at, way = 0, int(tried[0].theta[PLACE_LAG] >= 1) - int(tried[0].theta[PLACE_LAG] <= LAGS[0])
+    while way and EARLIEST <= at + way <= LATEST and loss(at + way, at) < tried[at].total - GAIN * sum(part.steps):
         at += way
     return _moved(missions, at), at
 
