@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from usvlearn.core.rows import COS, DT, LEFT, MODE, PREDICT, RIGHT, ROW, SIN, START, SURGE, YAW_RATE
+from usvlearn.core.rows import COS, DT, LEARN, LEFT, MODE, PREDICT, RIGHT, ROW, SIN, START, SURGE, YAW_RATE
 from usvlearn.model.fit import motion_kernel as kernel
 from usvlearn.model.fit.terms import NAMES, PLACE_LAG, prior
 
@@ -45,3 +45,11 @@ def boat(seed: int = 1) -> np.ndarray:
     )
     theta[PLACE_LAG] = 0.0
     return theta
+
+
+def log(steps: int, seed: int = 0, noise: float = 0.02) -> np.ndarray:
+    """A measured mission on a grid of 0.1 s."""
+    rows = mission(steps, seed, dt=0.1)
+    rows[1:, SURGE] = simulated(rows, boat())[1:] + noise * np.random.default_rng(seed).standard_normal(steps)
+    rows[1:, MODE] = LEARN
+    return rows

@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 import pytest
 
-from tests.model.fit.test_pieces import log
+from tests.support.fitted_boats import log
 from tests.support.strangers import sail
 from usvlearn.core.rows import HOLD, LEARN, MODE
 from usvlearn.errors import ConfigError

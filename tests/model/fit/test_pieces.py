@@ -3,20 +3,12 @@
 import numpy as np
 import pytest
 
-from tests.support.fitted_boats import TOP, boat, mission, simulated
+from tests.support.fitted_boats import TOP, log
 from usvlearn.core.rows import HOLD, LEARN, MODE, START, SURGE
 from usvlearn.model.fit.choice import _smallest
 from usvlearn.model.fit.gauss_newton import Missions
 from usvlearn.model.fit.intervals import spread
 from usvlearn.model.fit.pieces import MOST, cut, late, moved
-
-
-def log(steps: int, seed: int = 0, noise: float = 0.02) -> np.ndarray:
-    """A log on a grid of 0.1 s."""
-    rows = mission(steps, seed, dt=0.1)
-    rows[1:, SURGE] = simulated(rows, boat())[1:] + noise * np.random.default_rng(seed).standard_normal(steps)
-    rows[1:, MODE] = LEARN
-    return rows
 
 
 def test_a_long_log_is_cut_and_starts_anew_with_a_measured_speed():
