@@ -19,7 +19,7 @@ from usvlearn.report.from_runs import read
 from usvlearn.report.front import Front, first_page
 from usvlearn.report.overview import MAIN, Overview
 from usvlearn.report.page import write_report
-from usvlearn.report.sections.fit import UNKNOWN, fit_section
+from usvlearn.report.sections.fit import DOUBTED, UNKNOWN, USES, fit_section
 from usvlearn.report.sections.fit_file import FEW, SavedFit, read_fit, saved_fits
 from usvlearn.report.sections.section import Section
 
@@ -90,6 +90,15 @@ def test_what_the_log_does_not_determine_is_marked(season, folder):
     write(folder, found)
     uses = {row["quantity"]: row["use the fit"] for row in table(section_of(season, folder), "fit")}
     assert {name for name, use in uses.items() if use == UNKNOWN} == {"drag_linear", "thrust_ratio"}
+
+
+def test_values_with_a_doubt_are_not_recommended(season, folder):
+    write(folder, facts())
+    assert USES in section_of(season, folder).here
+    write(folder, facts() | {"doubts": ["The lag of the thrust is at its bound."]})
+    section = section_of(season, folder)
+    assert USES not in section.here and {row["use the fit"] for row in table(section, "fit")} == {DOUBTED}
+    assert any("before this is settled: The lag of the thrust is at its bound." in each for each in section.here)
 
 
 def test_sentences_say_what_the_figures_show(season, folder):

@@ -8,14 +8,16 @@ import pytest
 
 from tests.support.fitted_boats import MASS, TOP, boat, mission, simulated
 from usvlearn import JointEKF
-from usvlearn.core.rows import COS, LEARN, LEFT, MODE, RIGHT, SIN, SURGE
+from usvlearn.core.rows import COS, LEARN, LEFT, MODE, RIGHT, SIN, SURGE, YAW_RATE
 from usvlearn.core.samples import named_leaves
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.augmented.state import LAG_MOST
 from usvlearn.estimators.joint.reading import covariance_of, identify
 from usvlearn.estimators.joint.state import THETA, names
 from usvlearn.model.fit.boat import FITTED, FittedBoat
+from usvlearn.model.fit.choice import choose
 from usvlearn.model.fit.fitted import fit_boat
+from usvlearn.model.fit.gauss_newton import Missions
 from usvlearn.model.fit.hand_over import factored, handed_over
 from usvlearn.model.fit.intervals import spread
 from usvlearn.model.fit.logs import DT, lacking
@@ -41,6 +43,17 @@ def test_a_checkpoint_has_the_whole_boat(fitted):
     np.testing.assert_array_equal(found.covariance, fitted.found.covariance)
     np.testing.assert_array_equal(found.every(found.theta), fitted.fit.theta)
     assert repr(found).splitlines()[1].split()[0] == "drag_quadratic" and "Fitted to 3 missions" in repr(found)
+
+
+@pytest.mark.parametrize("turns", [True, False])
+def test_that_a_boat_hardly_turned_is_said(turns):
+    rows = rows_of_boat()
+    rows[:, YAW_RATE] *= turns
+    made = Missions([rows], TOP)
+    fits = {"nine": made.fit("nine")}
+    found = FittedBoat.of(made, fits, choose(made, fits)[1], "nine", MASS, (), 0.3)
+    assert any("the boat hardly turns" in each for each in found.lacks) != turns
+    assert found.lag(0.4)[0] == 0.3 and FittedBoat.read(found.facts()).late == 0.3
 
 
 @pytest.mark.parametrize(

@@ -191,7 +191,9 @@ def test_measured_steps_of_a_boat_that_moves_are_counted():
 
 def found_boat(quantities_: dict[str, Quantity], doubts: tuple[str, ...] = ()) -> SimpleNamespace:
     """What `tables` reads of a fitted boat."""
-    own = SimpleNamespace(displayed=quantities_.__getitem__, scale="By a mass of 28 kg.", lacks=("It never turned.",))
+    own = SimpleNamespace(
+        displayed=quantities_.__getitem__, scale="By a mass of 28 kg.", late=0.3, lacks=("It never turned.",)
+    )
     fits = {"nine": fit_of("nine", 2), "cubic": fit_of("cubic", 2)}
     return SimpleNamespace(
         boat="heron", missions=SimpleNamespace(number=2), doubts=doubts, quantities=quantities_,
@@ -217,7 +219,7 @@ def test_the_tables_of_a_fit_have_a_cell_for_each_head():
             ["nine", "9", "0.5000", "–", "0.0512"], ["cubic (used)", "12", "–", "–", "0.0341"],
         ]  # fmt: skip
         said = "\n".join(map(str, lines))
-        assert "2 missions err by 0.0341 m/s in the mean" in said and "Use the values of the fit" in said
+        assert "2 missions err by 0.0341 m/s; speeds are 0.3 s late." in said and "Use the values of the fit" in said
         console = Console(width=160)
         with console.capture() as caught:
             console.print(table)

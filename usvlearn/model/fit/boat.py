@@ -25,6 +25,7 @@ from usvlearn.model.surge import SurgeModel
 SPEEDS = ("steady_speed_full", "steady_speed_half", "steady_speed_quarter")
 LARGEST = 1e9  # m/s, kg: nothing is larger
 UNCLEAR = 0.5  # half-width over value
+TURNS = 4.0  # s: so wide, drag_cross at 0.3 rad/s is unclear by 0.3 of the drag
 FITTED = "fit"  # of a checkpoint's metadata
 
 
@@ -62,10 +63,10 @@ class FittedBoat(Identified):
         common = max(differ[name] / abs(found[name].value) for name in SPEEDS)
         split = [found[f"drag_{name}"] for name in ("linear", "quadratic")]
         if any(each.high - each.low > 2 * UNCLEAR * abs(each.value) for each in split):
-            lacks = (
-                *lacks,
-                "The logs hardly separate linear from quadratic drag: use drag_half_speed.",
-            )
+            lacks += ("The logs hardly separate linear from quadratic drag: use drag_half_speed.",)
+        turning = (found["drag_cross"].high - found["drag_cross"].low) * found["steady_speed_full"].value
+        if turning > TURNS * found["drag_half_speed"].value:
+            lacks += ("The logs do not tell drag_cross: the boat hardly turns under way. Let it turn more.",)
         many = "1 mission" if missions.number == 1 else f"{missions.number} missions"
         return cls._made(
             fit.terms, fit.top, mass, fit.theta[fit.known.active], spread(fit), found,

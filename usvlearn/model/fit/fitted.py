@@ -91,6 +91,7 @@ class Fitted:
             "terms": self.chosen,
             "missions": self.missions.number,
             "pieces": len(self.missions.rows),
+            "late": self.found.late,
             "steps": int(self.fit.count.sum()),
             "deviation": self.fit.deviation,
             "parameters": {name: forces[name] * float(self.fit.theta[AT[name]]) for name in self.found.names},

@@ -121,9 +121,6 @@ class Missions:
         rows: prepared samples of each, see `rows_of`.
         top: top speed, m/s.
         names: of the missions, that of its mission for each piece of one; numbers from 1 by default.
-
-    `stretches` has the place of each piece among the stretches, of up to ten minutes, from one to the next of which a
-    boat may wear.
     """
 
     def __init__(self, rows: Sequence[np.ndarray], top: float, names: Sequence[str] = ()):
@@ -132,6 +129,7 @@ class Missions:
         self.names = list(names) or [str(k + 1) for k in range(len(rows))]
         self.steps = [int(scored(each).sum()) for each in self.rows]
         self.number = len(set(self.names))  # of missions, whose pieces `rows` may be
+        # stretches of up to ten minutes, from one to the next of which a boat may wear: that of each piece
         places = [(name, self.names[:k].count(name) // TOGETHER) for k, name in enumerate(self.names)]
         self.stretches = np.array([list(dict.fromkeys(places)).index(each) for each in places], int)
 

@@ -21,8 +21,7 @@ from usvlearn.model.fit.terms import PLACE_LAG
 SECONDS = 150.0  # s
 MOST = 200  # pieces of all missions together, about; of longer logs pieces are longer
 TERMS, ENOUGH = "even", 30  # the set that tells how late speeds are, fitted to about as many pieces
-LATEST, EARLIEST = 20, -8  # steps
-GAIN = 1e-3  # of the loss a step: a smaller gain ends the search
+LATEST, EARLIEST, GAIN = 20, -8, 1e-3  # steps; of the loss a step: a smaller gain ends the search
 
 
 def cut(missions: Mapping[str, np.ndarray], top: float, dt: float) -> Missions:

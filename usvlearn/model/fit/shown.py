@@ -36,7 +36,7 @@ def tables(found: Fitted, online: Identified | None) -> list[RenderableType]:
     lines = [
         MEANING,
         *(["Do not use the values of the fit before this is settled:", *found.doubts] if found.doubts else [USE]),
-        f"Simulated in open loop, {many} by {found.errors[found.chosen]:.4f} m/s in the mean.",
+        f"In open loop, {many} by {found.errors[found.chosen]:.4f} m/s; speeds are {found.found.late:.1f} s late.",
         *([] if found.simulation is None else [found.simulation.sentence]),
         found.found.scale,
         *found.found.lacks,
