@@ -20,8 +20,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -39,6 +39,11 @@ OWN_ERROR = dict.fromkeys(QUANTITIES, 0.02) | {
 TOLD, VAGUE = "yaw_rate_half", 0.3  # quantity and limit of (2), beyond which the boat hardly turned
 RATIO = 10.0  # high over low, beyond which an interval says nothing
 WIDEST = math.log(1000)  # exponent of an interval
+HARDLY = (
+    "The boat hardly turned by its thrusters: its yaw rates and turning radii cannot be determined. Let the difference "
+    "of the commands vary."
+)
+B = TypeVar("B", bound=Identified)
 Filter = tuple[Mapping[str, Any], Mapping[str, np.ndarray]]  # description of an axis EKF, and leaves of its state
 
 
@@ -60,13 +65,13 @@ def with_turning(surge: Identified, surge_variance: np.ndarray, yaw: Filter, swa
             "Neither heading nor yaw rate was measured under way: nothing is known of turning."
         )  # fmt: skip
         nothing = {name: Quantity(math.nan, math.nan, math.nan, unit) for name, unit in QUANTITIES.items()}
-        return _joined(surge, nothing, [said])
+        return joined(surge, nothing, [said])
     values, slopes = _gradients(parts)
     found = {}
     for name, unit in QUANTITIES.items():
         variance = sum(float(g @ part.P @ g) for part, g in zip(parts, slopes[name], strict=True))  # (1)
-        found[name] = _quantity(values[name], variance, OWN_ERROR[name], unit)
-    return _joined(surge, found, _lacks(parts[1], slopes[TOLD][1], updates) or undetermined(found))
+        found[name] = on_log_scale(values[name], variance, OWN_ERROR[name], unit)
+    return joined(surge, found, _lacks(parts[1], slopes[TOLD][1], updates) or undetermined(found))
 
 
 class _Part(NamedTuple):
@@ -99,7 +104,7 @@ def _gradients(parts: list[_Part]) -> tuple[dict[str, float], dict[str, list[np.
     }
 
 
-def _quantity(value: float, variance: float, own: float, unit: str) -> Quantity:
+def on_log_scale(value: float, variance: float, own: float, unit: str) -> Quantity:
     """(1); NaN where it is undefined."""
     if not (math.isfinite(value) and value > 0 and math.isfinite(variance)):
         return Quantity(math.nan, math.nan, math.nan, unit)
@@ -114,13 +119,11 @@ def _lacks(yaw: _Part, slope: np.ndarray, updates: float) -> list[str]:
     share = (slope @ yaw.P @ slope) / (slope @ (yaw.variance * slope))  # (2)
     if share <= VAGUE:
         return []
-    return [
-        "The boat hardly turned by its thrusters: its yaw rates and turning radii cannot be determined. Let the "
-        "difference of the commands vary."
-    ]
+    return [HARDLY]
 
 
-def _joined(surge: Identified, found: dict[str, Quantity], lacks: list[str]) -> Identified:
+def joined(surge: B, found: dict[str, Quantity], lacks: Sequence[str]) -> B:
+    """A boat with the quantities of turning behind those of the surge, and what its log lacks for them."""
     unknown = {name for name, each in found.items() if not each.high <= RATIO * each.low}
     return dataclasses.replace(
         surge,

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 
 from usvlearn.errors import CheckpointError
+from usvlearn.estimators.axis.turning_intervals import joined
+from usvlearn.estimators.axis.turning_quantities import QUANTITIES as TURNING
 from usvlearn.estimators.joint.lacking import POSITIVE_OF_BOATS, Quantity, unphysical
 from usvlearn.estimators.joint.quantities import QUANTITIES
 from usvlearn.estimators.joint.reading import Beside, Identified, says_nothing, scale_sentence
@@ -156,13 +158,14 @@ class FittedBoat(Identified):
             found = {}
             for name, each in facts["quantities"].items():
                 value, low, high = (math.nan if x is None else float(x) for x in each)
-                found[name] = Quantity(value, low, high, QUANTITIES[name])
+                found[name] = Quantity(value, low, high, (QUANTITIES | TURNING)[name])
             if missing := [name for name in QUANTITIES if name not in found and name != "mass"]:
                 raise KeyError(missing[0])
             lacks, basis = tuple(map(str, facts["lacks"])), str(facts["basis"])
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise CheckpointError(f"its fit is damaged ({error!r}): run usvlearn fit again") from error
         impossible = unphysical({name: found[name] for name in POSITIVE_OF_BOATS})
-        return cls._made(
-            terms, top, mass, theta, covariance, found, common, tuple(x for x in lacks if x != impossible), basis, late
-        )
+        turns = {name: found.pop(name) for name in TURNING if name in found}
+        lacks = tuple(x for x in lacks if x != impossible)
+        made = cls._made(terms, top, mass, theta, covariance, found, common, lacks, basis, late)
+        return joined(made, turns, ())

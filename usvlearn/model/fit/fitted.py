@@ -23,6 +23,7 @@ from usvlearn.model.fit.logs import DT, lacking
 from usvlearn.model.fit.open_loop import FreeMode
 from usvlearn.model.fit.pieces import cut, late
 from usvlearn.model.fit.terms import AT, NAMES, SETS, TIME_CONSTANT, by_name
+from usvlearn.model.fit.turning import first_fit, fitted, prepared, with_turning
 from usvlearn.model.fit.wear import worn
 
 
@@ -148,6 +149,7 @@ def fit_boat(
     check_terms(terms)
     terms = None if terms is None else terms.removesuffix(WEAR)
     lacks = lacking(boat, list(rows.values()))
+    rows, turning = first_fit(rows, top)
     (missions, steps), fits, deviation = late(cut(rows, top, DT)), dict[str, Fit](), None
     start = None if online is None else by_name(online.names, online.theta)
 
@@ -155,6 +157,10 @@ def fit_boat(
         name, scores = choose(missions, fits, terms, worn)
         errors = {each: float(np.mean(np.abs(missions.errors(fit)))) for each, fit in fits.items()}
         made = FittedBoat.of(missions, fits, scores, name, mass, lacks, steps * DT)
+        if turning is not None:
+            ends = (end for _, end in missions.simulate(fits[name]))
+            again = (prepared(each, top, end) for each, end in zip(missions.rows, ends, strict=True))
+            made = with_turning(made, fitted(again, turning.theta))
         return Fitted(boat, missions, fits, scores, name, made, errors, online=online)
 
     try:

@@ -20,10 +20,12 @@ from usvlearn.core.rows import COS, HOLD, LEFT, MODE, PREDICT, RIGHT, SIN, SURGE
 from usvlearn.core.samples import Fleet, tree_map
 from usvlearn.errors import ConfigError, complain
 from usvlearn.logs.channels.astern import without_sign
+from usvlearn.logs.channels.poses import slope
 from usvlearn.model.fit.gauss_newton import rows_of, scored
 
 DT = 0.1  # s, of the grid
 WINDOW = 3.0  # s, of the parabola
+SAME = 1e-9  # rad/s, below which two yaw rates are one
 FEWEST = 600  # measured steps, below which nothing is fitted
 CHANGE = 0.02  # standard deviation of the mean command, below which nothing tells thrust from drag
 APART = 0.02  # likewise of the difference of the sides
@@ -38,8 +40,8 @@ def fine(align: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def missions_of(fleet: Fleet, boat: str, dt: float = DT) -> dict[str, np.ndarray]:
-    """The missions of a boat by name, as prepared samples, `(time, ROW)` each; those without measured steps are left
-    out.
+    """The missions of a boat by name, as prepared samples with `turns` behind them, `(time, ROW + 2)` each; those
+    without measured steps are left out.
 
     Args:
         fleet: logs, aligned on a grid of `dt`.
@@ -55,7 +57,8 @@ def missions_of(fleet: Fleet, boat: str, dt: float = DT) -> dict[str, np.ndarray
             rows = rows_of(tree_map(lambda x, n=length: x[:n, element], run.samples))
             if scored(rows).any():
                 name = run.names[element]
-                found[name if name not in found else f"{name} ({k + 1})"] = smoothed(rows, dt)
+                pose = turns(None if run.poses is None else run.poses[:length, element], run.time[:length, element])
+                found[name if name not in found else f"{name} ({k + 1})"] = np.column_stack([smoothed(rows, dt), pose])
     back = sum(float(without_sign(rows[:, LEFT], rows[:, RIGHT], rows[:, SURGE]).sum()) for rows in found.values())
     if back:
         raise ConfigError(
@@ -104,6 +107,17 @@ def without_losses(
             "before that, or from after its repair (data.path)"
         )
     return {name: rows for name, rows in found.items() if scored(rows).any()}
+
+
+def turns(poses: np.ndarray | None, time: np.ndarray) -> np.ndarray:
+    """Heading and yaw rate at the ends of steps, `(time, 2)`, NaN where nothing new was measured: a heading that
+    repeats the last one is the same message, and the slope of two headings is not another measurement.
+    """
+    found = np.full((len(time), 2), np.nan) if poses is None else poses[:, :2].copy()
+    turned, step = np.diff(found[:, 0], prepend=np.nan), np.diff(time, prepend=np.nan)
+    found[np.abs(found[:, 1] - slope(turned, step)) < SAME, 1] = np.nan
+    found[turned == 0, 0] = np.nan
+    return found
 
 
 def smoothed(rows: np.ndarray, dt: float) -> np.ndarray:

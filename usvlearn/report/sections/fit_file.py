@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.errors import printable
+from usvlearn.estimators.axis.turning_quantities import QUANTITIES as TURNING
 from usvlearn.estimators.joint.lacking import Quantity
 from usvlearn.estimators.joint.quantities import QUANTITIES, SIDES
 
@@ -137,9 +138,9 @@ def read_fit(path: Path) -> SavedFit:
     facts = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refused)
     quantities = {}
     for name, each in facts["quantities"].items():
-        if name in QUANTITIES:
+        if unit := (QUANTITIES | TURNING).get(name):
             value, low, high = (_number(each[key], True) for key in ("value", "low", "high"))
-            quantities[name] = Quantity(value, low, high, QUANTITIES[name])
+            quantities[name] = Quantity(value, low, high, unit)
     if not quantities:
         raise ValueError("it has no quantities")
     return SavedFit(

@@ -1,0 +1,168 @@
+"""Turning: a fit of (1) of `turning_kernel` to the headings of all missions, and its quantities with 90 % intervals.
+
+Gauss-Newton steps minimise Σ L + ½ |(θ − θ₀)/σ₀|² over pieces of 150 s, with θ₀ and σ₀ in `PRIOR`. The speed is that of
+the log, less the current of the fitted surge. Intervals are on the log scale, with the variance of `intervals`; their
+own error contains that of the speed in a turn, which the fitted surge tells.
+
+The derivation is in `docs/theory/identification.md#batch-fit-turning`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+from scipy.special import erf
+
+from usvlearn.core.events import NINETY
+from usvlearn.core.jit import announced
+from usvlearn.core.rows import COS, LEARN, MODE, PREDICT, ROW, SIN, SURGE, YAW_RATE
+from usvlearn.estimators.axis.turning_intervals import HARDLY, TOLD, VAGUE, joined, on_log_scale
+from usvlearn.estimators.axis.turning_quantities import INNER, QUANTITIES, balance
+from usvlearn.estimators.joint.quantities import COMMANDS
+from usvlearn.model.fit import turning_kernel as at
+from usvlearn.model.fit.boat import FittedBoat
+from usvlearn.model.fit.gauss_newton import Fit
+from usvlearn.model.fit.intervals import spread
+from usvlearn.model.fit.terms import AT, Prior
+
+DEADEST = 0.2  # of a command
+POSITIVE = [at.D0, at.D1, at.D2, at.LAG, at.ASTERN, at.SIDE, at.PROCESS, at.COMPASS, at.GYRO]
+PRIOR = {  # θ₀ and σ₀; of POSITIVE for the logarithm, of DEAD for the log odds of its share of `DEADEST`
+    at.K1: (0.5, 3.0), at.K2: (0.5, 3.0), at.LOSS: (0.0, 1.0), at.RUDDER: (0.0, 1.0), at.BIAS: (0.0, 0.3),
+    at.D0: (0.0, 1.5), at.D1: (0.0, 1.5), at.D2: (0.3, 1.5), at.LAG: (-1.6, 0.5), at.LATE: (0.0, 0.2),
+    at.DEAD: (-1.0, 1.0), at.ASTERN: (-0.3, 0.3), at.SIDE: (0.0, 0.25), at.ZERO: (0.0, 0.02),
+    at.PROCESS: (-5.0, 3.0), at.COMPASS: (-8.0, 3.0), at.GYRO: (-10.0, 3.0), at.OFFSET: (0.0, 0.02),
+}  # fmt: skip
+MEAN, DEVIATION = np.array([PRIOR[j] for j in range(at.PARAMETERS)]).T
+KNOWN = Prior(MEAN, np.arange(at.PARAMETERS), np.diag(DEVIATION**-2))
+PIECE, MOST = 1500, 100  # steps of a piece; pieces that are fitted: of longer logs, so many that are evenly spread
+STEPS, SHORTEST, TOLERANCE = 40, 8, 1e-2  # of Gauss-Newton; how often one is halved; the gain that ends it
+STEP, HALVINGS, FASTEST = 1e-4, 40, 3.0  # deviations of a central difference; of an interval of speeds; top speeds
+OWN_ERROR = dict.fromkeys(QUANTITIES, 0.02) | {
+    "yaw_rate_full_difference": 0.05, "yaw_time_constant": 0.06, "yaw_time_constant_rest": 0.12,
+}  # fmt: skip
+SPEED_ERROR = {"full": 0.02, "half": 0.03, "quarter": 0.08, "difference": 0.6}  # of the speed in a turn, relative
+
+
+def natural(theta: np.ndarray) -> np.ndarray:
+    """The parameters of the kernel, `(..., m)`."""
+    p = np.array(theta, float)
+    p[..., POSITIVE] = np.exp(np.clip(p[..., POSITIVE], -30, 10))
+    p[..., at.DEAD] = DEADEST / (1 + np.exp(-p[..., at.DEAD]))
+    return p
+
+
+def prepared(rows: np.ndarray, top: float, current: Sequence[float] | np.ndarray = (0.0, 0.0)) -> np.ndarray:
+    """A mission of `usvlearn.model.fit.logs.missions_of` as the kernel reads it.
+
+    Args:
+        rows: `(time, ROW + 2)`.
+        top: top speed, m/s.
+        current: m/s north and east.
+    """
+    found = rows.copy()
+    last = np.maximum.accumulate(np.where(rows[:, MODE] == LEARN, np.arange(len(rows)), 0))
+    found[:, SURGE] = (rows[last, SURGE] - rows[:, COS] * current[0] - rows[:, SIN] * current[1]) / top
+    return found
+
+
+def evaluate(theta: np.ndarray, pieces: Sequence[np.ndarray]) -> Fit:
+    """The sum and its derivatives for some parameters."""
+    p, count, m = natural(theta), len(pieces), at.PARAMETERS
+    loss, score, information, work = np.zeros(count), np.zeros((count, m)), np.zeros((count, m, m)), np.zeros((12, m))
+    with announced(at.__file__, "kernel of turning"):
+        for k, rows in enumerate(pieces):
+            loss[k] = at.turned(rows, p, score[k], information[k], np.zeros((len(rows), 2)), work)
+    slopes = np.ones(m)
+    slopes[POSITIVE], slopes[at.DEAD] = p[POSITIVE], p[at.DEAD] * (1 - p[at.DEAD] / DEADEST)
+    information = (information + np.tril(information, -1).transpose(0, 2, 1)) * np.outer(slopes, slopes)
+    return Fit("turning", math.nan, theta, KNOWN, loss, np.ones(count), score * slopes, information, math.nan)
+
+
+def fitted(missions: Iterable[np.ndarray], start: np.ndarray = MEAN) -> Fit:
+    """The fit to some missions of `prepared`."""
+    pieces = [part for rows in missions for part in np.array_split(rows, max(round(len(rows) / PIECE), 1))]
+    pieces = [pieces[k] for k in np.unique(np.linspace(0, len(pieces) - 1, MOST).astype(int))]
+    found = evaluate(start, pieces)
+    for _ in range(STEPS):
+        move = -found.covariance @ (found.score.sum(0) + (found.theta - MEAN) / DEVIATION**2)
+        trials = (evaluate(found.theta + 0.5**k * move, pieces) for k in range(SHORTEST))
+        better = next((each for each in trials if each.total < found.total), found)
+        gain, found = found.total - better.total, better
+        if gain < TOLERANCE:
+            break
+    return found
+
+
+def first_fit(missions: Mapping[str, np.ndarray], top: float) -> tuple[dict[str, np.ndarray], Fit | None]:
+    """A fit to speeds over ground; and the missions with E|r| by it where |r| is the slope of two headings. Without
+    headings that are None and the missions.
+    """
+    if not all(rows.shape[1] > ROW for rows in missions.values()):
+        return dict(missions), None
+    fit, found, m = fitted(prepared(rows, top) for rows in missions.values()), {}, at.PARAMETERS
+    for name, rows in missions.items():
+        r, found[name] = np.zeros((len(rows), 2)), rows.copy()
+        at.turned(prepared(rows, top), natural(fit.theta), np.zeros(m), np.zeros((m, m)), r, np.zeros((12, m)))
+        use = (rows[:, MODE] >= PREDICT) & np.isfinite(r[:, 0]) & np.isnan(rows[:, at.RATE])
+        size, wide = np.abs(r[use, 0]), np.sqrt(2 * r[use, 1])
+        expected = wide / math.sqrt(math.pi) * np.exp(-((size / wide) ** 2)) + size * erf(size / wide)
+        found[name][use, YAW_RATE] = np.copysign(expected, r[use, 0])
+    return found, fit
+
+
+def quantities(theta: np.ndarray, boat: FittedBoat, faster: np.ndarray) -> dict[str, np.ndarray]:
+    """The quantities of turning by name, `(n,)`, as in `usvlearn.estimators.axis.turning_quantities`; but under full
+    difference the boat creeps ahead.
+
+    The thrust of both sides of a turn is that of one command of both, for which the fitted surge knows the speed.
+
+    Args:
+        theta: `(n, m)`.
+        boat: its surge.
+        faster: logarithm of a factor of the speed in a turn, `(n,)`.
+    """
+    p, surge, top = natural(theta).T, boat.ahead(boat.theta), boat.top
+    outer, inner = np.array([[1.0, -1.0], *([x, INNER * x] for x in COMMANDS.values())]).T
+    left, right = np.stack([outer, inner])[..., None], np.stack([inner, outer])[..., None]  # to starboard, to port
+
+    def side(xi: np.ndarray, u: np.ndarray | float) -> np.ndarray:  # τ of (1) of the kernel
+        c = np.maximum(np.abs(xi) - p[at.DEAD], 0.0) / (1 - p[at.DEAD])
+        return np.where(xi > 0, c, -p[at.ASTERN] * c) * (p[at.K1] + p[at.LOSS] * u + p[at.K2] * c)
+
+    def rate(u: np.ndarray) -> np.ndarray:
+        push = side(left, u) - p[at.SIDE] * side(right, u) + p[at.RUDDER] * u * u * (left - right) + p[at.BIAS]
+        return np.asarray(balance(-p[at.D1], -(p[at.D0] + p[at.D2] * u), push))
+
+    mean = np.maximum(side(left, 0.0) + p[at.SIDE] * side(right, 0.0), 0.0) / (1 + p[at.SIDE])
+    both = p[at.DEAD] + (1 - p[at.DEAD]) * balance(-p[at.K2], -p[at.K1], mean)
+    both = np.where((both > 0) & (both < 1.2), both, (left + right) / 2)  # without a curve, as of a rudder alone
+    low, high = np.zeros(both.shape), np.full(both.shape, FASTEST * top)
+    for _ in range(HALVINGS):
+        u = (low + high) / 2
+        up = surge.motion(u, both)[0] + boat.every(boat.theta)[AT["drag_cross"]] * np.abs(rate(u / top)) * u > 0
+        low, high = np.where(up, u, low), np.where(up, high, u)
+    u = u * np.exp(faster)
+    r = rate(u / top)
+    constants = [1 / (p[at.D0] + p[at.D2] * speed / top) for speed in (boat["steady_speed_half"].value, 0.0)]
+    return dict(zip(QUANTITIES, [*(r[0] - r[1]) / 2, *(u / np.abs(r)).mean(0)[1:], *constants], strict=True))
+
+
+def with_turning(boat: FittedBoat, fit: Fit) -> FittedBoat:
+    """The fitted boat with the quantities of turning behind those of the surge; NaN if it hardly turned."""
+    m, steps, P, found, vague = at.PARAMETERS, STEP * np.diag(DEVIATION), spread(fit), {}, False
+    shifted = fit.theta + np.concatenate([np.zeros((1, m)), steps, -steps, np.zeros((1, m))])
+    for name, values in quantities(shifted, boat, STEP * (np.arange(2 * m + 2) > 2 * m)).items():
+        value, command = float(values[0]), name.rpartition("_")[2]
+        slopes, error = (values[1 : m + 1] - values[m + 1 : -1]) / (2 * steps.diagonal()), SPEED_ERROR.get(command, 0.0)
+        if command in COMMANDS:
+            speed = boat[f"steady_speed_{command}"]
+            error = math.hypot(error, (speed.high - speed.low) / (2 * NINETY * speed.value))
+        variance = float(slopes @ P @ slopes) + ((values[-1] - value) / STEP * error) ** 2
+        found[name] = on_log_scale(value, variance, OWN_ERROR[name], QUANTITIES[name])
+        vague |= name == TOLD and not variance < (VAGUE * value) ** 2
+    if vague:
+        found = {name: on_log_scale(math.nan, 0.0, 0.0, unit) for name, unit in QUANTITIES.items()}
+    return joined(boat, found, (HARDLY,) if vague else ())
