@@ -42,6 +42,7 @@ RENAMED = {
     "turning": {"v": "", "p": "f"},
     "controller": {"a": "J", "b": "J"},
     "batch-fit-simulation": {"loss": "L", "g": "L", "H": "Φ"},
+    "batch-fit-turning": {"H": "Φ"},
     "batch-fit-wear": {"e": "θ"},
     "batch-fit-choice": {"ₘ": "θ"},
     "batch-fit-residuals": {"r": "ρ"},

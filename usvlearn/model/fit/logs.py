@@ -110,9 +110,7 @@ def without_losses(
 
 
 def turns(poses: np.ndarray | None, time: np.ndarray) -> np.ndarray:
-    """Heading and yaw rate at the ends of steps, `(time, 2)`, NaN where nothing new was measured: a heading that
-    repeats the last one is the same message, and the slope of two headings is not another measurement.
-    """
+    """Measured headings and yaw rates, `(time, 2)`, NaN where a heading repeats the last one, and for slopes of it."""
     found = np.full((len(time), 2), np.nan) if poses is None else poses[:, :2].copy()
     turned, step = np.diff(found[:, 0], prepend=np.nan), np.diff(time, prepend=np.nan)
     found[np.abs(found[:, 1] - slope(turned, step)) < SAME, 1] = np.nan

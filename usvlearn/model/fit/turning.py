@@ -27,41 +27,35 @@ from usvlearn.model.fit.gauss_newton import Fit
 from usvlearn.model.fit.intervals import spread
 from usvlearn.model.fit.terms import AT, Prior
 
-DEADEST = 0.2  # of a command
-POSITIVE = [at.D0, at.D1, at.D2, at.LAG, at.ASTERN, at.SIDE, at.PROCESS, at.COMPASS, at.GYRO]
-PRIOR = {  # θ₀ and σ₀; of POSITIVE for the logarithm, of DEAD for the log odds of its share of `DEADEST`
+POSITIVE = [at.D0, at.D1, at.D2, at.LAG, at.DEAD, at.ASTERN, at.SIDE, at.PROCESS, at.COMPASS, at.GYRO]
+PRIOR = {  # θ₀ and σ₀; of POSITIVE for the logarithm
     at.K1: (0.5, 3.0), at.K2: (0.5, 3.0), at.LOSS: (0.0, 1.0), at.RUDDER: (0.0, 1.0), at.BIAS: (0.0, 0.3),
-    at.D0: (0.0, 1.5), at.D1: (0.0, 1.5), at.D2: (0.3, 1.5), at.LAG: (-1.6, 0.5), at.LATE: (0.0, 0.2),
-    at.DEAD: (-1.0, 1.0), at.ASTERN: (-0.3, 0.3), at.SIDE: (0.0, 0.25), at.ZERO: (0.0, 0.02),
+    at.D0: (0.0, 1.5), at.D1: (0.0, 1.5), at.D2: (0.3, 1.5), at.LAG: (-1.6, 1.5), at.LATE: (0.0, 0.2),
+    at.DEAD: (-3.0, 0.6), at.ASTERN: (-0.3, 0.3), at.SIDE: (0.0, 0.25), at.ZERO: (0.0, 0.02),
     at.PROCESS: (-5.0, 3.0), at.COMPASS: (-8.0, 3.0), at.GYRO: (-10.0, 3.0), at.OFFSET: (0.0, 0.02),
 }  # fmt: skip
 MEAN, DEVIATION = np.array([PRIOR[j] for j in range(at.PARAMETERS)]).T
-KNOWN = Prior(MEAN, np.arange(at.PARAMETERS), np.diag(DEVIATION**-2))
+ALIKE = (np.isin(np.arange(at.PARAMETERS), [at.LAG, at.D0]) / 0.5)[:, None]  # thrusters of slow boats are slow
+KNOWN = Prior(MEAN, np.arange(at.PARAMETERS), np.diag(DEVIATION**-2) + ALIKE @ ALIKE.T)
 PIECE, MOST = 1500, 100  # steps of a piece; pieces that are fitted: of longer logs, so many that are evenly spread
 STEPS, SHORTEST, TOLERANCE = 40, 8, 1e-2  # of Gauss-Newton; how often one is halved; the gain that ends it
 STEP, HALVINGS, FASTEST = 1e-4, 40, 3.0  # deviations of a central difference; of an interval of speeds; top speeds
 OWN_ERROR = dict.fromkeys(QUANTITIES, 0.02) | {
     "yaw_rate_full_difference": 0.05, "yaw_time_constant": 0.06, "yaw_time_constant_rest": 0.12,
 }  # fmt: skip
-SPEED_ERROR = {"full": 0.02, "half": 0.03, "quarter": 0.08, "difference": 0.6}  # of the speed in a turn, relative
+SWAPPED = 0.8  # own error of a time constant, by the square of its ratio to LAG, with which it may be swapped
+SPEED_ERROR = {"full": 0.02, "half": 0.03, "quarter": 0.1, "difference": 0.6}  # of the speed in a turn, relative
 
 
 def natural(theta: np.ndarray) -> np.ndarray:
     """The parameters of the kernel, `(..., m)`."""
     p = np.array(theta, float)
     p[..., POSITIVE] = np.exp(np.clip(p[..., POSITIVE], -30, 10))
-    p[..., at.DEAD] = DEADEST / (1 + np.exp(-p[..., at.DEAD]))
     return p
 
 
 def prepared(rows: np.ndarray, top: float, current: Sequence[float] | np.ndarray = (0.0, 0.0)) -> np.ndarray:
-    """A mission of `usvlearn.model.fit.logs.missions_of` as the kernel reads it.
-
-    Args:
-        rows: `(time, ROW + 2)`.
-        top: top speed, m/s.
-        current: m/s north and east.
-    """
+    """A mission of `logs.missions_of` as the kernel reads it, without its current, m/s north and east."""
     found = rows.copy()
     last = np.maximum.accumulate(np.where(rows[:, MODE] == LEARN, np.arange(len(rows)), 0))
     found[:, SURGE] = (rows[last, SURGE] - rows[:, COS] * current[0] - rows[:, SIN] * current[1]) / top
@@ -76,7 +70,7 @@ def evaluate(theta: np.ndarray, pieces: Sequence[np.ndarray]) -> Fit:
         for k, rows in enumerate(pieces):
             loss[k] = at.turned(rows, p, score[k], information[k], np.zeros((len(rows), 2)), work)
     slopes = np.ones(m)
-    slopes[POSITIVE], slopes[at.DEAD] = p[POSITIVE], p[at.DEAD] * (1 - p[at.DEAD] / DEADEST)
+    slopes[POSITIVE] = p[POSITIVE]
     information = (information + np.tril(information, -1).transpose(0, 2, 1)) * np.outer(slopes, slopes)
     return Fit("turning", math.nan, theta, KNOWN, loss, np.ones(count), score * slopes, information, math.nan)
 
@@ -87,7 +81,7 @@ def fitted(missions: Iterable[np.ndarray], start: np.ndarray = MEAN) -> Fit:
     pieces = [pieces[k] for k in np.unique(np.linspace(0, len(pieces) - 1, MOST).astype(int))]
     found = evaluate(start, pieces)
     for _ in range(STEPS):
-        move = -found.covariance @ (found.score.sum(0) + (found.theta - MEAN) / DEVIATION**2)
+        move = -found.covariance @ (found.score.sum(0) + KNOWN.information @ (found.theta - MEAN))
         trials = (evaluate(found.theta + 0.5**k * move, pieces) for k in range(SHORTEST))
         better = next((each for each in trials if each.total < found.total), found)
         gain, found = found.total - better.total, better
@@ -97,8 +91,8 @@ def fitted(missions: Iterable[np.ndarray], start: np.ndarray = MEAN) -> Fit:
 
 
 def first_fit(missions: Mapping[str, np.ndarray], top: float) -> tuple[dict[str, np.ndarray], Fit | None]:
-    """A fit to speeds over ground; and the missions with E|r| by it where |r| is the slope of two headings. Without
-    headings that are None and the missions.
+    """The missions with E|r| where |r| is the slope of two headings, by a fit to speeds over ground; and that fit. It
+    is None without headings.
     """
     if not all(rows.shape[1] > ROW for rows in missions.values()):
         return dict(missions), None
@@ -114,15 +108,10 @@ def first_fit(missions: Mapping[str, np.ndarray], top: float) -> tuple[dict[str,
 
 
 def quantities(theta: np.ndarray, boat: FittedBoat, faster: np.ndarray) -> dict[str, np.ndarray]:
-    """The quantities of turning by name, `(n,)`, as in `usvlearn.estimators.axis.turning_quantities`; but under full
-    difference the boat creeps ahead.
+    """The quantities of turning by name, `(n,)`, of θ, `(n, m)`; under full difference the boat creeps ahead.
 
-    The thrust of both sides of a turn is that of one command of both, for which the fitted surge knows the speed.
-
-    Args:
-        theta: `(n, m)`.
-        boat: its surge.
-        faster: logarithm of a factor of the speed in a turn, `(n,)`.
+    The thrust of both sides of a turn is that of one command of both, for which the fitted surge knows the speed; this
+    is multiplied by exp(`faster`), `(n,)`.
     """
     p, surge, top = natural(theta).T, boat.ahead(boat.theta), boat.top
     outer, inner = np.array([[1.0, -1.0], *([x, INNER * x] for x in COMMANDS.values())]).T
@@ -147,12 +136,13 @@ def quantities(theta: np.ndarray, boat: FittedBoat, faster: np.ndarray) -> dict[
     u = u * np.exp(faster)
     r = rate(u / top)
     constants = [1 / (p[at.D0] + p[at.D2] * speed / top) for speed in (boat["steady_speed_half"].value, 0.0)]
-    return dict(zip(QUANTITIES, [*(r[0] - r[1]) / 2, *(u / np.abs(r)).mean(0)[1:], *constants], strict=True))
+    return dict(zip(QUANTITIES, [*(r[0] - r[1]) / 2, *((u[0] + u[1]) / (r[0] - r[1]))[1:], *constants], strict=True))
 
 
 def with_turning(boat: FittedBoat, fit: Fit) -> FittedBoat:
     """The fitted boat with the quantities of turning behind those of the surge; NaN if it hardly turned."""
     m, steps, P, found, vague = at.PARAMETERS, STEP * np.diag(DEVIATION), spread(fit), {}, False
+    lag = natural(fit.theta)[at.LAG]
     shifted = fit.theta + np.concatenate([np.zeros((1, m)), steps, -steps, np.zeros((1, m))])
     for name, values in quantities(shifted, boat, STEP * (np.arange(2 * m + 2) > 2 * m)).items():
         value, command = float(values[0]), name.rpartition("_")[2]
@@ -161,7 +151,8 @@ def with_turning(boat: FittedBoat, fit: Fit) -> FittedBoat:
             speed = boat[f"steady_speed_{command}"]
             error = math.hypot(error, (speed.high - speed.low) / (2 * NINETY * speed.value))
         variance = float(slopes @ P @ slopes) + ((values[-1] - value) / STEP * error) ** 2
-        found[name] = on_log_scale(value, variance, OWN_ERROR[name], QUANTITIES[name])
+        own = OWN_ERROR[name] + (SWAPPED * (lag / value) ** 2 if "constant" in name else 0.0)
+        found[name] = on_log_scale(value, variance, own, QUANTITIES[name])
         vague |= name == TOLD and not variance < (VAGUE * value) ** 2
     if vague:
         found = {name: on_log_scale(math.nan, 0.0, 0.0, unit) for name, unit in QUANTITIES.items()}

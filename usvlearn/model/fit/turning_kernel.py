@@ -43,9 +43,7 @@ def thrust(p, xi, speed, slope):
 
 @jit
 def late(rows, k, place, by):
-    """A command `by` seconds before that of step k, and its derivative to `by`; of a grid, between whose steps it is
-    linear.
-    """
+    """A command `by` seconds before that of step k, linear between steps, and its derivative to `by`."""
     h = rows[k, DT]
     at = min(max(k - by / h, 0.0), len(rows) - 1.0)
     below = min(int(at), len(rows) - 2)
@@ -55,14 +53,8 @@ def late(rows, k, place, by):
 
 @jit
 def measured(x, X, P, D, i, z, noise, place, score, information, dz, dS):
-    """L of one error z of the heading (i = 0) or the yaw rate (i = 1), after which the state is updated.
-
-    Args:
-        x, X: ψ and r, and their derivatives, `(2,)`, `(2, m)`.
-        P, D: P_ψψ, P_ψr, P_rr and their derivatives, `(3,)`, `(3, m)`.
-        noise, place: variance of the measurement, and which parameter that is.
-        score, information: as in `turned`.
-        dz, dS: memory, `(m,)`.
+    """L of one error z of ψ (i = 0) or r (i = 1), after which x = (ψ, r) and P = (P_ψψ, P_ψr, P_rr), with their
+    derivatives X and D, are updated. `place` is that of the variance `noise`; dz and dS are memory.
     """
     a, b, m = 2 * i, 2 - 2 * i, len(dz)  # places in P of what is measured and of the other
     S, own, cross = P[a] + noise, P[a], P[1]
@@ -96,11 +88,10 @@ def turned(rows, p, score, information, rates, work):
     """L of (2), of a log or a part of one.
 
     Args:
-        rows: prepared samples with speeds through the water as shares of the top speed, with a heading and the yaw rate
-            of a gyro, NaN where there is none, `(time, ROW + 2)`.
-        p: parameters, `(PARAMETERS,)`.
+        rows: prepared samples, the speed as a share of the top speed; heading, yaw rate of a gyro, `(time, ROW + 2)`.
+        p: parameters, `(m,)`.
         score, information: gradient of L, `(m,)`, and H, `(m, m)`, its lower half, are added to.
-        rates: yaw rate of each step before it is measured, and its variance, `(time, 2)`, NaN without step; is written.
+        rates: predicted yaw rates and their variances, `(time, 2)`, NaN without step; is written.
         work: memory, `(12, m)`.
     """
     X, D, F, x, P, f = work[:2], work[2:5], work[5:7], work[7, :2], work[7, 2:5], work[7, 5:7]
