@@ -158,9 +158,8 @@ def fit_boat(
         errors = {each: float(np.mean(np.abs(missions.errors(fit)))) for each, fit in fits.items()}
         made = FittedBoat.of(missions, fits, scores, name, mass, lacks, steps * DT)
         if turning is not None:
-            ends = (end for _, end in missions.simulate(fits[name]))
-            again = (prepared(each, top, end) for each, end in zip(missions.rows, ends, strict=True))
-            made = with_turning(made, fitted(again, turning.theta))
+            both = zip(missions.rows, missions.simulate(fits[name]), strict=True)
+            made = with_turning(made, fitted((prepared(each, top, end) for each, (_, end) in both), turning.theta))
         return Fitted(boat, missions, fits, scores, name, made, errors, online=online)
 
     try:

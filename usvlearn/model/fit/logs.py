@@ -25,7 +25,6 @@ from usvlearn.model.fit.gauss_newton import rows_of, scored
 
 DT = 0.1  # s, of the grid
 WINDOW = 3.0  # s, of the parabola
-SAME = 1e-9  # rad/s, below which two yaw rates are one
 FEWEST = 600  # measured steps, below which nothing is fitted
 CHANGE = 0.02  # standard deviation of the mean command, below which nothing tells thrust from drag
 APART = 0.02  # likewise of the difference of the sides
@@ -113,7 +112,7 @@ def turns(poses: np.ndarray | None, time: np.ndarray) -> np.ndarray:
     """Measured headings and yaw rates, `(time, 2)`, NaN where a heading repeats the last one, and for slopes of it."""
     found = np.full((len(time), 2), np.nan) if poses is None else poses[:, :2].copy()
     turned, step = np.diff(found[:, 0], prepend=np.nan), np.diff(time, prepend=np.nan)
-    found[np.abs(found[:, 1] - slope(turned, step)) < SAME, 1] = np.nan
+    found[np.abs(found[:, 1] - slope(turned, step)) < 1e-9, 1] = np.nan
     found[turned == 0, 0] = np.nan
     return found
 

@@ -57,7 +57,7 @@ def natural(theta: np.ndarray) -> np.ndarray:
 def prepared(rows: np.ndarray, top: float, current: Sequence[float] | np.ndarray = (0.0, 0.0)) -> np.ndarray:
     """A mission of `logs.missions_of` as the kernel reads it, without its current, m/s north and east."""
     found = rows.copy()
-    last = np.maximum.accumulate(np.where(rows[:, MODE] == LEARN, np.arange(len(rows)), 0))
+    last = np.maximum.accumulate((rows[:, MODE] == LEARN) * np.arange(len(rows)))
     found[:, SURGE] = (rows[last, SURGE] - rows[:, COS] * current[0] - rows[:, SIN] * current[1]) / top
     return found
 
@@ -69,8 +69,7 @@ def evaluate(theta: np.ndarray, pieces: Sequence[np.ndarray]) -> Fit:
     with announced(at.__file__, "kernel of turning"):
         for k, rows in enumerate(pieces):
             loss[k] = at.turned(rows, p, score[k], information[k], np.zeros((len(rows), 2)), work)
-    slopes = np.ones(m)
-    slopes[POSITIVE] = p[POSITIVE]
+    slopes = np.where(np.isin(np.arange(m), POSITIVE), p, 1.0)
     information = (information + np.tril(information, -1).transpose(0, 2, 1)) * np.outer(slopes, slopes)
     return Fit("turning", math.nan, theta, KNOWN, loss, np.ones(count), score * slopes, information, math.nan)
 
@@ -91,9 +90,7 @@ def fitted(missions: Iterable[np.ndarray], start: np.ndarray = MEAN) -> Fit:
 
 
 def first_fit(missions: Mapping[str, np.ndarray], top: float) -> tuple[dict[str, np.ndarray], Fit | None]:
-    """The missions with E|r| where |r| is the slope of two headings, by a fit to speeds over ground; and that fit. It
-    is None without headings.
-    """
+    """The missions with E|r| in place of slopes of headings, and the fit to speeds over ground; None: no headings."""
     if not all(rows.shape[1] > ROW for rows in missions.values()):
         return dict(missions), None
     fit, found, m = fitted(prepared(rows, top) for rows in missions.values()), {}, at.PARAMETERS
@@ -108,10 +105,8 @@ def first_fit(missions: Mapping[str, np.ndarray], top: float) -> tuple[dict[str,
 
 
 def quantities(theta: np.ndarray, boat: FittedBoat, faster: np.ndarray) -> dict[str, np.ndarray]:
-    """The quantities of turning by name, `(n,)`, of θ, `(n, m)`; under full difference the boat creeps ahead.
-
-    The thrust of both sides of a turn is that of one command of both, for which the fitted surge knows the speed; this
-    is multiplied by exp(`faster`), `(n,)`.
+    """The quantities of turning by name, `(n,)`, of θ, `(n, m)`, with speeds times exp(`faster`), `(n,)`. The surge has
+    the speed of one command with the thrust of both sides; under full difference the boat creeps ahead.
     """
     p, surge, top = natural(theta).T, boat.ahead(boat.theta), boat.top
     outer, inner = np.array([[1.0, -1.0], *([x, INNER * x] for x in COMMANDS.values())]).T
@@ -133,16 +128,15 @@ def quantities(theta: np.ndarray, boat: FittedBoat, faster: np.ndarray) -> dict[
         u = (low + high) / 2
         up = surge.motion(u, both)[0] + boat.every(boat.theta)[AT["drag_cross"]] * np.abs(rate(u / top)) * u > 0
         low, high = np.where(up, u, low), np.where(up, high, u)
-    u = u * np.exp(faster)
-    r = rate(u / top)
+    u, r = u * np.exp(faster), rate(u * np.exp(faster) / top)
     constants = [1 / (p[at.D0] + p[at.D2] * speed / top) for speed in (boat["steady_speed_half"].value, 0.0)]
     return dict(zip(QUANTITIES, [*(r[0] - r[1]) / 2, *((u[0] + u[1]) / (r[0] - r[1]))[1:], *constants], strict=True))
 
 
 def with_turning(boat: FittedBoat, fit: Fit) -> FittedBoat:
     """The fitted boat with the quantities of turning behind those of the surge; NaN if it hardly turned."""
-    m, steps, P, found, vague = at.PARAMETERS, STEP * np.diag(DEVIATION), spread(fit), {}, False
-    lag = natural(fit.theta)[at.LAG]
+    m, steps, P, lag = at.PARAMETERS, STEP * np.diag(DEVIATION), spread(fit), natural(fit.theta)[at.LAG]
+    found, vague = {}, False
     shifted = fit.theta + np.concatenate([np.zeros((1, m)), steps, -steps, np.zeros((1, m))])
     for name, values in quantities(shifted, boat, STEP * (np.arange(2 * m + 2) > 2 * m)).items():
         value, command = float(values[0]), name.rpartition("_")[2]

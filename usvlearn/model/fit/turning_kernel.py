@@ -140,13 +140,11 @@ def turned(rows, p, score, information, rates, work):
             D[0, j] += (step * dA) * (P[1] + half * P[2]) + half * (2 * d1 + half * d2)
             D[1, j] = dA * (P[1] + half * P[2]) + A * (d1 + step * dA / 2 * P[2] + half * d2)
             D[2, j] = A * (2 * dA * P[2] + A * d2)
-        for i, part in ((0, step**3 / 3), (1, step**2 / 2), (2, step)):
-            D[i, PROCESS] += part
-        x[1] = r + g * force
-        x[0] += step * (r + x[1]) / 2
-        P[0] += half * (2 * P[1] + half * P[2]) + p[PROCESS] * step**3 / 3
-        P[1] = A * (P[1] + half * P[2]) + p[PROCESS] * step**2 / 2
-        P[2] = A * A * P[2] + p[PROCESS] * step
+        x[0], x[1] = x[0] + step * (r + g * force / 2), r + g * force
+        P[0], P[1], P[2] = P[0] + half * (2 * P[1] + half * P[2]), A * (P[1] + half * P[2]), A * A * P[2]
+        for i, noise in ((0, step**3 / 3), (1, step**2 / 2), (2, step)):
+            P[i] += p[PROCESS] * noise
+            D[i, PROCESS] += noise
         rates[k, 0], rates[k, 1] = (r + x[1]) / 2, P[2]
         if row[HEADING] == row[HEADING]:
             z = (row[HEADING] - x[0] + np.pi) % (2 * np.pi) - np.pi
