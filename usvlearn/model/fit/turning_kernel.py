@@ -22,9 +22,8 @@ from usvlearn.core.jit import jit
 from usvlearn.core.rows import DT, LEFT, MODE, PREDICT, RIGHT, ROW, SURGE
 
 K1, K2, LOSS, RUDDER, BIAS, D0, D1, D2, LAG, LATE, DEAD, ASTERN, SIDE, PROCESS, COMPASS, GYRO, OFFSET, ZERO = range(18)
-PARAMETERS = 18
 HEADING, RATE = ROW, ROW + 1  # places that follow those of a prepared sample: measured at the end of its step
-ROBUST, UNKNOWN_RATE = 4.0, 0.1  # deviations of z; (rad/s)² of a rate at the beginning
+PARAMETERS, ROBUST, UNKNOWN_RATE = 18, 4.0, 0.1  # count; deviations of z; (rad/s)² of a rate at the beginning
 
 
 @jit
