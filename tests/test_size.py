@@ -26,13 +26,13 @@ class Room(NamedTuple):
 
 PRODUCT = {
     "logs": Room(14_642, 12_600, ("usvlearn/logs/",)),
-    "estimators": Room(11_973, 9_600, ("usvlearn/estimators/",)),
+    "estimators": Room(11_977, 9_600, ("usvlearn/estimators/",)),
     "certify": Room(6_338, 6_500, ("certify/",)),
     "live": Room(6_663, 5_900, ("usvlearn/live/",)),
-    "model": Room(5_896, 5_300, ("usvlearn/model/",)),
-    "report": Room(4_515, 3_500, ("usvlearn/report/",)),
+    "model": Room(6_436, 5_300, ("usvlearn/model/",)),
+    "report": Room(4_517, 3_500, ("usvlearn/report/",)),
     "engine": Room(3_901, 3_200, ("usvlearn/engine/",)),
-    "cli": Room(3_418, 2_400, ("usvlearn/cli/", "train.py", "evaluate.py")),
+    "cli": Room(3_421, 2_400, ("usvlearn/cli/", "train.py", "evaluate.py")),
     "runs": Room(2_996, 2_100, ("usvlearn/runs/",)),
     "sweeps": Room(2_763, 1_800, ("usvlearn/sweeps/",)),
     "core, errors": Room(2_863, 2_500, ("usvlearn/core/", "usvlearn/errors.py")),
@@ -41,10 +41,10 @@ PRODUCT = {
     "display, top": Room(1_797, 1_200, ("usvlearn/display/", "usvlearn/_", "usvlearn/api.py", "usvlearn/learned.py")),
 }
 OTHERS = {
-    "tests": Room(48_168, 38_000, ("tests/",)),
+    "tests": Room(48_439, 38_000, ("tests/",)),
     "benchmarks": Room(10_344, 5_000, ("benchmarks/",)),
     "building": Room(787, None, (".ci/", "aboard/", "docs/")),
-    "pages": Room(9_547, None, ("README.md", "CONTRIBUTING.md", "aboard/README.md", "docs/")),
+    "pages": Room(9_600, None, ("README.md", "CONTRIBUTING.md", "aboard/README.md", "docs/")),
 }
 ROOMS = PRODUCT | OTHERS
 NOT_COUNTED = "CHANGELOG.md", "docs/adr/", "docs/tutorials/"  # records that only grow, and what the site's build writes

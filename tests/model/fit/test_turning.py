@@ -80,8 +80,9 @@ def test_where_there_is_no_gyro_the_surge_gets_the_yaw_rate_of_all_headings():
 
 
 def surge_of(rows: np.ndarray) -> FittedBoat:
-    fit = Missions([rows], TOP).fit("cubic")
-    return FittedBoat.of({"cubic": fit}, {"cubic": Score(np.zeros(1), 0.0, 0.0)}, "cubic", MASS, ())
+    missions = Missions([rows], TOP)
+    scores = {"cubic": Score(np.zeros(1), 0.0, 0.0)}
+    return FittedBoat.of(missions, {"cubic": missions.fit("cubic")}, scores, "cubic", MASS, ())
 
 
 def test_quantities_have_intervals_that_hold_and_a_checkpoint_has_them():
