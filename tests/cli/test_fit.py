@@ -53,7 +53,10 @@ def test_it_is_nearer_to_the_truth_than_online_learning_and_says_how_sure_it_is(
         for name in ("steady_speed_full", "steady_speed_half", "drag_half_speed", "thrust_full_left", "time_constant"):
             true, own = truth[boat][name]["truth"], found["quantities"][name]
             nearer.append(abs(own["value"] - true) <= abs(truth[boat][name]["value"] - true))
-        inside += [own["low"] <= truth[boat][name]["truth"] <= own["high"] for name, own in found["quantities"].items()]
+        known = found["quantities"].keys() & truth[boat].keys()  # those of turning have no truth here
+        inside += [
+            found["quantities"][k]["low"] <= truth[boat][k]["truth"] <= found["quantities"][k]["high"] for k in known
+        ]
     assert np.mean(inside) >= 0.8 and np.mean(nearer) > 0.5
 
 

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from usvlearn.errors import ConfigError
+from usvlearn.estimators.joint.quantities import QUANTITIES
 from usvlearn.estimators.joint.reading import Identified, tells_sides
 from usvlearn.estimators.regressors.terms import SURGE
 from usvlearn.model.planning.course import Course, Limits, planned, steps_of
@@ -56,11 +57,12 @@ def wide(found: Identified, one_command: bool = False) -> list[str]:
 
 
 def derived(found: Identified, one_command: bool = False) -> list[str]:
-    """All quantities but the single parameters, which trade against each other.
+    """All quantities of the surge but the single parameters, which trade against each other.
 
     With one command for both sides, those that tell the sides apart are left out, too.
     """
-    return [name for name in found if name not in SURGE and not (one_command and tells_sides(name))]
+    own = set(found) & set(QUANTITIES) - set(SURGE)
+    return [name for name in found if name in own and not (one_command and tells_sides(name))]
 
 
 def log_width(found: Identified, aims: Sequence[str]) -> float:
