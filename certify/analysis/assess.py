@@ -56,6 +56,7 @@ def assess(
     >>> found, _ = assess(Network("a.npz", ShallowWeights(*map(np.array, ([0.5], [1.0], [[0.0]], [0.25])))))
     >>> found["rate"], found["certified"]["tight"], found["equilibria"][0]["x"]
     (0.5, True, 0.25)
+    >>> from certify.networks.vector import VectorWeights, check
     >>> turn = VectorWeights(None, [[0.0, 0.5], [-0.5, 0.0]], np.eye(2), np.zeros((2, 1)), np.zeros(2))
     >>> row, made = assess(VectorNetwork("turn.npz", check(turn)))
     >>> row["rates"]["exact"], sorted(made)

@@ -87,7 +87,8 @@ def test_what_is_compared_is_the_set_that_is_used():
 @pytest.mark.parametrize("count", [1, 2])
 def test_a_fit_is_saved_as_json_without_nan(count):
     made, _ = missions("nine", count)
-    facts = fit_boat("a", dict(zip(made.names, made.rows, strict=True)), MASS, TOP, "nine").json()
+    short = {name: rows[:800] for name, rows in zip(made.names, made.rows, strict=True)}  # not cut
+    facts = fit_boat("a", short, MASS, TOP, "nine").json()
     json.dumps(facts, allow_nan=False)
     assert facts["terms"] == "nine" and all(each["error"] is None for each in facts["sets"].values())
     assert all(np.isfinite(value) for value in facts["parameters"].values())

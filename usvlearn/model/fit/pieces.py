@@ -1,7 +1,8 @@
 """Missions cut in pieces, the units of scatter and of leaving out, with the measured speeds at their times.
 
 Errors of neighbouring steps are alike for some seconds to a minute, hardly those of pieces of `SECONDS`. So one long
-log tells as much as many short ones. Each piece has a start and a current of its own.
+log tells as much as many short ones; one of a few minutes is cut in three, which the choice of terms needs. Each piece
+has a start and a current of its own.
 
 A receiver filters its speed, and a command takes its way to the motor. Which of both is late cannot be told. Measured
 speeds are moved against all else by whole steps of the grid where μ of the set `TERMS` is not between 0 and 1, while it
@@ -18,7 +19,7 @@ from usvlearn.core.rows import HOLD, LEARN, MODE, PREDICT, START, SURGE
 from usvlearn.model.fit.gauss_newton import LAGS, Missions, scored
 from usvlearn.model.fit.terms import PLACE_LAG
 
-SECONDS = 150.0  # s
+SECONDS, LEAST = 150.0, 60.0  # s; of short logs, so that the choice of terms has three pieces
 MOST = 200  # pieces of all missions together, about; of longer logs pieces are longer
 TERMS, ENOUGH = "even", 30  # the set that tells how late speeds are, fitted to about as many pieces
 LATEST, EARLIEST, GAIN = 20, -8, 1e-3  # steps; of the loss a step: a smaller gain ends the search
@@ -35,7 +36,8 @@ def cut(missions: Mapping[str, np.ndarray], top: float, dt: float) -> Missions:
     >>> cut({"a": rows, "b": rows[:2000]}, 2.0, 0.1).names
     ['a', 'a', 'a', 'a', 'a', 'a', 'b']
     """
-    length = max(SECONDS / dt, sum(map(len, missions.values())) / MOST)
+    total = sum(map(len, missions.values()))
+    length = max(min(SECONDS / dt, max(LEAST / dt, total / 3)), total / MOST)
     pieces, names = [], []
     for name, rows in missions.items():
         for k, part in enumerate(np.array_split(rows, max(1, round(len(rows) / length)))):
