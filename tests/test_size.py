@@ -36,7 +36,7 @@ PRODUCT = {
     "runs": Room(2_996, 2_100, ("usvlearn/runs/",)),
     "sweeps": Room(2_763, 1_800, ("usvlearn/sweeps/",)),
     "core, errors": Room(2_863, 2_500, ("usvlearn/core/", "usvlearn/errors.py")),
-    "simulate": Room(2_161, 1_800, ("usvlearn/simulate/",)),
+    "simulate": Room(2_162, 1_800, ("usvlearn/simulate/",)),
     "evaluation": Room(1_868, 1_600, ("usvlearn/evaluation/",)),
     "display, top": Room(1_797, 1_200, ("usvlearn/display/", "usvlearn/_", "usvlearn/api.py", "usvlearn/learned.py")),
 }

@@ -14,6 +14,7 @@ from usvlearn.simulate.fleet import fleet
 KINDS = ("patrol", "lawn_mower", "convoy")  # of missions, each sailed once
 SHORTEST, LONGEST = 0.5, 1440.0  # min of a mission
 BEGIN = 10.0  # s after the start of the logger
+FIRST, DAY = 1735725600, 86400  # when the first logger starts, s since 1970; s from one to the next
 VARIABLES = {  # channel -> MOOS variable, its app, its unit in SI units
     "command_left": ("DESIRED_THRUST_L", "pMarinePID", 0.01),
     "command_right": ("DESIRED_THRUST_R", "pMarinePID", 0.01),
@@ -49,16 +50,16 @@ def example_logs(minutes: float = 10.0, seed: int = 7) -> dict[str, str]:
         aborted_share=0.0,
         paused_share=0.0,
     )
-    return {f"heron_{number}.alog": as_alog(recording) for number, recording in enumerate(recordings, start=1)}
+    return {f"heron_{k + 1}.alog": as_alog(each, FIRST + k * DAY) for k, each in enumerate(recordings)}
 
 
-def as_alog(recording: Recording) -> str:
-    """The log as the text of a MOOS `.alog` file: stamp, s, variable, app and value of each message."""
+def as_alog(recording: Recording, start: int) -> str:
+    """The text of a MOOS `.alog` file, whose logger starts then: stamp, s, variable, app and value of each message."""
     lines = []
     for name, (variable, app, unit) in VARIABLES.items():
         channel = recording.channels[name]
         for stamp, value in zip(channel.time + BEGIN, channel.value / unit, strict=True):
             shown = value % 360 if name == "heading" else value
             lines.append((stamp, f"{stamp:<12.3f} {variable:<20} {app:<12} {shown:.6g}"))
-    head = ["%" * 80, f"%% LOG FILE: {recording.run}, simulated", "%% LOGSTART 1735725600", "%" * 80]
+    head = ["%" * 80, f"%% LOG FILE: {recording.run}, simulated", f"%% LOGSTART {start}", "%" * 80]
     return "\n".join([*head, *(line for _, line in sorted(lines))]) + "\n"
