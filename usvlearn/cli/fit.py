@@ -77,9 +77,9 @@ def work(arguments: Sequence[str]) -> None:
     missions = {boat: missions_of(fine, boat) for boat in fine.boats if given.boat in (None, boat)}
     for sentence in changed.values():
         complain(f"warning: {sentence}")
-    for boat in missions.keys() - changed.keys():
-        events = results(folder).get("events", {}).get(boat, [])
-        missions[boat] = without_losses(boat, missions[boat], events)
+    events = results(folder).get("events", {})
+    for boat in [each for each in missions if each not in changed]:
+        missions[boat] = without_losses(boat, missions[boat], events.get(boat, []))
     found: Fitted | None = None
     done: list[tuple[Fitted, Last | None, list[Path]]] = []
     stopped: Stopped | None = None

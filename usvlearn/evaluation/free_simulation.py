@@ -129,6 +129,5 @@ def check_halves(fleet: Fleet) -> None:
         if not has_halves(fleet, element):
             raise ConfigError(
                 f"objective: found open-loop simulations, and too few logs of {boat}, expected two or more of each "
-                "boat, about as "
-                "many as of the others: the first half is learned, the second one is simulated"
+                "boat, about as many as of the others: the first half is learned, the second one is simulated"
             )

@@ -58,7 +58,7 @@ class Fitted:
         """As of `usvlearn.model.fit.diagnostics`."""
         return diagnostics(self.missions, self.fit, self.found.mass, [self.fits[name] for name in self.alike])
 
-    @property
+    @cached_property
     def doubts(self) -> tuple[str, ...]:
         """What speaks against the use of its values, one sentence each."""
         return doubts(self.fit, self.found, self.diagnostics["cross_correlation"], self.online)

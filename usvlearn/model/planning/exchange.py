@@ -61,8 +61,8 @@ def derived(found: Identified, one_command: bool = False) -> list[str]:
 
     With one command for both sides, those that tell the sides apart are left out, too.
     """
-    own = set(found) & set(QUANTITIES) - set(SURGE)
-    return [name for name in found if name in own and not (one_command and tells_sides(name))]
+    names = [name for name in found if name in QUANTITIES and name not in SURGE]
+    return [name for name in names if not (one_command and tells_sides(name))]
 
 
 def log_width(found: Identified, aims: Sequence[str]) -> float:
