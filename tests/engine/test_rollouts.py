@@ -121,6 +121,7 @@ def test_torch_where_a_derivative_is_asked_for():
 
 
 @pytest.mark.thorough
+@pytest.mark.filterwarnings("ignore:.*torch.jit.script:DeprecationWarning")  # torch's own, at its first jvp
 def test_torch_where_torch_transforms():
     rest, samples = Persistence(), random_samples(3)
     speeds = torch.tensor([0.5, 1.5], dtype=torch.float64)
