@@ -21,7 +21,7 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from pages import publish
 
-from usvlearn import AID, RNN, Ensemble, Estimator, Persistence, SurgeDynamics, rollout
+from usvlearn import Ensemble, Estimator, Persistence, SurgeDynamics, rollout
 from usvlearn.cli.settings import ensemble_of
 from usvlearn.core.samples import Fleet, Sample, masks, tree_map
 from usvlearn.engine.rollouts import simulate
@@ -135,27 +135,6 @@ def every_member(logs: Sequence[tuple[str, Log]]) -> Iterator[str]:
         yield f"| {label} | " + " | ".join(f"{found[name]['skill']:.3f}" for name in names) + " |"
 
 
-@torch.no_grad()
-def own_intervals(logs: Sequence[tuple[str, Log]]) -> Iterator[str]:
-    """What ±1.645 of the joint EKFs' own standard deviations cover, beside the conformal intervals."""
-    names = ("joint", "joint_quick", "joint_averaged")
-    yield "| boat | " + " | ".join(f"{name}: own | conformal" for name in names) + " |"
-    yield "|---|" + "---:|" * (2 * len(names))
-
-    for label, log in logs:
-        cells, found = [], rows(log)
-        for name in names:
-            estimator = instantiate(configuration(log.overrides).estimators[name])
-            state, inside = estimator.init((len(log.fleet.boats),)), []
-            for samples in (tensors(run.samples) for run in log.fleet.runs):
-                state, surge, own = rollout(estimator, state, samples, record=lambda s: s.deviation)
-                scored = masks(samples).learns
-                within = (surge - samples.surge).abs() <= 1.645 * own
-                inside.append(within[:, log.element][scored[:, log.element]])
-            cells += [f"{torch.cat(inside).double().mean():.1%}", f"{found[name]['coverage']:.1%}"]
-        yield f"| {label} | " + " | ".join(cells) + " |"
-
-
 class Fixed(Persistence):
     """The surge dynamics with given parameters: what a batch fit predicts."""
 
@@ -264,30 +243,6 @@ def second_half(log: Log) -> SecondHalf:
     )
 
 
-def warm_network(log: Log, passes: int, seeds: int) -> Iterator[str]:
-    """A network that went through the first half some times, beside AID that did the same."""
-    vehicle = configuration(log.overrides).vehicle
-    before, after = halves(log)
-    yield "| second half | MAE, m/s | over AID's |"
-    yield "|---|---:|---:|"
-
-    @torch.no_grad()
-    def error(estimator: Estimator) -> float:
-        state, errors = learned(estimator, before * passes), []
-        for samples in after:
-            state, surge, _ = rollout(estimator, state, samples)
-            scored = masks(samples).learns
-            errors.append((surge - samples.surge).abs()[scored])
-        return float(torch.cat(errors).mean())
-
-    aid = error(AID(vehicle.mass))
-    yield f"| persistence | {error(Persistence()):.4f} | |"
-    yield f"| AID, {passes} passes before | {aid:.4f} | 1 |"
-    for seed in range(seeds):
-        network = error(RNN(surge_max=vehicle.surge_max, seed=seed))
-        yield f"| certified RNN, seed {seed}, {passes} passes before | {network:.4f} | {network / aid:.2f} |"
-
-
 def main() -> None:
     torch.set_num_threads(1)
     folder = Path(sys.argv[1])
@@ -314,20 +269,12 @@ def main() -> None:
         "",
         *every_member([*real, *boats]),
         "",
-        "## Intervals of 90 % from the joint EKFs' own covariance",
-        "",
-        *own_intervals([*real, *boats]),
-        "",
         "## Open-loop simulation of the second half, parameters frozen after the first: MAE over that of batch least "
         "squares",
         "",
         "Batch least squares is fitted on the same first half, with AID's regressor.",
         "",
         *free_runs(real[:3]),
-        "",
-        "## A network that was trained before: BlueBoat",
-        "",
-        *warm_network(real[0][1], passes=5, seeds=3),
         "",
     ]
     publish(__file__, text)

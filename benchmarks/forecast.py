@@ -34,29 +34,12 @@ AIMS = {
     "dalian": (None, None, 0.28, 0.17, 0.15, 0.25),
     "simulated": (None, None, 0.74, 0.84, 0.89, 0.90),
 }
-OVERLAPS = (2.5, 5.0, 10.0, 20.0)
-SETS = {  # of the members that are weighed, beside the default
-    "without joint": ["arx", "joint_averaged", "persistence"],
-    "without arx": ["joint", "joint_averaged", "persistence"],
-    "without joint_averaged": ["joint", "arx", "persistence"],
-    "without persistence": ["joint", "arx", "joint_averaged"],
-    "and joint_quick": ["joint", "joint_quick", "arx", "joint_averaged", "persistence"],
-    "and aid": ["joint", "arx", "joint_averaged", "persistence", "aid"],
-    "and rnn": ["joint", "arx", "joint_averaged", "persistence", "rnn"],
-    "and rnn_replay": ["joint", "arx", "joint_averaged", "persistence", "rnn_replay"],
-}
-ADDED = {"and rnn_replay": ("+estimator@estimators.rnn_replay=rnn_replay",)}
 
 
 @cache
 def replayed(given: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Forecasts `(time, boats, horizons, columns)` and half-widths `(time, boats, horizons)`, m/s."""
-    fleet, model = (
-        fleet_of(
-            tuple(key for key in given if "forecasts." not in key and "conditional" not in key and "@" not in key)
-        ),
-        ensemble(given),
-    )
+    fleet, model = fleet_of(tuple(key for key in given if "conditional" not in key)), ensemble(given)
     leaves, found = ["forecasts.predictions", "forecasts.halfwidths"], []
     for _, kept in stretches(model, model.init((len(fleet.boats),)), [run.samples for run in fleet.runs], leaves):
         found.append([kept[name] for name in leaves])
@@ -190,39 +173,10 @@ def by_manoeuvre(log: Log) -> np.ndarray:
     return found
 
 
-def halves(real: Sequence[Log], more: tuple[str, ...] = ()) -> list[np.ndarray]:
-    """Skill on the first halves of recorded boats."""
-    return [by_horizon(log, more, first_half(log))[0] for log in real]
-
-
-def members(label: str) -> tuple[str, ...]:
-    return (*ADDED.get(label, ()), f"forecasts.members=[{','.join(SETS[label])}]")
-
-
-def ablation(real: Sequence[Log], boats: Sequence[Log]) -> Iterator[str]:
-    """Skill by horizon, less that of the default, on the logs on which the members were chosen."""
-    base = halves(real), [by_horizon(log)[0] for log in boats]
-    yield from head("skill, less the default's: first halves of recorded boats / simulated boats, means")
-    for label in SETS:
-        more = members(label)
-        found = halves(real, more), [by_horizon(log, more)[0] for log in boats]
-        gains = [np.nanmean(np.stack(a) - np.stack(b), 0) for a, b in zip(found, base, strict=True)]
-        yield f"| {label} | " + " | ".join(f"{x:+.3f} / {y:+.3f}" for x, y in zip(*gains, strict=True)) + " |"
-
-
-def overlaps(real: Sequence[Log], boats: Sequence[Log]) -> Iterator[str]:
-    yield from head("overlap: first halves of recorded boats / simulated boats, means")
-    for overlap in OVERLAPS:
-        more = () if overlap == 5 else (f"forecasts.overlap={overlap:g}",)
-        found = halves(real, more), [by_horizon(log, more)[0] for log in boats]
-        means = [np.nanmean(np.stack(each), 0) for each in found]
-        yield f"| {overlap:g} | " + " | ".join(f"{x:.3f} / {y:.3f}" for x, y in zip(*means, strict=True)) + " |"
-
-
 def main() -> None:
     torch.set_num_threads(1)
     folder = Path(sys.argv[1])
-    real, chosen, boats = [recorded(folder, name) for name in REAL], simulated(5), simulated()
+    real, boats = [recorded(folder, name) for name in REAL], simulated()
     publish(__file__, [
         "# Accuracy of forecasts by horizon",
         "",
@@ -234,20 +188,6 @@ def main() -> None:
         *reported(real, boats),
         "",
         *manoeuvres(real, boats),
-        "",
-        "## Members that are weighed",
-        "",
-        "On the first halves and on the simulated boats of seed 5.",
-        "",
-        *ablation(real, chosen),
-        "",
-        "## Origins",
-        "",
-        "An origin goes on to the horizon h every h/overlap seconds; more cost more. The forecasts that are judged are",
-        "others in each row, so that rows of the recorded boats, which have few at long horizons, cannot be compared",
-        "closely.",
-        "",
-        *overlaps(real, chosen),
         "",
     ])  # fmt: skip
 

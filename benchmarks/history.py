@@ -23,11 +23,10 @@ import io
 import math
 import statistics
 from collections.abc import Sequence
-from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple
 
-from usvlearn.errors import UsvlearnError, printable
+from usvlearn.errors import UsvlearnError
 
 LAST, SPREADS = 5, 2.5
 TIMED_FLOOR, FLOOR = 0.10, 0.02
@@ -101,55 +100,16 @@ def read(path: Path) -> list[Entry]:
     """All entries, oldest first; none where there is no file. A damaged line is an error that names it."""
     if not path.exists():
         return []
-    try:
-        text = path.read_bytes().decode()
-    except UnicodeDecodeError as error:
-        line = path.read_bytes()[: error.start].count(b"\n") + 1
-        raise _damaged(path, line, "bytes that are not UTF-8", "text") from None
-    rows = csv.reader(io.StringIO(text, newline=""), strict=True)
-    entries: list[Entry] = []
-    try:
-        head = next(rows, [])
-        if tuple(head) != COLUMNS:
-            found = f"the columns {','.join(head)!r}" if head else "no columns"
-            raise _damaged(path, 1, found, ",".join(COLUMNS), "restore that line, or delete the file")
-        for row in rows:
-            entries.append(_entry(path, rows.line_num, row))
-    except csv.Error as error:
-        raise _damaged(path, rows.line_num, f"no row of CSV ({error})", f"{len(COLUMNS)} columns") from None
+    entries, rows = [], csv.reader(io.StringIO(path.read_text(), newline=""))
+    for line, row in enumerate(rows, 1):
+        try:
+            run, (name, value, unit, better, reference, between) = Run(*row[:8]), row[8:]
+            if line > 1:
+                figure = Figure(name, float(value), reference, unit, better, float(between) if between else None)
+                entries.append(Entry(run, figure))
+        except (TypeError, ValueError):
+            raise UsvlearnError(f"{path}, line {line}: expected {','.join(COLUMNS)}: correct or delete it") from None
     return entries
-
-
-def _entry(path: Path, line: int, row: list[str]) -> Entry:
-    if len(row) != len(COLUMNS):
-        raise _damaged(path, line, f"{len(row)} columns", f"{len(COLUMNS)}")
-    run, (name, value, unit, better, reference, between) = Run(*row[: len(Run._fields)]), row[len(Run._fields) :]
-    try:
-        datetime.fromisoformat(run.date)
-    except ValueError:
-        raise _damaged(path, line, f"the date {run.date!r}", "an ISO date") from None
-    if better not in ("lower", "higher"):
-        raise _damaged(path, line, f"better: {better!r}", "'lower' or 'higher'")
-    found = {"value": _number(value), "spread": _number(between or "0")}
-    for column, number in found.items():
-        if number is None or (column == "spread" and number < 0):
-            raise _damaged(path, line, f"{column}: {dict(value=value, spread=between)[column]!r}", "a finite number")
-    return Entry(run, Figure(name, found["value"], reference, unit, better, found["spread"] if between else None))
-
-
-def _number(text: str) -> float | None:
-    try:
-        found = float(text)
-    except ValueError:
-        return None
-    return found if math.isfinite(found) else None
-
-
-def _damaged(
-    path: Path, line: int, found: str, expected: str, fix: str = "correct that line or delete it"
-) -> UsvlearnError:
-    told = printable(found if len(found) < 200 else f"{found[:200]}…")
-    return UsvlearnError(f"{path}, line {line}: found {told}, expected {expected}: {fix}")
 
 
 def append(path: Path, entries: Sequence[Entry]) -> None:

@@ -1,12 +1,12 @@
 """Speed, accuracy, stress and certificates in short, compared with earlier runs: a data page and its history.
 
-python benchmarks/overview.py                    ten minutes; wants the extras bench, lmi and plot, and an idle machine
+python benchmarks/overview.py                    ten minutes; wants the extra bench and an idle machine
 python benchmarks/overview.py --logs LOGS        also recorded boats; LOGS: a folder with blueboat, vtec, dalian
 python benchmarks/overview.py --check            exits with 1 if a figure has become worse, for use before a release
 python benchmarks/overview.py --only speed       one section, printed alone; --check works with it, too
 python benchmarks/overview.py --quick            all, on little data: whether it runs
 
-A whole run writes overview.md and history.svg of docs/benchmarks, and appends its figures to history.csv there. With
+A whole run writes overview.md of docs/benchmarks, and appends its figures to history.csv there. With
 --only or --quick nothing is written, unless --folder names a place. `benchmarks/history.py` states when a figure is
 worse.
 """
@@ -25,7 +25,6 @@ from pathlib import Path
 import history
 import torch
 from history import Comparison, Entry, Run
-from history_plot import over_time
 from overview_sections import QUICK, RECORDED, SECTIONS, WHOLE, Part
 from pages import FOLDER
 from timing import hardware, load, machine, table, three_digits
@@ -34,8 +33,8 @@ import usvlearn
 from usvlearn.errors import UsvlearnError, exit_on_user_error
 
 BUSY = 0.7  # load from which on other work is mentioned
-OPENING = """The package is compared with references: the same steps in C, other libraries, batch least squares, and a
-solver of linear matrix inequalities. This page is a summary; [Benchmarks](../benchmarks.md) links all others."""
+OPENING = """The package is compared with references: the same steps in C, other libraries, and batch least
+squares. This page is a summary; [Benchmarks](../benchmarks.md) links all others."""
 RULE = (history.__doc__ or "").partition("\n\n")[2].strip()
 CHECK = """`python benchmarks/overview.py --check` exits with 1 and names the figures that are worse. The file is
 [history.csv](history.csv)."""
@@ -91,9 +90,7 @@ def verdict(comparisons: Sequence[Comparison]) -> str:
     return f"No figure is worse, of {known} with comparable entries." if known else "Nothing to compare with."
 
 
-def page(
-    run: Run, command: str, computer: str, minutes: float, parts: dict[str, Part], against: Sequence[str], drawn: bool
-) -> str:
+def page(run: Run, command: str, computer: str, minutes: float, parts: dict[str, Part], against: Sequence[str]) -> str:
     """The page, as Markdown; `against` is empty where there is nothing to compare with."""
     text = [
         "# Speed, accuracy, stress and certificates in short", "", OPENING, "",
@@ -104,8 +101,6 @@ def page(
         text += [f"## {SECTIONS[name][0]}", "", *part.lines, ""]
     if against:
         text += ["## Against earlier runs", "", *against, "", RULE, "", CHECK, ""]
-    if drawn:
-        text += ["![Timed figures over their first entry on this machine, run by run](history.svg)", ""]
     return "\n".join(text)
 
 
@@ -136,11 +131,9 @@ def work(given: argparse.Namespace, spare: Path) -> int:
         folder = given.folder or FOLDER
         folder.mkdir(parents=True, exist_ok=True)
         history.append(file, now)
-        if drawn := over_time([*before, *now], run):
-            drawn.savefig(folder / "history.svg", metadata={"Date": None})
         command = f"python benchmarks/overview.py{' --quick' * given.quick}{' --logs LOGS' * bool(given.logs)}"
         shown = against if any(each.entries for each in comparisons) else []
-        (folder / "overview.md").write_text(page(run, command, computer, minutes, parts, shown, drawn is not None))
+        (folder / "overview.md").write_text(page(run, command, computer, minutes, parts, shown))
     for name, part in parts.items():
         print("", f"## {SECTIONS[name][0]}", "", *part.lines, sep="\n")
     print("", *against, "", verdict(comparisons), sep="\n")

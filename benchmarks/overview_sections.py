@@ -1,25 +1,21 @@
-"""The five parts of the overview: each measures by the functions of its own script, and shows a part of its page."""
+"""The four parts of the overview: each measures by the functions of its own script, and shows a part of its page."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from time import process_time
 from typing import NamedTuple
 
 import accuracy
-import faults
 import numpy as np
 import stress
 import torch
-from families import initial_networks, random_networks, trained_networks
+from families import initial_networks, random_networks
 from history import Figure, timed
 from peers.online import MODULES
 from speed_steps import WAYS, costs, costs_of_others, estimators, loop, median, times
 from timing import Effort, Work, in_turn, micro, ratio, table, three_digits
 
-from certify.command.compare import examine
-from certify.command.compare import table as compared
 from certify.proofs import exact
 from certify.search import box
 from certify.training import conditions
@@ -30,13 +26,6 @@ CALLED = ("sift", "default ensemble")  # whose calls from Python and steps in to
 RECORDED = accuracy.REAL[:3]  # folders of logs
 CASES = ("idle", "outliers", "nan", "thruster", "outage")
 OURS = ("robust_sift_rls", "joint_ekf", "ensemble")
-NEURONS = 20  # of each network
-CHANGE, CHANGED = "left 40%", 8  # the event of the section on changes, and the seed of its boats
-ANSWERS = {
-    "commands": "commands", "ensemble": "ensemble", "joint": "joint", "oracle": "oracle", "NLMS": "NLMS", "RLS": "RLS",
-    "persistence": "persistence", "alarm": "alarm", "in 90 %": "in 90 %", "side right": "side right",
-    "effect ± .10": "share of the thrust ± .10", "interval holds": "its interval holds",
-}  # fmt: skip
 FOLLOWED = {("closed_tight", 100): 200, ("exact_rate", 100): 20, ("proof", 100): 2, ("box", 20): 2}  # calls a round
 Costs = Mapping[str, Sequence[float]]
 
@@ -50,21 +39,16 @@ class Amount(NamedTuple):
     cases: tuple[str, ...]
     steps: int  # limit of every part of a scenario
     elements: int
-    boats: int  # of each plant, to which something happens
-    networks: int  # of each family
-    training: int  # steps of those that are trained
 
 
 WHOLE = Amount(
     effort=Effort(repeats=15, steps=50_000, eager=50, calls=2000, clock=process_time),
-    plants=accuracy.PLANTS, data=(), cases=CASES, steps=100_000, elements=24, boats=3,
-    networks=20, training=3000,
+    plants=accuracy.PLANTS, data=(), cases=CASES, steps=100_000, elements=24,
 )  # fmt: skip
 QUICK = Amount(
     effort=Effort(repeats=3, steps=1000, eager=10, calls=100, clock=process_time),
     plants=("heron",), data=("data.hours=0.2", "data.mission_minutes=2"),
-    cases=("outliers", "nan"), steps=300, elements=2, boats=2,
-    networks=2, training=100,
+    cases=("outliers", "nan"), steps=300, elements=2,
 )  # fmt: skip
 
 
@@ -214,49 +198,6 @@ def stresses(amount: Amount, logs: Path | None) -> Part:
     return Part(lines, figures)
 
 
-def changes(amount: Amount, logs: Path | None) -> Part:
-    rows, figures = [], []
-    for _, drive, event, found in faults.answers(CHANGED, amount.boats, [CHANGE], amount.plants):
-        cells = {"commands": drive, **faults.cells(event, found)}
-        rows.append([cells[key] for key in ANSWERS])
-        figures.append(Figure(f"changes: ensemble, {drive}", faults.ratio(found, "ensemble"), "the true model"))
-    lines = [
-        f"The left thruster of {amount.boats * len(amount.plants)} simulated boats drops to 40 % in minute 10. Of each "
-        f"predictor: the error of its first {faults.FIRST} predictions over that of the true model, which knows boat, "
-        "wind and water, and the steps until it is back. `oracle` knows the moment. Then: the delay of the alarm in "
-        "half of the boats and in 90 %, and whether the thrust that is left is right two minutes later.", "",
-        *table(list(ANSWERS.values()), rows), "",
-        "More events, and what they do: [Stress tests](stress.md#changes-of-the-boat).",
-    ]  # fmt: skip
-    return Part(lines, figures)
-
-
-def certificates(amount: Amount, logs: Path | None) -> Part:
-    rng, count, n = np.random.default_rng(0), amount.networks, NEURONS
-    families = {
-        "random": random_networks(count, n, rng),
-        "initialised": initial_networks(count, n, rng),
-        "trained": trained_networks(count, n, rng, steps=amount.training),
-    }
-    solve = "CLARABEL" if (solvable := bool(find_spec("cvxpy") and find_spec("clarabel"))) else None
-    seen = {name: [examine(each, 2.0, solve) for each in networks] for name, networks in families.items()}
-    told = {(row["networks"], row["condition"]): row for row in compared(seen)}
-    rows, every = [], ("lmi", "tight", "box")
-    for name, found in seen.items():
-        wrong = str(sum(told[name, tier]["disagreements"] for tier in every[:2])) if solvable else "–"
-        shares = (f"{told[name, tier]['certified'] / count:.0%}" for tier in every)
-        rows.append([name, str(count), *shares, wrong, f"{sum(each['closed'] for each in found)} of {count}"])
-    lines = [
-        *table([f"n = {n}", "networks", "certified by lmi", "by tight", "on the box", "Clarabel disagrees",
-                "rate on the box found"], rows), "",
-        "`lmi` is the paper's condition, `tight` its extension to all rates below 1; each has a closed form. On the "
-        "box: the exact rate over the states and inputs that occur. Times: "
-        "[Time of contraction verdicts](verdicts.md). What a constraint costs: [The cost of contraction while learning]"
-        "(stability.md), [Which boats a constrained network can represent](representable.md).",
-    ]  # fmt: skip
-    return Part(lines, verdict_times(amount.effort))
-
-
 def followed(n: int, rng: np.random.Generator) -> dict[str, Work]:
     """What is timed of networks of n neurons; `box` takes an initial network."""
     weights, initial = random_networks(1, n, rng)[0], initial_networks(1, n, rng)[0]
@@ -272,23 +213,29 @@ def followed(n: int, rng: np.random.Generator) -> dict[str, Work]:
     }
 
 
-def verdict_times(effort: Effort) -> list[Figure]:
-    """Of the history: round by round with the loop."""
+def certificates(amount: Amount, logs: Path | None) -> Part:
+    """Times of verdicts, round by round with the loop."""
 
     def often(work: Work, calls: int) -> None:
         for _ in range(calls):
             work()
 
-    spent_on = {n: followed(n, np.random.default_rng(1)) for n in {n for _, n in FOLLOWED}}
-    works = {f"{name}, n = {n}": partial(often, spent_on[n][name], calls) for (name, n), calls in FOLLOWED.items()}
+    effort, spent_on = amount.effort, {n: followed(n, np.random.default_rng(1)) for n in {n for _, n in FOLLOWED}}
+    works = {(name, n): partial(often, spent_on[n][name], calls) for (name, n), calls in FOLLOWED.items()}
     spent = in_turn({"loop": loop(effort.calls), **works}, effort.repeats, effort.clock)
-    return [timed(f"certify: {name}", by_round(spent[name], spent["loop"]), LOOP) for name in works]
+    figures = [timed(f"certify: {x}, n = {n}", by_round(spent[x, n], spent["loop"]), LOOP) for x, n in works]
+    rows = [[x, str(n), three_digits(1e3 * np.median(spent[x, n]) / calls)] for (x, n), calls in FOLLOWED.items()]
+    lines = [
+        *table(["one network", "n", "ms"], rows), "",
+        "`closed_tight`: the condition in torch; `exact_rate`: its rate in fractions; `proof`: that, and its "
+        "multipliers; `box`: the exact rate over the states and inputs that occur.",
+    ]  # fmt: skip
+    return Part(lines, figures)
 
 
 SECTIONS: dict[str, tuple[str, Callable[[Amount, Path | None], Part]]] = {
     "speed": ("Speed", speed),
     "accuracy": ("Accuracy", predictions),
     "stress": ("Stress", stresses),
-    "changes": ("Changes of the boat", changes),
     "certify": ("Certificates of contraction", certificates),
 }

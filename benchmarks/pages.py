@@ -6,14 +6,13 @@ from pathlib import Path
 FOLDER = Path(__file__).parents[1] / "docs" / "benchmarks"
 
 
-def publish(script: str, text: str | Sequence[str], name: str | None = None) -> None:
-    """Print a page and write it to the folder; by default it has the name of its script.
+def publish(script: str, text: str | Sequence[str]) -> None:
+    """Print a page and write it to the folder, under the name of its script.
 
     Args:
         script: `__file__` of the script.
         text: Markdown, whole or in lines.
-        name: of the page, without `.md`.
     """
     whole = (text if isinstance(text, str) else "\n".join(text)).rstrip("\n") + "\n"
     print(whole, end="")
-    (FOLDER / f"{name or Path(script).stem}.md").write_text(whole)
+    (FOLDER / f"{Path(script).stem}.md").write_text(whole)

@@ -1,31 +1,21 @@
 """What whole jobs cost: batch elements of a grid, replays, cross-validation, memory, and what lies around them."""
 
-import gc
 import itertools
 import os
-import pickle
 import statistics
-import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Sequence
 from functools import cache, partial
-from pathlib import Path
 
 import accuracy
-import numpy as np
 import torch
-from speed_plots import throughput
 from speed_steps import estimators, samples, streamed
-from timing import Effort, Section, counted, in_turn, micro, once, ratio, table
+from timing import Effort, Section, counted, in_turn, micro, once, table
 
 from usvlearn import AID, Ensemble, Estimator, SIFtRLS, SurgeDynamics
-from usvlearn.core.samples import Fleet, Sample, named_leaves, tree_map
+from usvlearn.core.samples import Fleet, Sample, tree_map
 from usvlearn.evaluation.crossval import cross_validate
 from usvlearn.evaluation.metrics import fleet_scores
-from usvlearn.logs.channels.channel import Source
-from usvlearn.logs.formats.moos.alog import Alog
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.runs.replay import replay
 from usvlearn.runs.run_folder import RunFolder
@@ -36,7 +26,6 @@ from usvlearn.sweeps.tuning.batches import element_errors
 MASS, MISSION = 28.0, 15.0  # kg, minutes
 LEAST_STEPS = 50  # of a rollout through many batch elements
 MANY = 50_000_000  # element-steps of a job that is measured once
-RESET, STATUS = Path("/proc/self/clear_refs"), Path("/proc/self/status")
 SETTINGS = {"estimators": {}, "combiners": {}, "align": {}, "data": {}}
 
 
@@ -79,7 +68,7 @@ def elements(effort: Effort) -> Section:
         for (name, threads), by_elements in found.items()
     ]
     head = ["µs an element-step", *(counted(n, "batch element") for n in effort.elements)]
-    return Section(table(head, rows), {"elements": throughput(found)})
+    return Section(table(head, rows))
 
 
 def jobs(effort: Effort) -> Section:
@@ -113,71 +102,10 @@ def jobs(effort: Effort) -> Section:
     return Section([*table(["job", "element-steps", "s", "µs an element-step"], rows), "", note])
 
 
-def size(run: Sample) -> int:
-    return sum(x.nbytes for _, x in named_leaves(run))
-
-
-def memory(effort: Effort) -> Section:
-    """Peaks of processes of their own."""
-    if not RESET.exists():
-        return Section(["Measured on Linux alone."])
-    cases = [(f"replay, default ensemble, {counted(boats, 'boat')}", "ensemble", boats, boats, h) for boats in (1, 8)
-             for h in effort.hours]  # fmt: skip
-    cases += [
-        (f"grid, sift, {counted(n, 'setting')}", "sift", n, 1, h)
-        for n in effort.elements
-        if n <= 512
-        for h in effort.hours
-    ]
-    rows = []
-    with tempfile.TemporaryDirectory() as folder:
-        for title, kind, count, boats, hours in cases:
-            fleet, file = season(boats, hours), Path(folder) / f"{boats}_{hours}.pickle"
-            file.write_bytes(pickle.dumps(fleet))
-            command = [sys.executable, __file__, kind, str(count), str(file)]
-            done = subprocess.run(command, capture_output=True, text=True, check=True)
-            beyond, own = int(done.stdout.split()[-1]), sum(size(run.samples) for run in fleet.runs)
-            rows.append([title, f"{hours:g}", *(f"{x / 2**20:.1f}" for x in (own, beyond))])
-    note = (
-        "Peak of the resident memory of a process that does nothing else, less what it was with the samples loaded and "
-        "all compiled."
-    )
-    return Section([*table(["MiB", "hours", "samples", "all else"], rows), "", note])
-
-
-def measured_memory(kind: str, count: int, file: str) -> int:
-    """Bytes of resident memory at its peak, less those with the samples loaded and a first run done."""
-    torch.set_num_threads(1)
-    with open(file, "rb") as content:
-        fleet: Fleet = pickle.load(content)
-    run = fleet.runs[0]
-    first = fleet._replace(runs=(run._replace(time=run.time[:2], samples=tree_map(lambda x: x[:2], run.samples)),))
-    ensemble = accuracy.ensemble(())
-
-    def work(fleet: Fleet, count: int) -> None:
-        if kind == "ensemble":
-            replayed(ensemble, fleet)
-        else:
-            element_errors(grid_of(kind, count), fleet, (count,))
-
-    work(first, 1)
-    gc.collect()
-    RESET.write_text("5")  # getrusage would tell the peak of the imports, and of the process that started this one
-    before = peak()
-    work(fleet, count)
-    return peak() - before
-
-
-def peak() -> int:
-    """Bytes of resident memory at its peak since it was reset."""
-    (line,) = [line for line in STATUS.read_text().splitlines() if line.startswith("VmHWM")]
-    return 1024 * int(line.split()[1])
-
-
 def around(effort: Effort) -> Section:
     """What a replay is surrounded by, as a share of it."""
     hours = min(1.0, effort.hours[1])
-    return Section([logging(season(1, hours), effort), logging(season(8, hours), effort), lines(effort)])
+    return Section([logging(season(1, hours), effort), logging(season(8, hours), effort)])
 
 
 def logging(fleet: Fleet, effort: Effort) -> str:
@@ -203,38 +131,3 @@ def logging(fleet: Fleet, effort: Effort) -> str:
         f"- {boats}, {fleet.steps} steps: logging and saving take {statistics.median(seconds):.2f} s, "
         f"{statistics.median(shares):.0%} of the replay of the default ensemble"
     )
-
-
-def split(path: Path) -> None:
-    with path.open() as file:
-        for line in file:
-            line.split(None, 3)
-
-
-def lines(effort: Effort, count: int = 260_000) -> str:
-    """An `.alog`, against the time to split its lines and nothing else."""
-    names = [f"VAR_{k}" for k in range(60)] + ["NAV_SPEED", "NAV_HEADING", "DESIRED_THRUST_L", "DESIRED_THRUST_R"]
-    rng = np.random.default_rng(0)
-    rows = [f"{k * 0.01:<15.3f} {names[k % 64]:<20} pApp {rng.random():.5f}" for k in range(count)]
-    sources = {name: Source(variable) for name, variable in zip(
-        ("surge", "heading", "command_left", "command_right"), names[60:], strict=True)}  # fmt: skip
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "log.alog"
-        path.write_text("%% LOGSTART 0\n" + "\n".join(rows) + "\n")
-        works = {"ours": lambda: Alog().read(path, sources), "split": partial(split, path)}
-        spent = in_turn(works, effort.repeats)
-    share = ratio(spent["ours"], spent["split"])
-    return (
-        f"- a {count:,}-line `.alog` is read in {statistics.median(spent['ours']):.2f} s, {share:.1f} × the time to "
-        "split its lines"
-    )
-
-
-def main(arguments: Sequence[str]) -> None:
-    kind, count, file = arguments
-    print(measured_memory(kind, int(count), file))
-
-
-if __name__ == "__main__":
-    with torch.no_grad():
-        main(sys.argv[1:])

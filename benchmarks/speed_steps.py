@@ -1,6 +1,5 @@
 """What a step costs: streamed, called from Python, in eager torch, in C and in other libraries; how it grows."""
 
-import itertools
 import statistics
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
@@ -10,7 +9,6 @@ import numpy as np
 import peers
 import torch
 from reference import compiler, reference
-from speed_plots import bars, growth_curves
 from timing import Effort, Section, Work, in_turn, micro, ratio, table, three_digits
 
 from usvlearn import (
@@ -180,8 +178,7 @@ def steps(effort: Effort) -> Section:
     ]  # fmt: skip
     head = ["µs a step", *WAYS.values(), "streamed / C", "torch / streamed"]
     note = "C is `benchmarks/reference.c`, equal to ours to rounding; called from Python is `Online.step`."
-    shown = {name: {label: median(spent, way) for way, label in WAYS.items()} for name, spent in found.items()}
-    return Section([*table(head, rows), "", note], {"steps": bars(shown)})
+    return Section([*table(head, rows), "", note])
 
 
 def costs_of_others(effort: Effort) -> dict[str, list[float]]:
@@ -249,9 +246,4 @@ def growth(effort: Effort) -> Section:
         for size, spent in sizes.items()
     ]
     note = "15 parameters: with the memory wrapper. The members are AIDs of different gains, weighed by BOA."
-    curves = {
-        kind: {label: {size: median(spent, way) for size, spent in sizes.items() if way in spent}
-               for way, label in itertools.islice(WAYS.items(), 2)}
-        for kind, sizes in found.items()
-    }  # fmt: skip
-    return Section([*table(["µs a step", "C", "streamed", "ratio"], rows), "", note], {"growth": growth_curves(curves)})
+    return Section([*table(["µs a step", "C", "streamed", "ratio"], rows), "", note])

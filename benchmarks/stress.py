@@ -18,12 +18,9 @@ BOA over two joint EKFs, ARX and the averaged joint EKF.
 
 import argparse
 import math
-import platform
-import statistics
-import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -31,6 +28,7 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from pages import publish
 from peers import LAM, NOISE, P, Peer, peers
+from timing import machine, table
 from torch import Tensor, nn
 
 from usvlearn import AID, ARX, RLS, Ensemble, JointEKF, Persistence, Robust, SIFtRLS
@@ -264,68 +262,6 @@ def outcomes(scenario: Scenario, own: Mapping[str, Estimator]) -> Iterator[tuple
         yield name, run_ours(scenario, one)
 
 
-class Given(nn.Module):
-    """The model of a pure regression y = φᵀθ, to which φ is given."""
-
-    names, signs, scale = tuple(f"theta_{k}" for k in range(P)), (0,) * P, 1.0
-
-    def forward(self, surge: Tensor, inputs: Any) -> tuple[Tensor, Tensor]:
-        return torch.zeros_like(surge), inputs.phi
-
-
-class GivenInputs(NamedTuple):
-    """What an estimator over `Given` asks for."""
-
-    phi: Tensor  # (*batch, p)
-    dt: Tensor  # (*batch,) s
-
-
-def regression(steps: int, elements: int = 24, outliers: float = OUTLIERS) -> dict[str, float]:
-    """|Δθ| over the second half where φ is standard normal, |θ| = 1, noise NOISE, and outliers as in the scenario."""
-    rng = np.random.default_rng(8)
-    phi, theta = rng.standard_normal((steps, elements, P)), rng.standard_normal((elements, P))
-    theta /= np.linalg.norm(theta, axis=-1, keepdims=True)
-    y = (phi * theta).sum(-1) + NOISE * rng.standard_normal((steps, elements))
-    y += 2 * rng.standard_t(3, y.shape) * (rng.random(y.shape) < outliers)
-    found = {}
-    for name, make in peers(torch.eye(P, dtype=torch.float64)).items():
-        off = []
-        for element in range(elements):
-            peer = make()
-            for k in range(steps):
-                peer.predict(phi[k, element])
-                peer.learn(phi[k, element], y[k, element])
-                if k >= steps // 2 and k % 10 == 0:
-                    off.append(np.linalg.norm(peer.theta() - theta[element]))
-        found[name] = float(np.mean(off))
-    dt = torch.full((elements,), DT, dtype=torch.float64)
-    for name, estimator in single(Given()).items():
-        state, off = estimator.init((elements,)), []
-        with torch.no_grad():
-            for k in range(steps):
-                state, _ = estimator.learn(state, GivenInputs(torch.from_numpy(phi[k]), dt), torch.from_numpy(y[k]))
-                if k >= steps // 2 and k % 10 == 0:
-                    off.append(np.linalg.norm(getattr(state, "inner", state).theta.numpy() - theta, axis=-1).mean())
-        found[name] = float(np.mean(off))
-    return found
-
-
-def times(scenario: Scenario) -> dict[str, float]:
-    """Seconds per step of one batch element, median of 5 passes over all in turn; ours are streamed (`rollout`)."""
-    element = tree_map(lambda x: x[:2000, 0], scenario.samples)
-    wide = tree_map(lambda x: x[:, None], element)
-    works = {name: lambda m=make: follow(m(), element) for name, make in peers(excitation(scenario)).items()}
-    works |= {name: lambda e=one: rollout(e, e.init((1,)), wide) for name, one in ours().items()}
-    spent: dict[str, list[float]] = {name: [] for name in works}
-    with torch.no_grad():
-        for _ in range(5):
-            for name, work in works.items():
-                start = time.perf_counter()
-                work()
-                spent[name].append((time.perf_counter() - start) / len(element.surge))
-    return {name: statistics.median(each) for name, each in spent.items()}
-
-
 def cell(result: Result) -> str:
     if not result.finite:
         return "**not finite**"
@@ -340,26 +276,17 @@ def report(steps: int) -> str:
         for name, result in outcomes(scenario, ours()):
             found.setdefault(name, {})[case] = result
             print(case, name, result, flush=True)
-    linear, cost = regression(min(4000, steps)), times(cases["jump"])
-    lines = ["| | µs a step | × plain | regression | " + " | ".join(cases) + " |", "|---|" + "---:|" * (3 + len(cases))]
-    off = ["| | " + " | ".join(cases) + " |", "|---|" + "---:|" * len(cases)]
-    for name, row in found.items():
-        spent = f"{cost[name] * 1e6:.2g} | {cost[name] / cost['plain_rls']:.2g}" if name in cost else " | "
-        wild = f"{linear[name]:.4f}" if name in linear else ""
-        lines.append(f"| {name} | {spent} | {wild} | " + " | ".join(cell(x) for x in row.values()) + " |")
-        if not math.isnan(row["jump"].parameters):
-            off.append(f"| {name} | " + " | ".join(f"{x.parameters:.2g}" for x in row.values()) + " |")
-    notes = [f"- {case}: {scenario.title}" for case, scenario in cases.items()]
-    machine = f"{platform.machine()}, Python {platform.python_version()}, torch {torch.__version__}, one thread"
+    rows = [[name, *(cell(x) for x in row.values())] for name, row in found.items()]
+    off = [[name, *(f"{x.parameters:.2g}" for x in row.values())] for name, row in found.items()
+           if not math.isnan(row["jump"].parameters)]  # fmt: skip
     return "\n".join([
         "# Stress tests beside other libraries", "", *__doc__.strip().splitlines()[4:], "",
-        f"Measured on {machine}; ours are streamed. A cell: the MAE of one-step",
+        f"Measured on {machine()}; ours are streamed. A cell: the MAE of one-step",
         "predictions, m/s, over the steps named below; and after how many steps from the event the error (mean over",
-        f"{WINDOW} samples) stays within {WITHIN} × its level before. *Not finite*: a prediction or the state. "
-        "Regression:",
-        "|Δθ| on y = φᵀθ with the same outliers, φ standard normal and |θ| = 1.", "", *notes, "", *lines, "",
+        f"{WINDOW} samples) stays within {WITHIN} × its level before. *Not finite*: a prediction or the state.", "",
+        *(f"- {case}: {scenario.title}" for case, scenario in cases.items()), "", *table(["", *cases], rows), "",
         "## Parameter error at the end", "", "√(Δθᵀ C Δθ / θᵀ C θ), where C is the mean of φφᵀ under excitation: the "
-        "error of what the parameters predict, relative.", "", *off, "",
+        "error of what the parameters predict, relative.", "", *table(["", *cases], off), "",
     ])  # fmt: skip
 
 

@@ -36,10 +36,9 @@ QUICK = Effort(2, 1000, 20, 100, (1, 8), 2000, (0.2, 0.4), 8, 4)
 
 
 class Section(NamedTuple):
-    """A part of the page, and the figures that it shows by name."""
+    """A part of the page."""
 
     lines: Sequence[str]
-    figures: Mapping[str, Any] = {}
 
 
 def once(work: Work, clock: Clock = time.perf_counter) -> float:

@@ -10,7 +10,6 @@ import gate_values
 import numpy as np
 import pytest
 import torch
-from gate_time import IMPORTED, RENAMED
 from gate_values import digest, first_difference, leaves
 
 from tests.support import ROOT
@@ -47,18 +46,6 @@ def test_every_value_is_a_named_leaf():
         leaves({"part": {"leaf": object()}})
 
 
-@pytest.mark.thorough
-def test_equal_cases_have_no_difference_and_one_digest_in_every_process():
-    assert first_difference(leaves(case()), leaves(case())) is None
-    code = "from tests.benchmarks.test_gates import *; print(digest(leaves(case())))"
-    path = os.pathsep.join([str(ROOT), str(BENCHMARKS)])
-    told = subprocess.run(
-        [sys.executable, "-c", code], env=os.environ | {"PYTHONPATH": path, "PYTHONHASHSEED": "7"},
-        capture_output=True, text=True, check=True,
-    ).stdout  # fmt: skip
-    assert told.strip() == digest(leaves(case()))
-
-
 def test_the_first_step_that_differs_is_named_then_the_first_leaf():
     surge, theta = (leaves(case())[f"replay by step: state.{name}"].copy() for name in State._fields)
     surge[3] += 1.0
@@ -88,29 +75,6 @@ def test_what_differs_in_a_bit_a_type_a_shape_or_a_line(recorded, present, place
     old, new = leaves({"part": recorded}), leaves({"part": present})
     assert first_difference(old, new).place == first_difference(new, old).place == place
     assert digest(old) != digest(new)
-
-
-def test_of_a_long_text_what_differs_is_shown():
-    old, new = (leaves({"text": "a" * 200 + x + "b" * 200}) for x in "xy")
-    found = first_difference(old, new)
-    assert "ax" in found.recorded and "ay" in found.present
-    assert max(len(found.recorded), len(found.present)) <= gate_values.LONGEST + 2
-
-
-def test_a_leaf_more_or_less_is_a_difference():
-    more = leaves(case() | {"end": 1.0})
-    assert str(first_difference(leaves(case()), more)) == "end, as a whole: recorded nothing, now 1.0"
-    assert first_difference(more, leaves(case())).present == "nothing"
-
-
-def test_a_recorded_package_imports_itself_by_its_other_name():
-    source = (
-        'import usvlearn\nfrom usvlearn.core import jit\nfrom certify import x\nimport_module(f"usvlearn.{name}")\n'
-    )
-    renamed = IMPORTED.sub(lambda found: RENAMED[found[1]], source)
-    assert (
-        renamed.count("_recorded") == 4 and IMPORTED.sub("", 'base / "usvlearn" / name') == 'base / "usvlearn" / name'
-    )
 
 
 TOY = {

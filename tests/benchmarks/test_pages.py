@@ -9,12 +9,9 @@ import pytest
 
 ROOT = pages.FOLDER.parents[1]
 PAGES = {path.stem: path.read_text() for path in sorted(pages.FOLDER.glob("*.md"))}
-MADE = {"overview.md", "history.csv", "history.svg"}  # by a run of overview.py
+MADE = {"overview.md", "history.csv"}  # by a run of overview.py
 ROW = re.compile(r"^\| (?P<result>.+) \| \[[^]]+\]\(benchmarks/(?P<page>\w+)\.md\) \| `(?P<command>[^`]+)` \|$", re.M)
-OTHERS = {  # pages without a script of their name
-    "live_moosdb": "python benchmarks/live_moos.py PORT",
-    "study": "python evaluate.py experiment=paper",
-}
+OTHERS = {"study": "python evaluate.py experiment=paper"}  # pages without a script of their name
 
 
 def command(name: str) -> str:
@@ -27,7 +24,7 @@ def command(name: str) -> str:
 
 def test_titles_differ():
     titles = [re.match(r"# (.+)\n", text)[1] for text in PAGES.values()]
-    assert len(set(titles)) == len(titles) > 20
+    assert len(set(titles)) == len(titles) > 10
 
 
 @pytest.mark.parametrize("name", PAGES)
@@ -42,18 +39,17 @@ def test_tables_lists_and_figures_are_rendered(name):
 
 
 def test_every_mention_of_a_page_is_of_one_that_exists():
-    files = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md"]
+    files = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
     for folder in ("usvlearn", "certify", "configs", "benchmarks", "docs"):
         files += [path for path in (ROOT / folder).rglob("*") if path.suffix in (".py", ".yaml", ".md")]
     cited = 0
     for path in files:
         text = path.read_text()
         for found in re.findall(r"docs/benchmarks/(\w+\.\w+)", text):
-            former = path.name == "CHANGELOG.md" and found == "index.md"
-            assert (pages.FOLDER / found).exists() or found in MADE or former, f"{path}: {found}"
+            assert (pages.FOLDER / found).exists() or found in MADE, f"{path}: {found}"
             cited += 1
         assert not re.search(r"(?<!docs/)(?<!\]\()(?<!\.\./)benchmarks/\w+\.(md|svg)", text), f"{path}: the old folder"
-    assert cited > 20
+    assert cited > 5
 
 
 def test_every_page_is_listed_once_with_what_makes_it():
@@ -69,7 +65,5 @@ def test_every_page_is_listed_once_with_what_makes_it():
 def test_a_script_publishes_to_the_folder(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(pages, "FOLDER", tmp_path)
     pages.publish("/somewhere/stress.py", ["# Stress", "", "text", ""])
-    pages.publish("/somewhere/live_moos.py", "# MOOS", "live_moosdb")
     assert (tmp_path / "stress.md").read_text() == "# Stress\n\ntext\n"
-    assert (tmp_path / "live_moosdb.md").read_text() == "# MOOS\n"
-    assert capsys.readouterr().out == "# Stress\n\ntext\n# MOOS\n"
+    assert capsys.readouterr().out == "# Stress\n\ntext\n"

@@ -1,8 +1,7 @@
 """Where numbers are: what an estimator makes is on the device to which it was moved.
 
 The device `meta` stands for an accelerator. It has shapes and no values: an operation there that mixes devices fails,
-and so does one that reads a value. Whether an accelerator computes the right numbers, these tests cannot tell;
-`benchmarks/cuda.py` compares them where there is one.
+and so does one that reads a value. Whether an accelerator computes the right numbers, these tests cannot tell.
 """
 
 import numpy as np

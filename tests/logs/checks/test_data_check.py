@@ -5,7 +5,10 @@ import re
 
 import numpy as np
 import pytest
-from data_check import (
+
+import usvlearn
+from tests.support import REAL_LOGS, RECORDED, cases, few
+from tests.support.mistakes import (
     ALIGN,
     CONFIGURED,
     FAULTS,
@@ -19,9 +22,6 @@ from data_check import (
     times,
     with_yaw_rate,
 )
-
-import usvlearn
-from tests.support import REAL_LOGS, RECORDED, cases, few
 from usvlearn.cli.composition import recordings_of
 from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.logs.channels.channel import AUXILIARY, COMMANDS, SURGE, Channel, Recording

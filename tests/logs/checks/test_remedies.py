@@ -5,10 +5,10 @@ import shlex
 
 import numpy as np
 import pytest
-from data_check import TOP, boats, changed, then, times, with_positions, with_yaw_rate
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from tests.support import few
+from tests.support.mistakes import TOP, boats, changed, then, times, with_positions, with_yaw_rate
 from usvlearn.logs.channels.channel import COMMANDS, METRES, SURGE, Channel
 from usvlearn.logs.channels.derived_surge import derived_surge
 from usvlearn.logs.checks.data_check import check_data

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from data_check import ALIGN, TOP, boats, changed, counter_clockwise, swapped, then, times, with_positions
 
+from tests.support.mistakes import ALIGN, TOP, boats, changed, counter_clockwise, swapped, then, times, with_positions
 from usvlearn.logs.channels.channel import COURSES, DEGREES, METRES, SURGE, SWAY, VELOCITIES
 from usvlearn.logs.channels.derived_surge import derived_surge
 from usvlearn.logs.checks.data_check import check_data

@@ -3,8 +3,7 @@
 Wrong units, reversed sides and delays do not stop a run: it prints plausible numbers. Each check compares channels with
 each other and with physics, on all runs of a boat together (`usvlearn.logs.channels.relations`), and yields a finding
 with the setting that corrects it. The thresholds stand beside the checks: `scales`, `track`, `thrusters`, `response`,
-`frozen` and `delivery` of `usvlearn.logs.checks`; `docs/benchmarks/data_check.md` has the rates of false alarms and
-misses.
+`frozen` and `delivery` of `usvlearn.logs.checks`.
 
 A check that lacks its evidence is silent: a boat that never turns has no sides to be compared.
 """

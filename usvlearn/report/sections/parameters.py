@@ -32,7 +32,7 @@ NOISE = (
 BAND = "Band: 90 % of the effect of the noise of the samples, but not the bias of the model."
 TOO_SMALL = (
     "Least squares finds forces too small where a current acts that its model does not have, and "
-    "where its model makes Euler's step; noise of the speed adds little (docs/benchmarks/bias.md)."
+    "where its model makes Euler's step; noise of the speed adds little."
 )
 SHOWN = ("aid", "steady_rls", "dynamic_rls")  # if there are many members, the first two of these are shown
 Truth = Mapping[str, Mapping[str, np.ndarray]]  # boat -> parameter -> value on each mission

@@ -1,35 +1,20 @@
-"""How often the data check warns of a boat without a mistake, and how often it misses a mistake.
+"""Logs of simulated boats with one mistake, and the kinds of finding that name it.
 
-python benchmarks/data_check.py        writes docs/benchmarks/data_check.md
-
-Simulated boats of five plants, which go astern in every second log. A mistake changes channels of the same logs. Rough:
-a current of up to 0.8 m/s, speeds and headings at 1 and 2 Hz, noise of 0.1 m/s. A mistake is missed if no finding,
-warning or note, names it; "others" counts logs that have another finding beside it. The thresholds were chosen on
-other seeds.
+Five plants, which go astern in every second log. Rough: a current of up to 0.8 m/s, speeds and headings at 1 and 2 Hz,
+noise of 0.1 m/s.
 """
 
 from __future__ import annotations
 
 import math
-import time
-import warnings
-from collections import Counter
 from collections.abc import Callable, Sequence
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
-from pages import publish
 
-from usvlearn.cli import train
-from usvlearn.cli.composition import compose_train
-from usvlearn.cli.settings import ensemble_of, instantiate
 from usvlearn.logs.channels.channel import COMMANDS, METRES, SURGE, Channel, Recording
 from usvlearn.logs.channels.relations import heading_rate
 from usvlearn.logs.checks.data_check import check_data
-from usvlearn.logs.checks.finding import WARNING
 from usvlearn.logs.recordings import align_fleet
-from usvlearn.runs.replay import replay
 from usvlearn.simulate.autopilot import Autopilot
 from usvlearn.simulate.fault import Fault
 from usvlearn.simulate.fleet import fleet
@@ -37,7 +22,6 @@ from usvlearn.simulate.sensors import Sensors
 
 TOP = {"heron": 2.74, "kingfisher": 1.5, "vtec": 1.5, "otter": 3.1, "wamv": 7.7}  # m/s, vehicle.surge_max
 KNOT = 1852 / 3600
-SEEDS, HOURS = range(300, 316), (0.1, 0.25, 1.0)
 ALIGN = {"dt": 0.4, "patience": 1.0}
 CONFIGURED = {
     "command_left": {"name": "left"},
@@ -186,97 +170,3 @@ def boats(plant: str, seed: int, hours: float, fault: Fault | None = None, rough
     return fleet(
         n=1, plant=plant, seed=seed, hours=hours, mission_minutes=10.0, autopilot=autopilot, fault=struck, **how
     )
-
-
-def false_alarms() -> list[str]:
-    """A table of warnings of boats without a mistake."""
-    told: dict[str, Counter] = {}
-    logs: Counter = Counter()
-    warned: Counter = Counter()
-
-    def look(name: str, recordings: Sequence[Recording], plant: str) -> None:
-        found = set(kinds(recordings, plant, WARNING))
-        logs[name] += 1
-        warned[name] += bool(found)
-        told.setdefault(name, Counter()).update(found)
-
-    for hours in HOURS:
-        minutes = f"{60 * hours:.0f} min"
-        for plant in TOP:
-            for seed in SEEDS:
-                recordings = boats(plant, seed, hours)
-                for name, change in CLEAN.items():
-                    look(f"{name}, {minutes}", changed(recordings, change), plant)
-                look(f"rough, {minutes}", boats(plant, seed, hours, rough=True), plant)
-            for seed in SEEDS[: len(SEEDS) // 4]:
-                for fault in FAULTS[1:]:
-                    name = f"a thruster with {fault.share:.0%} of its thrust, {minutes}"
-                    look(name, boats(plant, seed, hours, fault), plant)
-    lines = ["| boats without a mistake | logs | warned of | kinds |", "|---|---:|---:|---|"]
-    for name, counts in told.items():
-        listed = ", ".join(f"{kind} {count}" for kind, count in counts.most_common())
-        lines.append(f"| {name} | {logs[name]} | {warned[name]} | {listed or 'none'} |")
-    return lines
-
-
-def misses() -> list[str]:
-    """A table of the mistakes that were not named."""
-    missed: Counter = Counter()
-    others: Counter = Counter()
-    for hours in HOURS:
-        for plant in TOP:
-            for seed in SEEDS:
-                recordings = boats(plant, seed, hours)
-                for name, (change, expected) in MISTAKES.items():
-                    found = set(kinds(changed(recordings, change), plant))
-                    missed[name, hours] += not found & set(expected)
-                    others[name, hours] += bool(found - set(expected))
-    count = len(TOP) * len(SEEDS)
-    heads = " | ".join(f"missed of {count}, {60 * hours:.0f} min | others" for hours in HOURS)
-    lines = [f"| mistake | {heads} |", "|---|" + "---:|" * (2 * len(HOURS))]
-    for name in MISTAKES:
-        cells = " | ".join(f"{missed[name, hours]} | {others[name, hours]}" for hours in HOURS)
-        lines.append(f"| {name} | {cells} |")
-    return lines
-
-
-def cost() -> str:
-    """The time of a check as a share of the replay of the same hour."""
-    settings = compose_train(["data=simulated", "data.hours=1"])
-    recordings, ensemble = instantiate(settings.data), ensemble_of(settings)
-    aligned = align_fleet(recordings, **settings.align)
-
-    def replayed() -> None:
-        for _ in replay(ensemble, aligned, ensemble.init((1,))):
-            pass
-
-    def fastest(work: Callable[[], object]) -> float:
-        work()
-        seconds = []
-        for _ in range(9):
-            began = time.perf_counter()
-            work()
-            seconds.append(time.perf_counter() - began)
-        return min(seconds)
-
-    with TemporaryDirectory() as folder:
-        train.work(settings, Path(folder, "first"), [], quiet=True)
-        began = time.perf_counter()
-        train.work(settings, Path(folder, "run"), [], quiet=True)
-        whole = time.perf_counter() - began
-    check, steps = fastest(lambda: check_data(recordings, aligned, ALIGN, TOP["heron"])), fastest(replayed)
-    return (
-        f"The check of one hour of one boat takes {check / whole:.1%} of a run of `train.py` over that hour, without\n"
-        f"imports and compilation, and {check / steps:.0%} of the steps of the default ensemble alone."
-    )
-
-
-def main() -> None:
-    warnings.simplefilter("ignore")
-    text = __doc__.strip().split("\n\n")[-1]
-    lines = ["# False alarms and misses of the data check", "", text, "", *false_alarms(), "", *misses(), "", cost()]
-    publish(__file__, lines)
-
-
-if __name__ == "__main__":
-    main()
