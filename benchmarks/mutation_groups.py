@@ -119,9 +119,9 @@ GROUPS = {
         ("usvlearn/logs/formats/array_log.py",), 3, (*named("logs/formats", "array_log"), "tests/test_api.py")
     ),
     "tensorboard": Group(
-        ("usvlearn/runs/tensorboard/logger.py",),
+        ("usvlearn/runs/tensorboard.py",),
         3,
-        named("runs/tensorboard", "window logger"),
+        named("runs", "tensorboard tensorboard_window"),
     ),
     "standings": Group(("usvlearn/sweeps/standings.py",), 2, named("sweeps", "standings board jobs")),
 }

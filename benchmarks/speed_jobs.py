@@ -19,7 +19,7 @@ from usvlearn.evaluation.metrics import fleet_scores
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.runs.replay import replay
 from usvlearn.runs.run_folder import RunFolder
-from usvlearn.runs.tensorboard.logger import TensorBoardLogger
+from usvlearn.runs.tensorboard import TensorBoardLogger
 from usvlearn.simulate.fleet import fleet as simulated
 from usvlearn.sweeps.tuning.batches import element_errors
 

@@ -18,7 +18,7 @@ from usvlearn.cli import checked, evaluate, train
 from usvlearn.cli.stopping import Stopped, check_stopped, stoppable, stoppable_worker, until_stopped
 from usvlearn.core import checkpoint
 from usvlearn.runs.saved import results as finished
-from usvlearn.runs.tensorboard.logger import TensorBoardLogger
+from usvlearn.runs.tensorboard import TensorBoardLogger
 from usvlearn.sweeps.tuning import sensitivities
 from usvlearn.sweeps.tuning.batches import Objective
 

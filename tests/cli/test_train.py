@@ -88,7 +88,7 @@ def test_parameter_sets(whole):
 
 
 def test_tensorboard(whole):
-    """A run for each estimator of each boat; tests/runs/tensorboard has the tags, steps and HPARAMS row."""
+    """A run for each estimator of each boat; tests/runs/test_tensorboard.py has the tags, steps and HPARAMS row."""
     (top,) = (whole / "tensorboard").iterdir()  # named after the settings that differ
     assert top.name == "rnn.neurons=4"
     assert {path.name for path in top.iterdir()} == {"heron1", "heron2", "fleet", "results"}

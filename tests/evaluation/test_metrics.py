@@ -8,7 +8,6 @@ from rich.console import Console
 
 from usvlearn import Inputs, Sample
 from usvlearn.core.samples import Fleet, Run
-from usvlearn.display.figures import prediction_figure
 from usvlearn.evaluation.horizons import horizon_scores, horizon_sums
 from usvlearn.evaluation.metrics import fleet_scores, scores
 from usvlearn.report.tables import fleet_table, rejection_table, score_table
@@ -137,17 +136,3 @@ def test_tables_are_in_the_order_of_the_errors_and_say_what_stands_in_them():
     assert order(score_table(boats, remarks)) == [*both, both[2], both[0], both[1]]
     assert order(fleet_table(boats, remarks)) == [both[0], both[2], both[1]]
     assert order(fleet_table(boats)) == ["rnn", "map", "persistence"]
-
-
-def test_figure_without_a_measurement():
-    figure = prediction_figure(np.arange(3.0), np.full(3, np.nan), np.ones((3, 1)), ["aid"], "heron, no GPS")
-    assert figure.axes[0].get_title() == "heron, no GPS"
-
-
-def test_figure_of_predictions():
-    time = np.arange(5.0)
-    figure = prediction_figure(time, SURGE, PREDICTIONS, ["aid", "persistence"], "heron, run 1")
-    above, below = figure.axes
-    assert "m/s" in above.get_ylabel() and "m/s" in below.get_ylabel() and "time in the run, s" in below.get_xlabel()
-    assert [line.get_label() for line in above.lines] == ["measured", "aid", "persistence"]
-    np.testing.assert_array_equal(above.lines[1].get_ydata(), PREDICTIONS[:, 0])

@@ -7,18 +7,17 @@ import numpy as np
 import pytest
 
 from tests.support import few
-from usvlearn.display.event_figure import Course, event_figure
-from usvlearn.display.figures import attempted, prediction_figure, rendered
+from usvlearn.display.figures import attempted, rendered
 from usvlearn.estimators.joint.curves import Curve
 from usvlearn.evaluation.autocorrelation import Autocorrelation
 from usvlearn.report.page import _drawing
-from usvlearn.report.sections import fit_figures, horizon_skill, season_figures, track_figures
+from usvlearn.report.sections import fit_figures, season_figures, track_figures
 from usvlearn.report.sections.fit_file import Course as Minute
 from usvlearn.report.sections.fit_file import Curve as FitCurve
 from usvlearn.report.sections.fit_file import Lags, Sailed
 from usvlearn.report.sections.residuals import residual_figure
 from usvlearn.report.sections.season_figures import Course as Season
-from usvlearn.runs.tensorboard.run_figures import Traces, forecast_figure, free_figure, identified_figure, runs_figure
+from usvlearn.runs.figures import Course, Traces, event_figure, forecast_figure, identified_figure, runs_figure
 
 NAMES = ["a$b$c", "a$\\frac{$_^", "run_{1}^2_$", "艇 №1", "\\", "<&>%", "x" * 300]
 STEPS = 700
@@ -45,7 +44,7 @@ def drawn(kind: str, name: str) -> dict:
     time, v = 0.4 * np.arange(count), series(kind, count)
     if kind == "backwards":
         time[count // 2 :] -= 3600.0
-    two, names = np.stack([v, v], -1), [name, "ensemble"]
+    two = np.stack([v, v], -1)
     curve = Curve(*(series(kind, max(count, 1))[:41] for _ in range(4)))
     curves = dict.fromkeys(("drag", "thrust_left", "thrust_right", "steady_speed"), curve)
     sailed, fit = Sailed(np.arange(5.0), np.array([9.0, 0.0, 0.0, 1.0])), FitCurve(*curve)
@@ -62,10 +61,7 @@ def drawn(kind: str, name: str) -> dict:
     course = Course(time, two, v, {name: v}, v, two, two, two)
     pairs = Autocorrelation(series(kind, 9), np.ones(9))
     return {
-        "prediction": lambda: prediction_figure(time, v, two, names, name, v),
         "runs": lambda: runs_figure([Traces(name, time, v, v)] * 2, name, name),
-        "free": lambda: free_figure(time, v, two, names, name),
-        "forecast": lambda: forecast_figure(time, v, two, two, [2.0, 30.0], name, name),
         "identified": lambda: identified_figure([curves, curves], found, {}, name),
         "event": lambda: event_figure(course, 20.0, [(70.0, name)], None, name),
         "residual": lambda: residual_figure({name: pairs}, name),
@@ -76,14 +72,14 @@ def drawn(kind: str, name: str) -> dict:
         "fit curves": lambda: fit_figures.curves_figure(fitted, name, {}),
         "fit residuals": lambda: fit_figures.residuals_figure(fitted, name),
         "worst": lambda: fit_figures.worst_figure([Minute(name, 0.0, time, v, v, v, v)], name),
-        "skill": lambda: horizon_skill.forecast_figure(skill),
+        "skill": lambda: forecast_figure(skill),
         "tracks": lambda: track_figures.errors_figure(errors),
     }  # fmt: skip
 
 
 FIGURES = list(drawn("plain", ""))
 ODD = [(kind, what) for kind in ("nan", "gaps", "infinite", "huge", "backwards", "single") for what in FIGURES]
-FIRST = [("nan", "identified"), ("backwards", "forecast"), ("nan", "fit curves")]  # a real run ended at these
+FIRST = [("nan", "identified"), ("backwards", "event"), ("nan", "fit curves")]  # a real run ended at these
 
 
 @pytest.mark.parametrize("kind, what", few(ODD, FIRST, "thorough"))
@@ -102,15 +98,14 @@ def test_a_name_is_no_formula(what):
 
 
 @pytest.mark.filterwarnings("default:.*could not be drawn")
-@pytest.mark.parametrize("what", ["forecast", "event"])
-def test_what_cannot_be_drawn_says_why_in_its_place(what):
+def test_what_cannot_be_drawn_says_why_in_its_place():
     with pytest.warns(UserWarning, match=r"could not be drawn \(IndexError: .*, in \w+\.py:\d+\): the numbers are not"):
-        figure = attempted(drawn("empty", "heron")[what], what)
+        figure = attempted(drawn("empty", "heron")["event"], "event")
     assert "could not be drawn (IndexError" in figure.texts[0].get_text() and rendered(figure, dpi=30)
 
 
 def test_what_cannot_be_rendered_says_why_in_its_place():
-    figure = drawn("plain", "heron")["free"]()
+    figure = drawn("plain", "heron")["runs"]()
     figure.savefig = lambda *given, **options: {}["renderer"]
     with pytest.warns(UserWarning, match=r"a figure could not be drawn \(KeyError: 'renderer'"):
         assert rendered(figure, dpi=30).startswith(b"\x89PNG")

@@ -5,18 +5,17 @@ import json
 import os
 import subprocess
 import sys
-import threading
 import warnings
 
 import pytest
+from tensorboard.compat.tensorflow_stub.io.gfile import LocalFileSystem
 
 from tests.support import ROOT, few
 from tests.support.commands import ENVIRONMENT, QUICK, called, command, complaints
 from tests.support.runs import assert_same, session
 from usvlearn.cli import train
 from usvlearn.core import checkpoint
-from usvlearn.display import event_file
-from usvlearn.display.event_file import TensorBoardWriter
+from usvlearn.display.tensorboard import TensorBoardWriter
 from usvlearn.errors import bad_input
 
 
@@ -80,22 +79,20 @@ def test_whatever_write_fails_what_was_saved_before_is_whole(tmp_path, fleet):
     assert last > 20
 
 
-def test_tensorboard_raises_that_there_is_no_room_and_has_no_thread(tmp_path, monkeypatch):
+def test_tensorboard_raises_that_there_is_no_room_and_prints_nothing_else(tmp_path, monkeypatch, capsys):
     def full(*_, **__):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    threads = set(threading.enumerate())
-    monkeypatch.setattr(event_file, "SECONDS", 0.0)
     with pytest.raises(OSError, match="No space left") as caught, TensorBoardWriter(tmp_path, ["a", "b"]) as board:
         board.scalars({"b": 1.0}, 0, "a")
-        assert set(threading.enumerate()) <= threads
-        monkeypatch.setattr(event_file, "open", full, raising=False)
+        board.flush()
+        monkeypatch.setattr(LocalFileSystem, "append", full)
         board.scalars({"b": 1.0}, 1, "a")
     assert bad_input(caught.value) is not None
     monkeypatch.undo()
     with TensorBoardWriter(tmp_path) as board:  # room again
         board.scalars({"b": 2.0}, 2, "a")
-    assert len(list((tmp_path / "a").iterdir())) == 2
+    assert len(list((tmp_path / "a").iterdir())) == 2 and capsys.readouterr() == ("", "")
 
 
 @pytest.mark.thorough

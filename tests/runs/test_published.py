@@ -7,7 +7,6 @@ import pytest
 
 from tests.support.recordings import recording
 from usvlearn import AID, Ensemble, Persistence
-from usvlearn.display.figures import prediction_figure
 from usvlearn.errors import CheckpointError
 from usvlearn.evaluation import metrics
 from usvlearn.logs.recordings import align_fleet
@@ -32,7 +31,7 @@ def fleet():
     return align_fleet([recording("a", "one", 6.0), recording("a", "two", 4.0), recording("b", "one", 9.0, speed=0.3)])
 
 
-def test_a_run_is_scored_and_drawn_from_its_predictions_alone(tmp_path, fleet):
+def test_a_run_is_scored_from_its_predictions_alone(tmp_path, fleet):
     _, found = session(tmp_path, fleet)
     files = [dict(np.load(path)) for path in sorted((tmp_path / "predictions").glob("*.npz"))]  # without pickle
     names, units = files[0]["estimators"].tolist(), dict(files[0]["units"])
@@ -49,8 +48,6 @@ def test_a_run_is_scored_and_drawn_from_its_predictions_alone(tmp_path, fleet):
         scored = metrics.scores(predictions, surge, names, widths)
         assert json.loads(json.dumps(scored)) == json.loads(json.dumps(found["boats"][boat]))
         assert np.allclose(np.diff(time)[fresh[1:] & (dt[1:] > 0)], dt[1:][fresh[1:] & (dt[1:] > 0)])
-        figure = prediction_figure(time, surge, predictions, names, boat, widths[:, -1])
-        assert len(figure.axes[0].lines) == 1 + len(names)
 
 
 def test_a_folder_of_an_older_version_is_gone_on_from(tmp_path, fleet):

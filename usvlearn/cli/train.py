@@ -65,10 +65,10 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
         from usvlearn.evaluation.measure import check_measure, measure_of
         from usvlearn.evaluation.members import explained, remarks
         from usvlearn.report.stability import stability
+        from usvlearn.runs.compared import what_differs
         from usvlearn.runs.replay import replay
         from usvlearn.runs.run_folder import RunFolder
-        from usvlearn.runs.tensorboard.board_tags import what_differs
-        from usvlearn.runs.tensorboard.logger import TensorBoardLogger, check_log
+        from usvlearn.runs.tensorboard import TensorBoardLogger, check_log
         from usvlearn.simulate.truth import quantities_of
         from usvlearn.simulate.turning import turning_of
 

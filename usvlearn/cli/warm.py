@@ -32,14 +32,12 @@ def warm(float32: bool = False, readers: bool = False, live: bool = False) -> Pa
         The folder of the code.
     """
     from usvlearn.core.jit import folder
-    from usvlearn.display.event_crc import masked_crc32c
     from usvlearn.engine import dispatch
     from usvlearn.engine.first_use import compile_planar, compile_plans
     from usvlearn.engine.free_runs import compile_free_runs
     from usvlearn.logs.alignment.align import Aligner
     from usvlearn.logs.channels.channel import REQUIRED, Source
 
-    masked_crc32c(b"")  # of TensorBoard's files
     Aligner({name: Source(name) for name in REQUIRED})
     if not live and importlib.util.find_spec("torch") is not None:
         from usvlearn.simulate.fleet import fleet

@@ -129,54 +129,6 @@ def set_reach(panel: Any, low: float, high: float) -> None:
         panel.set_ylim(low, high)
 
 
-def prediction_figure(
-    time: np.ndarray,
-    surge: np.ndarray,
-    predictions: np.ndarray,
-    names: Sequence[str],
-    title: str,
-    halfwidth: np.ndarray | None = None,
-):
-    """Measured and predicted surge over a run; below, its worst minute: where the last estimator errs most on average.
-
-    Args:
-        time: s, `(time,)`.
-        surge: m/s, `(time,)`; NaN where it was not measured.
-        predictions: m/s, `(time, estimators)`.
-        names: of the estimators.
-        title: of the figure.
-        halfwidth: of the interval about the last of them, m/s, `(time,)`.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-    """
-    palette = colours(names)
-    worst = worst_stretch(time, np.abs(predictions[:, -1] - surge))
-    with themed() as Figure:
-        figure = Figure(figsize=(7, 4.6), dpi=100)
-        figure.subplots_adjust(left=0.09, right=0.985, top=0.94, bottom=0.1, hspace=0.2)
-        above, below = figure.subplots(2, 1, height_ratios=(2, 3))
-        for panel, part, thin in ((above, slice(None), 0.8), (below, worst, 1.4)):
-            panel.plot(time[part], surge[part], color=INK, linewidth=2.2 * thin, label="measured")
-            if halfwidth is not None:
-                low, high = predictions[part, -1] - halfwidth[part], predictions[part, -1] + halfwidth[part]
-                style = {"color": palette[names[-1]], "alpha": 0.22, "linewidth": 0}
-                panel.fill_between(time[part], low, high, label=f"{names[-1]}, 90 %", **style)
-            for k, name in enumerate(names):
-                panel.plot(time[part], predictions[part, k], color=palette[name], label=name, linewidth=thin)
-            seen = surge[part][np.isfinite(surge[part])]
-            low, high = (seen.min(), seen.max()) if len(seen) else (0.0, 1.0)
-            margin = 0.15 * (high - low) + 0.05
-            panel.set(ylabel="surge, m/s", ylim=(low - margin, high + margin))
-            panel.margins(x=0)
-        above.set(title=title)
-        if len(time[worst]):
-            above.axvspan(time[worst][0], time[worst][-1], color=INK, alpha=0.12, linewidth=0)
-        below.set(xlabel=f"time in the run, s; here the worst {WORST:g} s of {names[-1]}")
-        below.legend(ncols=3, fontsize=8)
-        return figure
-
-
 def worst_stretch(time: np.ndarray, error: np.ndarray) -> slice:
     """The steps of the WORST seconds with the largest mean error, of which half are known; all of a shorter run.
 

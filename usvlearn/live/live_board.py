@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from usvlearn.display.event_file import TensorBoardWriter
+from usvlearn.display.tensorboard import TensorBoardWriter
 from usvlearn.live.health import Health
 from usvlearn.live.node import Step
 

@@ -33,8 +33,8 @@ from usvlearn.report.sections.section import Drawn, Section
 from usvlearn.report.sections.tracks import tracks_section
 from usvlearn.report.track_maps import BoatTracks
 from usvlearn.report.viewer_data import viewer_data
-from usvlearn.runs.tensorboard.drawing import RUNS
-from usvlearn.runs.tensorboard.run_figures import Traces, runs_figure
+from usvlearn.runs.figures import Traces, runs_figure
+from usvlearn.runs.replay_figures import RUNS
 
 
 def simulations(ensemble: Ensemble, seasons: Sequence[Season]) -> int:

@@ -16,8 +16,8 @@ import numpy as np
 
 from usvlearn.core.checkpoint import write_atomically
 from usvlearn.core.lock import NAME as LOCK
-from usvlearn.display.event_file import TensorBoardWriter
 from usvlearn.display.figures import INK, LINE, attempted, rendered, themed
+from usvlearn.display.tensorboard import TensorBoardWriter
 from usvlearn.errors import ConfigError
 from usvlearn.evaluation.crossval import FreeErrors
 from usvlearn.report.document import TITLE, page

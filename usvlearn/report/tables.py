@@ -20,8 +20,8 @@ from usvlearn.estimators.joint.reading import Identified, shown
 from usvlearn.estimators.regressors.terms import SURGE
 from usvlearn.evaluation.measure import measure_of
 from usvlearn.evaluation.metrics import PERSISTENCE, by_error, mean, mean_mae
+from usvlearn.runs.compared import label
 from usvlearn.runs.layout import CHECKPOINTS, ERRORS, PREDICTIONS, RESULTS, TENSORBOARD
-from usvlearn.runs.tensorboard.board_tags import label
 
 TOGGLE = "Of several boats, the pages IMAGES and TEXT open empty: press TOGGLE ALL RUNS there."
 COVERED = {

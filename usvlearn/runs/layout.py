@@ -7,7 +7,7 @@ planar/checkpoints/BOAT/                     likewise, with sway, yaw rate and t
 runs.json                                    names and digests of the runs, digest of the ensemble, start time, and the
                                              number of this run among the runs beside it
 errors.csv                                   the errors of each run of each boat (`usvlearn.evaluation.by_run`)
-tensorboard/                                 see `usvlearn.display.event_file`
+tensorboard/                                 see `usvlearn.display.tensorboard`
 results.json                                 the scores, written at the end; {"partial": scores} if the run was stopped
 tuning.json                                  the result of a tuning, which writes none of the above
 optuna.log                                   the trials of a search, written as they finish

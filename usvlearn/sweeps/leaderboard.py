@@ -3,7 +3,7 @@
 leaderboard.csv   one row per setting, all digits      leaderboard.md    the same with four digits
 leaderboard.png   the objective against the swept keys (extra plot)
 settings.png      a row per setting, sorted: its jobs, its mean, its interval (extra plot)
-leaderboard/      one row per setting and one per job on TensorBoard's HPARAMS page
+leaderboard/      one row and one learning curve per setting, for TensorBoard
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def write_leaderboard(
             (folder / f"{name}.png").unlink(missing_ok=True)
         for name, png in figures.items():
             write_atomically(folder / f"{name}.png", png)
-        write_board(folder / FOLDER, folder, jobs, ranks, figures)
+        write_board(folder / FOLDER, ranks, figures)
     except OSError as cause:
         raise ConfigError(f"{folder}: cannot hold the leaderboard ({cause}): make it writable") from cause
     return [TABLE, TEXT, *(f"{name}.png" for name in figures)]

@@ -4,18 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
-from usvlearn.display.figures import INK, LINE, colours, guarded, themed
 from usvlearn.display.result_table import ResultTable
-from usvlearn.estimators.ensemble.forecasts.state import PERSISTENCE
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.horizons import Scores, ensemble_scores
 from usvlearn.evaluation.manoeuvres import GROUPS
 from usvlearn.evaluation.season import Season
 from usvlearn.report.sections.section import Drawn, Section
-
-ACROSS = 4  # panels in a row
+from usvlearn.runs.figures import forecast_figure
 
 
 def forecast_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | None:
@@ -60,43 +55,6 @@ def forecast_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section |
     return Section(
         "forecast", "Forecasts", "", _findings(found, ensemble.output), drawn, [ResultTable("forecast", columns, rows)]
     )
-
-
-@guarded
-def forecast_figure(found: Scores):
-    """Skill against horizon, a panel per boat, a line per estimator.
-
-    Args:
-        found: of `usvlearn.evaluation.horizons.horizon_scores`.
-    """
-    names = list(next(iter(found.values())))
-    palette, across = colours(names), min(ACROSS, len(found))
-    down = -(-len(found) // across)
-    with themed() as Figure:
-        figure = Figure(figsize=(max(4.6, 2.4 * across), 2.3 * down + 0.8), layout="constrained")
-        panels = np.atleast_1d(figure.subplots(down, across, sharex=True, sharey=True, squeeze=False)).reshape(-1)
-        for panel in panels[len(found) :]:
-            panel.set_visible(False)
-        for panel, (boat, table) in zip(panels, found.items(), strict=False):
-            panel.axhline(0.0, color=palette[PERSISTENCE], linewidth=1.0, linestyle=":")
-            for name in (each for each in names if each != PERSISTENCE):
-                at = [float(h) for h in table[name]]
-                skill = [np.nan if row["skill"] is None else row["skill"] for row in table[name].values()]
-                wide = 2.0 if name == names[-1] else 1.1
-                panel.plot(at, skill, color=palette[name], linewidth=wide, marker="o", markersize=3, label=name)
-            panel.set(title=boat, xscale="log")
-            panel.grid(color=LINE)
-            ticks = [float(h) for h in table[names[0]]]
-            panel.set_xticks(ticks, [f"{h:g}" for h in ticks])
-            panel.minorticks_off()
-            panel.set_xlabel("horizon, s", fontsize=8)
-        least = min((row["skill"] for t in found.values() for r in t.values() for row in r.values()
-                     if row["skill"] is not None), default=0.0)  # fmt: skip
-        panels[0].set_ylim(max(-0.5, min(least, 0.0)) - 0.05, 1.0)
-        figure.supylabel("skill", fontsize=9, color=INK)
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, ncols=min(6, len(labels)), loc="outside lower center", fontsize=8)
-        return figure
 
 
 def _scores(season: Season, ensemble: Ensemble) -> Scores:

@@ -15,7 +15,7 @@ from usvlearn.estimators.joint.quantities import MEANING
 from usvlearn.evaluation.identification import Truth, identified_boats
 from usvlearn.evaluation.season import Season
 from usvlearn.report.sections.section import Drawn, Section
-from usvlearn.runs.tensorboard.run_figures import identified_figure
+from usvlearn.runs.figures import identified_figure
 
 CAPTION = "Lines: identified. Bands: 90 %."
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from usvlearn.core.checkpoint import write_atomically
-from usvlearn.display.event_file import TensorBoardWriter, folder_name
+from usvlearn.display.tensorboard import TensorBoardWriter, folder_name
 from usvlearn.display.terminal import Blocks
 from usvlearn.evaluation.metrics import PERSISTENCE
 from usvlearn.report.tables import tuning_table

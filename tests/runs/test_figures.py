@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from usvlearn.display.event_figure import Course, event_figure
+from usvlearn.runs.figures import Course, event_figure
 
 
 def test_the_figure_shows_the_time_about_the_first_event_and_marks_it_and_the_fault():

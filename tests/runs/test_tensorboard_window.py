@@ -9,8 +9,7 @@ from tests.support.boards import boards, steps, values
 from usvlearn import AID, Average, Ensemble, Persistence
 from usvlearn.core.samples import Fleet, Inputs, Run, Sample
 from usvlearn.runs.replay import replay
-from usvlearn.runs.tensorboard.board_tags import MAE
-from usvlearn.runs.tensorboard.logger import BATCH, MOST_POINTS, STEPS_PER_POINT, TensorBoardLogger
+from usvlearn.runs.tensorboard import BATCH, MAE, MOST_POINTS, STEPS_PER_POINT, TensorBoardLogger
 
 DT, EVERY, LAST = 0.5, 50, 750  # s; steps of a chunk, and of the errors that a curve shows
 NAMES = ("heron", "otter")
@@ -44,7 +43,7 @@ def test_a_curve_shows_the_errors_of_the_last_steps_and_keeps_no_others(tmp_path
         for chunk in chunks(ensemble, some):
             logger.show(chunk)
             made.append(chunk.published["predictions"])
-            kept = sum(number for number, _ in logger._errors)
+            kept = sum(number for number, _ in logger._window)
             assert min(LAST, EVERY * len(made)) <= kept < LAST + EVERY and len(logger._points) < BATCH
     samples = some.runs[0].samples
     errors = np.abs(np.concatenate(made) - samples.surge[..., None])

@@ -1,0 +1,317 @@
+"""Figures of a boat's runs, for TensorBoard and for the report: what was predicted, identified, forecast and lost."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from usvlearn.core.events import NINETY
+from usvlearn.core.samples import Inputs
+from usvlearn.display.figures import INK, KNOWN, LINE, SIDES, WORST, colours, guarded, set_reach, themed, worst_stretch
+from usvlearn.estimators.joint.curves import Curve
+from usvlearn.estimators.joint.quantities import COMMANDS
+from usvlearn.estimators.joint.reading import Identified
+from usvlearn.evaluation.horizons import Scores
+from usvlearn.evaluation.metrics import PERSISTENCE
+
+READ, LEFT, RIGHT = KNOWN["joint_averaged"], *SIDES.values()  # colours: of what is identified, of the thrusters
+ACROSS = 4  # panels of boats in a row
+FAULT, MARK = "#B0417A", "#AA4499"
+BEFORE, AFTER = 120.0, 300.0  # s about an event, which are shown
+
+
+class Traces(NamedTuple):
+    """A run of one boat."""
+
+    name: str
+    time: np.ndarray  # (time,) s
+    surge: np.ndarray  # (time,) m/s, NaN where it was not measured
+    predicted: np.ndarray  # (time,) m/s
+
+
+@guarded
+def runs_figure(runs: Sequence[Traces], name: str, title: str):
+    """Measured and predicted speed of runs above each other, with their MAE; beside each the error of its worst minute.
+
+    Args:
+        runs: of one boat.
+        name: of the estimator.
+        title: of the figure.
+    """
+    known = [run.surge[np.isfinite(run.surge)] for run in runs]
+    errors = [run.predicted - run.surge for run in runs]
+    parts = [worst_stretch(run.time, np.abs(error)) for run, error in zip(runs, errors, strict=True)]
+    worst = np.concatenate([np.abs(error[part]) for error, part in zip(errors, parts, strict=True)])
+    floor = min((float(x.min()) for x in known if len(x)), default=0.0)
+    span = max((float(x.max()) for x in known if len(x)), default=0.0) - floor + 0.1  # m/s, between two runs
+    scale = 2 * float(np.nanmax(worst)) + 0.02 if np.isfinite(worst).any() else 1.0  # m/s, between two errors
+    with themed() as Figure:
+        height = 1.2 + 0.42 * max(len(runs), 4)
+        figure = Figure(figsize=(9, height), dpi=90)
+        figure.subplots_adjust(left=0.25, right=0.985, top=1 - 0.6 / height, bottom=0.45 / height, wspace=0.06)
+        left, right = figure.subplots(1, 2, width_ratios=(3, 2))
+        colour, whole = colours([name])[name], [slice(None)] * len(runs)
+        measured, predicted = [run.surge - floor for run in runs], [run.predicted - floor for run in runs]
+        left.plot(*_rows(runs, measured, whole, span), color=INK, linewidth=1.6, label="measured")
+        left.plot(*_rows(runs, predicted, whole, span), color=colour, linewidth=0.9, label=name)
+        right.plot(*_rows(runs, errors, parts, scale), color=colour, linewidth=1.0)
+        right.hlines([-k * scale for k in range(len(runs))], 0, WORST, color=INK, linewidth=0.5)
+        for k, (run, part) in enumerate(zip(runs, parts, strict=True)):
+            if len(run.time[part]):
+                ends = run.time[part][[0, -1]]
+                left.fill_between(ends, -k * span, (0.9 - k) * span, color=INK, alpha=0.12, linewidth=0)
+        labels = [f"{_short(run.name)}  {_mae(error)}" for run, error in zip(runs, errors, strict=True)]
+        left.set_yticks([-k * span for k in range(len(runs))], labels, fontsize=8)
+        left.set(xlabel=f"time in the run, s; {span:.1f} m/s between two runs", ylim=((0.5 - len(runs)) * span, span))
+        right.set_yticks([])
+        right.set(xlabel=f"s; {scale:.2f} m/s between two runs", title="predicted − measured, worst minute")
+        right.set_ylim((0.5 - len(runs)) * scale, 0.6 * scale)
+        for panel in (left, right):
+            panel.margins(x=0)
+            panel.grid(color=LINE, axis="x")
+            panel.title.set_fontsize(9)
+        figure.suptitle(f"{title}, MAE in m/s", x=0.01, ha="left", fontsize=9)
+        left.legend(ncols=2, fontsize=8, loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0.1)
+        return figure
+
+
+def _rows(
+    runs: Sequence[Traces], lines: Sequence[np.ndarray], parts: Sequence[slice], span: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Time and height of a part of each run, one below the other, with gaps between; a part begins at 0 s."""
+    times, heights = [], []
+    for k, (run, line, part) in enumerate(zip(runs, lines, parts, strict=True)):
+        time = run.time[part]
+        times.append(np.append(time - (time[0] if part.start and len(time) else 0.0), np.nan))
+        heights.append(np.append(line[part] - k * span, np.nan))
+    return np.concatenate(times), np.concatenate(heights)
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= 18 else f"{name[:17]}…"
+
+
+def _mae(error: np.ndarray) -> str:
+    return f"{np.nanmean(np.abs(error)):.3f}" if np.isfinite(error).any() else "–"
+
+
+@guarded
+def identified_figure(
+    seasons: Sequence[Mapping[str, Curve]], found: Identified, truth: Mapping[str, float], title: str
+):
+    """Drag over speed, thrust over command, and steady speed over command, with bands, and known truths.
+
+    Args:
+        seasons: of `usvlearn.estimators.joint.curves`, the last one at the end; earlier ones are fainter.
+        found: the quantities of the boat at the end.
+        truth: quantity -> value.
+        title: of the figure.
+    """
+    lines = {"drag": (0, READ), "thrust_left": (1, LEFT), "thrust_right": (1, RIGHT), "steady_speed": (2, READ)}
+    labels = (
+        ("speed, m/s", "drag, N"),
+        ("command, share of full scale", "thrust of a side at standstill, N"),
+        ("command of both sides, share", "steady speed, m/s"),
+    )
+    half = found["steady_speed_full"].value / 2
+    points = [
+        (0, half, "drag_half_speed", INK),
+        (1, 1.0, "thrust_full_left", LEFT),
+        (1, 1.0, "thrust_full_right", RIGHT),
+        *((2, at, f"steady_speed_{name}", INK) for name, at in COMMANDS.items()),
+    ]
+    with themed() as Figure:
+        figure = Figure(figsize=(9.5, 2.9), dpi=90)
+        figure.subplots_adjust(left=0.06, right=0.985, top=0.88, bottom=0.17, wspace=0.22)
+        panels = figure.subplots(1, 3)
+        for k, shown in enumerate(seasons, 1):
+            strength, last = k / len(seasons), k == len(seasons)
+            for name, (place, colour) in lines.items():
+                curve, label = shown[name], name.rpartition("_")[2] if last else None
+                panels[place].plot(curve.at, curve.value, color=colour, linewidth=1.4, alpha=strength, label=label)
+                style = {"color": colour, "alpha": 0.22 * strength if last else 0.06, "linewidth": 0}
+                panels[place].fill_between(curve.at, curve.low, curve.high, **style)
+        for place, at, name, colour in points:
+            if name in truth:
+                panels[place].plot(at, truth[name], marker="x", color=colour, linestyle="", clip_on=False)
+        for panel, (xlabel, ylabel) in zip(panels, labels, strict=True):
+            panel.set(xlabel=xlabel, ylabel=ylabel)
+            panel.grid(color=LINE)
+        if len(seasons) > 1:  # early bands may be very wide
+            for name, (place, _) in lines.items():
+                set_reach(
+                    panels[place], min(0.0, 1.1 * seasons[-1][name].low.min()), 1.3 * seasons[-1][name].high.max()
+                )
+        panels[1].legend(fontsize=8)
+        figure.suptitle(f"{title}: identified", fontsize=9.5)
+        return figure
+
+
+@guarded
+def forecast_figure(found: Scores):
+    """Skill against horizon, a panel per boat, a line per estimator.
+
+    Args:
+        found: of `usvlearn.evaluation.horizons.horizon_scores`.
+    """
+    names = list(next(iter(found.values())))
+    palette, across = colours(names), min(ACROSS, len(found))
+    down = -(-len(found) // across)
+    with themed() as Figure:
+        figure = Figure(figsize=(max(4.6, 2.4 * across), 2.3 * down + 0.8), layout="constrained")
+        panels = np.atleast_1d(figure.subplots(down, across, sharex=True, sharey=True, squeeze=False)).reshape(-1)
+        for panel in panels[len(found) :]:
+            panel.set_visible(False)
+        for panel, (boat, table) in zip(panels, found.items(), strict=False):
+            panel.axhline(0.0, color=palette[PERSISTENCE], linewidth=1.0, linestyle=":")
+            for name in (each for each in names if each != PERSISTENCE):
+                at = [float(h) for h in table[name]]
+                skill = [np.nan if row["skill"] is None else row["skill"] for row in table[name].values()]
+                wide = 2.0 if name == names[-1] else 1.1
+                panel.plot(at, skill, color=palette[name], linewidth=wide, marker="o", markersize=3, label=name)
+            panel.set(title=boat, xscale="log")
+            panel.grid(color=LINE)
+            ticks = [float(h) for h in table[names[0]]]
+            panel.set_xticks(ticks, [f"{h:g}" for h in ticks])
+            panel.minorticks_off()
+            panel.set_xlabel("horizon, s", fontsize=8)
+        least = min((row["skill"] for t in found.values() for r in t.values() for row in r.values()
+                     if row["skill"] is not None), default=0.0)  # fmt: skip
+        panels[0].set_ylim(max(-0.5, min(least, 0.0)) - 0.05, 1.0)
+        figure.supylabel("skill", fontsize=9, color=INK)
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, ncols=min(6, len(labels)), loc="outside lower center", fontsize=8)
+        return figure
+
+
+class Course(NamedTuple):
+    """One run of one boat. Arrays are `(time,)`, or `(time, 2)` of left and right; NaN where unknown."""
+
+    time: np.ndarray  # s
+    commands: np.ndarray  # (time, 2) share of full scale
+    surge: np.ndarray  # m/s, where it was measured
+    predictions: Mapping[str, np.ndarray]  # m/s, by the estimator's name
+    yaw_rate: np.ndarray  # rad/s
+    effectiveness: np.ndarray  # (time, 2) share of the thrust
+    deviation: np.ndarray  # (time, 2) its standard deviation
+    evidence: np.ndarray  # (time, 2) of a loss
+
+    def about(self, first: float, last: float) -> Course:
+        """The part between two times, s."""
+        part = (self.time >= first) & (self.time <= last)
+        cut = {name: x[part] for name, x in self._asdict().items() if name != "predictions"}
+        return Course(**cut, predictions={name: x[part] for name, x in self.predictions.items()})
+
+
+def course_of(
+    names: Sequence[str],
+    output: str,
+    time: np.ndarray,
+    inputs: Inputs,
+    surge: np.ndarray,
+    published: Mapping[str, np.ndarray],
+) -> Course:
+    """The course of a run from what was published of it (`usvlearn.runs.published`), arrays `(time, …)`.
+
+    Args:
+        names: of the predictions.
+        output: the one that is the ensemble's.
+        time: s.
+        inputs: of the steps.
+        surge: m/s, where it was measured.
+        published: by name. Older runs have no `health`: their deviations are unknown.
+    """
+    shown = [name for name in ("aid", output) if name in names]  # the ensemble is drawn last
+    thrusters = published["thrusters"]
+    health = published.get("health", np.full((len(time), 2), np.nan))
+    return Course(
+        time,
+        np.stack([inputs.command_left, inputs.command_right], -1),
+        surge,
+        {name: published["predictions"][:, names.index(name)] for name in shown},
+        np.asarray(inputs.yaw_rate),
+        thrusters[:, :2],
+        health[:, :2],
+        thrusters[:, 2:4],
+    )
+
+
+@guarded
+def event_figure(
+    course: Course,
+    threshold: float,
+    marks: Sequence[tuple[float, str]] = (),
+    fault: float | None = None,
+    title: str = "",
+):
+    """Five panels over time, about the first mark if there is one.
+
+    Args:
+        course: what is drawn.
+        threshold: of the evidence.
+        marks: time, s, and kind of each event, in order.
+        fault: time of a simulated fault, s; None if there was none.
+        title: of the figure.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+
+    >>> t = np.arange(5.0)
+    >>> two = np.ones((5, 2))
+    >>> figure = event_figure(Course(t, two, t, {"aid": t}, t, two, 0.1 * two, 0 * two), 20.0, [(3.0, "loss")], 2.0)
+    >>> [axes.get_ylabel() for axes in figure.axes]
+    ['command', 'surge, m/s', 'yaw rate, rad/s', 'share of the thrust', 'evidence of a loss']
+    """
+    if marks:
+        course = course.about(marks[0][0] - BEFORE, marks[0][0] + AFTER)
+        marks = [(time, kind) for time, kind in marks if time <= course.time[-1]]
+    palette, minutes = colours(list(course.predictions)), course.time / 60
+    with themed() as Figure:
+        figure = Figure(figsize=(9, 9.5), dpi=80)
+        figure.subplots_adjust(left=0.09, right=0.98, top=0.92, bottom=0.06, hspace=0.12)
+        axes = figure.subplots(5, 1, sharex=True, height_ratios=(2, 3, 2, 3, 2))
+        command, speed, turn, thrust, proof = axes
+        for k, (side, colour) in enumerate(SIDES.items()):
+            share = course.effectiveness[:, k]
+            spread = np.where(share == 1, np.nan, NINETY * course.deviation[:, k])  # 1: there is little evidence
+            command.plot(minutes, course.commands[:, k], color=colour, linewidth=1.1, label=side)
+            thrust.fill_between(minutes, share - spread, share + spread, color=colour, alpha=0.18, linewidth=0)
+            thrust.plot(minutes, share, color=colour, linewidth=1.4, label=side)
+            proof.plot(minutes, course.evidence[:, k], color=colour, linewidth=1.4, label=side)
+        speed.plot(minutes, course.surge, color=INK, linewidth=2.2, label="measured")
+        for name, prediction in course.predictions.items():
+            speed.plot(minutes, prediction, color=palette[name], linewidth=0.9, label=name)
+        turn.plot(minutes, course.yaw_rate, color=INK, linewidth=1.1, label="measured")
+        proof.axhline(threshold, color=INK, linewidth=1, linestyle=":", label="threshold")
+        for panel in axes:
+            if fault is not None and course.time[0] <= fault <= course.time[-1]:
+                panel.axvline(fault / 60, color=FAULT, linewidth=1.5, linestyle="--")
+            for time, _ in marks:
+                panel.axvline(time / 60, color=MARK, linewidth=1.5)
+            panel.grid(alpha=0.25)
+            panel.margins(x=0, y=0.08)
+        _mark(command, fault, marks)
+        labels = ("command", "surge, m/s", "yaw rate, rad/s", "share of the thrust", "evidence of a loss")
+        for panel, label in zip(axes, labels, strict=True):
+            panel.set_ylabel(label)
+            low, high = panel.get_ylim()
+            if panel is thrust:
+                low, high = max(low, -0.6), min(high, 1.8)
+            panel.set_ylim(low, high + 0.28 * (high - low))  # room for the legend
+            panel.legend(loc="upper left", ncols=6, fontsize=8)
+        proof.set_xlabel("time, min")
+        figure.suptitle(title)
+        return figure
+
+
+def _mark(panel, fault: float | None, marks: Sequence[tuple[float, str]]) -> None:
+    """Label the vertical lines above the panel. Only the first event gets a label, on the right of the fault's."""
+    style = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "fontsize": 8}
+    if fault is not None:
+        panel.annotate("fault ", (fault / 60, 1), (0, 4), ha="right", color=FAULT, **style)
+    if marks:
+        time, kind = marks[0]
+        after = "" if fault is None else f" {time - fault:.0f} s after"
+        panel.annotate(f" {kind}{after}", (time / 60, 1), (0, 4), ha="left", color=MARK, **style)
