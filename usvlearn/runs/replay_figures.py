@@ -104,4 +104,5 @@ def _thrusters(replayed: Replayed, boat: str, index: int) -> Any:
     course = course_of(replayed.ensemble.names, replayed.ensemble.output, time, inputs, surge, found)
     happened = replayed.results["events"][boat]
     marks = [(each["time"], each["kind"]) for each in happened if each["run"] == run.names[element]]
-    return event_figure(course, THRESHOLD, marks, began, f"{boat}, {run.names[element]}")
+    seen = began if began is not None and time[0] <= began <= time[-1] else None
+    return event_figure(course, THRESHOLD, marks, seen, f"{boat}, {run.names[element]}")
