@@ -31,8 +31,8 @@ from usvlearn.report.tables import (
     rejection_table,
     summary_lines,
     track_table,
+    turning_table,
 )
-from usvlearn.report.turning_table import turning_table
 from usvlearn.runs.layout import TENSORBOARD
 from usvlearn.sweeps.launchers import set_threads
 from usvlearn.sweeps.seeds import seeded
