@@ -19,7 +19,7 @@ from usvlearn.core.checkpoint import save
 from usvlearn.core.samples import tree_map
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.rnn.layer import RNNState, clipped, element_weights, gradient, network, network_inputs
-from usvlearn.report.stability import stability
+from usvlearn.report.sections.network import stability
 
 
 def case(n: int, batch=(), seed: int = 0):

@@ -18,7 +18,7 @@ from usvlearn.estimators.regressors.layer import SurgeDynamics
 from usvlearn.evaluation.crossval import FreeErrors, cross_validate, methods
 from usvlearn.evaluation.season import Season
 from usvlearn.report.assembly import assemble, best_start
-from usvlearn.report.sections.boats import best_checkpoints, fleet_matrices
+from usvlearn.report.sections.cross import best_checkpoints, fleet_matrices
 
 
 def spoilt(steps: int, seed: int) -> Sample:

@@ -21,9 +21,9 @@ def one_pass(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def drawn_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """A page whose figures are all its first one, for tests of its words: drawing is most of a report's time."""
-    made: list[tuple[str, bytes, bytes]] = []
+    made: list[tuple[str, bytes]] = []
 
-    def first(name: str, figure: Any) -> tuple[str, bytes, bytes]:
+    def first(name: str, figure: Any) -> tuple[str, bytes]:
         if not made:
             made.append(_drawing(name, figure))
         return made[0]

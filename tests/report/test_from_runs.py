@@ -25,8 +25,7 @@ from usvlearn.logs.recordings import align_fleet
 from usvlearn.report.assembly import assemble
 from usvlearn.report.from_runs import Tools, known_quantities, read
 from usvlearn.report.page import check_report_folder, write_report
-from usvlearn.report.sections.identified_boats import identified_section
-from usvlearn.report.sections.parameters import parameters_section
+from usvlearn.report.sections.parameters import identified_section, parameters_section
 from usvlearn.runs.saved import configuration, is_sweep, read_seasons, results, run_folders
 from usvlearn.simulate.truth import truth_of
 
@@ -50,8 +49,7 @@ def test_every_file_is_there_and_replaced(saved):
     names = {"online", "forecast", "crossval", "fleet", "certificates", "equilibria", "residuals",
              "parameters_heron1", "parameters_heron2",
              "identified_heron1", "identified_heron2", "tracks", "tracks_heron1", "tracks_heron2"}  # fmt: skip
-    pictures = {"runs_heron1.png", "runs_heron2.png"}  # of many points
-    assert figures == {f"{name}.{kind}" for name in names for kind in ("svg", "png")} | pictures
+    assert figures == {f"{name}.svg" for name in names}
     tables = {
         "online",
         "online_fleet",
@@ -67,9 +65,8 @@ def test_every_file_is_there_and_replaced(saved):
         "residuals",
         "tracks",
     }
-    assert {path.name for path in (report / "tables").iterdir()} == {f"{t}.{k}" for t in tables for k in ("csv", "md")}
+    assert {path.name for path in (report / "tables").iterdir()} == {f"{name}.csv" for name in tables}
     assert "The paper found" not in (report / "report.md").read_text()  # it stands where a study is judged
-    assert list((report / "tensorboard").glob("events*"))
 
 
 def test_online_errors_are_those_of_the_run(saved):
@@ -277,11 +274,11 @@ def test_a_list_of_files_that_names_others_removes_none(tmp_path):
 def test_a_report_lists_and_removes_only_its_own_files(tmp_path):
     report = tmp_path / "report"
     write_report(report, ["One"], [])
-    for name in ("figures/mine.svg", "tables/mine.csv", "tensorboard/events.out.tfevents.mine"):
+    for name in ("figures/mine.svg", "tables/mine.csv"):
         (report / name).write_text("mine")
     for _ in range(2):
         write_report(report, ["Again"], [])
-    assert [path.read_text() for path in sorted(report.rglob("*mine*"))] == ["mine"] * 3
+    assert [path.read_text() for path in sorted(report.rglob("*mine*"))] == ["mine"] * 2
     assert json.loads((report / "files.json").read_text()) == []
 
 
@@ -343,8 +340,7 @@ def test_a_report_is_written_twice_without_leftovers(tmp_path):
         warnings.simplefilter("error")
         write_report(tmp_path, ["One"], sections, ["python train.py"], errors)
         page = write_report(tmp_path, ["Two <i>"], sections[:2])
-    assert {path.name for path in (tmp_path / "figures").iterdir()} == {"crossval.svg", "crossval.png"}
-    assert len(list((tmp_path / "tensorboard").iterdir())) == 1
+    assert {path.name for path in (tmp_path / "figures").iterdir()} == {"crossval.svg"}
     assert "Two &lt;i&gt;</p>" in page.read_text() and "python train.py" not in page.read_text()
     assert not list(tmp_path.glob(".*"))
 

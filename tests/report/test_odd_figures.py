@@ -11,11 +11,11 @@ from usvlearn.display.figures import attempted, rendered
 from usvlearn.estimators.joint.curves import Curve
 from usvlearn.evaluation.autocorrelation import Autocorrelation
 from usvlearn.report.page import _drawing
-from usvlearn.report.sections import fit_figures, season_figures, track_figures
+from usvlearn.report.sections import fit_figures, season_figures, tracks
+from usvlearn.report.sections.errors import residual_figure
 from usvlearn.report.sections.fit_file import Course as Minute
 from usvlearn.report.sections.fit_file import Curve as FitCurve
 from usvlearn.report.sections.fit_file import Lags, Sailed
-from usvlearn.report.sections.residuals import residual_figure
 from usvlearn.report.sections.season_figures import Course as Season
 from usvlearn.runs.figures import Course, Traces, event_figure, forecast_figure, identified_figure, runs_figure
 
@@ -55,7 +55,7 @@ def drawn(kind: str, name: str) -> dict:
     )  # fmt: skip
     last = float(v[-1]) if count and np.isfinite(v[-1]) else None
     skill = {name: {"persistence": {"2": {"skill": 0.0}}, "ensemble": {"2": {"skill": last}}}}
-    errors = {name: {"2": dict.fromkeys(track_figures.LINES, last)}}
+    errors = {name: {"2": dict.fromkeys(tracks.LINES, last)}}
     season = Season(np.arange(9.0), series(kind, 9), series(kind, 9))
     found = {"steady_speed_full": SimpleNamespace(value=float(v[-1]) if count else np.nan)}
     course = Course(time, two, v, {name: v}, v, two, two, two)
@@ -73,7 +73,7 @@ def drawn(kind: str, name: str) -> dict:
         "fit residuals": lambda: fit_figures.residuals_figure(fitted, name),
         "worst": lambda: fit_figures.worst_figure([Minute(name, 0.0, time, v, v, v, v)], name),
         "skill": lambda: forecast_figure(skill),
-        "tracks": lambda: track_figures.errors_figure(errors),
+        "tracks": lambda: tracks.errors_figure(errors),
     }  # fmt: skip
 
 

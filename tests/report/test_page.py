@@ -17,10 +17,9 @@ from tests.support.seasons import boats, decoded
 from usvlearn.estimators.joint.reading import shown
 from usvlearn.report import front
 from usvlearn.report.assembly import assemble, front_of
-from usvlearn.report.document import SCRIPT
 from usvlearn.report.from_runs import evaluate, read
 from usvlearn.report.overview import MAIN, Ahead, Overview
-from usvlearn.report.page import write_report
+from usvlearn.report.page import SCRIPT, write_report
 
 pytestmark = pytest.mark.thorough  # the set-up of its tests takes long
 

@@ -11,7 +11,7 @@ from usvlearn import AID, ARX, RLS, RNN, Ensemble, JointEKF, Robust, SIFtRLS, Su
 from usvlearn.display.result_table import ResultTable
 from usvlearn.evaluation.members import physical_members
 from usvlearn.report.sections.cost import cost_section
-from usvlearn.report.sections.online_error import online_section
+from usvlearn.report.sections.errors import online_section
 from usvlearn.report.sections.parameters import TOO_SMALL, _findings, course
 from usvlearn.report.sections.season_figures import box
 from usvlearn.report.sections.tuning_gain import tuning_section

@@ -19,8 +19,7 @@ from usvlearn.evaluation.free_simulation import free_runs
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.report.front import embedded
 from usvlearn.report.page import write_report
-from usvlearn.report.sections.track_figures import _outline, chosen
-from usvlearn.report.sections.tracks import RECKONED, tracks_section
+from usvlearn.report.sections.tracks import RECKONED, _outline, chosen, tracks_section
 from usvlearn.report.track_maps import Ahead, Ellipse, saved_tracks
 from usvlearn.report.viewer_data import viewer_data
 from usvlearn.runs.replay import replay

@@ -64,7 +64,7 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
         from usvlearn.evaluation.identification import identified_boats, identified_planar_boats
         from usvlearn.evaluation.measure import check_measure, measure_of
         from usvlearn.evaluation.members import explained, remarks
-        from usvlearn.report.stability import stability
+        from usvlearn.report.sections.network import stability
         from usvlearn.runs.compared import what_differs
         from usvlearn.runs.replay import replay
         from usvlearn.runs.run_folder import RunFolder

@@ -123,6 +123,14 @@ def rendered(figure: Any, **options: Any) -> bytes:
     return attempted(lambda: saved(figure), "a figure", saved)
 
 
+def panels_of(figure: Any, count: int, across: int, **options: Any) -> list[Any]:
+    """So many panels, in rows of `across`; `options` are those of `subplots`."""
+    every = figure.subplots(-(-count // across), across, squeeze=False, **options).reshape(-1)
+    for panel in every[count:]:
+        panel.set_visible(False)
+    return list(every[:count])
+
+
 def set_reach(panel: Any, low: float, high: float) -> None:
     """Set the ends of a vertical axis if both are known; else those of what is drawn hold."""
     if np.isfinite(low) and np.isfinite(high):

@@ -17,18 +17,14 @@ from usvlearn.evaluation.members import explained, remarks
 from usvlearn.evaluation.season import Season
 from usvlearn.report.front import Front
 from usvlearn.report.overview import overviews
-from usvlearn.report.sections.boats import best_checkpoints, fleet_matrices, fleet_section
 from usvlearn.report.sections.cost import cost_section
-from usvlearn.report.sections.cross import cross_section
+from usvlearn.report.sections.cross import best_checkpoints, cross_section, fleet_matrices, fleet_section
+from usvlearn.report.sections.errors import forecast_section, online_section, residual_section
+from usvlearn.report.sections.events import events_section
 from usvlearn.report.sections.fit import fit_section
 from usvlearn.report.sections.fit_file import SavedFit
-from usvlearn.report.sections.happenings import events_section
-from usvlearn.report.sections.horizon_skill import forecast_section
-from usvlearn.report.sections.identified_boats import identified_section
 from usvlearn.report.sections.network import network_section
-from usvlearn.report.sections.online_error import online_section
-from usvlearn.report.sections.parameters import Truth, parameters_section
-from usvlearn.report.sections.residuals import residual_section
+from usvlearn.report.sections.parameters import Truth, identified_section, parameters_section
 from usvlearn.report.sections.section import Drawn, Section
 from usvlearn.report.sections.tracks import tracks_section
 from usvlearn.report.track_maps import BoatTracks

@@ -10,6 +10,7 @@ from html import escape
 from typing import Any, NamedTuple
 
 from usvlearn.core.events import LOSS, event_of
+from usvlearn.display.figures import rendered
 from usvlearn.estimators.joint.lacking import WIDE, Quantity
 from usvlearn.estimators.joint.reading import shown
 from usvlearn.report.overview import MAIN, Ahead, Overview
@@ -38,24 +39,23 @@ def title(front: Front) -> str:
     return f"{boats[0].boat}: what was learned" if len(boats) == 1 else f"{len(boats)} boats: what was learned"
 
 
-def first_page(front: Front, links: str, images: Mapping[str, bytes]) -> str:
+def first_page(front: Front, links: str) -> str:
     """The cards of a boat, or a table of several boats and then the cards of each; and the runs.
 
     Args:
         front: what is shown.
         links: to the sections.
-        images: PNG of the pictures by name.
     """
     boats = front.boats
     notes = "".join(f'<p class="note">{escape(note)}</p>' for note in (*front.unconfirmed, *front.notes))
     if len(boats) == 1:
-        return "\n".join([notes, _cards(boats[0], front), links, _runs(front, images)])
+        return "\n".join([notes, _cards(boats[0], front), links, _runs(front)])
     cards = (
         f'<details class="part"><summary><h2>{escape(boat.boat)}</h2></summary><div id="boat-{k}">'
         f"{_cards(boat, front)}</div></details>"
         for k, boat in enumerate(boats)
     )
-    return "\n".join([notes, _fleet(boats), links, *cards, _runs(front, images)])
+    return "\n".join([notes, _fleet(boats), links, *cards, _runs(front)])
 
 
 def _fleet(boats: Sequence[Overview]) -> str:
@@ -242,7 +242,7 @@ def _share(value: float | None) -> str:
     return "–" if value is None or value != value else f"{100 * value:.0f} %"
 
 
-def _runs(front: Front, images: Mapping[str, bytes]) -> str:
+def _runs(front: Front) -> str:
     """A table and figures that need no JavaScript, and the place where the viewer is drawn."""
     several = len(front.boats) > 1
     places, rows, options = iter(range(len(front.viewer["runs"]))), [], ""
@@ -262,7 +262,10 @@ def _runs(front: Front, images: Mapping[str, bytes]) -> str:
         f'<th class="n">{each}</th>'
         for each in ("measured, min", "mean speed, m/s", "error, next step, m/s", "error, open-loop simulation, m/s")
     )
-    coded = ((drawn.caption, base64.b64encode(images[drawn.name]).decode()) for drawn in front.pictures)
+    coded = (
+        (drawn.caption, base64.b64encode(rendered(drawn.figure, facecolor="white")).decode())
+        for drawn in front.pictures
+    )
     pictures = "".join(f'<img alt="{escape(alt)}" src="data:image/png;base64,{png}">' for alt, png in coded)
     colours = front.viewer["colours"]
     names = "".join(

@@ -1,7 +1,9 @@
-"""The files of a report: one page, its figures and tables, and the same for TensorBoard."""
+"""The files of a report: one HTML page that needs nothing else, its figures and tables, and the same as Markdown."""
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import io
 import json
 import re
@@ -16,16 +18,20 @@ import numpy as np
 
 from usvlearn.core.checkpoint import write_atomically
 from usvlearn.core.lock import NAME as LOCK
-from usvlearn.display.figures import INK, LINE, attempted, rendered, themed
-from usvlearn.display.tensorboard import TensorBoardWriter
+from usvlearn.display.figures import INK, LINE, attempted, themed
+from usvlearn.display.result_table import ResultTable
 from usvlearn.errors import ConfigError
 from usvlearn.evaluation.crossval import FreeErrors
-from usvlearn.report.document import TITLE, page
-from usvlearn.report.front import Front
+from usvlearn.report.front import Front, first_page, title
 from usvlearn.report.sections.section import Section
 
-FOLDERS, FILES = ("figures", "tables", "tensorboard"), "files.json"  # a report's, and the list of its files in them
+FOLDERS, FILES = ("figures", "tables"), "files.json"  # a report's, and the list of its files in them
 LINKED = 40  # a table with more rows is a link in `report.md`
+TITLE = "What was learned"
+INLINE = 16  # most rows of a table that is shown without a click
+OPEN = ("fit", "identified", "forecast", "tracks")  # sections that are shown without a click
+STYLE = Path(__file__).with_name("page.css").read_text()
+SCRIPT = "".join(Path(__file__).with_name(name).read_text() for name in ("viewer_plots.js", "viewer.js"))
 
 
 def write_report(
@@ -36,7 +42,7 @@ def write_report(
     errors: Mapping[str, FreeErrors] | None = None,
     front: Front | None = None,
 ) -> Path:
-    """Write `index.html`, `report.md`, `figures/*.png` and `*.svg`, `tables/*.csv` and `*.md`, `tensorboard/`.
+    """Write `index.html`, `report.md`, `figures/*.svg` and `tables/*.csv`.
 
     Args:
         folder: of the report; files of an earlier report are replaced.
@@ -55,35 +61,22 @@ def write_report(
                 for name, each in figures.items()}  # fmt: skip
     for old in _written(folder):
         (folder / old).unlink(missing_ok=True)
-    foreign = _present(folder)  # what is left was written by somebody else, or by a report that was cut short
-    inline = {name: drawing for name, (drawing, _, _) in drawings.items()}
-    images = {name: png for name, (_, _, png) in drawings.items()}
-    images |= {drawn.name: rendered(drawn.figure, facecolor="white") for drawn in (front.pictures if front else ())}
-    for name, (_, whole, _) in drawings.items():
-        write_atomically(folder / "figures" / f"{name}.svg", whole)
-    for name, png in images.items():
-        write_atomically(folder / "figures" / f"{name}.png", png)
-    for section in sections:
-        for each in section.sheets:
-            write_atomically(folder / "tables" / f"{each.name}.csv", each.csv().encode())
-            write_atomically(folder / "tables" / f"{each.name}.md", (each.markdown() + "\n").encode())
+    tables = {f"tables/{each.name}.csv": each for section in sections for each in section.sheets}
+    own = {f"figures/{name}.svg": whole for name, (_, whole) in drawings.items()}
+    own |= {name: each.csv().encode() for name, each in tables.items()}
+    for name, content in own.items():
+        write_atomically(folder / name, content)
     write_atomically(folder / "report.md", _markdown(facts, sections, commands).encode())
-    with TensorBoardWriter(folder / "tensorboard") as board:
-        for section in sections:
-            board.text(f"report/{section.key}", _section_markdown(section, files=False))
-            for drawn in section.figures:
-                board.image(f"report/{drawn.name}", images[drawn.name])
     if errors:
         content = io.BytesIO()
         named = {f"{boat}_{name}": x for boat, found in errors.items() for name, x in found._asdict().items()}
         np.savez_compressed(content, **named)
         write_atomically(folder / "crossval.npz", content.getvalue())
     index = folder / "index.html"
-    own = {f"figures/{name}.svg" for name in drawings} | {f"figures/{name}.png" for name in images}
-    own |= {f"tables/{each.name}.{kind}" for section in sections for each in section.sheets for kind in ("csv", "md")}
-    names = sorted(path for path in _present(folder) if path in own or path not in foreign)
-    write_atomically(folder / FILES, json.dumps(names, indent=2).encode())
-    write_atomically(index, page(facts, sections, commands, inline, front, images).encode())
+    write_atomically(folder / FILES, json.dumps(sorted(own), indent=2).encode())
+    write_atomically(
+        index, page(facts, sections, commands, {name: inline for name, (inline, _) in drawings.items()}, front).encode()
+    )
     return index
 
 
@@ -116,28 +109,17 @@ def _written(folder: Path) -> list[str]:
     return [str(name) for name in names if len(name.parts) == 2 and name.parts[0] in FOLDERS and name.name != ".."]
 
 
-def _present(folder: Path) -> set[str]:
-    """The files in a report's folders, as `FILES` names them."""
-    return {f"{kind}/{path.name}" for kind in FOLDERS for path in (folder / kind).iterdir() if path.is_file()}
-
-
-def _drawing(name: str, figure: Any) -> tuple[str, bytes, bytes]:
-    """A figure as SVG for the page, whose theme it follows, and as separate SVG and PNG files."""
+def _drawing(name: str, figure: Any) -> tuple[str, bytes]:
+    """A figure as SVG for the page, whose theme it follows, and as a file of its own."""
     from matplotlib import rc_context
 
     figure.draw_without_rendering()  # once: each file would lay the figure out anew
     figure.set_layout_engine(None)  # with "none", each file would be drawn twice
-    box = figure.get_tightbbox().padded(0.05)
-
-    def saved(**options: Any) -> bytes:
-        content = io.BytesIO()
-        figure.savefig(content, bbox_inches=box, **options)
-        return content.getvalue()
-
+    box, content = figure.get_tightbbox().padded(0.05), io.BytesIO()
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
-        inline = saved(format="svg", transparent=True, metadata={"Date": None}).decode()
+        figure.savefig(content, bbox_inches=box, format="svg", transparent=True, metadata={"Date": None})
+    inline = content.getvalue().decode()
     whole = re.sub("(<svg[^>]*>)", r'\1<rect width="100%" height="100%" fill="white"/>', inline, count=1).encode()
-    png = saved(format="png", dpi=150, facecolor="white")
     inline = inline[inline.index("<svg") :]
     inline = re.sub(r'<metadata>.*?</metadata>| id="image\w+"', "", inline, flags=re.DOTALL)  # equal images, equal ids
     own = f"g{zlib.crc32(name.encode()):x}-"  # ids of one page differ; a name may hold any character
@@ -147,7 +129,7 @@ def _drawing(name: str, figure: Any) -> tuple[str, bytes, bytes]:
         inline = re.sub(re.escape(colour), variable, inline, flags=re.IGNORECASE)
     width = figure.get_size_inches()[0]
     label = f'<svg style="--own: {1.3 * width:.1f}in" role="img" aria-label="{escape(name)}"'
-    return inline.replace("<svg", label, 1), whole, png
+    return inline.replace("<svg", label, 1), whole
 
 
 def _markdown(facts: Sequence[str], sections: Sequence[Section], commands: Sequence[str]) -> str:
@@ -157,15 +139,84 @@ def _markdown(facts: Sequence[str], sections: Sequence[Section], commands: Seque
     return "\n\n".join(parts) + "\n"
 
 
-def _section_markdown(section: Section, files: bool = True) -> str:
-    """A section as Markdown; with `files`, figures and long tables are links."""
+def _section_markdown(section: Section) -> str:
+    """A section as Markdown; figures and long tables are links."""
     parts = [f"## {section.title}"]
     if section.paper:
         parts.append(f"**The paper found.** {section.paper}")
     parts.append("**Found here.**\n\n" + "\n".join(f"- {sentence}" for sentence in section.here))
-    if files:
-        parts += [f"![{drawn.caption or drawn.name}](figures/{drawn.name}.svg)" for drawn in section.figures]
+    parts += [f"![{drawn.caption or drawn.name}](figures/{drawn.name}.svg)" for drawn in section.figures]
     for each in section.sheets:
-        linked = files and len(each.rows) > LINKED
-        parts.append(f"[{each.name}: {len(each.rows)} rows](tables/{each.name}.md)" if linked else each.markdown())
+        link = f"[{each.name}: {len(each.rows)} rows](tables/{each.name}.csv)"
+        parts.append(link if len(each.rows) > LINKED else each.markdown())
     return "\n\n".join(parts)
+
+
+def page(
+    facts: Sequence[str],
+    sections: Sequence[Section],
+    commands: Sequence[str],
+    drawings: Mapping[str, str],
+    front: Front | None = None,
+) -> str:
+    """The page.
+
+    Args:
+        facts: the data on which it is based, one sentence each.
+        sections: in their order. A section that states the paper's result is open, as are those of OPEN.
+        commands: that make the report again.
+        drawings: SVG of each figure.
+        front: what stands before the sections.
+    """
+    heading, script = (title(front) if front else TITLE), SCRIPT if front else ""
+    links = "".join(f'<li><a href="#{s.key}">{escape(s.title)}</a></li>' for s in sections)
+    runs = '<li><a href="#runs">Run by run</a></li>' if front else ""
+    nav = f"<nav><ul>{runs}{links}</ul></nav>"
+    body = [f"<h1>{escape(heading)}</h1>", first_page(front, nav) if front else nav]
+    body += [_section(section, drawings) for section in sections]
+    body.append("<h2>About this report</h2>")
+    body += [f'<p class="facts">{escape(fact)}</p>' for fact in facts]
+    if commands:
+        body += ["<h2>To make this again</h2>", f"<pre>{escape(chr(10).join(commands))}</pre>"]
+    if script:
+        body.append(f"<script>{script}</script>")
+    return (
+        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{_policy(script)}">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        '<link rel="icon" href="data:,">\n'  # none is asked for
+        f"<title>{escape(heading)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
+        + "\n".join(body)
+        + "\n</body>\n</html>\n"
+    )
+
+
+def _policy(script: str) -> str:
+    """What the page may load: nothing but what is in it, and no other script than this one."""
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    allowed = f"'sha256-{digest}'" if script else "'none'"
+    rest = "style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'"
+    return f"default-src 'none'; script-src {allowed}; {rest}"
+
+
+def _section(section: Section, drawings: Mapping[str, str]) -> str:
+    opened = " open" if section.paper or section.key in OPEN else ""
+    body = [f'<section><details class="part"{opened}><summary><h2>{escape(section.title)}</h2></summary>']
+    body.append(f'<div id="{section.key}"><div class="said">')
+    if section.paper:
+        body.append(f"<div><h3>The paper found</h3><p>{escape(section.paper)}</p></div>")
+    here = "".join(f"<li>{escape(sentence)}</li>" for sentence in section.here)
+    body.append(f"<div><h3>Found here</h3><ul>{here}</ul></div></div>")
+    body += [_table(each, True) for each in section.sheets[: section.first]]
+    for drawn in section.figures:
+        caption = f"<figcaption>{escape(drawn.caption)}</figcaption>" if drawn.caption else ""
+        body.append(f'<figure><div class="wide">{drawings[drawn.name]}</div>{caption}</figure>')
+    body += [_table(each, len(each.rows) <= INLINE) for each in section.sheets[section.first :]]
+    return "\n".join([*body, "</div></details></section>"])
+
+
+def _table(each: ResultTable, opened: bool) -> str:
+    return (
+        f"<details{' open' if opened else ''}><summary>{escape(each.name)}: table of {len(each.rows)} rows</summary>"
+        f'<div class="rows">{each.html()}</div></details>'
+    )

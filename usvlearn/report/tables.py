@@ -272,7 +272,9 @@ def turning_table(
     if not turning:
         return Group()
     known = {boat: values for boat, values in (truth or {}).items() if TURNING.keys() & values.keys()}
-    table = _quantities("Identified turning, with 90 % intervals", turning, dict.fromkeys(turning, tuple(TURNING)), known)
+    table = _quantities(
+        "Identified turning, with 90 % intervals", turning, dict.fromkeys(turning, tuple(TURNING)), known
+    )
     above = {boat: each.lacks for boat, each in (said or {}).items()}
     own_lacks = {
         boat: replace(each, basis="", scale="", lacks=tuple(x for x in each.lacks if x not in above.get(boat, ())))

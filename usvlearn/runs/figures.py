@@ -9,7 +9,19 @@ import numpy as np
 
 from usvlearn.core.events import NINETY
 from usvlearn.core.samples import Inputs
-from usvlearn.display.figures import INK, KNOWN, LINE, SIDES, WORST, colours, guarded, set_reach, themed, worst_stretch
+from usvlearn.display.figures import (
+    INK,
+    KNOWN,
+    LINE,
+    SIDES,
+    WORST,
+    colours,
+    guarded,
+    panels_of,
+    set_reach,
+    themed,
+    worst_stretch,
+)
 from usvlearn.estimators.joint.curves import Curve
 from usvlearn.estimators.joint.quantities import COMMANDS
 from usvlearn.estimators.joint.reading import Identified
@@ -161,9 +173,7 @@ def forecast_figure(found: Scores):
     down = -(-len(found) // across)
     with themed() as Figure:
         figure = Figure(figsize=(max(4.6, 2.4 * across), 2.3 * down + 0.8), layout="constrained")
-        panels = np.atleast_1d(figure.subplots(down, across, sharex=True, sharey=True, squeeze=False)).reshape(-1)
-        for panel in panels[len(found) :]:
-            panel.set_visible(False)
+        panels = panels_of(figure, len(found), across, sharex=True, sharey=True)
         for panel, (boat, table) in zip(panels, found.items(), strict=False):
             panel.axhline(0.0, color=palette[PERSISTENCE], linewidth=1.0, linestyle=":")
             for name in (each for each in names if each != PERSISTENCE):

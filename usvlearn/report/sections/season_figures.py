@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.display.figures import INK, LINE, colours, guarded, set_reach, themed
+from usvlearn.display.figures import INK, LINE, colours, guarded, panels_of, set_reach, themed
 
 WORSE = "#C0392B"  # colour of failures
 ROW = 0.19  # inch, of a method
@@ -78,7 +78,7 @@ def boxes_figure(
     height = ROW * len(names) + 0.55
     with themed() as Figure:
         figure = Figure(figsize=(1.4 + 2.3 * across, 0.45 + height * down), layout="constrained")
-        panels = _panels(figure, len(boats), across, sharex=True, sharey=True)
+        panels = panels_of(figure, len(boats), across, sharex=True, sharey=True)
         for panel, (boat, row) in zip(panels, boats.items(), strict=True):
             panel.set_title(f"{boat}, {subtitles[boat]}", loc="left", fontsize=8.5)
             panel.set(xscale="log", xlim=limits, ylim=(len(names) - 0.4, -0.6), yticks=range(len(names)))
@@ -95,14 +95,6 @@ def boxes_figure(
             panel.tick_params(labelbottom=k + across >= len(boats), labelsize=8)
         figure.supxlabel(xlabel, fontsize=9, color=INK)
         return figure
-
-
-def _panels(figure, count: int, across: int, **shared: bool) -> list:
-    """`count` panels in rows of `across`."""
-    every = np.atleast_1d(figure.subplots(-(-count // across), across, **shared)).ravel()
-    for panel in every[count:]:
-        panel.set_visible(False)
-    return list(every[:count])
 
 
 def _over_hours(panels: Sequence, across: int) -> None:
@@ -158,7 +150,7 @@ def matrix_figure(matrices: Mapping[str, np.ndarray], boats: Sequence[str]):
     norm = LogNorm(low, high if high > low else low * 1.01)  # one scale, so that the methods can be compared
     with themed() as Figure:
         figure = Figure(figsize=(size * across + 0.4, size * down), layout="constrained")
-        panels = _panels(figure, len(matrices), across)
+        panels = panels_of(figure, len(matrices), across)
         for panel, (name, matrix) in zip(panels, matrices.items(), strict=True):
             image = panel.imshow(np.where(matrix > 0, matrix, np.nan), norm=norm, cmap="cividis", aspect="equal")
             for (row, column), value in np.ndenumerate(matrix):
@@ -211,7 +203,7 @@ def certificates_figure(hours: Mapping[str, np.ndarray], margins: Mapping[str, M
     down = -(-len(margins) // across)
     with themed() as Figure:
         figure = Figure(figsize=(3.2 * across + 0.3, 2.2 * down + 0.7), layout="constrained")
-        panels = _panels(figure, len(margins), across, sharex=True)
+        panels = panels_of(figure, len(margins), across, sharex=True)
         for panel, (name, boats) in zip(panels, margins.items(), strict=True):
             edge, rate = (1.0, True) if name == "rate" else (0.0, False)
             for boat, values in boats.items():
@@ -264,7 +256,7 @@ def parameters_figure(
     down = -(-len(courses) // across)
     with themed() as Figure:
         figure = Figure(figsize=(3.1 * across + 0.2, 1.65 * down + 0.8), layout="constrained")
-        panels = _panels(figure, len(courses), across, sharex=True)
+        panels = panels_of(figure, len(courses), across, sharex=True)
         for panel, (parameter, row) in zip(panels, courses.items(), strict=True):
             shown = []
             for name, (hours, value, deviation) in row.items():

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
+import numpy as np
+
+from usvlearn.display.figures import INK, KNOWN, LINE, OTHERS, guarded, panels_of, themed
 from usvlearn.display.result_table import ResultTable
 from usvlearn.evaluation.manoeuvres import GROUPS
 from usvlearn.evaluation.metrics import mean
 from usvlearn.report.sections.section import Drawn, Section
-from usvlearn.report.sections.track_figures import errors_figure, map_figure
-from usvlearn.report.track_maps import BoatTracks, Mission, Scores
+from usvlearn.report.track_maps import Ahead, BoatTracks, Ellipse, Mission, Scores
 
 BASELINES = {
     "position_constant_turn": "constant turn: the measured speed and yaw rate of the origin go on",
@@ -43,6 +46,16 @@ LEARNED = (
     "accurate than those of the table, which were made while it was sailed."
 )
 UNSEEN = "from the newest checkpoint that had not learned from it."
+LINES = {  # key of the scores -> name, colour, style
+    "position": ("tracks", KNOWN["ensemble"], "-"),
+    "position_held_rate": ("held yaw rate", OTHERS[-1], "--"),
+    "position_constant_turn": ("constant turn", OTHERS[2], ":"),
+}
+ACROSS = 4  # panels of boats in a row
+SHOWN = 6  # tracks on a map
+BEFORE, TURNING = 5.0, 10.0  # s of the way that was gone before an origin; of the constant turn
+POINTS = 2000  # of a mission's way
+LEAST = 4.0  # m, of the smaller side of a panel
 
 
 def tracks_section(tracks: Mapping[str, BoatTracks]) -> Section | None:
@@ -115,3 +128,137 @@ def _caption(boat: str, mission: Mission) -> str:
         "longer than the track until there is not drawn."
     )
     return text if mission.logged else f"{text} {RECKONED}"
+
+
+@guarded
+def errors_figure(found: Mapping[str, Scores]):
+    """Mean position error against the horizon, a panel for each boat.
+
+    Args:
+        found: scores by boat.
+    """
+    across = min(ACROSS, len(found))
+    down = -(-len(found) // across)
+    known = any(row[key] for table in found.values() for row in table.values() for key in LINES)
+    with themed() as Figure:
+        figure = Figure(figsize=(max(4.6, 2.4 * across), 2.3 * down + 0.8), layout="constrained")
+        panels = panels_of(figure, len(found), across, sharex=True, sharey=True)
+        for panel, (boat, table) in zip(panels, found.items(), strict=False):
+            at = [float(h) for h in table]
+            for key, (name, colour, style) in LINES.items():
+                errors = [np.nan if row[key] is None else max(row[key], 1e-3) for row in table.values()]
+                panel.plot(at, errors, style, color=colour, marker="o", markersize=3, linewidth=1.6, label=name)
+            panel.set(xscale="log", yscale="log" if known else "linear")
+            panel.set_title(boat)
+            panel.grid(color=LINE)
+            panel.set_xticks(at, [f"{h:g}" for h in at])
+            panel.yaxis.set_major_formatter(lambda y, _: f"{y:g}")
+            panel.minorticks_off()
+            panel.set_xlabel("horizon, s", fontsize=8)
+        figure.supylabel("position error, m", fontsize=9, color=INK)
+        figure.legend(*panels[0].get_legend_handles_labels(), ncols=3, loc="outside lower center", fontsize=8)
+        return figure
+
+
+def chosen(ahead: Sequence[Ahead], count: int = SHOWN) -> list[Ahead]:
+    """Tracks that are spread over a mission: of each second part the one that turns most, of the others the middle one.
+
+    Those with an ellipse at the longest horizon that any of them has go first.
+
+    Args:
+        ahead: in their order.
+        count: how many.
+    """
+
+    def known(each: Ahead) -> int:
+        return sum(math.isfinite(ellipse.major) for ellipse in each.ellipses)
+
+    most = max(map(known, ahead))
+    best = [each for each in ahead if known(each) == most]
+    parts = [best[k * len(best) // count : (k + 1) * len(best) // count] for k in range(count)]
+    return [
+        part[len(part) // 2] if k % 2 else max(part, key=lambda each: each.turn)
+        for k, part in enumerate(parts) if part
+    ]  # fmt: skip
+
+
+@guarded
+def map_figure(mission: Mission, title: str):
+    """The way of a boat in one mission, and beside it six tracks with their ellipses, each in a panel of its own.
+
+    Args:
+        mission: replayed, with a track at least.
+        title: of the figure.
+    """
+    shown = chosen(mission.ahead)
+    with themed() as Figure:
+        figure = Figure(figsize=(11, 5.2), layout="constrained")
+        whole, *panels = figure.subplot_mosaic("wabc;wdef", width_ratios=(1.5, 1, 1, 1)).values()
+        way = mission.position[:: 1 + len(mission.position) // POINTS]
+        whole.plot(way[:, 1], way[:, 0], color=INK, linewidth=0.8)
+        whole.set_aspect("equal", adjustable="datalim")
+        whole.set_title(f"{title}, {mission.run.name}", loc="left", fontsize=8.5)
+        whole.set_xlabel("east, m", fontsize=8)
+        whole.set_ylabel("north, m", fontsize=8)
+        for panel in panels[len(shown) :]:
+            panel.set_visible(False)
+        for k, (panel, each) in enumerate(zip(panels, shown, strict=False)):
+            north, east = mission.position[each.step]
+            whole.plot(east + each.east, north + each.north, color=KNOWN["ensemble"], linewidth=1.6)
+            whole.plot(east, north, color=INK, marker="o", markersize=3)
+            whole.annotate(str(k + 1), (east, north), (4, 4), textcoords="offset points", fontsize=9, weight="bold")
+            _draw(panel, mission, each)
+            minutes, seconds = divmod(int(mission.run.time[each.step]), 60)
+            panel.set_title(f"{k + 1}: at {minutes}:{seconds:02d}", loc="left", fontsize=8.5)
+        for panel in (whole, *panels):
+            panel.grid(color=LINE)
+            panel.tick_params(labelsize=7.5)
+        figure.legend(*panels[0].get_legend_handles_labels(), ncols=4, loc="outside lower center", fontsize=8)
+        return figure
+
+
+def _draw(panel: Any, mission: Mission, each: Ahead) -> None:
+    """A track and what came, m from its origin."""
+    time, colour = mission.run.time - mission.run.time[each.step], KNOWN["ensemble"]
+    part = (time >= -BEFORE) & (time <= each.time[-1] + 1e-6)
+    way, begin = mission.position[part] - mission.position[each.step], int(np.argmax(part))
+    panel.plot(way[:, 1], way[:, 0], color=INK, linewidth=1.6, label="measured")
+    panel.plot([0, *each.east], [0, *each.north], color=colour, linewidth=1.4, label="forecast")
+    panel.plot(*_turn(mission, each), color=OTHERS[2], linewidth=1.4, linestyle=":", label="constant turn")
+    seen, label = [way, np.stack([each.north, each.east], -1)], "ellipse of 90 %"
+    for ellipse in each.ellipses:
+        k = each.step + 1 + ellipse.step - begin
+        if k < len(way):
+            panel.plot(way[k, 1], way[k, 0], color=INK, marker="o", markersize=3.5)
+        panel.plot(each.east[ellipse.step], each.north[ellipse.step], color=colour, marker="o", markersize=2.5)
+    for outline in (_outline(each, ellipse) for ellipse in each.drawn):
+        panel.fill(outline[:, 1], outline[:, 0], facecolor=colour, alpha=0.18, linewidth=0)
+        panel.plot(outline[:, 1], outline[:, 0], color=colour, linewidth=0.8, label=label)
+        seen, label = [*seen, outline], "_"
+    ahead = (3, 0, -math.degrees(mission.pose[each.step, 0]))  # a triangle that points to the bow
+    panel.plot(0, 0, color=INK, marker=ahead, markersize=7)
+    points = np.concatenate(seen)
+    points = points[np.isfinite(points).all(-1)]
+    low, high = points.min(0), points.max(0)
+    middle, half = (low + high) / 2, 0.54 * max(LEAST, *(high - low))
+    panel.set(xlim=(middle[1] - half, middle[1] + half), ylim=(middle[0] - half, middle[0] + half), aspect="equal")
+
+
+def _outline(each: Ahead, ellipse: Ellipse) -> np.ndarray:
+    """Points of an ellipse, m north and east of the origin, `(points, 2)`."""
+    round_ = np.linspace(0, 2 * math.pi, 73)
+    along, aside = ellipse.major * np.cos(round_), ellipse.minor * np.sin(round_)
+    c, s = math.cos(ellipse.bearing), math.sin(ellipse.bearing)
+    centre = each.north[ellipse.step], each.east[ellipse.step]
+    return np.stack([centre[0] + c * along - s * aside, centre[1] + s * along + c * aside], -1)
+
+
+def _turn(mission: Mission, each: Ahead) -> tuple[np.ndarray, np.ndarray]:
+    """East and north of the constant turn, m from the origin."""
+    heading, rate = mission.pose[each.step]
+    speed = mission.run.samples.surge[each.step]
+    t = np.linspace(0, TURNING, 41)
+    psi = heading + rate * t
+    step = t[1] * speed
+    north, east = (np.append(0, np.cumsum(step * (f(psi[1:]) + f(psi[:-1])) / 2)) for f in (np.cos, np.sin))
+    return east, north
