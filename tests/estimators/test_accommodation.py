@@ -109,19 +109,6 @@ def test_no_copy_is_made_while_a_fault_is_seen(course):
     assert (calm.diff(dim=0) < -WAIT / 2).sum() > 20 * BOATS
 
 
-@pytest.mark.thorough
-def test_kernel_and_torch_make_the_same_of_a_loss_and_of_a_recovery(course):
-    one, samples, _, _ = course
-    for first, last in ((FAILS - 20, FAILS + 120), (HEALS - 10, HEALS + 80)):
-        with torch.no_grad():
-            state = rollout(one, one.init((BOATS,)), part(samples, 0, first))[0]
-            some = part(samples, first, last)
-            found, expected = (rollout(one, state, some, LEAVES, backend=b) for b in ("kernel", "torch"))
-        assert (expected[2]["accommodation.handed"].diff(dim=0) != 0).any()
-        for x, y in zip(found, expected, strict=True):
-            assert difference(x, y) <= 1e-9
-
-
 def test_a_run_is_resumed_within_a_fault_bit_for_bit(course):
     one, samples, state, _ = course
     again = one.init((BOATS,))

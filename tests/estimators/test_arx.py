@@ -153,28 +153,6 @@ def test_without_walk_and_tails_it_is_a_ridge_regression():
     np.testing.assert_allclose(covariance(state), np.linalg.inv(wide.T @ wide), atol=1e-8)
 
 
-@pytest.mark.thorough
-@over("options", [{}, {"lags": 1, "turning": True, "thrust_speed": True}])
-def test_recovers_a_boat_that_is_an_arx_model(options):
-    """All weights, over steps of different lengths: without noise only the prior keeps the filter from the truth."""
-    arx, rng, steps = ARX(**options, scale=100.0, degrees=None, walk=1e-12), np.random.default_rng(0), 3000
-    truth = 0.05 * rng.standard_normal(len(arx.names))
-    truth[:4] = 0.02, -0.1, -0.1, -0.05
-    left, right, yaw_rate, dt = (rng.uniform(low, 1, steps) for low in (-1, -1, -1, 0.2))
-    history, surge = History(arx), np.empty(steps)
-    for k in range(steps):
-        f, h = history.features(left[k], right[k], yaw_rate[k]), dt[k] / 0.4
-        surge[k] = history.speeds[-1] + h * f @ truth
-        history.speeds.append(surge[k])
-        history.steps.append(h)
-    assert 0.1 < surge.std() < 3
-    yes = torch.ones(steps, dtype=torch.bool)
-    inputs = Inputs(*map(torch.from_numpy, (left, right, np.zeros(steps), yaw_rate, dt)))
-    state, predicted, _ = rollout(arx, arx.init(), Sample(inputs, torch.from_numpy(surge), yes, yes))
-    np.testing.assert_allclose(state.theta, truth, atol=1e-4)
-    assert abs(predicted[-100:].numpy() - surge[-100:]).max() < 1e-5 < abs(predicted[:100].numpy() - surge[:100]).max()
-
-
 def test_student_weight():
     """The first correction of the bias, P = s², is e s²/(1/w + s²): it grows with e, then falls; Gaussian, it grows."""
     still = tree_map(lambda x: x[0], constant(1, 0.0, 0.0, 0.0).inputs)

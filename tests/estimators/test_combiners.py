@@ -125,13 +125,6 @@ def test_finds_the_one_good_member(rule):
 
 
 @pytest.mark.thorough
-def test_boa_mixes_where_the_best_mixture_beats_the_best_member():
-    x, y = series(2000, "alternate")
-    said, _, _ = run(bound(BOA()), x, y)
-    assert np.abs(said - y)[200:].mean() < 0.5 * np.abs(x - y[:, None]).mean(0).min()
-
-
-@pytest.mark.thorough
 def test_memory_follows_the_best_of_the_day():
     x, y = series(4000, "turns")
     forgets, never = (np.abs(run(bound(BOA(memory=m)), x, y)[0] - y).mean() for m in (20.0, None))
@@ -232,22 +225,6 @@ def test_one_member_alone_has_all_the_weight(rule):
         np.testing.assert_allclose(said, x[:, 0])
         np.testing.assert_allclose(state.weights, [1.0])
     assert all(leaf.isfinite().all() for leaf in state)
-
-
-@pytest.mark.thorough
-@each_rule
-@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
-def test_stays_finite_where_all_agree_for_hours_and_where_they_do_not(dtype, rule):
-    rule = bound(rule()).to(dtype)
-    state = rule.init((3,), torch.zeros((), dtype=dtype))
-    dt, ones = torch.full((3,), 0.4, dtype=dtype), torch.ones(3, 4, dtype=dtype)
-    with torch.no_grad():
-        for k in range(1500):
-            state = rule.learn(
-                state, ones * (k % 1000 != 7) + 9.0 * torch.eye(4)[:3].to(dtype) * (k % 1000 == 7), dt / 0.4, dt
-            )
-    assert all(leaf.isfinite().all() for leaf in state)
-    assert rule.combine(state, ones).isfinite().all()
 
 
 def test_recursive_weights_keep_their_covariance_in_bounds():

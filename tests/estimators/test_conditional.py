@@ -7,11 +7,10 @@ import pytest
 import torch
 
 from tests.support.forecasts import ensemble, plain
-from usvlearn import Online, Sample, rollout
-from usvlearn.core.samples import Inputs, named_leaves, tree_map
+from usvlearn import Online, rollout
+from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.estimators.ensemble.conditional import layer
 from usvlearn.estimators.ensemble.conditional.state import HIGH, LOW
-from usvlearn.estimators.ensemble.conformal.state import FEW
 
 
 def track(spread: np.ndarray, far: np.ndarray, group: np.ndarray, e: np.ndarray) -> np.ndarray:
@@ -93,14 +92,6 @@ def test_a_path_is_the_commands_since_the_last_measured_speed():
         assert layer.far_of(path) == far
 
 
-def test_half_widths_before_ten_errors_are_infinite():
-    model, samples = ensemble(), plain(30)
-    leaves = ["halfwidths", "conformal.count"]
-    kept = rollout(model, model.init(), samples, leaves)[2]
-    before = kept["conformal.count"] <= FEW  # of the step itself, whose half-width was made before it was counted
-    assert (kept["halfwidths"].isinf() == before).all()
-
-
 def test_no_gradient_passes_through_half_widths():
     with torch.enable_grad():
         model, samples = ensemble().double(), plain(6)
@@ -108,16 +99,3 @@ def test_no_gradient_passes_through_half_widths():
         leaves = dict(named_leaves(state))
         assert surge.requires_grad
         assert not any(leaf.requires_grad for name, leaf in leaves.items() if ".conditional." in name)
-
-
-def test_steps_are_saved_in_the_middle_bit_for_bit(tmp_path):
-    model, samples = ensemble(), plain(80)
-    whole = rollout(model, model.init(), samples)[0]
-    half = Online(model)
-    half.state = rollout(model, model.init(), tree_map(lambda x: x[:37], samples))[0]
-    boat = Online.open(half.save(tmp_path / "a.safetensors"))
-    for k in range(37, 80):
-        inputs = Inputs(*(float(x[k]) for x in samples.inputs))
-        boat.step(Sample(inputs, float(samples.surge[k]), True, True))
-    for name, leaf in named_leaves(whole):
-        np.testing.assert_array_equal(boat.state[name], leaf.numpy(), err_msg=name)

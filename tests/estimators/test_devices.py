@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
-from torch.func import functional_call, grad, vmap
 from torch.utils._pytree import tree_leaves
 
-from tests.support import ESTIMATORS, ROOT, each_family, few, random_samples
+from tests.support import ESTIMATORS, ROOT, each_family, few, over, random_samples
 from tests.support.kernel_cases import VARIANTS
 from tests.support.placement import on_device, read_as_ones
 from usvlearn import (
@@ -19,7 +18,6 @@ from usvlearn import (
     BOA,
     RNN,
     Ensemble,
-    Estimator,
     ForecastSettings,
     Inputs,
     JointEKF,
@@ -49,18 +47,11 @@ def small() -> Ensemble:
     return Ensemble({"aid": AID(28.0), "rnn": RNN(6)}, {"boa": BOA()}, forecasts=ForecastSettings((0.4,)))
 
 
-MORE = [  # what the estimators of `ESTIMATORS` leave out: rules, wrappers in wrappers, forecasts, projections
-    "aid_all_terms", "projected_all_terms", "projected_signs", "projected_free", "robust_rnn_replay", "rnn_paper",
-    "rnn_simple_literal_1", "rnn_simple_best_1", "rnn_gershgorin_literal_1", "rnn_gershgorin_best_1",
-    "rnn_lmi_literal_1", "memory_around_robust", "arx_no_lags", "every_rule", "sleepers", "all_fixed", "forecasts",
-    "forecasts_wrapped",
-]  # fmt: skip
-CASES = ESTIMATORS | {name: VARIANTS[name] for name in MORE} | {"default": default, "small": small}
-SOME = ["aid", "projected", "robust_memory", "rnn_replay", "joint", "arx", "weighted", "small"]  # of each family one
-KINDS = (*SOME, "sift", "rnn", "persistence", "acceleration")
-FIRST = ("robust_memory",)  # by default; the rest of KINDS is thorough, and all others are slow
-some_cases = pytest.mark.parametrize(
-    "name", [*few(KINDS, FIRST, "thorough"), *few([name for name in CASES if name not in KINDS], ())]
+CASES = ESTIMATORS | {"default": default, "small": small}
+KINDS = ("robust_memory", "aid", "projected", "rnn_replay", "joint", "arx", "weighted", "small", "sift", "rnn",
+         "persistence", "acceleration")  # fmt: skip
+some_cases = pytest.mark.parametrize(  # one by default, the rest of KINDS thorough, all others slow
+    "name", [*few(KINDS, KINDS[:1], "thorough"), *few([name for name in CASES if name not in KINDS], ())]
 )
 CALLS = {  # of an estimator with its state and a run
     "learn": lambda estimator, state, run: estimator.learn(state, at(run, 0).inputs, run.surge[0]),
@@ -114,10 +105,10 @@ def test_diagnostics_are_on_the_device_of_the_state(name):
         assert_away(there.monitor(there.init((2,))), here.monitor(here.init((2,))))
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_every_number_of_an_estimator_moves_with_it(name):
+@over("make", {**CASES, **VARIANTS}.values())
+def test_every_number_of_an_estimator_moves_with_it(make):
     """A tensor that is neither a parameter nor a buffer would stay behind."""
-    for path, part in CASES[name]().named_modules():
+    for path, part in make().named_modules():
         assert not [key for key, x in vars(part).items() if isinstance(x, torch.Tensor)], path
 
 
@@ -133,49 +124,6 @@ def test_gradients_are_on_the_device_of_the_hyperparameters(name):
         found = torch.autograd.grad(loss, parameters, allow_unused=True)
     assert any(x is not None for x in found)
     assert all(x is None or (x.is_meta and x.shape == p.shape) for x, p in zip(found, parameters, strict=True))
-
-
-class Error(torch.nn.Module):
-    """The mean square error of a run, as a function of the hyperparameters of an estimator."""
-
-    def __init__(self, estimator: Estimator):
-        super().__init__()
-        self.estimator = estimator
-
-    def forward(self, run: Sample) -> torch.Tensor:
-        batch = run.surge.shape[1:]
-        return (rollout(self.estimator, self.estimator.init(batch), run)[1] - run.surge).square().mean()
-
-
-def gradients(estimator: Estimator, run: Sample, mapped=vmap):
-    """Of the error by each hyperparameter, for each batch element `(elements,)` alone."""
-    module = Error(estimator)
-    leaves = {name: x.detach() for name, x in module.named_parameters() if x.requires_grad}
-    return mapped(grad(lambda leaves, one: functional_call(module, leaves, (one,))), (None, 1))(leaves, run)
-
-
-def one_by_one(function, axes):
-    """As `vmap`, one batch element after the other."""
-
-    def mapped(leaves, run):
-        elements = [function(leaves, tree_map(lambda x, k=k: x[:, k], run)) for k in range(run.surge.shape[1])]
-        return tree_map(lambda *x: torch.stack(x), *elements)
-
-    return mapped
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("name", few(SOME, FIRST, "thorough"))
-def test_mapped_gradients_are_those_of_each_element(name):
-    """Also where the batch elements use their samples differently."""
-    estimator, run = CASES[name](), random_samples(4, 2)
-    fresh, dt = run.fresh.clone(), run.inputs.dt.clone()
-    fresh[2, 0], dt[2, 1] = False, 0.0  # one batch element holds, where a segment of the other starts
-    run = Sample(run.inputs._replace(dt=dt), run.surge, fresh, run.measured)
-    found, expected = gradients(estimator, run), gradients(estimator, run, one_by_one)
-    for key, value in expected.items():
-        torch.testing.assert_close(found[key], value, msg=lambda m, k=key: f"{k}: {m}")
-    assert_away(gradients(CASES[name]().to("meta"), away(run)), found)
 
 
 def test_samples_on_another_device_than_the_state_are_refused():

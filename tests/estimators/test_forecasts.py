@@ -173,7 +173,8 @@ def test_a_state_goes_on_where_it_was(dtype, tmp_path):
     """Saved aboard and opened in mid-flight, bit for bit; a batch is its batch elements."""
     model, samples = ensemble().to(dtype), plain(80, 2)
     samples = tree_map(lambda x: x.to(dtype) if x.is_floating_point() else x, samples)
-    whole, _ = made(model, samples)
+    end, _, kept = rollout(model, model.init((2,)), samples, ["forecasts.predictions"])
+    whole = kept["forecasts.predictions"]
     half = rollout(model, model.init((2,)), tree_map(lambda x: x[:37], samples))[0]
     online = Online(model)
     online.state = tree_map(lambda x: x[1], half)
@@ -184,6 +185,8 @@ def test_a_state_goes_on_where_it_was(dtype, tmp_path):
         expected = whole[k, 1].numpy()
         rounding = 0 if dtype == torch.float64 else 1e-5  # a call and a run round differently in float32
         np.testing.assert_allclose(online.state["forecasts.predictions"], expected, rtol=rounding)
+    for name, leaf in named_leaves(end) if rounding == 0 else ():
+        np.testing.assert_array_equal(online.state[name], leaf[1].numpy(), err_msg=name)
 
 
 OPTIONS = {

@@ -10,11 +10,10 @@ from scipy.integrate import solve_ivp
 
 from tests.support import few, over
 from tests.support.kernel_cases import mission
-from usvlearn import Bank, Ensemble, Inputs, JointEKF, Online, Sample, rollout
+from usvlearn import Inputs, JointEKF, Online, Sample, rollout
 from usvlearn.core import checkpoint
 from usvlearn.core.protocol import clean
 from usvlearn.core.samples import named_leaves, tree_map
-from usvlearn.engine.rollouts import simulate
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.augmented import state as augmented
 from usvlearn.estimators.axis.state import FAMILY as AXIS
@@ -219,24 +218,6 @@ def boat(hours: float, noise: float = 0.03, seed: int = 0):
     )
 
 
-@pytest.mark.thorough
-def test_the_parameters_of_a_boat_are_found():
-    """Drag and thrust at the speeds and commands in use, the noise of the sensor, and open-loop simulations, from two
-    hours.
-    """
-    truth, samples = boat(2.0)
-    joint = JointEKF(2.0, 28.0)
-    state, _, _ = rollout(joint, joint.init(), samples)
-    found = {name: float(value) for name, value in joint.monitor(state).items()}
-    for v in (0.8, 1.5):
-        drag = lambda p, v=v: p["drag_quadratic"] * v * v + p["drag_linear"] * v + p.get("drag_even", 0) * v * v  # noqa: E731
-        assert abs(drag(found) / drag(truth) - 1) < 0.1
-    assert abs(found["noise"] / 0.03 - 1) < 0.2  # it shares the errors with the noise assumed of w and b
-    again, later = boat(0.2, noise=0.0, seed=1)[1], joint.start(state, tensor(0.0)[0])
-    free = simulate(joint, later, again)[1]
-    assert (free - again.surge).abs().mean() < 0.02 < 0.1 * again.surge.abs().mean()
-
-
 def test_a_mean_of_readings_and_their_covariance():
     """Weights 0.9^age, the first three dropped, against NumPy."""
     joint, samples = JointEKF(2.0, read_every=20.0, drift_time=300.0), mission(900, faults=False, seed=2)
@@ -293,17 +274,6 @@ def test_what_happens_aboard_is_survived(name, dtype):
     sound(joint, rollout(joint, joint.init(), rare)[0])
     exact = tree_map(lambda x: x.to(dtype) if x.is_floating_point() else x, boat(0.5, noise=0.0)[1])
     sound(joint, rollout(joint, joint.init(), exact)[0])
-
-
-def test_a_bank_of_disturbances_is_two_filters():
-    samples = mission(200, seed=3, faults=False)
-    bank = Bank(JointEKF(2.0, disturbance=[0.5, 50.0]), ["slow", "fast"])
-    ensemble = Ensemble({"joint": bank})
-    _, _, record = rollout(ensemble, ensemble.init(), samples, ["predictions"])
-    for k, disturbance in enumerate((0.5, 50.0)):
-        alone = rollout(one := JointEKF(2.0, disturbance=disturbance), one.init(), samples)[1]
-        made = alone.isfinite()
-        torch.testing.assert_close(record["predictions"][made, k], alone[made], rtol=1e-9, atol=1e-9)
 
 
 def test_the_mass_only_gives_units():

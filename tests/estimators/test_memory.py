@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from tests.support import random_samples
-from usvlearn import AID, RLS, Inputs, Robust, Sample, SIFtRLS, SurgeDynamics, WithMemory, rollout
+from usvlearn import AID, RLS, Robust, Sample, SIFtRLS, SurgeDynamics, WithMemory, rollout
 from usvlearn.core.samples import tree_map
 from usvlearn.errors import ConfigError, ShapeError
 from usvlearn.estimators.baselines.persistence.layer import Persistence, PersistenceState
@@ -149,12 +149,3 @@ def test_robust_may_stand_inside_or_outside():
 def test_illegal_limits_are_refused(wrong):
     with pytest.raises(ConfigError, match="surge_dot_max"):
         WithMemory(AID(28.0), surge_dot_max=wrong)
-
-
-def test_inputs_are_not_changed():
-    samples = random_samples(2)
-    estimator = WithMemory(AID(model=SurgeDynamics(28.0, memory=True)))
-    inputs = Inputs(*(x[0] for x in samples.inputs))
-    kept = tree_map(torch.clone, inputs)
-    estimator.update(estimator.init(), inputs, samples.surge[0])
-    assert all(torch.equal(x, y) for x, y in zip(inputs, kept, strict=True)) and isinstance(inputs, Inputs)

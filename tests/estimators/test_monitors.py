@@ -190,15 +190,6 @@ def test_a_healthy_boat_with_outliers_idle_minutes_and_straight_courses_raises_n
     assert all(leaf.isfinite().all() for _, leaf in named_leaves(course[-1]))
 
 
-@pytest.mark.thorough
-def test_single_precision_tells_the_same():
-    inputs = boat(800, 8, torch.where(torch.arange(800) < 600, 1.0, 0.4).double(), seed=21)
-    double, single = run(inputs)[-1], run(inputs, torch.float32)[-1]
-    assert all(leaf.dtype == torch.float32 for _, leaf in named_leaves(single))
-    assert torch.equal(double.raised, single.raised.double()) and double.raised[:, 0].all()
-    torch.testing.assert_close(single.before.double(), double.before, rtol=1e-5, atol=1e-6)
-
-
 def kernel_step(state, inputs):
     """`observe_thrusters` of one boat by the compiled kernel."""
     leaves = [leaf.numpy() for leaf in state]
@@ -243,28 +234,6 @@ def test_sums_that_cannot_be_solved_tell_nothing():
     assert torch.equal(after.evidence, state.evidence) and all(leaf.isfinite().all() for leaf in after)
     for name, x, y in zip(after._fields, kernel_step(state, inputs), after, strict=True):
         torch.testing.assert_close(x, y, rtol=1e-12, atol=1e-12, msg=name)
-
-
-@pytest.mark.parametrize("batch", [(), (3,), (2, 3)])
-def test_a_batch_equals_its_elements_and_vmap(batch):
-    steps, columns = 30, 4
-    seen, e = random_samples(steps, *batch, seed=3), 0.05 * normal(steps, *batch, columns, seed=4)
-    together = monitors.init(batch, columns, ONE)
-    for k in range(steps):
-        together = monitors.observe(together, e[k], Inputs(*(x[k] for x in seen.inputs)))
-    for element in np.ndindex(batch):
-        alone = monitors.init((), columns, ONE)
-        for k in range(steps):
-            alone = monitors.observe(alone, e[(k, *element)], Inputs(*(x[(k, *element)] for x in seen.inputs)))
-        for (name, x), (_, y) in zip(named_leaves(together), named_leaves(alone), strict=True):
-            torch.testing.assert_close(x[element], y, rtol=1e-9, atol=1e-12, msg=name)
-    if batch:
-        last = Inputs(*(x[-1] for x in seen.inputs))
-        mapped = torch.vmap(monitors.observe)(together, e[-1], last)
-        for (name, x), (_, y) in zip(
-            *map(named_leaves, (mapped, monitors.observe(together, e[-1], last))), strict=True
-        ):
-            torch.testing.assert_close(x, y, rtol=1e-9, atol=1e-12, msg=name)
 
 
 # ---- excitation

@@ -129,14 +129,6 @@ def test_own_signs_and_free_parameters():
     assert (rollout(backwards, backwards.init((2,)), samples)[0].theta <= 0).all()
 
 
-def test_may_stand_inside_memory():
-    estimator = WithMemory(Projected(SIFtRLS(SurgeDynamics(28.0, memory=True))))
-    end, surge, _ = rollout(estimator, estimator.init((2,)), random_samples(20, 2))
-    assert (
-        surge.isfinite().all() and (end.inner.theta[:, :9] * torch.tensor([-1, -1, -1, 1, 1, -1, 1, 1, -1]) >= 0).all()
-    )
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -8,7 +8,7 @@ import torch
 from scipy.integrate import solve_ivp
 
 from tests.support import random_samples
-from usvlearn import AID, Inputs, Online, QuasiStatic, Sample, SurgeDynamics
+from usvlearn import AID, Inputs, Online, Sample, SurgeDynamics
 from usvlearn.engine.rollouts import simulate
 from usvlearn.errors import ConfigError, ShapeError
 from usvlearn.estimators.regressors import kernel
@@ -41,17 +41,6 @@ def test_are_odd_in_the_direction_of_travel():
     torch.testing.assert_close(surge_regressor(-samples.surge, astern), -surge_regressor(samples.surge, inputs))
     thrust = slice(0, 6)
     torch.testing.assert_close(quasi_static_regressor(astern)[:, thrust], -quasi_static_regressor(inputs)[:, thrust])
-
-
-def test_models_name_their_parameters():
-    samples = random_samples(4, 3)
-    for model in (SurgeDynamics(28.0), QuasiStatic()):
-        base, phi = model(samples.surge, samples.inputs)
-        assert base.shape == (4, 3) and phi.shape == (4, 3, len(model.names) == 9 and 9)
-        assert len(set(model.names)) == 9
-    base, phi = SurgeDynamics(28.0)(samples.surge, samples.inputs)
-    torch.testing.assert_close(base, samples.surge)
-    torch.testing.assert_close(phi, 0.4 / 28.0 * surge_regressor(samples.surge, samples.inputs))
 
 
 def remembered(samples):

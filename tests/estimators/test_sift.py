@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from tests.support import random_samples
-from usvlearn import Inputs, QuasiStatic, SIFtRLS, SurgeDynamics, rollout
+from usvlearn import Inputs, SIFtRLS, SurgeDynamics, rollout
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.least_squares.rls import rls_step
 from usvlearn.estimators.least_squares.sift import sift_step
@@ -44,37 +44,6 @@ def dense_oracle(phi, y, lam, covariance):
     return theta, np.linalg.inv(R)
 
 
-def agee_turner(U, D, v, c):
-    """U D Uᵀ + c v vᵀ, c > 0, factored anew (Bierman 1977, chapter III.3)."""
-    U, D, v = U.copy(), D.copy(), v.copy()
-    for j in range(len(D) - 1, 0, -1):
-        d = D[j] + c * v[j] ** 2
-        gain = c * v[j] / d
-        c *= D[j] / d
-        for i in range(j):
-            v[i] -= v[j] * U[i, j]
-            U[i, j] += gain * v[i]
-        D[j] = d
-    D[0] += c * v[0] ** 2
-    return U, D
-
-
-def bierman(U, D, x):
-    """The measurement update of U D Uᵀ by x with noise 1 (Bierman 1977, chapter V.3), and the gain."""
-    U, D, f = U.copy(), D.copy(), U.T @ x
-    v, alpha = D * f, 1 + D[0] * f[0] ** 2
-    gain = np.zeros(len(D))
-    gain[0], D[0] = v[0], D[0] / alpha
-    for j in range(1, len(D)):
-        before, alpha = alpha, alpha + f[j] * v[j]
-        D[j] *= before / alpha
-        p = -f[j] / before
-        for i in range(j):
-            U[i, j], gain[i] = U[i, j] + gain[i] * p, gain[i] + v[j] * U[i, j]
-        gain[j] = v[j]
-    return U, D, gain / alpha
-
-
 @pytest.mark.thorough
 def test_equals_the_information_form():
     phi, y, lam = series(3000)
@@ -82,20 +51,6 @@ def test_equals_the_information_form():
     expected, covariance = dense_oracle(phi, y, lam, 9.0 * np.eye(4))
     np.testing.assert_allclose(theta, expected, rtol=1e-11, atol=1e-12)
     np.testing.assert_allclose(factor @ factor.mT, covariance, rtol=1e-10, atol=1e-13)
-
-
-@pytest.mark.thorough
-def test_equals_the_ud_form():
-    phi, y, lam = series(2000, seed=1)
-    theta, factor = run(phi, y, lam, 3.0 * torch.eye(4, dtype=torch.float64))
-    U, D, expected = np.eye(4), np.full(4, 9.0), np.zeros(4)
-    for x, target, keep in zip(phi, y, lam, strict=True):
-        z = np.linalg.solve(U, x)
-        U, D = agee_turner(U, D, x, (1 - keep) / (keep * (z**2 / D).sum()))
-        U, D, gain = bierman(U, D, x)
-        expected = expected + gain * (target - x @ expected)
-    np.testing.assert_allclose(theta, expected, rtol=1e-11, atol=1e-12)
-    np.testing.assert_allclose(factor @ factor.mT, (U * D) @ U.T, rtol=1e-10, atol=1e-13)
 
 
 def test_without_forgetting_it_is_least_squares():
@@ -157,18 +112,6 @@ def test_nothing_changes_below_the_floor():
     assert torch.equal(after.theta, state.theta) and torch.equal(after.factor, state.factor)
 
 
-def test_elements_have_their_own_memory_and_floor():
-    phi, y, _ = series(300)
-    lam = np.stack([np.full(300, 0.9), np.full(300, 0.999)], -1)
-    wide = np.stack([phi, phi], 1)
-    start = torch.eye(4, dtype=torch.float64)
-    theta, factor = run(wide, np.stack([y, y], -1), lam, start.expand(2, 4, 4))
-    for element in range(2):
-        alone, alone_factor = run(phi, y, lam[:, element], start)
-        torch.testing.assert_close(theta[element], alone, rtol=1e-12, atol=1e-12)
-        torch.testing.assert_close(factor[element], alone_factor, rtol=1e-12, atol=1e-12)
-
-
 def day(steps: int, p: int = 6):
     """Idling, cruise with a little noise, and excitation in turn, a sixth each of so many steps."""
     rng = np.random.default_rng(3)
@@ -220,20 +163,6 @@ def test_reexcitation_after_a_long_cruise():
         errors[name] = float((again @ (theta - 1)).abs().max())
     assert errors["sift"] < 0.05
     assert not errors["plain"] < 1.0  # or NaN
-
-
-@pytest.mark.parametrize("model", [QuasiStatic(), SurgeDynamics(28.0)], ids=["map", "dynamics"])
-def test_float32_follows_float64(model):
-    samples = random_samples(1500)
-    ends = {}
-    for dtype in (torch.float64, torch.float32):
-        rls = SIFtRLS(model, memory=10.0).to(dtype)
-        inputs = Inputs(*(x.to(dtype) for x in samples.inputs))
-        with torch.no_grad():
-            _, surge, _ = rollout(rls, rls.init(), samples._replace(inputs=inputs, surge=samples.surge.to(dtype)))
-        ends[dtype] = surge.double()
-    model.double()
-    torch.testing.assert_close(ends[torch.float32], ends[torch.float64], rtol=0, atol=2e-3)
 
 
 @pytest.mark.parametrize("wrong", [{"memory": 0.0}, {"covariance": -1.0}, {"floor": -1e-4}, {"feedback": "both"}])

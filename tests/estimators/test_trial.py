@@ -8,7 +8,6 @@ from tests.support import few
 from usvlearn import Inputs, JointEKF, Sample, Trial
 from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.engine.rollouts import rollout
-from usvlearn.errors import ConfigError
 from usvlearn.estimators.joint.state import TRUSTED
 
 DT, NOISE, LEAD, BOATS = 0.4, 0.02, 600, 4
@@ -103,17 +102,3 @@ def test_torch_makes_the_same_trial_and_a_run_continues_within_it(dtype):
     torch.testing.assert_close(torch.stack(predicted), after, atol=limit, rtol=0, equal_nan=True)
     torch.testing.assert_close(state.mean, whole.mean, atol=limit, rtol=limit)
     assert torch.equal(state.trial.changes, whole.trial.changes) and torch.equal(state.trial.tried, whole.trial.tried)
-
-
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        ({"leads": 200.0}, "trial.leads: found 200.0, expected a number between"),
-        ({"leads": -3.0}, "trial.leads: found -3.0, expected a number between"),
-        ({"threshold": 0.0}, "trial.threshold: found 0.0, expected a positive number"),
-        ({"steps": 0}, "trial.steps: found 0, expected a whole number"),
-    ],
-)
-def test_settings_that_make_no_trial_are_refused(given, words):
-    with pytest.raises(ConfigError, match=words):
-        Trial(**given)

@@ -149,12 +149,17 @@ def test_the_parameters_of_a_side_are_those_of_its_name(even, side):
     assert found.tolist() == expected
 
 
-@pytest.mark.parametrize(
-    "given", [{"leads": -2.0}, {"leads": 150.0}, {"leads": 5.0, "confirmed": 5.0}, {"dropped": 6.0}]
-)
-def test_a_trial_that_cannot_be_dropped_or_confirmed_after_it_leads_is_refused(given):
-    """The evidence at which the second filter predicts lies strictly between the other two."""
-    with pytest.raises(ConfigError, match=r"trial.leads: found .* expected a number between trial.dropped"):
+BETWEEN = r"trial.leads: found .* expected a number between trial.dropped"  # and trial.confirmed, strictly
+REFUSED = [
+    ({"leads": -2.0}, BETWEEN), ({"leads": 150.0}, BETWEEN), ({"leads": 5.0, "confirmed": 5.0}, BETWEEN),
+    ({"dropped": 6.0}, BETWEEN), ({"threshold": 0.0}, "trial.threshold: found 0.0, expected a positive number"),
+    ({"steps": 0}, "trial.steps: found 0, expected a whole number"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("given", "words"), REFUSED)
+def test_settings_that_make_no_trial_are_refused(given, words):
+    with pytest.raises(ConfigError, match=words):
         Trial(**given)
 
 
