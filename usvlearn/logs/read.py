@@ -81,31 +81,46 @@ def read_recordings(
         return list(itertools.chain.from_iterable(each_of))
     sources = sources_of(channels)
     root, files = _find(path, reader, [source.name for source in parts_of(_needed(sources)).values()])
+    readers: dict[str, dict[Path, Reader]] = {}  # boat -> its logs
     if boat_column is not None:
         if (boats_in := getattr(reader, "boats", None)) is None:
             raise ConfigError(f"data.boat_column: found {boat_column!r}, expected none: it is for tables (data=csv)")
-        boats = {name: each for file in files for name, each in boats_in(file, boat_column).items()}
-        if boat is not None and (boat := str(boat)) not in boats:  # MMSI are numbers in YAML
-            raise ConfigError(f"data.boat: found {boat!r}, expected one of {', '.join(boats)}, as {boat_column!r} has")
-        chosen = boats if boat is None else [boat]
-        return [each for name in chosen for each in read_recordings(path, boats[name], channels, name)]
-    if boat is None:
-        boat = _run(files[0], files[0].parent) if files == [Path(path).expanduser()] else printable(root.resolve().name)
+        for file in files:
+            for name, each in boats_in(file, boat_column).items():
+                readers.setdefault(name, {})[file] = each
+        if boat is not None and (boat := str(boat)) not in readers:  # MMSI are numbers in YAML
+            raise ConfigError(
+                f"data.boat: found {boat!r}, expected one of {', '.join(readers)}, as {boat_column!r} has"
+            )
+        readers = readers if boat is None else {boat: readers[boat]}
+    else:
+        if refuse := getattr(reader, "refuse_several", None):
+            refuse(files)
+        if boat is None:
+            alone = files == [Path(path).expanduser()]
+            boat = _run(files[0], files[0].parent) if alone else printable(root.resolve().name)
+        readers = {str(boat): dict.fromkeys(files, reader)}
+    return [each for name, logs in readers.items() for each in _of_boat(name, root, logs, sources)]
+
+
+def _of_boat(
+    boat: str, root: Path, readers: Mapping[Path, Reader], sources: Mapping[str, Source | Mix]
+) -> list[Recording]:
     recordings, unread = [], []
-    for number, file in enumerate(files, 1):
-        doing(f"reading {file.name}" + (f", {number} of {len(files)}" if len(files) > 1 else ""))
+    for number, (file, reader) in enumerate(readers.items(), 1):
+        doing(f"reading {file.name}" + (f", {number} of {len(readers)}" if len(readers) > 1 else ""))
         try:
-            recordings += _read(file, root, reader, sources, str(boat))
+            recordings += _read(file, root, reader, sources, boat)
         except LogFormatError as error:
             unread.append(explained(file, error))
     if not recordings:
         raise unread[0]
     for each in unread:
-        warnings.warn(f"log left out: {each}", stacklevel=2)
+        warnings.warn(f"log left out: {each}", stacklevel=3)
     if SURGE not in sources:
         pair = " and ".join(pair_of(sources) or ())
-        warnings.warn(f"{boat}: no speed is configured: the surge is computed from {pair}", stacklevel=2)
-    return settle_period(str(boat), recordings)
+        warnings.warn(f"{boat}: no speed is configured: the surge is computed from {pair}", stacklevel=3)
+    return settle_period(boat, recordings)
 
 
 def _read(file: Path, root: Path, reader: Reader, sources: Mapping[str, Source | Mix], boat: str) -> list[Recording]:

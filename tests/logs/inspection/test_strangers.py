@@ -1,5 +1,7 @@
 """Logs of strangers: what `usvlearn inspect` concludes of them, and where it asks in place of guessing."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,8 @@ from usvlearn.errors import LogFormatError
 from usvlearn.logs.channels.series import Series
 from usvlearn.logs.inspection.candidate import candidates, missing_values
 from usvlearn.logs.inspection.inspected import inspect_logs
+from usvlearn.logs.inspection.logfiles import boats_of
+from usvlearn.logs.inspection.vehicles import told_apart
 from usvlearn.logs.inspection.vocabulary import fit
 
 
@@ -250,6 +254,28 @@ def test_vehicles_that_only_names_tell_apart_are_never_one_boat(name):
         name.format(key, first) for key in ("pwm_left", "pwm_right", "heading", "speed")
     }
     assert told(found)["vehicle", "system"][1] == "unsure"
+
+
+SENDERS = [
+    (("ATTITUDE", "1.1"), ("ATTITUDE", "2.1"), "system 1"), 
+    (("DB_TIME", "MOOSDB_abe"), ("DB_TIME", "MOOSDB_ben"), "abe"),
+    (("/usv1/odom", "O"), ("/usv2/odom", "O"), "usv1"), (("/usv1/odom", "O"), ("/usv1/odom", "O"), ""),
+    (("/odom", "O"), ("/usv1/odom", "O"), ""), (("/imu/data", "I"), ("/gps/fix", "F"), ""),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("one", "other", "boat"), SENDERS)
+def test_logs_of_several_senders_are_told_apart(one, other, boat):
+    logs = [[Series(name, "x", *np.ones((3, 9)), kind=kind)] for name, kind in (one, other)]
+    assert next(iter(told_apart(logs)), "") == boat
+
+
+@pytest.mark.parametrize(
+    ("folders", "told"), [("anna bert", 2), ("usv1 usv2", 2), ("calm windy", 0), ("2024-06-01 2024-06-02", 0),
+                          ("run1 run2", 0), ("usv_20240601 usv_20240602", 0), ("lap_a lap_b", 0)],
+)  # fmt: skip
+def test_folders_that_may_be_of_several_boats_are_told(folders, told):
+    assert len(boats_of([Path("logs", each, "a.csv") for each in folders.split()])) == told
 
 
 def test_a_propeller_at_the_bow_is_no_heading_and_electrical_power_no_command():

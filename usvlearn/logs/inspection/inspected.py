@@ -25,7 +25,7 @@ from usvlearn.logs.inspection.logfiles import Logs, boats_of, joined, open_logs
 from usvlearn.logs.inspection.override import shell_override
 from usvlearn.logs.inspection.proposal import Proposal, propose
 from usvlearn.logs.inspection.questions import questions
-from usvlearn.logs.inspection.vehicles import check_boat
+from usvlearn.logs.inspection.vehicles import check_boat, told_apart
 from usvlearn.logs.inspection.written import MASS, read_settings, settings_of, write_text
 from usvlearn.logs.recordings import align_fleet
 
@@ -71,10 +71,10 @@ def inspect_logs(
     for doubt in logs.doubts:
         option, _, reason = doubt.partition(": ")
         decisions.append(Decision("reader", option, str(getattr(logs.reader, option, "")), UNSURE, reason))
-    if boats := boats_of(logs.files):
+    if boats := told_apart(logs.surveyed) or boats_of(logs.files):
         paths = ", ".join(f"{boat}: {pattern!r}" for boat, pattern in boats.items())
-        why = f"the names of the logs begin with {' and '.join(boats)}, but all are taken as one boat; of several "
-        why += f"boats, inspect those of each, or set data.path={{{paths}}} and data.boat=null"
+        why = f"the logs tell {' and '.join(boats)}, but all are taken as one boat; of several boats, inspect those "
+        why += f"of each, or set data.path={{{paths}}} and data.boat=null"
         decisions.append(Decision("boat", "path", name or logs.name, UNSURE, why))
     decisions += proposal.decisions
     if proposal.missing:

@@ -20,6 +20,7 @@ import numpy as np
 from usvlearn.errors import ConfigError, LogFormatError, reading
 from usvlearn.logs.channels.restarts import segments
 from usvlearn.logs.channels.series import Series
+from usvlearn.logs.formats.csv.boats import PHASES, VEHICLES, words_of
 from usvlearn.logs.formats.csv.packed import PACKED
 from usvlearn.logs.formats.foreign import HEAD, explained, foreign
 from usvlearn.logs.inspection.topics import joined_tables
@@ -53,13 +54,13 @@ class Format:
     def fits(self, head: bytes, suffix: str) -> bool:
         return head.startswith(self.begins) if self.begins else self.looks(head, suffix)
 
-    def open(self, path: Path, boat: str | None) -> tuple[Any, list[str]]:
+    def open(self, path: Path, boat: str | None, beside: Sequence[Path]) -> tuple[Any, list[str]]:
         """The reader, with the options that this file needs, and what is unsure about them."""
         try:
             found = getattr(importlib.import_module(self.module), self.reader)
         except (ImportError, AttributeError):
             raise LogFormatError(f"{path}: found a log of {self.name}, which this version cannot read") from None
-        return found(path, boat) if self.reader == "table_of" else (found(), [])
+        return found(path, boat, beside) if self.reader == "table_of" else (found(), [])
 
 
 def _is_moos(head: bytes, suffix: str) -> bool:
@@ -226,19 +227,32 @@ def _common_path(given: Sequence[str], files: Sequence[Path]) -> str:
 
 
 def boats_of(files: Sequence[Path]) -> dict[str, str]:
-    """boat -> pattern of its logs, where the logs of one folder have several names before their numbers; else {}.
+    """boat -> pattern of its logs, where the logs of one folder, or its folders, have several names; else {}.
+
+    Numbers and what follows them, and names of days, modes and trials, tell no boat; the number of a boat does.
 
     >>> boats_of([Path(f"logs/{name}_{k}.csv") for name in ("heron", "otter") for k in (1, 2)])
     {'heron': 'logs/heron_*', 'otter': 'logs/otter_*'}
+    >>> boats_of([Path(f"logs/{name}/run.csv") for name in ("boat1", "boat2")])
+    {'boat1': 'logs/boat1/**', 'boat2': 'logs/boat2/**'}
     """
+    folder = Path(os.path.commonpath([file.parent for file in files]))
+    flat = len({file.parent for file in files}) == 1
     groups: dict[str, list[str]] = {}
     for file in files:
-        groups.setdefault(re.sub(r"[\W_]*\d.*$", "", file.stem), []).append(file.stem)
-    several = len(groups) > 1 and "" not in groups and min(map(len, groups.values())) > 1
-    if not several or len({file.parent for file in files}) > 1:
+        name = file.stem if flat else file.parent.relative_to(folder).as_posix().split("/")[0].strip(".")
+        numbered = not flat and words_of(name) & VEHICLES and re.fullmatch(r"\D+\d{1,2}", name)
+        groups.setdefault(name if numbered else re.sub(r"[\W_]*\d.*$", "", name), []).append(name)
+    several = len(groups) > 1 and "" not in groups and not any((words_of(each) - {"log"}) & PHASES for each in groups)
+    if not several or (flat and min(map(len, groups.values())) < 2):
         return {}
-    folder = glob.escape(str(files[0].parent))
-    return {name: f"{folder}/{glob.escape(_common(stems).rstrip('0123456789'))}*" for name, stems in groups.items()}
+    start = glob.escape(str(folder))
+    found = {}
+    for name, names in groups.items():
+        alike = len({*names}) == 1
+        found[name] = f"{start}/{glob.escape(names[0] if alike else _common(names).rstrip('0123456789'))}"
+        found[name] += "*" * (flat or not alike) + "/**" * (not flat)
+    return found
 
 
 def _common(texts: Sequence[str]) -> str:
@@ -265,7 +279,8 @@ def _survey(
         try:
             with reading(file), warnings.catch_warnings(record=True) as sentence:
                 warnings.simplefilter("always")
-                own, doubts = which.open(file, boat) if reader is None else (reader, doubts)
+                beside = files if reader is None else ()
+                own, doubts = which.open(file, boat, files) if reader is None else (reader, doubts)
                 series = own.survey(file)
             notes += [text for each in sentence if (text := str(each.message)) not in notes]
             if not any(np.isfinite(each.value).any() for each in series):
@@ -280,8 +295,8 @@ def _survey(
         reader = own
         parts, jumps = segments(series)
         surveyed += parts
-        if jumps and (doubt := getattr(own, "doubt", None)):
-            doubts += filter(None, [doubt(file, [place for place, _ in jumps])])
+        if doubt := getattr(own, "doubt", None):
+            doubts += filter(None, [doubt(file, [place for place, _ in jumps], beside)])
     if reader is None:
         raise error or LogFormatError(f"{files[0]}: no log can be read")
     return reader, surveyed, notes, doubts

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from itertools import product
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
 
 from usvlearn.errors import LogFormatError
+from usvlearn.logs.channels.series import Series
 from usvlearn.logs.formats.ardupilot.dataflash import DataFlash
 from usvlearn.logs.formats.ardupilot.servos import FUNCTION, FUNCTIONS
 from usvlearn.logs.inspection.candidate import Candidate
@@ -60,6 +62,30 @@ def _vehicles_of(found: Sequence[Candidate], telemetry: bool) -> Iterator[dict[i
         yield {id(each): each.kind.partition(".")[0] for each in found}
     else:
         yield from ({id(each): key[1] for each in found if (key := one.fullmatch(each.name))} for one in OF_VEHICLES)
+
+
+def told_apart(logs: Sequence[Sequence[Series]]) -> dict[str, str]:
+    """boat -> a word for its logs, where these tell the same of several systems, communities or namespaces; else {}."""
+    first, *others = map(_senders, logs)
+    for other in others:
+        for (one, own), (another, its) in product(first.items(), other.items()):
+            if one not in other and another not in first and 2 * len(own & its) > min(len(own), len(its)):
+                return {one: "FILE", another: "FILE"}
+    return {}
+
+
+def _senders(log: Sequence[Series]) -> dict[str, set[tuple[str, str | None]]]:
+    """What a log has of each MAVLink system with an attitude, community of MOOS and namespace of ROS."""
+    found: dict[str, set[tuple[str, str | None]]] = {}
+    for each in log:
+        name, rest = each.kind.removeprefix("MOOSDB_"), each.name
+        if each.name.startswith("/"):
+            name, _, rest = each.name[1:].partition("/")
+        elif each.name.startswith("ATTITUDE"):
+            name = f"system {each.kind.partition('.')[0]}"
+        if name != each.kind and rest:
+            found.setdefault(name, set()).add((rest, each.field))
+    return found
 
 
 def check_boat(files: Sequence[Path], found: Sequence[Candidate], convention: str) -> list[Decision]:

@@ -170,6 +170,55 @@ def test_a_table_of_several_boats_asks_which(tmp_path, column, labels, stacked):
         read_recordings(path, Table("time"), CHANNELS, "z", column)
 
 
+def of_boat(path, column, *labels, restart=False, gap=500):
+    """Blocks of rows, one for each label in its column, with the clock going on or beginning anew."""
+    rows = [f"{t + (0 if restart else gap * k)},{label},{v},{9 * t % 360},5\n"
+            for k, label in enumerate(labels) for t, v in zip(TIME[:150], SPEED, strict=False)]  # fmt: skip
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(f"time,{column},speed,heading,left\n" + "".join(rows))
+    return path
+
+
+@pytest.mark.parametrize(("column", "labels"), [("boat", "ab"), ("MMSI", ("211000001", "211000002")), ("Schiff", "xy")])
+@pytest.mark.parametrize("places", ["{}.csv", "{}/run.csv"])
+def test_tables_of_several_boats_are_refused_as_one_with_both_is(tmp_path, column, labels, places):
+    for k, label in enumerate(labels):
+        of_boat(tmp_path / places.format("pq"[k]), column, label)
+    told = f"several boats.*{column}'.*--name {labels[0]};.*boat_column={column}"
+    for read in (lambda: open_logs([str(tmp_path)]), lambda: read_recordings(tmp_path, Table("time"), CHANNELS)):
+        with pytest.raises(LogFormatError, match=told):
+            read()
+    assert open_logs([str(tmp_path)], labels[1]).reader.rows == f"{column}={labels[1]}"
+    found = read_recordings(tmp_path, Table("time"), CHANNELS, boat_column=column)
+    assert [(each.boat, each.run[0]) for each in found] == [(labels[0], "p"), (labels[1], "q")]
+    assert len(read_recordings(tmp_path, Table("time", rows="all"), CHANNELS)) == 2
+
+
+@pytest.mark.parametrize("restart", [False, True])
+@pytest.mark.parametrize(
+    ("column", "labels"), [("node", ("n3", "n9")), ("platform", "xyz"), ("id", "12"), ("Serial No", ("7A", "8C"))]
+)
+def test_blocks_of_rows_of_what_may_be_boats_are_a_question(tmp_path, column, labels, restart):
+    doubts = open_logs([str(of_boat(tmp_path / "a.csv", column, *labels, restart=restart))]).doubts
+    assert len(doubts) == 1 and f"boat_column={column}" in doubts[0]
+
+
+def test_tables_of_devices_are_a_question(tmp_path):
+    for label in "12":
+        of_boat(tmp_path / f"{label}.csv", "drone_id", label)
+    assert "boat_column=drone_id" in open_logs([str(tmp_path)]).doubts[0]
+
+
+@pytest.mark.parametrize("restart", [False, True])
+@pytest.mark.parametrize(
+    ("column", "labels"),
+    [("mode", ("AUTO", "MANUAL")), ("waypoint", "34"), ("Zustand", "ab"), ("leg_id", "12"), ("nav_state", "123"),
+     ("x", ("HOLD", "GUIDED")), ("k", "12"), ("id", [*range(21)]), ("boat", "aa")],
+)  # fmt: skip
+def test_modes_legs_and_row_numbers_are_no_question(tmp_path, column, labels, restart):
+    assert not open_logs([str(of_boat(tmp_path / "a.csv", column, *labels, restart=restart))]).doubts
+
+
 def test_modes_gears_and_commands_are_no_boats(tmp_path):
     label = {"mode": TIME // 9 % 3, "gear": SPEED > 1.6, "level": (SPEED * 4).round() * 25}
     for name, values in label.items():

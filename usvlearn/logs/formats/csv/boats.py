@@ -1,13 +1,18 @@
 """Tables whose rows are of several boats, or hold one number each beside its name.
 
-The column that tells them apart has few values, and from a row of one to a row of another most measured numbers jump
-far more than between two rows of the same. Where one boat changes its mode or gear, its heading and speed do not jump.
+A column whose name tells boats apart has several texts, in one table or in those of a folder. Another one has few
+values, and from a row of one to a row of another most measured numbers jump far more than between two rows of the same.
+Where one boat changes its mode or gear, its heading and speed do not jump.
+
+It is a question where a column may name a device and each of its texts stands in one block, or where the clock jumps
+back at each change of texts that are no modes, legs or runs.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -15,19 +20,31 @@ from typing import NamedTuple
 import numpy as np
 
 from usvlearn.errors import LogFormatError, printable
-from usvlearn.logs.formats.csv.dialect import Dialect
+from usvlearn.logs.formats.csv.dialect import AUTO, Dialect, find_dialect
 from usvlearn.logs.formats.csv.rows import Rows
 from usvlearn.logs.formats.csv.stamps import WORD, parse_cells
 
 VEHICLES = {"vehicle", "boat", "robot", "vessel", "ship", "usv", "asv", "auv", "agent", "mmsi", "imo", "callsign",
             "hull", "sysid", "system", "boot", "schiff", "fahrzeug", "bateau", "navire", "barco", "buque"}  # fmt: skip
 NUMBERED = {"id", "name", "number", "no", "nr", "code"}  # words beside these
-RUNS = {
-    *"run session trial test lap leg mission experiment episode log file part segment day date".split()
-}  # of one boat
+DEVICES = {
+    *"id name node platform drone serial device unit tracker craft asset member host hostname sender client uuid imei "
+    "gerät geraet plattform kennung nom appareil nombre dispositivo".split()
+}  # what may name a boat
+PHASES = {
+    *"run session trial test lap leg mission experiment episode log file part segment section block day date phase "
+    "step stage task mode modus state status flag waypoint wp wpt goal target line track route pass path cycle round "
+    "maneuver manoeuvre behavior behaviour action command event scenario case config gear direction weather wind site "
+    "location place area comment note lauf fahrt versuch tag abschnitt etappe runde zustand phase ziel etape étape "
+    "état etat essai tour jour prueba vuelta estado modo tramo día tappa giro prova stato fase tilstand tur fart "
+    "data raw csv bag train valid morning noon evening lake sea river pool harbour calm rough "
+    "auto automatic autonomous manual guided hold loiter idle stop rtl remote on off true false yes ahead astern "
+    "forward reverse left right straight turn circle zigzag".split()
+}  # of one boat: words of columns and of their texts
 NAMED = {"id", "variable", "signal", "channel", "parameter", "tag", "key", "sensor"}  # of a column of quantities
 MOST, FEWEST, LOOKED = 20, 3, 16  # boats; rows of each; columns that are looked at
 JUMPS, BLOCKS, HELD = 3.0, 0.02, 0.1  # how much more numbers jump; shares of rows of another boat, with another number
+DIGITS = 5  # of a number that identifies something
 
 
 class Kinds(NamedTuple):
@@ -39,23 +56,26 @@ class Kinds(NamedTuple):
 
 
 @np.errstate(all="ignore")
-def kinds_of(path: Path, dialect: Dialect) -> Kinds | None:
-    """The column that tells rows apart, by the first rows, or by its name in the whole file; None if there is none."""
+def kinds_of(path: Path, dialect: Dialect, beside: Sequence[Path] = ()) -> Kinds | None:
+    """The column that tells rows apart, by the first rows, or by its name in the whole file and in those beside it.
+
+    None if there is none.
+    """
     names = [name for name in dialect.names if name and dialect.names.count(name) == 1]
     cells = {name: [row[dialect.names.index(name)].strip() for row in dialect.sample] for name in names}
     numbers = {name: parse_cells(each, dialect.decimal) for name, each in cells.items()}
     varied = [each for each, x in numbers.items() if 2 * np.isfinite(x).sum() > len(x) and np.nanmax(x) > np.nanmin(x)]
     found: list[Kinds] = []
     for name, own in cells.items():
-        labels, words = np.array(own), {*WORD.findall(name.lower())}
+        labels, words = np.array(own), words_of(name)
         rows = np.flatnonzero(labels != "")
         counts, text = Counter(labels[rows].tolist()), np.isnan(numbers[name][rows]).all()
         if not (text or (numbers[name][rows] % 1 == 0).all()):
             continue
-        if words & VEHICLES and words <= VEHICLES | NUMBERED:
-            counts = Counter(each for each in labels_of(path, dialect, name) if each)
-            if 2 <= len(counts) <= MOST:
-                return Kinds(name, sorted(counts))
+        if _may_name(name, VEHICLES):
+            known = {*labels_of(path, dialect, name), *_firsts(beside, name)} - {""}
+            if 2 <= len(known) <= MOST:
+                return Kinds(name, sorted(known))
         few = 2 <= len(counts) <= (len(rows) / FEWEST if text or words & NAMED else MOST)
         labels = np.unique(labels[rows], return_inverse=True)[1]
         if not few or (labels[1:] != labels[:-1]).mean() < BLOCKS:
@@ -82,24 +102,70 @@ def _steps(values: np.ndarray, labels: np.ndarray) -> tuple[float, float, float]
     return float(across.mean()), float(np.abs(within).mean()), float((within != 0).mean())
 
 
-def changes_at(path: Path, dialect: Dialect, lines: Sequence[int]) -> str:
-    """What is said where the text of a column changes at these lines, and nowhere else; or ""."""
+def doubt_of(path: Path, dialect: Dialect, jumps: Sequence[int], beside: Sequence[Path]) -> str:
+    """What is said of a column that may tell boats apart; or "".
+
+    Args:
+        path, dialect: of the table.
+        jumps: lines at which its clock jumps back.
+        beside: other tables, which are read as of the same boat.
+    """
     for name in dict.fromkeys(name for name in dialect.names if dialect.names.count(name) == 1):
         cells = [row[dialect.names.index(name)].strip() for row in dialect.sample]
-        if sum(a != b for a, b in pairwise(cells)) <= len(lines) and not {*WORD.findall(name.lower())} & RUNS:
-            rows = Rows(path, dialect, [name], [], texts=True)
-            texts = np.array([each.strip() for each in rows.texts or ()])
-            if rows.order[1:][texts[1:] != texts[:-1]].tolist() == list(lines):
-                how = f"set data.boat_column={name} and data.boat=null; then, or if all are of one boat, confirm it"
-                return f"rows: the clock jumps back where {name!r} changes, as where another boat's rows begin: {how}"
+        device = _may_name(name, DEVICES) or any(words_of(each) & VEHICLES for each in cells[:1])
+        likely = device or (jumps and sum(a != b for a, b in pairwise(cells)) <= len(jumps))
+        if not likely or words_of(name) & PHASES or len({*cells}) > MOST:
+            continue
+        rows = Rows(path, dialect, [name], [], texts=True)
+        texts = np.array([each.strip() for each in rows.texts or ()])
+        labels = {*texts.tolist(), *_firsts(beside, name)} - {""}
+        if not 2 <= len(labels) <= MOST or any(words_of(each) & PHASES for each in labels):
+            continue
+        lines = rows.order[1:][texts[1:] != texts[:-1]].tolist()
+        back = lines == [*jumps] and lines and (device or all(len(each) >= DIGITS or words_of(each) for each in labels))
+        if back or (device and len(lines) < 2 * len(labels)):
+            why = f"the clock jumps back where {name!r} changes" if back else f"{name!r} changes from block to block"
+            how = f"set data.boat_column={name} and data.boat=null; then, or if all are of one boat, confirm it"
+            return f"rows: {why}, as where another boat's rows begin: {how}"
     return ""
 
 
-def refused(path: Path, dialect: Dialect, kinds: Kinds) -> LogFormatError:
+def fleet_of(files: Sequence[Path]) -> Kinds | None:
+    """The column, by its name, that tells the boats of several tables apart by their first rows; None without one."""
+    for name in next((head.names for file in files if (head := _head(file))), []):
+        if _may_name(name, VEHICLES) and 2 <= len(labels := {*_firsts(files, name)} - {""}) <= MOST:
+            return Kinds(name, sorted(labels))
+    return None
+
+
+def _firsts(files: Sequence[Path], name: str) -> Iterator[str]:
+    """The first text of a column in each table that has it."""
+    for head in filter(None, map(_head, files)):
+        if head.names.count(name) == 1:
+            yield next((cell for row in head.sample if (cell := row[head.names.index(name)].strip())), "")
+
+
+def _head(file: Path) -> Dialect | None:
+    with suppress(LogFormatError):
+        return find_dialect(file, AUTO, AUTO, AUTO, AUTO, AUTO)
+    return None
+
+
+def words_of(text: str) -> set[str]:
+    """The words of a name, in lower case, without numbers."""
+    return {*WORD.findall(text.lower())}
+
+
+def _may_name(column: str, things: set[str]) -> bool:
+    """Whether the name of a column has no other words than those of such things and their numbers."""
+    return bool((words := words_of(column)) & things) and words <= things | VEHICLES | NUMBERED
+
+
+def refused(path: Path, kinds: Kinds, dialect: Dialect | None = None) -> LogFormatError:
     """The error for rows of several boats or quantities."""
     column, one = printable(kinds.column), printable(kinds.values[0].strip("/"))
     listed = ", ".join(printable(repr(each)) for each in kinds.values[:4]) + (", …" if len(kinds.values) > 4 else "")
-    if kinds.number:
+    if kinds.number and dialect:
         return LogFormatError(
             f"{path}: found one number a row and its name in the column {column!r} ({listed}), expected a column each: "
             f"import pandas; pandas.read_csv({path.name!r}, sep={dialect.delimiter!r}, decimal={dialect.decimal!r})"

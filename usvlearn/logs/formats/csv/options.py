@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -44,7 +45,7 @@ class _Candidate(NamedTuple):
     first: float  # number
 
 
-def table_of(path: Path, boat: str | None = None) -> tuple[Table, list[str]]:
+def table_of(path: Path, boat: str | None = None, beside: Sequence[Path] = ()) -> tuple[Table, list[str]]:
     """A reader for one table, with its options as found, and a sentence for each unsure one that begins with its key.
 
     The option `comment` stays "auto". Of a folder of topics, an option that differs between its tables does, too.
@@ -52,6 +53,7 @@ def table_of(path: Path, boat: str | None = None) -> tuple[Table, list[str]]:
     Args:
         path: the table, or a folder whose tables are topics of one run.
         boat: whose rows are read, where the rows are of several boats.
+        beside: other tables that are read likewise.
 
     Raises:
         LogFormatError: the file is no table with a header, or no column can be one of stamps.
@@ -77,12 +79,14 @@ def table_of(path: Path, boat: str | None = None) -> tuple[Table, list[str]]:
             "leave it out"
         )
     rows = "all"
-    if kinds := kinds_of(path, dialect):
+    if kinds := kinds_of(path, dialect, beside):
         own = next((each for each in kinds.values if boat is not None and each.strip("/") == boat), None)
         if kinds.number or own is None:
-            raise refused(path, dialect, kinds)
+            raise refused(path.parent if len(beside) > 1 else path, kinds, dialect)
         rows, place = f"{kinds.column}={own}", dialect.names.index(kinds.column)
         dialect = dialect._replace(sample=[row for row in dialect.sample if row[place].strip() == own])
+        if not dialect.sample:
+            raise LogFormatError(f"{path}: found no row of {own!r} among the first ones: leave it out")
     advancing, counters = _candidates(dialect)
     candidates = sorted(advancing, key=lambda each: -each.rank)
     if not candidates:

@@ -16,7 +16,7 @@ import numpy as np
 from usvlearn.errors import ConfigError, LogFormatError, check_choice
 from usvlearn.logs.channels.channel import QUOTED, Channel, Source, build_channel, match_name, matching
 from usvlearn.logs.channels.series import Reader, Series
-from usvlearn.logs.formats.csv.boats import changes_at, kinds_of, labels_of, refused
+from usvlearn.logs.formats.csv.boats import doubt_of, fleet_of, kinds_of, labels_of, refused
 from usvlearn.logs.formats.csv.dialect import AUTO, Dialect, find_dialect, no_header, split_unit
 from usvlearn.logs.formats.csv.quaternions import Quaternion, Yaw, quaternions, yaw_of
 from usvlearn.logs.formats.csv.rows import Column, Rows
@@ -140,14 +140,19 @@ class Table(Reader):
         labels = {*labels_of(path, dialect, match_name(column, dialect.names, f"{path}: data.boat_column"))} - {""}
         return {each.strip("/").replace("/", "_"): replace(self, rows=f"{column}={each}") for each in sorted(labels)}
 
-    def doubt(self, path: Path, jumps: Sequence[int]) -> str:
-        """What is unsure about the rows of a file whose clock jumps back at these lines, or ""."""
-        return changes_at(path, self._dialect(path), jumps) if self.rows == AUTO and not path.is_dir() else ""
+    def doubt(self, path: Path, jumps: Sequence[int], beside: Sequence[Path]) -> str:
+        """What is unsure about the rows of a file whose clock jumps back at these lines, and of others; or ""."""
+        return doubt_of(path, self._dialect(path), jumps, beside) if self.rows == AUTO and not path.is_dir() else ""
+
+    def refuse_several(self, files: Sequence[Path]) -> None:
+        """Raise a LogFormatError for tables of several boats, as a column tells."""
+        if self.rows == AUTO and len(files) > 1 and (kinds := fleet_of([each for each in files if each.is_file()])):
+            raise refused(files[0].parent, kinds)
 
     def _only(self, path: Path, dialect: Dialect) -> tuple[int, str] | None:
         """The place of the column by which rows are chosen, and its text."""
         if self.rows == AUTO and (kinds := kinds_of(path, dialect)):
-            raise refused(path, dialect, kinds)
+            raise refused(path, kinds, dialect)
         if self.rows in (AUTO, "all"):
             return None
         column, _, text = self.rows.rpartition("=")
