@@ -31,6 +31,7 @@ MANY, MOST = 0.05, 0.5  # of the messages of a channel
 STALE, UNUSED = 0.1, 0.5  # of the steps; of the speeds
 UNSORTED, SORT = 0.01, "sort the rows of the log by their stamps"  # share of the stamps
 DATED, SHARED, OVERLAP = 3e8, 10.0, 0.05  # s since 1970, of a clock that was set; s; share of a run
+LATEST = 1e12  # s, beyond which `usvlearn.logs.alignment.align` takes no stamp
 HARMLESS = ("duplicate", "repeated", "copied", "stale", "lost", "outage", "alone", NONE)
 LIMITS = {SURGE: "surge_max", "yaw_rate": "yaw_rate_max", **dict.fromkeys(COMMANDS, "command_max")}
 
@@ -56,11 +57,13 @@ def rejected(e: Evidence) -> Iterator[Finding]:
                 continue
             severity = WARNING if cause in ("out_of_range", "backwards", "ahead") or count > MOST * total else NOTE
             text = f"{count / total:.0%} of {total} messages rejected: {cause.replace('_', ' ')}"
-            yield Finding(e.boat, name, "rejected", text, _expected(cause), _remedy(e, name, cause), severity)
+            yield Finding(e.boat, name, "rejected", text, _expected(e, name, cause), _remedy(e, name, cause), severity)
 
 
-def _expected(cause: str) -> str:
+def _expected(e: Evidence, name: str, cause: str) -> str:
     rows = {"backwards": SORT, "ahead": "leave out rows whose stamps lie in the future"}
+    if any((np.abs(each.time) > LATEST).any() for each in e.logs(name)):
+        rows["not_a_number"] = f"leave out rows whose stamps are more than {LATEST:g} s after the first one"
     return "; ".join(filter(None, [f"at most {MANY:.0%}", rows.get(cause)]))
 
 

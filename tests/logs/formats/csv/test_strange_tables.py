@@ -108,6 +108,20 @@ def test_days_rounded_as_a_spreadsheet_does_are_spread_and_whole_minutes_refused
         Table("time").read(path, {"surge": Source("speed")})
 
 
+@pytest.mark.parametrize(
+    ("header", "cell", "order"),
+    [("time", str, "reverse"), ("Zeit", lambda t: str(WHEN[int(4 * t)]), "no"), ("t_s", str, "reverse"),
+     ("Date,Time", lambda t: f"{WHEN[int(4 * t)]:%d.%m.%Y,%H:%M:%S.%f}", "reverse"), ("epoch", str, "no")],
+)  # fmt: skip
+def test_rows_in_no_order_of_time_are_to_be_sorted(tmp_path, header, cell, order):
+    time = TIME[::-1] if order == "reverse" else np.random.default_rng(0).permutation(TIME)
+    path = write(tmp_path / "a.csv", header, [[cell(t)] for t in time])
+    sort = r"\.iloc\[::-1\]" if order == "reverse" else r"\.sort_values\("
+    for read in (table_of, lambda each: Table("+".join(header.split(","))).read(each, {"surge": Source("speed")})):
+        with pytest.raises(LogFormatError, match=rf"a\.csv: expected the stamps .* in {order} order of time.*{sort}"):
+            read(path)
+
+
 def test_a_campbell_table_and_a_synchronous_log_of_moos(tmp_path):
     rows = "".join(f'"2024-06-03 09:15:{k // 4:02}.{k % 4 * 25:02}",{k},{SPEED[k]}\n' for k in range(200))
     head = '"TOA5","CR6"\n"TIMESTAMP","RECORD","u"\n"TS","RN","Volts"\n"","","Smp"\n'

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from usvlearn.errors import LogFormatError, printable
-from usvlearn.logs.formats.csv.dialect import AUTO, Dialect, find_dialect
+from usvlearn.logs.formats.csv.dialect import AUTO, Dialect, find_dialect, in_pandas
 from usvlearn.logs.formats.csv.rows import Rows
 from usvlearn.logs.formats.csv.stamps import WORD, parse_cells
 
@@ -168,8 +168,8 @@ def refused(path: Path, kinds: Kinds, dialect: Dialect | None = None) -> LogForm
     if kinds.number and dialect:
         return LogFormatError(
             f"{path}: found one number a row and its name in the column {column!r} ({listed}), expected a column each: "
-            f"import pandas; pandas.read_csv({path.name!r}, sep={dialect.delimiter!r}, decimal={dialect.decimal!r})"
-            f".pivot_table(index={dialect.names[0]!r}, columns={column!r}, values={kinds.number!r}).to_csv('wide.csv')"
+            f"{in_pandas(path, dialect)}.pivot_table(index={dialect.names[0]!r}, columns={column!r}, "
+            f"values={kinds.number!r}).to_csv('wide.csv')"
         )
     return LogFormatError(
         f"{path}: found rows of several boats or devices in the column {column!r} ({listed}), expected those of one: "

@@ -160,6 +160,20 @@ def no_header(path: Path, dialect: Dialect) -> LogFormatError:
     )
 
 
+def in_pandas(path: Path, dialect: Dialect) -> str:
+    """The commands that read a table as a frame of pandas."""
+    return f"import pandas; pandas.read_csv({path.name!r}, sep={dialect.delimiter!r}, decimal={dialect.decimal!r})"
+
+
+def not_sorted(path: Path, dialect: Dialect, stamps: list[str], order: str) -> LogFormatError:
+    """The error for rows that are not in the order of their stamps, but in another one."""
+    sort = ".iloc[::-1]" if "reverse" in order else f".sort_values({stamps!r})"
+    return LogFormatError(
+        f"{path}: expected the stamps {'+'.join(stamps)!r} to rise, found the rows {order} of time: sort them by time: "
+        f"{in_pandas(path, dialect)}{sort}.to_csv('sorted.csv', index=False)"
+    )
+
+
 def not_text(path: Path, encoding: str) -> LogFormatError:
     """The error for a file that is not in the encoding that is declared."""
     return LogFormatError(f"{path}: expected text in {encoding}, found other data: set data.reader.encoding")

@@ -12,8 +12,8 @@ import numpy as np
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.channels.channel import QUOTED
 from usvlearn.logs.formats.csv.boats import kinds_of, refused
-from usvlearn.logs.formats.csv.dialect import AUTO, UNIT_NAMES, Dialect, find_dialect, no_header, split_unit
-from usvlearn.logs.formats.csv.stamps import OFTEN, WORD, Stamps, joined, part_of, rows_a_second
+from usvlearn.logs.formats.csv.dialect import AUTO, UNIT_NAMES, Dialect, find_dialect, no_header, not_sorted, split_unit
+from usvlearn.logs.formats.csv.stamps import OFTEN, WORD, Stamps, disorder, joined, part_of, rows_a_second
 from usvlearn.logs.formats.csv.table import CLOCK, TIME_UNITS, TOPICS, Table
 from usvlearn.logs.formats.csv.topics import tables_of
 
@@ -87,7 +87,7 @@ def table_of(path: Path, boat: str | None = None, beside: Sequence[Path] = ()) -
         dialect = dialect._replace(sample=[row for row in dialect.sample if row[place].strip() == own])
         if not dialect.sample:
             raise LogFormatError(f"{path}: found no row of {own!r} among the first ones: leave it out")
-    advancing, counters = _candidates(dialect)
+    advancing, counters = _candidates(path, dialect)
     candidates = sorted(advancing, key=lambda each: -each.rank)
     if not candidates:
         listing = ", ".join(repr(name[:QUOTED]) for name in dialect.names[:40]) or "(none)"
@@ -141,12 +141,16 @@ def _table_of_topics(folder: Path) -> tuple[Table, list[str]]:
     return Table(time, unit, files=TOPICS, **same), list(unsure)
 
 
-def _candidates(dialect: Dialect) -> tuple[list[_Candidate], list[str]]:
-    """The columns that may be stamps, one of dates with one of times; and those that only count the rows."""
+def _candidates(path: Path, dialect: Dialect) -> tuple[list[_Candidate], list[str]]:
+    """The columns that may be stamps, one of dates with one of times; and those that only count the rows.
+
+    Raises:
+        LogFormatError: the rows are not in the order of the stamps.
+    """
     names = [name for name in dialect.names if name and dialect.names.count(name) == 1]
     joins, days = _joins(names)
     found: list[_Candidate] = []
-    counters, taken = list[str](), set[str]()
+    counters, taken, mixed = list[str](), set[str](), (float(EVEN), list[str](), "")
     for parts in [*joins, *([name] for name in names)]:
         places, name = [dialect.names.index(part) for part in parts], "+".join(parts)
         several = len(parts) > 1
@@ -163,10 +167,12 @@ def _candidates(dialect: Dialect) -> tuple[list[_Candidate], list[str]]:
             days.append(name)
             continue
         rising = np.diff(time[np.isfinite(time)])
-        if not len(rising) or (rising >= 0).mean() < RISING or not (rising > 0).any():
-            continue
         part = any(part in bare for part in PARTS)
         rank: float = 4 * (kind != "number") + 3 * (bare in NAMED) + 2 * part + (unit in TIME_UNITS)
+        if rank > 1 and (order := disorder(time)) and len(np.unique(time)) > READABLE * len(time):
+            mixed = max(mixed, (rank, parts, order))
+        if not len(rising) or (rising >= 0).mean() < RISING or not (rising > 0).any():
+            continue
         rank = rank if rank and (_advances(time) or kind != "number") else EVEN if _is_even(rising) else 0
         if several:
             rank, unit, taken = JOINED, "s", taken | {*parts}
@@ -177,6 +183,8 @@ def _candidates(dialect: Dialect) -> tuple[list[_Candidate], list[str]]:
     for k, each in enumerate(found):
         if each.kind == "time" and days:
             found[k] = each._replace(name=f"{days[0]}+{each.name}", rank=each.rank + 4)
+    if mixed[0] > max((each.rank for each in found), default=EVEN):
+        raise not_sorted(path, dialect, *mixed[1:])
     return found, counters
 
 

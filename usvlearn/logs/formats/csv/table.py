@@ -17,10 +17,10 @@ from usvlearn.errors import ConfigError, LogFormatError, check_choice
 from usvlearn.logs.channels.channel import QUOTED, Channel, Source, build_channel, match_name, matching
 from usvlearn.logs.channels.series import Reader, Series
 from usvlearn.logs.formats.csv.boats import doubt_of, fleet_of, kinds_of, labels_of, refused
-from usvlearn.logs.formats.csv.dialect import AUTO, Dialect, find_dialect, no_header, split_unit
+from usvlearn.logs.formats.csv.dialect import AUTO, Dialect, find_dialect, no_header, not_sorted, split_unit
 from usvlearn.logs.formats.csv.quaternions import Quaternion, Yaw, quaternions, yaw_of
 from usvlearn.logs.formats.csv.rows import Column, Rows
-from usvlearn.logs.formats.csv.stamps import ORDERS, spread
+from usvlearn.logs.formats.csv.stamps import ORDERS, disorder, spread
 
 HEMISPHERES = ("N", "S", "E", "W")  # cells of a column beside a latitude or a longitude
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "days": 86400.0}
@@ -192,6 +192,8 @@ class Table(Reader):
     def seconds(self, path: Path, dialect: Dialect, stamps: list[str], rows: Rows) -> tuple[np.ndarray, float]:
         """Stamps as seconds since the first readable one, and that one, s since 1970, midnight or a start."""
         time, origin = self._as_written(path, dialect, stamps, rows)
+        if order := disorder(time):
+            raise not_sorted(path, dialect, stamps, order)
         grain = GRAIN if self.time_unit == "days" else 1.0
         even, rate = spread(time, origin) if grain == 1 else spread(np.round(time / grain, 3), 0.0)
         if not rate:
