@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 
 from tests.support.strangers import sail
+from usvlearn.core.samples import Fleet
 from usvlearn.logs.channels.channel import SURGE, Channel, Recording
 from usvlearn.logs.checks.data_check import check_data
+from usvlearn.logs.checks.delivery import rejected
+from usvlearn.logs.checks.evidence import Evidence
 from usvlearn.logs.checks.finding import WARNING
 
 
@@ -63,3 +66,30 @@ def test_a_receiver_with_another_clock_is_found_in_both_directions(late):
 @pytest.mark.parametrize(("late", "off"), [(0, 0), (2, 0), (0, 30), (-1, -40)])
 def test_a_late_receiver_and_a_wrong_compass_are_no_other_clock(late, off):
     assert "clocks" not in receiver(late, off)
+
+
+IMPOSSIBLE = {
+    SURGE: lambda u, rng: np.where(np.arange(len(u)) % 2, 9.0, -9.0),
+    "heading": lambda psi, rng: np.where(np.arange(len(psi)) % 4 < 2, psi, 2 - psi),
+    "north": lambda x, rng: x + 40 * rng.integers(0, 2, len(x)),
+}
+
+
+@pytest.mark.parametrize("name", IMPOSSIBLE)
+def test_a_series_that_jumps_to_and_fro_is_found(name):
+    boat, rng = sail(6), np.random.default_rng(0)
+    own = {SURGE: boat["u"], "heading": boat["psi"], "north": boat["n"], "east": boat["e"]}
+    found = told_of(stranger(boat, **own | {name: IMPOSSIBLE[name](own[name], rng)}))["jumps"]
+    assert found.about.startswith(name) and found.severity == WARNING and "of two boats" in found.expected
+    spikes = {
+        key: np.where(rng.random(len(x)) < 0.02, 30 * x, x) + rng.normal(0, 0.1, len(x)) for key, x in own.items()
+    }
+    assert "jumps" not in told_of(stranger(boat, **spikes))
+
+
+def test_stamps_far_in_the_future_are_told_as_such():
+    one = stranger(sail(6))
+    late = one.channels[SURGE]._replace(time=one.channels[SURGE].time + 1e12 * (np.arange(len(sail(6)["u"])) > 300))
+    fleet = Fleet(("a",), (), {"a": {SURGE: {"not_a_number": 400}}})
+    (found,) = rejected(Evidence("a", [one._replace(channels=one.channels | {SURGE: late})], fleet, {}, 2.5, {}))
+    assert "leave out rows whose stamps are more than 1e+12 s after" in found.expected

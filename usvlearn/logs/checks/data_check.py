@@ -26,18 +26,19 @@ CHECKS: tuple[Callable[[Evidence], Iterator[Finding]], ...] = (
     scales.heading_sense, scales.yaw_rate, track.degrees, track.axes, track.follows, track.sway,
     thrusters.sides, thrusters.delay, thrusters.excitation, response.short_delay, clocks.clocks, frozen.frozen,
     delivery.rejected, delivery.stale, delivery.copies, delivery.clock, delivery.horizons, delivery.together,
+    delivery.jumps,
 )  # fmt: skip
 # kind of a finding -> kinds that follow from it, and are left out beside it
 CONSEQUENCES = {
     **dict.fromkeys(("speed unit", "speed scale", "yaw rate unit"), ("rejected", "stale")),
-    "heading unit": ("rejected", "stale", "position", "position axes"),
+    "heading unit": ("rejected", "stale", "position", "position axes", "jumps"),
     "command scale": ("rejected", "stale", "excitation"),
     "constant": ("thrust", "position"),
     "side reversed": ("thrust", "speed sign"),
     "sides or heading": ("speed sign",),
     "delay": ("stale", "position"),
     "frozen": ("delay", "position"),
-    "position unit": ("speed unit", "heading sense", "heading offset", "position", "position axes"),
+    "position unit": ("speed unit", "heading sense", "heading offset", "position", "position axes", "jumps"),
     "velocity axes": ("speed unit", "speed scale", "sides or heading", "side reversed", "thrust"),
 }
 LEVELS = ("warn", "strict", "off")

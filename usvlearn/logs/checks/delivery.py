@@ -9,6 +9,8 @@ Thresholds, and why:
 - A speed may come less often than the steps. It is used less than it could be if the measured steps are below half of
   what the intervals of the speeds allow.
 - A clock jumps if a stamp lies more than `align.outage` before an earlier one of its channel.
+- A series jumps to and fro if 10 % of its changes are impossible: of a speed 2 m/s² beyond 0.3 of the top speed, of the
+  heading of a boat that moves 1 rad/s beyond 0.5 rad, of a position twice the top speed beyond 5 m. Real logs have 1 %.
 - Two runs are of the same minutes if they share 10 s, and 5 % of the shorter: parts of one log overlap by less.
 """
 
@@ -21,18 +23,20 @@ from itertools import pairwise
 
 import numpy as np
 
-from usvlearn.logs.channels.channel import AUTO, CHANNELS, COMMANDS, EPSILON, LEAST_WINDOW, MOST_WINDOW, SURGE
+from usvlearn.logs.channels.bins import cleaned
+from usvlearn.logs.channels.channel import AUTO, CHANNELS, COMMANDS, EPSILON, LEAST_WINDOW, METRES, MOST_WINDOW, SURGE
 from usvlearn.logs.channels.copies import find_period
-from usvlearn.logs.checks.evidence import Evidence
-from usvlearn.logs.checks.finding import NOTE, WARNING, Finding, override
+from usvlearn.logs.checks.evidence import MOVING, NONE, Evidence
+from usvlearn.logs.checks.finding import NOTE, WARNING, Finding, override, see
 
-NONE = "empty"  # a cell of a table at whose time the channel had no message
+EMPTY = "empty"  # a cell of a table at whose time the channel had no message
 MANY, MOST = 0.05, 0.5  # of the messages of a channel
+JUMPING, STEPS, OUTAGE = 0.1, 50, 5.0  # share of impossible changes, of so many at least; s between two values
 STALE, UNUSED = 0.1, 0.5  # of the steps; of the speeds
 UNSORTED, SORT = 0.01, "sort the rows of the log by their stamps"  # share of the stamps
 DATED, SHARED, OVERLAP = 3e8, 10.0, 0.05  # s since 1970, of a clock that was set; s; share of a run
 LATEST = 1e12  # s, beyond which `usvlearn.logs.alignment.align` takes no stamp
-HARMLESS = ("duplicate", "repeated", "copied", "stale", "lost", "outage", "alone", NONE)
+HARMLESS = ("duplicate", "repeated", "copied", "stale", "lost", "outage", "alone", EMPTY)
 LIMITS = {SURGE: "surge_max", "yaw_rate": "yaw_rate_max", **dict.fromkeys(COMMANDS, "command_max")}
 
 
@@ -50,7 +54,7 @@ def _rejected(e: Evidence) -> dict[str, Counter]:
 def rejected(e: Evidence) -> Iterator[Finding]:
     """Shares of messages that were rejected, by cause, with the key that changes it."""
     for name, causes in _rejected(e).items():
-        dropped = sum(n for one in e.recordings for why, n in one.dropped.get(name, {}).items() if why != NONE)
+        dropped = sum(n for one in e.recordings for why, n in one.dropped.get(name, {}).items() if why != EMPTY)
         total = dropped + sum(len(each.time) for each in e.logs(name) or e.logs("heading"))  # of which a rate is made
         for cause, count in causes.items():
             if cause in HARMLESS or count <= MANY * total:
@@ -148,6 +152,28 @@ def clock(e: Evidence) -> Iterator[Finding]:
         if len(jumps):
             yield Finding(e.boat, name, "clock", f"{len(jumps)} stamps that jump back, by up to {jumps.max():.3g} s",
                           f"none by more than {outage:g} s (align.outage)", severity=NOTE)  # fmt: skip
+
+
+def jumps(e: Evidence) -> Iterator[Finding]:
+    """Speeds, headings and positions that jump to and fro as those of no boat do."""
+    top, found, shares = min(e.surge_max, e.fastest), list[str](), list[float]()
+    limits = {SURGE: (max(0.3 * top, 0.5), 2.0), "heading": (0.5, 1.0), **dict.fromkeys(METRES, (5.0, 2 * top))}
+    for name, (least, rate) in limits.items():
+        (time, value), (stamps, speed) = cleaned(e.series.get(name, NONE)), cleaned(e.series[SURGE])
+        passed, step = np.diff(time), np.abs(np.diff(value))
+        known = (passed > 0) & (passed < OUTAGE)
+        if name == "heading" and len(stamps):
+            step = np.abs(np.angle(np.exp(1j * step)))
+            known &= np.interp(time[1:], stamps, np.abs(speed)) > MOVING * top
+        if known.sum() >= STEPS and (share := float((step > least + rate * passed)[known].mean())) >= JUMPING:
+            found.append(dict(zip(METRES, e.places, strict=True)).get(name, name))
+            shares.append(share)
+    if found:
+        text = f"{max(shares):.0%} of the changes from one value to the next greater than a boat can make"
+        expected = (
+            "values that do not jump to and fro: of two boats or sensors in one log, write each to a log of its own"
+        )
+        yield Finding(e.boat, ", ".join(found), "jumps", text, see(expected, *found))
 
 
 def horizons(e: Evidence) -> Iterator[Finding]:
