@@ -31,7 +31,7 @@ from usvlearn.logs.channels.channel import (
 from usvlearn.logs.channels.copies import settle_period
 from usvlearn.logs.channels.derived_surge import PAIRS_TOLD, derived_surge, pair_of
 from usvlearn.logs.channels.restarts import segments
-from usvlearn.logs.channels.series import Reader
+from usvlearn.logs.channels.series import OtherBoats, Reader
 from usvlearn.logs.formats.foreign import explained
 
 
@@ -81,57 +81,39 @@ def read_recordings(
         return list(itertools.chain.from_iterable(each_of))
     sources = sources_of(channels)
     root, files = _find(path, reader, [source.name for source in parts_of(_needed(sources)).values()])
-    readers: dict[str, dict[Path, Reader]] = {}  # boat -> its logs
     if boat_column is not None:
         if (boats_in := getattr(reader, "boats", None)) is None:
             raise ConfigError(f"data.boat_column: found {boat_column!r}, expected none: it is for tables (data=csv)")
-        for file in files:
-            for name, each in boats_in(file, boat_column).items():
-                readers.setdefault(name, {})[file] = each
-        if boat is not None and (boat := str(boat)) not in readers:  # MMSI are numbers in YAML
-            raise ConfigError(
-                f"data.boat: found {boat!r}, expected one of {', '.join(readers)}, as {boat_column!r} has"
-            )
-        readers = readers if boat is None else {boat: readers[boat]}
-    else:
-        if refuse := getattr(reader, "refuse_several", None):
-            refuse(files)
-        if boat is None:
-            alone = files == [Path(path).expanduser()]
-            boat = _run(files[0], files[0].parent) if alone else printable(root.resolve().name)
-        readers = {str(boat): dict.fromkeys(files, reader)}
-    return [each for name, logs in readers.items() for each in _of_boat(name, root, logs, sources)]
-
-
-def _of_boat(
-    boat: str, root: Path, readers: Mapping[Path, Reader], sources: Mapping[str, Source | Mix]
-) -> list[Recording]:
-    recordings, unread = [], []
-    for number, (file, reader) in enumerate(readers.items(), 1):
-        doing(f"reading {file.name}" + (f", {number} of {len(readers)}" if len(readers) > 1 else ""))
+        boats = {name: each for file in files for name, each in boats_in(file, boat_column).items()}
+        if boat is not None and (boat := str(boat)) not in boats:  # MMSI are numbers in YAML
+            raise ConfigError(f"data.boat: found {boat!r}, expected one of {', '.join(boats)}, as {boat_column!r} has")
+        chosen = boats if boat is None else [boat]
+        return [each for name in chosen for each in read_recordings(path, boats[name], channels, name)]
+    if boat is None:
+        boat = _run(files[0], files[0].parent) if files == [Path(path).expanduser()] else printable(root.resolve().name)
+    recordings, unread = [], dict[Path, LogFormatError]()
+    for number, file in enumerate(files, 1):
+        doing(f"reading {file.name}" + (f", {number} of {len(files)}" if len(files) > 1 else ""))
         try:
-            recordings += _read(file, root, reader, sources, boat)
+            if file.stat().st_size == 0:
+                raise LogFormatError(f"{file}: expected a log, found an empty file: remove it")
+            recordings += recordings_of(file, reader, sources, str(boat), _run(file, root))
+        except OSError as error:
+            why = f"{file}: expected a readable file, found: {error.strerror or error}: fix its permissions"
+            unread[file] = LogFormatError(why)
         except LogFormatError as error:
-            unread.append(explained(file, error))
+            unread[file] = explained(file, error)
     if not recordings:
-        raise unread[0]
-    for each in unread:
-        warnings.warn(f"log left out: {each}", stacklevel=3)
+        raise next(iter(unread.values()))
+    if refuse := getattr(reader, "refuse_several", None):
+        refuse([each for each in files if each not in unread])
+    for each in unread.values():
+        if not isinstance(each, OtherBoats):
+            warnings.warn(f"log left out: {each}", stacklevel=2)
     if SURGE not in sources:
         pair = " and ".join(pair_of(sources) or ())
-        warnings.warn(f"{boat}: no speed is configured: the surge is computed from {pair}", stacklevel=3)
-    return settle_period(boat, recordings)
-
-
-def _read(file: Path, root: Path, reader: Reader, sources: Mapping[str, Source | Mix], boat: str) -> list[Recording]:
-    try:
-        if file.stat().st_size == 0:
-            raise LogFormatError(f"{file}: expected a log, found an empty file: remove it")
-        return recordings_of(file, reader, sources, boat, _run(file, root))
-    except OSError as error:
-        raise LogFormatError(
-            f"{file}: expected a readable file, found: {error.strerror or error}: fix its permissions"
-        ) from error
+        warnings.warn(f"{boat}: no speed is configured: the surge is computed from {pair}", stacklevel=2)
+    return settle_period(str(boat), recordings)
 
 
 def recordings_of(

@@ -257,7 +257,7 @@ def test_vehicles_that_only_names_tell_apart_are_never_one_boat(name):
 
 
 SENDERS = [
-    (("ATTITUDE", "1.1"), ("ATTITUDE", "2.1"), "system 1"), 
+    (("ATTITUDE", "1.1"), ("ATTITUDE", "2.1"), "1"), 
     (("DB_TIME", "MOOSDB_abe"), ("DB_TIME", "MOOSDB_ben"), "abe"),
     (("/usv1/odom", "O"), ("/usv2/odom", "O"), "usv1"), (("/usv1/odom", "O"), ("/usv1/odom", "O"), ""),
     (("/odom", "O"), ("/usv1/odom", "O"), ""), (("/imu/data", "I"), ("/gps/fix", "F"), ""),

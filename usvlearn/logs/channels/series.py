@@ -8,6 +8,7 @@ from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
+from usvlearn.errors import LogFormatError
 from usvlearn.logs.channels.channel import Channel, Source
 
 
@@ -29,6 +30,10 @@ class Series(NamedTuple):
 
 
 ELEMENTS = 16  # of an array, at most
+
+
+class OtherBoats(LogFormatError):
+    """No row of a log is of the boat that is read."""
 
 
 class Reader(Protocol):

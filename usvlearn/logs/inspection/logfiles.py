@@ -246,13 +246,9 @@ def boats_of(files: Sequence[Path]) -> dict[str, str]:
     several = len(groups) > 1 and "" not in groups and not any((words_of(each) - {"log"}) & PHASES for each in groups)
     if not several or (flat and min(map(len, groups.values())) < 2):
         return {}
-    start = glob.escape(str(folder))
-    found = {}
-    for name, names in groups.items():
-        alike = len({*names}) == 1
-        found[name] = f"{start}/{glob.escape(names[0] if alike else _common(names).rstrip('0123456789'))}"
-        found[name] += "*" * (flat or not alike) + "/**" * (not flat)
-    return found
+    start, below = glob.escape(str(folder)), "" if flat else "/**"
+    ends = {name: "*" if len({*names}) > 1 else "" for name, names in groups.items()}
+    return {name: f"{start}/{glob.escape(_common(names))}{ends[name]}{below}" for name, names in groups.items()}
 
 
 def _common(texts: Sequence[str]) -> str:

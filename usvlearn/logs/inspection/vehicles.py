@@ -18,6 +18,7 @@ from usvlearn.logs.inspection.vocabulary import fit
 
 TYPE = re.compile(r"HEARTBEAT(@\S*)? type|vehicle_status system_type")  # series of MAVLink's MAV_TYPE
 OF_VEHICLES = tuple(map(re.compile, (r"/([^/]+)/.+", r"([A-Za-z]+\d*)[._].+", r".*?[A-Za-z][ _.]?(\d+)")))  # in names
+SENDERS = tuple(map(re.compile, (r"/([^/ ]+)/(\S+) .*", r"ATTITUDE\S* (\d+)\.(\d+)", r"DB_TIME MOOSDB_(.+)()")))
 GROUND, BOAT = 10, 11  # a car; boats that run its firmware may keep this type
 OTHERS = {1: "an aeroplane", 12: "a submarine", **dict.fromkeys((2, 3, 4, 13, 14, 15, 29, 35), "a multicopter"),
           **dict.fromkeys(range(19, 26), "a VTOL aeroplane")}  # fmt: skip
@@ -66,26 +67,16 @@ def _vehicles_of(found: Sequence[Candidate], telemetry: bool) -> Iterator[dict[i
 
 def told_apart(logs: Sequence[Sequence[Series]]) -> dict[str, str]:
     """boat -> a word for its logs, where these tell the same of several systems, communities or namespaces; else {}."""
-    first, *others = map(_senders, logs)
-    for other in others:
-        for (one, own), (another, its) in product(first.items(), other.items()):
-            if one not in other and another not in first and 2 * len(own & its) > min(len(own), len(its)):
+    heard: list[dict[str, set[str]]] = [{} for _ in logs]
+    for log, senders in zip(logs, heard, strict=True):
+        for each, one in product(log, SENDERS):
+            if found := one.fullmatch(f"{each.name} {each.kind}"):
+                senders.setdefault(found[1], set()).add(f"{found[2]} {each.field}")
+    for other, (one, own) in product(heard[1:], heard[0].items()):
+        for another in () if one in other else sorted(other.keys() - heard[0].keys()):
+            if 2 * len(own & other[another]) > min(len(own), len(other[another])):
                 return {one: "FILE", another: "FILE"}
     return {}
-
-
-def _senders(log: Sequence[Series]) -> dict[str, set[tuple[str, str | None]]]:
-    """What a log has of each MAVLink system with an attitude, community of MOOS and namespace of ROS."""
-    found: dict[str, set[tuple[str, str | None]]] = {}
-    for each in log:
-        name, rest = each.kind.removeprefix("MOOSDB_"), each.name
-        if each.name.startswith("/"):
-            name, _, rest = each.name[1:].partition("/")
-        elif each.name.startswith("ATTITUDE"):
-            name = f"system {each.kind.partition('.')[0]}"
-        if name != each.kind and rest:
-            found.setdefault(name, set()).add((rest, each.field))
-    return found
 
 
 def check_boat(files: Sequence[Path], found: Sequence[Candidate], convention: str) -> list[Decision]:

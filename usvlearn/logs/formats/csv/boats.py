@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from usvlearn.errors import LogFormatError, printable
-from usvlearn.logs.formats.csv.dialect import AUTO, Dialect, find_dialect, in_pandas
+from usvlearn.logs.formats.csv.dialect import AUTO, Dialect, find_dialect
 from usvlearn.logs.formats.csv.rows import Rows
 from usvlearn.logs.formats.csv.stamps import WORD, parse_cells
 
@@ -57,10 +57,7 @@ class Kinds(NamedTuple):
 
 @np.errstate(all="ignore")
 def kinds_of(path: Path, dialect: Dialect, beside: Sequence[Path] = ()) -> Kinds | None:
-    """The column that tells rows apart, by the first rows, or by its name in the whole file and in those beside it.
-
-    None if there is none.
-    """
+    """The column that tells rows apart, by the first rows, or by its name in the file and those beside it; or None."""
     names = [name for name in dialect.names if name and dialect.names.count(name) == 1]
     cells = {name: [row[dialect.names.index(name)].strip() for row in dialect.sample] for name in names}
     numbers = {name: parse_cells(each, dialect.decimal) for name, each in cells.items()}
@@ -130,25 +127,13 @@ def doubt_of(path: Path, dialect: Dialect, jumps: Sequence[int], beside: Sequenc
     return ""
 
 
-def fleet_of(files: Sequence[Path]) -> Kinds | None:
-    """The column, by its name, that tells the boats of several tables apart by their first rows; None without one."""
-    for name in next((head.names for file in files if (head := _head(file))), []):
-        if _may_name(name, VEHICLES) and 2 <= len(labels := {*_firsts(files, name)} - {""}) <= MOST:
-            return Kinds(name, sorted(labels))
-    return None
-
-
 def _firsts(files: Sequence[Path], name: str) -> Iterator[str]:
     """The first text of a column in each table that has it."""
-    for head in filter(None, map(_head, files)):
-        if head.names.count(name) == 1:
-            yield next((cell for row in head.sample if (cell := row[head.names.index(name)].strip())), "")
-
-
-def _head(file: Path) -> Dialect | None:
-    with suppress(LogFormatError):
-        return find_dialect(file, AUTO, AUTO, AUTO, AUTO, AUTO)
-    return None
+    for file in files:
+        with suppress(LogFormatError):
+            head = find_dialect(file, AUTO, AUTO, AUTO, AUTO, AUTO)
+            if head.names.count(name) == 1:
+                yield next((cell for row in head.sample if (cell := row[head.names.index(name)].strip())), "")
 
 
 def words_of(text: str) -> set[str]:
@@ -161,14 +146,15 @@ def _may_name(column: str, things: set[str]) -> bool:
     return bool((words := words_of(column)) & things) and words <= things | VEHICLES | NUMBERED
 
 
-def refused(path: Path, kinds: Kinds, dialect: Dialect | None = None) -> LogFormatError:
+def refused(path: Path, dialect: Dialect, kinds: Kinds) -> LogFormatError:
     """The error for rows of several boats or quantities."""
     column, one = printable(kinds.column), printable(kinds.values[0].strip("/"))
     listed = ", ".join(printable(repr(each)) for each in kinds.values[:4]) + (", …" if len(kinds.values) > 4 else "")
-    if kinds.number and dialect:
+    if kinds.number:
         return LogFormatError(
             f"{path}: found one number a row and its name in the column {column!r} ({listed}), expected a column each: "
-            f"{in_pandas(path, dialect)}.pivot_table(index={dialect.names[0]!r}, columns={column!r}, "
+            f"import pandas; pandas.read_csv({path.name!r}, sep={dialect.delimiter!r}, decimal={dialect.decimal!r})"
+            f".pivot_table(index={dialect.names[0]!r}, columns={column!r}, "
             f"values={kinds.number!r}).to_csv('wide.csv')"
         )
     return LogFormatError(

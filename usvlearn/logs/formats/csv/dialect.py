@@ -14,12 +14,15 @@ from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.formats.csv.packed import open_table
 
 AUTO = "auto"
 HEAD = 1 << 18  # bytes that are looked at
 LINES = 1000  # and lines
+FEWEST, MIXED = 8, 0.3  # steps, and share of them that go back in time, from which rows are in no order
 DELIMITERS = (",", ";", "\t", "|", " ")
 COMMENTS = ("#", "%", "//")
 NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|nan|[+-]?inf", re.IGNORECASE)
@@ -160,17 +163,16 @@ def no_header(path: Path, dialect: Dialect) -> LogFormatError:
     )
 
 
-def in_pandas(path: Path, dialect: Dialect) -> str:
-    """The commands that read a table as a frame of pandas."""
-    return f"import pandas; pandas.read_csv({path.name!r}, sep={dialect.delimiter!r}, decimal={dialect.decimal!r})"
-
-
-def not_sorted(path: Path, dialect: Dialect, stamps: list[str], order: str) -> LogFormatError:
-    """The error for rows that are not in the order of their stamps, but in another one."""
-    sort = ".iloc[::-1]" if "reverse" in order else f".sort_values({stamps!r})"
+def not_sorted(path: Path, dialect: Dialect, stamps: list[str], time: np.ndarray) -> LogFormatError | None:
+    """The error for rows that are not in the order of their stamps, s; None where most of them are."""
+    steps = np.diff(time[np.isfinite(time)])
+    if len(steps) < FEWEST or (steps < 0).mean() < MIXED:
+        return None
+    order, sort = ("no", f".sort_values({stamps!r})") if (steps > 0).any() else ("reverse", ".iloc[::-1]")
     return LogFormatError(
-        f"{path}: expected the stamps {'+'.join(stamps)!r} to rise, found the rows {order} of time: sort them by time: "
-        f"{in_pandas(path, dialect)}{sort}.to_csv('sorted.csv', index=False)"
+        f"{path}: expected the stamps {'+'.join(stamps)!r} to rise, found the rows in {order} order of time: sort them "
+        f"by time: import pandas; pandas.read_csv({path.name!r}, sep={dialect.delimiter!r}, decimal="
+        f"{dialect.decimal!r}){sort}.to_csv('sorted.csv', index=False)"
     )
 
 

@@ -11,9 +11,10 @@ import numpy as np
 
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.channels.channel import QUOTED
+from usvlearn.logs.channels.series import OtherBoats
 from usvlearn.logs.formats.csv.boats import kinds_of, refused
 from usvlearn.logs.formats.csv.dialect import AUTO, UNIT_NAMES, Dialect, find_dialect, no_header, not_sorted, split_unit
-from usvlearn.logs.formats.csv.stamps import OFTEN, WORD, Stamps, disorder, joined, part_of, rows_a_second
+from usvlearn.logs.formats.csv.stamps import OFTEN, WORD, Stamps, joined, part_of, rows_a_second
 from usvlearn.logs.formats.csv.table import CLOCK, TIME_UNITS, TOPICS, Table
 from usvlearn.logs.formats.csv.topics import tables_of
 
@@ -82,11 +83,11 @@ def table_of(path: Path, boat: str | None = None, beside: Sequence[Path] = ()) -
     if kinds := kinds_of(path, dialect, beside):
         own = next((each for each in kinds.values if boat is not None and each.strip("/") == boat), None)
         if kinds.number or own is None:
-            raise refused(path.parent if len(beside) > 1 else path, kinds, dialect)
+            raise refused(path.parent if len(beside) > 1 else path, dialect, kinds)
         rows, place = f"{kinds.column}={own}", dialect.names.index(kinds.column)
         dialect = dialect._replace(sample=[row for row in dialect.sample if row[place].strip() == own])
         if not dialect.sample:
-            raise LogFormatError(f"{path}: found no row of {own!r} among the first ones: leave it out")
+            raise OtherBoats(f"{path}: found no row with {own!r} among the first ones: leave it out")
     advancing, counters = _candidates(path, dialect)
     candidates = sorted(advancing, key=lambda each: -each.rank)
     if not candidates:
@@ -144,13 +145,12 @@ def _table_of_topics(folder: Path) -> tuple[Table, list[str]]:
 def _candidates(path: Path, dialect: Dialect) -> tuple[list[_Candidate], list[str]]:
     """The columns that may be stamps, one of dates with one of times; and those that only count the rows.
 
-    Raises:
-        LogFormatError: the rows are not in the order of the stamps.
+    Raises a LogFormatError where the rows are not in the order of the stamps.
     """
     names = [name for name in dialect.names if name and dialect.names.count(name) == 1]
     joins, days = _joins(names)
     found: list[_Candidate] = []
-    counters, taken, mixed = list[str](), set[str](), (float(EVEN), list[str](), "")
+    counters, taken, unsorted = list[str](), set[str](), dict[float, LogFormatError]()
     for parts in [*joins, *([name] for name in names)]:
         places, name = [dialect.names.index(part) for part in parts], "+".join(parts)
         several = len(parts) > 1
@@ -169,8 +169,9 @@ def _candidates(path: Path, dialect: Dialect) -> tuple[list[_Candidate], list[st
         rising = np.diff(time[np.isfinite(time)])
         part = any(part in bare for part in PARTS)
         rank: float = 4 * (kind != "number") + 3 * (bare in NAMED) + 2 * part + (unit in TIME_UNITS)
-        if rank > 1 and (order := disorder(time)) and len(np.unique(time)) > READABLE * len(time):
-            mixed = max(mixed, (rank, parts, order))
+        distinct = len(np.unique(time)) > READABLE * len(time)
+        if rank > 1 and distinct and (error := not_sorted(path, dialect, parts, time)):
+            unsorted[rank] = error
         if not len(rising) or (rising >= 0).mean() < RISING or not (rising > 0).any():
             continue
         rank = rank if rank and (_advances(time) or kind != "number") else EVEN if _is_even(rising) else 0
@@ -183,8 +184,8 @@ def _candidates(path: Path, dialect: Dialect) -> tuple[list[_Candidate], list[st
     for k, each in enumerate(found):
         if each.kind == "time" and days:
             found[k] = each._replace(name=f"{days[0]}+{each.name}", rank=each.rank + 4)
-    if mixed[0] > max((each.rank for each in found), default=EVEN):
-        raise not_sorted(path, dialect, *mixed[1:])
+    if unsorted and max(unsorted) > max((each.rank for each in found), default=EVEN):
+        raise unsorted[max(unsorted)]
     return found, counters
 
 

@@ -13,6 +13,7 @@ from typing import TextIO
 import numpy as np
 
 from usvlearn.errors import LogFormatError
+from usvlearn.logs.channels.series import OtherBoats
 from usvlearn.logs.formats.csv.dialect import Dialect, errors_of, not_text
 from usvlearn.logs.formats.csv.packed import open_table
 from usvlearn.logs.formats.csv.stamps import Stamps, joined, parse_cells
@@ -106,7 +107,9 @@ class Rows:
             except UnicodeError as error:
                 raise not_text(path, dialect.encoding) from error
         if not orders:
-            found = first_torn or (f", found none with {only[1]!r}" if only else ", found nothing below the header")
+            if only and not first_torn:
+                raise OtherBoats(f"{path}: found no row with {only[1]!r}: set data.reader.rows, or leave this log out")
+            found = first_torn or ", found nothing below the header"
             raise LogFormatError(
                 f"{path}: expected rows of {width} cells, as many as the header has{found}: fix the header, or leave "
                 "this log out"

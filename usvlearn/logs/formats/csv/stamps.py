@@ -20,7 +20,6 @@ DAY = 86400.0  # s
 MIDNIGHT = datetime(1970, 1, 1)
 EPOCH = MIDNIGHT.toordinal()
 OFTEN, FEW = 1.25, 4  # rows of one whole second, from which they are no duplicates; and the least number of rows
-MIXED, ROWS = 0.3, 9  # share of the steps that go back in time, from which rows are in no order; least number of them
 CERTAIN = 0.99  # share of the telling dates that agree
 TIME = r"(\d{1,3}):(\d\d)(?::(\d\d)(?:[.,:](\d+))?)?\s*(?:([AaPp])\.?[Mm]\.?)?"
 ONLY_TIME = re.compile(rf"\s*{TIME}\s*")
@@ -210,19 +209,6 @@ def spread(time: np.ndarray, origin: float) -> tuple[np.ndarray, float]:
     found = time.copy()
     found[readable] += place / np.repeat(counts, counts)
     return found, rate
-
-
-def disorder(time: np.ndarray) -> str:
-    """How rows are in no order of time, where at least `MIXED` of the steps go back; else "".
-
-    >>> disorder(-np.arange(9.0)), disorder(np.arange(9.0) % 2), disorder(np.arange(9.0))
-    ('in reverse order', 'in no order', '')
-    """
-    time = time[np.isfinite(time)]
-    steps = np.diff(time)
-    if len(time) < ROWS or (steps < 0).mean() < MIXED:
-        return ""
-    return "in no order" if (steps > 0).any() else "in reverse order"
 
 
 def rows_a_second(stamps: np.ndarray) -> float:

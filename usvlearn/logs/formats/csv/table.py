@@ -16,11 +16,11 @@ import numpy as np
 from usvlearn.errors import ConfigError, LogFormatError, check_choice
 from usvlearn.logs.channels.channel import QUOTED, Channel, Source, build_channel, match_name, matching
 from usvlearn.logs.channels.series import Reader, Series
-from usvlearn.logs.formats.csv.boats import doubt_of, fleet_of, kinds_of, labels_of, refused
+from usvlearn.logs.formats.csv.boats import doubt_of, kinds_of, labels_of, refused
 from usvlearn.logs.formats.csv.dialect import AUTO, Dialect, find_dialect, no_header, not_sorted, split_unit
 from usvlearn.logs.formats.csv.quaternions import Quaternion, Yaw, quaternions, yaw_of
 from usvlearn.logs.formats.csv.rows import Column, Rows
-from usvlearn.logs.formats.csv.stamps import ORDERS, disorder, spread
+from usvlearn.logs.formats.csv.stamps import ORDERS, spread
 
 HEMISPHERES = ("N", "S", "E", "W")  # cells of a column beside a latitude or a longitude
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "days": 86400.0}
@@ -146,13 +146,13 @@ class Table(Reader):
 
     def refuse_several(self, files: Sequence[Path]) -> None:
         """Raise a LogFormatError for tables of several boats, as a column tells."""
-        if self.rows == AUTO and len(files) > 1 and (kinds := fleet_of([each for each in files if each.is_file()])):
-            raise refused(files[0].parent, kinds)
+        if len(files) > 1 and not files[0].is_dir():
+            self._only(files[0], self._dialect(files[0]), files)
 
-    def _only(self, path: Path, dialect: Dialect) -> tuple[int, str] | None:
+    def _only(self, path: Path, dialect: Dialect, beside: Sequence[Path] = ()) -> tuple[int, str] | None:
         """The place of the column by which rows are chosen, and its text."""
-        if self.rows == AUTO and (kinds := kinds_of(path, dialect)):
-            raise refused(path, kinds, dialect)
+        if self.rows == AUTO and (kinds := kinds_of(path, dialect, beside)):
+            raise refused(path.parent if beside else path, dialect, kinds)
         if self.rows in (AUTO, "all"):
             return None
         column, _, text = self.rows.rpartition("=")
@@ -192,8 +192,8 @@ class Table(Reader):
     def seconds(self, path: Path, dialect: Dialect, stamps: list[str], rows: Rows) -> tuple[np.ndarray, float]:
         """Stamps as seconds since the first readable one, and that one, s since 1970, midnight or a start."""
         time, origin = self._as_written(path, dialect, stamps, rows)
-        if order := disorder(time):
-            raise not_sorted(path, dialect, stamps, order)
+        if error := not_sorted(path, dialect, stamps, time):
+            raise error
         grain = GRAIN if self.time_unit == "days" else 1.0
         even, rate = spread(time, origin) if grain == 1 else spread(np.round(time / grain, 3), 0.0)
         if not rate:
