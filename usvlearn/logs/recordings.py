@@ -100,7 +100,9 @@ def _side_by_side(elements: list[BoatRun | None]) -> Run:
     for element, one in enumerate(elements):
         if one is not None:
             part = slice(lengths[element]), element
-            time[part] = _onward(one.aligned.time, one.aligned.samples.inputs.dt)
+            own, step = one.aligned.time, one.aligned.samples.inputs.dt.max(initial=0.0)
+            ahead = np.diff(own, prepend=own[:1])
+            time[part] = own - own[0] + np.cumsum(np.where(ahead < 0, step - ahead, 0.0))  # a clock set back goes on
             tree_map(lambda whole, x, part=part: whole.__setitem__(part, x), padded, one.aligned.samples)
             pose[part] = one.poses
             if one.position is not None:
@@ -108,13 +110,3 @@ def _side_by_side(elements: list[BoatRun | None]) -> Run:
     names = tuple("" if element is None else element.name for element in elements)
     known = any(element is not None and element.position is not None for element in elements)
     return Run(time, padded, names, tuple(lengths), position if known else None, pose)
-
-
-def _onward(time: np.ndarray, dt: np.ndarray) -> np.ndarray:
-    """Stamps from 0 on; where the clock was set back, the next step follows the one before it.
-
-    >>> _onward(np.array([9.0, 9.5, 2.0, 2.5]), np.full(4, 0.5))
-    array([0. , 0.5, 1. , 1.5])
-    """
-    ahead = np.diff(time, prepend=time[:1])
-    return time - time[0] + np.cumsum(np.where(ahead < 0, dt.max(initial=0.0) - ahead, 0.0))

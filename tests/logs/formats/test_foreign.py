@@ -145,3 +145,10 @@ def test_what_is_left_out_of_a_folder_is_named(tmp_path):
     (tmp_path / "empty" / "a.xlsm").write_bytes(FILES["a.xlsm"][0])
     with pytest.raises(Exception, match=r"found a\.xlsm, a spreadsheet: save it as a CSV file"):
         open_logs([str(tmp_path / "empty")])
+
+
+@pytest.mark.parametrize("text", ["\n\n\n", "\r\r", " \t\n"])
+def test_a_file_of_blank_lines_is_empty(tmp_path, text):
+    (tmp_path / "a.csv").write_text(text, newline="")
+    with pytest.raises(LogFormatError, match="found an empty file"):
+        find_format(tmp_path / "a.csv")

@@ -114,6 +114,8 @@ def test_a_file_of_an_older_inspect_asks_for_a_new_one_and_one_of_a_person_nothi
     assert (
         "run it again" in unconfirmed(open_questions({"vehicle": {"mass": 3}, SECTION: asked}, ["vehicle.mass=3"]))[0]
     )
+    with pytest.raises(ConfigError, match=r"expected all, since it has no questions\. An older .* run it again"):
+        list(confirm([str(path)], ["mass"]))
     assert list(confirm([str(path)], ["all"]))[1] == "Nothing is open any more."
     assert questions_in(yaml.safe_load(path.read_text()), path) == {} and path.read_text().endswith(
         "3}\nunconfirmed: {}\n"

@@ -156,24 +156,21 @@ def clock(e: Evidence) -> Iterator[Finding]:
 
 def jumps(e: Evidence) -> Iterator[Finding]:
     """Speeds, headings and positions that jump to and fro as those of no boat do."""
-    top, found, shares = min(e.surge_max, e.fastest), list[str](), list[float]()
+    top, (stamps, speed), shares = min(e.surge_max, e.fastest), cleaned(e.series[SURGE]), dict[str, float]()
     limits = {SURGE: (max(0.3 * top, 0.5), 2.0), "heading": (0.5, 1.0), **dict.fromkeys(METRES, (5.0, 2 * top))}
     for name, (least, rate) in limits.items():
-        (time, value), (stamps, speed) = cleaned(e.series.get(name, NONE)), cleaned(e.series[SURGE])
+        time, value = cleaned(e.series.get(name, NONE))
         passed, step = np.diff(time), np.abs(np.diff(value))
         known = (passed > 0) & (passed < OUTAGE)
         if name == "heading" and len(stamps):
             step = np.abs(np.angle(np.exp(1j * step)))
             known &= np.interp(time[1:], stamps, np.abs(speed)) > MOVING * top
         if known.sum() >= STEPS and (share := float((step > least + rate * passed)[known].mean())) >= JUMPING:
-            found.append(dict(zip(METRES, e.places, strict=True)).get(name, name))
-            shares.append(share)
-    if found:
-        text = f"{max(shares):.0%} of the changes from one value to the next greater than a boat can make"
-        expected = (
-            "values that do not jump to and fro: of two boats or sensors in one log, write each to a log of its own"
-        )
-        yield Finding(e.boat, ", ".join(found), "jumps", text, see(expected, *found))
+            shares[dict(zip(METRES, e.places, strict=True)).get(name, name)] = share
+    if shares:
+        text = f"{max(shares.values()):.0%} of the changes from one value to the next greater than a boat can make"
+        expected = "values that do not jump to and fro: write those of two boats or sensors to a log of each"
+        yield Finding(e.boat, ", ".join(shares), "jumps", text, see(expected, *shares))
 
 
 def horizons(e: Evidence) -> Iterator[Finding]:

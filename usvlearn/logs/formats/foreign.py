@@ -64,11 +64,12 @@ WEAK = (  # they may stand above a table, too, and only tell why it could not be
 )  # fmt: skip
 
 
-def foreign(path: Path, surely: bool = False) -> str:
+def foreign(path: Path, head: bytes = b"", surely: bool = False) -> str:
     """What a file is, and the way out, if it is of a known kind that is not read; else "".
 
     Args:
         path: the file.
+        head: its first bytes, if they have been read.
         surely: whether to leave out what may be a table.
 
     >>> from tempfile import TemporaryDirectory
@@ -79,8 +80,9 @@ def foreign(path: Path, surely: bool = False) -> str:
     """
     if not path.is_file():
         return ""
-    with path.open("rb") as file:
-        head = file.read(HEAD)
+    if not head:
+        with path.open("rb") as file:
+            head = file.read(HEAD)
     if path.name.lower().endswith(PACKED) and min(head, default=9) < 9:
         return ""  # a table that is unpacked
     start = head.removeprefix(b"\xef\xbb\xbf")

@@ -56,10 +56,7 @@ class Format:
 
     def open(self, path: Path, boat: str | None, beside: Sequence[Path]) -> tuple[Any, list[str]]:
         """The reader, with the options that this file needs, and what is unsure about them."""
-        try:
-            found = getattr(importlib.import_module(self.module), self.reader)
-        except (ImportError, AttributeError):
-            raise LogFormatError(f"{path}: found a log of {self.name}, which this version cannot read") from None
+        found = getattr(importlib.import_module(self.module), self.reader)
         return found(path, boat, beside) if self.reader == "table_of" else (found(), [])
 
 
@@ -126,7 +123,7 @@ def find_format(path: Path) -> Format:
     inside = sorted(each for each in path.iterdir() if each.suffix.lower() in BAGS) if path.is_dir() else [path]
     with inside[0].open("rb") as file:
         head = file.read(HEAD)
-    if not head:
+    if not head.strip():
         raise LogFormatError(f"{path}: expected a log, found an empty file: remove it")
     suffix = inside[0].suffix.lower()
     inner = Path(inside[0].stem).suffix if path.is_dir() and suffix == ZSTD else None
@@ -134,7 +131,7 @@ def find_format(path: Path) -> Format:
         return packed
     if suffix == ".slog" or (inside[0].name.lower().endswith(PACKED) and not _is_text(head, suffix)):
         return TABLE
-    known = foreign(inside[0], surely=True)
+    known = foreign(inside[0], head, surely=True)
     if found := next((each for each in FORMATS if each.fits(head, suffix) and (each.begins or not known)), None):
         return found
     known = known or "found binary data of no known format: give a log that a boat recorded"
@@ -228,8 +225,6 @@ def _common_path(given: Sequence[str], files: Sequence[Path]) -> str:
 
 def boats_of(files: Sequence[Path]) -> dict[str, str]:
     """boat -> pattern of its logs, where the logs of one folder, or its folders, have several names; else {}.
-
-    Numbers and what follows them, and names of days, modes and trials, tell no boat; the number of a boat does.
 
     >>> boats_of([Path(f"logs/{name}_{k}.csv") for name in ("heron", "otter") for k in (1, 2)])
     {'heron': 'logs/heron_*', 'otter': 'logs/otter_*'}

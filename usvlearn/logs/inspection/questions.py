@@ -85,6 +85,7 @@ def confirm(files: Sequence[str], given: Sequence[str]) -> Iterator[str]:
     for key in keys:
         if key not in (*known, ALL):
             there = f"expected one of {', '.join(dict.fromkeys([*known, ALL]))}{did_you_mean(key, known)}"
+            there = f"expected {ALL}, since it has no questions. {known[ALL]['why']}" if ALL in known else there
             raise ConfigError(f"--confirm: found {key!r}, {there}")
     kept = {} if ALL in keys else {key: each for key, each in known.items() if key not in keys}
     wanted = {**content, SECTION: {key: content[SECTION][key] for key in kept}}

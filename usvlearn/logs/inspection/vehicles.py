@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from itertools import product
-from mmap import ACCESS_READ, mmap
 from pathlib import Path
 
 from usvlearn.errors import LogFormatError
@@ -35,14 +34,9 @@ def of_one_vehicle(found: Sequence[Candidate], convention: str) -> tuple[list[Ca
     """
     telemetry = convention == "MAVLink telemetry"
     for system in _vehicles_of(found, telemetry):
-        headed, driven = (
-            {
-                system[id(each)]
-                for each in found
-                if id(each) in system and each.varies and fit(role, each.label) >= least
-            }
-            for role, least in (("heading", 2), ("command", 1))
-        )
+        known = [(system[id(each)], each.label) for each in found if id(each) in system and each.varies]
+        headed = {one for one, label in known if fit("heading", label) >= 2}
+        driven = {one for one, label in known if fit("command", label) >= 1}
         systems = sorted(filter(str.isdigit, headed), key=int) if telemetry else sorted(headed & driven)
         if len(systems) < 2:
             continue
@@ -87,14 +81,13 @@ def check_boat(files: Sequence[Path], found: Sequence[Candidate], convention: st
     """
     kinds = {round(float(each.value[-1])) for each in found if TYPE.fullmatch(each.label)}
     other = next((OTHERS[kind] for kind in kinds if kind in OTHERS and not kinds & {GROUND, BOAT}), "")
-    parameters = DataFlash()._log(files[0]).vehicles[""].parameters if convention == "ArduPilot DataFlash" else {}
+    log = DataFlash()._log(files[0]) if convention == "ArduPilot DataFlash" else None
+    parameters = log.vehicles[""].parameters if log else {}
     servos = {value for name, value in parameters.items() if FUNCTION.fullmatch(name)}
     if servos & WINGS or (servos & MOTORS and not servos & OF_BOATS):
         other = "an aeroplane" if servos & WINGS else "a multicopter or a submarine"
-    if convention == "ArduPilot DataFlash":
-        with files[0].open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as content:  # it may be large
-            if text := FIRMWARE.search(content):
-                other = FIRMWARES[text[1]]
+    if log and (text := FIRMWARE.search(memoryview(log.data))):
+        other = FIRMWARES[text[1]]
     if other:
         raise LogFormatError(
             f"{files[0]}: found a log of {other}, expected one of a boat: give one, or add --any-vehicle if it is one"

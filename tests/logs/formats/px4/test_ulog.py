@@ -207,3 +207,14 @@ def test_damage_in_which_pyulog_would_go_round_for_ever_is_refused(tmp_path, pyu
     path.write_bytes(header({}) + 25_000 * block("I", b"") + struct.pack("<HB", 60_000, 0) + b"ab")
     with pytest.raises(LogFormatError, match="damage in which pyulog finds no end"):
         Ulog().survey(path)
+
+
+@pytest.mark.parametrize("topic", ["vehicle_gps_position", "sensor_gps"])
+def test_a_log_begins_when_its_receiver_says(tmp_path, pyulog, topic):
+    formats = {topic: "uint64_t timestamp;uint64_t time_utc_usec;", "speed": "uint64_t timestamp;float v;"}
+    for fix, start in ((1_717_406_100_000_000, 1717406098.5), (0, math.nan)):
+        data = [header(formats), subscribe(0, topic), subscribe(1, "speed"), message(0, 0, "Q", 0)]
+        data += [message(0, 1_500_000, "Q", fix), message(1, 2_000_000, "f", 1)]
+        (tmp_path / "a.ulg").write_bytes(b"".join(data))
+        channels, _ = Ulog().read(tmp_path / "a.ulg", {"surge": Source("speed", "v")})
+        assert channels["surge"].start == pytest.approx(start, abs=1e-3, nan_ok=True)

@@ -1,11 +1,8 @@
 """Tables whose rows are of several boats, or hold one number each beside its name.
 
-A column whose name tells boats apart has several texts, in one table or in those of a folder. Another one has few
-values, and from a row of one to a row of another most measured numbers jump far more than between two rows of the same.
-Where one boat changes its mode or gear, its heading and speed do not jump.
-
-It is a question where a column may name a device and each of its texts stands in one block, or where the clock jumps
-back at each change of texts that are no modes, legs or runs.
+The column that tells them apart is called so, also in several tables. Or it has few values, and from a row of one to a
+row of another most measured numbers jump far more than between two rows of the same. Where one boat changes its mode or
+gear, its heading and speed do not jump. Blocks of rows of what may be devices, and no modes, legs or runs, are asked.
 """
 
 from __future__ import annotations
@@ -100,16 +97,10 @@ def _steps(values: np.ndarray, labels: np.ndarray) -> tuple[float, float, float]
 
 
 def doubt_of(path: Path, dialect: Dialect, jumps: Sequence[int], beside: Sequence[Path]) -> str:
-    """What is said of a column that may tell boats apart; or "".
-
-    Args:
-        path, dialect: of the table.
-        jumps: lines at which its clock jumps back.
-        beside: other tables, which are read as of the same boat.
-    """
+    """What is said of a column that may tell boats apart, also from other tables; `jumps` are lines; or ""."""
     for name in dict.fromkeys(name for name in dialect.names if dialect.names.count(name) == 1):
         cells = [row[dialect.names.index(name)].strip() for row in dialect.sample]
-        device = _may_name(name, DEVICES) or any(words_of(each) & VEHICLES for each in cells[:1])
+        device = _may_name(name, DEVICES) or _may_name(next(iter(cells), ""), VEHICLES)
         likely = device or (jumps and sum(a != b for a, b in pairwise(cells)) <= len(jumps))
         if not likely or words_of(name) & PHASES or len({*cells}) > MOST:
             continue
@@ -154,8 +145,7 @@ def refused(path: Path, dialect: Dialect, kinds: Kinds) -> LogFormatError:
         return LogFormatError(
             f"{path}: found one number a row and its name in the column {column!r} ({listed}), expected a column each: "
             f"import pandas; pandas.read_csv({path.name!r}, sep={dialect.delimiter!r}, decimal={dialect.decimal!r})"
-            f".pivot_table(index={dialect.names[0]!r}, columns={column!r}, "
-            f"values={kinds.number!r}).to_csv('wide.csv')"
+            f".pivot_table(index={dialect.names[0]!r}, columns={column!r}, values={kinds.number!r}).to_csv('wide.csv')"
         )
     return LogFormatError(
         f"{path}: found rows of several boats or devices in the column {column!r} ({listed}), expected those of one: "

@@ -53,11 +53,10 @@ def table_of(path: Path, boat: str | None = None, beside: Sequence[Path] = ()) -
 
     Args:
         path: the table, or a folder whose tables are topics of one run.
-        boat: whose rows are read, where the rows are of several boats.
-        beside: other tables that are read likewise.
+        boat, beside: whose rows are read, where those of this and other tables are of several boats.
 
     Raises:
-        LogFormatError: the file is no table with a header, or no column can be one of stamps.
+        LogFormatError: the file is no table with a header, or no column can be one of stamps in the order of time.
 
     >>> from tempfile import TemporaryDirectory
     >>> with TemporaryDirectory() as folder:
@@ -143,10 +142,7 @@ def _table_of_topics(folder: Path) -> tuple[Table, list[str]]:
 
 
 def _candidates(path: Path, dialect: Dialect) -> tuple[list[_Candidate], list[str]]:
-    """The columns that may be stamps, one of dates with one of times; and those that only count the rows.
-
-    Raises a LogFormatError where the rows are not in the order of the stamps.
-    """
+    """The columns that may be stamps, one of dates with one of times; and those that only count the rows."""
     names = [name for name in dialect.names if name and dialect.names.count(name) == 1]
     joins, days = _joins(names)
     found: list[_Candidate] = []

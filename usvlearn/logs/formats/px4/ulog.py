@@ -9,7 +9,7 @@ import math
 import re
 import warnings
 from collections import Counter, defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, ClassVar, NamedTuple
@@ -25,6 +25,7 @@ FIELDS = 50_000  # of all subscriptions of a log; a log of PX4 has some thousand
 MARGIN = 100_000  # reads, and hundreds of bytes, beyond those that are in proportion to the size
 DEEPEST = 10  # messages within each other
 ELEMENT = re.compile(r"(.+)\[(\d+)\]")
+CLOCKS = ("vehicle_gps_position", "sensor_gps")  # topics that tell the time in UTC
 QUATERNIONS = ("q", "q_d")  # fields of attitudes, and of their setpoints
 
 
@@ -69,7 +70,7 @@ class Ulog(Reader):
 
     def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
         wanted = [source.name for source in sources.values()]
-        wanted += [found[1] for name in wanted if (found := ELEMENT.fullmatch(name))]
+        wanted += [*(found[1] for name in wanted if (found := ELEMENT.fullmatch(name))), *CLOCKS]
         seen: set[str] = set()
 
         def keep(name: str) -> bool:
@@ -86,12 +87,12 @@ class Ulog(Reader):
                     f"{where}.name: the log holds no message of {matched[channel][:QUOTED]!r}: name another topic"
                 )
         order = dict(zip(topics, _orders([topic.time for topic in topics.values()]), strict=True))
-        channels, dropped = {}, {}
+        channels, dropped, start = {}, {}, _start(topics)
         for channel, source in sources.items():
             topic = topics[matched[channel]]
             raw = topic.value(source.field or "", f"{path}: data.channels.{channel}.field")
             channels[channel], dropped[channel] = build_channel(
-                f"{path}: {channel}", source, topic.time, raw, order[topic.name]
+                f"{path}: {channel}", source, topic.time, raw, order[topic.name], start=start
             )
         return channels, dropped
 
@@ -110,6 +111,13 @@ class Ulog(Reader):
                     series.append(Series(topic.name, array, topic.time, value, order, "rad", kind))
                 series.append(Series(topic.name, name, topic.time, _floats(numbers), order, "", kind))
         return series
+
+
+def _start(topics: Mapping[str, _Topic]) -> float:
+    """When a log began, s since 1970, by the fixes of its receivers; NaN without one."""
+    fixes = [(topics[name].time, topics[name].fields.get("time_utc_usec")) for name in CLOCKS if name in topics]
+    known = [1e-6 * (utc - 1e6 * time)[utc > 1e15] for time, utc in fixes if utc is not None]
+    return float(np.median(np.concatenate(known))) if any(map(len, known)) else math.nan
 
 
 def _floats(numbers: np.ndarray) -> np.ndarray:
