@@ -10,7 +10,7 @@ Thresholds, and why:
   what the intervals of the speeds allow.
 - A clock jumps if a stamp lies more than `align.outage` before an earlier one of its channel.
 - A series jumps to and fro if 10 % of its changes are impossible: of a speed 2 m/s² beyond 0.3 of the top speed, of the
-  heading of a boat that moves 1 rad/s beyond 0.5 rad, of a position twice the top speed beyond 5 m. Real logs have 1 %.
+  heading of a boat that moves 1 rad/s beyond 1 rad, of a position twice the top speed beyond 5 m. Real logs have 1 %.
 - Two runs are of the same minutes if they share 10 s, and 5 % of the shorter: parts of one log overlap by less.
 """
 
@@ -157,14 +157,14 @@ def clock(e: Evidence) -> Iterator[Finding]:
 def jumps(e: Evidence) -> Iterator[Finding]:
     """Speeds, headings and positions that jump to and fro as those of no boat do."""
     top, (stamps, speed), shares = min(e.surge_max, e.fastest), cleaned(e.series[SURGE]), dict[str, float]()
-    limits = {SURGE: (max(0.3 * top, 0.5), 2.0), "heading": (0.5, 1.0), **dict.fromkeys(METRES, (5.0, 2 * top))}
+    limits = {SURGE: (max(0.3 * top, 0.5), 2.0), "heading": (1.0, 1.0), **dict.fromkeys(METRES, (5.0, 2 * top))}
     for name, (least, rate) in limits.items():
         time, value = cleaned(e.series.get(name, NONE))
         passed, step = np.diff(time), np.abs(np.diff(value))
         known = (passed > 0) & (passed < OUTAGE)
         if name == "heading" and len(stamps):
-            step = np.abs(np.angle(np.exp(1j * step)))
-            known &= np.interp(time[1:], stamps, np.abs(speed)) > MOVING * top
+            moving = np.interp(time[1:], stamps, np.abs(speed)) > MOVING * top
+            step = np.where(moving, np.abs(np.angle(np.exp(1j * step))), 0.0)
         if known.sum() >= STEPS and (share := float((step > least + rate * passed)[known].mean())) >= JUMPING:
             shares[dict(zip(METRES, e.places, strict=True)).get(name, name)] = share
     if shares:

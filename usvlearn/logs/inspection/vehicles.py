@@ -86,7 +86,7 @@ def check_boat(files: Sequence[Path], found: Sequence[Candidate], convention: st
     servos = {value for name, value in parameters.items() if FUNCTION.fullmatch(name)}
     if servos & WINGS or (servos & MOTORS and not servos & OF_BOATS):
         other = "an aeroplane" if servos & WINGS else "a multicopter or a submarine"
-    if log and (text := FIRMWARE.search(memoryview(log.data))):
+    if log and (text := FIRMWARE.search(log.data.data)):
         other = FIRMWARES[text[1]]
     if other:
         raise LogFormatError(
