@@ -228,8 +228,6 @@ def boats_of(files: Sequence[Path]) -> dict[str, str]:
 
     >>> boats_of([Path(f"logs/{name}_{k}.csv") for name in ("heron", "otter") for k in (1, 2)])
     {'heron': 'logs/heron_*', 'otter': 'logs/otter_*'}
-    >>> boats_of([Path(f"logs/{name}/run.csv") for name in ("boat1", "boat2")])
-    {'boat1': 'logs/boat1/**', 'boat2': 'logs/boat2/**'}
     """
     folder = Path(os.path.commonpath([file.parent for file in files]))
     flat = len({file.parent for file in files}) == 1

@@ -24,20 +24,16 @@ from usvlearn.logs.formats.csv.stamps import WORD, parse_cells
 VEHICLES = {"vehicle", "boat", "robot", "vessel", "ship", "usv", "asv", "auv", "agent", "mmsi", "imo", "callsign",
             "hull", "sysid", "system", "boot", "schiff", "fahrzeug", "bateau", "navire", "barco", "buque"}  # fmt: skip
 NUMBERED = {"id", "name", "number", "no", "nr", "code"}  # words beside these
-DEVICES = {
-    *"id name node platform drone serial device unit tracker craft asset member host hostname sender client uuid imei "
-    "gerät geraet plattform kennung nom appareil nombre dispositivo".split()
-}  # what may name a boat
-PHASES = {
-    *"run session trial test lap leg mission experiment episode log file part segment section block day date phase "
-    "step stage task mode modus state status flag waypoint wp wpt goal target line track route pass path cycle round "
-    "maneuver manoeuvre behavior behaviour action command event scenario case config gear direction weather wind site "
-    "location place area comment note lauf fahrt versuch tag abschnitt etappe runde zustand phase ziel etape étape "
-    "état etat essai tour jour prueba vuelta estado modo tramo día tappa giro prova stato fase tilstand tur fart "
-    "data raw csv bag train valid morning noon evening lake sea river pool harbour calm rough "
-    "auto automatic autonomous manual guided hold loiter idle stop rtl remote on off true false yes ahead astern "
-    "forward reverse left right straight turn circle zigzag".split()
-}  # of one boat: words of columns and of their texts
+DEVICES = {*("id name node platform drone serial device unit tracker craft asset member host hostname sender client "
+             "uuid imei gerät geraet plattform kennung nom appareil nombre dispositivo").split()}  # fmt: skip
+PHASES = {*("run session trial test lap leg mission experiment episode log file part segment section block day date "
+            "phase step stage task mode modus state status flag waypoint wp wpt goal target line track route pass path "
+            "cycle round maneuver manoeuvre behavior behaviour action command event scenario case config gear "
+            "direction weather wind site location place area comment note lauf fahrt versuch tag abschnitt etappe "
+            "runde zustand phase ziel etape étape état etat essai tour jour prueba vuelta estado modo tramo día tappa "
+            "giro prova stato fase tilstand tur fart data raw csv bag train valid morning noon evening lake sea river "
+            "pool harbour calm rough auto automatic autonomous manual guided hold loiter idle stop rtl remote on off "
+            "true false yes ahead astern forward reverse left right straight turn circle zigzag").split()}  # fmt: skip
 NAMED = {"id", "variable", "signal", "channel", "parameter", "tag", "key", "sensor"}  # of a column of quantities
 MOST, FEWEST, LOOKED = 20, 3, 16  # boats; rows of each; columns that are looked at
 JUMPS, BLOCKS, HELD = 3.0, 0.02, 0.1  # how much more numbers jump; shares of rows of another boat, with another number
