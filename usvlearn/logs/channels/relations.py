@@ -25,6 +25,7 @@ import numpy as np
 from usvlearn.logs.channels.bins import OUTAGE, Series, bin_edges, bin_means, bin_rates, cleaned, clipped
 
 FEWEST = 12  # bins, below which nothing is concluded
+STRAIGHT = 0.7  # share of the way by which a boat that turns comes on, at least, where its speed is compared
 FAST = 0.3  # share of the greatest speed from which a ratio of speeds is taken
 FEW_LAGS = 64  # that are summed one by one; more by Fourier transforms
 REACH = 60.0  # s, lags of an autocorrelation that are summed
@@ -172,25 +173,54 @@ def speed_on_thrust(
     return relate(both / 2, clipped(bin_means(speed, edges)), step, lags)
 
 
-def speed_on_positions(north: Series, east: Series, speed: Series, step: float = 5.0) -> Relation:
+def speed_on_positions(
+    north: Series, east: Series, speed: Series, heading: Series | None = None, step: float = 5.0
+) -> Relation:
     """The size of the speed against the rate of position; the slope is the median of their ratio.
 
-    1.94 is a speed in knots read as m/s, 3.6 one in km/h, 0.514 one in m/s read as knots.
+    1.94 is a speed in knots read as m/s, 3.6 one in km/h, 0.514 one in m/s read as knots. Both are changes between the
+    means of neighbouring bins, in which noise averages out. A boat that turns goes farther than its place moves: with a
+    heading, rad, of any zero and sense, the rate is that along its way, if the speed follows this one better.
 
     >>> time = np.arange(0, 600, 0.2)
-    >>> true = 1 + 0.5 * np.sin(0.05 * time)
-    >>> place = (time, np.cumsum(true) * 0.2)
-    >>> round(speed_on_positions(place, (time, 0 * time), (time, true / 0.5144)).slope, 2)
-    1.94
+    >>> true, heading = 1 + 0.5 * np.sin(0.05 * time), 0.2 * time
+    >>> place = [(time, np.cumsum(true * each(heading)) * 0.2) for each in (np.cos, np.sin)]
+    >>> knots = time, true / 0.5144
+    >>> [round(speed_on_positions(*place, knots, each).slope, 2) for each in (None, (time, -heading))]
+    [2.11, 1.94]
     """
-    edges = bin_edges(step, north, east, speed)
-    moved = [bin_rates(series, edges) for series in (north, east)]
-    rate, size = clipped(np.hypot(*moved)), clipped(np.abs(bin_means(speed, edges)))
+    edges = bin_edges(step, north, east, speed)[:-1]  # the last bin may end later than a series
+    time, value = cleaned(speed)
+    rates = [np.abs(_moved(north, edges) + 1j * _moved(east, edges))]
+    size = clipped(np.abs(_moved(_sum((time, np.abs(value))), edges)))
+    if heading is not None:
+        stamps, angle = cleaned(heading)
+        straight = np.abs(_moved(_sum((stamps, np.exp(1j * angle))), edges))
+        rates.append(rates[0] / np.where(straight > STRAIGHT, straight, np.nan))
+    found = [_ratio(clipped(each), size, step) for each in rates]
+    return max(found, key=lambda each: np.nan_to_num(each.correlation, nan=-1.0))
+
+
+def _sum(series: Series) -> Series:
+    """The integral of a series from its first stamp on."""
+    time, value = series
+    return time, np.append(0.0, np.cumsum(np.diff(time) * (value[:-1] + value[1:]) / 2))[: len(time)]
+
+
+def _moved(series: Series, edges: np.ndarray) -> np.ndarray:
+    """The rate of change from the mean of one bin to that of the next one, `(bins - 1,)`."""
+    return np.diff(bin_means(series, edges)) / np.diff(edges[:-1])
+
+
+def _ratio(rate: np.ndarray, size: np.ndarray, step: float) -> Relation:
+    """The relation, with the median of the ratios as its slope; noise across the way makes a rate greater."""
     found = relate(rate, size, step, NO_LAG)
     known = np.isfinite(rate) & np.isfinite(size)
     if not found.seconds or not (fast := known & (rate > FAST * np.max(rate[known], initial=0.0))).any():
         return found
-    return found._replace(slope=float(np.median(size[fast] / rate[fast])))
+    rate, size = rate[fast], size[fast]
+    noise = 1.48 * np.median(np.abs(rate - size / max(np.median(size / rate), 1e-9)))  # m/s
+    return found._replace(slope=float(np.median(size / np.maximum(rate - noise**2 / rate / 2, rate / 2))))
 
 
 def position_on_velocity(position: tuple[Series, Series], velocity: tuple[Series, Series], step: float = 5.0) -> Motion:

@@ -122,9 +122,10 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
     for each in places:
         taken += [each.first, each.second]
     left = [each for each in pool if not any(each is other for other in taken)]
-    speeds = find_speeds([*along_hull(left), *norms(left)], places, convention)
+    turned = heading.radians if heading else None
+    speeds = find_speeds([*along_hull(left), *norms(left)], places, convention, turned)
     speeds = by_reaction(speeds, [each for each in left if fit("command", each.label) >= 1])
-    velocities = find_velocities(left, places, heading.radians if heading else None, convention)
+    velocities = find_velocities(left, places, turned, convention)
     if velocities and speeds and speeds[0].candidate.is_signed:
         velocities = None  # the speed is signed already
     if velocities:

@@ -67,13 +67,16 @@ class Velocities(NamedTuple):
     guessed: bool = False  # whether only their direction tells it, and hardly changes
 
 
-def find_speeds(pool: Sequence[Candidate], places: Sequence[Places], convention: str) -> list[Speed]:
+def find_speeds(
+    pool: Sequence[Candidate], places: Sequence[Places], convention: str, heading: Pair | None = None
+) -> list[Speed]:
     """Series that may be the speed, the best first.
 
     Args:
         pool: all series that are not yet taken.
         places: of the boat; the first is used.
         convention: name of the format.
+        heading: rad, by which the way between two places is known.
     """
     found, placed = [], {id(each) for place in places for each in place[:2]}
     for each in pool:
@@ -83,7 +86,7 @@ def find_speeds(pool: Sequence[Candidate], places: Sequence[Places], convention:
         unfit = part >= 2 or (name < 1 and (not places or angle >= 1)) or each.unit in OTHER_UNITS
         if name < 0 or unfit or id(each) in placed:
             continue
-        relation = speed_on_positions(places[0].north, places[0].east, each.evidence) if places else None
+        relation = speed_on_positions(*places[0][-2:], each.evidence, heading) if places else None
         speed = read_speed(each, relation, convention, name)
         if name >= 1 or (speed.confirmed and relation and relation.correlation > 0.9 and speed.unit in SPEEDS[:3]):
             found.append(speed)
@@ -241,11 +244,11 @@ def find_velocities(
 ) -> Velocities | None:
     """Two series that are the velocity to the north and to the east, by name or by their direction, if there are."""
     if known := known_velocity(pool, convention):
-        return _velocities(*known, places, convention)
+        return _velocities(*known, places, heading, convention)
     for north in pool:
         for east in pool if fit("velocity_north", north.label) >= 2 else ():
             if fit("velocity_east", east.label) >= 2 and (east.name == north.name or north.field in (None, "data")):
-                return _velocities(north, east, places, convention)
+                return _velocities(north, east, places, heading, convention)
     for x, y in vectors(pool):
         if heading is None or len(x.value) != len(y.value):
             continue
@@ -255,14 +258,17 @@ def find_velocities(
             ahead = float(np.cos(np.arctan2(y.value, x.value)[fast]).mean())  # 1 of a vector along the hull
             if max(ALONG, ahead) <= agreement(heading, (time[fast], direction)):
                 turns = 1 - abs(np.exp(1j * direction).mean())  # 0 if it is constant, as along a hull
-                return _velocities(north, east, places, convention)._replace(guessed=bool(turns < TURNS))
+                found = _velocities(north, east, places, heading, convention)
+                return found._replace(guessed=bool(turns < TURNS))
     return None
 
 
-def _velocities(north: Candidate, east: Candidate, places: Sequence[Places], convention: str) -> Velocities:
+def _velocities(
+    north: Candidate, east: Candidate, places: Sequence[Places], heading: Pair | None, convention: str
+) -> Velocities:
     same = len(north.value) == len(east.value)
     size = north.named(value=np.hypot(north.value, east.value) if same else np.abs(north.value))
-    relation = speed_on_positions(places[0].north, places[0].east, size.evidence) if places and same else None
+    relation = speed_on_positions(*places[0][-2:], size.evidence, heading) if places and same else None
     return Velocities(north, east, read_speed(size, relation, convention, 3.0))
 
 
