@@ -363,7 +363,9 @@ def test_a_measured_speed_is_not_in_metres(name, unit):
 def test_where_no_name_tells_a_speed_those_that_may_be_it_are_named():
     boat = sail(6)
     found = driven(boat, w1=boat["u"], w2=20 + np.sin(boat["time"] / 30))
-    assert found.missing == ["surge"] and found.unfit.startswith("if 'w1', which follow the commands, is the speed")
+    assert found.missing == ["surge"] and found.unfit.startswith(
+        "'w1' follows the commands: call it speed only if it is measured"
+    )
 
 
 @pytest.mark.parametrize(("seed", "begin", "sign"), [(1, 0.0, 1), (2, 6.0, 1), (3, -3.0, -1)])

@@ -16,6 +16,7 @@ from usvlearn.logs.formats.ardupilot.servos import FUNCTIONS, OUTPUTS
 from usvlearn.logs.formats.csv.table import ROTATION
 from usvlearn.logs.inspection.vocabulary import fit, unit_word
 
+HELD = 7.0  # s, for which no measured speed of a boat that moves is the same, unless its sensor is slower
 EVIDENCE_HZ = 10.0  # values a second that relations look at
 WRAP = 0.1  # by how much a jump of a heading may differ from a full turn
 TURNS = {"deg": 360.0, "rad": 2 * math.pi}
@@ -143,6 +144,28 @@ class Candidate:
                 if np.ptp(self.value) <= turn * 1.02 and np.ptp(self.value) > 0.8 * turn:
                     return unit
         return ""
+
+    @cached_property
+    def is_set(self) -> bool:
+        """Whether it is constant for long, and jumps or rises evenly in between, as setpoints do and no boat.
+
+        >>> time = np.arange(0.0, 200.0)
+        >>> for value in (np.cos(time // 20), np.clip(np.cumsum(np.cos(time // 10) > 0.9), 0, 9), np.cos(time / 20)):
+        ...     Candidate("a", None, "", "", time, value).is_set
+        True
+        True
+        False
+        """
+        (time, value), some = self.evidence, 0.02 * self.size
+        time, value = (each[np.argsort(time, kind="stable")] for each in (time, value))
+        first = np.flatnonzero(np.append(True, np.diff(value) != 0))  # of each value that holds
+        lasts = time[np.append(first[1:], len(time)) - 1] - time[first] + self.interval
+        steps, moves = np.abs(np.diff(value[first])), np.abs(value[first]) > some
+        long = moves & (lasts > HELD)
+        if long.sum() < 3 or lasts[long].sum() < lasts[moves].sum() / 2:
+            return False
+        even = bool(np.quantile(steps, 0.25) > 0.8 * np.quantile(steps, 0.75)) and np.median(np.diff(first)) == 1
+        return even or bool(len(first) < 3 * long.sum() and np.median(steps) > 5 * some)
 
     @cached_property
     def evidence(self) -> tuple[np.ndarray, np.ndarray]:

@@ -35,19 +35,19 @@ from usvlearn.logs.inspection.places import (
 from usvlearn.logs.inspection.senses import LIKELY
 from usvlearn.logs.inspection.sides import SWAPPED, Commands, doubted, find_commands, seconds_astern
 from usvlearn.logs.inspection.speeds import (
+    IS_SET,
     along_hull,
     by_reaction,
     find_speeds,
-    find_velocities,
     following,
     interchanged,
     norms,
     tell_speed,
-    tell_velocities,
     tell_without_sign,
 )
 from usvlearn.logs.inspection.sways import find_sway, tell_sway
 from usvlearn.logs.inspection.vehicles import of_one_vehicle
+from usvlearn.logs.inspection.velocities import find_velocities, tell_velocities
 from usvlearn.logs.inspection.vocabulary import (
     WORDS,
     fit,
@@ -105,7 +105,8 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
         places, axes = [found_axes, *places[1:]], least(PROBABLE, heading.certainty)
         doubt = "which of them is north, is told by the heading, which follows the course then"
     if heading and oriented and course:
-        ahead = next((each.metres for each in find_speeds(named, [oriented], convention)), rate_of(oriented))
+        measured = [each for each in named if not each.is_set]
+        ahead = next((each.metres for each in find_speeds(measured, [oriented], convention)), rate_of(oriented))
         heading = without_error(heading, (oriented.north, oriented.east), course, ahead, convention)
     elif heading and not places and (found_course := reckoned(pool, named)):
         heading = without_error(heading, *found_course, convention)
@@ -122,10 +123,13 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
     for each in places:
         taken += [each.first, each.second]
     left = [each for each in pool if not any(each is other for other in taken)]
-    turned = heading.radians if heading else None
-    speeds = find_speeds([*along_hull(left), *norms(left)], places, convention, turned)
+    angles = heading.radians if heading else None
+    speeds = find_speeds([*along_hull(left), *norms(left)], places, convention, angles)
     speeds = by_reaction(speeds, [each for each in left if fit("command", each.label) >= 1])
-    velocities = find_velocities(left, places, turned, convention)
+    velocities = find_velocities(left, places, angles, convention)
+    sets = [each.candidate for each in speeds if each.candidate.is_set]
+    if (places or velocities) and len(sets) == len(speeds):
+        speeds = []
     if velocities and speeds and speeds[0].candidate.is_signed:
         velocities = None  # the speed is signed already
     if velocities:
@@ -135,7 +139,7 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
     track = places[0] if places and places[0].oriented else None
     sway = find_sway(left, beside, track, heading)
     over_ground = None if sway or velocities else find_course(left, speeds, track, heading)
-    used = [each.candidate for each in (beside, sway) if each]
+    used = [*sets, *(each.candidate for each in (beside, sway) if each)]
     rest = [each for each in left if not (any(each is other for other in used) or _names_state(each))]
     everything, unfit = found, ""
     if azimuths := [each.label for each in pool if names_azimuth(each.label)]:
@@ -174,7 +178,8 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
     elif speeds:
         decisions += tell_speed(speeds, channels, series)
     elif places:
-        why = "no series is known to be the speed: the position tells it"
+        known = f"{', '.join(each.label for each in sets)} {IS_SET}" if sets else "no series is known to be the speed"
+        why = f"{known}: the position tells it"
         decisions.append(Decision("surge", "series", "from the position", PROBABLE, why))
     if sway:
         decisions += tell_sway(sway, channels, series, least(sense, axes))

@@ -18,18 +18,14 @@ from usvlearn.logs.channels.copies import find_period
 from usvlearn.logs.channels.relations import Relation, speed_on_positions, speed_on_thrust
 from usvlearn.logs.inspection.candidate import Candidate
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
-from usvlearn.logs.inspection.directions import agreement
-from usvlearn.logs.inspection.known import known_velocity
 from usvlearn.logs.inspection.places import CLOSE as FOLLOWED
 from usvlearn.logs.inspection.places import Pair, Places, crossed
-from usvlearn.logs.inspection.vocabulary import OTHER_UNITS, fit, words
+from usvlearn.logs.inspection.vocabulary import OTHER_UNITS, SETPOINT, fit, names_side_alone, words
 
 RATIO = 1.3  # by which a slope may differ from that of a unit, as far as that unit is near at all
 FITS, SAME = 1.05, 0.95  # by which it may differ, and the correlation, of a unit that is certain
 FOLLOWS, SURE = 0.6, 4.0  # correlation with the rate of position, and that in standard errors
 CLOSE, LONG = 0.9, 60.0  # or a close correlation over so many seconds
-ALONG = 0.8  # mean cosine of heading and direction of a velocity over ground
-TURNS = 0.3  # variance of that direction on the circle, from which it is no chance
 ACROSS = 0.5  # share of y in x, from which a vector is not along the hull
 STEADY, TIGHT = 0.4, 1.1  # correlation of a speed that varies little, and then the tolerance of the slope
 BETTER = 4  # by which 1 − correlation must shrink, to take latitude and longitude against their names
@@ -37,6 +33,9 @@ DOUBT = 2.0  # by which it must shrink where the unit of the speed decides, or b
 MORE = 0.005  # by which the correlation must grow, too, where they are doubtful
 MOST, UNLIKE, LIKE = 4, 0.35, 0.5  # series that are compared; correlations with commands
 PLAUSIBLE = 15.0  # m/s, of a boat of this kind
+FOLLOWS_NOT = "it does not follow the rate of position"
+IS_SET = "is constant for long, and jumps or rises evenly in between, as a setpoint does and no measured speed"
+LATER = (0.0, 10.0)  # s, by which a speed follows its setpoint
 METRIC = ("geometry_msgs", "nav_msgs", "MOOS", "ArduPilot DataFlash", "MAVLink telemetry", "PX4 ULog")  # all m/s
 
 
@@ -49,22 +48,13 @@ class Speed(NamedTuple):
     reason: str
     alternatives: tuple[str, ...]
     confirmed: bool  # whether it follows the rate of position
-    contradicted: bool  # whether it clearly does not
+    contradicted: str  # why it is hardly the speed; "" if nothing says so
     score: float
 
     @property
     def metres(self) -> tuple[np.ndarray, np.ndarray]:
         """In m/s."""
         return self.candidate.scaled(*UNITS[self.unit])
-
-
-class Velocities(NamedTuple):
-    """The velocity over ground in two components, and their size as a speed."""
-
-    north: Candidate
-    east: Candidate
-    size: Speed
-    guessed: bool = False  # whether only their direction tells it, and hardly changes
 
 
 def find_speeds(
@@ -78,7 +68,8 @@ def find_speeds(
         convention: name of the format.
         heading: rad, by which the way between two places is known.
     """
-    found, placed = [], {id(each) for place in places for each in place[:2]}
+    found: list[Speed] = []
+    sets, placed = [], {id(each) for place in places for each in place[:2]}
     for each in pool:
         name = fit("surge", each.label)
         angle = max(fit(role, each.label) for role in ("heading", "course"))
@@ -88,31 +79,45 @@ def find_speeds(
             continue
         relation = speed_on_positions(*places[0][-2:], each.evidence, heading) if places else None
         speed = read_speed(each, relation, convention, name)
-        if name >= 1 or (speed.confirmed and relation and relation.correlation > 0.9 and speed.unit in SPEEDS[:3]):
+        if each.is_set and name >= 1:
+            why = f"it {IS_SET}: log the latter, or a position"
+            sets.append(speed._replace(certainty=UNSURE, confirmed=False, contradicted=why))
+        elif name >= 1 or (speed.confirmed and relation and relation.correlation > 0.9 and speed.unit in SPEEDS[:3]):
             found.append(speed)
     if named := [each for each in found if fit("surge", each.candidate.label) >= 1]:
         found = named
+    if sets and not (found or places):
+        found = [read_speed(each, None, convention, 0.0) for each in pool if _follows_setpoint(each, sets[0].candidate)]
     found.sort(key=lambda each: (not each.confirmed, -each.score))
     known = next((each for each in found if each.certainty == CERTAIN), None)
-    return [by_other(each, known) if known and each.certainty == UNSURE else each for each in found]
+    return [by_other(each, known) if known and each.certainty == UNSURE else each for each in found] + sets
+
+
+def _follows_setpoint(candidate: Candidate, setpoint: Candidate) -> bool:
+    """Whether a series whose name tells nothing follows a setpoint of the speed, in a unit of speeds."""
+    other = max(fit(role, candidate.label) for role in ("command", "rudder", "heading", "course", "yaw_rate"))
+    if other >= 1 or names_side_alone(candidate.label) or fit("surge", candidate.label) < 0 or candidate.is_set:
+        return False
+    found = speed_on_thrust(setpoint.evidence, setpoint.evidence, candidate.evidence, LATER)
+    return found.correlation > FOLLOWS and bool(unit_of(found.slope)) and candidate.unit not in OTHER_UNITS
 
 
 def by_reaction(speeds: list[Speed], commands: Sequence[Candidate]) -> list[Speed]:
     """The speeds; where no position proves one, that which follows the commands stands before one that does not."""
     if len(speeds) < 2 or speeds[0].confirmed or not commands:
         return speeds
-    follows = [_follows(each.metres, commands) for each in speeds[:MOST]]
+    follows = [0.0 if each.contradicted else _follows(each.metres, commands) for each in speeds[:MOST]]
     first = int(np.argmax(follows)) if follows[0] < UNLIKE < LIKE < max(follows) else 0
     return [speeds[first], *speeds[:first], *speeds[first + 1 :]]
 
 
 def following(pool: Sequence[Candidate], commands: Sequence[Candidate]) -> str:
     """Which series may be the speed since they follow the commands, and what to do; "" if none does."""
-    named = [
-        x for x in pool if (fit("surge", x.label) >= 0 or len(words(x.label)[0]) == 1) and x.unit not in OTHER_UNITS
-    ]
+    named = [x for x in pool if fit("surge", x.label) >= 0 or len(words(x.label)[0]) == 1]
+    named = [x for x in named if not (x.unit in OTHER_UNITS or x.is_set or SETPOINT & set(words(x.label)))]
     known = [repr(each.label.strip()) for each in named if _follows(each.evidence, commands) > LIKE]
-    return f"if {' or '.join(known[:MOST])}, which follow the commands, is the speed, call it speed" if known else ""
+    what = f"{' or '.join(known[:MOST])} follows the commands: call it speed only if it is measured, and no setpoint"
+    return f"{what}; else log the measured speed, or a position" if known else ""
 
 
 def _follows(speed: Pair, commands: Sequence[Candidate]) -> float:
@@ -140,7 +145,7 @@ def interchanged(places: Places, speeds: Sequence[Candidate]) -> tuple[Places, b
     shrunk = (1 - own.correlation) / max(1 - swapped.correlation, 1e-9)
     if not (swapped.correlation > FOLLOWED and shrunk > DOUBT):
         return places, False
-    if shrunk > BETTER or (unit_of(swapped.slope, FITS) and not unit_of(own.slope)):
+    if (shrunk > BETTER and unit_of(swapped.slope)) or (unit_of(swapped.slope, FITS) and not unit_of(own.slope)):
         return other, False
     return places, swapped.correlation - own.correlation > MORE
 
@@ -157,20 +162,21 @@ def read_speed(candidate: Candidate, relation: Relation | None, convention: str,
         if relation.correlation >= FOLLOWS and _is_twist(candidate):
             sentence = f"m/s by definition, but {relation.slope:.3g} × the rate of position: check stamps and position"
             others = (*filter(None, [unit]), _by_span(relation))
-            return Speed(candidate, "m/s", UNSURE, sentence, others, True, False, score)
+            return Speed(candidate, "m/s", UNSURE, sentence, others, True, "", score)
         if relation.correlation >= FOLLOWS:
             sentence = f"{relation.slope:.3g} × the rate of position, which is no known unit"
             others = (*(unit for unit in SPEEDS[:3] if unit != (declared or "m/s")), _by_span(relation))
-            return Speed(candidate, declared or "m/s", UNSURE, sentence, others, False, True, score - 2)
+            return Speed(candidate, declared or "m/s", UNSURE, sentence, others, False, f"it is {sentence}", score - 2)
     if relation is not None and relation.seconds >= LONG and relation.correlation >= STEADY:
         unit = unit_of(relation.slope, TIGHT, declared)
         if unit and unit == (declared or "m/s"):
             sentence = f"{relation.slope:.3g} × the rate of position; the speed varies too little to be certain"
-            return Speed(candidate, unit, PROBABLE, sentence, (), False, False, score + 1)
-    follows_not = relation is not None and relation.seconds > 120 and relation.correlation < FOLLOWS / 2
+            return Speed(candidate, unit, PROBABLE, sentence, (), False, "", score + 1)
+    followed = relation is None or relation.seconds <= 120 or relation.correlation >= FOLLOWS / 2
+    follows_not = "" if followed else FOLLOWS_NOT
     unit = declared or usual or "m/s"
     others = tuple(other for other in SPEEDS[:3] if other != unit)
-    doubt = "; it does not follow the rate of position" if follows_not else ""
+    doubt = f"; {follows_not}" if follows_not else ""
     if candidate.size * UNITS[unit][0] > PLAUSIBLE:
         sentence = f"values reach {candidate.size:.3g}, too much for {unit}{doubt}"
         return Speed(candidate, unit, UNSURE, sentence, others, False, follows_not, score - 3)
@@ -180,7 +186,7 @@ def read_speed(candidate: Candidate, relation: Relation | None, convention: str,
     else:
         sentence = "m/s by convention" if usual else "neither the name nor a position tells the unit"
     sure = UNSURE if follows_not or not (declared or usual) else PROBABLE
-    return Speed(candidate, unit, sure, sentence + doubt, others, False, follows_not, score - 2 * follows_not)
+    return Speed(candidate, unit, sure, sentence + doubt, others, False, follows_not, score - 2 * bool(follows_not))
 
 
 def _near(candidate: Candidate, unit: str, relation: Relation, declared: str, expected: str, score: float) -> Speed:
@@ -188,14 +194,14 @@ def _near(candidate: Candidate, unit: str, relation: Relation, declared: str, ex
     sentence = f"{relation.slope:.3g} × the rate of position (correlation {relation.correlation:.2f})"
     if declared and declared != unit:
         sentence += f", but declared as {declared}"
-        return Speed(candidate, unit, UNSURE, sentence, (declared,), True, False, score)
+        return Speed(candidate, unit, UNSURE, sentence, (declared,), True, "", score)
     fits = unit_of(relation.slope, FITS, declared) == unit
     score += 2 * relation.correlation
     if fits or unit == expected:
         sure = CERTAIN if fits and relation.correlation > SAME else PROBABLE
-        return Speed(candidate, unit, sure, sentence, (), True, False, score)
+        return Speed(candidate, unit, sure, sentence, (), True, "", score)
     sentence += f", which is no known unit; {unit} would give {1 / UNITS[unit][0]:.3g}"
-    return Speed(candidate, unit, UNSURE, sentence, (_by_span(relation),), True, False, score)
+    return Speed(candidate, unit, UNSURE, sentence, (_by_span(relation),), True, "", score)
 
 
 def _is_twist(candidate: Candidate) -> bool:
@@ -237,39 +243,6 @@ def quality(candidate: Candidate) -> float:
     grain = float(np.quantile(sizes[sizes > 0], 0.05)) if (sizes > 0).any() else math.inf
     fine = 1.0 if grain < 0.02 * max(candidate.size, 1e-9) else 0.5
     return rate + 0.5 * fine + 0.3 * candidate.is_signed - 0.5 * candidate.repeats
-
-
-def find_velocities(
-    pool: Sequence[Candidate], places: Sequence[Places], heading: Pair | None, convention: str
-) -> Velocities | None:
-    """Two series that are the velocity to the north and to the east, by name or by their direction, if there are."""
-    if known := known_velocity(pool, convention):
-        return _velocities(*known, places, heading, convention)
-    for north in pool:
-        for east in pool if fit("velocity_north", north.label) >= 2 else ():
-            if fit("velocity_east", east.label) >= 2 and (east.name == north.name or north.field in (None, "data")):
-                return _velocities(north, east, places, heading, convention)
-    for x, y in vectors(pool):
-        if heading is None or len(x.value) != len(y.value):
-            continue
-        time, fast = x.time, np.hypot(x.value, y.value) > 0.3 * math.hypot(x.size, y.size)
-        for north, east in ((y, x), (x, y)):
-            direction = np.arctan2(east.value, north.value)[fast]
-            ahead = float(np.cos(np.arctan2(y.value, x.value)[fast]).mean())  # 1 of a vector along the hull
-            if max(ALONG, ahead) <= agreement(heading, (time[fast], direction)):
-                turns = 1 - abs(np.exp(1j * direction).mean())  # 0 if it is constant, as along a hull
-                found = _velocities(north, east, places, heading, convention)
-                return found._replace(guessed=bool(turns < TURNS))
-    return None
-
-
-def _velocities(
-    north: Candidate, east: Candidate, places: Sequence[Places], heading: Pair | None, convention: str
-) -> Velocities:
-    same = len(north.value) == len(east.value)
-    size = north.named(value=np.hypot(north.value, east.value) if same else np.abs(north.value))
-    relation = speed_on_positions(*places[0][-2:], size.evidence, heading) if places and same else None
-    return Velocities(north, east, read_speed(size, relation, convention, 3.0))
 
 
 def vectors(pool: Sequence[Candidate]) -> list[tuple[Candidate, Candidate]]:
@@ -321,19 +294,22 @@ def tell_speed(speeds: Sequence[Speed], channels: dict, series: dict) -> list[De
     series["surge"] = candidate
     close = [each for each in speeds[1:] if each.score > best.score - 1.5 and not each.contradicted]
     sure = CERTAIN if best.confirmed else UNSURE if best.contradicted else PROBABLE
-    if fit("surge", candidate.label) < 1:
+    if not (named := fit("surge", candidate.label) >= 1):
         sure = PROBABLE if best.certainty == CERTAIN else UNSURE
     elif not best.confirmed and _is_part(candidate):
         sure = UNSURE  # a part of a vector may be to the north as well as along the hull
-    why = "follows the rate of position" if best.confirmed else "by name"
+    why = "follows the rate of position" if best.confirmed else "by name" if named else "it follows the setpoint"
     if best.contradicted:
-        why = "by name, but it does not follow the rate of position"
+        why = f"by name, but {best.contradicted}"
     if candidate.is_signed:
         why += "; signed"
+    sets = [each.candidate.label for each in speeds[1:] if each.candidate.is_set]
+    if sets and not best.contradicted:
+        why += f"; not {', '.join(sets)}, which {IS_SET}"
     if close:
         why += f"; before {', '.join(each.candidate.label for each in close[:3])}: {_why_better(best, close[0])}"
     decisions = [
-        Decision("surge", "series", candidate.label, sure, why, tuple(each.candidate.label for each in close)),
+        Decision("surge", "series", candidate.label, sure, why, (*(each.candidate.label for each in close), *sets)),
         Decision("surge", "unit", best.unit, least(best.certainty, sure), best.reason, best.alternatives),
     ]
     period, share = find_period([Channel(candidate.time, candidate.value, np.arange(len(candidate.time)))])
@@ -355,23 +331,6 @@ def _why_better(best: Speed, other: Speed) -> str:
     if best.confirmed and not other.confirmed:
         reasons.append("it follows the position")
     return ", ".join(reasons) or "its name fits better"
-
-
-def tell_velocities(found: Velocities, speeds: Sequence[Speed], channels: dict, series: dict) -> list[Decision]:
-    """Both components, from which the surge is computed with the heading."""
-    size, decisions = found.size, []
-    others = tuple(each.candidate.label for each in speeds[:3])
-    for name, candidate in (("velocity_north", found.north), ("velocity_east", found.east)):
-        channels[name] = candidate.source(unit=size.unit, window=AUTO)
-        series[name] = candidate
-        sure = UNSURE if found.guessed else CERTAIN if size.confirmed else PROBABLE
-        why = "by its direction" if found.guessed else "by name"
-        why += "; their size follows the rate of position" if size.confirmed else ""
-        decisions.append(Decision(name, "series", candidate.label, sure, why))
-        decisions.append(Decision(name, "unit", size.unit, size.certainty, size.reason, size.alternatives))
-    why = "velocities and heading give a signed surge" + (f"; before {', '.join(others)}" if others else "")
-    sure = UNSURE if found.guessed else PROBABLE
-    return [*decisions, Decision("surge", "series", "from the velocities", sure, why, others)]
 
 
 def tell_without_sign(speed: Speed, seconds: float, course: object, placed: bool) -> list[Decision]:
