@@ -126,6 +126,19 @@ def test_of_two_speeds_that_which_follows_the_commands_is_taken():
     assert driven(boat, speed=other, vel=boat["u"]).channels["surge"]["name"] == "vel"
 
 
+@pytest.mark.parametrize("scale", [400, 350])
+def test_a_boat_that_turns_on_the_spot_does_not_tell_the_zero(scale):
+    """Each side has its own mean then: 1500 is asked, with what it is else."""
+    boat, rng = sail(6), np.random.default_rng(0)
+    still, off = (boat["l"] == 0) & (boat["r"] == 0), rng.uniform(10, 60, len(boat["l"]))
+    left, right = (1500 + np.where(still, sign * off, scale * boat[side]) for side, sign in (("l", -1), ("r", 1)))
+    speed = np.where(still, 0.02, boat["u"])
+    found = concluded(boat, left=left, right=right, heading=boat["hdg"], speed=speed)
+    (zero,) = (each for each in found.decisions if each[:2] == ("command_left", "zero"))
+    assert (zero.value, zero.certainty) == ("1500", "unsure")
+    assert 1455 < float(zero.alternatives[0]) < 1475
+
+
 NEUTRALS = [(7.5, 2, -0.8), (80, 15, -0.8), (0.075, 0.02, -0.8), (2048, 1500, -0.8), (1520, 400, -0.8)]
 IDLE = [(1000, 1000, 0.0), (1100, 800, 0.0), (5, 5, 0.0)]
 

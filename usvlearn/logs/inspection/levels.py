@@ -25,6 +25,7 @@ IDLE = 0.04  # of the range of a command, within which a boat that stands is at 
 FUZZ = 0.03  # share of the scale, within which two values are taken as equal
 LIMIT = 0.999  # share of the greatest force, above which full scale is reached
 STEADY = 0.3  # share of the values while the boat stands that lie at the zero
+OFTEN = 0.7  # likewise, closely, of a zero that differs from 1500 us
 NEUTRAL_WORDS = {"zero", "neutral", "trim", "mid", "center", "centre", "nullpunkt"}
 
 
@@ -177,7 +178,7 @@ def _where_still(candidate: Candidate, speed: tuple[np.ndarray, np.ndarray] | No
     value = float(np.median(held))
     beside = held[np.abs(held - value) <= near]
     low, high = np.quantile(np.append(beside, value), [0.05, 0.95])
-    band = f", and anywhere in {low:.4g} … {high:.4g}: a dead zone" if high - low > near / 2 else ""
+    band = f", and anywhere in {low:.4g} … {high:.4g}: a dead zone, or turns" if high - low > near / 2 else ""
     return value, len(beside) / len(held), f"{value:.4g}{band}"
 
 
@@ -195,15 +196,19 @@ def _pwm(candidate: Candidate, pool: Sequence[Candidate], speed: tuple[np.ndarra
     still = [each for each in pool if not each.varies and NEUTRAL[0] <= each.size <= NEUTRAL[1]]
     near = [each for each in still if side(each.label) in ("", side(candidate.label))]
     declared = [each for each in near if NEUTRAL_WORDS & set(words(each.label))]
+    others: tuple[str, ...] = ()
     if declared:
         zero = float(declared[0].size), CERTAIN, f"{declared[0].label} says so"
     elif abs(rest - 1500) <= DEAD_BAND:
         zero = rest, PROBABLE, f"it rests at {rest:g}"
     elif share > STEADY and NEUTRAL[0] <= value <= NEUTRAL[1] and (rest == round(value) or not at_rest):
-        neutral = 1500.0 if abs(value - 1500) <= DEAD_BAND else float(round(value))
-        zero = neutral, PROBABLE, f"the boat stands at {stands}"
+        odd, often = abs(value - 1500) > DEAD_BAND, _where_still(candidate, speed, DEAD_BAND / 2)[1]
+        if odd and rest != round(value) and often < OFTEN:  # it may turn on the spot
+            zero, others = (1500.0, UNSURE, f"by convention; the boat stands at {stands}"), (f"{value:.0f}",)
+        else:
+            zero = float(round(value)) if odd else 1500.0, PROBABLE, f"the boat stands at {stands}"
     elif at_rest:
-        zero = rest, UNSURE, f"it rests at {rest:g}; 1500 by convention"
+        zero, others = (rest, UNSURE, f"it rests at {rest:g}; 1500 by convention"), ("1500",)
     elif low > NEUTRAL[0] and rest <= 1150 and rest - low < 50:
         zero = rest, UNSURE, f"it never leaves {low:.0f} … {high:.0f}, and rests at {rest:g}"
     elif low > 1450 or high < 1550 or rest < NEUTRAL[0]:
@@ -216,7 +221,7 @@ def _pwm(candidate: Candidate, pool: Sequence[Candidate], speed: tuple[np.ndarra
     sentence = f"values reach {low:.0f} … {high:.0f}" + (", as of 1100 … 1900" if span == 400 else "")
     if reach <= 380:
         sentence = f"values stay within {low:.0f} … {high:.0f}; full scale is 400 or 500 by convention"
-    return Level(zero[0], span, PWM, *zero[1:], PROBABLE if reach > 380 else UNSURE, sentence, (other,))
+    return Level(zero[0], span, PWM, *zero[1:], PROBABLE if reach > 380 else UNSURE, sentence, (other,), others)
 
 
 def sharing(force: Candidate, moment: Candidate, levels: tuple[Level, Level]) -> tuple[Level, Level]:
