@@ -1,5 +1,7 @@
 """The data check on boats that are not ours: signs of speeds, compasses and clocks."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -47,8 +49,25 @@ def test_clocks_that_differ_are_found_in_both_directions_of_a_short_log(late):
     found = told_of(stranger(sail(4), late))["delay"]
     assert "clocks of both differ" in found.sentence()
     assert ("command_left.delay=" in found.key) == (late == 7)
-    assert (f" s {'from' if late > 0 else 'to'} the stamps" in found.expected) == (late != 7)
+    how = "add 18 s to" if late > 0 else "take 18 s from"
+    assert (f"{how} the stamps of the commands" in found.expected) == (late != 7)
     assert "delay" not in told_of(stranger(sail(4)))
+
+
+ODD = {
+    ("surge",): (-1.0, -4.0, -18.0),
+    ("heading",): (3.0, 18.0, -2.0, -18.0),
+    ("command_left", "command_right"): (1.0, 3.0, 18.0),
+}
+
+
+@pytest.mark.parametrize(("late", "channels"), [(late, names) for names, each in ODD.items() for late in each])
+def test_the_table_whose_clock_differs_is_named_with_its_shift(late, channels):
+    found = told_of(stranger(sail(6), late, channels))["delay"]
+    name = {"surge": "speed", "heading": "heading"}.get(channels[0], "commands")
+    how = re.search(r"(take|add) (\d+) s (from|to) the stamps of the (\w+)", found.expected)
+    assert how and (how[1], how[4]) == ("take" if late > 0 else "add", name)
+    assert float(how[2]) == pytest.approx(abs(late), abs=1)
 
 
 def receiver(late, off=0.0):

@@ -18,7 +18,7 @@ import numpy as np
 from usvlearn.logs.channels.bins import bin_directions
 from usvlearn.logs.checks.evidence import MOVING, Evidence
 from usvlearn.logs.checks.finding import Finding
-from usvlearn.logs.checks.thrusters import CLOCKS
+from usvlearn.logs.checks.response import CLOCKS
 
 STEP, FARTHEST, LEAST = 2.0, 25, 5.0  # s, of the bins; bins of lag that are tried; s
 HALF, CLOSE, SURE = 0.5, 0.3, 4.0  # of the dispersion that is left; dispersion; standard errors

@@ -24,7 +24,7 @@ from usvlearn.logs.checks.finding import WARNING, Finding
 CHECKS: tuple[Callable[[Evidence], Iterator[Finding]], ...] = (
     scales.zeros, scales.rest, scales.speed_scale, scales.sign, scales.command_scale, scales.heading_unit,
     scales.heading_sense, scales.yaw_rate, track.degrees, track.axes, track.follows, track.sway,
-    thrusters.sides, thrusters.delay, thrusters.excitation, response.short_delay, clocks.clocks, frozen.frozen,
+    thrusters.sides, response.delay, thrusters.excitation, clocks.clocks, frozen.frozen,
     delivery.rejected, delivery.stale, delivery.copies, delivery.clock, delivery.horizons, delivery.together,
     delivery.jumps,
 )  # fmt: skip

@@ -1,16 +1,20 @@
-"""A short delay between commands and speed: one equation of motion for each delay, and which of them fits best.
+"""The delay between commands and speed, or turn: one equation of motion for each delay, and which of them fits best.
 
 A correlation cannot tell a delay from inertia. The equation of motion can, since it contains the speed itself:
 
     v(t + h) − v(t) = h mean(a τ_L + b τ_L|τ_L| + c τ_R + d τ_R|τ_R| + e v + f v|v| + g|r|v + k|τ_L − τ_R| + l)
 
 with means over h = 2 s, the turn r, and the commands τ at their time less the delay. The coefficients are fitted for
-each delay by least squares, on the same bins.
+each delay by least squares, on the same bins. The turn r has the same equation with r in place of v.
 
 Thresholds, and why:
 
 - Simulated boats without a delay give -2 to 1 s: filters delay a speed, and an autopilot that follows the speed makes
   later commands tell of it. The best of these is compared with the best of all.
+- Delay and inertia together stay below 20 s for boats of some tons. A delay is called implausible beyond 25 s, or
+  before the command by more than 5 s, if the correlation there is 0.6 or more and exceeds that at plausible lags by
+  0.2.
+- A speed that is correlated with the commands by less than 0.2 over five minutes at any lag does not follow them.
 - A delay is told from 3 s on: 2 s fit best at times where a thruster dies on the way. A speed before its commands by
   3 s or more is told only where a delay is configured, which then is the cause; by 5 s or more always.
 - The squares of residuals have to be less than at a usual delay by 15 % in all and by 4 standard errors of the means
@@ -19,6 +23,8 @@ Thresholds, and why:
 - The equation has to explain 30 % of the changes of speed, over nine minutes or more: in six minutes of a boat with a
   dead thruster, a delay of 2 s fits better at times. In shorter logs, from 2.5 minutes on, 5 s or more are told where
   the squares halve and the equation explains 60 %: clocks that differ, such as GPS time and UTC.
+- With such a fit, 1 s before the commands is told, too, as no boat does that, and a turn that is 3 s late: no boat of
+  42 simulated ones halves the squares so. Where speed and turn are off by the same, the stamps of the commands are.
 """
 
 from __future__ import annotations
@@ -31,14 +37,20 @@ import numpy as np
 
 from usvlearn.logs.channels.bins import bin_edges, bin_means, bin_rates, clipped
 from usvlearn.logs.channels.channel import COMMANDS, SURGE
-from usvlearn.logs.checks.evidence import Evidence
-from usvlearn.logs.checks.finding import Finding, override
-from usvlearn.logs.checks.thrusters import CLOCKS, LONGEST, implausible_lag, restamped
+from usvlearn.logs.checks.evidence import Evidence, spread, without
+from usvlearn.logs.checks.finding import Finding, override, see
 
 STEP, OVER = 0.5, 4  # s, of the bins; bins of h
-DELAYS = range(-12, 26)  # s
-USUAL = range(-2, 2)  # s
+DELAYS = range(-25, 26)  # s
+USUAL, AHEAD = range(-2, 2), range(2)  # s; of what is not before its commands
 LATE, EARLY = 3, -3  # s
+PLAUSIBLE = -5.0, 25.0  # s, lags of the speed
+FOUND, BETTER = 0.6, 0.2  # correlation at another one, and by how much it exceeds that at plausible ones
+FOLLOWS, LONG = 0.2, 300.0  # correlation; s of evidence
+PAIR = f"commands, {SURGE}"
+LONGEST, SAME = 12.0, 2.0  # s, of a delay that is proposed; by which two shifts of one clock differ
+STEADY = 0.03  # standard deviation of a speed over its mean
+CLOCKS = "the clocks of both differ, as GPS time and UTC do by 18 s, so correct the stamps of one of them"
 BLOCK, ENOUGH, SHORT = 40, 1080, 300  # bins: 20 s, 9 min, 2.5 min
 FAR, CLEAR = 5, (0.5, 0.6)  # s; ratio of squares and share explained: of clocks that differ, in a short log
 SURE = ((4.0, 0.85), (2.4, 0.7))  # standard errors, and the ratio of squares
@@ -54,16 +66,22 @@ class Fit(NamedTuple):
     explained: float  # share of the squared changes of speed
     bins: int
 
+    @property
+    def clear(self) -> int:
+        """The delay where the equation explains most and no usual delay half as much, else 0, s."""
+        return self.delay if self.ratio <= CLEAR[0] and self.explained >= CLEAR[1] and self.certainty > 2.4 else 0
 
-def best_delay(e: Evidence) -> Fit | None:
+
+def best_delay(e: Evidence, of_turn: bool = False) -> Fit | None:
     """Fit the equation of motion for each delay; None if there is too little evidence."""
     edges = bin_edges(STEP, e.series[SURGE], e.series["heading"])
     bins = len(edges) - 1
     if bins < SHORT:
         return None
     speed = clipped(bin_means(e.series[SURGE], edges))
-    turn = np.abs(clipped(bin_rates(e.series["heading"], edges, wraps=True)))
+    turned = clipped(bin_rates(e.series["heading"], edges, wraps=True))
     left, right = (bin_means(e.series[name], edges, held=True) for name in COMMANDS)
+    speed, turn = (turned if of_turn else speed), np.abs(turned)
     at = np.full(bins + 1, np.nan)  # speeds at the edges
     at[1:-1] = (speed[:-1] + speed[1:]) / 2
     forces = _means(left, left * np.abs(left), right, right * np.abs(right), np.abs(left - right))
@@ -84,7 +102,8 @@ def best_delay(e: Evidence) -> Fit | None:
         gram = rows @ rows.T + 1e-9 * count * np.eye(len(rows))
         squares[delay] = (goal - np.linalg.solve(gram, rows @ goal) @ rows) ** 2
     sums = {delay: float(each.sum()) for delay, each in squares.items()}
-    best, usual = min(sums, key=sums.__getitem__), min(USUAL, key=sums.__getitem__)
+    best = min(sums, key=sums.__getitem__)
+    usual = min(USUAL if best > 0 else AHEAD, key=sums.__getitem__)
     gain = (squares[usual] - squares[best])[: count // BLOCK * BLOCK].reshape(-1, BLOCK).mean(1)
     error = float(gain.std(ddof=1)) / math.sqrt(len(gain))
     explained = 1 - sums[best] / float(((goal - goal.mean()) ** 2).sum())
@@ -98,26 +117,61 @@ def _means(*values: np.ndarray) -> np.ndarray:
     return np.lib.stride_tricks.sliding_window_view(np.stack(values), OVER, axis=1).mean(2)
 
 
-def short_delay(e: Evidence) -> Iterator[Finding]:
-    """A speed that follows the commands seconds too late, or a configured delay that is too long."""
-    if implausible_lag(e) is not None:
-        return
-    found, given = best_delay(e), float(max((each.delay for each in e.logs(COMMANDS[0])), default=0.0))
-    if found is None or found.explained < EXPLAINED:
-        return
-    if not any(found.certainty >= certain and found.ratio <= ratio for certain, ratio in SURE):
-        return
-    clear = abs(found.delay) >= FAR and found.ratio <= CLEAR[0] and found.explained >= CLEAR[1]
-    if found.bins < ENOUGH and not clear:
-        return
+def implausible_lag(e: Evidence) -> float | None:
+    """The lag of the speed if no boat can have it, s."""
+    found, near = e.searched, e.thrust_on_speed
+    if not found.seconds or PLAUSIBLE[0] <= found.lag <= PLAUSIBLE[1] or found.correlation < FOUND:
+        return None
+    return found.lag if found.correlation > max(near.correlation, 0) + BETTER else None
+
+
+def delay(e: Evidence) -> Iterator[Finding]:
+    """A speed or a turn that follows the commands too late, before them, or not at all."""
+    lag, found, turn = implausible_lag(e), best_delay(e), best_delay(e, of_turn=True)
+    given = float(max((each.delay for each in e.logs(COMMANDS[0])), default=0.0))
+    turned, exact = (each.clear if each else 0 for each in (turn, found))
+    shift = exact or lag or (found.delay if found else 0)
+    if lag is not None or (found and _is_told(found, given)):
+        text = f"speeds {_side(shift)} the commands (r = {e.searched.correlation:.2f})"
+        limits = f"{PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g} s behind them"
+        if lag is None and found:
+            text = f"changes of speed that fit commands {_side(shift)} best (squares × {found.ratio:.2f})"
+            limits = f"0 to {LATE} s behind"
+        right = float(round(max(0.0, given + shift)))
+        fix = " ".join(override(name, {"delay": right}) for name in COMMANDS) if given != right <= LONGEST else ""
+        hardly = f" (a longer one hardly is: {CLOCKS})" if lag is None else ""
+        same = turn and turn.explained >= CLEAR[1] and turn.delay * shift > 0 and abs(turn.delay - shift) <= SAME
+        late = "commands" if same else "speed"
+        yield Finding(e.boat, PAIR, "delay", text, limits + (hardly if fix else _restamped(shift, late)), fix)
+    elif turn and (turned >= LATE or turned < 0):
+        text = f"changes of turn that fit commands {_side(turned)} best (squares × {turn.ratio:.2f})"
+        how = _restamped(-turned, "speed") if given >= -turned > 0 else _restamped(turned, "heading")
+        yield Finding(e.boat, "commands, heading", "delay", text, f"0 to {LATE} s behind{how}")
+    elif e.searched.seconds >= LONG and abs(e.searched.correlation) < FOLLOWS and _moves(e):
+        text = f"a speed without relation to the commands (r = {e.searched.correlation:.2f})"
+        expected = see(f"more than {FOLLOWS:g}", SURGE, *COMMANDS)
+        yield Finding(e.boat, PAIR, "thrust", text, expected, without(e, SURGE))
+
+
+def _is_told(found: Fit, given: float) -> bool:
+    """Whether a delay beyond the configured one, s, is surely one that no boat has."""
+    if found.delay in (DELAYS[0], DELAYS[-1]) or found.clear < 0 or found.clear >= FAR:
+        return found.delay not in (DELAYS[0], DELAYS[-1])
+    sure = any(found.certainty >= certain and found.ratio <= ratio for certain, ratio in SURE)
     early = found.delay <= EARLY and (given > 0 or found.delay <= -FAR)
-    if found.delay in (DELAYS[0], DELAYS[-1]) or not (found.delay >= LATE or early):
-        return
-    side = "behind" if found.delay > 0 else "before"
-    text = f"changes of speed that fit commands {abs(found.delay)} s {side} best (squares × {found.ratio:.2f})"
-    right = max(0.0, given + found.delay)
-    fix = " ".join(override(name, {"delay": right}) for name in COMMANDS) if given != right <= LONGEST else ""
-    expected = f"less than {LATE} s" + (
-        f" (a longer one hardly is: {CLOCKS})" if fix else f": {restamped(found.delay)}"
-    )
-    yield Finding(e.boat, f"commands, {SURGE}", "delay", text, expected, fix)
+    return sure and found.explained >= EXPLAINED and found.bins >= ENOUGH and (found.delay >= LATE or early)
+
+
+def _side(shift: float) -> str:
+    return f"{abs(shift):.0f} s {'behind' if shift > 0 else 'before'}"
+
+
+def _restamped(shift: float, late: str) -> str:
+    """What to do where a response lies so many s behind the commands because of the clock of one channel."""
+    how = "take {} s from" if (shift > 0) != (late == "commands") else "add {} s to"
+    return f": {CLOCKS}: {how.format(round(abs(shift)))} the stamps of the {late}"
+
+
+def _moves(e: Evidence) -> bool:
+    """Whether thrust and speed change enough to be compared."""
+    return spread(e.thrust) > 0.03 and spread(e.speed) > STEADY * min(e.surge_max, e.fastest)

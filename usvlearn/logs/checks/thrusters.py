@@ -1,4 +1,4 @@
-"""Commands against the motion: sides, delay, and whether anything can be learned from them.
+"""Commands against the motion: sides, and whether anything can be learned from them.
 
 A stronger left thruster turns the bow to starboard, and both push ahead. With the signs of the turn (yaw rate) and of
 the speed against the command of each side, at an equal command of the other one:
@@ -22,10 +22,6 @@ Thresholds, and why:
 - A speed controller opens the throttle where the boat is slow, so that the speed falls as the commands rise. So a boat
   that moves ahead with commands above zero (beyond 0.05 of full scale, in 0.9 of the time) does not have both
   reversed; one that moves ahead with commands below zero has, whatever the changes of its speed say.
-- Delay and inertia together stay below 20 s for boats of some tons. A delay is called implausible beyond 25 s, or
-  before the command by more than 5 s, if the correlation there is 0.6 or more and exceeds that at plausible lags by
-  0.2.
-- A speed that is correlated with the commands by less than 0.2 over five minutes at any lag does not follow them.
 """
 
 from __future__ import annotations
@@ -36,19 +32,14 @@ import numpy as np
 
 from usvlearn.logs.channels.channel import COMMANDS, SURGE
 from usvlearn.logs.channels.relations import Relation
-from usvlearn.logs.checks.evidence import Evidence, angular, mirrored, spread, without
+from usvlearn.logs.checks.evidence import Evidence, angular, mirrored
 from usvlearn.logs.checks.finding import NOTE, Finding, override, see
+from usvlearn.logs.checks.response import STEADY, implausible_lag
 
 TURN, MOVE, HALF = 3.0, 2.5, 2.0  # standard errors, of the turn, the speed, and in half of a log
 CLEAR_TURN, CLEAR_MOVE, STRONG = 0.3, 0.25, 0.6  # partial correlations
-LATE, EARLY = 25.0, -5.0  # s, lags of the speed
-FOUND, BETTER = 0.6, 0.2  # correlation at such a lag, and by how much it exceeds that at plausible ones
-FOLLOWS, LONG = 0.2, 300.0  # correlation; s of evidence
 LEVELS = 3  # values of a command, below which it is on or off
 USED = 0.01  # of full scale: a smaller range is no use of a thruster
-LONGEST = 12.0  # s, of a delay that is proposed
-CLOCKS = "the clocks of both differ, as GPS time and UTC do by 18 s, so correct the stamps of one of them"
-STEADY = 0.03  # standard deviation of a speed over its mean
 SHARED = ("name", "field", "unit", "zero", "span", "weight")  # options that belong to a thruster
 
 PUSHED, MOSTLY, AHEAD, ENOUGH = 0.05, 0.9, 0.3, 60  # of full scale; of the time; of the greatest speed; bins
@@ -157,45 +148,6 @@ def _swapped(e: Evidence) -> dict[str, dict]:
 
 def _negative(span):
     return -span if isinstance(span, int | float) else [-each for each in span]
-
-
-def implausible_lag(e: Evidence) -> float | None:
-    """The lag of the speed if no boat can have it, s."""
-    found, near = e.searched, e.thrust_on_speed
-    if not found.seconds or EARLY <= found.lag <= LATE or found.correlation < FOUND:
-        return None
-    return found.lag if found.correlation > max(near.correlation, 0) + BETTER else None
-
-
-def delay(e: Evidence) -> Iterator[Finding]:
-    """A speed that follows the commands too late, before them, or not at all."""
-    pair = f"commands, {SURGE}"
-    lag = implausible_lag(e)
-    if lag is not None:
-        side = "behind" if lag > 0 else "before"
-        text = f"speeds {abs(lag):.0f} s {side} the commands (r = {e.searched.correlation:.2f})"
-        given = float(e.logs(COMMANDS[0])[0].delay)
-        right = float(round(max(0.0, given + lag)))
-        fix = " ".join(override(name, {"delay": right}) for name in COMMANDS) if given != right <= LONGEST else ""
-        expected = f"{EARLY:g} to {LATE:g} s behind them" + ("" if fix else f": {restamped(lag)}")
-        yield Finding(e.boat, pair, "delay", text, expected, fix)
-        return
-    found = e.searched
-    if found.seconds >= LONG and abs(found.correlation) < FOLLOWS and _moves(e):
-        text = f"a speed without relation to the commands (r = {found.correlation:.2f})"
-        yield Finding(e.boat, pair, "thrust", text, see(f"more than {FOLLOWS:g}", SURGE, *COMMANDS),
-                      without(e, SURGE))  # fmt: skip
-
-
-def restamped(lag: float) -> str:
-    """What to do where the speed lies so many s behind the commands because of its clock."""
-    how = f"take {lag:.0f} s from" if lag > 0 else f"add {-lag:.0f} s to"
-    return f"{CLOCKS}: {how} the stamps of the speed"
-
-
-def _moves(e: Evidence) -> bool:
-    """Whether thrust and speed change enough to be compared."""
-    return spread(e.thrust) > 0.03 and spread(e.speed) > STEADY * min(e.surge_max, e.fastest)
 
 
 def excitation(e: Evidence) -> Iterator[Finding]:
