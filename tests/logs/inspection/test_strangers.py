@@ -404,3 +404,13 @@ def test_a_compass_that_is_off_is_told_by_a_course_without_a_position(off, names
     value, sure = told(found)["heading", "zero"]
     assert float(value) == pytest.approx(off, abs=2) and sure == "probable"
     assert ("heading", "zero") not in told(driven(boat, **along))
+
+
+@pytest.mark.parametrize(("off", "certainty"), [(0.0, "certain"), (180.0, "unsure")])
+@pytest.mark.parametrize("sense", [1, -1])
+def test_a_course_confirms_a_right_heading_and_tells_one_that_points_astern(off, certainty, sense):
+    boat = sail(6, lowest=0.0)
+    yaw = (off + (boat["hdg"] if sense == 1 else 90 - boat["hdg"])) % 360
+    found = concluded(boat, left=boat["l"], right=boat["r"], yaw=yaw, sog=boat["sog"], cog=boat["cog"])
+    assert told(found)["heading", "unit"] == ("deg" if sense == 1 else "enu_deg", certainty)
+    assert found.channels["heading"].get("zero", 0.0) % 360 == pytest.approx(off % 360, abs=3)

@@ -17,7 +17,7 @@ from usvlearn.logs.channels.relations import sway_on_positions
 from usvlearn.logs.inspection.candidate import Candidate
 from usvlearn.logs.inspection.decision import CERTAIN, ORDER, PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.directions import Heading, read_any_turn
-from usvlearn.logs.inspection.places import Pair, Places, course_of
+from usvlearn.logs.inspection.places import MOVING, Pair, Places, course_of
 from usvlearn.logs.inspection.speeds import RATIO, Speed
 from usvlearn.logs.inspection.sways import FOLLOWS, SURE
 from usvlearn.logs.inspection.vocabulary import OVER_GROUND, fit, words
@@ -78,7 +78,7 @@ def course_beside(pool: Sequence[Candidate], speed: Speed, heading: Heading | No
 
 
 def reckoned(pool: Sequence[Candidate], speeds: Sequence[Candidate]) -> tuple[tuple[Pair, Pair], Pair, Pair] | None:
-    """The track that course and speed give, north and east, the course, rad, and the speed, if both are logged."""
+    """The track that course and speed give, north and east, the course while moving, rad, and the speed, if logged."""
     named = sorted(
         (each for each in pool if fit("course", each.label) >= 2), key=lambda each: -fit("course", each.label)
     )
@@ -86,9 +86,10 @@ def reckoned(pool: Sequence[Candidate], speeds: Sequence[Candidate]) -> tuple[tu
         return None
     size = max(speeds, key=lambda each: bool({"sog", *OVER_GROUND} & {*words(each.label)}))
     time, angle = cleaned(read_any_turn(named[0], None).radians)
-    way = np.gradient(time) * np.abs(np.interp(time, *cleaned(size.evidence)))
+    fast = np.abs(np.interp(time, *cleaned(size.evidence)))
+    way, moving = np.gradient(time) * fast, fast > MOVING * np.quantile(fast, 0.95) if len(time) else fast > 0
     track = (time, np.cumsum(way * np.cos(angle))), (time, np.cumsum(way * np.sin(angle)))
-    return track, (time, angle), size.evidence
+    return track, (time[moving], angle[moving]), size.evidence
 
 
 def _across(speed: Pair, course: Pair, heading: Pair) -> Pair:

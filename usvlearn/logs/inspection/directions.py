@@ -111,6 +111,11 @@ def read_heading(candidate: Candidate, course: Pair | None, convention: str = ""
         sentence += ", which does not tell it from " + " or ".join(unit for unit in (best, *close) if unit != choice)
         others = tuple(unit for unit in (best, *close) if unit != choice)
         return Heading(candidate, choice, sure, sentence, others, agree[choice], name + agree[best])
+    if agree[worst := ranked[-1]] <= -ALONG and (not by_size or worst.endswith(by_size)):
+        sentence = f"the course over ground is half a turn from it (mean cosine {agree[worst]:.2f})"
+        why, half = f"{sentence}: the compass points astern, or both axes of the track do", math.pi / UNITS[worst][0]
+        found = Heading(candidate, worst, UNSURE, sentence, (), -agree[worst], name - agree[worst])
+        return found._replace(zero=abs(half), why_zero=why)
     radians = np.ptp(candidate.extent) > 1.5 and (candidate.size < FULL_TURN or turning(candidate) > SLOW_TURN)
     base = by_size or declared.removeprefix("enu_") or ("rad" if radians else "deg")
     unit = f"enu_{base}" if enu else base
@@ -185,7 +190,7 @@ def read_any_turn(candidate: Candidate, course: Pair | None, convention: str = "
     found = read_heading(scaled, course, convention)
     sure = found.certainty if found.certainty == CERTAIN else UNSURE
     sentence = f"values reach {candidate.size:.0f}, as {FINE_TURNS[turn]} do; {found.reason}"
-    return found._replace(candidate=candidate, span=span, certainty=sure, reason=sentence)
+    return found._replace(candidate=candidate, span=span, zero=span * found.zero, certainty=sure, reason=sentence)
 
 
 def without_error(heading: Heading, track: tuple[Pair, Pair], course: Pair, speed: Pair, convention: str) -> Heading:
@@ -194,12 +199,12 @@ def without_error(heading: Heading, track: tuple[Pair, Pair], course: Pair, spee
     if found is None:
         return heading
     factor = UNITS[heading.unit][0] / heading.span
-    zero = float(f"{-found[0] / factor:.3g}")
+    zero = float(f"{heading.zero - found[0] / factor:.3g}")
     shifted = heading.candidate.named(value=np.mod(heading.candidate.value - zero, abs(2 * math.pi / factor)))
     read = read_any_turn(shifted, course, convention)
     if read.unit != heading.unit or read.agreement <= heading.agreement:
         return heading
-    off = f"{math.degrees(-found[0]):+.0f}° ± {math.degrees(found[1]):.1f}°"
+    off = f"{math.degrees(zero * factor):+.0f}° ± {math.degrees(found[1]):.1f}°"
     why = f"it differs from the course by {off} on all courses, apart from current and drift"
     return read._replace(candidate=heading.candidate, span=heading.span, score=heading.score, zero=zero, why_zero=why)
 
@@ -302,7 +307,9 @@ def tell_heading(best: Heading, headings: Sequence[Heading], channels: dict, ser
     if best.span != 1:
         decisions.append(Decision("heading", "span", f"{best.span:g}", best.certainty, best.reason))
     if best.zero:
-        decisions.append(Decision("heading", "zero", f"{best.zero:g}", PROBABLE, best.why_zero, ("0",)))
+        decisions.append(
+            Decision("heading", "zero", f"{best.zero:g}", least(PROBABLE, best.certainty), best.why_zero, ("0",))
+        )
     return decisions
 
 

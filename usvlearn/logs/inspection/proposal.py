@@ -98,7 +98,8 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
     series: dict[str, Candidate] = {}
     oriented = next((each for each in places if each.oriented), None)
     course = course_of(oriented) if oriented else None
-    headings = find_headings(pool, course, convention)
+    sailed = None if places else reckoned(pool, named)
+    headings = find_headings(pool, sailed[1] if sailed else course, convention)
     heading = headings[0] if headings else None
     yaw, turn, sense, axes, doubt = None, None, CERTAIN, CERTAIN, ""
     if places and heading and not oriented and (found_axes := orient(places[0], heading)):
@@ -108,8 +109,8 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
         measured = [each for each in named if not each.is_set]
         ahead = next((each.metres for each in find_speeds(measured, [oriented], convention)), rate_of(oriented))
         heading = without_error(heading, (oriented.north, oriented.east), course, ahead, convention)
-    elif heading and not places and (found_course := reckoned(pool, named)):
-        heading = without_error(heading, *found_course, convention)
+    elif heading and sailed:
+        heading = without_error(heading, *sailed, convention)
     if heading:
         alone = {side(each.label) for each in pool if names_side_alone(each.label)}
         turning = [each for each in pool if len(alone) < 2 or not names_side_alone(each.label)]  # L and R are sides
