@@ -8,27 +8,20 @@ import numpy as np
 import pytest
 import torch
 
-from tests.support import ESTIMATORS, FAMILIES, each_family, few, over, random_samples
+from tests.support import ESTIMATORS, FAMILIES, at, each_family, few, leaves, over, random_samples
 from tests.support.kernel_cases import mission
 from usvlearn import Inputs, Online, Sample, rollout
-from usvlearn.core.samples import named_leaves, tree_map
+from usvlearn.core.samples import tree_map
 from usvlearn.errors import ShapeError
 
 BATCHES = [(), (2, 3)]
-each_estimator = each_family(ESTIMATORS)
+every_family = pytest.mark.parametrize("name", FAMILIES)
+each_setting = each_family(ESTIMATORS)  # where another setting of a family has other equations
 each_batch = over("batch", BATCHES)
 BAD_INPUTS = [
     ("command_left", math.nan), ("command_right", math.inf), ("heading", -math.inf), ("yaw_rate", math.nan),
     ("dt", math.nan), ("dt", math.inf), ("dt", -0.4),
 ]  # fmt: skip
-
-
-def leaves(tree):
-    return dict(named_leaves(tree))
-
-
-def at(samples, k):
-    return tree_map(lambda x: x[k], samples)
 
 
 def assert_same(found, expected, **tolerance):
@@ -51,7 +44,7 @@ def troubled(*batch):
     return Sample(samples.inputs._replace(dt=dt, command_left=left), surge, fresh, measured)
 
 
-@each_estimator
+@every_family
 @each_batch
 @over("dtype", [torch.float64, torch.float32])
 def test_shapes_and_dtypes(name, batch, dtype):
@@ -65,7 +58,7 @@ def test_shapes_and_dtypes(name, batch, dtype):
         assert leaves(end)[key].shape == leaf.shape and leaves(end)[key].dtype == leaf.dtype, key
 
 
-@each_estimator
+@every_family
 @torch.no_grad()  # by compiled code, which test_kernels.py compares with torch over batches
 def test_elements_equal_single_runs(name):
     batch = BATCHES[1]
@@ -79,7 +72,7 @@ def test_elements_equal_single_runs(name):
         assert_same(tree_map(lambda x, i=element: x[i], end), end1, rtol=1e-12, atol=1e-12)
 
 
-@each_estimator
+@every_family
 @each_batch
 def test_vmap_equals_batch(name, batch):
     estimator, samples = ESTIMATORS[name](), random_samples(3, 4, *batch)
@@ -91,7 +84,7 @@ def test_vmap_equals_batch(name, batch):
         assert_same(mapped[0], state)
 
 
-@each_estimator
+@every_family
 @each_batch
 @torch.no_grad()
 def test_prediction_is_causal(name, batch):
@@ -104,7 +97,7 @@ def test_prediction_is_causal(name, batch):
     assert not torch.allclose(surge[8:], changed[8:])
 
 
-@each_estimator
+@every_family
 @each_batch
 def test_bad_samples_are_masked(name, batch):
     estimator, samples = ESTIMATORS[name](), troubled(*batch)
@@ -124,7 +117,7 @@ def test_bad_samples_are_masked(name, batch):
             assert surge.isfinite().all()
 
 
-@each_estimator
+@every_family
 @over("bad", BAD_INPUTS)
 def test_an_input_that_is_no_number_leaves_the_state_as_it_was(name, bad):
     """Even where the sample claims to be fresh and measured."""
@@ -141,7 +134,7 @@ def test_an_input_that_is_no_number_leaves_the_state_as_it_was(name, bad):
         assert torch.equal(leaf[1], leaves(expected)[key][1]), key
 
 
-@each_estimator
+@every_family
 def test_a_start_is_the_speed_to_depart_from(name):
     """After an outage nothing remembers the speed before it: only learned parameters may differ from a fresh start."""
     estimator, samples = ESTIMATORS[name](), random_samples(5)
@@ -156,7 +149,7 @@ def test_a_start_is_the_speed_to_depart_from(name):
     assert speeds and all(torch.equal(leaf, torch.full_like(leaf, 1.3)) for leaf in speeds.values())
 
 
-@each_estimator
+@each_setting
 @each_batch
 def test_gradients_through_bad_samples_are_finite_and_reach_every_hyperparameter(name, batch):
     estimator, samples = ESTIMATORS[name](), troubled(*batch)
@@ -173,7 +166,7 @@ def test_gradients_through_bad_samples_are_finite_and_reach_every_hyperparameter
         assert parameter.grad.abs().max() > 0, key
 
 
-@each_estimator
+@each_setting
 def test_gradients_of_hyperparameters_equal_differences(name):
     estimator, samples = ESTIMATORS[name](), random_samples(6)
     scalars = {key: p for key, p in estimator.named_parameters() if p.ndim == 0 and p.requires_grad}
@@ -194,7 +187,7 @@ def test_gradients_of_hyperparameters_equal_differences(name):
         torch.testing.assert_close(slope, (up - down) / (2 * h), rtol=2e-4, atol=1e-9, msg=lambda m, k=key: f"{k}: {m}")
 
 
-@each_estimator
+@every_family
 @torch.no_grad()
 def test_grid_of_hyperparameters_is_a_batch_axis(name):
     """A hyperparameter of shape (grid, 1) beside a batch (grid, boats) equals one estimator per grid point."""
@@ -211,7 +204,7 @@ def test_grid_of_hyperparameters_is_a_batch_axis(name):
             torch.testing.assert_close(surge[:, g], rollout(one, one.init((2,)), samples)[1], rtol=1e-12, atol=1e-12)
 
 
-@each_estimator
+@every_family
 @each_batch
 def test_resume_from_disk_is_exact(name, batch, tmp_path):
     samples = mission(20, *batch, seed=3)
@@ -225,7 +218,7 @@ def test_resume_from_disk_is_exact(name, batch, tmp_path):
     assert_same(resumed.state, whole.state, rtol=0, atol=0, equal_nan=True)
 
 
-@each_estimator
+@every_family
 @each_batch
 def test_steps_are_pure(name, batch):
     """Same arguments, same result; nothing that was given changes, nor does the estimator."""
@@ -257,7 +250,7 @@ def test_compiles_without_graph_breaks(name):
     assert_same(compiled[0], plain[0])
 
 
-@each_estimator
+@every_family
 def test_samples_that_do_not_fit_are_refused(name):
     estimator, samples = ESTIMATORS[name](), random_samples(4, 2)
     state, inputs = estimator.init((2,)), samples.inputs
@@ -280,7 +273,7 @@ def test_samples_that_do_not_fit_are_refused(name):
             grid.init((2,))
 
 
-@each_estimator
+@each_setting
 def test_learn_is_predict_and_update(name):
     estimator, samples = ESTIMATORS[name](), random_samples(6)
     state, _, _ = rollout(estimator, estimator.init(), samples)
@@ -291,7 +284,7 @@ def test_learn_is_predict_and_update(name):
     assert_same(learned, estimator(state, at(samples, 2))[0], rtol=0, atol=0)
 
 
-@each_estimator
+@each_setting
 def test_monitor_names_numbers_per_element(name):
     estimator = ESTIMATORS[name]()
     numbers = estimator.monitor(estimator.init((2, 3)))

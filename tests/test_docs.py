@@ -1,6 +1,8 @@
 """The examples of README and CONTRIBUTING run; every YAML composes and instantiates."""
 
+import inspect
 import itertools
+import json
 import os
 import re
 import shutil
@@ -10,7 +12,8 @@ from pathlib import Path
 
 import pytest
 from hydra import compose, initialize_config_dir
-from hydra.utils import instantiate
+from hydra.utils import get_class, instantiate
+from omegaconf import OmegaConf
 
 from tests.support import ROOT
 from usvlearn import Bank, Ensemble, Estimator
@@ -19,31 +22,18 @@ SOURCES = {".py", ".yaml", ".md"}
 DATA = sorted(p.stem for p in (ROOT / "configs" / "data").glob("*.yaml"))
 
 
-def code(name: str, place: int = 0) -> str:
-    return re.findall(r"```python\n(.*?)```", (ROOT / name).read_text(), re.DOTALL)[place]
-
-
-def test_the_readme_is_short_and_its_examples_run(tmp_path, monkeypatch):
+@pytest.mark.parametrize("page", ["README.md", "docs/reference/index.md", "docs/certification.md"])
+def test_the_first_example_of_a_page_runs(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names: dict = {}
-    exec(compile(code("README.md"), "README.md", "exec"), names)
-    assert (tmp_path / "heron.safetensors").exists() and names["free"].scores["heron"]["persistence"]["mae"] > 0
-    assert isinstance(names["predicted"], float)
-    assert len((ROOT / "README.md").read_text().splitlines()) <= 90
-
-
-def test_the_example_of_batches_and_gradients_runs():
-    names: dict = {}
-    exec(compile(code("docs/reference/index.md"), "docs/reference/index.md", "exec"), names)
-    assert names["surge"].shape == (50, 3, 8)
-    assert names["aid"].gain.log.grad.abs().min() > 0
-
-
-def test_the_example_of_certify_runs(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    names: dict = {}
-    exec(compile(code("docs/certification.md"), "docs/certification.md", "exec"), names)
-    assert names["made"]["condition"] == "tight" and (tmp_path / "two.npz").exists()
+    exec(compile(re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)[0], page, "exec"), names)
+    if page == "README.md":
+        assert (tmp_path / "heron.safetensors").exists() and names["free"].scores["heron"]["persistence"]["mae"] > 0
+        assert isinstance(names["predicted"], float) and len((ROOT / page).read_text().splitlines()) <= 90
+    elif "reference" in page:
+        assert names["surge"].shape == (50, 3, 8) and names["aid"].gain.log.grad.abs().min() > 0
+    else:
+        assert names["made"]["condition"] == "tight" and (tmp_path / "two.npz").exists()
 
 
 def insert(path: Path, after: str, line: str) -> None:
@@ -74,8 +64,8 @@ def with_smoothing(tmp_path):
         re.sub(r"COMPILED = \(.*?\)", 'COMPILED = (\n    "baselines.persistence",\n)', families.read_text(), flags=re.S)
     )
     insert(families, "COMPILED = (", f"    {line}")
-    line, place, imported = re.search(r"`([^`]+)` in\s+`ESTIMATORS` of `([^`]+)`,[^`]*`([^`]+)`", text).groups()
-    insert(tmp_path / place, "ESTIMATORS = {", f"    {line}")
+    line, place, imported = re.search(r"`([^`]+)` in\s+`FAMILIES` of `([^`]+)`,[^`]*`([^`]+)`", text).groups()
+    insert(tmp_path / place, "FAMILIES = {", f"    {line}")
     insert(tmp_path / place, "from pathlib import Path\n", imported)
     return tmp_path
 
@@ -90,7 +80,7 @@ def test_the_new_estimator_of_contributing_has_every_property(with_smoothing):
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", "smoothing", *tests]
     done = subprocess.run(command, cwd=with_smoothing, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout
-    assert int(re.search(r"(\d+) passed", done.stdout).group(1)) >= 25 and "skipped" not in done.stdout
+    assert int(re.search(r"(\d+) passed", done.stdout).group(1)) >= 23 and "skipped" not in done.stdout
 
 
 def test_a_hyperparameter_is_in_the_files_that_contributing_names():
@@ -150,11 +140,6 @@ def constructors(node):
 
 def test_yaml_defaults_are_the_signatures():
     """A default lives in the signature; the YAML shows all of them and must not drift."""
-    import inspect
-
-    from hydra.utils import get_class
-    from omegaconf import OmegaConf
-
     with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
         files = sorted(p.stem for p in (ROOT / "configs" / "estimator").glob("*.yaml"))
         cfg = compose("train", [f"+estimator@more.{name}={name}" for name in files])
@@ -179,23 +164,12 @@ def test_yaml_defaults_are_the_signatures():
 @pytest.mark.slow
 def test_real_logs_replay_to_the_figures_of_the_readme(real_logs, tmp_path):
     """Skill on the BlueBoat, untuned; the files are not part of the repository."""
-    import json
-    import subprocess
-
-    floors = {
-        "blueboat": {"aid": 0.35, "rnn": 0.30, "ensemble": 0.43},
-        "vtec": {"aid": 0.28, "ensemble": 0.35},
-        "dalian": {"ensemble": 0.22},
-    }
+    floors = {"blueboat": {"aid": 0.35, "rnn": 0.30, "ensemble": 0.43}, "vtec": {"aid": 0.28, "ensemble": 0.35},
+              "dalian": {"ensemble": 0.22}}  # fmt: skip
     for data, least in floors.items():
         folder = tmp_path / data
-        command = [
-            sys.executable,
-            "train.py",
-            f"data={data}",
-            f"data.path={real_logs / data}",
-            f"hydra.run.dir={folder}",
-        ]
+        arguments = [f"data={data}", f"data.path={real_logs / data}", f"hydra.run.dir={folder}"]
+        command = [sys.executable, "train.py", *arguments]
         done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
         (rows,) = json.loads((folder / "results.json").read_text())["boats"].values()

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.support import ESTIMATORS, each_family, few
+from tests.support import ESTIMATORS, FAMILIES, each_family, few
 from tests.support.kernel_cases import CONDITIONS, LONG, VARIANTS, difference, failing_thrusters, mission
 from usvlearn import RNN, Ensemble, Persistence, Robust, rollout
 from usvlearn.core.samples import named_leaves, tree_map
@@ -24,7 +24,8 @@ from usvlearn.estimators.rnn.projection_kernel import threshold
 
 EVERY = ESTIMATORS | VARIANTS
 every_setting = pytest.mark.parametrize("name", EVERY)
-BATCHES = [(2, 3), *(pytest.param(batch, marks=pytest.mark.thorough) for batch in ((), (3,)))]
+every_family = pytest.mark.parametrize("name", FAMILIES)
+each_batch = pytest.mark.parametrize("batch", [(2, 3), pytest.param((), marks=pytest.mark.thorough)], ids=str)
 IN_CI = ("rls", "projected", "robust", "rnn")  # in the thorough tests; all others are slow
 AMPLIFYING = ("ensemble",)  # its bank's covariances are inflated: torch, started one rounding away, ends 4e-7 away
 
@@ -78,13 +79,7 @@ def test_every_estimator_and_setting(name):
     assert_windows_equal(EVERY[name](), mission(50, 2), 25, 1e-9)
 
 
-@pytest.mark.thorough
-@every_setting
-def test_every_estimator_and_setting_for_more_steps(name):
-    assert_windows_equal(EVERY[name](), mission(100, 2), 25, 1e-9)
-
-
-@each_family(EVERY)
+@every_family
 def test_single_precision(name):
     """The kernels' float32 is no further from float64 than torch's, by more than a few roundings' chance."""
     estimator, samples = EVERY[name]().to(torch.float32), mission(20, 2, dtype=torch.float32)
@@ -111,16 +106,16 @@ def test_alarms_and_intervals_of_a_steady_boat():
     assert float(expected[2]["halfwidths"].min()) == pytest.approx(LEAST, rel=1e-12)  # a mean of two that are this
 
 
-@each_family(ESTIMATORS)
-@pytest.mark.parametrize("batch", BATCHES, ids=str)
+@pytest.mark.parametrize("name", (*FAMILIES, "forecasts"))
+@each_batch
 def test_batches(name, batch):
-    assert_windows_equal(ESTIMATORS[name](), mission(40, *batch, seed=1), 20, 1e-9)
+    assert_windows_equal(EVERY[name](), mission(40, *batch, seed=1), 20, 1e-9)
 
 
-@each_family(ESTIMATORS)
+@every_family
 def test_a_grid_of_hyperparameters(name):
     """Hyperparameters `(grid, 1)` beside a batch `(grid, boats)`, all at once, whose boats' samples the grid shares."""
-    estimator, factors = ESTIMATORS[name](), torch.tensor([[0.9], [1.0], [1.1]], dtype=torch.float64)
+    estimator, factors = FAMILIES[name](), torch.tensor([[0.9], [1.0], [1.1]], dtype=torch.float64)
     for parameter in estimator.parameters():
         if parameter.ndim == 0:
             parameter.data = parameter.data * factors
@@ -138,8 +133,8 @@ def test_free_runs(name):
 
 
 @pytest.mark.parametrize("run", [rollout, simulate], ids=lambda run: run.__name__)
-@pytest.mark.parametrize("batch", BATCHES, ids=str)
-@each_family(["memory_aid", "rnn", "boa", "robust_memory"])
+@each_batch
+@pytest.mark.parametrize("name", ["boa", "robust_memory"])
 def test_records(name, batch, run):
     """By names of leaves, or by a function; over more steps than are held at a time."""
     estimator, samples = ESTIMATORS[name](), mission(300 if batch == () else 30, *batch)
@@ -151,7 +146,7 @@ def test_records(name, batch, run):
         assert_equal(found, expected, 1e-9)
 
 
-@each_family(EVERY)
+@every_family
 def test_what_was_given_stays_and_results_are_new(name):
     estimator, samples = EVERY[name](), mission(30, 2)
     state = rollout(estimator, estimator.init((2,)), samples, backend="kernel")[0]

@@ -12,7 +12,7 @@ import pytest
 import torch
 from torch.autograd import forward_ad
 
-from tests.support import ESTIMATORS, each_family, over, random_samples
+from tests.support import ESTIMATORS, FAMILIES, over, random_samples
 from tests.support.commands import python
 from tests.support.kernel_cases import difference, mission
 from usvlearn import (
@@ -39,6 +39,8 @@ from usvlearn.engine.backend import choose
 from usvlearn.engine.rollouts import stretches
 from usvlearn.errors import ConfigError
 
+every_family = pytest.mark.parametrize("name", FAMILIES)
+
 
 class OwnAID(AID):
     """Whose steps may be others."""
@@ -57,7 +59,7 @@ def chosen(estimator, samples=None, batch=(), dtype=torch.float64, backend="auto
     return choose(estimator, estimator.init(batch), samples, backend)
 
 
-@pytest.mark.parametrize("name", ESTIMATORS)
+@every_family
 def test_the_kernels_where_no_gradient_is_asked_for(name):
     estimator, samples = ESTIMATORS[name](), random_samples(3)
     learnable = any(x.requires_grad for x in estimator.parameters())
@@ -168,7 +170,7 @@ def test_hyperparameters_that_do_not_fit_the_batch_are_refused():
                 rollout(narrow, state, samples, backend=backend)
 
 
-@each_family(ESTIMATORS)
+@every_family
 @over("batch", [(), (2,)])
 def test_checkpoints_are_the_same_from_either(name, batch, tmp_path):
     """Names, shapes, dtypes and what is said of them; numbers to rounding. Either goes on from the other's."""
@@ -273,7 +275,7 @@ def test_results_and_samples_are_tensors_like_any():
         assert torch.equal(rollout(aid, aid.init((3,)), samples._replace(surge=negated))[1], expected)
 
 
-@pytest.mark.parametrize("name", ["aid", "robust_memory", "rnn", "joint", "boa"])
+@over("name", ["robust_memory", "joint", "boa"])
 def test_one_number_fits_every_batch_by_either(name):
     one = Sample(Inputs(0.5, 0.4, 0.1, 0.0, 0.4), 1.0, True, True)
     elements = Sample(Inputs(*(np.full(3, x) for x in one.inputs)), np.ones(3), np.ones(3, bool), np.ones(3, bool))
@@ -284,15 +286,6 @@ def test_one_number_fits_every_batch_by_either(name):
         difference(torch.from_numpy(found.predict(one.inputs)), torch.from_numpy(expected.predict(elements.inputs)))
         < 1e-9
     )
-
-
-def test_a_forecast_by_torch_is_that_of_the_kernels():
-    boats = [
-        Online(Ensemble({"aid": AID(28.0)}, forecasts=ForecastSettings((0.4,))), (2,), b) for b in ("torch", "kernel")
-    ]
-    one = Sample(Inputs(0.5, 0.4, 0.1, 0.0, 0.4), 1.0, True, True)
-    found, expected = ([boat.step(one), boat.forecast([[0.5, 0.4]] * 5, 0.1).surge][1] for boat in boats)
-    np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
 def copies(online: Online) -> list[Online]:

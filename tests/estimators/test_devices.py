@@ -7,10 +7,10 @@ and so does one that reads a value. Whether an accelerator computes the right nu
 import numpy as np
 import pytest
 import torch
-from hydra import compose, initialize_config_dir
 from torch.utils._pytree import tree_leaves
 
-from tests.support import ESTIMATORS, ROOT, each_family, few, over, random_samples
+from tests.support import ESTIMATORS, at, few, over, random_samples
+from tests.support.configured import default_ensemble
 from tests.support.kernel_cases import VARIANTS
 from tests.support.placement import on_device, read_as_ones
 from usvlearn import (
@@ -27,7 +27,6 @@ from usvlearn import (
     forecast,
     rollout,
 )
-from usvlearn.cli.settings import ensemble_of
 from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.engine.rollouts import stretches
 from usvlearn.errors import ShapeError
@@ -36,18 +35,12 @@ from usvlearn.estimators.least_squares.sift import sift_step
 STEPS = 2
 
 
-def default() -> Ensemble:
-    """The ensemble of `train.py`: ten members, all rules, monitors and forecasts."""
-    with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
-        return ensemble_of(compose("train", ["estimators.rnn.neurons=6", "forecasts.horizons=[0.4,2.0]"]))
-
-
 def small() -> Ensemble:
     """With forecasts."""
     return Ensemble({"aid": AID(28.0), "rnn": RNN(6)}, {"boa": BOA()}, forecasts=ForecastSettings((0.4,)))
 
 
-CASES = ESTIMATORS | {"default": default, "small": small}
+CASES = ESTIMATORS | {"default": lambda: default_ensemble(torch.float64), "small": small}
 KINDS = ("robust_memory", "aid", "projected", "rnn_replay", "joint", "arx", "weighted", "small", "sift", "rnn",
          "persistence", "acceleration")  # fmt: skip
 some_cases = pytest.mark.parametrize(  # one by default, the rest of KINDS thorough, all others slow
@@ -61,10 +54,6 @@ CALLS = {  # of an estimator with its state and a run
     "rollout": lambda estimator, state, run: rollout(estimator, state, run, lambda state: state, "torch"),
     "forecast": lambda estimator, state, run: estimator.forecast(state, run.inputs),
 }
-
-
-def at(samples, k):
-    return tree_map(lambda x: x[k], samples)
 
 
 def away(tree):
@@ -98,7 +87,7 @@ def test_every_step_stays_on_the_device_of_the_state(name):
         assert_away(found, expected)
 
 
-@each_family(CASES)
+@some_cases
 def test_diagnostics_are_on_the_device_of_the_state(name):
     here, there = CASES[name](), CASES[name]().to("meta")
     with read_as_ones():
@@ -176,42 +165,28 @@ def test_a_step_of_sift_alone_takes_every_sample_as_informative():
         assert_away(sift_step(*there), expected)
 
 
-class Stays(Persistence):
-    """Keeps a number that does not move with it."""
+class Faulty(Persistence):
+    """Predicts what a function makes of the speed."""
 
-    def __init__(self) -> None:
+    def __init__(self, wrong):
         super().__init__()
-        self.shift = torch.zeros(2)
+        self.wrong, self.shift = wrong, torch.zeros(2)  # a number that does not move with it
 
     def predict(self, state, inputs):
-        return state, state.surge + self.shift
+        return state, self.wrong(self, state.surge, inputs)
 
 
-class Lists(Persistence):
-    def predict(self, state, inputs):
-        return state, state.surge[..., [1, 0]]
+FAULTS = {
+    "expected device meta": lambda own, surge, inputs: surge + own.shift,
+    "the index": lambda own, surge, inputs: surge[..., [1, 0]],
+    "on the CPU": lambda own, surge, inputs: surge * float(torch.zeros(2).sum()),
+    "copied": lambda own, surge, inputs: surge + surge.new_tensor(1.0),
+    "item": lambda own, surge, inputs: surge * float(inputs.dt.max()),
+}
 
 
-class Makes(Persistence):
-    def predict(self, state, inputs):
-        return state, state.surge * float(torch.zeros(2).sum())
-
-
-class Copies(Persistence):
-    def predict(self, state, inputs):
-        return state, state.surge + state.surge.new_tensor(1.0)
-
-
-class Reads(Persistence):
-    def predict(self, state, inputs):
-        return state, state.surge * float(inputs.dt.max())
-
-
-FAULTS = {Stays: "expected device meta", Lists: "the index", Makes: "on the CPU", Copies: "copied", Reads: "item"}
-
-
-@pytest.mark.parametrize("kind", FAULTS)
-def test_each_fault_of_placement_is_found(kind):
-    estimator, run = kind().to("meta"), away(random_samples(STEPS, 2))
-    with pytest.raises((AssertionError, RuntimeError), match=FAULTS[kind]), on_device():
+@pytest.mark.parametrize("said", FAULTS)
+def test_each_fault_of_placement_is_found(said):
+    estimator, run = Faulty(FAULTS[said]).to("meta"), away(random_samples(STEPS, 2))
+    with pytest.raises((AssertionError, RuntimeError), match=said), on_device():
         rollout(estimator, estimator.init((2,)), run)

@@ -41,6 +41,7 @@ from usvlearn import (
     YawEKF,
 )
 from usvlearn.core.lock import Lock
+from usvlearn.core.samples import named_leaves, tree_map
 
 ROOT = Path(__file__).parents[2]
 REAL_LOGS = ROOT.parent / "shared" / "data"
@@ -50,40 +51,16 @@ def _members() -> dict:
     return {"aid": AID(28.0), "rls": RLS(), "rnn": RNN(6)}
 
 
-ESTIMATORS = {
-    "aid": lambda: AID(28.0),
-    "aid_exponential": lambda: AID(model=SurgeDynamics(28.0, cubic=True, exponential=True)),
+FAMILIES = {  # an estimator of each family
     "aid_estimate": lambda: AID(28.0, feedback="estimate", dead_zone=0.01),
-    "rls": lambda: RLS(QuasiStatic(), forgetting=0.98),
-    "dynamic_rls": lambda: RLS(SurgeDynamics(28.0), forgetting=0.98),
-    "dynamic_rls_estimate": lambda: RLS(SurgeDynamics(28.0), forgetting=0.98, feedback="estimate"),
-    "sift": lambda: SIFtRLS(QuasiStatic(), memory=5.0),
-    "dynamic_sift": lambda: SIFtRLS(SurgeDynamics(28.0), memory=5.0),
-    "dynamic_sift_estimate": lambda: SIFtRLS(SurgeDynamics(28.0, ambient=True), memory=5.0, feedback="estimate"),
-    "exponential_sift": lambda: SIFtRLS(SurgeDynamics(28.0, cubic=True, exponential=True), memory=5.0),
     "projected": lambda: Projected(SIFtRLS(SurgeDynamics(28.0), memory=5.0)),
-    "robust_aid": lambda: Robust(AID(28.0), threshold=1.345),
     "robust_memory": lambda: Robust(
         WithMemory(SIFtRLS(SurgeDynamics(28.0, memory=True, ambient=True), memory=5.0)), threshold=1.345, scale=0.6
     ),
-    "memory_aid": lambda: WithMemory(AID(model=SurgeDynamics(28.0, memory=True))),
-    "rnn": lambda: RNN(6),
-    "rnn_penalty": lambda: RNN(6, stability="penalty", penalty=1e-3, unroll=2, decay=None),
-    "rnn_estimate": lambda: RNN(6, condition="interval", unroll=2, feedback="estimate"),
     "rnn_replay": lambda: RNN(6, unroll=2, replay_size=7, replay_steps=3),
-    "persistence": Persistence,
-    "acceleration": Acceleration,
     "joint": lambda: JointEKF(2.5, 28.0),
-    "joint_odd": lambda: JointEKF(2.5, 28.0, disturbance=5.0, even=None, lag=0.3, outlier=8.0, read_every=2.0),
-    "joint_trial": lambda: JointEKF(2.5, 28.0, read_every=2.0, trial=Trial(threshold=4.0, leads=1.0, steps=9)),
     "yaw": lambda: YawEKF(2.5),
-    "sway": lambda: SwayEKF(2.5),
     "arx": ARX,
-    "arx_gaussian": lambda: ARX(
-        lags=1, even=False, turning=True, thrust_speed=True, project=False, walk=1e-2, degrees=None
-    ),
-    "average": lambda: Ensemble(_members()),
-    "fixed": lambda: Ensemble(_members(), {"fixed": FixedWeights({"aid": 0.5, "rls": 0.2, "rnn": 0.3})}),
     "weighted": lambda: Ensemble(
         _members(), {"average": Average(["aid", "rls"]), "weighted": RecursiveWeights(forgetting=0.98)}
     ),
@@ -91,15 +68,36 @@ ESTIMATORS = {
         {"aid": Bank(AID(28.0, gain=[0.3, 3.0]), ["slow", "fast"]), "rls": RLS(), "persistence": Persistence()},
         {"boa": BOA(prior={"rls": 0.5})},
     ),
+}
+ESTIMATORS = FAMILIES | {  # and other settings of them
+    "aid": lambda: AID(28.0),
+    "aid_exponential": lambda: AID(model=SurgeDynamics(28.0, cubic=True, exponential=True)),
+    "rls": lambda: RLS(QuasiStatic(), forgetting=0.98),
+    "dynamic_rls": lambda: RLS(SurgeDynamics(28.0), forgetting=0.98),
+    "dynamic_rls_estimate": lambda: RLS(SurgeDynamics(28.0), forgetting=0.98, feedback="estimate"),
+    "sift": lambda: SIFtRLS(QuasiStatic(), memory=5.0),
+    "dynamic_sift": lambda: SIFtRLS(SurgeDynamics(28.0), memory=5.0),
+    "dynamic_sift_estimate": lambda: SIFtRLS(SurgeDynamics(28.0, ambient=True), memory=5.0, feedback="estimate"),
+    "exponential_sift": lambda: SIFtRLS(SurgeDynamics(28.0, cubic=True, exponential=True), memory=5.0),
+    "robust_aid": lambda: Robust(AID(28.0), threshold=1.345),
+    "memory_aid": lambda: WithMemory(AID(model=SurgeDynamics(28.0, memory=True))),
+    "rnn": lambda: RNN(6),
+    "rnn_penalty": lambda: RNN(6, stability="penalty", penalty=1e-3, unroll=2, decay=None),
+    "rnn_estimate": lambda: RNN(6, condition="interval", unroll=2, feedback="estimate"),
+    "persistence": Persistence,
+    "acceleration": Acceleration,
+    "joint_odd": lambda: JointEKF(2.5, 28.0, disturbance=5.0, even=None, lag=0.3, outlier=8.0, read_every=2.0),
+    "joint_trial": lambda: JointEKF(2.5, 28.0, read_every=2.0, trial=Trial(threshold=4.0, leads=1.0, steps=9)),
+    "sway": lambda: SwayEKF(2.5),
+    "arx_gaussian": lambda: ARX(
+        lags=1, even=False, turning=True, thrust_speed=True, project=False, walk=1e-2, degrees=None
+    ),
+    "average": lambda: Ensemble(_members()),
+    "fixed": lambda: Ensemble(_members(), {"fixed": FixedWeights({"aid": 0.5, "rls": 0.2, "rnn": 0.3})}),
     "exponential": lambda: Ensemble(
         {"aid": AID(28.0), "sift": SIFtRLS(), "persistence": Persistence()}, {"exponential": ExponentialWeights()}
     ),
 }
-
-
-FAMILIES = (  # one estimator of each: what is tested over data types, batches and backends by default
-    "aid_estimate", "projected", "robust_memory", "rnn_replay", "joint", "yaw", "arx", "weighted", "boa",
-)  # fmt: skip
 
 
 def random_samples(steps: int, *batch: int, seed: int = 0, dtype=torch.float64) -> Sample:
@@ -112,6 +110,16 @@ def random_samples(steps: int, *batch: int, seed: int = 0, dtype=torch.float64) 
     yes = torch.ones(steps, *batch, dtype=torch.bool)
     inputs = Inputs(uniform(), uniform(), 6 * uniform(), uniform() - 0.5, torch.full((steps, *batch), 0.4, dtype=dtype))
     return Sample(inputs, 2 * uniform(), yes, yes)
+
+
+def at(samples, k: int):
+    """The k-th of samples, or of inputs."""
+    return tree_map(lambda x: x[k], samples)
+
+
+def leaves(tree) -> dict[str, torch.Tensor]:
+    """The leaves of a state by name."""
+    return dict(named_leaves(tree))
 
 
 def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], None]) -> Path:
