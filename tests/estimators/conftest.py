@@ -4,7 +4,7 @@ import pytest
 import torch
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture(autouse=True, scope="module")  # so that it is there before what a module makes once
 def no_gradients():
     with torch.no_grad():
         yield

@@ -52,8 +52,7 @@ def part(samples: Sample, first: int, last: int) -> Sample:
 @pytest.fixture(scope="module")
 def course():
     one, samples = ensemble(), sail()
-    with torch.no_grad():
-        state, _, kept = rollout(one, one.init((BOATS,)), samples, LEAVES)
+    state, _, kept = rollout(one, one.init((BOATS,)), samples, LEAVES)
     return one, samples, state, kept
 
 
@@ -112,25 +111,23 @@ def test_no_copy_is_made_while_a_fault_is_seen(course):
 def test_a_run_is_resumed_within_a_fault_bit_for_bit(course):
     one, samples, state, _ = course
     again = one.init((BOATS,))
-    with torch.no_grad():
-        for first, last in ((0, FAILS + 35), (FAILS + 35, FAILS + 90), (FAILS + 90, END)):
-            again = rollout(one, again, part(samples, first, last))[0]
+    for first, last in ((0, FAILS + 35), (FAILS + 35, FAILS + 90), (FAILS + 90, END)):
+        again = rollout(one, again, part(samples, first, last))[0]
     assert difference(again, state) == 0.0
 
 
 def test_what_is_given_before_there_are_two_copies_is_the_same_in_torch():
     """The older parameters are the prior then, some of which are 0."""
     one, samples = ensemble(), sail(4)
-    with torch.no_grad():
-        state = rollout(one, one.init((BOATS,)), part(samples, 0, FAILS + 60))[0]
-        trial, fresh = state.members["joint"].trial, one.init((BOATS,)).members["joint"].trial
-        trial = trial._replace(**{name: getattr(fresh, name) for name in ("past_mean", "past_factor", "past_noise")})
-        state = state._replace(members={**state.members, "joint": state.members["joint"]._replace(trial=trial)})
-        handed = state.accommodation.handed.clone()
-        handed[1:] = 0  # the other boats get it now
-        state = state._replace(accommodation=state.accommodation._replace(handed=handed))
-        some = part(samples, FAILS + 60, FAILS + 70)
-        found, expected = (rollout(one, state, some, LEAVES, backend=b) for b in ("kernel", "torch"))
+    state = rollout(one, one.init((BOATS,)), part(samples, 0, FAILS + 60))[0]
+    trial, fresh = state.members["joint"].trial, one.init((BOATS,)).members["joint"].trial
+    trial = trial._replace(**{name: getattr(fresh, name) for name in ("past_mean", "past_factor", "past_noise")})
+    state = state._replace(members={**state.members, "joint": state.members["joint"]._replace(trial=trial)})
+    handed = state.accommodation.handed.clone()
+    handed[1:] = 0  # the other boats get it now
+    state = state._replace(accommodation=state.accommodation._replace(handed=handed))
+    some = part(samples, FAILS + 60, FAILS + 70)
+    found, expected = (rollout(one, state, some, LEAVES, backend=b) for b in ("kernel", "torch"))
     assert (expected[0].accommodation.handed[:, 0] == 1).all()
     for x, y in zip(found, expected, strict=True):
         assert difference(x, y) <= 1e-9
@@ -139,13 +136,12 @@ def test_what_is_given_before_there_are_two_copies_is_the_same_in_torch():
 def test_an_alarm_that_ends_is_a_recovery_only_if_the_filters_agree(course):
     _, samples, _, _ = course
     one = ensemble()
-    with torch.no_grad():
-        state = rollout(one, one.init((BOATS,)), part(samples, 0, FAILS + 200))[0]
-        assert (state.accommodation.handed[:, 0] == 1).all()
-        quiet = state.monitors.thrusters
-        quiet = quiet._replace(evidence=0 * quiet.evidence, raised=0 * quiet.raised, sums=0 * quiet.sums)
-        state = state._replace(monitors=state.monitors._replace(thrusters=quiet))
-        after = rollout(one, state, part(samples, FAILS + 200, FAILS + 202))[0]
+    state = rollout(one, one.init((BOATS,)), part(samples, 0, FAILS + 200))[0]
+    assert (state.accommodation.handed[:, 0] == 1).all()
+    quiet = state.monitors.thrusters
+    quiet = quiet._replace(evidence=0 * quiet.evidence, raised=0 * quiet.raised, sums=0 * quiet.sums)
+    state = state._replace(monitors=state.monitors._replace(thrusters=quiet))
+    after = rollout(one, state, part(samples, FAILS + 200, FAILS + 202))[0]
     assert (after.accommodation.handed[:, 0] == 1).all()
     assert ((after.accommodation.share[:, 0] - SHARE).abs() < 0.1).all()
 
@@ -154,16 +150,14 @@ def test_one_command_for_both_sides_raises_no_alarm():
     """Nothing tells the sides apart, and a loss of one would be blamed on both."""
     one, samples = ensemble(), sail(5)
     inputs = samples.inputs._replace(command_right=samples.inputs.command_left)
-    with torch.no_grad():
-        _, _, kept = rollout(one, one.init((BOATS,)), samples._replace(inputs=inputs), LEAVES)
+    _, _, kept = rollout(one, one.init((BOATS,)), samples._replace(inputs=inputs), LEAVES)
     assert (kept["monitors.thrusters.raised"] == 0).all() and (kept["accommodation.handed"] == 0).all()
 
 
 def test_single_precision_finds_the_same():
     one, samples = ensemble().to(torch.float32), sail(1)
     narrow = tree_map(lambda x: x if x.dtype == torch.bool else x.float(), samples)
-    with torch.no_grad():
-        _, _, kept = rollout(one, one.init((BOATS,)), narrow, LEAVES)
+    _, _, kept = rollout(one, one.init((BOATS,)), narrow, LEAVES)
     share = kept["accommodation.share"][FAILS + 200, :, 0]
     assert share.dtype == torch.float32 and ((share - SHARE).abs() < 0.1).all()
 

@@ -52,8 +52,7 @@ def stepped():
     )
     row = torch.ones(1, count, dtype=torch.float64)
     some = Sample(Inputs(0.3 * row, -0.3 * row, 0 * row, 0 * row, 0.4 * row), 0 * row, row > 0, row > 0)
-    with torch.no_grad():
-        return state, {b: rollout(one, state, some, backend=b)[0] for b in ("torch", "kernel")}
+    return state, {b: rollout(one, state, some, backend=b)[0] for b in ("torch", "kernel")}
 
 
 @pytest.mark.parametrize("backend", ["torch", "kernel"])

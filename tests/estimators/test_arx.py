@@ -9,10 +9,9 @@ import torch
 
 from tests.support import few, over, random_samples
 from tests.support.kernel_cases import mission
-from usvlearn import ARX, Inputs, Robust, Sample, rollout
+from usvlearn import ARX, Inputs, Sample, rollout
 from usvlearn.core.samples import PLAUSIBLE, masks, named_leaves, tree_map
 from usvlearn.engine.rollouts import simulate
-from usvlearn.errors import ConfigError
 
 OPTIONS = {
     "default": {},
@@ -168,14 +167,6 @@ def test_student_weight():
     assert found[3.0][1] > found[3.0][0] and (found[3.0].diff() < 0)[1:].all() and (found[None].diff() > 0).all()
 
 
-def test_variance_of_the_noise_is_found():
-    """σ² of Student's t: the innovations' scale, not their variance, which outliers make large."""
-    surge = noise(20_000, 0.03)
-    arx = ARX(lags=0, walk=1e-12)
-    state, _, _ = rollout(arx, arx.init(), constant(20_000, 0.5, 0.5, surge))
-    assert 0.75 * 0.03**2 < state.noise < 0.03**2 and abs(state.theta[1] + 1) < 0.2  # the best prediction is the mean
-
-
 @over("backend", BACKENDS)
 def test_a_segment_starts_without_memory(backend):
     """Increments before a start count as 0, commands as this step's, whatever came before."""
@@ -285,17 +276,6 @@ def test_survives(name, dtype, options):
         assert errors[0] < 2 * errors[1]
 
 
-def test_outliers_inside_robust():
-    """An outlier is also the speed from which the next step departs; `Robust` clips it before it becomes one."""
-    wild, clean = hard(10_000)["outliers"], mission(10_000, faults=False)
-    errors = {}
-    for name, estimator in {"bare": ARX(), "robust": Robust(ARX(), threshold=6.0)}.items():
-        for kind, samples in {"wild": wild, "clean": clean}.items():
-            _, surge, _ = rollout(estimator, estimator.init(), samples)
-            errors[name, kind] = (surge - clean.surge).abs()[-5000:].mean()
-    assert errors["robust", "wild"] < 1.3 * errors["robust", "clean"] < 0.3 * errors["bare", "wild"]
-
-
 def test_inflation_has_a_limit():
     arx = ARX()
     state, _, _ = rollout(arx, arx.init(), mission(100, faults=False))
@@ -312,11 +292,3 @@ def test_a_turn_that_is_no_place_reads_no_other_memory():
         begin = arx.init()._replace(turn=torch.tensor(turn, dtype=torch.float64))
         end, found, _ = rollout(arx, begin, samples, backend="kernel")
         assert torch.equal(found, expected) and torch.equal(end.factor, state.factor)
-
-
-@over("options", [{"lags": -1}, {"lags": 2.0}, {"lags": True}, {"lags": 51}, {"even": "yes"}, {"turning": 1},
-                  {"project": None}, {"scale": 0.0}, {"walk": -1.0}, {"degrees": 0.0}, {"degrees": -math.inf},
-                  {"surge_max": 0.0}])  # fmt: skip
-def test_wrong_options_are_named(options):
-    with pytest.raises(ConfigError, match=f"^{next(iter(options))}: found .*, expected "):
-        ARX(**options)

@@ -24,8 +24,7 @@ def samples(steps: int, moves: bool, seed: int = 0, dt: float = 0.4) -> Sample:
 
 
 def run(axis, state, some, backend):
-    with torch.no_grad():
-        return rollout(axis, state, some, backend=backend)[:2]
+    return rollout(axis, state, some, backend=backend)[:2]
 
 
 @pytest.fixture(scope="module", params=KINDS)

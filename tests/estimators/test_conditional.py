@@ -1,9 +1,5 @@
 """Half-widths that know the manoeuvre: what they cover, their equations, and that they can be left out."""
 
-import math
-
-import numpy as np
-import pytest
 import torch
 
 from tests.support.forecasts import ensemble, plain
@@ -11,46 +7,6 @@ from usvlearn import Online, rollout
 from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.estimators.ensemble.conditional import layer
 from usvlearn.estimators.ensemble.conditional.state import HIGH, LOW
-
-
-def track(spread: np.ndarray, far: np.ndarray, group: np.ndarray, e: np.ndarray) -> np.ndarray:
-    """The half-widths before each error, of one horizon without delay, beside 2 mean errors."""
-    state, found, mean = layer.init((), 1, torch.zeros((), dtype=torch.float64)), [], 0.1
-    for k in range(len(e)):
-        facts = [torch.tensor([float(x[k])], dtype=torch.float64) for x in (spread, far, group)]
-        width = torch.tensor([2 * mean], dtype=torch.float64)
-        count = torch.tensor([float(k)], dtype=torch.float64)
-        found.append(float(layer.halfwidth_held(layer.hold(state, count), width, *facts)))
-        error = torch.tensor([e[k]], dtype=torch.float64)
-        state = layer.learn_error(state, count + 1, error, width, *facts, 0.0, 0.1)
-        mean += 0.01 * (e[k] - mean)
-    return np.array(found)
-
-
-@pytest.mark.thorough
-def test_each_group_is_covered_where_errors_grow_with_what_is_known():
-    """Errors of scale .02 + .3 spread + .2 far: half-widths are in proportion to it, and each group holds 90 %."""
-    rng, steps = np.random.default_rng(0), 6000
-    group = rng.choice(3, steps, p=[0.7, 0.2, 0.1])
-    spread, far = rng.uniform(0, 0.1, steps), np.array([0.0, 0.3, 1.0])[group] * rng.uniform(0.5, 1.0, steps)
-    scale = 0.02 + 0.3 * spread + 0.2 * far
-    e = np.abs(scale * rng.standard_normal(steps))
-    found = track(spread, far, group, e)
-    late = np.arange(steps) > 1000
-    for each in range(3):
-        here = late & (group == each)
-        assert (e[here] <= found[here]).mean() == pytest.approx(0.9, abs=0.03)
-        assert np.log(found[here] / (1.645 * scale[here])).std() < 0.25
-    flat = np.quantile(e[late], 0.9)  # the best single width
-    score = lambda w: (2 * w + 20 * np.maximum(e[late] - w, 0)).mean()  # noqa: E731
-    assert score(found[late]) < 0.75 * score(flat)
-
-
-def test_few_errors_leave_the_half_width_that_does_not_know():
-    """With equal scores little is mixed in before 100 errors, and nothing else remains after 300."""
-    state = layer.init((), 1, torch.zeros((), dtype=torch.float64))
-    share = [float(layer.hold(state, torch.tensor([k], dtype=torch.float64))[0, -1]) for k in (10.0, 200.0, 300.0)]
-    assert share[0] == pytest.approx(1 / (1 + math.exp(2))) and 0.5 < share[1] < 1 and share[2] == 1
 
 
 def test_predictions_are_the_same_and_old_states_go_on(tmp_path):

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from tests.support import few
+from tests.support import at, few
 from tests.support.forecasts import HORIZONS, ensemble, plain
-from usvlearn import AID, BOA, Bank, Ensemble, ForecastSettings, Inputs, Online, Persistence, Sample, rollout
+from usvlearn import AID, BOA, Ensemble, ForecastSettings, Inputs, Online, Persistence, Sample, rollout
 from usvlearn.core.samples import Fleet, Run, named_leaves, tree_map
 from usvlearn.engine.rollouts import simulate
-from usvlearn.errors import ConfigError
 from usvlearn.estimators.ensemble.conformal.state import FEW
 from usvlearn.estimators.ensemble.forecasts.state import DELAY, EMPTY, FIRST, MOST
 from usvlearn.evaluation.horizons import LEAST, horizon_scores, horizon_sums
@@ -177,7 +176,7 @@ def test_a_state_goes_on_where_it_was(dtype, tmp_path):
     whole = kept["forecasts.predictions"]
     half = rollout(model, model.init((2,)), tree_map(lambda x: x[:37], samples))[0]
     online = Online(model)
-    online.state = tree_map(lambda x: x[1], half)
+    online.state = at(half, 1)
     online = Online.open(online.save(tmp_path / "a.safetensors"))
     for k in range(37, 80):
         inputs = Inputs(*(float(x[k, 1]) for x in samples.inputs))
@@ -187,33 +186,6 @@ def test_a_state_goes_on_where_it_was(dtype, tmp_path):
         np.testing.assert_allclose(online.state["forecasts.predictions"], expected, rtol=rounding)
     for name, leaf in named_leaves(end) if rounding == 0 else ():
         np.testing.assert_array_equal(online.state[name], leaf[1].numpy(), err_msg=name)
-
-
-OPTIONS = {
-    "horizons": (dict(horizons=(2.0, 1.0)), "forecasts.horizons: found .*, expected 1 … 32 times, increasing"),
-    "no_horizon": (dict(horizons=()), "forecasts.horizons"),
-    "negative": (dict(horizons=(-1.0,)), "forecasts.horizons: found -1.0, expected a positive number of s"),
-    "overlap": (dict(overlap=0.0), "forecasts.overlap: found 0.0, expected a positive number"),
-    "many": (dict(overlap=1000.0), "forecasts.overlap: found 1000.0, expected less: .* of 512 at most"),
-    "unknown": (dict(members=["rnn"]), "forecasts.members: found rnn, expected some of joint, arx, aid, persistence"),
-    "twice": (dict(members=["aid", "aid"]), "forecasts.members: found aid, aid, expected each member once"),
-    "none": (dict(members=[]), "forecasts.members: found none"),
-    "share": (dict(share=2.0), "share: found 2.0"),
-}
-
-
-@pytest.mark.parametrize("name", OPTIONS)
-def test_options_that_are_not_legal(name):
-    options, message = OPTIONS[name]
-    with pytest.raises(ConfigError, match=message):
-        ensemble(**options)
-
-
-def test_a_bank_is_no_member_of_forecasts():
-    members = {"bank": Bank(AID(28.0, gain=[0.3, 3.0]), ["slow", "fast"]), "aid": AID(28.0)}
-    with pytest.raises(ConfigError, match=r"forecasts.members: found bank_slow, expected some of aid"):
-        Ensemble(members, forecasts=ForecastSettings())
-    assert Ensemble(members, forecasts=ForecastSettings(members=["aid"])).forecasts.names == ("aid",)
 
 
 def test_a_custom_estimator_is_forecast_in_torch():

@@ -22,7 +22,6 @@ from usvlearn.evaluation.identification import as_results, identified_boats
 
 TOP, STEP = 2.7, 0.4
 READER = {"disturbance": 0.05, "disturbance_time": 3.0, "current": 0.15, "drift_time": 5000.0, "lag": 0.3}
-FREE = np.zeros(19)  # no known force
 
 
 def averaged(**changed) -> JointEKF:
@@ -70,8 +69,7 @@ def varied(steps: int, low: float = 0.0, high: float = 1.0, seed: int = 1) -> np
 
 def learned(sample: Sample, **changed) -> Identified:
     joint = averaged(**changed)
-    with torch.no_grad():
-        state, _, _ = rollout(joint, joint.init(), sample)
+    state, _, _ = rollout(joint, joint.init(), sample)
     return identify(joint.spec(), leaves_of(state))
 
 

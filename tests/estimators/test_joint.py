@@ -14,7 +14,7 @@ from usvlearn import Inputs, JointEKF, Online, Sample, rollout
 from usvlearn.core import checkpoint
 from usvlearn.core.protocol import clean
 from usvlearn.core.samples import named_leaves, tree_map
-from usvlearn.errors import CheckpointError, ConfigError
+from usvlearn.errors import CheckpointError
 from usvlearn.estimators.augmented import state as augmented
 from usvlearn.estimators.axis.state import FAMILY as AXIS
 from usvlearn.estimators.joint.flow import flow as moved_by
@@ -303,14 +303,6 @@ def test_a_larger_covariance_has_a_limit():
         twice = joint.inflate_covariance(twice, tensor(1e6)[0])
     mean = (twice.covariance.diagonal()[4:] / joint.variance).mean()
     assert mean == pytest.approx(100.0)
-
-
-@over("wrong", [{"mass": 0.0}, {"surge_max": -1.0}, {"disturbance": 0.0}, {"outlier": 0.0}, {"read_every": -1.0},
-                {"theta0": [1.0]}, {"theta0": [1.0] * 9}])  # fmt: skip
-def test_wrong_arguments_are_named(wrong):
-    (name,) = wrong
-    with pytest.raises(ConfigError, match=f"{name}: found"):
-        JointEKF(**{"surge_max": 2.0} | wrong)
 
 
 def test_a_broken_factor_is_refused(tmp_path):

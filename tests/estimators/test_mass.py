@@ -3,9 +3,8 @@
 import pytest
 import torch
 
-from tests.support import random_samples
+from tests.support import at, random_samples
 from usvlearn import AID, RLS, Inputs, Sample, SurgeDynamics, rollout
-from usvlearn.errors import ConfigError
 from usvlearn.estimators.mass import NAMES, recover_mass
 from usvlearn.estimators.regressors.layer import surge_regressor
 
@@ -23,7 +22,7 @@ def boat(steps: int, *batch: int, mass: float = MASS, theta=THETA, noise: float 
     inputs = inputs._replace(command_left=left, command_right=right)
     speeds, v = [], torch.zeros(batch, dtype=torch.float64)
     for k in range(steps):
-        v = v + 0.4 / mass * (surge_regressor(v, Inputs(*(x[k] for x in inputs))) @ theta)
+        v = v + 0.4 / mass * (surge_regressor(v, at(inputs, k)) @ theta)
         speeds.append(v)
     surge = torch.stack(speeds)
     generator = torch.Generator().manual_seed(0)
@@ -140,16 +139,6 @@ def test_what_is_not_seen_yet_is_nan_and_spoils_no_other_boat():
         assert found.mass.dtype == torch.float32
         torch.testing.assert_close(found.mass[0], torch.tensor(MASS))
         assert found.mass[1:].isnan().all() and found.parameters[1:].isnan().all()
-
-
-@pytest.mark.parametrize(
-    "known",
-    [{}, {"thrust": 3.0}, {"drag_linear": 0.0}, {"drag_linear": float("nan")}, {"drag_linear": "heavy"},
-     {"drag_linear + ": 1.0}],
-)  # fmt: skip
-def test_known_quantities_that_say_nothing_are_refused(known):
-    with pytest.raises(ConfigError, match="expected"):
-        recover_mass(THETA / MASS, known)
 
 
 def test_names_are_those_of_the_model():

@@ -5,10 +5,9 @@ import math
 import pytest
 import torch
 
-from tests.support import random_samples
+from tests.support import at, random_samples
 from usvlearn import AID, RLS, Robust, Sample, SIFtRLS, SurgeDynamics, WithMemory, rollout
-from usvlearn.core.samples import tree_map
-from usvlearn.errors import ConfigError, ShapeError
+from usvlearn.errors import ShapeError
 from usvlearn.estimators.baselines.persistence.layer import Persistence, PersistenceState
 
 
@@ -75,7 +74,7 @@ def test_hands_over_the_last_acceleration_and_commands(limit):
     state, found = estimator.init(), []
     for k in range(len(samples.surge)):
         spy.seen.clear()
-        state, surge = estimator(state, tree_map(lambda x, i=k: x[i], samples))
+        state, surge = estimator(state, at(samples, k))
         if not surge.isnan():
             first, second = spy.seen
             assert all(torch.equal(x, y) for x, y in zip(first, second, strict=True))
@@ -84,33 +83,6 @@ def test_hands_over_the_last_acceleration_and_commands(limit):
     expected = by_hand(samples, limit)
     assert (expected[:, 0].abs() == limit).any() and (expected[:, 0].abs() < limit).sum() > 10
     torch.testing.assert_close(torch.stack(found), expected, rtol=1e-12, atol=1e-12)
-
-
-def test_learns_a_boat_whose_thrusters_lag():
-    """v⁺ − v = dt/m (…) + memory: the parameters of a boat that has such terms are found exactly."""
-    mass, steps, dt = 28.0, 600, 0.4
-    model = SurgeDynamics(mass, memory=True)
-    truth = torch.tensor([-3, -6, -4, 20, 15, -3, 16, 18, -2, 8.0, 5.0, -4.0], dtype=torch.float64)
-    samples = random_samples(steps)
-    surge, v, acceleration, before = [], samples.surge.new_tensor(0.0), samples.surge.new_tensor(0.0), None
-    for k in range(steps):
-        L, R, r = (x[k] for x in (samples.inputs.command_left, samples.inputs.command_right, samples.inputs.yaw_rate))
-        a = v.abs()
-        W = [a * v, v, r.abs() * v, L, L * L, L * a, R, R * R, R * a, acceleration, *(before or (L, R))]
-        new = v + dt / mass * (torch.stack(W) @ truth)
-        v, acceleration, before = new, (new - v) / dt, (L, R)
-        surge.append(v)
-    samples = samples._replace(surge=torch.stack(surge))
-    for inner in (RLS(model, 0.999, covariance=1e3), SIFtRLS(model, memory=1e4, covariance=1e3)):
-        estimator = WithMemory(inner)
-        with torch.no_grad():
-            end, predicted, _ = rollout(estimator, estimator.init(), samples)
-        torch.testing.assert_close(end.inner.theta, truth, rtol=0.02, atol=0.1)
-        assert (predicted - samples.surge)[-100:].abs().max() < 1e-3
-        blind = type(inner)(SurgeDynamics(mass))
-        with torch.no_grad():
-            _, poorer, _ = rollout(blind, blind.init(), samples)
-        assert (poorer - samples.surge)[-100:].abs().mean() > 10 * (predicted - samples.surge)[-100:].abs().mean()
 
 
 def test_changes_nothing_for_a_model_without_memory():
@@ -143,9 +115,3 @@ def test_robust_may_stand_inside_or_outside():
     ratio = loosened.inner.inner.factor / end.inner.inner.factor
     torch.testing.assert_close(ratio[0].nan_to_num(2.0), torch.full_like(ratio[0], 2.0))
     assert torch.equal(loosened.inner.inner.factor[1], end.inner.inner.factor[1])
-
-
-@pytest.mark.parametrize("wrong", [0.0, -1.0, math.inf])
-def test_illegal_limits_are_refused(wrong):
-    with pytest.raises(ConfigError, match="surge_dot_max"):
-        WithMemory(AID(28.0), surge_dot_max=wrong)

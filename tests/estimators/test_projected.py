@@ -5,13 +5,10 @@ import itertools
 import numpy as np
 import pytest
 import torch
-from scipy.optimize import nnls
 
-from tests.support import random_samples
-from usvlearn import AID, RLS, Inputs, Projected, QuasiStatic, Sample, SIFtRLS, SurgeDynamics, WithMemory, rollout
-from usvlearn.errors import ConfigError
+from tests.support import over, random_samples
+from usvlearn import Inputs, Projected, QuasiStatic, Sample, SIFtRLS, SurgeDynamics, rollout
 from usvlearn.estimators.least_squares.projected import held_by, project_signs
-from usvlearn.estimators.regressors.layer import surge_regressor
 
 SIGNS = (1, -1, 0, 1, -1, 1)
 
@@ -23,16 +20,8 @@ def problem(seed: int, p: int = 6):
     return rng.standard_normal(p), factor
 
 
-def exact(theta, factor, signs):
-    """min |S⁻¹(θ − z)|² such that s_i θ_i ≥ 0, as non-negative least squares; a free parameter is a difference."""
-    columns = [s * np.eye(len(signs))[i] for i, s in enumerate(signs) if s]
-    columns += [s * np.eye(len(signs))[i] for i, sign in enumerate(signs) if not sign for s in (1, -1)]
-    basis, whitened = np.stack(columns, -1), np.linalg.inv(factor)
-    return basis @ nnls(whitened @ basis, whitened @ theta, maxiter=1000)[0]
-
-
 def enumerated(theta, factor, signs):
-    """The same by trying every set of parameters that are held at 0."""
+    """min |S⁻¹(θ − z)|² such that s_i θ_i ≥ 0, by trying every set of parameters that are held at 0."""
     P, best = factor @ factor.T, (np.inf, None)
     bound = [i for i, s in enumerate(signs) if s]
     for count in range(len(bound) + 1):
@@ -47,11 +36,10 @@ def projected(theta, factor, signs, iterations):
     return project_signs(torch.as_tensor(theta), torch.as_tensor(factor), *held_by(signs), iterations).numpy()
 
 
-@pytest.mark.parametrize("seed", range(40))
+@over("seed", range(40))
 def test_converges_to_the_nearest_with_these_signs(seed):
     theta, factor = problem(seed)
-    expected = exact(theta, factor, SIGNS)
-    np.testing.assert_allclose(expected, enumerated(theta, factor, SIGNS), atol=1e-9)  # the referees agree
+    expected = enumerated(theta, factor, SIGNS)
     np.testing.assert_allclose(projected(theta, factor, SIGNS, 6), expected, atol=1e-9)
 
 
@@ -77,48 +65,6 @@ def test_signs_hold_to_the_bit_and_again_changes_nothing(iterations):
     assert torch.equal(project_signs(inside, factor, *held, iterations), inside)
 
 
-def test_never_moves_away_from_a_truth_that_has_the_signs():
-    """In the metric P⁻¹, as any projection onto a convex set."""
-    for seed in range(20):
-        theta, factor = problem(seed)
-        truth = np.abs(problem(100 + seed)[0]) * np.array(SIGNS)
-        truth[2] = 1.0
-        distance = lambda z: np.linalg.norm(np.linalg.solve(factor, z - truth))  # noqa: B023, E731
-        assert distance(projected(theta, factor, SIGNS, 10)) <= distance(theta) * (1 + 1e-6)
-
-
-TRUTH = torch.tensor([-3.0, -1.0, -0.5, 20.0, 15.0, -1.0, 16.0, 18.0, -1.0], dtype=torch.float64)
-
-
-def noisy(steps: int, *batch: int):
-    """Speeds of a boat whose parameters are TRUTH, from random ones, with noise of 0.1 m/s: signs are hard to tell."""
-    samples = random_samples(steps + 1, *batch)
-    generator = torch.Generator().manual_seed(1)
-    surge = samples.surge.clone()
-    phi = 0.4 / 28.0 * surge_regressor(surge[:-1], type(samples.inputs)(*(x[1:] for x in samples.inputs)))
-    noise = 0.1 * torch.randn(steps, *batch, generator=generator, dtype=torch.float64)
-    return surge[:-1], phi, (phi @ TRUTH) + noise, type(samples.inputs)(*(x[1:] for x in samples.inputs))
-
-
-@pytest.mark.parametrize("kind", [RLS, SIFtRLS])
-def test_keeps_the_signs_and_brings_the_parameters_nearer(kind):
-    """100 boats whose speed is set anew at every step, so that all learn from the same regressors."""
-    start, _, increment, inputs = noisy(40, 100)
-    plain = kind(SurgeDynamics(28.0))
-    wrapped = Projected(kind(SurgeDynamics(28.0)), iterations=5)
-    states = {"plain": plain.init((100,)), "wrapped": wrapped.init((100,))}
-    with torch.no_grad():
-        for k in range(40):
-            now = type(inputs)(*(x[k] for x in inputs))
-            for name, estimator in (("plain", plain), ("wrapped", wrapped)):
-                state = estimator.start(states[name], start[k])
-                states[name] = estimator.update(state, now, start[k] + increment[k])
-            assert (states["wrapped"].theta * torch.tensor(wrapped.signs) >= 0).all()
-    torch.testing.assert_close(states["wrapped"].factor, states["plain"].factor)  # P is the data's, not θ's
-    errors = {name: (s.theta - TRUTH).norm(dim=-1).mean() for name, s in states.items()}
-    assert errors["wrapped"] < 0.8 * errors["plain"]
-
-
 def test_own_signs_and_free_parameters():
     model = SurgeDynamics(28.0, memory=True, ambient=True)
     assert Projected(SIFtRLS(model)).signs == (-1, -1, -1, 1, 1, -1, 1, 1, -1) + (0,) * 6
@@ -129,22 +75,6 @@ def test_own_signs_and_free_parameters():
     assert (rollout(backwards, backwards.init((2,)), samples)[0].theta <= 0).all()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"signs": [1, 1]}, "each of the 9 parameters"),
-        ({"signs": [2] * 9}, "-1, 0 or 1"),
-        ({"iterations": 0}, "1 … 1000"),
-        ({"iterations": 1001}, "1 … 1000"),
-        ({"estimator": AID(28.0)}, "AID"),
-        ({"estimator": WithMemory(SIFtRLS(SurgeDynamics(28.0, memory=True)))}, "WithMemory"),
-    ],
-)
-def test_illegal_arguments_are_refused(arguments, message):
-    with pytest.raises(ConfigError, match=message):
-        Projected(**{"estimator": SIFtRLS(), **arguments})
-
-
 @pytest.mark.parametrize("seed", range(6))
 def test_kernel_and_torch_differ_by_no_more_than_the_condition_of_P_explains(seed):
     """Commands of 99.9: regressors differ by a factor of 1e4, and (2) is a poorly conditioned system."""
@@ -153,11 +83,10 @@ def test_kernel_and_torch_differ_by_no_more_than_the_condition_of_P_explains(see
     heading, yaw_rate, surge = (torch.tensor(rng.uniform(-1, 1, 40)) for _ in range(3))
     inputs = Inputs(*map(torch.tensor, commands), heading, yaw_rate, torch.full((40,), 0.4, dtype=torch.float64))
     samples = Sample(inputs, 2 * surge, torch.ones(40, dtype=torch.bool), torch.ones(40, dtype=torch.bool))
-    with torch.no_grad():
-        kernel, by_torch = (
-            rollout(estimator, estimator.init(), samples, ["theta", "factor"], backend=backend)[2]
-            for backend in ("kernel", "torch")
-        )
+    kernel, by_torch = (
+        rollout(estimator, estimator.init(), samples, ["theta", "factor"], backend=backend)[2]
+        for backend in ("kernel", "torch")
+    )
     condition = float(torch.linalg.cond(by_torch["factor"]).max() ** 2)
     error = (kernel["theta"] - by_torch["theta"]).abs().amax() / by_torch["theta"].abs().amax()
     assert 1e12 < condition < 1e15 and error <= condition * torch.finfo(torch.float64).eps

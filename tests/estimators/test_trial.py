@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.support import few
+from tests.support import at, few
 from usvlearn import Inputs, JointEKF, Sample, Trial
 from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.engine.rollouts import rollout
@@ -35,9 +35,8 @@ def joint(**given) -> JointEKF:
 
 
 def run(estimator, samples, state=None):
-    with torch.no_grad():
-        state = estimator.init((BOATS,)) if state is None else state
-        return rollout(estimator, state, samples)[:2]
+    state = estimator.init((BOATS,)) if state is None else state
+    return rollout(estimator, state, samples)[:2]
 
 
 @pytest.mark.parametrize("share", [0.4, 0.0, 1.7])
@@ -94,10 +93,9 @@ def test_torch_makes_the_same_trial_and_a_run_continues_within_it(dtype):
     for (name, one), (_, other) in zip(named_leaves(whole), named_leaves(continued), strict=True):
         assert torch.equal(one, other), name
     state, predicted = middle, []
-    with torch.no_grad():
-        for k in range(LEAD + 4, len(samples.surge)):
-            state, each = estimator.forward(state, tree_map(lambda x, k=k: x[k], samples))
-            predicted.append(each)
+    for k in range(LEAD + 4, len(samples.surge)):
+        state, each = estimator.forward(state, at(samples, k))
+        predicted.append(each)
     limit = 1e-9 if dtype == torch.float64 else 2e-3
     torch.testing.assert_close(torch.stack(predicted), after, atol=limit, rtol=0, equal_nan=True)
     torch.testing.assert_close(state.mean, whole.mean, atol=limit, rtol=limit)

@@ -10,7 +10,6 @@ from hydra.utils import instantiate
 
 from tests.support import ROOT
 from tests.support.recordings import same
-from usvlearn.errors import ConfigError
 from usvlearn.simulate.autopilot import Autopilot
 from usvlearn.simulate.fault import Fault, faulty_vessels
 from usvlearn.simulate.fleet import fleet, sail
@@ -85,21 +84,6 @@ def test_wear_is_linear_in_time_and_goes_on_in_the_next_mission():
             assert left == 33.6
             assert right / 33.6 == pytest.approx(1 - 0.6 * gone, abs=0.6 / 20 + 1e-3), (tick, mission)
     assert later[max(later)].thrust_table[1, 0, 1, -1].item() == pytest.approx(0.4 * 33.6)
-
-
-@pytest.mark.parametrize(
-    ("options", "name"),
-    [
-        ({"drag": 0.0}, "drag"),
-        ({"over": -1.0}, "over"),
-        ({"side": "bow"}, "side"),
-        ({"share": 2.5}, "share"),
-        ({"minute": -1.0}, "minute"),
-    ],
-)
-def test_a_fault_out_of_range_is_refused_by_name(options, name):
-    with pytest.raises(ConfigError, match=name):
-        Fault(**options)
 
 
 @pytest.mark.thorough

@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from tests.support.recordings import same
-from usvlearn.errors import ConfigError
 from usvlearn.simulate.autopilot import Autopilot
 from usvlearn.simulate.fleet import fleet, sail
 from usvlearn.simulate.gusts import Gusts
@@ -80,17 +79,3 @@ def test_a_speed_that_sticks_repeats_its_last_value_and_goes_on():
         sticks = (time >= 60) & (time < 80)
         assert len(set(value[sticks])) == 1 and np.ptp(before.channels["surge"].value[sticks]) > 0
         assert np.array_equal(value[~sticks], before.channels["surge"].value[~sticks])
-
-
-@pytest.mark.parametrize(
-    ("make", "name"),
-    [
-        (lambda: Gusts(per_hour=-1.0), "per_hour"),
-        (lambda: Gusts(seconds=(5.0, 1.0)), "seconds"),
-        (lambda: Gusts(minute=-1.0), "minute"),
-        (lambda: Sensors(stuck=(1.0, -1.0)), "stuck"),
-    ],
-)
-def test_what_is_out_of_range_is_refused_by_name(make, name):
-    with pytest.raises(ConfigError, match=name):
-        make()

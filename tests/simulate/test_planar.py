@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from usvlearn.errors import ConfigError
 from usvlearn.simulate.planar import HERON, courses, planar_runs, rates, simulate_planar
 
 
@@ -59,8 +58,3 @@ def test_runs_start_at_rest_with_a_segment_and_noise_as_given():
     assert samples.inputs.command_left.shape == (1501, 4) and abs(samples.inputs.command_left).max() <= 1
     again, _ = planar_runs(0, 5.0, 4, noise=(0.1, 0.2, 0.3))
     assert np.array_equal(again.velocity, samples.velocity)
-
-
-def test_a_step_is_positive():
-    with pytest.raises(ConfigError, match="dt: found 0"):
-        simulate_planar(HERON, np.zeros((1, 2)), 0.0)

@@ -12,15 +12,7 @@ import pytest
 import torch
 
 from usvlearn.simulate.plants import PLANTS, plant
-from usvlearn.simulate.vessel import (
-    at_rest,
-    drag,
-    simulate,
-    static_thrust,
-    steady_surge,
-    step,
-    thrust,
-)
+from usvlearn.simulate.vessel import at_rest, drag, simulate, static_thrust, steady_surge, step, thrust
 
 pytestmark = pytest.mark.filterwarnings("error")
 
