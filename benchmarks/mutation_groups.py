@@ -49,16 +49,17 @@ GROUPS = {
     "joint": Group(
         ("usvlearn/estimators/joint/*.py", "usvlearn/estimators/augmented/*.py"),
         6,
-        named("estimators", "joint identified quantities"),
+        named("estimators", "joint identified quantities refused"),
         False,
     ),
     "forecasts": Group(
         ("usvlearn/estimators/ensemble/forecasts/*.py",),
         4,
         (
-            *named("estimators", "forecasts plans"),
+            *named("estimators", "forecasts plans refused"),
             *named("engine", "descriptions"),
-            "tests/engine/test_kernels.py::test_every_estimator_and_setting[forecasts]",
+            *(f"{EVERY}[{name}]" for name in ("forecasts", "forecasts_wrapped")),
+            "tests/engine/test_kernels.py::test_batches[(2, 3)-forecasts]",
         ),
         False,
     ),
@@ -93,7 +94,11 @@ GROUPS = {
     "trial": Group(
         ("usvlearn/estimators/joint/trial*.py",),
         6,
-        (*named("estimators", "trial_equations trial"), f"{EVERY}[joint_trial]", *named("estimators", "accommodation")),
+        (
+            *named("estimators", "trial_equations trial refused"),
+            f"{EVERY}[joint_trial]",
+            *named("estimators", "accommodation"),
+        ),
         False,
     ),
     "conditional": Group(
@@ -140,4 +145,5 @@ ALWAYS = (  # what an adversary changed, and no test saw; a function "" is the m
 )
 EQUIVALENT = {  # changes after which nothing can be different, and why
     Place("trial", "side_of", "E + 1", "E - 1", 1): "a filter without even terms ends at E, before the first of a side",
+    Place("forecasts", "Choice", "Range(1, MOST_HORIZONS)", "Range(MOST_HORIZONS, 1)", 0): "check.py has the range",
 }

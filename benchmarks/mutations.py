@@ -137,8 +137,8 @@ def tried(folder: Path, source: Path, text: str, group: Group, seconds: float) -
 def failed(folder: Path, options: list[str], compiled: bool, seconds: float) -> str | None:
     """The first test that fails, or how else pytest failed; None if no test fails, or there is none."""
     environment = {**os.environ, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1", "OMP_NUM_THREADS": "1"}
-    if not compiled:
-        environment["NUMBA_DISABLE_JIT"] = "1"
+    if not compiled:  # NumPy warns of infinite and undefined numbers then, which is no fault that a test has seen
+        environment["NUMBA_DISABLE_JIT"], options = "1", ["-W", "ignore::RuntimeWarning", *options]
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "-rfE", *options]
 
     def limited() -> None:
