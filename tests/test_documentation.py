@@ -19,7 +19,7 @@ from typing import NamedTuple
 import pytest
 import yaml
 
-from tests.support import ROOT
+from tests.support import ROOT, over
 from usvlearn.logs.channels.channel import AUXILIARY, CHANNELS, Source
 
 PAGES = sorted(
@@ -58,7 +58,7 @@ def blocks(text: str) -> list[Block]:
     return found
 
 
-@pytest.mark.parametrize("name", NAMES)
+@over("name", NAMES)
 def test_every_block_says_what_it_is(name):
     """So that none escapes: each has a language that runs, is parsed or is only shown, and no command is bare."""
     text = (ROOT / name).read_text()

@@ -264,25 +264,6 @@ def bare(mass: float, names: list[str]) -> np.ndarray:
     raise ConfigError("mass: found nothing")
 
 
-def described(mass: float, names: list[str]) -> np.ndarray:
-    """With everything.
-
-    Args:
-        mass: kg.
-        names: of what it has.
-
-    Returns:
-        `(names,)`, N.
-
-    Raises:
-        ConfigError: always.
-
-    >>> 1 + 1
-    2
-    """
-    raise ConfigError("mass: found nothing")
-
-
 class Unit(NamedTuple):
     """Two fields.
 
@@ -298,4 +279,3 @@ def test_what_is_missing_is_counted():
     found = Counter(lack.kind for lack in function_lacks("bare", bare))
     assert found == {"args": 2, "units": 1, "returns": 1, "raises": 1, "examples": 1}
     assert [lack.what for lack in class_lacks("Unit", Unit, "model", True)] == ["unknown: float"]
-    assert list(function_lacks("described", described)) == []

@@ -6,9 +6,7 @@ import unicodedata
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
-
-from tests.support import ROOT
+from tests.support import ROOT, over
 
 THEORY = ROOT / "docs" / "theory"
 FOLDERS = ("usvlearn", "certify", "benchmarks", "tests", "configs", "docs")
@@ -171,14 +169,14 @@ def test_no_source_cites_a_theory_without_naming_its_file():
             assert not re.search(r"\(theory[, ]|docs/theory\.md`", path.read_text()), path
 
 
-@pytest.mark.parametrize("page", PAGES)
+@over("page", PAGES)
 def test_numbers_of_equations_count_from_one(page):
     """A section that has a number twice is refused by `sections`."""
     for section, formulas in PAGES[page].items():
         assert list(formulas) == [str(k + 1) for k in range(len(formulas))], f"{page}#{section}"
 
 
-@pytest.mark.parametrize("module", MODULES)
+@over("module", MODULES)
 def test_a_module_has_the_equations_of_the_section_that_it_cites(module):
     own = equations(MODULES[module])
     cited = [(page, section) for page, section in CITED.findall(MODULES[module].read_text()) if section]
@@ -193,7 +191,7 @@ def test_a_module_has_the_equations_of_the_section_that_it_cites(module):
             assert not missing, f"{module} ({number}) has {symbol}, {page}#{section} has {sorted(there)} there"
 
 
-@pytest.mark.parametrize("page", PAGES)
+@over("page", PAGES)
 def test_every_equation_that_a_page_cites_exists(page):
     text = (THEORY / page).read_text()
     for target, anchor in re.findall(r"\]\(([\w/.]*?\.md)?#([\w-]+)\)", text):

@@ -146,27 +146,19 @@ def copied(tmp_path, monkeypatch):
     forget()
 
 
-@pytest.mark.parametrize(
-    ("source", "old", "new"),
-    [
-        (
-            "core/samples.py",
-            "PLAUSIBLE = 100.0",
-            "PLAUSIBLE = 101.0",
-        ),  # a constant in a file without @jit
-        ("core/family.py", "MOST = 1e-30, 1e30", "MOST = 1e-30, 1e31"),
-        ("estimators/aid/kernel.py", "def adapt(", "def adapt("),
-        (
-            "estimators/aid/state.py",
-            "    GAIN = POSITIVE\n    LEAK = POSITIVE",
-            "    LEAK = POSITIVE\n    GAIN = POSITIVE",
-        ),
-        ("estimators/baselines/persistence/kernel.py", "def coast", "def coast"),
-        ("estimators/__init__.py", '"least_squares",\n    "aid",', '"aid",\n    "least_squares",'),
-        ("engine/chains.py", "def chain(", "def chain("),
-        ("core/jit.py", '"nogil": True', '"nogil": False'),
-    ],
+CHANGES = (  # a file, what is in it, and what it becomes: the same with a line more, or something else
+    ("core/samples.py", "PLAUSIBLE = 100.0", "PLAUSIBLE = 101.0"),  # a constant in a file without @jit
+    ("core/family.py", "MOST = 1e-30, 1e30", "MOST = 1e-30, 1e31"),
+    ("estimators/aid/kernel.py", "def adapt(", "def adapt("),
+    ("estimators/aid/state.py", "    GAIN = POSITIVE\n    LEAK = POSITIVE", "    LEAK = POSITIVE\n    GAIN = POSITIVE"),
+    ("estimators/baselines/persistence/kernel.py", "def coast", "def coast"),
+    ("estimators/__init__.py", '"least_squares",\n    "aid",', '"aid",\n    "least_squares",'),
+    ("engine/chains.py", "def chain(", "def chain("),
+    ("core/jit.py", '"nogil": True', '"nogil": False'),
 )
+
+
+@pytest.mark.parametrize(("source", "old", "new"), CHANGES)
 def test_each_state_of_the_sources_has_a_folder_of_its_own(copied, source, old, new):
     root, folder = copied
     before, path = folder(), root / source

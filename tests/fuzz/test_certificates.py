@@ -17,40 +17,11 @@ from certify.proofs.box_proof import proves
 from certify.search.box import certify, operating_box
 from tests.support.exact_cells import exact_rate
 
-TOKENS = (
-    "x",
-    "u1",
-    "u2",
-    "u9",
-    "z0",
-    ".",
-    "e0:1",
-    "s",
-    "y",
-    "",
-)
+TOKENS = ("x", "u1", "u2", "u9", "z0", ".", "e0:1", "s", "y", "")
 VALUES = (
-    None,
-    True,
-    0,
-    1,
-    -1,
-    2.5,
-    "",
-    "0",
-    "1",
-    "-1",
-    "1/2",
-    "1/0",
-    "1e9",
-    "1/1000",
-    "9" * 2000,
-    [],
-    {},
-    ["1"],
-    "tight",
+    None, True, 0, 1, -1, 2.5, "", "0", "1", "-1", "1/2", "1/0", "1e9", "1/1000", "9" * 2000, [], {}, ["1"], "tight",
     "box",
-)
+)  # fmt: skip
 
 
 def draw(rng: np.random.Generator) -> ShallowWeights:
@@ -182,16 +153,9 @@ def test_a_damaged_file_is_read_or_refused_in_one_sentence(rng, cases, tmp_path)
     weights = ShallowWeights([0.5, -0.25], [1.0, 0.5], [[0.0], [1.0]], [0.0, 0.25])
     text = json.dumps(certificate.make(weights), ensure_ascii=False).encode()
     pieces = (
-        b"[" * 3000,
-        b'{"a":' * 3000,
-        b"9" * 5000,
-        b"1e999999",
-        b"NaN",
-        b"\\ud800",
-        b"\x00",
-        b"\xff",
+        b"[" * 3000, b'{"a":' * 3000, b"9" * 5000, b"1e999999", b"NaN", b"\\ud800", b"\x00", b"\xff",
         b'"rate": "1/3", ',
-    )
+    )  # fmt: skip
     path, read = tmp_path / "forged.json", 0
     for _ in range(cases):
         data = bytearray(text)
