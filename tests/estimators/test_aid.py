@@ -1,4 +1,4 @@
-"""AID: its Lyapunov functions never rise, its parameters converge or stay bounded, any gain is safe."""
+"""AID: its Lyapunov function never rises at any gain, and it learns and leaks by its equations."""
 
 import math
 

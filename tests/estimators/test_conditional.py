@@ -1,4 +1,4 @@
-"""Half-widths that know the manoeuvre: what they cover, their equations, and that they can be left out."""
+"""Half-widths that know the manoeuvre: what they depend on, and that they can be left out."""
 
 import torch
 

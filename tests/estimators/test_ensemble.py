@@ -1,4 +1,4 @@
-"""Ensemble: its rules, what it publishes, and what it refuses."""
+"""Ensemble: its rules, and what it publishes."""
 
 import math
 

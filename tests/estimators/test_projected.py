@@ -1,4 +1,4 @@
-"""Projection onto signs: the active sets against an exact solver, and what it does to least squares."""
+"""Projection onto signs: the active sets against an enumeration of them, and where it acts."""
 
 import itertools
 

@@ -1,4 +1,4 @@
-"""SIFt-RLS: the information form of Lai and Bernstein, the UD form, and what plain forgetting does not survive."""
+"""SIFt-RLS: the information form of Lai and Bernstein, what is forgotten, and what nothing informs."""
 
 import math
 
