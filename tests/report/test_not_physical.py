@@ -20,7 +20,7 @@ def boat(name: str, wrong: str, findings=()) -> Overview:
 
 def page(*boats: Overview) -> str:
     viewer = {"runs": [], "colours": {}, "shown": [], "sides": {}}
-    return first_page(Front(boats, viewer, ()), "", {})
+    return first_page(Front(boats, viewer), "")
 
 
 def test_the_first_page_is_red_and_not_green():
@@ -34,7 +34,7 @@ def test_the_first_page_is_red_and_not_green():
 def test_nothing_is_green_while_a_question_is_open_or_a_finding_stands():
     def shown(findings=(), **more) -> str:
         viewer = {"runs": [], "colours": {}, "shown": [], "sides": {}}
-        return first_page(Front([boat("a", "", findings)._replace(events=[])], viewer, (), **more), "", {})
+        return first_page(Front([boat("a", "", findings)._replace(events=[])], viewer, **more), "")
 
     sentence = "1 guess unconfirmed: <mass> (unsure)."
     guessed, warned = shown(unconfirmed=[sentence]), shown([{"about": "surge", "found": "x", "severity": "warning"}])

@@ -177,8 +177,7 @@ def test_names_do_nothing(tmp_path):
 
     finding = {"boat": None, "about": BAD, "kind": BAD, "found": BAD, "expected": BAD, "key": BAD, "severity": BAD}
     _, page = written(tmp_path, change, [[finding]])
-    images = [attrs for tag, attrs in page.tags if tag == "img"]
-    assert all(attrs["src"].startswith("data:image/png;base64,") and set(attrs) == {"alt", "src"} for attrs in images)
+    assert not any(tag == "img" for tag, _ in page.tags)
     assert not any(name.startswith("on") for _, attrs in page.tags for name in attrs) and len(page.scripts) == 2
     assert [run["name"] for run in page.data()["runs"]] == ["0", "1", BAD, BAD]
     assert "<" not in page.scripts[0]

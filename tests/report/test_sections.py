@@ -14,7 +14,7 @@ from usvlearn.report.sections.cost import cost_section
 from usvlearn.report.sections.errors import online_section
 from usvlearn.report.sections.parameters import TOO_SMALL, _findings, course
 from usvlearn.report.sections.season_figures import box
-from usvlearn.report.sections.tuning_gain import tuning_section
+from usvlearn.report.study import tuning_section
 from usvlearn.simulate.fleet import fleet_vessels
 from usvlearn.simulate.truth import true_parameters, truth_of
 from usvlearn.simulate.vessel import static_thrust
@@ -57,8 +57,7 @@ def test_tuning_section_by_hand():
     section = tuning_section(tuned, after, before)
     row = section.sheets[0].rows[0]
     assert [each[0] for each in section.sheets[0].rows] == ["aid", "rls"]
-    assert row[:6] == ("aid", 8, "gain 3", 0.2, 0.1, 50.0) and row[8] == pytest.approx(-50.0)
-    assert "aid: +50.0 % there, -50.0 % on the season that it was not tuned on." in section.here
+    assert row[:5] == ("aid", "gain 3", 50.0, 0.1, 0.15) and row[5] == pytest.approx(-50.0)
 
 
 def test_sheets_escape_and_keep_digits():

@@ -25,12 +25,10 @@ from usvlearn.report.sections.fit import fit_section
 from usvlearn.report.sections.fit_file import SavedFit
 from usvlearn.report.sections.network import network_section
 from usvlearn.report.sections.parameters import Truth, identified_section, parameters_section
-from usvlearn.report.sections.section import Drawn, Section
+from usvlearn.report.sections.section import Section
 from usvlearn.report.sections.tracks import tracks_section
 from usvlearn.report.track_maps import BoatTracks
 from usvlearn.report.viewer_data import viewer_data
-from usvlearn.runs.figures import Traces, runs_figure
-from usvlearn.runs.replay_figures import RUNS
 
 
 def simulations(ensemble: Ensemble, seasons: Sequence[Season]) -> int:
@@ -113,7 +111,7 @@ def front_of(
     fits: Mapping[str, SavedFit | str] | None = None,
     tracks: Mapping[str, BoatTracks] | None = None,
 ) -> Front:
-    """The first page: simulate each run free once, and draw the last runs of each boat.
+    """The first page: simulate each run free once.
 
     Args:
         ensemble, seasons, advance, fits, tracks: as of `assemble`.
@@ -129,19 +127,7 @@ def front_of(
         else each
         for each in overviews(ensemble, seasons, free, checks)
     ]
-    shown = viewer_data(ensemble, seasons, free, tracks)
-    return Front(boats, shown, [_picture(ensemble, each) for each in seasons])
-
-
-def _picture(ensemble: Ensemble, season: Season) -> Drawn:
-    """The last runs of a boat, as in TensorBoard."""
-    traces, column = [], ensemble.names.index(ensemble.output)
-    for run in season.runs[-RUNS:]:
-        surge = np.where(run.steps, run.samples.surge, np.nan)
-        made = run.published["predictions"][:, column] if run.published else np.full(len(surge), np.nan)
-        traces.append(Traces(run.name, run.time, surge, made))
-    caption = f"{season.boat}: measured and predicted speed of {len(traces)} runs"
-    return Drawn(f"runs_{season.boat}", runs_figure(traces, ensemble.output, caption), caption)
+    return Front(boats, viewer_data(ensemble, seasons, free, tracks))
 
 
 def best_start(ensemble: Ensemble, seasons: Sequence[Season]) -> Path:

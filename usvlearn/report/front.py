@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import re
 from collections.abc import Mapping, Sequence
@@ -10,11 +9,9 @@ from html import escape
 from typing import Any, NamedTuple
 
 from usvlearn.core.events import LOSS, event_of
-from usvlearn.display.figures import rendered
 from usvlearn.estimators.joint.lacking import WIDE, Quantity
 from usvlearn.estimators.joint.reading import shown
 from usvlearn.report.overview import MAIN, Ahead, Overview
-from usvlearn.report.sections.section import Drawn
 
 NEAR = "10 s"  # the horizon of the sentence, if it was forecast
 FINDING, WARNING = ("about", "found", "expected", "key"), "warning"  # of the data check (`results.json`)
@@ -28,7 +25,6 @@ class Front(NamedTuple):
 
     boats: Sequence[Overview]
     viewer: Mapping[str, Any]  # `usvlearn.report.viewer_data`
-    pictures: Sequence[Drawn]  # of the last runs of each boat, for a reader without JavaScript
     notes: Sequence[str] = ()  # what a reader must know first, a sentence each
     unconfirmed: Sequence[str] = ()  # what was guessed (`usvlearn.core.unconfirmed`)
 
@@ -243,7 +239,7 @@ def _share(value: float | None) -> str:
 
 
 def _runs(front: Front) -> str:
-    """A table and figures that need no JavaScript, and the place where the viewer is drawn."""
+    """A table, and the place where the viewer is drawn."""
     several = len(front.boats) > 1
     places, rows, options = iter(range(len(front.viewer["runs"]))), [], ""
     for boat in front.boats:
@@ -262,11 +258,6 @@ def _runs(front: Front) -> str:
         f'<th class="n">{each}</th>'
         for each in ("measured, min", "mean speed, m/s", "error, next step, m/s", "error, open-loop simulation, m/s")
     )
-    coded = (
-        (drawn.caption, base64.b64encode(rendered(drawn.figure, facecolor="white")).decode())
-        for drawn in front.pictures
-    )
-    pictures = "".join(f'<img alt="{escape(alt)}" src="data:image/png;base64,{png}">' for alt, png in coded)
     colours = front.viewer["colours"]
     names = "".join(
         f'<label><input type="checkbox"{"" if name in front.viewer["hidden"] else " checked"} value="{escape(name)}">'
@@ -278,7 +269,7 @@ def _runs(front: Front) -> str:
 <div class="rows"><table class="runs"><thead><tr><th>run</th>{"<th>boat</th>" if several else ""}{heads}</tr></thead>
 <tbody>{"".join(rows)}</tbody></table></div>
 <p class="facts">An open-loop simulation is simulated from the commands alone. * Its parameters have learned from this
-run.</p> <noscript><p>Without JavaScript, these are the last runs of each boat.</p>{pictures}</noscript> <div
+run.</p> <noscript><p>The curves of the runs need JavaScript.</p></noscript> <div
 id="viewer" hidden> <form class="tools" autocomplete="off"> <label>Run <select
 id="viewer-run">{options}</select></label> <label>beside it <select id="viewer-beside"><option
 value="">none</option>{options}</select></label> <label>Errors of <select id="viewer-error"><option value="error">the

@@ -23,14 +23,19 @@ import usvlearn
 from usvlearn.core.checkpoint import write_atomically
 from usvlearn.core.lock import Lock
 from usvlearn.display.figures import themed
+from usvlearn.display.result_table import ResultTable
 from usvlearn.errors import ConfigError
+from usvlearn.evaluation.metrics import by_error, mean_mae
 from usvlearn.report.sections.section import Section
-from usvlearn.report.sections.tuning_gain import tuning_section
 from usvlearn.runs.layout import RESULTS, RUNS, TUNING
 from usvlearn.runs.saved import results
 from usvlearn.runs.trust import check_setting
 
 PLAN, START = "study.json", "start.json"
+PAPER_RESULT = (
+    "A coarse grid search and refinement by hand on 29 h of the season before. The authors found a fair comparison "
+    "difficult: each method's performance depends on its tuning parameters."
+)
 Job = Callable[[Sequence[str], Path], Any]  # overrides of train.yaml, folder
 
 
@@ -134,3 +139,24 @@ def _read(path: Path) -> Any:
         return json.loads(path.read_text())
     except ValueError as error:
         raise ConfigError(f"{path}: is damaged ({error}): remove it, and give the same command again") from error
+
+
+def tuning_section(
+    tuned: Mapping[str, Mapping], after: Mapping[str, Mapping], before: Mapping[str, Mapping]
+) -> Section:
+    """The gain of tuning each member: on the season of the tuning, and of all estimators on the next one.
+
+    Args:
+        tuned: the content of `tuning.json`, by member.
+        after: scores of the season with the tuned settings, `boats` of `results.json`.
+        before: the same with the default settings.
+    """
+    rows, maes, without = [], mean_mae(after), mean_mae(before)
+    for name in by_error(maes):
+        best = tuned[name]["best"] if name in tuned else {"setting": {}, "gain": None}
+        settings = ", ".join(f"{key} {value:.4g}" for key, value in best["setting"].items())
+        rows.append((name, settings, best["gain"], without[name], maes[name], 100 * (1 - maes[name] / without[name])))
+    columns = ("method", "tuned to", "gain on the tuning season, %", "next season: default, m/s", "tuned, m/s",
+               "gain, %")  # fmt: skip
+    here = [f"Tuned on the season before alone: {', '.join(tuned)}."]
+    return Section("tuning", "What tuning gained", PAPER_RESULT, here, (), [ResultTable("tuning", columns, rows)])

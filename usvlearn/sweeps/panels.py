@@ -1,4 +1,4 @@
-"""The figures of a sweep: its settings in their order, and the objective against each swept key, or over two."""
+"""The figures of a sweep: its settings in their order, and the objective against each swept key."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from usvlearn.evaluation.measure import Measure
 from usvlearn.sweeps.standings import Standing
 
 MOST_ROWS = 25  # settings
-MOST_PANELS, MOST_TICKS = 6, 20  # of keys; named values of an axis of a heat map
+MOST_PANELS = 6
 LOGARITHMIC = 20.0  # a ratio of the greatest to the least value, from which on an axis is logarithmic
 WORST = 90  # percentile; values far beyond it are off the axis
 
@@ -22,7 +22,6 @@ def sweep_figure(ranks: Sequence[Standing], keys: Sequence[str], measure: Measur
     """A PNG; None if no setting has a value, or nothing is swept.
 
     One panel per key: each point is a setting, a bar its deviation over seeds, the line joins the best of each value.
-    Two keys also have a heat map.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -33,9 +32,8 @@ def sweep_figure(ranks: Sequence[Standing], keys: Sequence[str], measure: Measur
         return None
     what = _words(measure)
     with themed() as Figure:
-        panels = len(keys) + (len(keys) == 2)
-        figure = Figure(figsize=(min(4.4 * panels, 15) + 0.6, 4.2), dpi=90, layout="constrained")
-        axes = np.atleast_1d(figure.subplots(1, panels))
+        figure = Figure(figsize=(min(4.4 * len(keys), 15) + 0.6, 4.2), dpi=90, layout="constrained")
+        axes = np.atleast_1d(figure.subplots(1, len(keys)))
         ends = [
             (each.value + sign * (each.deviation or 0.0))
             for each in shown
@@ -50,8 +48,6 @@ def sweep_figure(ranks: Sequence[Standing], keys: Sequence[str], measure: Measur
         axes[0].set_ylabel(what)
         lines = {line.get_label(): line for panel in axes for line in panel.get_lines() if line.get_label()[0] != "_"}
         figure.legend(lines.values(), lines, ncols=len(lines), fontsize="small", loc="outside upper left")
-        if len(keys) == 2:
-            _heat(figure, axes[2], shown, keys, what)
         return rendered(figure, facecolor="white")
 
 
@@ -132,30 +128,6 @@ def _draw(panel: Any, shown: Sequence[Standing], key: str, measure: Measure | No
             panel.plot(*place, "s", color=INK, markersize=14, markerfacecolor="none", label="default")
     panel.set_xlabel(shortened(key, 40))
     panel.grid(color=LINE, alpha=0.6)
-
-
-def _heat(figure: Any, panel: Any, shown: Sequence[Standing], keys: Sequence[str], what: str) -> None:
-    """The objective over two keys; the number in each cell where there are few."""
-    rows, columns = (_ordered([each.settings.get(key, "") for each in shown]) for key in keys)
-    grid = np.full((len(rows), len(columns)), np.nan)
-    for each in shown:
-        grid[rows.index(each.settings.get(keys[0], "")), columns.index(each.settings.get(keys[1], ""))] = each.value
-    known = grid[np.isfinite(grid)]
-    bottom, top = -_top(-known), _top(known)
-    image = panel.imshow(grid, aspect="auto", cmap="viridis", origin="lower", vmin=bottom, vmax=top)
-    figure.colorbar(image, ax=panel, label=what)
-    for ticks, texts in ((panel.set_xticks, columns), (panel.set_yticks, rows)):
-        some = range(0, len(texts), -(-len(texts) // MOST_TICKS))
-        ticks(some, [shortened(texts[k]) for k in some])
-    if len(columns) > 6:
-        panel.tick_params(axis="x", rotation=45)
-    panel.set(xlabel=shortened(keys[1], 40), ylabel=shortened(keys[0], 40))
-    if grid.size <= 64:
-        middle = (bottom + top) / 2
-        for (i, j), value in np.ndenumerate(grid):
-            if np.isfinite(value):
-                ink = "black" if value > middle else "white"
-                panel.text(j, i, f"{value:.4f}", ha="center", va="center", fontsize=8, color=ink)
 
 
 def shortened(text: str, most: int = 16) -> str:

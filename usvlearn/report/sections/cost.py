@@ -8,13 +8,10 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import torch
-
 from usvlearn.core.protocol import Estimator
 from usvlearn.core.samples import Inputs, Sample, named_leaves
 from usvlearn.display.result_table import Cell, ResultTable
 from usvlearn.engine.online import Online
-from usvlearn.engine.rollouts import rollout
 from usvlearn.estimators.aid.layer import AID
 from usvlearn.estimators.arx.layer import ARX
 from usvlearn.estimators.ensemble.layer import Ensemble
@@ -34,8 +31,7 @@ ORDERS = {  # to predict, to learn
     AID: ("p", "p"), RNN: ("n (m + 1)", "n (m + 1), rounds of n to project"), RLS: ("p", "p²"), SIFtRLS: ("p", "p²"),
     JointEKF: ("p", "p²"), ARX: ("p", "p²"),
 }  # fmt: skip
-STEPS, EAGER, PASSES = 400, 1, 5  # EAGER: a step by torch takes milliseconds
-MANY, SAMPLES = 1000, 10
+STEPS, PASSES = 400, 5
 
 
 def cost_section(ensemble: Ensemble) -> Section:
@@ -55,46 +51,19 @@ def cost_section(ensemble: Ensemble) -> Section:
         alone = member if isinstance(member, Estimator) else Ensemble({name: member}, watched=False)
         total += (count := _parameters(core))
         rows.append((name, kind, count, *(f"O({o})" for o in orders), *_times(alone, sample)))
-    whole = _times(ensemble, sample)
-    rows.append(("all together", "Ensemble", total, "–", "–", *whole))
-    wide = _many(ensemble, sample)
-    columns = (
-        "method",
-        "kind",
-        "parameters",
-        "to predict",
-        "to learn",
-        "predict, µs",
-        "predict and learn, µs",
-        "by torch, µs",
-    )
-    machine = f"{platform.machine()}, Python {platform.python_version()}, torch {torch.__version__}, one thread"
-    here = [
-        f"Measured on {machine}: one boat, one sample at a time from Python, the median of {PASSES} passes.",
-        f"As elements of one batch {MANY} boats take {wide / MANY:.2g} µs each for a step of all together.",
-    ]
+    rows.append(("all together", "Ensemble", total, "–", "–", *_times(ensemble, sample)))
+    columns = "method", "kind", "parameters", "to predict", "to learn", "predict, µs", "predict and learn, µs"
+    machine = f"{platform.machine()}, Python {platform.python_version()}, one thread"
+    here = [f"Measured on {machine}: one boat, one sample at a time from Python, the median of {PASSES} passes."]
     return Section(
         "cost", "Parameters and time per sample", PAPER_RESULT, here, (), [ResultTable("cost", columns, rows)]
     )
 
 
-def _times(estimator: Estimator, sample: Sample) -> tuple[float, float, float]:
-    """The times in µs: to predict, to predict and learn, and the latter in torch."""
-    boat, plain = Online(estimator), Online(estimator, backend="torch")
-    return (
-        _median(lambda: boat.predict(sample.inputs)), _median(lambda: boat.step(sample)),
-        _median(lambda: plain.step(sample), EAGER),
-    )  # fmt: skip
-
-
-def _many(ensemble: Ensemble, sample: Sample) -> float:
-    """µs a step of MANY batch elements."""
-    dtype, shape = ensemble.init(()).predictions.dtype, (SAMPLES, MANY)
-    inputs = Inputs(*(torch.full(shape, x, dtype=dtype) for x in sample.inputs))
-    yes = torch.ones(shape, dtype=torch.bool)
-    samples, state = Sample(inputs, torch.full(shape, sample.surge, dtype=dtype), yes, yes), ensemble.init((MANY,))
-    with torch.no_grad():
-        return _median(lambda: rollout(ensemble, state, samples), 1) / SAMPLES
+def _times(estimator: Estimator, sample: Sample) -> tuple[float, float]:
+    """The times in µs: to predict, and to predict and learn."""
+    boat = Online(estimator)
+    return _median(lambda: boat.predict(sample.inputs)), _median(lambda: boat.step(sample))
 
 
 def _parameters(state: Any) -> int:
@@ -105,13 +74,13 @@ def _parameters(state: Any) -> int:
     return sum(leaf.numel() for leaf in identified)
 
 
-def _median(work: Callable[[], object], steps: int = STEPS) -> float:
+def _median(work: Callable[[], object]) -> float:
     """µs a call."""
     work()
     passes = []
     for _ in range(PASSES):
         start = time.perf_counter()
-        for _ in range(steps):
+        for _ in range(STEPS):
             work()
-        passes.append((time.perf_counter() - start) / steps)
+        passes.append((time.perf_counter() - start) / STEPS)
     return 1e6 * statistics.median(passes)
