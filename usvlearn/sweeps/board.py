@@ -24,7 +24,7 @@ from usvlearn.sweeps.standings import Standing
 MOST_KEYS = 5  # columns of settings that the page shows at first
 MOST_POINTS = 100  # of a learning curve
 LARGEST = 1 << 28  # bytes of an archive of predictions
-OBJECTIVE, REST = "objective", "other settings"
+OBJECTIVE, REST, RATE = "objective", "other settings", "contraction rate"  # RATE: of `results_of`
 Curve = list[tuple[int, float]]  # run time, s, and the rolling MAE, m/s
 
 
@@ -93,7 +93,7 @@ def _row(name: str, each: Standing) -> Row:
     done = [job for job in each.jobs if job.finished]
     results = [_results(job) for job in done]
     means = {title: mean(row.get(title) for row in results) for title in dict.fromkeys(chain(*results))}
-    known = {title: x for title, x in means.items() if x is not None}
+    known = {title: x for title, x in (means | {RATE: each.rate}).items() if x is not None}  # a rate is the largest
     return Row(name, settings, known, _mean_curve([learning_curve(job) for job in done]), not done)
 
 
