@@ -67,7 +67,7 @@ def drawn(kind: str, name: str) -> dict:
         "residual": lambda: residual_figure({name: pairs}, name),
         "boxes": lambda: season_figures.boxes_figure({name: {name: season_figures.box(v)}}, {name: name}, name),
         "matrix": lambda: season_figures.matrix_figure({name: series(kind, 9).reshape(3, 3)}, [name] * 3),
-        "certificates": lambda: season_figures.certificates_figure({name: time}, {name: {name: v}}),
+        "certificates": lambda: season_figures.rates_figure({name: time}, {name: v}),
         "parameters": lambda: season_figures.parameters_figure({name: {name: season}}, {name: name}, {}, name),
         "fit curves": lambda: fit_figures.curves_figure(fitted, name, {}),
         "fit residuals": lambda: fit_figures.residuals_figure(fitted, name),

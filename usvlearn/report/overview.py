@@ -67,10 +67,7 @@ class Overview(NamedTuple):
 
 
 def overviews(
-    ensemble: Ensemble,
-    seasons: Sequence[Season],
-    free: Mapping[str, Sequence[FreeRun]],
-    checks: Sequence[Any] = (),
+    ensemble: Ensemble, seasons: Sequence[Season], free: Mapping[str, Sequence[FreeRun]], checks: Sequence[Any] = ()
 ) -> list[Overview]:
     """What is said of each boat.
 

@@ -147,11 +147,7 @@ def run_job(
 
 
 def _run_job(
-    folder: Path,
-    settings: Mapping,
-    overrides: Sequence[str],
-    work: Callable[[str | None], float],
-    note: SweepNote,
+    folder: Path, settings: Mapping, overrides: Sequence[str], work: Callable[[str | None], float], note: SweepNote
 ) -> float:
     """`run_job` in a folder that is locked."""
     known, held, results = digest(settings), _read(folder / JOB), _read(folder / RESULTS)

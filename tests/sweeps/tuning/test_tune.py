@@ -206,10 +206,7 @@ BAD_INPUT = {
     "several values": (["grid=aid", "estimators.aid.gain=[[1],[2]]"], ["gain", "2 values"]),
     "no seed": (["search=aid", "tuning.seed=abc"], ["tuning.seed", "abc"]),
     "start": (["learn=aid", "tuning.start=best"], ["tuning.start", "best", "middle"]),
-    "too few to learn": (
-        ["learn=sift_map", "tuning.evaluations=11"],
-        ["tuning.evaluations", "11", "12 or more"],
-    ),
+    "too few to learn": (["learn=sift_map", "tuning.evaluations=11"], ["tuning.evaluations", "11", "12 or more"]),
     "threads": (["grid=aid", "threads=0"], ["threads", "positive"]),
 }
 

@@ -40,18 +40,7 @@ def events_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | N
             drawn.append(_drawn(season, ensemble, found))
     if not rows:
         return None
-    heads = (
-        "boat",
-        "run",
-        "time, s",
-        "event",
-        "side",
-        "effectiveness",
-        "from",
-        "to",
-        "given after, s",
-        "filters",
-    )
+    heads = ("boat", "run", "time, s", "event", "side", "effectiveness", "from", "to", "given after, s", "filters")
     return Section("events", "Events: what changed", "", here, drawn, [ResultTable("events", heads, rows)])
 
 

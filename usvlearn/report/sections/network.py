@@ -21,7 +21,7 @@ from usvlearn.evaluation.crossval import FreeErrors
 from usvlearn.evaluation.metrics import PERSISTENCE
 from usvlearn.evaluation.networks import Judged, verdicts
 from usvlearn.evaluation.season import Season
-from usvlearn.report.sections.season_figures import certificates_figure
+from usvlearn.report.sections.season_figures import rates_figure
 from usvlearn.report.sections.section import Drawn, Section
 
 PAPER_RESULT = (
@@ -87,10 +87,9 @@ def network_section(seasons: Sequence[Season], ensemble: Ensemble, errors: Mappi
     drawn = [
         Drawn(
             "certificates",
-            certificates_figure({s.boat: s.hours for s in seasons}, {**margins, "rate": rates}),
-            "Margins of the conditions at every saved checkpoint, computed in rational arithmetic: certified above "
-            "the red "
-            "line. The last panel is the exact rate over all activation patterns: certified below the line.",
+            rates_figure({s.boat: s.hours for s in seasons}, rates),
+            "The exact rate over all activation patterns at every saved checkpoint, computed in rational arithmetic: "
+            "certified below the red line.",
         ),
         Drawn(
             "equilibria",

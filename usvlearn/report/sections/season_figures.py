@@ -187,39 +187,28 @@ def boat_colours(boats: Sequence[str]) -> dict[str, Any]:
 
 
 @guarded
-def certificates_figure(hours: Mapping[str, np.ndarray], margins: Mapping[str, Mapping[str, np.ndarray]]):
-    """The margin of each condition at every saved checkpoint, a line per boat: certified where it is above zero.
+def rates_figure(hours: Mapping[str, np.ndarray], rates: Mapping[str, np.ndarray]):
+    """The contraction rate K at every saved checkpoint, a line per boat: certified where it is below one.
 
     Args:
         hours: of the checkpoints, `(sets,)`, by boat.
-        margins: by condition and boat, `(sets,)`; the rate K under the name "rate", which has to be below one.
-
-    >>> figure = certificates_figure({"heron": np.arange(2.0)}, {"tight": {"heron": np.array([0.1, 0.2])}})
-    >>> figure.axes[0].get_ylabel()
-    'margin of tight'
+        rates: K, `(sets,)`, by boat.
     """
     shades = boat_colours(list(hours))
-    across = min(3, len(margins))
-    down = -(-len(margins) // across)
     with themed() as Figure:
-        figure = Figure(figsize=(3.2 * across + 0.3, 2.2 * down + 0.7), layout="constrained")
-        panels = panels_of(figure, len(margins), across, sharex=True)
-        for panel, (name, boats) in zip(panels, margins.items(), strict=True):
-            edge, rate = (1.0, True) if name == "rate" else (0.0, False)
-            for boat, values in boats.items():
-                style = {"linewidth": 1.3, "marker": ".", "markersize": 3}
-                panel.plot(hours[boat], values, color=shades[boat], label=boat, **style)
-            every = np.concatenate(list(boats.values()))
-            low, high = np.nanmin(every, initial=edge), np.nanmax(every, initial=edge)
-            room = 0.08 * (high - low) + 1e-3
-            set_reach(panel, low - room, high + room)
-            failed = (edge, high + room) if rate else (low - room, edge)
-            panel.axhspan(*failed, color=WORSE, alpha=0.12, linewidth=0)
-            panel.axhline(edge, color=WORSE, linewidth=1)
-            panel.set_ylabel("contraction rate K, per step" if rate else f"margin of {name}")
-        _over_hours(panels, across)
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper left", ncols=min(8, len(labels)), fontsize=8)
+        figure = Figure(figsize=(6.4, 2.9), layout="constrained")
+        panel = figure.subplots()
+        for boat, values in rates.items():
+            panel.plot(hours[boat], values, color=shades[boat], linewidth=1.3, marker=".", markersize=3, label=boat)
+        every = np.concatenate(list(rates.values()))
+        low, high = np.nanmin(every, initial=1.0), np.nanmax(every, initial=1.0)
+        room = 0.08 * (high - low) + 1e-3
+        set_reach(panel, low - room, high + room)
+        panel.axhspan(1.0, high + room, color=WORSE, alpha=0.12, linewidth=0)
+        panel.axhline(1.0, color=WORSE, linewidth=1)
+        panel.set_ylabel("contraction rate K, per step")
+        _over_hours([panel], 1)
+        figure.legend(*panel.get_legend_handles_labels(), loc="outside upper left", ncols=8, fontsize=8)
         return figure
 
 
