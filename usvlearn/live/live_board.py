@@ -35,49 +35,41 @@ class Board:
             self._begin, elapsed = step.time - before, before
         keep = math.exp(-(elapsed - before) / MEMORY)
         self._time = elapsed
-        if math.isfinite(step.measured):
-            for name, speed in step.members.items():
-                if math.isfinite(speed):
-                    total, weight = self._errors.get(name, (0.0, 0.0))
-                    self._errors[name] = keep * total + abs(speed - step.measured), keep * weight + 1.0
+        for name, speed in step.members.items():
+            if math.isfinite(speed - step.measured):
+                total, weight = self._errors.get(name, (0.0, 0.0))
+                self._errors[name] = keep * total + abs(speed - step.measured), keep * weight + 1.0
         for event in step.events:
             self._board.text("event", event.sentence, int(elapsed), "session")
         if elapsed - self._last < EVERY:
             return
         self._last = elapsed
-        at = int(elapsed)
-        speeds = {"measured": step.measured, "predicted": step.speed, "low": step.low, "high": step.high}
-        for name, value in speeds.items():
-            self._write({"1 overview/speed (m/s)": value}, at, f"speed/{name}")
+        for name in ("measured", "speed", "low", "high"):
+            run = "predicted" if name == "speed" else name
+            self._write("1 overview/speed (m/s)", getattr(step, name), f"speed/{run}")
         for name, (total, weight) in self._errors.items():
-            self._write({"1 overview/MAE (m/s)": total / weight}, at, f"members/{name}")
+            self._write("1 overview/MAE (m/s)", total / weight, f"members/{name}")
         for horizon, (value, _, _) in step.forecasts.items():
-            self._write({"1 overview/forecast (m/s)": value}, at, f"forecast/{horizon:g} s ahead")
+            self._write("1 overview/forecast (m/s)", value, f"forecast/{horizon:g} s ahead")
 
     def health(self, health: Health) -> None:
         """Add what the node says of itself; it is drawn with the points of the steps."""
         if self._last != self._time and self._last >= 0:
             return
-        at = int(self._time)
         rejected = sum(count for causes in health.counts.values() for count in causes.values())
-        self._write(
-            {"5 data/rejected messages": float(rejected), "1 overview/alarms": float(health.alarms)}, at, "session"
-        )
+        self._write("5 data/rejected messages", rejected, "session")
+        self._write("1 overview/alarms", health.alarms, "session")
         for name, network in health.contraction.items():
-            row = {"4 contraction/rate K": network["rate"], "4 contraction/equilibrium (m/s)": network["equilibrium"]}
-            self._write(
-                {tag: math.nan if value is None else value for tag, value in row.items()}, at, f"members/{name}"
-            )
+            self._write("4 contraction/rate K", network["rate"], f"members/{name}")
+            self._write("4 contraction/equilibrium (m/s)", network["equilibrium"], f"members/{name}")
         for name, (value, low, high, unit) in health.identified.items():
-            tag = f"2 identified/{name} ({unit})"
             for run, each in (("identified", value), ("identified low", low), ("identified high", high)):
-                self._write({tag: each}, at, run)
+                self._write(f"2 identified/{name} ({unit})", each, run)
 
     def close(self) -> None:
         """Write what is buffered."""
         self._board.close()
 
-    def _write(self, row: dict[str, float], at: int, run: str) -> None:
-        known = {tag: value for tag, value in row.items() if math.isfinite(value)}
-        if known:
-            self._board.scalars(known, at, run)
+    def _write(self, tag: str, value: float | None, run: str) -> None:
+        if value is not None and math.isfinite(value):
+            self._board.scalars({tag: float(value)}, int(self._time), run)
