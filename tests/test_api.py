@@ -201,11 +201,7 @@ def test_what_cannot_be_learned_saved_or_simulated_is_told(logs, learned, tmp_pa
     assert not {each.name for each in tmp_path.iterdir()} - {"a.safetensors"}
 
 
-def test_old_names_say_the_new_ones(learned):
-    with pytest.raises(AttributeError, match="no attribute 'Forecasts': it is named ForecastSettings now"):
-        usvlearn.Forecasts  # noqa: B018
-    with pytest.raises(AttributeError, match="no attribute 'forecast': it is named forecast_scores now"):
-        learned.forecast  # noqa: B018
+def test_names_that_nothing_has_are_errors(learned):
     for each in (usvlearn, learned):
         with pytest.raises(AttributeError, match=r"no attribute 'forecasted'$"):
             each.forecasted  # noqa: B018

@@ -2,7 +2,6 @@
 
 import ast
 import functools
-import importlib
 import subprocess
 import sys
 from collections import Counter
@@ -17,7 +16,6 @@ from tests.support import ROOT
 BASE = {"usvlearn.errors", "usvlearn.core"}
 LEARNS = BASE | {"usvlearn.estimators", "usvlearn.engine"}
 OURS: dict[str, set[str]] = {
-    "certify.aliases": set(),
     "certify.errors": set(),
     "certify.networks": {"certify.errors"},
     "certify.proofs": {"certify.errors", "certify.networks"},
@@ -259,19 +257,6 @@ def test_type_checkers_see_the_names_that_are_imported_lazily():
     block, _ = [node for node in ast.parse(Path(usvlearn.__file__).read_text()).body if isinstance(node, ast.If)]
     seen = {(alias.name, alias.asname, node.module) for node in block.body for alias in node.names}
     assert seen == {(name, name, f"usvlearn.{home}") for name, home in usvlearn._HOME.items()}
-
-
-def test_modules_that_were_documented_are_imported_by_their_former_names():
-    import certify
-    import usvlearn
-
-    former = {f"usvlearn.{old}": f"usvlearn.{new}" for old, new in usvlearn._MOVED.items()}
-    former |= {f"certify.{name}": f"certify.{room}.{name}" for room, names in certify._ROOMS.items() for name in names}
-    for old, new in former.items():
-        assert importlib.import_module(old) is importlib.import_module(new)
-        assert importlib.import_module(new).__name__ == new
-    code = "from certify.weights import load; from usvlearn import checkpoint; import usvlearn.signals as s; s.Sample"
-    assert not loaded(code) & (HEAVY - {"numba"})
 
 
 def test_public_names_are_there():

@@ -57,10 +57,10 @@ def voyage(steps: int = 600) -> list[Sample]:
 def test_nothing_here_imports_torch():
     code = (
         "import sys; sys.modules.update(torch=None, scipy=None, hydra=None, rich=None)\n"
-        "import usvlearn.live.session, usvlearn.live.prior, usvlearn.live.systemd, usvlearn.cli.warm\n"
+        "import usvlearn.live.session, usvlearn.live.prior, usvlearn.cli.warm\n"
         "import usvlearn.logs.read, usvlearn.logs.formats.moos.alog, certify.analysis.assess\n"
         "import usvlearn.engine.single_steps, usvlearn.engine.run\n"
-        "from usvlearn import Aligner, Inputs, Online, Sample, checkpoint"
+        "from usvlearn import Aligner, Inputs, Online, Sample"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
     assert not RUN or importlib.util.find_spec("torch") is None

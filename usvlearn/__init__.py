@@ -4,10 +4,7 @@ Names are imported when they are first used: importing the package imports no to
 """
 
 import importlib
-import sys
 from typing import TYPE_CHECKING, Any
-
-from certify.aliases import Moved
 
 if TYPE_CHECKING:  # what type checkers and editors see; a test compares it with _HOME
     from usvlearn.api import learn as learn
@@ -99,18 +96,8 @@ _HOME = {
     "read": "api",
     "learn": "api",
 }
-_MOVED = {  # modules that were documented -> where they are
-    "signals": "core.samples", "estimator": "core.protocol", "rollouts": "engine.rollouts", "online": "engine.online",
-    "identified": "engine.identified", "figures": "display.figures", "logs.align": "logs.alignment.align",
-    "logs.alog": "logs.formats.moos.alog", "logs.channel": "logs.channels.channel",
-    "logs.csv_table": "logs.formats.csv.table", "logs.dataflash": "logs.formats.ardupilot.dataflash",
-    "logs.rosbag": "logs.formats.ros.rosbag", "logs.tlog": "logs.formats.ardupilot.tlog",
-    "logs.ulog": "logs.formats.px4.ulog",
-    **{name: f"core.{name}" for name in ("checkpoint", "family", "hyper", "jit", "plans", "rows")},
-}  # fmt: skip
-sys.meta_path.append(Moved({f"usvlearn.{old}": f"usvlearn.{new}" for old, new in _MOVED.items()}))
 __all__ = sorted(_HOME)
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 
 if not TYPE_CHECKING:  # to a type checker a name that is not above is an error
@@ -118,8 +105,7 @@ if not TYPE_CHECKING:  # to a type checker a name that is not above is an error
     def __getattr__(name: str) -> Any:
         if name in _HOME:
             return getattr(importlib.import_module(f"usvlearn.{_HOME[name]}"), name)
-        now = ": it is named ForecastSettings now" if name == "Forecasts" else ""
-        raise AttributeError(f"module 'usvlearn' has no attribute {name!r}{now}")
+        raise AttributeError(f"module 'usvlearn' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

@@ -191,21 +191,13 @@ def check_not_negative(name: str, value: float, unit: str = "") -> float:
     return value
 
 
-FORMER = {"reader": "joint_averaged", "joint_reader": "joint_averaged"}  # names of version 0.2, and those of today
-
-
 def did_you_mean(word: str, names: Iterable[str]) -> str:
-    """A hint at the nearest names: today's name of the word, keys that end in it, or one that looks similar; else "".
+    """A hint at the nearest names: keys that end in the word, or one that looks similar; else "".
 
     >>> did_you_mean("gain", ["aid.gain", "align"]), did_you_mean("aid.gian", ["aid.gain"]), did_you_mean("x", ["aid"])
     (': did you mean aid.gain?', ': did you mean aid.gain?', '')
-    >>> did_you_mean("estimators.reader", ["estimators.joint_averaged"])
-    ': it is named estimators.joint_averaged now'
     """
     names = list(names)
-    today = ".".join(FORMER.get(part, part) for part in word.split("."))
-    if today != word and today in names:
-        return f": it is named {today} now"
     ends = [name for name in names if name.endswith(f".{word}")]
     own = [name for name in ends if not name.startswith("hydra.")]
     close = own or difflib.get_close_matches(word, names, n=1) or ends

@@ -314,12 +314,6 @@ class Learned:
             **({"setup": setup.json()} if (setup := self.logs.setups.get(self.boats[element])) else {}),
         )
 
-    if not TYPE_CHECKING:  # to a type checker a name that is not above is an error
-
-        def __getattr__(self, name: str) -> Any:
-            now = ": it is named forecast_scores now" if name == "forecast" else ""
-            raise AttributeError(f"'Learned' object has no attribute {name!r}{now}")
-
     def _element(self, boat: str) -> int:
         if boat in self.boats:
             return self.boats.index(boat)

@@ -20,13 +20,6 @@ MISTAKES = {
     "first key": (["aling.dt=0.3"], ["aling.dt", "did you mean align.dt?"]),
     "key of a chosen group": (["data=csv", "data.reader.tiem=t"], ["data.reader.tiem", "data.reader.time?"]),
     "last key alone": (["neurons=3"], ["neurons", "did you mean estimators.rnn.neurons?"]),
-    "key of version 0.2": (["sweep.lanes=auto"], ["sweep.lanes: is no key any more", "grid="]),
-    "window of version 0.2": (["tuning.window=100"], ["tuning.window: is no key any more", "exact"]),
-    "member of version 0.2": (
-        ["estimators.reader.read_every=60"],
-        ["estimators.reader.read_every", "it is named estimators.joint_averaged.read_every now"],
-    ),
-    "file of version 0.2": (["+estimator@estimators.x=joint_reader"], ["it is named joint_averaged now"]),
     "key of Hydra": (["hydra.run.dri=x"], ["hydra.run.dri", "did you mean hydra.run.dir?"]),
     "removed key": (["~estimators.aidd"], ["estimators.aidd", "did you mean estimators.aid?"]),
     "key that is there": (["+align.dt=0.3"], ["align.dt", "leave out the +"]),

@@ -81,7 +81,7 @@ def test_parameter_sets(whole):
         assert saved == [(name, k) for name, length, _ in runs for k in (*range(75, length, 75), length)]
         assert len(saved) >= 6
         leaves, facts = checkpoint.load(paths[-1])
-        assert facts["boat"] == boat and facts["estimator"] == "Ensemble" and facts["schema"] == 2
+        assert facts["boat"] == boat and facts["estimator"] == "Ensemble" and facts["schema"] == 3
         assert facts["configuration"]["estimators"]["rnn"]["neurons"] == 4
         assert facts["time"] == pytest.approx(0.4 * (facts["step"] - 1))
         assert {"members.aid.theta", "members.rnn.weights.w1", "members.rnn.moment2"} <= leaves.keys()

@@ -30,25 +30,8 @@ def test_roundtrip_is_exact_and_complete(tmp_path):
     assert dict(named_leaves(found)).keys() == expected.keys()
     for name, leaf in named_leaves(found):
         assert torch.equal(leaf, expected[name]) and leaf.dtype == expected[name].dtype, name
-    assert facts == {"schema": 2, "estimator": "Ensemble", "boat": "heron", "time": 12.5, "activation": "relu"}
+    assert facts == {"schema": 3, "estimator": "Ensemble", "boat": "heron", "time": 12.5, "activation": "relu"}
     assert list(path.parent.iterdir()) == [path]  # no temporary file is left
-
-
-def test_a_former_name_of_a_method_tells_the_one_of_today():
-    with pytest.raises(AttributeError, match="no attribute 'load': it is named restore now"):
-        Online(RLS()).load  # noqa: B018
-    with pytest.raises(AttributeError, match=r"no attribute 'lode'$"):
-        Online(RLS()).lode  # noqa: B018
-
-
-@pytest.mark.parametrize("member, before", [("sift_map", "rls"), ("joint_averaged", "reader")])
-def test_a_member_of_before_goes_on_under_its_name_of_today(member, before, tmp_path):
-    old = Online(Ensemble({before: RLS()})).save(tmp_path / "old.safetensors")
-    now = Ensemble({member: RLS()})
-    state, _ = store.restore(old, now.init())
-    assert list(state.members) == [member]
-    with pytest.raises(CheckpointError, match=r"lacks .*members\.aid"):
-        store.restore(old, Ensemble({"aid": AID(28.0)}).init())
 
 
 def test_rnn_weights_keep_their_names(tmp_path):
@@ -63,7 +46,7 @@ def test_every_flipped_byte_is_noticed(tmp_path):
         damaged = bytearray(content)
         damaged[place] ^= 0x04
         path.write_bytes(damaged)
-        with pytest.raises(CheckpointError, match=r"damaged|schema"):
+        with pytest.raises(CheckpointError, match=r"damaged|format"):
             store.load(path)
     path.write_bytes(content[: len(content) // 2])
     with pytest.raises(CheckpointError, match="damaged"):
@@ -84,7 +67,7 @@ def test_another_schema_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(store, "SCHEMA", 99)
     path = store.save(tmp_path / "a.safetensors", {"theta": np.ones(1)})
     monkeypatch.undo()
-    with pytest.raises(CheckpointError, match="schema 99, this version reads 2"):
+    with pytest.raises(CheckpointError, match="format 99, this version reads 2 and 3"):
         store.load(path)
 
 
@@ -125,7 +108,7 @@ def test_unreadable_newest_falls_back_with_a_warning(tmp_path):
 
 WRITER = """
 import sys, numpy as np
-from usvlearn import checkpoint
+from usvlearn.core import checkpoint
 k = 0
 while True:
     checkpoint.save(sys.argv[1] + "/a.safetensors", {"theta": np.full(20_000, float(k))}, k=k)
@@ -226,7 +209,7 @@ def test_foreign_metadata_are_passed_over(tmp_path, case):
     store.save(tmp_path / "1.safetensors", {"theta": np.ones(1)}, estimator="AID")
     bad = tmp_path / "2.safetensors"
     bad.write_bytes(save_tensors({"theta": np.ones(1)}, {store.KEY: FOREIGN[case]}))
-    with pytest.raises(CheckpointError, match=r"2.safetensors: (is not a usvlearn|has the schema|is damaged)"):
+    with pytest.raises(CheckpointError, match=r"2.safetensors: (is not a usvlearn|has the format|is damaged)"):
         store.load(bad)
     with pytest.warns(UserWarning, match="trying the one before"):
         assert store.newest(tmp_path, lambda path: store.restore(path, {"theta": np.zeros(1)}))[1]["estimator"] == "AID"

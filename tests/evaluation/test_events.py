@@ -98,17 +98,6 @@ def test_a_loss_explains_the_changes_that_follow_at_once():
     assert [each["kind"] for each in found] == [LOSS, CHANGE, RECOVERY]
 
 
-def test_older_runs_have_alarms_without_intervals():
-    off, left, right = [1.0, 1.0, 0.0, 0.0, 0.0], [0.4, 0.9, 30.0, 2.0, 1.0], [0.8, 0.6, 2.0, 30.0, 1.0]
-    thrusters = np.array([off, left, [np.nan] * 5, left, off, right])[:, None]
-    older = fleet("one", steps=6)
-    found = events(older, [(0, k, {"thrusters": thrusters[k : k + 2]}) for k in (0, 2, 4)])["anna"]
-    assert [(each["kind"], each["side"]) for each in found] == [(LOSS, "left"), (RECOVERY, "left"), (LOSS, "right")]
-    assert found[0]["effectiveness"] == 0.4 and found[0]["low"] is None and found[0]["given"] is None
-    assert event_of(found[0]).sentence == "the left thruster gives 40 % of its thrust"
-    assert events(older, [(0, 0, {"predictions": thrusters})])["anna"] == []
-
-
 def test_a_watch_on_board_says_a_loss_again_when_the_filters_have_it():
     watch, row = EventWatch(FILTERS), np.array([0.4, 1, 0, 0, 1, 0, 0, 0, 0, 0], float)
     (alarm,) = watch.see(10.0, row)

@@ -336,20 +336,6 @@ def test_what_was_guessed_is_a_warning_until_a_file_of_channels_confirms_it(tmp_
             assert all("--confirm KEY '" in each and "my boat.yaml'" in each for each in session.warnings)
 
 
-def test_a_set_of_an_older_version_tells_its_channels_by_its_configuration(tmp_path, start):
-    leaves, facts = checkpoint.load(start)
-    channels = {name: {"name": name.upper(), "unit": "1"} for name in REQUIRED}
-    channels |= {"latitude": {"name": "LAT"}, "longitude": {"name": "LON"}, "yaw_rate": {"name": None}}
-    channels["surge"]["period"] = "auto"
-    reader = {"_target_": PLAIN.reader}
-    facts["configuration"] = {"data": {"channels": channels, "reader": reader}, "align": {"dt": 0.5}, "vehicle": {}}
-    del facts["setup"]
-    path = checkpoint.save(tmp_path / "old.safetensors", leaves, **facts)
-    with Session(Options(tmp_path / "node", path), PLAIN) as session:
-        assert set(session.sources) == set(REQUIRED), "a position that only a track needs is not waited for"
-        assert session.setup.align["dt"] == 0.5 and session.sources["surge"].period == 0.0
-
-
 def test_tensorboard_shows_a_session(tmp_path, start, monkeypatch):
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 

@@ -20,11 +20,11 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from usvlearn.core.foreign_yaml import read_yaml
+from usvlearn.core.former_names import today
 from usvlearn.core.unconfirmed import SECTION as UNCONFIRMED
 from usvlearn.core.unconfirmed import questions_in
 from usvlearn.errors import CheckpointError, ConfigError, did_you_mean
 from usvlearn.logs.inspection.override import hydra_text
-from usvlearn.runs.legacy import current
 from usvlearn.runs.trust import check_settings
 
 GROUP, SUFFIXES = "data", (".yaml", ".yml")
@@ -76,7 +76,7 @@ def _register(path: Path) -> None:
         content = read_yaml(GROUP, path)
         if asked := questions_in(content, path):
             content[UNCONFIRMED] = asked
-        node = OmegaConf.create(current(content))
+        node = OmegaConf.create(today(content))
     except OmegaConfBaseException as error:
         raise ConfigError(f"data: {path}: {str(error).splitlines()[0]}: correct the file") from error
     if GROUP not in node:

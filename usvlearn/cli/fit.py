@@ -206,7 +206,7 @@ def _logs(folder: Path, settings: Mapping[str, Any], data: Mapping[str, Any]) ->
 
 
 def _runs(folder: Path) -> dict[str, Any]:
-    """Name, length and digest of each run that was learned, by boat; {} of a run of an old version."""
+    """Name, length and digest of each run that was learned, by boat; {} without an index."""
     from usvlearn.runs.index import runs_file
 
     try:

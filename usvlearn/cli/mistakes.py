@@ -27,10 +27,6 @@ from usvlearn.cli.forgiving import hint_of_data
 from usvlearn.core.unconfirmed import SECTION as UNCONFIRMED
 from usvlearn.errors import ConfigError, did_you_mean
 
-GONE = {  # a key of earlier versions -> what does its work now
-    "sweep.lanes": "grid={aid.gain: [1, 3]} tries the numbers of one member as elements of one batch",
-    "tuning.window": "the gradient of learn is exact: leave it out",
-}
 KEY = re.compile(r"Could not (?:override|delete(?: from config\.)?) '([^']+)'|config group '([^']+)' does not exist")
 
 
@@ -78,8 +74,6 @@ def _sentence(error: Exception, names: Callable[[str], Iterable[str]]) -> str:
         return f"{group or '--config-name'}: found {name!r}, expected one of {', '.join(sorted(options))}{hint}"
     if found := KEY.search(str(error)):
         key = found[1] or found[2]
-        if key in GONE:
-            return f"{key}: is no key any more: {GONE[key]}"
         hint = did_you_mean(key, names(key)) or ": see the keys by --cfg job, or add a new one by +KEY=VALUE"
         return f"{key}: found no such key{hint}"
     if found := re.search(r"config directory '(.+?)'", str(error)):

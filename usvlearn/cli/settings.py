@@ -14,12 +14,12 @@ from hydra.errors import InstantiationException
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from usvlearn.cli.mistakes import in_one_sentence
+from usvlearn.core.former_names import today
 from usvlearn.core.samples import LIMIT, speed_limit
 from usvlearn.errors import ConfigError, UsvlearnError, check_positive, did_you_mean, under
 from usvlearn.live.prior import with_limit
 from usvlearn.logs.alignment.align import Aligner
 from usvlearn.logs.checks.data_check import check_level
-from usvlearn.runs.legacy import TARGETS
 
 if TYPE_CHECKING:
     from usvlearn.estimators.ensemble.layer import Ensemble
@@ -38,6 +38,9 @@ def check_settings(cfg: DictConfig) -> None:
         if not isinstance(given.get(name), dict):
             found = repr(given[name]) if name in given else "nothing"
             raise ConfigError(f"{name}: found {found}, expected {name}.KEY=VALUE: leave out {name}=… or ~{name}")
+    for name, node in given.items():
+        if (named := today(node)) != node:
+            given[name] = cfg[name] = named
     with in_one_sentence():
         settings: Any = OmegaConf.to_container(cfg, resolve=True, throw_on_missing=True)
     check_level(settings.get("check"))
@@ -94,7 +97,7 @@ def _reference(node: Any, key: str) -> str | None:
 
 def ensemble_of(cfg: Mapping[str, Any]) -> Ensemble:
     """The ensemble that a configuration describes: its members, its combiners, the combiner that predicts, its
-    forecasts, and whether its intervals know the manoeuvre, which those of earlier versions do not.
+    forecasts, and whether its intervals know the manoeuvre.
     """
     from usvlearn.estimators.ensemble.layer import Ensemble
 
@@ -144,8 +147,6 @@ def _retell(error: InstantiationException, names: set[str]) -> NoReturn:
         name = f"{place}{argument[1]}"
         raise ConfigError(f"{name}: {target} has no such argument{did_you_mean(name, known)}") from error
     if "Error locating target" in text:
-        if target in TARGETS:
-            raise ConfigError(f"{place}_target_: found {target!r}, which is named {TARGETS[target]!r} now") from error
         module, _, name = target.rpartition(".")
         hint = did_you_mean(name, vars(pydoc.locate(module) or type).keys())
         raise ConfigError(f"{place}_target_: found {target!r}, which cannot be imported{hint}") from error

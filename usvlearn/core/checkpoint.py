@@ -25,18 +25,22 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
+from usvlearn.core.former_names import today
 from usvlearn.core.samples import named_leaves, rebuild, sort_of
-from usvlearn.errors import CheckpointError
+from usvlearn.errors import CheckpointError, printable
 
-SCHEMA = 2  # schema 1 had another square root of the covariance of least squares
+SCHEMA, READ = 3, (2, 3)  # written; read, where 2 is also that of version 0.2, whose runs know no tracks
 SUFFIX = ".safetensors"
-RENAMED = {"members.rls.": "members.sift_map.", "members.reader.": "members.joint_averaged."}  # since 0.1, since 0.2
 KEY = "usvlearn"  # of the metadata in the safetensors header
 LISTED = 8  # folders in an error
 QUOTED = 400  # characters of an error that quotes the file
 HOST = hashlib.sha256(platform.node().encode()).hexdigest()[:8]  # in the names of temporary files
 LEFT = re.compile(rf"\..+\.{HOST}-(\d{{1,19}})-\d+\.tmp")
 _COUNT, _WRITING = itertools.count(), set[str]()  # of this process's temporary files
+
+
+class FormerVersionError(CheckpointError):
+    """A checkpoint of a version whose files are not opened; those before it are none either."""
 
 
 def save(path: str | Path, state: Any, **metadata: Any) -> Path:
@@ -67,7 +71,7 @@ def save(path: str | Path, state: Any, **metadata: Any) -> Path:
 
 
 def load(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Read a checkpoint: arrays by dotted name, and the metadata.
+    """Read a checkpoint: arrays by dotted name, and the metadata, with the names of today.
 
     Raises:
         CheckpointError: no such file, not a checkpoint, another schema, or a checksum that does not fit.
@@ -93,19 +97,21 @@ def load(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
             f"{path}: is not a usvlearn checkpoint or is damaged ({str(error)[:QUOTED]}): use the checkpoint saved "
             "before it"
         ) from error
-    if facts.get("schema") != SCHEMA:
+    made, schema = facts.get("configuration"), facts.get("schema")
+    if schema == 1 or (schema == 2 and isinstance(made, dict) and not {"tracks", "conditional"} & made.keys()):
+        version = printable(".".join(str(facts.get("version", "0.2")).split(".")[:2]))
+        raise FormerVersionError(
+            f"{path}: was made by usvlearn {version}, which this version does not open: open it with "
+            f"`pip install usvlearn=={version}`, or train again"
+        )
+    if schema not in READ:
         raise CheckpointError(
-            f"{path}: has the schema {reprlib.repr(facts.get('schema'))}, this version reads {SCHEMA}: "
+            f"{path}: has the format {reprlib.repr(schema)}, this version reads {READ[0]} and {READ[1]}: "
             "read it with the version of usvlearn that wrote it"
         )
     if stated != found:
         raise CheckpointError(f"{path}: is damaged (its checksum does not fit): use the checkpoint saved before it")
-    return leaves, facts
-
-
-def verify(path: str | Path) -> None:
-    """Raise a CheckpointError unless the file is complete, has this schema, and its checksum fits."""
-    load(path)
+    return today(leaves), today(facts)
 
 
 def restore(path: str | Path, template: Any, estimator: str | None = None) -> tuple[Any, dict[str, Any]]:
@@ -127,7 +133,6 @@ def restore(path: str | Path, template: Any, estimator: str | None = None) -> tu
             f"give a checkpoint of {estimator}"
         )
     wanted = dict(named_leaves(template))
-    leaves = _with_names_of_today(leaves, wanted)
     for kind, names in (
         ("lacks", wanted.keys() - leaves.keys()),
         ("has in addition", leaves.keys() - wanted.keys()),
@@ -150,19 +155,6 @@ def restore(path: str | Path, template: Any, estimator: str | None = None) -> tu
     return rebuild(template, {name: _like(leaf, leaves[name]) for name, leaf in wanted.items()}), facts
 
 
-def _with_names_of_today(leaves: dict[str, np.ndarray], wanted: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """Leaves with the names of today's default ensemble, where the file has earlier ones."""
-
-    def only(names: Mapping[str, Any], own: str, other: str) -> bool:
-        return any(name.startswith(own) for name in names) and not any(name.startswith(other) for name in names)
-
-    for before, now in RENAMED.items():
-        if only(leaves, before, now) and only(wanted, now, before):
-            leaves = {now + name.removeprefix(before) if name.startswith(before) else name: leaf
-                      for name, leaf in leaves.items()}  # fmt: skip
-    return leaves
-
-
 def checkpoints(folder: str | Path) -> list[Path]:
     """The checkpoints in a folder, oldest first (sorted by name, which increases)."""
     return sorted(Path(folder).glob(f"*{SUFFIX}"))
@@ -181,6 +173,8 @@ def newest(folder: str | Path, read: Callable[[Path], tuple[Any, dict[str, Any]]
     for path in reversed(paths):
         try:
             return read(path)
+        except FormerVersionError:
+            raise
         except CheckpointError as error:
             warnings.warn(f"{error}; trying the one before", stacklevel=3)
     raise CheckpointError(f"{folder}: none of its {len(paths)} checkpoints can be read: give another folder")

@@ -27,7 +27,7 @@ SEVEN = {  # the colours of TensorBoard's runs, in its order, and who has them: 
 }  # fmt: skip
 KNOWN = {name: colour for names, colour in SEVEN.items() for name in names} | {  # visible on white and on black
     "average": "#5C6BC0", "weighted": "#1E88E5", "joint_quick": "#BA68C8",
-    "joint_averaged": "#00897B", "reader": "#00897B",  # its name in version 0.2
+    "joint_averaged": "#00897B",
 }  # fmt: skip
 # The paper's methods. `sift_map` is the thruster map of the default ensemble, which forgets by SIFt.
 PAPER = ("aid", "rls", "sift_map", "rnn")

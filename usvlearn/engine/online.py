@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from usvlearn.estimators.joint.reading import Identified
     from usvlearn.estimators.planar.layer import Planar
 
-FORMER = {"load": "restore", "published": "last_predictions", "foresee": "predict_members"}  # methods of version 0.2
-
 
 class Online:
     """Keeps a state and learns one sample at a time, without gradients.
@@ -224,12 +222,6 @@ class Online:
         """
         self._need_names("predict_members")
         return self._by_name(self._live.predict_members(inputs))
-
-    if not TYPE_CHECKING:  # to a type checker a name that nothing has is an error
-
-        def __getattr__(self, name: str) -> Any:
-            now = f": it is named {FORMER[name]} now" if name in FORMER else ""
-            raise AttributeError(f"'Online' object has no attribute {name!r}{now}", name=name, obj=self)
 
     def _need_names(self, name: str) -> None:
         if not self.names:

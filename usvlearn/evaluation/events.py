@@ -22,16 +22,17 @@ def events(fleet: Fleet, published: Iterable[Stretch], filters: Sequence[str] = 
 
     Args:
         fleet: what was replayed.
-        published: stretches in order; none has `thrusters` where nobody watched, and in older runs none has `health`.
+        published: stretches in order; none has `thrusters` and `health` where nobody watched.
         filters: as `Ensemble.accommodated`.
     """
     watches = [EventWatch(filters) for _ in fleet.boats]
     found: list[Found] = [[] for _ in fleet.boats]
     lengths = np.array([[_length(run.time[:, k]) for k in range(len(fleet.boats))] for run in fleet.runs])
     for index, step, arrays in published:
-        if (thrusters := arrays.get("thrusters")) is None:
+        thrusters, health = arrays.get("thrusters"), arrays.get("health")
+        if thrusters is None or health is None:
             continue
-        rows, run = _rows(thrusters, arrays.get("health"), len(filters)), fleet.runs[index]
+        rows, run = np.concatenate([thrusters[..., :2], health], -1), fleet.runs[index]
         for element, watch in enumerate(watches):
             time, sailed = run.time[step : step + len(rows), element], float(lengths[:index, element].sum())
             _scan(watch, time, sailed, rows[:, element], run.names[element], found[element])
@@ -41,16 +42,6 @@ def events(fleet: Fleet, published: Iterable[Stretch], filters: Sequence[str] = 
 def _length(time: np.ndarray) -> float:
     """The length of a run with its times, s; 0 of a boat without it."""
     return float(np.nanmax(time)) + 1.0 if np.isfinite(time).any() else 0.0
-
-
-def _rows(thrusters: np.ndarray, health: np.ndarray | None, filters: int) -> np.ndarray:
-    """The rows of `EventWatch`, `(time, boats, …)`; in older runs an alarm is that of the side with more evidence."""
-    if health is None:
-        right = thrusters[..., 2:3] < thrusters[..., 3:4]
-        raised = np.concatenate([~right, right], -1) * thrusters[..., 4:]
-        none = np.zeros_like(raised)
-        health = np.concatenate([none, raised, none, *[none[..., :1]] * filters], -1)
-    return np.concatenate([thrusters[..., :2], health], -1)
 
 
 def _scan(watch: EventWatch, time: np.ndarray, sailed: float, rows: np.ndarray, run: str, found: Found) -> None:

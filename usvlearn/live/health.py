@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from usvlearn.core.json_values import finite
+from usvlearn.display.json_values import finite
 
 ONE_COMMAND = (
     "one command drives both sides: nothing tells left from right, so that neither the thrust of a side nor "

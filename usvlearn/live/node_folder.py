@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from usvlearn.core import checkpoint
-from usvlearn.core.json_values import finite
+from usvlearn.display.json_values import finite
 from usvlearn.engine.online import read_checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.logs.setup import Setup

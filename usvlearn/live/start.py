@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.core.checkpoint import SUFFIX
+from usvlearn.core.former_names import today
 from usvlearn.core.samples import LIMIT, speed_limit
 from usvlearn.core.unconfirmed import Questions, questions_in, unconfirmed
 from usvlearn.errors import CheckpointError, ConfigError, check_not_negative, check_positive, did_you_mean
@@ -285,7 +286,7 @@ def boat_of(path: Path) -> tuple[dict[str, dict[str, Any]], dict[str, float], Qu
         from usvlearn.core.foreign_yaml import read_yaml
     except ImportError as error:
         raise ConfigError("channels: PyYAML is not installed here: run `pip install pyyaml`") from error
-    found = read_yaml("channels", path)
+    found = today(read_yaml("channels", path))
     data, vehicle = found.get("data"), found.get("vehicle")
     channels = data.get("channels") if isinstance(data, dict) else None
     if not isinstance(channels, dict) or not all(isinstance(each, dict | None) for each in channels.values()):

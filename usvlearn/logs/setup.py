@@ -79,27 +79,8 @@ class Setup:
 
     @classmethod
     def of_set(cls, facts: Mapping[str, Any]) -> Setup | None:
-        """That of a checkpoint, from its metadata; None if it has none.
-
-        Sets that a run of an older version has saved have its configuration, where a period may not be settled.
-
-        Raises:
-            ConfigError: as of `of`.
-        """
-        if facts.get(KEY) is not None:
-            return cls.of(facts[KEY])
-        settings = facts.get("configuration")
-        if not isinstance(settings, Mapping) or not isinstance(data := settings.get("data"), Mapping):
-            return None
-        if not isinstance(channels := data.get("channels"), Mapping):
-            return None
-        settled = {name: each for name, each in channels.items() if each is not None}
-        for name, each in settled.items():
-            if isinstance(each, Mapping) and each.get("period") == AUTO:
-                settled[name] = {**each, "period": 0.0}
-        reader = data.get("reader")
-        known = {"channels": settled, "align": settings.get("align"), "vehicle": settings.get("vehicle")}
-        return cls.of({**known, "reader": reader.get("_target_") if isinstance(reader, Mapping) else None})
+        """That of a checkpoint, from its metadata; None if it has none. Errors as of `of`."""
+        return None if facts.get(KEY) is None else cls.of(facts[KEY])
 
     def live(self) -> Setup:
         """Without channels that only the track of a log needs."""

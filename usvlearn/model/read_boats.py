@@ -41,7 +41,7 @@ class IdentifiedBoat(NamedTuple):
     path: Path  # of the checkpoint
     found: Identified  # its identified quantities
     model: SurgeModel  # at the means of the periodic estimates, or of a batch fit
-    setup: Setup | None  # None in checkpoints of old versions
+    setup: Setup | None  # None: it states none
     leaves: dict[str, np.ndarray]  # of the state, arrays (…,) by dotted name
     facts: dict[str, Any]  # the checkpoint's metadata
 

@@ -10,10 +10,11 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from usvlearn.core.checkpoint import LEFT, SUFFIX
+from usvlearn.core.checkpoint import LEFT, SUFFIX, load
 from usvlearn.core.samples import Run, named_leaves
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.runs.layout import (
@@ -76,7 +77,7 @@ def begun(folder: Path) -> tuple[int, int, Position, str]:
     """A key that sorts the runs in one folder by when they began or last resumed.
 
     Clocks can be set back, so runs are numbered as they begin. Of two runs with the same number, the one that came
-    further is the later. Runs of older versions have no number: they come first, sorted by the time of their files.
+    further is the later.
     """
     found, own = list((folder / CHECKPOINTS).glob(f"*/*{SUFFIX}")), number(folder)
     stamp = 0 if own else max(path.stat().st_mtime_ns for path in [*found, folder / RUNS])
@@ -92,10 +93,25 @@ def same_run(folder: Path, runs: Mapping[str, Any]) -> bool:
     """
     try:
         old = json.loads((folder / RUNS).read_text())
-        same = old["ensemble"] == runs["ensemble"] and list(old["boats"]) == list(runs["boats"])
+        same = list(old["boats"]) == list(runs["boats"])
+        same = same and (old["ensemble"] == runs["ensemble"] or _saved_ensemble(folder) == runs["ensemble"])
         return same and all(runs["boats"][boat][: len(first)] == first for boat, first in old["boats"].items())
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return False
+
+
+def ensemble_digest(configuration: Mapping[str, Any]) -> str:
+    """A sha256 of what makes the ensemble of a run."""
+    parts = [configuration.get(name) for name in ("estimators", "combiners", "forecasts", "conditional")]
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+
+def _saved_ensemble(folder: Path) -> str:
+    """The digest of the ensemble in a run's newest readable checkpoint, by the names of today; "" without one."""
+    for path in sorted((folder / CHECKPOINTS).glob(f"*/*{SUFFIX}"), reverse=True):
+        with suppress(CheckpointError):
+            return ensemble_digest(load(path)[1].get("configuration") or {})
+    return ""
 
 
 def own_predictions(folder: Path) -> list[Path]:

@@ -201,7 +201,7 @@ def read_published(
         steps, boats: the greatest size of the predictions. A much larger file is not unpacked, and one with other
             boats counts as damaged.
         widths: of the arrays. A file with other widths counts as damaged; arrays without one are not read.
-        names: of the arrays. A file without predictions counts as damaged; older versions lack the others.
+        names: of the arrays. A file without predictions counts as damaged.
     """
     most = (1 << 16) + (2048 + 4 * 8 * max(0, steps) * (sum(widths.values()) + 7)) * boats  # 2048: names
     with archive_of(path, most) as archive:

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from usvlearn.core.checkpoint import SUFFIX, checkpoints, verify, write_atomically
+from usvlearn.core.checkpoint import SUFFIX, checkpoints, load, write_atomically
 from usvlearn.core.samples import Fleet, tree_map
 from usvlearn.engine.check import restored
 from usvlearn.engine.rollouts import stack
@@ -102,7 +102,7 @@ class Resumption:
             try:
                 for path in beside if self._planar else ():
                     if path.exists():  # else, as in older runs, sway and yaw rate are learned anew
-                        verify(path)
+                        load(path)
                 state = self._state(source, start, self.own(place))
                 break
             except CheckpointError as error:

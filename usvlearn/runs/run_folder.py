@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import time
 from collections.abc import Mapping, Sequence
@@ -28,9 +27,8 @@ from usvlearn.estimators.planar.state import AXES
 from usvlearn.evaluation.identification import Truth
 from usvlearn.runs.beside import ESTIMATOR as ESTIMATOR_BESIDE
 from usvlearn.runs.beside import beside_of, forget, planar_path, started, started_from
-from usvlearn.runs.index import check_own, digest, no_run, number, own_predictions, same_run
+from usvlearn.runs.index import check_own, digest, ensemble_digest, no_run, number, own_predictions, same_run
 from usvlearn.runs.layout import CHECKPOINTS, ERRORS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, save_results
-from usvlearn.runs.legacy import first_named
 from usvlearn.runs.outcome import judged
 from usvlearn.runs.published import BEGIN, Position, Published, joined, packed, position, stem, widths_of
 from usvlearn.runs.replay import Chunk
@@ -282,15 +280,11 @@ class RunFolder:
     def _runs(self) -> dict[str, Any]:
         """The identity of this run: per boat, name, length and digest of each run; and the digest of the ensemble."""
         configuration = self.metadata.get("configuration", {})
-        parts = [configuration.get(name) for name in ("estimators", "combiners")]
-        parts += [made] if (made := configuration.get("forecasts")) else []  # runs without forecasts keep their digest
-        parts += ["conditional"] if configuration.get("conditional") else []  # nor did earlier ones have such intervals
-        ensemble = json.dumps(first_named(parts))
         boats = {
             boat: [[run.names[element], run.lengths[element], digest(run, element)] for run in self.fleet.runs]
             for element, boat in enumerate(self.fleet.boats)
         }
-        return {"boats": boats, "ensemble": hashlib.sha256(ensemble.encode()).hexdigest()}
+        return {"boats": boats, "ensemble": ensemble_digest(configuration)}
 
     def _forget(self, own: Sequence[Path], place: Position) -> None:
         """Remove this run's results, and those of its own predictions after `place`, the last first."""

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.core.checkpoint import checkpoints, load
+from usvlearn.core.checkpoint import FormerVersionError, checkpoints, load
 from usvlearn.core.samples import Fleet, tree_map
 from usvlearn.core.unconfirmed import Questions, open_questions
 from usvlearn.engine.check import restored
@@ -20,7 +20,6 @@ from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.season import Season, SeasonRun
 from usvlearn.runs.index import begun, digest, runs_file
 from usvlearn.runs.layout import CHECKPOINTS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, TUNING
-from usvlearn.runs.legacy import current
 from usvlearn.runs.published import DAMAGE, position, read_published, widths_of
 from usvlearn.runs.trust import check_settings
 
@@ -85,7 +84,9 @@ def _configuration(folder: Path) -> tuple[Path, dict[str, Any]]:
             found = load(path)[1].get("configuration")
             if not (isinstance(found, dict) and all(isinstance(found.get(key), dict) for key in SETTINGS)):
                 raise CheckpointError(f"{path}: found no configuration with {', '.join(SETTINGS)}")
-            return path, current(found)
+            return path, found
+        except FormerVersionError:
+            raise
         except CheckpointError as error:
             last = error
     if paths:

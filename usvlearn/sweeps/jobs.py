@@ -9,7 +9,6 @@ traceback.txt    of an unexpected error
 In the sweep's folder:
 
 sweep.json       the keys with several values, their values without the sweep, the objective
-lanes.json       of version 0.2: jobs that were run as elements of one batch; they have no folders
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ from usvlearn.report.tables import short_settings
 from usvlearn.runs.index import check_no_link, check_own
 from usvlearn.runs.layout import ERRORS, JOB, RESULTS, RUNS, save_results
 
-TRACEBACK, SWEEP, LANES = "traceback.txt", "sweep.json", "lanes.json"
+TRACEBACK, SWEEP = "traceback.txt", "sweep.json"
 
 
 class Job(NamedTuple):
@@ -45,7 +44,6 @@ class Job(NamedTuple):
     folder: Path
     settings: dict[str, str]  # the settings of its command, by key
     results: dict[str, Any]  # of results.json; {"error": reason} if it failed, {} if it did not finish
-    errors: tuple[RunError, ...] | None = None  # by run; None: in its folder
 
     @property
     def finished(self) -> bool:
@@ -83,7 +81,7 @@ def check_sweep(folder: Path, load: Callable[[Path], Any], hydra: Mapping[str, A
         if path.name.isdecimal():
             check_no_link(path, "hydra.sweep.dir")
             check_own(path, "hydra.sweep.dir")
-    if not (held.exists() and (any(folder.glob(f"*/{JOB}")) or (folder / LANES).exists())):
+    if not (held.exists() and any(folder.glob(f"*/{JOB}"))):
         return
     try:
         old = load(held)["hydra"]
@@ -209,8 +207,6 @@ def noted_sweep(folder: Path) -> SweepNote:
 
 def errors_of(job: Job) -> Sequence[RunError]:
     """The errors of a job by run; none where they are missing or damaged."""
-    if job.errors is not None:
-        return job.errors
     try:
         return from_csv((job.folder / ERRORS).read_text())
     except (OSError, ValueError, csv.Error):
@@ -232,8 +228,6 @@ def jobs(folder: Path, load: Callable[[Path], Any]) -> list[Job]:
     usvlearn.errors.ConfigError: runs: found no run below 'nowhere', expected a folder that `train` has written
     """
     paths = [path.parents[1] for path in folder.glob("**/.hydra/overrides.yaml")]
-    if not paths and (folder / LANES).exists():
-        return _elements(folder / LANES)
     if not paths:
         raise ConfigError(f"runs: found no run below {str(folder)!r}, expected a folder that `train` has written")
     found = []
@@ -244,27 +238,6 @@ def jobs(folder: Path, load: Callable[[Path], Any]) -> list[Job]:
             results = {"error": _foreign(path, held, overrides)}  # Hydra has already written its records there
         found.append(Job(path, by_key(overrides), results))
     return found
-
-
-def _elements(path: Path) -> list[Job]:
-    """The jobs of a `lanes.json`.
-
-    Raises:
-        ConfigError: it is damaged.
-    """
-    try:
-        rows = json.loads(path.read_text())["jobs"]
-        found = []
-        for k, row in enumerate(rows):
-            check_results(row["results"])
-            errors = tuple(
-                RunError(str(boat), str(run), str(ahead), int(steps), {str(name): float(x) for name, x in mae.items()})
-                for boat, run, ahead, steps, mae in row["errors"]
-            )
-            found.append(Job(path.parent / str(k), by_key(row["overrides"]), dict(row["results"]), errors))
-        return found
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, UsvlearnError, RecursionError) as error:
-        raise ConfigError(f"{path}: is damaged ({error}): run the same command in another hydra.sweep.dir") from error
 
 
 def by_key(overrides: Sequence[str]) -> dict[str, str]:

@@ -45,7 +45,7 @@ LEVELS = ("warn", "strict", "off")
 
 
 def check_level(level: Any) -> str:
-    """What is done with findings: "warn", "strict" or "off"; settings of older runs do not say.
+    """What is done with findings: "warn" (by default), "strict" or "off".
 
     YAML reads a bare `off` as false.
 

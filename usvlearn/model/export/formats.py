@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from usvlearn.core.json_values import finite
+from usvlearn.display.json_values import finite
 from usvlearn.model.export.c_header import c_header, identifier
 from usvlearn.model.export.casadi_text import casadi_text
 from usvlearn.model.export.described import described

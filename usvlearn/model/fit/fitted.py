@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from usvlearn.core.json_values import finite
+from usvlearn.display.json_values import finite
 from usvlearn.errors import ConfigError, did_you_mean
 from usvlearn.estimators.joint.lacking import Quantity
 from usvlearn.estimators.joint.reading import Identified

@@ -1,0 +1,37 @@
+"""The only table of former names: what has another name since version 0.3, which opens nothing of 0.1 and 0.2.
+
+It is applied where settings, descriptions and states enter: checkpoints, configurations, YAML files of boats.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+_LOGS = "usvlearn.logs"
+TARGETS = {  # classes in settings; the first six are in the boats' files of `usvlearn inspect` of version 0.2
+    f"{_LOGS}.alog.Alog": f"{_LOGS}.formats.moos.alog.Alog",
+    f"{_LOGS}.csv_table.Table": f"{_LOGS}.formats.csv.table.Table",
+    f"{_LOGS}.dataflash.DataFlash": f"{_LOGS}.formats.ardupilot.dataflash.DataFlash",
+    f"{_LOGS}.rosbag.Rosbag": f"{_LOGS}.formats.ros.rosbag.Rosbag",
+    f"{_LOGS}.tlog.Tlog": f"{_LOGS}.formats.ardupilot.tlog.Tlog",
+    f"{_LOGS}.ulog.Ulog": f"{_LOGS}.formats.px4.ulog.Ulog",
+}
+KEYS: dict[str, str] = {}  # keys of settings and of descriptions, and parts of the dotted names of a state's arrays
+
+
+def today(found: Any, levels: int = 100) -> Any:
+    """Settings, a description or arrays with the names of today; nested deeper than `levels` they stay unchanged.
+
+    >>> today({"reader": {"_target_": "usvlearn.logs.alog.Alog"}})
+    {'reader': {'_target_': 'usvlearn.logs.formats.moos.alog.Alog'}}
+    """
+    if isinstance(found, list) and levels:
+        return [today(each, levels - 1) for each in found]
+    if not isinstance(found, Mapping) or not levels:
+        return TARGETS.get(found, found) if isinstance(found, str) else found
+    return {_today(key): today(value, levels - 1) for key, value in found.items()}
+
+
+def _today(key: Any) -> Any:
+    return ".".join(KEYS.get(part, part) for part in key.split(".")) if isinstance(key, str) else key
