@@ -40,7 +40,7 @@ GROUPS = {
         ("usvlearn/live/*.py", "usvlearn/live/ros2/*.py", "usvlearn/live/status/*.py", "usvlearn/core/json_values.py"),
         10,
         (
-            *named("live", "arguments status_lines prior systemd"),
+            *named("live", "arguments status_lines prior"),
             *named("live/ros2", "ros2 ros2_node ros2_parameters"),
             *named("live", "session recent usable replay node"),
         ),

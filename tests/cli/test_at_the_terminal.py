@@ -48,19 +48,18 @@ def words(text: str) -> set[str]:
 PRINTED = {
     "inspect": ["inspect", "logs", "--output", "again.yaml", "--force"],
     "train": ["train", "my_boat.yaml", "hydra.run.dir=again", *QUICK[2:-1]],
-    "delay": ["delay", "my_boat.yaml"],
-    "plan": ["plan", "run", "--minutes", "1", "--home", "42.358,-71.087"],
+    "plan": ["plan", "run", "--minutes", "1"],
     "controller": ["controller", "run", "--boats", "20", "--out", "gains"],
     "export": ["export", "run", "--to", "c,json"],
     "certify": ["certify", "run", "--box", "--seconds", "0.1"],
     "help": ["--help"],
     "help of live": ["live", "--help"],
     **{f"help of {name}": [name, "--help"] for name in ("train", "evaluate")},
-    **{f"usage of {name}": [name] for name in ("inspect", "delay", "plan", "controller", "completion")},
+    **{f"usage of {name}": [name] for name in ("inspect", "plan", "controller")},
 }
 
 
-SLOW, THOROUGH = ["inspect", "delay", "controller"], ["train", "plan", "certify"]
+SLOW, THOROUGH = ["inspect", "controller"], ["train", "plan", "certify"]
 QUICK_ONES = [name for name in PRINTED if name not in SLOW + THOROUGH]
 
 
@@ -170,7 +169,6 @@ def test_a_compilation_counts_its_seconds_at_a_terminal(tmp_path, monkeypatch):
             for each in (
                 (["plan", "run", "--minutes", "1", "--out", "{}/plan"], "plan/heron.csv"),
                 (["inspect", "logs", "--output", "{}/boat.yaml"], "boat.yaml"),
-                (["delay", "my_boat.yaml"], ""),
             )
         ),
     ],
@@ -232,7 +230,7 @@ def test_a_path_without_its_key_is_understood(program, folder):
 @pytest.mark.thorough
 def test_a_path_without_its_key_does_what_is_meant(folder, tmp_path):
     for arguments in (
-        ["evaluate", "run", "my_boat.yaml", f"report={tmp_path}/report"], ["delay", "my_boat.yaml"],
+        ["evaluate", "run", "my_boat.yaml", f"report={tmp_path}/report"],
         ["export", "runs=run", "--to", "json", "--out", str(tmp_path)],
     ):  # fmt: skip
         done = run(*arguments, folder=folder, script=SCRIPT)

@@ -9,17 +9,15 @@ from pathlib import Path
 
 from usvlearn.cli.warm import warm_live
 from usvlearn.errors import ConfigError, did_you_mean, exit_on_user_error
-from usvlearn.live import systemd
 
 USAGE = """usage: usvlearn live moos MISSION.moos [ALIAS]      on a MOOSDB
        usvlearn live mavlink udpin:127.0.0.1:14550  beside an autopilot
        usvlearn live ros2 [--ros-args …]            as a node of ROS 2
        usvlearn live status FOLDER                  what a node last knew
        usvlearn live warm                           compile everything ahead
-       usvlearn live systemd --folder DIR COMMAND … print a systemd unit
 Each has --help. A node starts from the newest readable checkpoint of its
 folder, else from --start CHECKPOINT, else from a prior by --mass and
---surge-max. It needs no torch. COMMAND is one of the first three."""
+--surge-max. It needs no torch."""
 SHELLS = {
     "moos": "usvlearn.live.moos.app",
     "mavlink": "usvlearn.live.mavlink.shell",
@@ -38,7 +36,7 @@ def status(arguments: Sequence[str]) -> int:
     return 0
 
 
-COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {"status": status, "warm": warm_live, "systemd": systemd.main}
+COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {"status": status, "warm": warm_live}
 
 
 def work(arguments: Sequence[str]) -> int:

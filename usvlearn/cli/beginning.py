@@ -10,14 +10,12 @@ COMMANDS = {  # name -> the module whose `main` does it, and what it does
     "evaluate": ("usvlearn.cli.evaluate", "judge saved runs, compare the jobs of a sweep, or make a study"),
     "example": ("usvlearn.cli.example", "write logs of a simulated boat, to try the other commands on"),
     "inspect": ("usvlearn.cli.inspect", "tell what own logs hold, and write their configuration"),
-    "delay": ("usvlearn.cli.delay", "find the delay from the commands to the speed in own logs"),
     "export": ("usvlearn.cli.exporting", "write what was learned for C, MATLAB, CasADi, ONNX, Gazebo, CSV"),
     "fit": ("usvlearn.cli.fit", "fit the model to all logs of a run, for its best parameters"),
     "controller": ("usvlearn.cli.speed_controller", "design a speed controller from what a run has identified"),
     "plan": ("usvlearn.cli.plan", "tell what to sail next to narrow the confidence intervals"),
     "live": ("usvlearn.cli.aboard", "learn aboard: a node on MOOS, MAVLink or ROS 2, and its status"),
     "warm": ("usvlearn.cli.warm", "compile everything ahead of need, when a boat's computer is set up"),
-    "completion": ("usvlearn.cli.completion", "print what lets bash, zsh or fish complete commands and keys"),
     "certify": ("certify.__main__", "prove whether the networks in checkpoints contract"),
 }
 QUICK = ("live",)  # which say something themselves

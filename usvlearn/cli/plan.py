@@ -13,7 +13,7 @@ import numpy as np
 
 from usvlearn.cli.forgiving import without_key
 from usvlearn.cli.without_hydra import out_folder, run_command
-from usvlearn.errors import ConfigError, MissingExtraError, printable
+from usvlearn.errors import ConfigError, printable
 
 if TYPE_CHECKING:
     from usvlearn.estimators.joint.reading import Identified
@@ -47,7 +47,6 @@ def parser() -> argparse.ArgumentParser:
     add("--heading", type=float, default=0.0, help="first heading and direction of the square, degrees (0)")
     add("--turn-rate", type=float, default=20.0, help="of the boat in a turn, degrees/s (20)")
     add("--seed", type=int, default=0, help="of the search (0)")
-    add("--home", metavar="LAT,LON", help="degrees: also write a mission for ArduPilot that starts there")
     add("--out", metavar="FOLDER", default="plan", help="where the files are written (plan)")
     return found
 
@@ -65,9 +64,7 @@ def work(arguments: Sequence[str]) -> None:
     options = parser().parse_args(list(arguments))
     with Activity(terminal.console(), "loading"):
         from usvlearn.model.planning.course import Limits
-        from usvlearn.model.planning.schedules import home_of
         from usvlearn.model.read_boats import read_boats
-    home = None if options.home is None else home_of(options.home)
     if not (-360 <= options.heading <= 360 and options.seed >= 0):
         raise ConfigError(
             f"--heading, --seed: found {options.heading} and {options.seed}, expected -360 to 360 degrees, and 0 up"
@@ -85,7 +82,7 @@ def work(arguments: Sequence[str]) -> None:
         planned = [_planned(boat, limits, options.seed) for boat in read_boats(options.run, options.boat)]
     folder.mkdir(parents=True, exist_ok=True)
     for each in planned:
-        _show(each, limits, folder, home)
+        _show(each, limits, folder)
 
 
 class Planned(NamedTuple):
@@ -127,12 +124,12 @@ def _planned(boat: IdentifiedBoat, limits: Limits, seed: int) -> Planned:
     return Planned(boat, rehearsal, quantities, aims, plan, mower)
 
 
-def _show(planned: Planned, limits: Limits, folder: Path, home: tuple[float, float] | None) -> None:
+def _show(planned: Planned, limits: Limits, folder: Path) -> None:
     """Write the files of a plan, and print it."""
     from usvlearn.display import terminal
 
     boat, rehearsal, quantities, aims, plan, mower = planned
-    console, written = terminal.console(), list(_written(boat, limits, plan, mower, folder, home))
+    console, written = terminal.console(), list(_written(boat, limits, plan, folder))
     for table in (
         _segments(boat, rehearsal, plan, limits, aims or quantities),
         _intervals(boat, mower, plan, quantities),
@@ -203,13 +200,10 @@ def _determined(now: Identified, after: Identified, quantities: list[str]) -> It
     )
 
 
-def _written(
-    boat: IdentifiedBoat, limits: Limits, plan: Plan, mower: Identified, folder: Path, home: tuple[float, float] | None
-) -> Iterator[str]:
+def _written(boat: IdentifiedBoat, limits: Limits, plan: Plan, folder: Path) -> Iterator[str]:
     """Write the files; what each is."""
     from usvlearn.core.checkpoint import write_atomically
-    from usvlearn.model.planning import planned_figure
-    from usvlearn.model.planning.schedules import csv_lines, moos_lines, waypoint_lines
+    from usvlearn.model.planning.schedules import csv_lines, moos_lines
 
     def write(suffix: str, text: str) -> Path:
         path = folder / f"{boat.stem}{suffix}"
@@ -218,17 +212,6 @@ def _written(
 
     yield f"{write('.csv', _text(csv_lines(plan)))}: commands, headings and expected speeds, a row for each change"
     yield f"{write('.moos', _text(moos_lines(plan, boat.setup)))}: a block of uTimerScript that posts the commands"
-    if home is not None:
-        path = write(".waypoints", _text(waypoint_lines(plan, home, limits.segment)))
-        yield (
-            f"{path}: the track with speeds for ArduPilot, whose missions cannot state commands: to sail these, send "
-            "throttle and steering of the CSV as RC overrides"
-        )
-    title = printable(f"{boat.name}: what to sail for {limits.minutes:g} min")
-    try:
-        yield f"{write('.svg', planned_figure.svg(title, boat.found, mower, plan, limits))}: the picture"
-    except MissingExtraError as error:
-        yield f"no picture: {error}"
     yield (
         f"A controller or a person must hold the headings. Turns are planned with {math.degrees(limits.turn_rate):.0f} "
         f"degrees/s, and the current as the checkpoint has it: keep room beside the {limits.area:g} m."

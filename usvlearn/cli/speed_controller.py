@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 
 from usvlearn.cli.forgiving import without_key
 from usvlearn.cli.without_hydra import out_folder, run_command
-from usvlearn.errors import MissingExtraError, complain
 
 if TYPE_CHECKING:
     from usvlearn.model.controller.design import Controller
@@ -37,9 +36,7 @@ def parser() -> argparse.ArgumentParser:
     found.add_argument("--delay", type=float, help="of the commands, s (identified: their delay and lag)")
     found.add_argument("--boats", type=int, default=200, help="drawn from the intervals for the closed loop (200)")
     found.add_argument("--seed", type=int, default=0, help="of the draws (0)")
-    found.add_argument(
-        "--out", metavar="FOLDER", help="write BOAT.controller.json, .svg, .png, BOAT.param, BOAT_pid.moos"
-    )
+    found.add_argument("--out", metavar="FOLDER", help="write BOAT.controller.json, BOAT.param, BOAT_pid.moos")
     return found
 
 
@@ -91,12 +88,6 @@ def _write(folder: Path, found: Controller) -> list[str]:
         f"{name}.param": found.rover.text(head(found)).encode(),
         f"{name}_pid.moos": found.moos.text(head(found)).encode(),
     }
-    try:
-        from usvlearn.model.controller.responses_picture import pictures
-
-        files |= {f"{name}.controller{ending}": content for ending, content in pictures(found).items()}
-    except MissingExtraError as error:
-        complain(f"warning: {error}")
     for file, content in files.items():
         write_atomically(folder / file, content)
     return list(files)

@@ -14,7 +14,7 @@ BOATS = {  # boat -> channels that are also right: another name of the same quan
     "pearl": {"heading": ["IMU_HEADING"], "surge": ["GPS_SPEED"]},
     "vtec": {"heading": ["*NED_pose"], "command_left": ["/lpwm"], "command_right": ["/rpwm"]},
 }
-DELAYS = {"blueboat": (0.0, 0.05), "dalian": (0.15, 0.2), "vtec": (0.2, 0.25)}  # s, by `usvlearn delay`
+DELAYS = {"blueboat": (0.0, 0.05), "dalian": (0.15, 0.2), "vtec": (0.2, 0.25)}  # s, by learning online with each
 PLAIN = {"unit": "1", "zero": 0.0, "span": 1.0}
 
 

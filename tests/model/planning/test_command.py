@@ -1,7 +1,6 @@
 """`usvlearn plan`: its tables, and files that other programs read."""
 
 import csv
-import math
 import re
 import sys
 
@@ -15,10 +14,9 @@ from usvlearn.logs.setup import Setup
 from usvlearn.model.planning.course import Limits
 from usvlearn.model.planning.exchange import derived, search
 from usvlearn.model.planning.rehearsal import Rehearsal
-from usvlearn.model.planning.schedules import csv_lines, moos_lines, waypoint_lines
+from usvlearn.model.planning.schedules import csv_lines, moos_lines
 
 EVENT = re.compile(r"  event = var=(\w+), val=(-?[\d.]+), time=([\d.]+)")
-HOME = (42.358, -71.087)
 SHORT = Limits(minutes=1.0)
 
 
@@ -72,21 +70,6 @@ def test_the_script_posts_the_commands_in_the_units_of_the_logs(plan, setup, nam
         assert raw[-1] == 0
 
 
-def test_pymavlink_reads_the_mission(plan, tmp_path):
-    mavwp = pytest.importorskip("pymavlink.mavwp", reason="needs the package pymavlink")
-    path = tmp_path / "heron.waypoints"
-    path.write_text("\n".join(waypoint_lines(plan, HOME, SHORT.segment)) + "\n")
-    loader = mavwp.MAVWPLoader()
-    assert loader.load(str(path)) == 1 + 2 * SHORT.segments
-    items = [loader.item(k) for k in range(loader.count())]
-    assert [item.command for item in items] == [16] + [178, 16] * SHORT.segments
-    assert (items[0].x, items[0].y) == pytest.approx(HOME)
-    last, metre = items[-1], 1 / 111_195  # degrees of latitude
-    assert (last.x - HOME[0]) / metre == pytest.approx(plan.path[-1, 0], abs=0.5)
-    assert (last.y - HOME[1]) / metre * math.cos(math.radians(HOME[0])) == pytest.approx(plan.path[-1, 1], abs=0.5)
-    assert all(item.param2 >= 0.2 for item in items[1::2])
-
-
 def run(monkeypatch, *arguments) -> int:
     monkeypatch.setattr(sys, "argv", ["usvlearn"])
     try:
@@ -97,15 +80,12 @@ def run(monkeypatch, *arguments) -> int:
 
 @pytest.mark.thorough
 def test_the_command_prints_its_tables_and_writes_its_files(saved, tmp_path, monkeypatch, capsys):
-    pytest.importorskip("matplotlib")
     folder = tmp_path / "next"
-    arguments = (saved, "--minutes", 1, "--out", folder, "--home", "42.358,-71.087")
+    arguments = (saved, "--minutes", 1, "--out", folder)
     assert run(monkeypatch, *arguments) == 0
     shown = capsys.readouterr().out
     assert "heron: what to sail for 1 min" in shown and "after a lawn mower" in shown and "thrust_full_left" in shown
-    assert sorted(path.name for path in folder.iterdir()) == ["heron.csv", "heron.moos", "heron.svg", "heron.waypoints"]
-    picture = (folder / "heron.svg").read_text()
-    assert "prefers-color-scheme:dark" in picture and "var(--line)" in picture and "currentColor" in picture
+    assert sorted(path.name for path in folder.iterdir()) == ["heron.csv", "heron.moos"]
     before = (folder / "heron.csv").read_text()
     assert run(monkeypatch, *arguments) == 0 and (folder / "heron.csv").read_text() == before
 
@@ -141,8 +121,6 @@ def test_a_set_without_a_reader_is_said(saved, tmp_path, monkeypatch, capsys):
         (["--area", "10", "--command-min", "0.3", "--minutes", "1"], "--area: found 10 m"),
         (["--turn-rate", "-20"], "--turn-rate: found -20, expected 1 to 90 degrees/s"),
         (["--minutes", "1e9", "--segment", "1e9"], "--minutes: found 1e+09, expected 120 at most"),
-        (["--home", ""], "--home: found ''"),
-        (["--home", "north"], "--home: found 'north', expected LATITUDE,LONGITUDE"),
         (["--boat", "otter"], "--boat: found 'otter', expected heron"),
         (["--heading", "nan"], "--heading"),
     ],

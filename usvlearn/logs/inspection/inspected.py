@@ -139,7 +139,7 @@ def _tell_top_speed(settings: dict[str, Any], recordings: Sequence[Recording], d
 
 def _tell_delay(settings: dict[str, Any], lag: Lag, decisions: list[Decision]) -> None:
     if not len(lag.errors):
-        why = "too few steps to tell a delay: see usvlearn delay"
+        why = "too few steps to tell a delay: give longer logs"
         decisions.append(Decision(SIDES[0], "delay", "0 s", UNSURE, why))
         return
     for side in SIDES:

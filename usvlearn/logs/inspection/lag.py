@@ -5,8 +5,8 @@ The change of the speed over a step is regressed on the commands of both sides, 
     (v_k − v_(k−1))/h = a₁ ξ_l + a₂ ξ_r + a₃ ξ_l |ξ_l| + a₄ ξ_r |ξ_r| + a₅ v + a₆ v |v| + a₇,
 
 with the commands as each delay aligns them. The best delay leaves the smallest sum of absolute residuals. It is taken
-if it is surely better than none, by the standard error of the means of blocks, as in `usvlearn delay`, which learns
-online instead and judges on other data.
+if it is surely better than none, by the standard error of the means of blocks, since neighbouring residuals depend on
+each other.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from usvlearn.logs.recordings import align_fleet, delayed
 
 DELAYS = tuple(k / 20 for k in range(21))  # s
 LONG_DELAYS = tuple(1 + k / 4 for k in range(1, 17))  # s, which are tried if the longest of the others fits best
-BLOCK, LEAST_BLOCKS = 25, 4  # steps; blocks, of logs or of a half of them
+BLOCK, LEAST_BLOCKS = 25, 4  # steps; blocks
 SURE, EQUAL = 3.0, 2.0  # standard errors: to be better than none, and as good as the best
 MOST_STEPS = 200_000
 COMMON, CUT = 0.99, 2.0  # a change of the speed beyond so many times this quantile is an outlier

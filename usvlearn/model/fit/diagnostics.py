@@ -117,7 +117,7 @@ def doubts(
     if fit.theta[PLACE_LAG] >= LAGS[1] or fit.theta[PLACE_TIME] >= TIMES[1]:
         said.append(
             "The lag of the thrust is at its bound: the speed follows the commands later than the fit allows. Find the "
-            "delay by usvlearn delay, set data.channels.command_left.delay and command_right.delay, and train again."
+            "delay by usvlearn inspect, set data.channels.command_left.delay and command_right.delay, and train again."
         )
     for name, what in (("mean", "mean command"), ("difference", "difference of the commands")):
         lags, values, bounds = (np.array(cross[name][key], float) for key in ("lags", "values", "bounds"))

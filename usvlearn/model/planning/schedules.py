@@ -1,4 +1,4 @@
-"""A plan as files: a table (CSV), a script of uTimerScript (MOOS-IvP), and a mission of ArduPilot.
+"""A plan as files: a table (CSV), and a script of uTimerScript (MOOS-IvP).
 
 *CSV*: a row for each change of a command or of the wanted heading. Commands are shares of full scale, as the logs have
 been read. `throttle` and `steering` are half the sum and half the difference of both, which is what a skid-steering
@@ -8,10 +8,7 @@ autopilot mixes to left and right.
 the names and units of the logs that the boat was learned from. Nobody holds the heading then, so that a person must
 watch; the wanted headings are in the CSV, for a boat with a heading controller.
 
-*ArduPilot*: Rover's DO_CHANGE_SPEED sets a speed in m/s and ignores its throttle, and DO_SET_SERVO does not move
-outputs that the vehicle itself controls. So no mission file can state the commands. The file has the planned track as
-waypoints with the expected speeds, in the plain-text format "QGC WPL 110" (mavlink.io, File Formats); the autopilot
-finds the commands. To sail the planned commands, send the CSV's throttle and steering as RC overrides in MANUAL.
+*ArduPilot*: no mission can state the commands. To sail them, send throttle and steering as RC overrides in MANUAL.
 """
 
 from __future__ import annotations
@@ -21,7 +18,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from usvlearn.errors import ConfigError
 from usvlearn.logs.channels.channel import COMMANDS, UNITS, Source
 from usvlearn.logs.setup import Setup
 from usvlearn.model.planning.course import Course
@@ -29,10 +25,6 @@ from usvlearn.model.planning.exchange import Plan
 
 MOOS_NAMES = {"command_left": "DESIRED_THRUST_L", "command_right": "DESIRED_THRUST_R"}  # without logs of MOOS
 MOOS_SPAN = 100.0  # percent
-EARTH = 6_371_000.0  # m, mean radius
-WAYPOINT, CHANGE_SPEED = 16, 178  # MAV_CMD_NAV_WAYPOINT, MAV_CMD_DO_CHANGE_SPEED
-GLOBAL, RELATIVE = 0, 3  # MAV_FRAME: altitude above sea level, above home
-SLOWEST = 0.2  # m/s, least speed of a mission
 ALOG = ".Alog"
 
 
@@ -100,47 +92,3 @@ def _variables(setup: Setup | None) -> tuple[list[Source], str]:
         return plain, "Names and units are those of the logs."
     given = [Source(MOOS_NAMES[name], span=MOOS_SPAN) for name in COMMANDS]
     return given, "Names and units (percent) are assumed: the boat was not learned from single MOOS variables."
-
-
-def waypoint_lines(plan: Plan, home: tuple[float, float], segment: float) -> Iterator[str]:
-    """The mission of ArduPilot: the planned track and speeds, a waypoint at the end of each segment.
-
-    Args:
-        home: latitude and longitude of the start, degrees.
-        segment: s.
-    """
-    course, items = plan.course, 0
-    yield "QGC WPL 110"
-    yield _item(items, 1, GLOBAL, WAYPOINT, (0, 0, 0, 0, *home, 0))
-    each = round(segment / course.dt)
-    for first in range(0, len(course.left), each):
-        part = slice(first, first + each)
-        north, east = plan.path[part][-1]
-        latitude = home[0] + math.degrees(north / EARTH)
-        longitude = home[1] + math.degrees(east / (EARTH * math.cos(math.radians(home[0]))))
-        speed = max(float(np.abs(plan.expected.speed[part]).mean()), SLOWEST)
-        yield _item(items + 1, 0, RELATIVE, CHANGE_SPEED, (1, round(speed, 2), -1, 0, 0, 0, 0))
-        yield _item(items + 2, 0, RELATIVE, WAYPOINT, (0, 0, 0, 0, latitude, longitude, 0))
-        items += 2
-
-
-def _item(index: int, current: int, frame: int, command: int, numbers: tuple[float, ...]) -> str:
-    return "\t".join([str(index), str(current), str(frame), str(command), *(f"{x:.8f}" for x in numbers), "1"])
-
-
-def home_of(text: str) -> tuple[float, float]:
-    """Latitude and longitude, degrees.
-
-    Raises:
-        ConfigError: the text states none.
-
-    >>> home_of("42.358,-71.087")
-    (42.358, -71.087)
-    """
-    try:
-        latitude, longitude = (float(each) for each in text.split(","))
-    except ValueError:
-        latitude = longitude = math.nan
-    if not (abs(latitude) < 89 and abs(longitude) <= 180):
-        raise ConfigError(f"--home: found {text!r}, expected LATITUDE,LONGITUDE in degrees, such as 42.358,-71.087")
-    return latitude, longitude
