@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from copy import deepcopy
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -34,7 +33,6 @@ FIRST, WINDOW, BACK = 100, 50, 1.1  # predictions judged; steps of the running m
 DRIVES = {"random": "random", "speed controller": "convoy", "lawn mowing": "lawn_mower"}  # kinds of mission
 EXACT = Sensors(surge_noise=0.0, surge_quantum=1e-9, surge_filtered=0.0, outlier_share=0.0, heading_noise=0.0)
 PEERS = {"NLMS": plain_nlms, "RLS": plain_rls}
-LOOSER = 1e3  # times which the oracle's covariance is, up to its limit
 HEALTH = tuple(f"monitors.thrusters.{name}" for name in ("evidence", "sums", "raised", "moments", "variance"))
 GIVEN = tuple(f"accommodation.{name}" for name in ("handed", "share", "deviation"))
 LONGEST = 500  # steps after the event within which a predictor recovers, or never
@@ -68,7 +66,6 @@ class Answer(NamedTuple):
     early: np.ndarray  # (boats,) whether there was one before
     effect: np.ndarray  # (boats,) effectiveness of the side two minutes later, less the truth
     deviation: np.ndarray  # (boats,) its standard deviation
-    learned: dict[str, np.ndarray]  # (boats,) the same error by the thrust that a filter identified, then and before
 
 
 def events() -> dict[str, Event]:
@@ -119,14 +116,13 @@ def estimator(plant: str) -> Ensemble:
 
 
 def answer(event: Event, found: Course, plant: str, peers: Mapping[str, Callable[[], Peer]] = PEERS) -> Answer:
-    """What the members, the ensemble, an oracle, peers and the monitor make of a course."""
+    """What the members, the ensemble, peers and the monitor make of a course."""
     ensemble, boats = estimator(plant), found.samples.surge.shape[1:]
-    means = {name: f"members.{name}.mean" for name in ("joint", "joint_averaged")}
     with torch.no_grad():
-        wanted = ("predictions", *means.values(), *HEALTH, *GIVEN)
+        wanted = ("predictions", *HEALTH, *GIVEN)
         _, _, kept = rollout(ensemble, ensemble.init(boats), found.samples, wanted)
         predictions = {name: kept["predictions"][..., k] for k, name in enumerate(ensemble.names)}
-        predictions |= {"oracle": oracle(ensemble, found), "true model": found.true}
+        predictions["true model"] = found.true
         predictions["persistence"] = rollout(Persistence(), Persistence().init(boats), found.samples)[1]
     for name, make in peers.items():
         predictions[name] = torch.stack([stress.follow(make(), one) for one in alone(found.samples)], -1)
@@ -137,35 +133,8 @@ def answer(event: Event, found: Course, plant: str, peers: Mapping[str, Callable
     health = state.monitors.thrusters._replace(**{name.rpartition(".")[2]: kept[name][at] for name in HEALTH})
     given = state.accommodation._replace(**{name.rpartition(".")[2]: kept[name][at] for name in GIVEN})
     effect, deviation = (x[:, side].numpy() for x in thrust_remaining(health, given))
-    names, top = ensemble.members["joint"].names, NOMINAL[plant][1]
-    weights = torch.tensor([full(name, SIDES[side], top / 2) for name in names], dtype=torch.float64)
-    learned = {}
-    for name, leaf in means.items():
-        before, after = (kept[leaf][k, :, -len(names) :] @ weights for k in (found.begin, at))
-        learned[name] = (after / before).numpy() - event.share
     told = alarms(kept["monitors.thrusters.raised"].numpy(), found.begin, side)
-    return Answer(errors, found.begin, *told, effect - event.share, deviation, learned)
-
-
-def oracle(ensemble: Ensemble, found: Course) -> torch.Tensor:
-    """What the joint EKF predicts whose covariance is enlarged when something changes."""
-    joint, cut = deepcopy(ensemble.members["joint"]), found.begin
-    joint.trial = None
-    parts = [tree_map(lambda x, s=s: x[s], found.samples) for s in (slice(cut), slice(cut, None))]
-    state, before, _ = rollout(joint, joint.init(found.samples.surge.shape[1:]), parts[0])
-    state = joint.inflate_covariance(state, torch.tensor(LOOSER, dtype=torch.float64))
-    return torch.cat([before, rollout(joint, state, parts[1])[1]])
-
-
-def full(name: str, side: str, surge: float) -> float:
-    """The weight of a parameter in the thrust of a side at full command.
-
-    >>> full("thrust_linear_left", "left", 0.5), full("thrust_speed_left", "left", 0.5)
-    (1.0, 0.5)
-    """
-    if "thrust" not in name or not name.endswith(side):
-        return 0.0
-    return surge if "speed" in name else 1.0
+    return Answer(errors, found.begin, *told, effect - event.share, deviation)
 
 
 def alone(samples: Sample) -> Iterator[Sample]:
@@ -201,7 +170,6 @@ def joined(parts: Sequence[Answer]) -> Answer:
         {name: np.concatenate([each.errors[name][:least] for each in parts], 1) for name in parts[0].errors},
         parts[0].begin,
         *(np.concatenate([each[k] for each in parts]) for k in range(2, 7)),
-        {name: np.concatenate([each.learned[name] for each in parts]) for name in parts[0].learned},
     )
 
 
@@ -225,7 +193,7 @@ def steps_back(found: Answer, name: str) -> float:
 def cells(event: Event, found: Answer) -> dict[str, str]:
     """A row of the table."""
     row = {}
-    for name in ("joint", "joint_averaged", "ensemble", "oracle", *PEERS, "persistence"):
+    for name in ("joint", "joint_averaged", "ensemble", *PEERS, "persistence"):
         if name in found.errors:
             back = steps_back(found, name)
             row[name] = f"{ratio(found, name):.2f}, " + ("never" if math.isinf(back) else f"{back:.0f}")
@@ -236,8 +204,6 @@ def cells(event: Event, found: Answer) -> dict[str, str]:
     row["side right"] = f"{found.right[there].mean():.0%}" if weakens and there.any() else ""
     row["effect ± .10"] = f"{(abs(found.effect) <= 0.1).mean():.0%}" if weakens else ""
     row["interval holds"] = f"{(abs(found.effect) <= NINETY * found.deviation).mean():.0%}" if weakens else ""
-    for name, off in found.learned.items():
-        row[f"{name} ± .10"] = f"{(abs(off) <= 0.1).mean():.0%}" if event.side else ""
     return row
 
 
@@ -292,13 +258,10 @@ def section(seed: int, n: int, hours: float, names: Sequence[str] = ()) -> list[
         "model, which knows boat, wind and water; and after how many steps its running error "
         f"({WINDOW} steps of all boats) stays within {BACK} × the true model's, or × what it was of it before.",
         "- `NLMS` and `RLS` (forgetting 0.995) are the plain ones, on the regressors of above.",
-        f"- `oracle`: the joint EKF without trials, whose covariance is {LOOSER:g} times larger, up to its limit, from "
-        "the event on.",
         "- Alarm: s until the first one, in half of the boats, and in 90 %; –: not in as many. The share of boats with "
         "one within the mission, and in how many of them it names the side.",
         "- ± .10: share of the boats whose effectiveness is right within .10 two minutes after the event (wear: at the "
-        "end): `effect`, which the event's message shows, and the thrust at full command that a filter identified then "
-        "and before. The 90 % interval of `effect` holds the truth in the share of boats that is shown.",
+        "end), as the event's message shows it. Its 90 % interval holds the truth in the share of boats that is shown.",
         "- Wear takes 10 min. A stuck speed, 20 s long, is judged by the speed that would have been measured.",
         "", f"| {' | '.join(heads)} |", "|---|---|" + "---:|" * (len(heads) - 2),
         *(f"| {' | '.join(row.values())} |" for row in rows),

@@ -1,4 +1,4 @@
-"""How true the parameters of `usvlearn fit` are, how often their intervals hold, how well they simulate; its time.
+"""How true the parameters of `usvlearn fit` are, how often their intervals hold, how well they simulate.
 
 python benchmarks/fit.py LOGS [--seeds 8001 8002 8003 8004] [--boats 3]        writes docs/benchmarks/fit.md
 
@@ -14,7 +14,6 @@ import argparse
 import math
 import statistics
 import sys
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -30,23 +29,17 @@ from fit_study import (
     FIT,
     HOURS,
     LATER,
-    LONG,
     ONLINE,
     PEERS,
     Frozen,
     N,
     Study,
-    Times,
     boats,
     frozen,
     study,
-    times,
 )  # fmt: skip
-from timing import ratio, table
+from timing import table
 from truths import PLANTS
-
-from usvlearn.model.fit.choice import WEAR
-from usvlearn.model.fit.terms import SETS
 
 SEEDS = (8001, 8002, 8003, 8004)
 AIMS = {"steady_speed_full": 0.015, "time_constant": 0.07, "drag_half_speed": 0.04, "thrust_full_left": 0.05,
@@ -55,7 +48,6 @@ EACH, ALL = (0.82, 0.97), (0.88, 0.93)  # aims: share of the truths inside, of a
 NARROW = ("steady_speed_full", "steady_speed_half", "steady_speed_quarter", "drag_half_speed")
 SPLIT = ("drag_linear", "drag_quadratic")
 NARROWER, WIDEST = 0.6, 1.3  # aims: half-width over that of the online estimate, of NARROW and of the others
-ONE, EVERY, MINUTE = 2.0, 10.0, 60.0  # aims of time: one set and all over a replay, and s for LONG hours
 WORSE = 1.05  # aim: MAE over that of the ensemble
 
 SCOPE = """\
@@ -77,12 +69,6 @@ half (the next hour), from the inputs and the measured speed with which each seg
 [Batch](batch.md). Aims: a ratio of at most 1 to the best batch peer, and of at most 1.05 to the ensemble. The first
 half of the Dalian boat has 414 measured steps on the grid of the fit; `usvlearn fit` refuses less than 600. The VTec
 goes straight in its first half and turns in its second, where an extrapolated drag of turning counts."""
-SETS_TEXT = """\
-How many simulated boats of each plant use each set: the one that does best on missions which it has not learned. With
-wear, thrust and drag walk from mission to mission."""
-TIME = """\
-Medians of rounds in which all three are done in turn, one thread; one boat. The replay and the fits have the same logs,
-aligned before."""
 
 
 def wrong(one: Study, method: str, name: str) -> float:
@@ -168,52 +154,7 @@ def frozen_table(found: Mapping[str, Frozen]) -> list[str]:
     return table(["", *found], lines)
 
 
-def sets_table(found: Sequence[Study], recorded: Mapping[str, Frozen]) -> list[str]:
-    """How often each set of terms was chosen."""
-    plants = list(dict.fromkeys(one.plant for one in found))
-    chosen = Counter((one.plant, one.terms) for one in found)
-    used = {one.terms for one in found} | {each.terms for each in recorded.values()}
-    lines = []
-    for name in (each for of in SETS for each in (of, f"{of}{WEAR}") if each in SETS or each in used):
-        counts = [str(chosen[plant, name]) for plant in plants]
-        lines.append([name, *counts, ", ".join(boat for boat, each in recorded.items() if each.terms == name)])
-    return table(["set", *plants, "boats of the simulations above"], lines)
-
-
-def times_table(spent: Times) -> list[str]:
-    one, every = (ratio(spent.rounds[name], spent.rounds["replay"]) for name in ("one set", "all sets"))
-    middle = {name: statistics.median(each) for name, each in spent.rounds.items()}
-    return table(
-        ["", "s", "over the replay", "aim", "met"],
-        [
-            [f"replay of the default ensemble, {HOURS:g} h", f"{middle['replay']:.2f}", "1.00", "", ""],
-            [
-                f"one set, the largest, {HOURS:g} h",
-                f"{middle['one set']:.2f}",
-                f"{one:.2f}",
-                f"≤ {ONE:g}",
-                verdict(one <= ONE),
-            ],
-            [
-                f"all sets and the choice, {HOURS:g} h",
-                f"{middle['all sets']:.2f}",
-                f"{every:.2f}",
-                f"≤ {EVERY:g}",
-                verdict(every <= EVERY),
-            ],
-            [
-                f"all sets and the choice, {LONG:g} h",
-                f"{spent.long:.1f}",
-                "",
-                f"≤ {MINUTE:g} s",
-                verdict(spent.long <= MINUTE),
-            ],
-            [f"simulation of {LONG:g} h of logs, and the grid of the fit", f"{spent.rows:.1f}", "", "", ""],
-        ],
-    )
-
-
-def page(found: Sequence[Study], recorded: Mapping[str, Frozen], spent: Times, command: str) -> list[str]:
+def page(found: Sequence[Study], recorded: Mapping[str, Frozen], command: str) -> list[str]:
     """The page."""
     return [
         "# The batch fit beside online learning and other batch fits",
@@ -242,18 +183,6 @@ def page(found: Sequence[Study], recorded: Mapping[str, Frozen], spent: Times, c
         FROZEN,
         "",
         *frozen_table(recorded),
-        "",
-        "## Which terms were chosen",
-        "",
-        SETS_TEXT,
-        "",
-        *sets_table(found, recorded),
-        "",
-        "## Time of the processor",
-        "",
-        TIME,
-        "",
-        *times_table(spent),
     ]
 
 
@@ -264,7 +193,6 @@ def main() -> None:
     options.add_argument("--boats", type=int, default=N)
     given = options.parse_args()
     torch.set_num_threads(1)
-    spent = times()
     found, recorded = [], {}
     for seed in given.seeds:
         for plant in PLANTS:
@@ -275,7 +203,7 @@ def main() -> None:
         recorded[log.name] = frozen(log, runs, mass)
         print(log.name, recorded[log.name], flush=True)
     command = f"python benchmarks/fit.py LOGS --seeds {' '.join(map(str, given.seeds))} --boats {given.boats}"
-    publish(__file__, page(found, recorded, spent, command))
+    publish(__file__, page(found, recorded, command))
 
 
 if __name__ == "__main__":

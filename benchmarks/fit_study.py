@@ -5,7 +5,6 @@ Of simulated boats the truth is known: `study`. Recorded boats have later runs: 
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,23 +17,18 @@ import output_error
 from fit_simulation import Halves, free_mae, halves, season
 from peers import narmax, physics, state_space
 from peers.batch import Held, free_run_errors
-from timing import in_turn
 from truths import MINUTES, NOMINAL, free_run_mae
 
 from usvlearn import SurgeDynamics
 from usvlearn.estimators.joint.lacking import Quantity
 from usvlearn.estimators.joint.state import NORTH, THETA
 from usvlearn.model.fit.fitted import fit_boat
-from usvlearn.model.fit.gauss_newton import Missions
 from usvlearn.model.fit.logs import DT as FINE
-from usvlearn.model.fit.logs import missions_of
 from usvlearn.model.fit.quantities import quantities
-from usvlearn.model.fit.terms import AT, NAMES, SETS
-from usvlearn.runs.replay import replay
+from usvlearn.model.fit.terms import AT, NAMES
 from usvlearn.simulate.truth import true_parameters, true_quantities
 
-N, HOURS, LATER, LONG = 3, 3.0, 1.0, 30.0  # boats of a plant and seed; h
-LARGEST = list(SETS)[-1]
+N, HOURS, LATER = 3, 3.0, 1.0  # boats of a plant and seed; h
 FIT, ONLINE, BATCH, SQUARES = "fit", "averaged joint EKF, online", "batch output error", "least squares of one step"
 PEERS = {"SysIdentPy": narmax, "jax-sysid": state_space, BATCH: physics}
 Values = dict[str, Quantity]
@@ -122,35 +116,3 @@ def boats(folder: Path) -> Iterator[tuple[batch.Log, Halves, float]]:
         given = {"n": 1, "plant": plant, "hours": HOURS + LATER, "mission_minutes": MINUTES, "seed": batch.SEED}
         (runs,) = season(round(HOURS * 60 / MINUTES), **given).values()
         yield batch.simulated(plant), runs, NOMINAL[plant][0]
-
-
-class Times(NamedTuple):
-    """Seconds of the processor, of one boat."""
-
-    rounds: dict[str, list[float]]  # of a replay, a fit of one set, and one of all
-    rows: float  # to align LONG hours of logs
-    long: float  # to fit all sets to them
-
-
-def times(hours: float = HOURS, long: float = LONG, repeats: int = 3) -> Times:
-    """What a fit takes beside a replay of the default ensemble, in turn."""
-    given = (f"data.hours={hours}",)
-    model, logs, vehicle = accuracy.ensemble(given), accuracy.fleet_of(given), accuracy.configuration(given).vehicle
-    mass, top = vehicle.mass, vehicle.surge_max
-
-    def rows_of(hours: float) -> dict[str, np.ndarray]:
-        return missions_of(accuracy.fleet_of((f"data.hours={hours}", f"align.dt={FINE}")), "heron")
-
-    def replayed() -> None:
-        for _ in replay(model, logs, model.init((1,))):
-            pass
-
-    rows = rows_of(hours)
-    works = {"replay": replayed, "one set": lambda: Missions(list(rows.values()), top).fit(LARGEST),
-             "all sets": lambda: fit_boat("heron", rows, mass, top)}  # fmt: skip
-    rounds = in_turn(works, repeats, time.process_time)
-    begun = time.process_time()
-    rows = rows_of(long)
-    aligned = time.process_time()
-    fit_boat("heron", rows, mass, top)
-    return Times(rounds, aligned - begun, time.process_time() - aligned)

@@ -37,7 +37,12 @@ GROUPS = {
         ),
     ),
     "live": Group(
-        ("usvlearn/live/*.py", "usvlearn/live/ros2/*.py", "usvlearn/live/status/*.py", "usvlearn/core/json_values.py"),
+        (
+            "usvlearn/live/*.py",
+            "usvlearn/live/ros2/*.py",
+            "usvlearn/live/status/*.py",
+            "usvlearn/display/json_values.py",
+        ),
         10,
         (
             *named("live", "arguments status_lines prior"),

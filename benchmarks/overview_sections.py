@@ -101,7 +101,7 @@ def speed(amount: Amount, logs: Path | None) -> Part:
         *speed_in_words(spent, others, called, streamed), "",
         f"Medians of {amount.effort.repeats} rounds, in which all works of a row are timed in turn: time of the "
         "processor, one thread, float64. Streamed: a whole log in one call. Called: `Online.step` from Python, sample "
-        "by sample. More estimators, how a step grows, batch elements, whole jobs and memory: [Speed of steps and jobs]"
+        "by sample. More estimators, batch elements and whole jobs: [Speed of steps and jobs]"
         "(speed.md).",
     ]  # fmt: skip
     return Part(lines, figures)

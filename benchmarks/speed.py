@@ -19,7 +19,6 @@ SECTIONS: dict[str, tuple[str, Callable[[Effort], Section]]] = {
     "others": ("Other libraries", speed_steps.others),
     "elements": ("Batch elements", speed_jobs.elements),
     "jobs": ("Whole jobs", speed_jobs.jobs),
-    "growth": ("How a step grows", speed_steps.growth),
     "around": ("Around a replay", speed_jobs.around),
 }
 

@@ -1,4 +1,4 @@
-"""What a step costs: streamed, called from Python, in eager torch, in C and in other libraries; how it grows."""
+"""What a step costs: streamed, called from Python, in eager torch, in C and in other libraries."""
 
 import statistics
 from collections.abc import Callable, Mapping, Sequence
@@ -12,12 +12,8 @@ from reference import compiler, reference
 from timing import Effort, Section, Work, in_turn, micro, ratio, table, three_digits
 
 from usvlearn import (
-    AID,
     ARX,
-    BOA,
     RLS,
-    RNN,
-    Ensemble,
     Estimator,
     Inputs,
     JointEKF,
@@ -39,7 +35,6 @@ from usvlearn.logs.recordings import align_fleet
 from usvlearn.simulate.fleet import fleet as simulated
 from usvlearn.simulate.planar_fleet import planar_fleet
 
-NEURONS, MEMBERS = (10, 20, 50, 100, 200, 500), (1, 2, 4, 7, 10, 14)
 WAYS = {"C": "C", "streamed": "streamed", "call": "called from Python", "torch": "eager torch"}
 
 
@@ -217,33 +212,3 @@ def others(effort: Effort) -> Section:
         "make it, and keep the limits and the noise's variance."
     )
     return Section([*table(["", "µs a step", "over our SIFt-RLS, called", "over our RLS, streamed"], rows), "", note])
-
-
-def growth(effort: Effort) -> Section:
-    """With the neurons, the parameters and the members."""
-    mass = 28.0
-    parameters = {
-        9: SIFtRLS(SurgeDynamics(mass)),
-        12: SIFtRLS(SurgeDynamics(mass, ambient=True)),
-        15: WithMemory(SIFtRLS(SurgeDynamics(mass, ambient=True, memory=True))),
-    }
-    gains = [10 ** (k / 7 - 1) for k in range(max(MEMBERS))]
-    kinds = {
-        "neurons of the RNN": {n: RNN(n) for n in NEURONS},
-        "parameters of SIFt-RLS": parameters,
-        "members of an ensemble": {
-            k: Ensemble({f"aid{j}": AID(mass, gain) for j, gain in enumerate(gains[:k])}, {"boa": BOA()})
-            for k in MEMBERS
-        },
-    }
-    found = {
-        kind: {size: costs(estimator, effort, ["streamed", "C"]) for size, estimator in sizes.items()}
-        for kind, sizes in kinds.items()
-    }
-    rows = [
-        [f"{size} {kind}", *(micro(median(spent, way)) for way in ("C", "streamed")), times(spent, "streamed", "C")]
-        for kind, sizes in found.items()
-        for size, spent in sizes.items()
-    ]
-    note = "15 parameters: with the memory wrapper. The members are AIDs of different gains, weighed by BOA."
-    return Section([*table(["µs a step", "C", "streamed", "ratio"], rows), "", note])
