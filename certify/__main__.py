@@ -35,6 +35,7 @@ python -m certify 'outputs/*/checkpoints/heron/*' --box   with the exact rate on
 python -m certify net.npz --certificate proofs            a JSON certificate each
 python -m certify --verify proofs/*.json                  check certificates, without solver and torch
 python -m certify net3.npz --lmi --steps                  a state of several components: A, W, W2, b, and R, V, c
+python -m certify rnn.pt --nonlinearity relu              the state_dict of a torch.nn.RNN or RNNCell
 python -m certify compare outputs/RUN --lmi              all conditions side by side, see compare --help
 """
 
@@ -96,8 +97,9 @@ def parser() -> argparse.ArgumentParser:
     )
     found.add_argument(
         "--activation",
+        "--nonlinearity",
         metavar="PHI",
-        help="of the networks: relu, tanh or leaky:α (default: what the file states, else relu; --verify: as claimed)",
+        help="of the networks: relu, tanh or leaky:α (default: what the file states, else relu, of torch.nn.RNN tanh; --verify: as claimed)",
     )
     found.add_argument("--steps", action="store_true", help="prove also that all steps up to the largest contract")
     found.add_argument("--dt", type=float, metavar="S", help="step in s, to give time constants in s")

@@ -18,6 +18,7 @@ from certify.networks.shallow import ShallowWeights
 from certify.networks.vector import RELU, VectorNetwork, VectorWeights, check, forward
 from certify.proofs import vector_exact
 from certify.proofs.box_planes import Box, slope_at
+from certify.proofs.rational import matrix
 from certify.training import conditions
 
 FOLDER = Path(__file__).parent / "images"
@@ -191,7 +192,7 @@ def pairs():
         x = forward(VectorNetwork("", net), x, rng.uniform(-1, 1, (40, 1)))
     figure, (axes,) = panes(1, 3.6)
     figure.set_figwidth(6)
-    K = float(vector_exact.rate(net, vector_exact.everywhere(net, RELU), "inf", vector_exact.matrix(T)))
+    K = float(vector_exact.rate(net, vector_exact.everywhere(net, RELU), "inf", matrix(T)))
     axes.plot(np.array(found) / found[0], color=PALE, linewidth=0.8, alpha=0.7)
     axes.plot([], [], color=PALE, label="40 pairs of starts, equal inputs")
     axes.plot(K ** np.arange(25), color=RELU_COLOUR, linewidth=2, label=rf"$\kappa^k$, κ = {K:.4g}")

@@ -13,13 +13,14 @@ import numpy as np
 
 from certify.errors import CertifyError
 from certify.networks.shallow import Network, ShallowWeights
-from certify.networks.vector import VectorNetwork
+from certify.networks.vector import MOST_STATES, VectorNetwork, is_recurrent
 from certify.proofs import exact, vector_certificate, vector_exact
 from certify.proofs.box_planes import Box, value_at
 from certify.proofs.box_proof import proves
 from certify.proofs.equilibria import equilibria, surge_inputs, sweep
+from certify.proofs.rational import Matrix
 from certify.proofs.rounding import float_above, float_below
-from certify.proofs.vector_exact import Matrix
+from certify.search.recurrent import by_full_metric, by_spectral_norm, diagonal_scaling
 from certify.search.vector_scaling import best_scaling
 
 HEADINGS = np.linspace(0.0, 2 * math.pi, 12, endpoint=False)  # rad, of the equilibria at rest
@@ -27,6 +28,8 @@ AT_REST = (-1.0, 1.0)  # interval of x that is searched for equilibria: twice th
 STEPS = "steps"  # the certificate of all steps, beside those of the conditions
 NEARLY = Fraction(99, 100)  # of the largest step: at the largest itself the rate is 1
 SHARE = 0.1  # of the seconds of a search on a box, which the search of a scaling takes
+FULL = 6.0  # times these seconds: the search of a full metric
+MOST_FULL, MOST_QUADRATIC = 64, 256  # states of a recurrent network with a full metric, and with any
 
 
 def assess(
@@ -198,21 +201,28 @@ def _vector_state(
     network: VectorNetwork, seconds: float, solver: str | None, steps: bool
 ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
     weights, phi = network.weights, network.activation
-    rates: dict[str, Fraction | None] = {"gershgorin": None}
+    rates: dict[str, Fraction | None] = {}
     made: dict[str, dict[str, Any] | None] = {}
-    if weights.V is None and phi.name == "relu":
+    statuses, metric = {}, None
+    recurrent = is_recurrent(weights)
+    if recurrent:
+        rates["quadratic"], made["quadratic"] = _quadratic(network, FULL * seconds, solver is not None)
+    elif weights.V is None and phi.name == "relu":
         rates["gershgorin"] = vector_exact.gershgorin(weights)[1]
         made["gershgorin"] = vector_certificate.make(network, "gershgorin")
-    statuses, metric = {}, None
-    if solver is not None:
-        for name in ("lmi", "tight"):
+    if solver is not None and not recurrent:
+        for name in ("lmi", "quadratic"):
             rates[name] = None
-            if name == "tight" or phi.name == "relu":
+            if name == "quadratic" or phi.name == "relu":
                 made[name], statuses[name] = _solved_vector(network, name, solver)
                 if (proved := made[name]) is not None:
                     rates[name] = Fraction(proved["rate"])
                     metric = [[Fraction(x) for x in each] for each in proved["proof"]["metric"]]
-    norm, scaling, exact, _ = best_scaling(weights, phi, SHARE * seconds, metric)
+    if network.states > MOST_STATES:
+        norm, scaling = "one", diagonal_scaling(weights.W)
+        exact = vector_exact.rate(weights, vector_exact.everywhere(weights, phi), norm, scaling)
+    else:
+        norm, scaling, exact, _ = best_scaling(weights, phi, SHARE * seconds, metric)
     rates["exact"] = exact
     made["exact"] = vector_certificate.make(network, "exact", norm=norm, scaling=scaling)
     row: dict[str, Any] = {
@@ -222,6 +232,7 @@ def _vector_state(
         "m": network.inputs,
         "activation": str(phi),
         "hidden_layers": 1 if weights.V is None else 2,
+        "recurrent": recurrent,
         "rates": {name: None if rate is None else float_above(rate) for name, rate in rates.items()},
         "norm": norm,
         "scaling": [[str(x) for x in each] for each in scaling],
@@ -251,6 +262,25 @@ def _solved_vector(network: VectorNetwork, name: str, solver: str) -> tuple[dict
     return made, {**answer, "seconds": found.seconds}
 
 
+def _quadratic(
+    network: VectorNetwork, seconds: float, full: bool
+) -> tuple[Fraction | None, dict[str, Any] | None]:
+    """The rate of a recurrent network in a norm √(hᵀ P h), and its certificate if it is below 1.
+
+    A full P is searched where a diagonal one does not certify, or where it is asked for.
+    """
+    W, found = network.weights.W, None
+    if network.states <= MOST_QUADRATIC:
+        found = by_spectral_norm(W)
+    if network.states <= MOST_FULL and (full or found is None or found.kappa > 1):
+        other = by_full_metric(W, seconds)
+        found = min((each for each in (found, other) if each), key=lambda each: each.kappa, default=None)
+    if found is None:
+        return None, None
+    kappa = max(found.kappa, vector_certificate.SMALLEST_RATE)
+    return found.kappa, vector_certificate.make(network, "quadratic", kappa, found.proof) if kappa <= 1 else None
+
+
 def _all_steps(
     network: VectorNetwork, norm: str, scaling: Matrix
 ) -> tuple[dict[str, str] | None, dict[str, Any] | None]:
@@ -272,16 +302,16 @@ def judged(row: dict[str, Any], certificates: dict[str, dict[str, Any]], conditi
     """The condition that certifies a network: the one asked for, if it holds; None where none does.
 
     Without one asked it is `tight` of one state, where it is the exact rate; of a vector state that of `exact` and
-    `tight` with the smaller rate.
+    `quadratic` with the smaller rate.
 
-    >>> judged({"states": 2}, {"exact": {"contraction_rate": "1/2"}, "tight": {"contraction_rate": "1/3"}}, None)
-    'tight'
+    >>> judged({"states": 2}, {"exact": {"contraction_rate": "1/2"}, "quadratic": {"contraction_rate": "1/3"}}, None)
+    'quadratic'
     """
     if "states" not in row:
         name = "tight" if condition in (None, "exact") else str(condition)
         if name in row["certified"]:
             return name if row["certified"][name] else None
         return name if row["box"]["verdict" if name == "box" else "interval"] == "certified" else None
-    names: Sequence[str] = ("exact", "tight") if condition is None else (condition,)
+    names: Sequence[str] = ("exact", "quadratic") if condition is None else (condition,)
     held = [name for name in names if name in certificates]
     return min(held, key=lambda name: Fraction(certificates[name]["contraction_rate"]), default=None)

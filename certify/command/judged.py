@@ -15,7 +15,7 @@ import numpy as np
 from certify.analysis import assess
 from certify.errors import CertifyError, about
 from certify.networks.shallow import Network
-from certify.networks.vector import VectorNetwork
+from certify.networks.vector import MOST_STATES, VectorNetwork, is_recurrent
 from certify.proofs import certificate, vector_certificate
 from certify.search.box import box, operating_box
 
@@ -58,7 +58,7 @@ def judge(
             with about(each.path):
                 if isinstance(each, VectorNetwork):
                     _refuse_condition(options.condition, each)
-                    solve = options.lmi or options.condition in ("lmi", "tight")
+                    solve = options.lmi or options.condition in ("lmi", "quadratic")
                     more: dict[str, Any] = {"solver": options.solver.upper() if solve else None, "steps": options.steps}
                 else:
                     more = {"u": inputs[each.inputs], "box": boxes.get(each.inputs)}
@@ -77,6 +77,8 @@ def _refuse_options(options: argparse.Namespace, network: VectorNetwork) -> None
             f"--condition: found {options.condition}, which is for networks with one state, and {network.path} is "
             f"another kind: give one of {', '.join(vector_certificate.CONDITIONS)}"
         )
+    if options.steps and network.states > MOST_STATES:
+        raise CertifyError(f"--steps: is for at most {MOST_STATES} states, and {network.path} has {network.states}")
     alone = {"--headings": options.headings, "--input": options.input, "--box": options.box, "--plot": options.plot}
     if wrong := [name for name, value in alone.items() if value not in (None, False)]:
         raise CertifyError(f"{wrong[0]}: is for networks with one state, and {network.path} is another kind")
@@ -84,10 +86,12 @@ def _refuse_options(options: argparse.Namespace, network: VectorNetwork) -> None
 
 def _refuse_condition(condition: str | None, network: VectorNetwork) -> None:
     """Raise where a condition is about other networks: "does not hold" would be misunderstood."""
+    if condition in ("gershgorin", "lmi") and is_recurrent(network.weights):
+        raise CertifyError(f"--condition {condition}: is not for x⁺ = φ(W x + …): try exact or quadratic")
     if condition in ("gershgorin", "lmi") and network.activation.name != "relu":
-        raise CertifyError(f"--condition {condition}: is for relu, found {network.activation}: try exact or tight")
+        raise CertifyError(f"--condition {condition}: is for relu, found {network.activation}: try exact or quadratic")
     if condition == "gershgorin" and network.weights.V is not None:
-        raise CertifyError("--condition gershgorin: is for one hidden layer, found two: try exact or tight")
+        raise CertifyError("--condition gershgorin: is for one hidden layer, found two: try exact or quadratic")
 
 
 def _shown(

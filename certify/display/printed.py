@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from certify.analysis.assess import MOST_FULL
 from certify.errors import folded
 from certify.proofs import vector_certificate
 from certify.proofs.exact import CORNER
@@ -266,7 +267,10 @@ def _vector_summary(rows: Sequence[dict[str, Any]]) -> list[str]:
         f"{len(rows) - held.count(None)} of {len(rows)} with a vector state certified contracting"
         + (f" (by {by})" if by else "") + ", in rational arithmetic"
     ]  # fmt: skip
-    if any(row["judged"] is None and not row["certified"]["exact"] and "solver" not in row for row in rows):
+    open_rows = [row for row in rows if row["judged"] is None and "solver" not in row]
+    if any(row["recurrent"] and row["states"] > MOST_FULL for row in open_rows):
+        lines.append(f"above {MOST_FULL} states diagonal metrics alone are tried: a full one may prove more")
+    if any(not row["recurrent"] and not row["certified"]["exact"] for row in open_rows):
         lines.append("a full metric P may prove more: --lmi searches for it (extra lmi)")
     return lines
 

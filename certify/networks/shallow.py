@@ -306,10 +306,19 @@ def _read_torch(path: Path) -> dict[str, np.ndarray]:
         tensors = tensors["state_dict"]
     if not (isinstance(tensors, Mapping) and all(isinstance(x, torch.Tensor) for x in tensors.values())):
         raise CertifyError(f"{path}: found {type(tensors).__name__}, expected tensors by name: save model.state_dict()")
+    return arrays_of(tensors, str(path))
+
+
+def arrays_of(tensors: Mapping[str, Any], path: str) -> dict[str, np.ndarray]:
+    """Tensors of torch as arrays; those of less than 64 bits exactly as float64, since numpy has no bfloat16.
+
+    Raises:
+        CertifyError: complex weights.
+    """
     if kinds := {str(x.dtype) for x in tensors.values() if x.is_complex()}:
         raise CertifyError(f"{path}: found {', '.join(kinds)}, expected real weights")
-    floats = {name: x.double() if x.is_floating_point() else x for name, x in tensors.items()}  # numpy has no bfloat16
-    return {str(name): x.detach().numpy() for name, x in floats.items()}
+    floats = {name: x.double() if x.is_floating_point() else x for name, x in tensors.items()}
+    return {str(name): x.detach().cpu().numpy() for name, x in floats.items()}
 
 
 def find(paths: Iterable[str | Path]) -> list[Path]:

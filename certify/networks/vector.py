@@ -2,6 +2,7 @@
 
     x⁺ = R x + A φ(y),   y = W x + W₂ u + b                    one hidden layer                        (1)
     x⁺ = R x + A φ(V φ(y) + c)                                 two hidden layers
+    x⁺ = φ(W x + W₂ u + b)                                     recurrent: torch.nn.RNN, A = I and R = 0
 
 x ∈ ℝ^q, such as surge, sway and yaw rate; u ∈ ℝ^m; φ is applied to each component. The paper's network (section
 IV-B) is q = 1, R = 0 and relu, `certify.networks.shallow.ShallowWeights`.
@@ -19,7 +20,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from certify.errors import CertifyError, about, quoted, shortened
+from certify.errors import CertifyError, about, quoted
+from certify.networks.recurrent import of_torch
 from certify.networks.shallow import (
     LARGEST,
     Network,
@@ -33,6 +35,7 @@ from certify.networks.shallow import (
 from certify.networks.shallow import from_tensors as shallow_networks
 
 MOST_STATES = 6  # q; the exact rate takes the 2^q signs of x
+MOST_RECURRENT = 1000  # q of a recurrent network, whose rate needs no signs where T is diagonal
 LARGEST_OF_TWO = 1e100  # largest weight with two hidden layers, where a slope is a product of three weights
 MOST_DIGITS = 60  # of a leak
 
@@ -70,7 +73,7 @@ class Activation(NamedTuple):
         return f"leaky:{self.least}" if self.name == "leaky" else self.name
 
 
-RELU = Activation("relu", Fraction(0))
+RELU, TANH = Activation("relu", Fraction(0)), Activation("tanh", Fraction(0))
 
 
 class VectorNetwork(NamedTuple):
@@ -154,9 +157,21 @@ def check(weights: VectorWeights, name: str = "weights") -> VectorWeights:
             f"{name}: found the shapes {found}, expected R (q, q), A (q, n), W (n, q), W2 (n, m), b (n,) with q and n "
             "of 1 or more; with a second hidden layer V (l, n), c (l,) and A (q, l)"
         )
-    if not 1 <= q <= MOST_STATES:
-        raise CertifyError(f"{name}: found a state of {q} components, expected 1 to {MOST_STATES}")
-    return VectorWeights(**arrays)
+    found = VectorWeights(**arrays)
+    most = MOST_RECURRENT if is_recurrent(found) else MOST_STATES
+    if not 1 <= q <= most:
+        raise CertifyError(f"{name}: found a state of {q} components, expected 1 to {most}")
+    return found
+
+
+def is_recurrent(weights: VectorWeights) -> bool:
+    """Whether x⁺ = φ(W x + W₂ u + b): one hidden layer, A = I and R = 0; of checked weights.
+
+    >>> is_recurrent(check(VectorWeights(None, np.eye(2), np.ones((2, 2)), np.ones((2, 1)), np.zeros(2))))
+    True
+    """
+    A, R = np.asarray(weights.A), np.asarray(weights.R)
+    return weights.V is None and A.shape[-1] == A.shape[-2] and not R.any() and bool((A == np.eye(A.shape[-1])).all())
 
 
 def refuse_large(weights: VectorWeights, name: str = "weights") -> None:
@@ -209,19 +224,24 @@ def digest(weights: VectorWeights) -> str:
 
 
 def from_tensors(
-    tensors: Mapping[str, Any], path: str = "tensors", phi: Activation = RELU, most: float = math.inf
+    tensors: Mapping[str, Any], path: str = "tensors", phi: Activation | None = None, most: float = math.inf
 ) -> list[VectorNetwork]:
     """Every network (1) among named tensors, one batch element after the other; empty where there is none.
 
     Names end in `A`, `W`, `W2`, `b` after a common prefix, with `R` where there is a skip connection, and `V`, `c`
     where there is a second hidden layer. The linear layers of a torch module are accepted, too: two or three, the first
-    with (n, q + m) weights, those of the state first, the last with (q, n) and no bias. There may be `most` networks.
+    with (n, q + m) weights, those of the state first, the last with (q, n) and no bias; and so are those of torch.nn.RNN
+    and RNNCell, beside which linear layers are not read. There may be `most` networks.
+
+    Without φ it is relu, and tanh of torch.nn.RNN, as in torch.
 
     >>> net = {"net.A": [[0.5]], "net.W": [[1.0]], "net.W2": [[0.0]], "net.b": [0.0]}
     >>> from_tensors(net)[0].states
     1
     """
-    found = []
+    recurrent = of_torch(tensors, path)
+    found = [(each.prefix, VectorWeights(None, np.eye(len(each.b)), each.W, each.W2, each.b)) for each in recurrent]
+    phi = phi or (TANH if recurrent else RELU)
     for prefix in [name.removesuffix("W") for name in tensors if re.search(r"(^|\.)W$", name)]:
         if lacking := [prefix + name for name in REQUIRED if prefix + name not in tensors]:
             raise CertifyError(f"{path}: holds {prefix}W but no {', '.join(lacking)}: expected A, W, W2 and b together")
@@ -283,37 +303,8 @@ def read_both(
         if phi not in (None, own):
             raise CertifyError(f"{path}: states the activation {own}, found --activation {phi}: leave it out")
         phi = own
-    phi = phi or RELU
     vectors = from_tensors(tensors, str(path), phi, most)
     shallow = [] if vectors and not holds_shallow(tensors) else shallow_networks(tensors, str(path), most)
-    if phi == RELU and not as_vectors:
+    if phi in (None, RELU) and not as_vectors:
         return shallow, vectors
-    return [], vectors + [VectorNetwork(each.path, of_shallow(each.weights), phi) for each in shallow]
-
-
-def load(path: str | Path, phi: Activation = RELU) -> list[VectorNetwork]:
-    """The networks (1) in a file, as `certify.networks.shallow.load` reads it: no pickled code is run.
-
-    Args:
-        path: of the file.
-        phi: the activation of the networks, which a file does not name.
-
-    Returns:
-        The networks, one for each checkpoint that the file holds.
-
-    Raises:
-        CertifyError: no such file, of another kind, damaged, or without such a network.
-
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     np.savez(f"{folder}/net.npz", A=[[0.5]], W=[[1.0]], W2=[[0.0]], b=[0.0])
-    ...     load(f"{folder}/net.npz")[0].weights.A
-    array([[0.5]])
-    """
-    tensors = read_tensors(path)
-    if found := from_tensors(tensors, str(path), phi):
-        return found
-    raise CertifyError(
-        f"{path}: holds no network with a vector state (it holds: {shortened(', '.join(tensors)) or 'nothing'}): "
-        "expected tensors named A, W, W2 and b, or two or three linear layers"
-    )
+    return [], vectors + [VectorNetwork(each.path, of_shallow(each.weights), phi or RELU) for each in shallow]

@@ -36,7 +36,8 @@ from fractions import Fraction
 from typing import NamedTuple
 
 from certify.networks.vector import Activation, VectorWeights
-from certify.proofs.vector_exact import Matrix, Slopes, everywhere, identity, matrix, rate, row_sums
+from certify.proofs.rational import Matrix, identity, matrix
+from certify.proofs.vector_exact import Slopes, everywhere, rate, row_sums
 
 BITS = 20  # after the point of the step that `short` gives
 

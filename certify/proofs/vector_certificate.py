@@ -1,7 +1,7 @@
 """A certificate about a network with a vector state: the claim, and a proof that rational arithmetic alone can check.
 
     gershgorin, lmi     P and Λ with M(P, Λ) ≻ 0, slopes in [0, 2]: the paper's lemma and its LMI for a vector state
-    tight               P and Λ with M(P, Λ) ≻ 0, the slopes of φ                        (`vector_exact`, 3)
+    quadratic           P and Λ with M(P, Λ) ≻ 0, the slopes of φ    (`vector_exact`, 3; of torch.nn.RNN `recurrent`, 2)
     exact               a norm and a scaling T, in which all activation patterns contract (`vector_exact`, 2)
 
 `exact` names a step η, by default 1. With another one the claim is about f_η(x) = x + η (f(x, u) − x), which is f at η
@@ -15,7 +15,7 @@ from fractions import Fraction
 from typing import Any
 
 from certify.errors import CertifyError, shortened
-from certify.networks.vector import Activation, VectorNetwork, VectorWeights, check, digest
+from certify.networks.vector import Activation, VectorNetwork, VectorWeights, check, digest, is_recurrent
 from certify.proofs import vector_exact
 from certify.proofs.certificate import (
     DIGITS,
@@ -28,12 +28,13 @@ from certify.proofs.certificate import (
     signed,
 )
 from certify.proofs.exact import lemma_is_long
+from certify.proofs.rational import Matrix, identity
 from certify.proofs.rounding import above, below, float_below
 from certify.proofs.steps import stepped
-from certify.proofs.vector_exact import NORMS, Matrix, Proof
+from certify.proofs.vector_exact import NORMS, Proof
 
 FORMAT = "usvlearn vector certificate 1"
-CONDITIONS = ("gershgorin", "lmi", "tight", "exact")
+CONDITIONS = ("gershgorin", "lmi", "quadratic", "exact")
 BY_MATRIX = CONDITIONS[:3]
 OWN_KEYS = KEYS | {"states", "activation"}
 LONGEST_NUMBER = 120  # characters of an entry of P or Λ, or of a step
@@ -58,7 +59,7 @@ def make(
         condition: one of `CONDITIONS`.
         rate: κ at which it is to hold, no unit, at most 1. By default, of `gershgorin` and `exact`, a short decimal
             just above the smallest one; otherwise 1.
-        proof: P and Λ, of `lmi` and `tight` from `certify.search.vector_lmi`; of `gershgorin` they are computed here.
+        proof: P and Λ, of `lmi` and `quadratic` from `certify.search`; of `gershgorin` they are computed here.
         norm: "inf" or "one", of `exact`.
         scaling: T of it, `(q, q)`; the identity by default.
         step: η of `exact`, a number of steps of the network; 1 by default.
@@ -101,7 +102,7 @@ def make(
             "multipliers": [[str(x) for x in each] for each in proof.multipliers],
         }
     else:
-        own = vector_exact.identity(len(weights.R)) if scaling is None else scaling
+        own = identity(len(weights.R)) if scaling is None else scaling
         scaled = [[str(x) for x in row] for row in own]
         parts = {"norm": norm, "scaling": scaled, "step": str(Fraction(1) if step is None else step)}
     if not _short(parts):
@@ -149,7 +150,7 @@ def _refusal(content: dict[str, Any], network: VectorNetwork) -> str | None:
     weights, phi = network.weights, network.activation
     condition: Any = content.get("condition")
     if condition == "box":
-        return "it is about a box of a vector state, which is proved no more: make it again, by exact or tight"
+        return "it is about a box of a vector state, which is proved no more: make it again, by exact or quadratic"
     expected = {"metric", "multipliers"} if condition in BY_MATRIX else {"norm", "scaling", "step"}
     if reason := frame_refusal(content, FORMAT, OWN_KEYS, CONDITIONS, expected, digest(weights)):
         return reason
@@ -162,12 +163,12 @@ def _refusal(content: dict[str, Any], network: VectorNetwork) -> str | None:
         return reason
     if condition in BY_MATRIX:
         found = Proof(_matrix(proof["metric"]), _matrix(proof["multipliers"]))
-        if condition != "tight" and (phi.name != "relu" or (condition == "gershgorin" and weights.V is not None)):
+        if condition != "quadratic" and (phi.name != "relu" or (condition == "gershgorin" and weights.V is not None)):
             return f"its condition {condition} is about another kind of network"
         long = condition == "gershgorin" and lemma_is_long(weights.W)
         if long or vector_exact.effort(weights) > vector_exact.WORK:
             return f"the network is too large: the check would take longer than {LONGEST_CHECK}"
-        most = phi.most if condition == "tight" else Fraction(2)
+        most = phi.most if condition == "quadratic" else Fraction(2)
         if not vector_exact.proves(weights, phi, found, kappa, most):
             return "its P and Λ do not make M positive definite, or take too long to check"
         if condition == "gershgorin" and not _below(vector_exact.gershgorin(weights)[1], kappa):
@@ -200,6 +201,8 @@ def _claims(
     where, how, what = "for all x₁, x₂ and u", "", "f(x₁, u) − f(x₂, u)"
     if condition in BY_MATRIX:
         norm, how = "|{}|_P", "M(P, Λ) is positive definite: LDLᵀ in rational arithmetic"
+        if condition == "quadratic" and is_recurrent(weights):
+            how = "M(P, Λ) is positive definite: a congruence that is diagonally dominant, in integers"
     else:
         norm = "‖T ({})‖" + ("_∞" if proof["norm"] == "inf" else "₁")
         how = "the largest norm over all activation patterns, in rational arithmetic"

@@ -31,16 +31,25 @@ import itertools
 import math
 from collections.abc import Sequence
 from fractions import Fraction
-from typing import Any, NamedTuple
-
-import numpy as np
+from typing import NamedTuple
 
 from certify.errors import CertifyError
-from certify.networks.vector import Activation, VectorWeights
+from certify.networks.vector import Activation, VectorWeights, is_recurrent
+from certify.proofs import recurrent
 from certify.proofs.exact import definiteness, pairwise_sum, power_below
+from certify.proofs.rational import (
+    ONE,
+    ZERO,
+    Matrix,
+    diagonal,
+    identity,
+    inverse,
+    matrix,
+    over_one_denominator,
+    product,
+    transposed,
+)
 
-ZERO, ONE = Fraction(0), Fraction(1)
-Matrix = list[list[Fraction]]
 Slopes = Sequence[tuple[Fraction, Fraction]]  # the least and the greatest slope of each neuron of a layer
 NORMS = ("inf", "one")
 WORK = 5e9  # of LDLᵀ, in about ns: a proof from elsewhere may have numbers of any length
@@ -51,53 +60,6 @@ class Proof(NamedTuple):
 
     metric: Matrix  # (q, q)
     multipliers: list[list[Fraction]]  # the diagonals of Λ₀ and, with two hidden layers, of Λ₁
-
-
-def matrix(values: Any) -> Matrix:
-    """The exact values of a matrix of floats, or of fractions: a list of rows, see `certify.proofs.steps.stepped`.
-
-    >>> matrix([[0.5, 1.0]]), matrix([[Fraction(1, 3)]])
-    ([[Fraction(1, 2), Fraction(1, 1)]], [[Fraction(1, 3)]])
-    """
-    if isinstance(values, list) and any(isinstance(x, Fraction) for row in values for x in row):
-        return [[Fraction(x) for x in row] for row in values]
-    return [[Fraction(*x.as_integer_ratio()) for x in row] for row in np.asarray(values, dtype=np.float64).tolist()]
-
-
-def identity(q: int) -> Matrix:
-    return [[Fraction(i == j) for j in range(q)] for i in range(q)]
-
-
-def product(X: Matrix, Y: Matrix) -> Matrix:
-    """X Y."""
-    columns = list(zip(*Y, strict=True))
-    return [
-        [sum((x * y for x, y in zip(row, column, strict=True) if x and y), ZERO) for column in columns] for row in X
-    ]
-
-
-def transposed(X: Matrix) -> Matrix:
-    return [list(column) for column in zip(*X, strict=True)]
-
-
-def inverse(X: Matrix) -> Matrix | None:
-    """X⁻¹ by Gauss and Jordan; None of a singular matrix.
-
-    >>> inverse([[Fraction(2), ONE], [ZERO, ONE]])
-    [[Fraction(1, 2), Fraction(-1, 2)], [Fraction(0, 1), Fraction(1, 1)]]
-    """
-    q = len(X)
-    rows = [[*row, *unit] for row, unit in zip(X, identity(q), strict=True)]
-    for k in range(q):
-        pivot = next((i for i in range(k, q) if rows[i][k]), None)
-        if pivot is None:
-            return None
-        rows[k], rows[pivot] = rows[pivot], rows[k]
-        rows[k] = [x / rows[k][k] for x in rows[k]]
-        for i in range(q):
-            if i != k and (factor := rows[i][k]):
-                rows[i] = [x - factor * y for x, y in zip(rows[i], rows[k], strict=True)]
-    return [row[q:] for row in rows]
 
 
 def everywhere(weights: VectorWeights, phi: Activation) -> list[Slopes]:
@@ -138,11 +100,16 @@ def rate(
     Raises:
         CertifyError: T is singular.
 
+    >>> import numpy as np
     >>> from certify.networks.vector import RELU, check
     >>> net = check(VectorWeights(None, [[0.5, -1.0]], [[1.0], [0.75]], np.zeros((2, 0)), [0.0, 0.0]))
     >>> rate(net, everywhere(net, RELU))
     Fraction(3, 4)
     """
+    t = diagonal(identity(len(weights.W[0])) if scaling is None else scaling)
+    if is_recurrent(weights) and t is not None:
+        [(_, most), *_], *_ = slopes
+        return most * recurrent.diagonal_rate(matrix(weights.W), norm, t)
     return max(value for _, values in row_sums(weights, slopes, norm, scaling) for value in values)
 
 
@@ -182,12 +149,6 @@ def row_sums(
 
 def _signed(row: Sequence[int], signs: Sequence[int]) -> list[int]:
     return [x if sign > 0 else -x for x, sign in zip(row, signs, strict=True)]
-
-
-def over_one_denominator(X: Matrix) -> tuple[list[list[int]], int]:
-    """A matrix as integers and one denominator."""
-    below = math.lcm(*(x.denominator for row in X for x in row)) if X else 1
-    return [[x.numerator * (below // x.denominator) for x in row] for row in X], below
 
 
 def gershgorin(weights: VectorWeights) -> tuple[Fraction, Fraction | None]:
@@ -299,6 +260,8 @@ def effort(weights: VectorWeights, scaling: Matrix | None = None) -> float:
     (1350.0, True)
     """
     q, n, last = len(weights.R), len(weights.b), 0 if weights.c is None else len(weights.c)
+    if is_recurrent(weights) and scaling is not None and (t := diagonal(scaling)) is not None:
+        return recurrent.effort(weights.W, [x for each in t for x in (each, 1 / each)]) / q
     if scaling is None:
         return 150.0 * (2 * q + n + last) ** 2
     back = inverse(scaling)
@@ -338,4 +301,9 @@ def proves(
         return False
     if [len(each) for each in proof.multipliers] != sizes or not all(x > 0 for each in proof.multipliers for x in each):
         return False
+    if is_recurrent(weights) and (phi.most if most is None else most) <= 1:
+        numbers = [kappa * kappa, *itertools.chain(*P, *proof.multipliers)]
+        return recurrent.effort(weights.W, numbers) <= WORK and recurrent.proves(
+            weights.W, P, proof.multipliers[0], kappa
+        )
     return definiteness(inequality(weights, phi, proof, kappa, most), WORK) == 1

@@ -26,7 +26,8 @@ from typing import NamedTuple
 import numpy as np
 
 from certify.networks.vector import RELU, Activation, VectorWeights, check
-from certify.proofs.vector_exact import NORMS, Matrix, everywhere, identity, inverse, rate
+from certify.proofs.rational import Matrix, identity, inverse
+from certify.proofs.vector_exact import NORMS, everywhere, rate
 
 QUIET = np.errstate(all="ignore")  # weights near the ends of a float's range; what is claimed is computed in fractions
 STEPS = 60  # linear programs from one start

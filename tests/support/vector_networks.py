@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 
 from certify.networks.vector import RELU, VectorNetwork, VectorWeights, check
-from certify.proofs.vector_exact import Matrix, inverse
+from certify.proofs.rational import Matrix, inverse
 
 
 def draw(rng: np.random.Generator, q: int, n: int, second: int = 0, inputs: int = 2) -> VectorWeights:

@@ -27,23 +27,24 @@ from certify.proofs import vector_certificate as certificates
 from certify.proofs import vector_exact
 from certify.proofs.certificate import _checksum, described, read, write
 from certify.proofs.exact import conditions, multipliers
-from certify.proofs.vector_exact import Proof, identity
+from certify.proofs.rational import identity
+from certify.proofs.vector_exact import Proof
 from certify.search.vector_lmi import smallest_rate
-from certify.training.conditions import tight
+from certify.training.conditions import quadratic
 from tests.support import few
 from tests.support.vector_networks import network
 
 
 def made(condition: str, net: VectorNetwork) -> dict:
     proof = None
-    if condition in ("lmi", "tight"):
+    if condition in ("lmi", "quadratic"):
         proof = smallest_rate(net.weights, net.activation, 2 if condition == "lmi" else 1).proof
     found = certificates.make(net, condition, proof=proof)
     assert found is not None
     return found
 
 
-CASES = list(itertools.product(("gershgorin", "lmi", "tight", "exact"), ("relu", "leaky:0.1", "tanh"), (False, True)))
+CASES = list(itertools.product(("gershgorin", "lmi", "quadratic", "exact"), ("relu", "leaky:0.1", "tanh"), (False, True)))
 
 
 @pytest.mark.parametrize(("condition", "phi", "two"), few(CASES, [*CASES[::5], *CASES[3::5]], "thorough"))
@@ -53,7 +54,7 @@ def test_a_certificate_is_valid_for_its_network_alone(condition, phi, two, tmp_p
     if condition == "gershgorin" and not two:
         small = 0.2 * rng.uniform(-1, 1, (4, 2))
         net = net._replace(weights=net.weights._replace(W=small))
-    if condition != "exact" and condition != "tight" and (phi != "relu" or (two and condition == "gershgorin")):
+    if condition != "exact" and condition != "quadratic" and (phi != "relu" or (two and condition == "gershgorin")):
         assert certificates.make(net, condition) is None
         return
     path = write(tmp_path / "made.json", made(condition, net))
@@ -95,7 +96,7 @@ def test_a_singular_scaling_is_refused():
     assert not certificates.verify(good, net).valid
 
 
-@pytest.mark.parametrize("condition", ["gershgorin", "tight", "exact"])
+@pytest.mark.parametrize("condition", ["gershgorin", "quadratic", "exact"])
 def test_a_changed_proof_with_a_right_checksum_is_refused_or_still_true(condition):
     """A forger may compute the checksum anew: every entry of the proof is changed in turn."""
     rng = np.random.default_rng(1)
@@ -149,13 +150,13 @@ def test_the_effort_of_verification_is_bounded(q, n, two):
 
     metric = [[number() if i == j else "0" for j in range(q)] for i in range(q)]
     parts = {"metric": metric, "multipliers": [[number() for _ in range(n)] for _ in range(1 + two)]}
-    claims = certificates._claims(net.weights, net.activation, "tight", Fraction(1), parts)
+    claims = certificates._claims(net.weights, net.activation, "quadratic", Fraction(1), parts)
     began = time.process_time()
     certificates.verify(described(claims, parts, "net.npz"), net)
     assert time.process_time() - began < 30  # about 5 s on an idle machine
 
 
-@pytest.mark.parametrize("condition", ["exact", "tight"])
+@pytest.mark.parametrize("condition", ["exact", "quadratic"])
 def test_a_check_that_would_take_long_is_refused_before(condition):
     """T with numbers as long as they may be, and thousands of neurons."""
     rng, q, n = np.random.default_rng(2), 6, 6000
@@ -163,7 +164,7 @@ def test_a_check_that_would_take_long_is_refused_before(condition):
     draw = iter(int(x) for x in rng.integers(10**17, 10**18, 100))
     T = [[f"{next(draw)}1/{next(draw)}7" for _ in range(q)] for _ in range(q)]
     parts = {"norm": "inf", "scaling": T, "step": "1"}
-    if condition == "tight":
+    if condition == "quadratic":
         parts = {"metric": [[str(int(i == j)) for j in range(q)] for i in range(q)], "multipliers": [["1"] * n]}
     claims = certificates._claims(net.weights, net.activation, condition, Fraction(1), parts)
     began = time.process_time()
@@ -171,7 +172,7 @@ def test_a_check_that_would_take_long_is_refused_before(condition):
     assert not found.valid and "would take longer than about 5 s" in found.reason
     assert time.process_time() - began < 5
     small = network(np.random.default_rng(2), q, 40)  # with a T as long, but a smaller network
-    if condition != "tight":
+    if condition != "quadratic":
         claims = certificates._claims(small.weights, small.activation, condition, Fraction(1), parts)
         assert "longer" not in certificates.verify(described(claims, parts, "net.npz"), small).reason
 
@@ -208,11 +209,11 @@ def test_one_state_is_a_special_case():
         a, w1 = rng.normal(size=(2, n)) * rng.uniform(0.05, 1)
         shallow = ShallowWeights(a, w1, rng.normal(size=(n, 2)), rng.normal(size=n))
         found, weights = conditions(a, w1), of_shallow(shallow)
-        assert vector_exact.rate(weights, vector_exact.everywhere(weights, RELU)) == found["tight"].rate
+        assert vector_exact.rate(weights, vector_exact.everywhere(weights, RELU)) == found["quadratic"].rate
         margin, smallest = vector_exact.gershgorin(weights)
         assert smallest == found["gershgorin"].rate and (margin > 0) == (found["gershgorin"].margin > 0)
-        kappa = found["tight"].rate * Fraction(101, 100)
-        proof = multipliers("tight", a, w1, kappa)
+        kappa = found["quadratic"].rate * Fraction(101, 100)
+        proof = multipliers("quadratic", a, w1, kappa)
         lam = [x * kappa * kappa for x in proof.multipliers]  # there a/κ, here κ² P
         assert vector_exact.proves(weights, RELU, Proof([[Fraction(1)]], [lam]), kappa)
 
@@ -225,7 +226,7 @@ def test_leaky_relu_with_a_skip_connection_has_the_closed_form_for_one_state():
         weights = check(VectorWeights([[skip]], a[None], w1[:, None], np.zeros((n, 0)), np.zeros(n)))
         phi = Activation("leaky", Fraction(leak))
         exact = vector_exact.rate(weights, vector_exact.everywhere(weights, phi))
-        assert tight(torch.tensor(a), torch.tensor(w1), skip, leak).rate.item() == pytest.approx(
+        assert quadratic(torch.tensor(a), torch.tensor(w1), skip, leak).rate.item() == pytest.approx(
             float(exact), rel=1e-12
         )
 
@@ -250,8 +251,8 @@ def test_what_a_solver_finds_is_certified():
     pytest.importorskip("cvxpy", reason="needs the extra lmi")
     weights = check(VectorWeights(None, [[0.3, 0.2], [-0.1, 0.4]], np.eye(2), np.zeros((2, 1)), np.zeros(2)))
     row, made = assess(VectorNetwork("a.npz", weights), solver="CLARABEL")
-    assert {"lmi", "tight"} <= made.keys() and row["rates"]["tight"] <= row["rates"]["lmi"] < 1
-    assert all(certificates.verify(made[name], VectorNetwork("a.npz", weights)).valid for name in ("lmi", "tight"))
+    assert {"lmi", "quadratic"} <= made.keys() and row["rates"]["quadratic"] <= row["rates"]["lmi"] < 1
+    assert all(certificates.verify(made[name], VectorNetwork("a.npz", weights)).valid for name in ("lmi", "quadratic"))
 
 
 @pytest.mark.parametrize(("condition", "w"), [("gershgorin", 0.5), ("lmi", 1.0)])

@@ -1,0 +1,41 @@
+"""What `certify.certify` finds about a module of torch in memory."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from certify.analysis.assess import assess, judged
+from certify.errors import CertifyError, quoted
+from certify.networks.recurrent import of_torch
+from certify.networks.shallow import arrays_of
+from certify.networks.vector import activation, from_tensors
+
+
+class Certified(NamedTuple):
+    """The verdict on one recurrent network."""
+
+    contracting: bool  # proved; False says only that no proof was found
+    condition: str | None  # by which it is proved: exact or quadratic
+    rate: float | None  # the smallest one that is proved, per step, rounded up; None where none is below 1
+    certificate: dict[str, Any] | None  # for `certify.proofs.certificate.write`
+    found: dict[str, Any]  # all else that `certify.analysis.assess.assess` finds
+
+
+def judge(module: Any, nonlinearity: str | None, seconds: float, full: bool) -> Certified:
+    """See `certify.certify`."""
+    kind = type(module).__name__
+    if not hasattr(module, "state_dict"):
+        raise CertifyError(f"module: found {quoted(kind)}, expected a torch.nn.RNN, an RNNCell or a module with one")
+    tensors = arrays_of(module.state_dict(), kind)
+    found = of_torch(tensors, kind)
+    if len(found) != 1:
+        raise CertifyError(f"{kind}: found {len(found)} networks of torch.nn.RNN or RNNCell in it, expected one")
+    stated = getattr(module.get_submodule(found[0].prefix), "nonlinearity", nonlinearity)
+    if stated is None or nonlinearity not in (None, stated):
+        raise CertifyError(
+            f"nonlinearity: found {quoted(nonlinearity)}, and the module has {quoted(stated)}: give the module's"
+        )
+    (network,) = from_tensors(tensors, kind, activation(stated))
+    row, made = assess(network._replace(path=""), seconds=seconds, solver="" if full else None)
+    condition = judged(row, made, None)
+    return Certified(condition is not None, condition, row["rate"], made.get(condition or ""), row)

@@ -1,0 +1,124 @@
+"""The contraction of h⁺ = φ(W h + W₂ u + b), slopes of φ in [0, 1], in integers: floats are integers over powers of two.
+
+For equal inputs Δh⁺ = D W Δh with a diagonal 0 ≼ D ≼ I. The inputs, W₂ and b do not matter. In a norm ‖T h‖_∞ or
+‖T h‖₁ with a diagonal T, D commutes with T, so that the rate over all D is exact without any enumeration:
+
+    K_∞ = max_r Σ_k t_r |W_rk| / t_k,    K₁ = max_k Σ_r t_r |W_rk| / t_k                                     (1)
+
+In the norm √(hᵀ P h) it is at most κ if, with a diagonal Λ ≻ 0 (y = Δh⁺ satisfies Σ λ_i y_i (z_i − y_i) ≥ 0, z = W Δh),
+
+    [ κ² P    −WᵀΛ   ]
+    [ −ΛW     2Λ − P ]  ≻ 0                                                                                  (2)
+
+With a diagonal P the best Λ is P, since λ²/(2λ − p) ≥ p. Then (2) is κ² P − WᵀPW ≻ 0: a scaled spectral norm.
+
+Proof of M ≻ 0: some X near the inverse of the Cholesky factor of M makes X M Xᵀ, an exact integer matrix, strictly
+dominated by its diagonal. So X M Xᵀ ≻ 0, hence X is regular, and M ≻ 0. The floats that propose X prove nothing. The
+numbers do not grow, as they do in LDLᵀ: 64 states take a second.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from certify.proofs.rational import Matrix, over_one_denominator
+
+BITS = 53  # of the entries of X
+
+
+def diagonal_rate(W: Matrix, norm: str, scaling: Sequence[Fraction]) -> Fraction:
+    """(1) for the diagonal of T.
+
+    Args:
+        W: `(n, n)`, exact.
+        norm: "inf" or "one".
+        scaling: the diagonal of T, `(n,)`.
+
+    Raises:
+        ZeroDivisionError: T is singular.
+
+    >>> W = [[Fraction(1, 2), Fraction(-1)], [Fraction(0), Fraction(1, 2)]]
+    >>> diagonal_rate(W, "inf", [Fraction(1)] * 2), diagonal_rate(W, "inf", [Fraction(1, 4), Fraction(1)])
+    (Fraction(3, 2), Fraction(3, 4))
+    """
+    columns, weights = (W, [1 / t for t in scaling]) if norm == "inf" else (zip(*W, strict=True), scaling)
+    (whole,), _ = over_one_denominator([list(map(abs, weights))])
+    found, unit = over_one_denominator([list(map(abs, column)) for column in columns])
+    return max(Fraction(sum(map(int.__mul__, row, whole)), unit * own) for row, own in zip(found, whole, strict=True))
+
+
+def proves(W: ArrayLike, metric: Matrix, multipliers: Sequence[Fraction], kappa: Fraction) -> bool:
+    """Whether P and Λ prove the rate κ by (2). False says nothing about others.
+
+    Args:
+        W: `(n, n)` floats.
+        metric: P, `(n, n)`, symmetric.
+        multipliers: the diagonal of Λ, `(n,)`.
+        kappa: above 0.
+
+    >>> one, zero = Fraction(1), Fraction(0)
+    >>> proves([[0.0, 0.5], [0.5, 0.0]], [[one, zero], [zero, one]], [one, one], Fraction(51, 100))
+    True
+    """
+    n, (V, unit) = len(metric), _whole(W)
+    rows, below = over_one_denominator([*metric, list(multipliers)])
+    P, lam = np.array(rows[:-1], dtype=object), np.array(rows[-1], dtype=object)
+    square, share = (kappa * kappa).as_integer_ratio()
+    if (P == np.diag(lam)).all():
+        return positive_definite(square * unit**2 * P - share * (V.T @ (lam[:, None] * V)))
+    M = np.zeros((2 * n, 2 * n), dtype=object)
+    M[:n, :n], M[n:, n:] = square * unit * P, share * unit * (2 * np.diag(lam) - P)
+    M[n:, :n] = -share * lam[:, None] * V
+    M[:n, n:] = M[n:, :n].T
+    return positive_definite(M)
+
+
+def positive_definite(M: np.ndarray) -> bool:
+    """Whether a symmetric matrix of integers is proved positive definite; False says nothing.
+
+    >>> positive_definite(np.array([[2, 1], [1, 2]], dtype=object))
+    True
+    """
+    n, diagonal = len(M), np.diag(M).tolist()
+    if min(diagonal) <= 0:
+        return False
+    half = [x.bit_length() // 2 for x in diagonal]
+    try:
+        near = np.array([[M[i, j] / (1 << (half[i] + half[j])) for j in range(n)] for i in range(n)])
+        X = np.linalg.inv(np.linalg.cholesky(near))
+        largest = max(half)
+        whole = [[int(x * 2.0**BITS) << (largest - shift) for x, shift in zip(row, half, strict=True)] for row in X]
+    except (np.linalg.LinAlgError, OverflowError, ValueError):
+        return False
+    Y = np.array(whole, dtype=object)
+    Y = Y @ M @ Y.T
+    return all(2 * Y[i, i] > sum(map(abs, Y[i])) for i in range(n))
+
+
+def effort(W: ArrayLike, numbers: Sequence[Fraction]) -> float:
+    """About how many ns a check takes, told before it from the sizes of W and of the numbers of a proof.
+
+    >>> effort(np.eye(2), [Fraction(1)]) < 1e5 < effort(np.eye(64), [Fraction(1)]) < 5e9
+    True
+    """
+    bits, below = 0, 1
+    for x in numbers:
+        bits = max(bits, x.numerator.bit_length())
+        if below % x.denominator:
+            below = below * x.denominator
+        if below.bit_length() > 2**14:  # hostile: numbers of one proof have one short denominator
+            return float("inf")
+    V, unit = _whole(W)
+    bits += 3 * below.bit_length() + unit.bit_length() + max((abs(x).bit_length() for x in V.flat), default=0)
+    return 16.0 * len(V) ** 3 * (80 + bits**2 / 4000)
+
+
+def _whole(W: ArrayLike) -> tuple[np.ndarray, int]:
+    """Integers and their common denominator, a power of two."""
+    ratios = [x.as_integer_ratio() for x in np.asarray(W, dtype=np.float64).ravel().tolist()]
+    unit = max(below for _, below in ratios)
+    return np.array([above * (unit // below) for above, below in ratios], dtype=object).reshape(np.shape(W)), unit
