@@ -204,10 +204,10 @@ def followed(n: int, rng: np.random.Generator) -> dict[str, Work]:
     a, w1 = torch.tensor(weights.a), torch.tensor(weights.w1)
     a *= 0.9 / float(conditions.rate(a, w1))
     return {
-        "closed_tight": partial(conditions.tight, a, w1),
+        "closed_tight": partial(conditions.exact, a, w1),
         "exact_rate": partial(exact.extreme_slopes, a.numpy(), weights.w1),
         "proof": lambda: exact.proves(
-            "tight", a.numpy(), weights.w1, exact.multipliers("tight", a.numpy(), weights.w1)
+            "exact", a.numpy(), weights.w1, exact.multipliers("exact", a.numpy(), weights.w1)
         ),
         "box": partial(box.rate, initial, box.operating_box(4)),
     }

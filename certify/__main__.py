@@ -81,7 +81,7 @@ def parser() -> argparse.ArgumentParser:
         "python -m certify", description=__doc__, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     found.add_argument("paths", nargs="*", metavar="PATH", help="checkpoints, folders of runs, patterns")
-    found.add_argument("--condition", choices=EVERY_CONDITION, help="what is judged (default: tight)")
+    found.add_argument("--condition", choices=EVERY_CONDITION, help="what is judged (default: exact)")
     found.add_argument("--lmi", action="store_true", help="solve both linear matrix inequalities too (extra lmi)")
     found.add_argument("--solver", default="CLARABEL", help="of --lmi, a name that cvxpy knows (default: CLARABEL)")
     found.add_argument(
@@ -99,7 +99,8 @@ def parser() -> argparse.ArgumentParser:
         "--activation",
         "--nonlinearity",
         metavar="PHI",
-        help="of the networks: relu, tanh or leaky:α (default: what the file states, else relu, of torch.nn.RNN tanh; --verify: as claimed)",
+        help="of the networks: relu, tanh or leaky:α (default: what the file states, else relu, tanh of torch.nn.RNN; "
+        "--verify: as claimed)",
     )
     found.add_argument("--steps", action="store_true", help="prove also that all steps up to the largest contract")
     found.add_argument("--dt", type=float, metavar="S", help="step in s, to give time constants in s")

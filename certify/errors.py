@@ -56,8 +56,8 @@ def about(path: str) -> Iterator[None]:
 def quoted(value: object) -> str:
     """At most 80 characters of a value, for a message: a value from a file can have any length.
 
-    >>> quoted("tight"), len(quoted("x" * 1000))
-    ("'tight'", 80)
+    >>> quoted("exact"), len(quoted("x" * 1000))
+    ("'exact'", 80)
     """
     return shortened(repr(value))
 

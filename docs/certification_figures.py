@@ -22,7 +22,7 @@ from certify.proofs.rational import matrix
 from certify.training import conditions
 
 FOLDER = Path(__file__).parent / "images"
-RELU_COLOUR, OTHER, WARM = TIER_COLOURS["tight"], TIER_COLOURS["box"], TIER_COLOURS["gershgorin"]
+RELU_COLOUR, OTHER, WARM = TIER_COLOURS["exact"], TIER_COLOURS["box"], TIER_COLOURS["gershgorin"]
 
 
 def panes(count: int, height: float = 3.4, **options):
@@ -70,7 +70,7 @@ def tiers():
     grid = torch.stack(torch.meshgrid(s, s, indexing="xy"), -1)  # a w₁ of two neurons, as w₁ = 1
     one = torch.ones_like(grid)
     found = {
-        "tight": conditions.tight(grid, one), "lmi": conditions.lmi(grid, one),
+        "exact": conditions.exact(grid, one), "lmi": conditions.lmi(grid, one),
         "gershgorin": conditions.gershgorin_best_gauge(grid, one), "simple": conditions.simple_best_gauge(grid, one),
     }  # fmt: skip
     a = torch.linspace(0.005, 3, 600, dtype=torch.float64)

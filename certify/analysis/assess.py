@@ -57,7 +57,7 @@ def assess(
         What is found; and of a vector state a verified certificate of each condition that holds.
 
     >>> found, _ = assess(Network("a.npz", ShallowWeights(*map(np.array, ([0.5], [1.0], [[0.0]], [0.25])))))
-    >>> found["rate"], found["certified"]["tight"], found["equilibria"][0]["x"]
+    >>> found["rate"], found["certified"]["exact"], found["equilibria"][0]["x"]
     (0.5, True, 0.25)
     >>> from certify.networks.vector import VectorWeights, check
     >>> turn = VectorWeights(None, [[0.0, 0.5], [-0.5, 0.0]], np.eye(2), np.zeros((2, 1)), np.zeros(2))
@@ -166,7 +166,7 @@ def _point(witness) -> dict[str, Any] | None:
 def solved(weights: ShallowWeights, solver: str = "CLARABEL") -> dict[str, Any]:
     """What a solver says of both matrices' LMI; problems are compiled once per size."""
     found: dict[str, Any] = {"solver": solver}
-    for condition in ("lmi", "tight"):
+    for condition in ("lmi", "exact"):
         problem = _problem(len(weights.a), condition, solver)
         try:
             solution = problem.solve(weights.a, weights.w1)
@@ -262,9 +262,7 @@ def _solved_vector(network: VectorNetwork, name: str, solver: str) -> tuple[dict
     return made, {**answer, "seconds": found.seconds}
 
 
-def _quadratic(
-    network: VectorNetwork, seconds: float, full: bool
-) -> tuple[Fraction | None, dict[str, Any] | None]:
+def _quadratic(network: VectorNetwork, seconds: float, full: bool) -> tuple[Fraction | None, dict[str, Any] | None]:
     """The rate of a recurrent network in a norm √(hᵀ P h), and its certificate if it is below 1.
 
     A full P is searched where a diagonal one does not certify, or where it is asked for.
@@ -301,14 +299,14 @@ def _all_steps(
 def judged(row: dict[str, Any], certificates: dict[str, dict[str, Any]], condition: str | None) -> str | None:
     """The condition that certifies a network: the one asked for, if it holds; None where none does.
 
-    Without one asked it is `tight` of one state, where it is the exact rate; of a vector state that of `exact` and
+    Without one asked it is `exact`, and of a vector state that of `exact` and
     `quadratic` with the smaller rate.
 
     >>> judged({"states": 2}, {"exact": {"contraction_rate": "1/2"}, "quadratic": {"contraction_rate": "1/3"}}, None)
     'quadratic'
     """
     if "states" not in row:
-        name = "tight" if condition in (None, "exact") else str(condition)
+        name = "exact" if condition in (None, "quadratic") else str(condition)
         if name in row["certified"]:
             return name if row["certified"][name] else None
         return name if row["box"]["verdict" if name == "box" else "interval"] == "certified" else None

@@ -80,15 +80,15 @@ def table(families: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[dict[str,
         for condition in CONDITIONS:
             held = [row for row in rows if row["certified"][condition]]
             ends = binomtest(len(held), len(rows)).proportion_ci(method="wilson") if name == RANDOM else None
-            rates = [row["rates"] for row in rows if row["rates"]["tight"]]
-            over = [math.inf if each[condition] is None else each[condition] / each["tight"] for each in rates]
+            rates = [row["rates"] for row in rows if row["rates"]["exact"]]
+            over = [math.inf if each[condition] is None else each[condition] / each["exact"] for each in rates]
             middle = statistics.median_low(over) if over else math.inf
             solved = [row for row in rows if condition in row.get("solved", {})]
             made.append({
                 "networks": name, "condition": condition, "certified": len(held), "of": len(rows),
                 "interval": None if ends is None else [ends.low, ends.high],
                 "over_K": middle if math.isfinite(middle) else None,
-                "largest": max((row["rates"]["box" if condition == "box" else "tight"] for row in held), default=None),
+                "largest": max((row["rates"]["box" if condition == "box" else "exact"] for row in held), default=None),
                 "disagreements": sum(
                     (row["solved"][condition] == "certified") != row["certified"][condition] for row in solved
                 ) if solved else None,

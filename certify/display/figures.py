@@ -32,7 +32,7 @@ MARKS = {
     "continuum": Mark("#F0E442", "o", "full"),
 }
 TIER_COLOURS = {
-    "simple": "#D55E00", "gershgorin": "#E69F00", "lmi": "#CC79A7", "tight": "#0072B2", "interval": "#56B4E9",
+    "simple": "#D55E00", "gershgorin": "#E69F00", "lmi": "#CC79A7", "exact": "#0072B2", "interval": "#56B4E9",
     "box": "#009E73",
 }  # fmt: skip
 INK, PALE = "#222222", "#8A8A8A"

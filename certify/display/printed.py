@@ -46,7 +46,7 @@ def show(rows: Sequence[dict[str, Any]], condition: str | None, notes: Sequence[
     console, lines = _console(), []
     if one := [row for row in rows if "states" not in row]:
         _print(console, *_table(one, dt))
-        lines += _summary(one, "tight" if condition in (None, "exact") else condition)
+        lines += _summary(one, "exact" if condition in (None, "quadratic") else condition)
     if vectors := [row for row in rows if "states" in row]:
         _print(console, *_vector_table(vectors, dt))
         lines += _vector_summary(vectors)
@@ -114,7 +114,7 @@ def _table(
     marks = ", ".join(f"{mark} {word}" for word, (mark, _) in MARKS.items() if word != "not certified")
     title = f"Below {shared}: margins, > 0 where a condition holds, and rates" + f"; {marks}" * (solved or boxed)
     headings = ["checkpoint", "n", *MARGINS, "rate K", "τ, steps" if dt is None else "τ, s"]
-    headings += ["LMI lmi, tight"] * solved + ["on the box"] * boxed + ["equilibria"]
+    headings += ["LMI lmi, exact"] * solved + ["on the box"] * boxed + ["equilibria"]
     found: list[list[str | Text]] = []
     for row, path in zip(rows, paths, strict=True):
         margins = [
@@ -170,7 +170,7 @@ def _places(equilibria: Sequence[dict[str, Any]]) -> str:
 
 def _lmi(found: dict[str, Any]) -> Text:
     marks = Text()
-    for condition in ("lmi", "tight"):
+    for condition in ("lmi", "exact"):
         rate = found[condition]["rate"]
         marks.append(_mark(found[condition]["verdict"])).append(" –  " if rate is None else f" {rate:.4g}  ")
     return marks

@@ -64,5 +64,7 @@ def _module(prefix: str, given: dict[str, Any], label: str) -> Recurrent:
     biases = [parts[name] for name in ("bias_ih", "bias_hh") if name in parts]
     if not n or W.shape != (n, n) or W2.shape != (n, *W2.shape[1:2]) or any(b.shape != (n,) for b in biases):
         shapes = ", ".join(f"{name} {x.shape}" for name, x in parts.items())
-        raise CertifyError(f"{label}: found the shapes {shapes}, expected weight_hh (n, n), weight_ih (n, m), bias (n,)")
+        raise CertifyError(
+            f"{label}: found the shapes {shapes}, expected weight_hh (n, n), weight_ih (n, m), bias (n,)"
+        )
     return Recurrent(prefix.rstrip("."), W, W2, sum(biases, np.zeros(n)))

@@ -230,8 +230,8 @@ def from_tensors(
 
     Names end in `A`, `W`, `W2`, `b` after a common prefix, with `R` where there is a skip connection, and `V`, `c`
     where there is a second hidden layer. The linear layers of a torch module are accepted, too: two or three, the first
-    with (n, q + m) weights, those of the state first, the last with (q, n) and no bias; and so are those of torch.nn.RNN
-    and RNNCell, beside which linear layers are not read. There may be `most` networks.
+    with (n, q + m) weights, those of the state first, the last with (q, n) and no bias; and so are torch.nn.RNN and
+    RNNCell, beside which linear layers are not read. There may be `most` networks.
 
     Without φ it is relu, and tanh of torch.nn.RNN, as in torch.
 

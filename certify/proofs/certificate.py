@@ -1,6 +1,6 @@
 """A certificate: a claim about one network, and a proof that anyone can check with rational arithmetic alone.
 
-    simple, gershgorin, lmi, tight     a metric p and multipliers Λ with M(p, Λ) ≻ 0        (`exact`)
+    simple, gershgorin, lmi, exact     a metric p and multipliers Λ with M(p, Λ) ≻ 0        (`exact`)
     interval, box                      a tree of boxes, on each of which the slope is bounded (`box_proof`)
 
 `verify` needs neither a solver nor torch. It rebuilds every statement from the weights. The checksum only detects
@@ -66,7 +66,7 @@ def provable_rate(rate: Fraction | float) -> Fraction | None:
 
 def make(
     weights: ShallowWeights,
-    condition: str = "tight",
+    condition: str = "exact",
     rate: Fraction | float | None = None,
     box: Box | None = None,
     tree: str = ".",
@@ -77,7 +77,7 @@ def make(
 
     Args:
         weights: of one network.
-        condition: `simple`, `gershgorin`, `lmi`, `tight`; or `interval`, `box`, with a box.
+        condition: `simple`, `gershgorin`, `lmi`, `exact`; or `interval`, `box`, with a box.
         rate: κ at which it is to hold, no unit, at most 1; by default a short decimal just above the smallest.
         box: of `interval` and `box`.
         tree: of `box`, from `certify.search.box.certify`.
@@ -92,7 +92,7 @@ def make(
 
     >>> made = make(ShallowWeights([0.5], [1.0], [[0.0]], [0.0]))
     >>> made["condition"], made["rate"], verify(made, ShallowWeights([0.5], [1.0], [[0.0]], [0.0])).valid
-    ('tight', '500001/1000000', True)
+    ('exact', '500001/1000000', True)
     """
     weights = check(weights, path or "weights")
     if rate is not None and not 0 < rate <= 1:
@@ -202,7 +202,7 @@ def frame_refusal(
     condition: Any = content.get("condition")
     proof: Any = content.get("proof")
     if condition not in conditions:
-        return f"it names the condition {quoted(condition)}, expected one of {', '.join(conditions)}"
+        return f"it names the condition {quoted(condition)}, expected one of {', '.join(conditions)}: make it again"
     for word, wrong in (
         ("has unknown", (content.keys() - keys) | (proof.keys() - parts)),
         ("lacks the", (keys - content.keys()) | (parts - proof.keys())),

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from certify.networks.shallow import ShallowWeights
 from certify.proofs.rounding import float_above, float_below
 
-CORNER = {"simple": 1, "gershgorin": 1, "lmi": 1, "tight": 2}  # c of each condition's matrix
+CORNER = {"simple": 1, "gershgorin": 1, "lmi": 1, "exact": 2}  # c of each condition's matrix
 ZERO, ONE = Fraction(0), Fraction(1)
 LONGEST_SUM = 1_000_000  # bits of a sum of fractions that a check of somebody's certificate works out
 
@@ -70,7 +70,7 @@ def conditions(a: ArrayLike, w1: ArrayLike) -> dict[str, Condition]:
         The margin and the rate of each condition, fractions without a unit, by its name.
 
     >>> [(name, float(found.margin)) for name, found in conditions([0.5], [0.5]).items()]
-    [('simple', -0.5), ('gershgorin', 0.5), ('lmi', 0.5), ('tight', 0.75)]
+    [('simple', -0.5), ('gershgorin', 0.5), ('lmi', 0.5), ('exact', 0.75)]
     """
     return {name: condition(name, a, w1) for name in CORNER}
 
@@ -78,10 +78,10 @@ def conditions(a: ArrayLike, w1: ArrayLike) -> dict[str, Condition]:
 def condition(name: str, a: ArrayLike, w1: ArrayLike) -> Condition:
     """The result of one of the `conditions`.
 
-    >>> condition("tight", [0.5], [0.5]).rate
+    >>> condition("exact", [0.5], [0.5]).rate
     Fraction(1, 4)
     """
-    if name in ("lmi", "tight"):
+    if name in ("lmi", "exact"):
         K = max(extreme_slopes(a, w1)) * (2 if name == "lmi" else 1)
         return Condition(1 - K, K)
     sizes = [(abs(ai), abs(wi)) for ai, wi in zip(fractions(a), fractions(w1), strict=True)]
@@ -116,12 +116,12 @@ def verdict(weights: ShallowWeights) -> Verdict | None:
 
     >>> found = verdict(ShallowWeights([0.5], [0.5], [[0.0]], [0.0]))
     >>> found.held, found.bound
-    (('gershgorin', 'lmi', 'tight'), 0.25)
+    (('gershgorin', 'lmi', 'exact'), 0.25)
     """
     if not all(np.isfinite(each).all() for each in weights):
         return None
     found = conditions(weights.a, weights.w1)
-    K = found["tight"].rate
+    K = found["exact"].rate
     assert K is not None  # it holds at some rate
     return Verdict({name: each.margin for name, each in found.items()}, K)
 
@@ -159,7 +159,7 @@ def multipliers(name: str, a: ArrayLike, w1: ArrayLike, rate: Fraction | float =
     """p and Λ that prove a condition at a rate, in closed form.
 
     Args:
-        name: of the condition: `simple`, `gershgorin`, `lmi` or `tight`.
+        name: of the condition: `simple`, `gershgorin`, `lmi` or `exact`.
         a: `(n,)`.
         w1: `(n,)`.
         rate: κ, no unit.
@@ -167,7 +167,7 @@ def multipliers(name: str, a: ArrayLike, w1: ArrayLike, rate: Fraction | float =
     Returns:
         p and the diagonal of Λ; None where the condition does not hold at the rate.
 
-    >>> multipliers("tight", [0.9], [1.0])
+    >>> multipliers("exact", [0.9], [1.0])
     Multipliers(metric=Fraction(1, 1), multipliers=[Fraction(8106479329266893, 9007199254740992)])
     """
     found, rate = condition(name, a, w1).rate, Fraction(rate)
@@ -263,7 +263,7 @@ def proves(condition: str, a: ArrayLike, w1: ArrayLike, found: Multipliers, rate
     """Whether p and Λ prove a condition at a rate: (1) is positive definite, and the paper's inequalities hold.
 
     Args:
-        condition: `simple`, `gershgorin`, `lmi` or `tight`.
+        condition: `simple`, `gershgorin`, `lmi` or `exact`.
         a: `(n,)`.
         w1: `(n,)`.
         found: p and the diagonal of Λ, such as from `multipliers`.
@@ -272,7 +272,7 @@ def proves(condition: str, a: ArrayLike, w1: ArrayLike, found: Multipliers, rate
     Returns:
         True after the proof, in rational arithmetic. False says nothing about other p and Λ.
 
-    >>> proves("tight", [0.9], [1.0], multipliers("tight", [0.9], [1.0]))
+    >>> proves("exact", [0.9], [1.0], multipliers("exact", [0.9], [1.0]))
     True
     """
     p, lam = Fraction(found.metric), list(found.multipliers)

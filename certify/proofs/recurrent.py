@@ -1,4 +1,4 @@
-"""The contraction of h⁺ = φ(W h + W₂ u + b), slopes of φ in [0, 1], in integers: floats are integers over powers of two.
+"""The contraction of h⁺ = φ(W h + W₂ u + b), slopes of φ in [0, 1], in integers.
 
 For equal inputs Δh⁺ = D W Δh with a diagonal 0 ≼ D ≼ I. The inputs, W₂ and b do not matter. In a norm ‖T h‖_∞ or
 ‖T h‖₁ with a diagonal T, D commutes with T, so that the rate over all D is exact without any enumeration:
@@ -65,7 +65,7 @@ def proves(W: ArrayLike, metric: Matrix, multipliers: Sequence[Fraction], kappa:
     True
     """
     n, (V, unit) = len(metric), _whole(W)
-    rows, below = over_one_denominator([*metric, list(multipliers)])
+    rows, _ = over_one_denominator([*metric, list(multipliers)])
     P, lam = np.array(rows[:-1], dtype=object), np.array(rows[-1], dtype=object)
     square, share = (kappa * kappa).as_integer_ratio()
     if (P == np.diag(lam)).all():

@@ -38,7 +38,6 @@ from certify.networks.vector import Activation, VectorWeights, is_recurrent
 from certify.proofs import recurrent
 from certify.proofs.exact import definiteness, pairwise_sum, power_below
 from certify.proofs.rational import (
-    ONE,
     ZERO,
     Matrix,
     diagonal,

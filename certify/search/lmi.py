@@ -34,12 +34,12 @@ USABLE = ("optimal", "optimal_inaccurate")
 class Solution(NamedTuple):
     """The answer of a solver, and the result of checking it exactly.
 
-    >>> found = LMI(1, "tight").solve([0.5], [1.0])
+    >>> found = LMI(1, "exact").solve([0.5], [1.0])
     >>> found.verdict, found.rate, found.multipliers.shape
     ('certified', 1.0, (1,))
     """
 
-    condition: str  # lmi or tight
+    condition: str  # lmi or exact
     verdict: str  # certified, not certified or unknown; of a plain problem: feasible, infeasible or unknown
     margin: float  # no unit: t of (1) of the balanced network; of a plain problem the least eigenvalue of M
     rate: float  # the κ that was asked for, no unit
@@ -59,24 +59,24 @@ class LMI:
 
     Args:
         n: number of neurons.
-        condition: `lmi` (Λ in the corner) or `tight` (2Λ).
+        condition: `lmi` (Λ in the corner) or `exact` (2Λ).
         solver: any installed solver of cvxpy that takes semidefinite programs.
         strict: False solves plain M ⪰ 0 for the weights as given, without margin and check, as one would type the
-            theorem. *Feasible* is then the solver's answer. With `tight` it proves nothing: the identity, a = w₁ = 1,
+            theorem. *Feasible* is then the solver's answer. With `exact` it proves nothing: the identity, a = w₁ = 1,
             passes.
         options: the solver's own, such as `eps_abs=1e-9` of SCS.
 
     Raises:
         CertifyError: cvxpy or the solver is not installed, or the solver takes no semidefinite programs.
 
-    >>> problem = LMI(2, "tight")
+    >>> problem = LMI(2, "exact")
     >>> problem.solve([0.5, -0.5], [1.0, 1.0]).verdict, problem.solve([0.6, 0.5], [1.0, 1.0]).verdict
     ('certified', 'not certified')
     """
 
-    def __init__(self, n: int, condition: str = "tight", solver: str = "CLARABEL", strict: bool = True, **options: Any):
-        if condition not in ("lmi", "tight"):
-            raise CertifyError(f"condition: found {condition!r}, expected lmi or tight: the others are no LMI to solve")
+    def __init__(self, n: int, condition: str = "exact", solver: str = "CLARABEL", strict: bool = True, **options: Any):
+        if condition not in ("lmi", "exact"):
+            raise CertifyError(f"condition: found {condition!r}, expected lmi or exact: the others are no LMI to solve")
         if n < 1:
             raise CertifyError(f"n: found {n}, expected 1 or more neurons")
         self.n, self.condition, self.solver, self.strict, self.options = n, condition, solver.upper(), strict, options
@@ -138,7 +138,7 @@ class LMI:
     def smallest_rate(self, a: Any, w1: Any) -> tuple[float, Solution]:
         """The smallest κ at which the condition holds according to the solver.
 
-        `tight` must agree with K = max(P, N), `lmi` with 2K.
+        `exact` must agree with K = max(P, N), `lmi` with 2K.
 
         Args:
             a: `(n,)` floats.
@@ -150,7 +150,7 @@ class LMI:
         Raises:
             CertifyError: a and w₁ that do not fit n, or values that are not finite.
 
-        >>> rate, found = LMI(1, "tight").smallest_rate([0.5], [1.0])
+        >>> rate, found = LMI(1, "exact").smallest_rate([0.5], [1.0])
         >>> round(rate, 6), found.verdict
         (0.5, 'certified')
         """

@@ -28,7 +28,10 @@ ORDERS = (1, 2, 4, 8, 16, 32, 64)  # of the Schatten norms
 BALANCINGS = 40  # of D for each order
 PERRON = 1000  # iterations for a vector of Perron
 FAINT = 1e-9  # of the largest entry: added to |W|, so that it has one vector of Perron
-SHARE, CLOSE = 0.2, 1e-5  # of the distance of θ to the least one that is kept; the relative decrease that ends the search
+SHARE, CLOSE = (
+    0.2,
+    1e-5,
+)  # of the distance of θ to the least one that is kept; the relative decrease that ends the search
 NEWTON, GRADIENTS = 8, 100  # steps at most, for a centre and for a step
 CENTRED = 0.3  # Newton decrement of a centre
 WIDENED = (1e-5, 1e-4, 1e-3, 1e-2)  # relative distances above the smallest rate at which a proof is tried
@@ -177,9 +180,7 @@ def _smallest(V: np.ndarray, until: float) -> tuple[np.ndarray, np.ndarray]:
                 break
 
 
-def _newton(
-    V: np.ndarray, theta: float, P: np.ndarray, lam: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, float]:
+def _newton(V: np.ndarray, theta: float, P: np.ndarray, lam: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """A step of Newton towards the least −log det M + trace P + trace Λ, and its decrement."""
     n, root = len(V), np.linalg.cholesky(P)
     G = np.linalg.inv(_inequality(V, theta, P, lam))

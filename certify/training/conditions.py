@@ -6,7 +6,7 @@ neurons, so that K = max(P, N) is the exact rate over all activation patterns. F
     simple      (n+1)|a_i| + |w_{1i}| < 1 for all i                    paper, theorem IV.3 (RNNSimple)    (1)
     gershgorin  |w_{1i}| < 1 for all i, Σ |a_i|/(1 − |w_{1i}|) < 2     paper, lemma IV.2                  (2)
     lmi         2K < 1          the paper's matrix M(p, Λ) ≻ 0         paper, theorem IV.1                (3)
-    tight       K < 1           with 2Λ in the corner: slopes in [0, 1]    Revay & Manchester 2020        (4)
+    exact       K < 1           with 2Λ in the corner: slopes in [0, 1]    Revay & Manchester 2020        (4)
     interval    (4) on a box, neurons whose sign is fixed there counted as such                           (5)
 
 A condition holds *at the rate* κ if it holds with a/κ in place of a. The smallest such κ is the rate that it proves.
@@ -27,7 +27,7 @@ from certify.networks.shallow import ShallowWeights
 class Condition(NamedTuple):
     """The result of a condition for each network.
 
-    >>> found = tight(torch.tensor([0.5]), torch.tensor([0.5]))
+    >>> found = exact(torch.tensor([0.5]), torch.tensor([0.5]))
     >>> found.margin, found.rate
     (tensor(0.7500), tensor(0.2500))
     """
@@ -126,7 +126,7 @@ def lmi(a: Tensor, w1: Tensor) -> Condition:
     return Condition(1 - twice, twice)
 
 
-def tight(a: Tensor, w1: Tensor, skip: Tensor | float = 0.0, leak: float = 0.0) -> Condition:
+def exact(a: Tensor, w1: Tensor, skip: Tensor | float = 0.0, leak: float = 0.0) -> Condition:
     """(4): all activation patterns; no condition on (a, w₁) alone is weaker.
 
     Args:
@@ -139,9 +139,9 @@ def tight(a: Tensor, w1: Tensor, skip: Tensor | float = 0.0, leak: float = 0.0) 
     Returns:
         Its margin and its rate, `(*batch,)` each.
 
-    >>> tight(torch.tensor([0.5]), torch.tensor([0.5])).margin
+    >>> exact(torch.tensor([0.5]), torch.tensor([0.5])).margin
     tensor(0.7500)
-    >>> tight(torch.tensor([-0.5]), torch.tensor([0.5]), skip=0.5, leak=0.5).rate
+    >>> exact(torch.tensor([-0.5]), torch.tensor([0.5]), skip=0.5, leak=0.5).rate
     tensor(0.3750)
     """
     P, N = extreme_slopes(a, w1)
@@ -150,7 +150,7 @@ def tight(a: Tensor, w1: Tensor, skip: Tensor | float = 0.0, leak: float = 0.0) 
 
 
 def interval(weights: ShallowWeights, lo: Tensor, hi: Tensor) -> Condition:
-    """(5): as `tight`, of the patterns that interval arithmetic cannot exclude on a box.
+    """(5): as `exact`, of the patterns that interval arithmetic cannot exclude on a box.
 
     Args:
         weights: `(*batch, …)`.
@@ -235,6 +235,6 @@ CONDITIONS: dict[str, Callable[[Tensor, Tensor], Condition]] = {
     "simple": simple,
     "gershgorin": gershgorin,
     "lmi": lmi,
-    "tight": tight,
+    "exact": exact,
 }
 BEST_GAUGE = {"simple": simple_best_gauge, "gershgorin": gershgorin_best_gauge}

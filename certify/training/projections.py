@@ -1,6 +1,6 @@
 """Nearest weights that satisfy a condition of `certify.training.conditions` at a rate κ.
 
-With w₁ fixed each condition is a polytope in a. For `lmi` and `tight`, whose two sign classes of s_i = a_i w_{1i} do
+With w₁ fixed each condition is a polytope in a. For `lmi` and `exact`, whose two sign classes of s_i = a_i w_{1i} do
 not interact, and for `gershgorin`, it is a weighted ℓ₁ ball Σ c_i |a_i| ≤ r, onto which the projection is
 
     a_i ← sgn(a_i) (|a_i| − θ c_i)₊,   θ = max_k (Σ_{i≤k} c_i |a_i| − r) / Σ_{i≤k} c_i²,  θ ≥ 0,            (1)
@@ -36,7 +36,7 @@ Bounds = tuple[Tensor, Tensor]  # least and greatest x, u₁ … u_m, (1 + m,) e
 
 def project(
     weights: ShallowWeights,
-    condition: str = "tight",
+    condition: str = "exact",
     rate: Tensor | float = 0.999,
     gauge: str = "literal",
     bounds: Bounds | None = None,
@@ -48,7 +48,7 @@ def project(
 
     Args:
         weights: `(*batch, …)`.
-        condition: `simple`, `gershgorin`, `lmi`, `tight`, or `interval`.
+        condition: `simple`, `gershgorin`, `lmi`, `exact`, or `interval`.
         rate: κ, `(*batch,)` or a number, in (0, 1].
         gauge: "literal", or "best": of the equal networks (a_i/c_i, c_i w_{1i}, …), for `simple` and `gershgorin`.
         bounds: of the box, for `interval`.
@@ -85,7 +85,7 @@ def project(
 
 def _times(condition: str) -> int:
     """The ratio of a condition's rate to K."""
-    return {"lmi": 2, "tight": 1}[condition]
+    return {"lmi": 2, "exact": 1}[condition]
 
 
 def _check(condition: str, rate: Tensor | float, gauge: str, bounds: Bounds | tuple[()] | None) -> None:
@@ -121,7 +121,7 @@ def _scale(weights: ShallowWeights, condition: str, rate: Tensor | float, gauge:
     def factor(found: Tensor) -> Tensor:  # (*batch, 1), 1 where the rate is kept
         return (kappa / found.maximum(kappa))[..., None]
 
-    if condition in ("lmi", "tight"):
+    if condition in ("lmi", "exact"):
         times = _times(condition)
         up, down = (factor(times * extreme) for extreme in extreme_slopes(a, w1))
         return weights._replace(a=a * torch.where(a * w1 > 0, up, down))

@@ -18,13 +18,12 @@ from certify.networks.vector import TANH, VectorNetwork, VectorWeights, check, r
 from certify.proofs import recurrent, vector_certificate, vector_exact
 from certify.proofs.certificate import described
 from certify.proofs.exact import definiteness
-from certify.proofs.rational import matrix
 from certify.search.recurrent import by_full_metric, by_spectral_norm, diagonal_scaling
 from tests.support.vector_networks import spectral
 
 
 def module(n: int, rate: float = 0.9, seed: int = 0, **options) -> nn.RNN:
-    """W_hh = rate times a rotation, in other coordinates: no norm has a smaller rate, and one that is quadratic has it."""
+    """W_hh = rate times a rotation, in other coordinates: no norm has a smaller rate, a quadratic one has it."""
     torch.manual_seed(seed)
     made = nn.RNN(2, n, **options)
     turn = torch.linalg.qr(torch.randn(n, n))[0]
@@ -59,7 +58,9 @@ def patterns(W: np.ndarray, count: int = 200) -> np.ndarray:
 @pytest.mark.parametrize("cell", [False, True])
 def test_a_state_dict_is_read_whatever_it_is_saved_in(tmp_path, ending, prefix, cell):
     made = nn.RNNCell(2, 3) if cell else nn.RNN(2, 3)
-    tensors = {prefix + name: x.detach().clone() for name, x in made.state_dict().items()} | {"head.weight": torch.ones(1, 3)}
+    tensors = {prefix + name: x.detach().clone() for name, x in made.state_dict().items()} | {
+        "head.weight": torch.ones(1, 3)
+    }
     path = tmp_path / f"net.{ending}"
     if ending == "pt":
         torch.save(tensors, path)
@@ -218,7 +219,9 @@ def test_the_command_judges_writes_and_verifies(tmp_path, capsys, monkeypatch):
     assert main(["good.pt", "wide.pt"]) == 1 and "above 64 states" in capsys.readouterr().out
     assert main(["good.pt", "--json", "--lmi"]) == 0
     (row,) = json.loads(capsys.readouterr().out)
-    assert row["activation"] == "tanh" and row["rates"].keys() == {"quadratic", "exact"} and row["judged"] == "quadratic"
+    assert (
+        row["activation"] == "tanh" and row["rates"].keys() == {"quadratic", "exact"} and row["judged"] == "quadratic"
+    )
     for options, words in ((["--condition", "lmi"], "is not for"), (["--steps"], "at most 6 states")):
         assert main(["good.pt", *options]) == 2 and words in capsys.readouterr().err
     np.savez("stated.npz", **{name: x.numpy() for name, x in module(3).state_dict().items()}, activation="tanh")
@@ -240,7 +243,7 @@ def test_a_full_metric_of_many_states_is_found_in_time(n, seconds):
 @pytest.mark.thorough
 @pytest.mark.parametrize("constrained", [False, True])
 def test_a_network_that_learns_a_boat_is_certified_where_it_is_constrained(constrained):
-    """Surge, m v̇ = F − d v|v|, sampled at 0.2 s: a slope near 1. The constraint: W_hh is divided by its spectral norm."""
+    """Surge, m v̇ = F − d v|v|, sampled at 0.2 s: a slope near 1. The constraint is on ‖W_hh‖₂."""
     torch.manual_seed(0)
     command, speed = torch.rand(8, 20).repeat_interleave(10, 1), torch.zeros(8, 201)
     for k in range(200):

@@ -106,13 +106,13 @@ def test_the_initial_network_is_persistence(options, expected):
     torch.testing.assert_close(surge.detach(), expected * speeds, rtol=1e-11, atol=1e-11)
 
 
-@pytest.mark.parametrize("condition", ["simple", "gershgorin", "lmi", "tight"])
+@pytest.mark.parametrize("condition", ["simple", "gershgorin", "lmi", "exact"])
 @pytest.mark.parametrize("gauge", ["literal", "best"])
 def test_the_initial_network_is_certified_exactly(condition, gauge):
     rnn = RNN(condition=condition, gauge=gauge, contraction_rate=0.9)
     weights = element_weights(rnn.init(), ())
     found = exact.conditions(weights.a, weights.w1)
-    name = condition if gauge == "literal" else "tight"
+    name = condition if gauge == "literal" else "exact"
     assert 0 < found[name].rate <= Fraction(0.9)
 
 
@@ -169,9 +169,9 @@ def test_warm_start_is_projected_and_learns_on(tmp_path):
     np.savez(tmp_path / "wild.npz", a=np.ones(n), w1=np.ones(n), W2=np.zeros((n, 4)), b=np.ones(n))
     rnn = RNN(n, pretrained=str(tmp_path / "wild.npz"))
     _, _, weights = rollout(rnn, rnn.init(), random_samples(30), record=lambda s: s.weights)
-    assert exact.conditions(*element_weights(rnn.init(), ())[:2])["tight"].rate <= Fraction(0.999)
+    assert exact.conditions(*element_weights(rnn.init(), ())[:2])["exact"].rate <= Fraction(0.999)
     assert all(
-        exact.conditions(*pair)["tight"].rate <= Fraction(0.999)
+        exact.conditions(*pair)["exact"].rate <= Fraction(0.999)
         for pair in zip(weights.a.numpy(), weights.w1.numpy(), strict=True)
     )
 
@@ -236,7 +236,7 @@ def test_monitor_tells_margins_rate_time_constant_and_rest():
     state, _, _ = rollout(rnn, rnn.init((3,)), samples)
     told = rnn.monitor(state)
     K = told["contraction_rate"]
-    torch.testing.assert_close(told["margin_tight"], 1 - K)
+    torch.testing.assert_close(told["margin_exact"], 1 - K)
     torch.testing.assert_close(told["time_constant"], -state.dt / K.log())
     rest = torch.cat([state.inputs_before[:, :2], torch.zeros(3, 2).double()], -1)
     x = rnn.scale * told["equilibrium"].double()
@@ -255,7 +255,7 @@ def test_monitor_tells_margins_rate_time_constant_and_rest():
 def test_a_rate_just_below_one_is_not_told_as_one():
     ensemble = Ensemble({"rnn": RNN(contraction_rate=0.999999)})
     (line,) = stability(ensemble, ensemble.init((1,)), ["heron"])
-    assert "certified contracting by tight, K = 0.999999 a step" in line
+    assert "certified contracting by exact, K = 0.999999 a step" in line
     free = {"heron": {"rnn": 0.41, "average": 0.2, "persistence": 0.9}}  # a proof is not praise
     (beside,) = stability(ensemble, ensemble.init((1,)), ["heron"], free)
     assert (

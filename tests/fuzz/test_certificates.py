@@ -19,7 +19,7 @@ from tests.support.exact_cells import exact_rate
 
 TOKENS = ("x", "u1", "u2", "u9", "z0", ".", "e0:1", "s", "y", "")
 VALUES = (
-    None, True, 0, 1, -1, 2.5, "", "0", "1", "-1", "1/2", "1/0", "1e9", "1/1000", "9" * 2000, [], {}, ["1"], "tight",
+    None, True, 0, 1, -1, 2.5, "", "0", "1", "-1", "1/2", "1/0", "1e9", "1/1000", "9" * 2000, [], {}, ["1"], "exact",
     "box",
 )  # fmt: skip
 

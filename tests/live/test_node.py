@@ -316,7 +316,7 @@ def test_what_lies_ahead_is_what_the_next_steps_see():
 def test_posts_are_those_of_the_table(start):
     one = node(start)
     steps = [step for message in messages(boat(0.02)) for step in one.push(*message)]
-    network = {"contracting": True, "condition": "tight", "rate": 0.9, "time_constant": None, "equilibrium": 0.1}
+    network = {"contracting": True, "condition": "exact", "rate": 0.9, "time_constant": None, "equilibrium": 0.1}
     found = {"drag_linear": (-1.0, -2.0, 0.0, "kg/s")}
     health = COMPILING._replace(state="ok", identified=found, contraction={"rnn": network})
     posts = of_step(steps[-1]._replace(events=(Event(1.0, LOSS, "left", 0.4),)), members=True) + of_health(health)

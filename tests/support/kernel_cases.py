@@ -36,7 +36,7 @@ from usvlearn.core.samples import named_leaves, tree_map
 
 PRIOR = [-3.0, -6.0, -4.0, 20.0, 15.0, -3.0, 16.0, 18.0, -2.0]
 STIFF = [-9e3, -9e3, 0, 500, 500, -200, 500, 500, -200]  # dt Ĵ far below −20
-CONDITIONS = ("simple", "gershgorin", "lmi", "tight", "interval")
+CONDITIONS = ("simple", "gershgorin", "lmi", "exact", "interval")
 SIGNS = [-1, 1, -1, 1, -1, 1, -1, 1, -1]  # most of them wrong, so that the projection acts
 FULL = {"memory": True, "ambient": True}
 ALL = {**FULL, "cubic": True, "exponential": True}

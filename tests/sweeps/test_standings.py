@@ -179,7 +179,7 @@ def test_equal_jobs_are_no_seeds_of_each_other():
 
 
 def test_the_verdict_of_the_networks_is_shown():
-    yes, no = ({"contracting": held, "condition": "tight" if held else None, "rate": rate} for held, rate in
+    yes, no = ({"contracting": held, "condition": "exact" if held else None, "rate": rate} for held, rate in
                ((True, 0.93125), (False, 1.5)))  # fmt: skip
     jobs = [job(0, 0.1, network=yes, neurons="4"), job(1, 0.2, network=no, neurons="9"), job(2, 0.3, neurons="20")]
     text = lines(jobs)
@@ -193,7 +193,7 @@ def test_the_verdict_of_the_networks_is_shown():
 
 @pytest.mark.parametrize("width", [80, 60])
 def test_the_table_fits(width):
-    network = {"contracting": True, "condition": "tight", "rate": 0.93125}
+    network = {"contracting": True, "condition": "exact", "rate": 0.93125}
     jobs = [
         job(k, 0.1 + 0.001 * k, network=network, neurons=f"{k}", initial=("persistence", "random")[k % 2], unroll="1",
             seed=f"{s}")

@@ -33,7 +33,7 @@ def verdicts(ensemble: Ensemble, state: EnsembleState, boats: Sequence[str]) -> 
 
     >>> ensemble = Ensemble({"rnn": RNN(surge_max=2.7)})
     >>> verdicts(ensemble, ensemble.init((1,)), ["heron"])["heron"]["rnn"].proved.held
-    ('tight',)
+    ('exact',)
     """
     members = {name: member for name, member in ensemble.members.items() if isinstance(member, RNN)}
     found: dict[str, dict[str, Judged]] = {boat: {} for boat in boats} if members else {}

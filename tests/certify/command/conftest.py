@@ -10,7 +10,7 @@ from usvlearn.core.checkpoint import save
 
 @pytest.fixture
 def files(tmp_path):
-    """One network on each side of `tight`, one on an edge that only the box sees, and a run's checkpoints."""
+    """One network on each side of `exact`, one on an edge that only the box sees, and a run's checkpoints."""
     one, zero = np.ones(1), np.zeros(1)
     networks = {
         "good": ShallowWeights(0.6 * one, 0.5 * one, np.zeros((1, 1)), zero),

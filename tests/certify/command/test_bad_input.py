@@ -41,7 +41,7 @@ def test_a_rate_nearer_to_one_than_any_float_is_certified(files, capsys, monkeyp
     np.savez("wide.npz", **wide, W2=weights.W2, b=weights.b)
     wide = [] if options[:1] in (["--box"], ["--plot"]) else ["wide.npz"]
     assert main(["near.npz", *wide, "good.npz", *options]) == 0
-    assert "2 of 2 certified contracting by tight" in capsys.readouterr().out
+    assert "2 of 2 certified contracting by exact" in capsys.readouterr().out
     code, rows = told(capsys, "near.npz", *wide, "good.npz", *options)
     assert code == 0 and [row["time_constant"] is None for row in rows] == [True, False, *[True for _ in wide]]
     assert not options[:1] == ["--certificate"] or main(["--verify", *map(str, Path("proofs").glob("*"))]) == 0
@@ -77,7 +77,7 @@ def test_a_certified_set_whose_proof_is_too_long_stops_no_other(files, capsys, m
     assert main(["long.npz", "good.npz", "--certificate", "proofs"]) == 2
     output = capsys.readouterr()
     assert "long.npz: is certified, but its proof is longer" in output.err and "1 certificates" in output.out
-    assert [path.name for path in Path("proofs").iterdir()] == ["good.tight.json"]
+    assert [path.name for path in Path("proofs").iterdir()] == ["good.exact.json"]
 
 
 def test_errors_that_nobody_foresaw_stop_no_other_set(files, capsys, monkeypatch):
@@ -192,9 +192,9 @@ def test_what_can_be_verified_is_though_another_cannot(files, capsys, monkeypatc
     monkeypatch.chdir(files)
     assert main(["good.npz", "--certificate", "proofs"]) == 0
     capsys.readouterr()
-    assert main(["--verify", "nowhere.json", "proofs/good.tight.json"]) == 2
+    assert main(["--verify", "nowhere.json", "proofs/good.exact.json"]) == 2
     captured = capsys.readouterr()
-    assert "nowhere.json" in captured.err and "proofs/good.tight.json: valid" in captured.out
+    assert "nowhere.json" in captured.err and "proofs/good.exact.json: valid" in captured.out
 
 
 def test_one_bad_file_does_not_hide_the_other_verdicts(files, capsys, monkeypatch):
@@ -218,7 +218,7 @@ def test_one_bad_file_does_not_hide_the_other_verdicts(files, capsys, monkeypatc
 def test_a_path_that_no_file_can_have_stops_nobody(files, capsys, monkeypatch, path):
     monkeypatch.chdir(files)
     assert main(["good.npz", "--certificate", "proofs"]) == 0
-    good = Path("proofs/good.tight.json")
+    good = Path("proofs/good.exact.json")
     Path("bad.json").write_text(json.dumps({**json.loads(good.read_text()), "path": path}))
     capsys.readouterr()
     assert main(["--verify", "bad.json", str(good)]) == 2

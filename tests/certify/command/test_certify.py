@@ -20,7 +20,7 @@ from tests.support.certify_command import told
 from usvlearn.core.checkpoint import save
 
 KEYS = {"path", "n", "margins", "rate", "certified", "equilibria"}
-CONDITIONS = {"simple", "gershgorin", "lmi", "tight"}
+CONDITIONS = {"simple", "gershgorin", "lmi", "exact"}
 
 
 def test_json_of_one_network(files, capsys):
@@ -29,19 +29,19 @@ def test_json_of_one_network(files, capsys):
     (row,) = rows
     assert row["path"] == str(files / "good.npz") and row["n"] == 1
     assert row["rate"] == pytest.approx(0.3) and set(row["margins"]) == set(row["certified"]) == CONDITIONS
-    assert row["margins"] == pytest.approx({"simple": -0.7, "gershgorin": 0.4, "lmi": 0.4, "tight": 0.7})
-    assert row["certified"] == {"simple": False, "gershgorin": True, "lmi": True, "tight": True}
+    assert row["margins"] == pytest.approx({"simple": -0.7, "gershgorin": 0.4, "lmi": 0.4, "exact": 0.7})
+    assert row["certified"] == {"simple": False, "gershgorin": True, "lmi": True, "exact": True}
     assert [(each["x"], each["class"]) for each in row["equilibria"]] == [(0.0, "half-stable")] or row["equilibria"]
 
 
 @pytest.mark.parametrize(
     ("names", "condition", "code"),
     [
-        (["good"], "tight", 0),
+        (["good"], "exact", 0),
         (["good"], "simple", 1),
-        (["good", "identity"], "tight", 1),
+        (["good", "identity"], "exact", 1),
         (["identity"], "lmi", 1),
-        (["off"], "tight", 1),
+        (["off"], "exact", 1),
         (["off"], "interval", 0),
         (["off", "good"], "box", 0),
         (["tooth"], "box", 1),
@@ -80,7 +80,7 @@ def test_a_runs_folder_and_a_pattern(files, capsys):
 def test_the_table_and_its_summary(files, capsys):
     assert main([str(files / "run"), str(files / "identity.npz"), "--dt", "0.4"]) == 1
     text = capsys.readouterr().out
-    assert "2 of 3 certified contracting by tight, in rational arithmetic" in text
+    assert "2 of 3 certified contracting by exact, in rational arithmetic" in text
     assert "continuum 0…1" in text and "τ, s" in text and "anna" in text and "at rest" in text
 
 
@@ -93,7 +93,7 @@ def test_no_number_and_no_name_of_the_table_is_cut(files, capsys, monkeypatch):
         _, rows = told(capsys, *paths, "--box", "--lmi", "--seconds", "0.2")
         for columns in (60, 80, 100, 160, None):
             monkeypatch.setenv("COLUMNS", str(columns)) if columns else monkeypatch.delenv("COLUMNS")
-            show([{**row, "judged": "tight"} for row in rows], "tight", [], 0.4)
+            show([{**row, "judged": "exact"} for row in rows], "exact", [], 0.4)
             text = capsys.readouterr().out
             head, blocks = text[: text.index(f"\n\n{len(rows)} of")].split("\n\n", 1)
             words = blocks.split()
@@ -110,9 +110,9 @@ def test_lmi_and_box(files, capsys):
     code, rows = told(capsys, files / "good.npz", files / "identity.npz", "--lmi", "--box")
     assert code == 1
     good, identity = rows
-    assert good["lmi"]["tight"]["verdict"] == good["lmi"]["lmi"]["verdict"] == "certified"
+    assert good["lmi"]["exact"]["verdict"] == good["lmi"]["lmi"]["verdict"] == "certified"
     assert good["lmi"]["lmi"]["rate"] == pytest.approx(0.6, rel=5e-6)
-    assert identity["lmi"]["tight"]["verdict"] != "certified"
+    assert identity["lmi"]["exact"]["verdict"] != "certified"
     assert good["box"]["verdict"] == "certified" and good["box"]["forward_invariant"] == "yes"
     assert identity["box"]["verdict"] == "refuted" and abs(identity["box"]["witness"]["slope"]) >= 1
     assert main([str(files / "identity.npz"), "--box"]) == 1
@@ -125,7 +125,7 @@ def test_lmi_and_box(files, capsys):
     assert code == 0 and rows[0]["box"]["bracket"][1] == pytest.approx(0.3)
 
 
-@pytest.mark.parametrize("condition", ["lmi", "tight", "interval", "box"])
+@pytest.mark.parametrize("condition", ["lmi", "exact", "interval", "box"])
 def test_certificates_are_written_and_verified(files, capsys, condition, monkeypatch):
     monkeypatch.chdir(files)
     options = ["--condition", condition, "--certificate", "proofs"]
@@ -182,8 +182,8 @@ def test_what_is_printed_is_never_below_the_rate_or_above_a_margin(files, capsys
     np.savez("edge.npz", **{**np.load("identity.npz"), "a": [1 - 4e-8]})
     assert main(["edge.npz", "--box", "--certificate", "proofs"]) == 0
     assert capsys.readouterr().out.count("0.99999997") == 2  # the rate, and that on the box
-    assert "≤ 0.99999997 " in Path("proofs/edge.tight.json").read_text(encoding="utf-8")
-    assert told(capsys, "edge.npz")[1][0]["margins"]["tight"] <= 1 - Fraction(1 - 4e-8)
+    assert "≤ 0.99999997 " in Path("proofs/edge.exact.json").read_text(encoding="utf-8")
+    assert told(capsys, "edge.npz")[1][0]["margins"]["exact"] <= 1 - Fraction(1 - 4e-8)
 
 
 def test_a_file_whose_name_is_no_text_is_certified(files, capsys, monkeypatch):
@@ -197,7 +197,7 @@ def test_a_file_whose_name_is_no_text_is_certified(files, capsys, monkeypatch):
 def test_any_locale_will_do(files):
     """Certificates are UTF-8 wherever they are made; a terminal that cannot show a sign shows another."""
     plain = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONPATH": str(ROOT)}
-    calls = ["good.npz", "--certificate", "proofs"], ["--verify", "proofs/good.tight.json"], ["good.npz", "--json"]
+    calls = ["good.npz", "--certificate", "proofs"], ["--verify", "proofs/good.exact.json"], ["good.npz", "--json"]
     code = f"from certify.__main__ import main\nassert [main(each) for each in {calls}] == [0, 0, 0]"
     found = subprocess.run([sys.executable, "-c", code], cwd=files, env=plain, capture_output=True, text=True)
     assert found.returncode == 0, found.stderr

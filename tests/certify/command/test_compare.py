@@ -18,15 +18,15 @@ def test_the_table_counts_what_was_examined():
     pytest.importorskip("cvxpy")
     rows = [examine(w, 2.0, "CLARABEL") for w in networks(12, 4)]
     made = {row["condition"]: row for row in table({RANDOM: rows})}
-    counts = [made[name]["certified"] for name in ("simple", "gershgorin", "lmi", "tight", "box")]
-    assert counts == sorted(counts) and counts[2] < counts[3] == sum(row["rates"]["tight"] < 1 for row in rows)
-    assert made["lmi"]["over_K"] == pytest.approx(2) and made["tight"]["over_K"] == 1 > made["box"]["over_K"] - 1e-9
-    assert made["lmi"]["disagreements"] == made["tight"]["disagreements"] == 0
-    low, high = made["tight"]["interval"]
+    counts = [made[name]["certified"] for name in ("simple", "gershgorin", "lmi", "exact", "box")]
+    assert counts == sorted(counts) and counts[2] < counts[3] == sum(row["rates"]["exact"] < 1 for row in rows)
+    assert made["lmi"]["over_K"] == pytest.approx(2) and made["exact"]["over_K"] == 1 > made["box"]["over_K"] - 1e-9
+    assert made["lmi"]["disagreements"] == made["exact"]["disagreements"] == 0
+    low, high = made["exact"]["interval"]
     assert low < counts[3] / 12 < high and made["lmi"]["largest"] < 0.5
     assert table({"own": rows})[0]["interval"] is None  # no draws
-    rows[0]["solved"]["tight"] = "unknown" if rows[0]["certified"]["tight"] else "certified"
-    assert {row["condition"]: row["disagreements"] for row in table({RANDOM: rows})}["tight"] == 1
+    rows[0]["solved"]["exact"] = "unknown" if rows[0]["certified"]["exact"] else "certified"
+    assert {row["condition"]: row["disagreements"] for row in table({RANDOM: rows})}["exact"] == 1
 
 
 def test_checkpoints_and_random_networks_are_printed_and_drawn(files, capsys):

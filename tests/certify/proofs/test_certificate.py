@@ -23,7 +23,7 @@ from tests.support import ROOT, few
 def network(n: int = 5, K: float = 0.9, seed: int = 0) -> ShallowWeights:
     rng = np.random.default_rng(seed)
     a, w1, b = rng.normal(size=(3, n))
-    a *= K / float(exact.conditions(a, w1)["tight"].rate)
+    a *= K / float(exact.conditions(a, w1)["exact"].rate)
     return ShallowWeights(a, w1, rng.normal(size=(n, 2)), b)
 
 
@@ -76,7 +76,7 @@ def test_a_hair_inside_the_edge(n, short):
 def test_box_and_interval():
     weights, made = boxed()
     assert certificate.verify(made, weights).valid and "for as long as x stays in it" in made["claim"]
-    assert certificate.make(weights, "tight") is None
+    assert certificate.make(weights, "exact") is None
     assert certificate.make(weights, "interval", 1, operating_box(2)) is None
     off = weights._replace(b=np.full(12, -50.0))
     made = certificate.make(off, "interval", 1, operating_box(2), invariance_tree=".")
@@ -110,7 +110,7 @@ TAMPERED = {
     "the claim": lambda c: c.__setitem__("claim", c["claim"].replace("≤ 0.9", "≤ 0.1")),
     "the condition": lambda c: c.__setitem__("condition", "lmi"),
     "a box's proof": lambda c: c.update(
-        condition="tight, by a box", proof={"box": [["0", "1"]] * 3, "tree": ".", "invariance_tree": None}
+        condition="exact, by a box", proof={"box": [["0", "1"]] * 3, "tree": ".", "invariance_tree": None}
     ),
     "an unknown condition": lambda c: c.__setitem__("condition", "magic"),
     "the weights": lambda c: c.__setitem__("weights", "0" * 64),
@@ -193,14 +193,14 @@ def test_what_is_claimed_is_never_below_what_is_proved():
     for short in (Fraction(1, 3), Fraction(1, 10**28), Fraction(1, 10**29 + 7), Fraction(1, 2**300)):
         slope = 1 - short
         weights = one._replace(a=[0.25])
-        made = certificate.make(weights, "tight", slope)
+        made = certificate.make(weights, "exact", slope)
         claimed = Fraction(re.search(r"≤ ([0-9.]+) ", made["claim"])[1])
         assert slope <= claimed < 1
     rng = np.random.default_rng(0)
     for _ in range(200):
         weights = one._replace(a=rng.uniform(0, 0.9, 1), w1=rng.uniform(0, 1, 1))
         made = certificate.make(weights)
-        margin = exact.conditions(weights.a, weights.w1)["tight"].margin
+        margin = exact.conditions(weights.a, weights.w1)["exact"].margin
         assert made["margin"] <= margin and np.nextafter(made["margin"], 1) > margin
     box = box_of([(0.1, 0.7), (-1 / 3, 1e-9), (0, 1)], 2)
     claim = certificate.make(network(K=0.5), "interval", 1, box)["claim"]
@@ -261,13 +261,13 @@ def test_verification_needs_no_solver_and_no_torch(tmp_path):
     weights, made = boxed()
     np.savez(tmp_path / "net.npz", **weights._asdict())
     certificate.write(tmp_path / "box.json", {**made})
-    certificate.write(tmp_path / "tight.json", certificate.make(network()))
+    certificate.write(tmp_path / "exact.json", certificate.make(network()))
     np.savez(tmp_path / "other.npz", **network()._asdict())
     code = (
         "import sys\n"
         "from certify.__main__ import main\n"
         f"rc = main([{str(tmp_path / 'net.npz')!r}, {str(tmp_path / 'other.npz')!r}, '--verify',"
-        f" {str(tmp_path / 'box.json')!r}, {str(tmp_path / 'tight.json')!r}])\n"
+        f" {str(tmp_path / 'box.json')!r}, {str(tmp_path / 'exact.json')!r}])\n"
         "heavy = [name for name in ('torch', 'scipy', 'cvxpy', 'matplotlib', 'usvlearn') if name in sys.modules]\n"
         "sys.exit(f'{rc} {heavy}' if rc or heavy else 0)"
     )
@@ -282,7 +282,7 @@ def test_box_of_a_certificate_survives_any_float():
     assert certificate.verify(made, weights).valid
 
 
-@pytest.mark.parametrize("condition", few(certificate.CLOSED_FORMS, {"simple", "tight"}, "thorough"))
+@pytest.mark.parametrize("condition", few(certificate.CLOSED_FORMS, {"simple", "exact"}, "thorough"))
 def test_large_networks_and_dead_neurons_have_short_proofs(condition):
     rng = np.random.default_rng(0)
     w1 = rng.uniform(-0.9, 0.9, 500)
@@ -309,7 +309,7 @@ def test_every_certificate_says_contracting():
     made = certificate.make(close)
     assert Fraction(made["rate"]) < 1 and "≤ 1 |" not in made["claim"]
     assert "< 1 |" in certificate.make(weights, "box", 1, operating_box(2))["claim"]
-    assert certificate.make(weights, "tight", 0.9) is not None  # a float is a rate, too
+    assert certificate.make(weights, "exact", 0.9) is not None  # a float is a rate, too
     for rate in (0, 2, float("nan")):
         with pytest.raises(CertifyError, match="rate"):
             certificate.make(weights, rate=rate)
@@ -324,7 +324,7 @@ def test_weights_with_many_digits_do_not_make_a_check_long(condition, n):
     weights = ShallowWeights(rng.normal(size=n) * 1e-6, small, np.zeros((n, 1)), np.zeros(n))
     content = certificate.make(
         ShallowWeights([0.1, -0.1], [0.3, 0.2], [[0.0], [0.0]], [0.0, 0.0]), condition, rate=Fraction(1, 2)
-    ) or certificate.make(ShallowWeights([0.1, -0.1], [0.3, 0.2], [[0.0], [0.0]], [0.0, 0.0]), "tight")
+    ) or certificate.make(ShallowWeights([0.1, -0.1], [0.3, 0.2], [[0.0], [0.0]], [0.0, 0.0]), "exact")
     content |= {"condition": condition, "neurons": n, "inputs": 1, "weights": certificate.digest(weights)}
     content["sha256"] = certificate._checksum(content)
     began = time.process_time()

@@ -118,7 +118,7 @@ def test_conditions_are_those_of_the_paper():
         n, K = len(a), slope(a, w1)
         found = exact.conditions(a, w1)
         assert list(found) == list(CORNER)
-        assert found["tight"] == (1 - K, K) and found["lmi"] == (1 - 2 * K, 2 * K)
+        assert found["exact"] == (1 - K, K) and found["lmi"] == (1 - 2 * K, 2 * K)
         sizes = [(abs(Fraction(x)), abs(Fraction(y))) for x, y in zip(a.tolist(), w1.tolist(), strict=True)]
         assert (found["simple"].margin > 0) == all((n + 1) * x + y < 1 for x, y in sizes)
         inside = all(y < 1 for _, y in sizes)
@@ -137,9 +137,9 @@ def test_conditions_are_those_of_the_paper():
 
 def test_a_float_sum_loses_what_makes_K_exceed_one():
     s = [1 - 2.0**-53] + 16 * [2.0**-56]
-    assert sum(s) < 1 < exact.conditions(s, np.ones(17))["tight"].rate == 1 + Fraction(1, 2**53)
-    assert multipliers("tight", s, np.ones(17)) is None
-    assert multipliers("tight", s[:8], np.ones(8)) is not None  # 1 − 2⁻⁵³ + 7/2⁵⁶ is below 1
+    assert sum(s) < 1 < exact.conditions(s, np.ones(17))["exact"].rate == 1 + Fraction(1, 2**53)
+    assert multipliers("exact", s, np.ones(17)) is None
+    assert multipliers("exact", s[:8], np.ones(8)) is not None  # 1 − 2⁻⁵³ + 7/2⁵⁶ is below 1
 
 
 @pytest.mark.parametrize("condition", CORNER)
@@ -178,10 +178,10 @@ def test_closed_form_multipliers_prove_up_to_the_edge(condition):
         assert proves(condition, a, w1, multipliers(condition, a, w1, rate), rate), name
 
 
-def test_tight_multipliers_grow_without_bound_towards_the_edge():
+def test_exact_multipliers_grow_without_bound_towards_the_edge():
     a, w1 = [0.5, 0.25], [0.5, 0.0]  # K = ¼
     largest = [
-        max(multipliers("tight", a, w1, Fraction(1, 4) * (1 + Fraction(1, 10**k))).multipliers) for k in (3, 6, 9)
+        max(multipliers("exact", a, w1, Fraction(1, 4) * (1 + Fraction(1, 10**k))).multipliers) for k in (3, 6, 9)
     ]
     assert largest[0] > 100 and largest[1] > 900 * largest[0] and largest[2] > 900 * largest[1]
 
@@ -254,7 +254,7 @@ def test_two_lambda_and_semidefinite_passes_the_identity():
     """a = w₁ = 1, b = 0, a continuum of equilibria: M ⪰ 0 with 2Λ. So only ≻ proves, and Λ refuses it in any case."""
     a, w1 = [1.0], [1.0]
     assert definiteness(matrix(a, w1, ONE, [ONE], corner=2)) == 0
-    assert not proves("tight", a, w1, Multipliers(ONE, [ONE])) and multipliers("tight", a, w1) is None
+    assert not proves("exact", a, w1, Multipliers(ONE, [ONE])) and multipliers("exact", a, w1) is None
     for lam in np.linspace(0.01, 5, 50):
         for p in np.linspace(0, 2, 9):
             assert definiteness(matrix(a, w1, Fraction(p), [Fraction(lam)], corner=1)) == -1

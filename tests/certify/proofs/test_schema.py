@@ -43,7 +43,7 @@ def test_certificates_of_shallow_networks_follow_the_schema(condition, validator
 @pytest.mark.parametrize("condition", vector_certificate.CONDITIONS)
 def test_certificates_of_vector_states_follow_the_schema(condition, validator):
     more = {}
-    if condition in ("lmi", "tight"):
+    if condition in ("lmi", "quadratic"):
         one = Fraction(1)
         more = {"proof": Proof([[one, 0 * one], [0 * one, one]], [[one / 4, one / 4]])}
     made = vector_certificate.make(network(), condition, **more)

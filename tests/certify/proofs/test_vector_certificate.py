@@ -30,7 +30,7 @@ from certify.proofs.exact import conditions, multipliers
 from certify.proofs.rational import identity
 from certify.proofs.vector_exact import Proof
 from certify.search.vector_lmi import smallest_rate
-from certify.training.conditions import quadratic
+from certify.training.conditions import exact
 from tests.support import few
 from tests.support.vector_networks import network
 
@@ -44,7 +44,9 @@ def made(condition: str, net: VectorNetwork) -> dict:
     return found
 
 
-CASES = list(itertools.product(("gershgorin", "lmi", "quadratic", "exact"), ("relu", "leaky:0.1", "tanh"), (False, True)))
+CASES = list(
+    itertools.product(("gershgorin", "lmi", "quadratic", "exact"), ("relu", "leaky:0.1", "tanh"), (False, True))
+)
 
 
 @pytest.mark.parametrize(("condition", "phi", "two"), few(CASES, [*CASES[::5], *CASES[3::5]], "thorough"))
@@ -209,11 +211,11 @@ def test_one_state_is_a_special_case():
         a, w1 = rng.normal(size=(2, n)) * rng.uniform(0.05, 1)
         shallow = ShallowWeights(a, w1, rng.normal(size=(n, 2)), rng.normal(size=n))
         found, weights = conditions(a, w1), of_shallow(shallow)
-        assert vector_exact.rate(weights, vector_exact.everywhere(weights, RELU)) == found["quadratic"].rate
+        assert vector_exact.rate(weights, vector_exact.everywhere(weights, RELU)) == found["exact"].rate
         margin, smallest = vector_exact.gershgorin(weights)
         assert smallest == found["gershgorin"].rate and (margin > 0) == (found["gershgorin"].margin > 0)
-        kappa = found["quadratic"].rate * Fraction(101, 100)
-        proof = multipliers("quadratic", a, w1, kappa)
+        kappa = found["exact"].rate * Fraction(101, 100)
+        proof = multipliers("exact", a, w1, kappa)
         lam = [x * kappa * kappa for x in proof.multipliers]  # there a/κ, here κ² P
         assert vector_exact.proves(weights, RELU, Proof([[Fraction(1)]], [lam]), kappa)
 
@@ -225,10 +227,8 @@ def test_leaky_relu_with_a_skip_connection_has_the_closed_form_for_one_state():
         a, w1 = rng.normal(size=(2, n))
         weights = check(VectorWeights([[skip]], a[None], w1[:, None], np.zeros((n, 0)), np.zeros(n)))
         phi = Activation("leaky", Fraction(leak))
-        exact = vector_exact.rate(weights, vector_exact.everywhere(weights, phi))
-        assert quadratic(torch.tensor(a), torch.tensor(w1), skip, leak).rate.item() == pytest.approx(
-            float(exact), rel=1e-12
-        )
+        rate = vector_exact.rate(weights, vector_exact.everywhere(weights, phi))
+        assert exact(torch.tensor(a), torch.tensor(w1), skip, leak).rate.item() == pytest.approx(float(rate), rel=1e-12)
 
 
 def test_two_layers_of_the_papers_matrix_count_twice():

@@ -15,7 +15,7 @@ from certify.search.lmi import LMI
 from certify.training import conditions
 from tests.support import cases
 
-SCALE = {"lmi": 2, "tight": 1}  # the condition's rate is so many K
+SCALE = {"lmi": 2, "exact": 1}  # the condition's rate is so many K
 BAND = 1e-5
 
 
@@ -58,7 +58,7 @@ def referee(condition: str, count: int, seed: int = 0) -> dict[str, int]:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("condition", ["lmi", "tight"])
+@pytest.mark.parametrize("condition", ["lmi", "exact"])
 @cases(20, 40)
 def test_solver_agrees_with_the_closed_form(condition, count):
     counts = referee(condition, count)
@@ -66,7 +66,7 @@ def test_solver_agrees_with_the_closed_form(condition, count):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("condition", ["lmi", "tight"])
+@pytest.mark.parametrize("condition", ["lmi", "exact"])
 def test_solver_agrees_with_the_closed_form_on_a_thousand(condition):
     counts = referee(condition, 1000, seed=1)
     assert min(counts["certified"], counts["not certified"]) > 300
@@ -129,7 +129,7 @@ def test_lambda_is_without_bound_or_free_where_a_weight_is_zero():
         "tiny": ([1e-200, 0.3], [1e-200, 1.0]),
         "subnormal": ([1.0, 0.3], [1e-320, 1.0]),
     }
-    for condition in ("lmi", "tight"):
+    for condition in ("lmi", "exact"):
         problem = LMI(2, condition)
         for name, (a, w1) in cases.items():
             a, w1 = np.array(a), np.array(w1)
@@ -152,7 +152,7 @@ def test_one_neuron_at_the_edge():
 
 def test_margin_is_the_least_eigenvalue_and_no_multipliers_have_a_larger_one():
     generator = np.random.default_rng(0)
-    for condition, corner in (("lmi", 1), ("tight", 2)):
+    for condition, corner in (("lmi", 1), ("exact", 2)):
         for a, w1 in networks(5, condition, sizes=(3,)):
             if not (a * w1).all():
                 continue
@@ -188,7 +188,7 @@ def test_neurons_without_slope_leave_the_margin():
 
 
 def test_rate_divides_a():
-    problem = LMI(2, "tight")
+    problem = LMI(2, "exact")
     a, w1 = [1.0, 0.5], [0.5, -3.0]  # K = 1.5
     verdicts = [problem.solve(a, w1, rate).verdict for rate in (1.0, 1.4999, Fraction(15001, 10000), 2.0)]
     assert verdicts == ["not certified", "not certified", "certified", "certified"]
@@ -197,24 +197,24 @@ def test_rate_divides_a():
 @cases(2, 4)
 def test_problems_are_parametrised_and_solve_again_as_if_new(count):
     for strict in (True, False):
-        old = LMI(3, "tight", strict=strict)
+        old = LMI(3, "exact", strict=strict)
         assert old.problem.is_dcp(dpp=True) and old.rate_problem.is_dcp(dpp=True)
-        for a, w1 in networks(count, "tight", sizes=(3,)):
-            again, fresh = old.solve(a, w1), LMI(3, "tight", strict=strict).solve(a, w1)
+        for a, w1 in networks(count, "exact", sizes=(3,)):
+            again, fresh = old.solve(a, w1), LMI(3, "exact", strict=strict).solve(a, w1)
             assert again.verdict == fresh.verdict
             if strict:
                 assert abs(again.margin - fresh.margin) < 1e-7
-                rates = old.smallest_rate(a, w1)[0], LMI(3, "tight").smallest_rate(a, w1)[0]
+                rates = old.smallest_rate(a, w1)[0], LMI(3, "exact").smallest_rate(a, w1)[0]
                 np.testing.assert_allclose(*rates, rtol=1e-6)
 
 
 def test_plain_feasibility_passes_what_does_not_contract():
     """The identity, relu(x) on x ≥ 0, and networks beyond the edge pass ⪰ 0 with 2Λ; none is called certified."""
-    identity = LMI(1, "tight", strict=False).solve([1.0], [1.0])
+    identity = LMI(1, "exact", strict=False).solve([1.0], [1.0])
     assert identity.verdict == "feasible" and abs(identity.margin) < 1e-7
-    assert LMI(1, "tight").solve([1.0], [1.0]).verdict == "unknown"
+    assert LMI(1, "exact").solve([1.0], [1.0]).verdict == "unknown"
     assert LMI(1, "lmi", strict=False).solve([1.0], [1.0]).verdict == "infeasible"  # Λ keeps its factor of two
-    plain, strict = LMI(5, "tight", strict=False), LMI(5, "tight")
+    plain, strict = LMI(5, "exact", strict=False), LMI(5, "exact")
     words = {"optimal": "feasible", "optimal_inaccurate": "feasible", "infeasible": "infeasible"}
     for beyond, least in ((1e-8, 10), (1e-6, 0)):
         verdicts = []
@@ -233,7 +233,7 @@ def test_plain_feasibility_passes_what_does_not_contract():
 
 
 def test_a_solver_that_lies_or_fails_leaves_it_unknown(monkeypatch, capfd):
-    problem, truly = LMI(2, "tight"), cp.Problem.solve
+    problem, truly = LMI(2, "exact"), cp.Problem.solve
     assert problem.solve([0.4, 0.4], [1.0, 1.0]).verdict == "certified"
 
     def lie(self, **options):
@@ -269,7 +269,7 @@ def test_a_solver_that_lies_or_fails_leaves_it_unknown(monkeypatch, capfd):
 def test_another_solver_by_name():
     if "SCS" not in cp.installed_solvers():
         pytest.skip("SCS is not installed")
-    problem = LMI(2, "tight", "scs", eps_abs=1e-9, eps_rel=1e-9)
+    problem = LMI(2, "exact", "scs", eps_abs=1e-9, eps_rel=1e-9)
     assert problem.solve([0.5, 0.4], [1.0, 1.0]).verdict == "certified"
     assert problem.solve([0.5, 0.6], [1.0, 1.0]).verdict == "not certified"
     assert abs(problem.smallest_rate([0.5, 0.4], [1.0, 1.0])[0] - 0.9) < 1e-4
@@ -277,10 +277,10 @@ def test_another_solver_by_name():
 
 def test_what_is_not_there_is_told(monkeypatch):
     with pytest.raises(CertifyError, match=r"found NOPE, which is not installed: expected one of .*CLARABEL"):
-        LMI(2, "tight", solver="nope")
+        LMI(2, "exact", solver="nope")
     with pytest.raises(CertifyError, match=r"OSQP takes no semidefinite programs: expected one of .*CLARABEL"):
-        LMI(2, "tight", solver="OSQP")
-    with pytest.raises(CertifyError, match="found 'simple', expected lmi or tight"):
+        LMI(2, "exact", solver="OSQP")
+    with pytest.raises(CertifyError, match="found 'simple', expected lmi or exact"):
         LMI(2, "simple")
     with pytest.raises(CertifyError, match="found 0, expected 1 or more"):
         LMI(0)

@@ -8,10 +8,11 @@ import pytest
 import torch
 
 from certify.networks.shallow import ShallowWeights
-from certify.proofs import exact
+from certify.proofs import exact as proofs
 from certify.training.conditions import (
     BEST_GAUGE,
     CONDITIONS,
+    exact,
     extreme_slopes,
     fixed_signs,
     gershgorin,
@@ -19,7 +20,6 @@ from certify.training.conditions import (
     lmi,
     rate,
     simple,
-    tight,
 )
 from tests.support.placement import on_device
 
@@ -56,33 +56,33 @@ def test_rate_is_the_largest_slope_over_all_patterns():
     a, w1, *_ = networks(50)
     slopes = (a * w1) @ patterns(6).mT
     torch.testing.assert_close(rate(a, w1), slopes.abs().amax(-1), rtol=1e-13, atol=0)
-    torch.testing.assert_close(tight(a, w1).margin, 1 - slopes.abs().amax(-1), rtol=0, atol=1e-13)
+    torch.testing.assert_close(exact(a, w1).margin, 1 - slopes.abs().amax(-1), rtol=0, atol=1e-13)
     P, N = extreme_slopes(a, w1)
     torch.testing.assert_close(P, slopes.amax(-1), rtol=0, atol=1e-13)
     torch.testing.assert_close(-N, slopes.amin(-1), rtol=0, atol=1e-13)
 
 
 def test_some_network_with_these_a_and_w1_has_the_slope_K():
-    """So no condition on (a, w₁) alone is weaker than `tight`: W₂ = 0, b = 1 where s_i adds to the rate, else −1."""
+    """So no condition on (a, w₁) alone is weaker than `exact`: W₂ = 0, b = 1 where s_i adds to the rate, else −1."""
     a, w1, *_ = networks(50, seed=1)
     P, N = extreme_slopes(a, w1)
     sign = torch.where(P >= N, 1.0, -1.0)[:, None]
     b = torch.where(sign * a * w1 > 0, 1.0, -1.0)
     x = 0.1 / w1.abs().amax(-1, keepdim=True)
     ahead, behind = ((a * (w1 * y + b).relu()).sum(-1, keepdim=True) for y in (x, -x))
-    torch.testing.assert_close(((ahead - behind) / (2 * x)).abs()[:, 0], tight(a, w1).rate, rtol=1e-11, atol=0)
+    torch.testing.assert_close(((ahead - behind) / (2 * x)).abs()[:, 0], exact(a, w1).rate, rtol=1e-11, atol=0)
 
 
 def test_skip_term_is_the_largest_slope_over_all_patterns():
     a, w1, *_ = networks(50, seed=2)
     skip = torch.linspace(-2, 2, 50).double()
     slopes = skip[:, None] + (a * w1) @ patterns(6).mT
-    torch.testing.assert_close(tight(a, w1, skip).rate, slopes.abs().amax(-1), rtol=1e-12, atol=1e-13)
-    assert tight(a, w1).rate.equal(tight(a, w1, skip=0.0).rate)
+    torch.testing.assert_close(exact(a, w1, skip).rate, slopes.abs().amax(-1), rtol=1e-12, atol=1e-13)
+    assert exact(a, w1).rate.equal(exact(a, w1, skip=0.0).rate)
 
 
 def test_simple_is_sufficient_for_the_papers_matrix():
-    """Where `simple` holds, M of the paper is positive definite with p = 1, λ = 1/(n+1), and so `tight` holds."""
+    """Where `simple` holds, M of the paper is positive definite with p = 1, λ = 1/(n+1), and so `exact` holds."""
     n = 3
     a, w1, *_ = networks(3000, n=n, seed=3)
     held = simple(a, w1).margin > 0
@@ -95,7 +95,7 @@ def test_simple_is_sufficient_for_the_papers_matrix():
 
 
 def test_conditions_are_nested():
-    """simple ⇒ gershgorin ⇒ lmi ⇒ tight ⇒ interval, and their rates fall, on 2·10⁵ networks."""
+    """simple ⇒ gershgorin ⇒ lmi ⇒ exact ⇒ interval, and their rates fall, on 2·10⁵ networks."""
     holds = dict.fromkeys([*CONDITIONS, "interval"], 0)
     for n, seed in itertools.product((1, 2, 5, 10, 20), range(4)):
         weights = networks(10_000, n=n, seed=seed)
@@ -105,7 +105,7 @@ def test_conditions_are_nested():
         for weak, strong in itertools.pairwise(CONDITIONS):
             assert (found[weak].rate >= found[strong].rate).all(), (weak, strong)
         rounding = 2 * n * EPS * (weights.a * weights.w1).abs().sum(-1)  # sums in another order
-        assert (found["interval"].rate <= found["tight"].rate + rounding).all()
+        assert (found["interval"].rate <= found["exact"].rate + rounding).all()
         for name, gauge in BEST_GAUGE.items():
             best = gauge(weights.a, weights.w1)
             assert not ((found[name].margin > 0) & (best.margin <= 0)).any()
@@ -118,11 +118,11 @@ def test_conditions_are_nested():
 
 
 def test_largest_rates_that_can_be_certified():
-    """K below n/(4(n+1)) for `simple`, ½ for `gershgorin` and `lmi`, 1 for `tight`: never above, and nearly reached."""
+    """K below n/(4(n+1)) for `simple`, ½ for `gershgorin` and `lmi`, 1 for `exact`: never above, and nearly reached."""
     for n in (1, 4, 20):
-        bounds = {"simple": n / (4 * (n + 1)), "gershgorin": 0.5, "lmi": 0.5, "tight": 1.0}
+        bounds = {"simple": n / (4 * (n + 1)), "gershgorin": 0.5, "lmi": 0.5, "exact": 1.0}
         half = torch.full((n,), 0.5).double()
-        extremes = {"simple": half / (n + 1), "gershgorin": 2 * half / n, "lmi": 2 * half / n, "tight": 4 * half / n}
+        extremes = {"simple": half / (n + 1), "gershgorin": 2 * half / n, "lmi": 2 * half / n, "exact": 4 * half / n}
         a, w1, *_ = networks(20_000, n=n, seed=4)
         for name, bound in bounds.items():
             held = CONDITIONS[name](a, w1).margin > 0
@@ -132,10 +132,10 @@ def test_largest_rates_that_can_be_certified():
             assert abs(rate(extremes[name], half) - bound) < 1e-14
 
 
-def test_equal_networks_have_equal_lmi_and_tight():
+def test_equal_networks_have_equal_lmi_and_exact():
     a, w1, *_ = networks(200, seed=5)
     c = 2.0 ** torch.arange(-9, 9, 3)
-    for condition in (lmi, tight):
+    for condition in (lmi, exact):
         for one, other in zip(condition(a, w1), condition(a / c, w1 * c), strict=True):
             assert one.equal(other)
 
@@ -199,7 +199,7 @@ def test_margin_is_positive_where_the_rate_is_below_one():
         assert 1000 < (found.margin > 0).sum() < 19_000, name
 
 
-@pytest.mark.parametrize("name", ["simple", "gershgorin", "lmi", "tight"])
+@pytest.mark.parametrize("name", ["simple", "gershgorin", "lmi", "exact"])
 def test_rate_is_that_at_which_the_condition_holds(name):
     """With a/κ in place of a it holds for κ above the rate, and not below."""
     a, w1, *_ = networks(2000, seed=10)
@@ -215,7 +215,7 @@ def test_rates_equal_the_exact_ones_to_rounding():
     for n in (1, 2, 7, 30):
         a, w1, *_ = networks(20, n=n, seed=11)
         for k in range(20):
-            for name, expected in exact.conditions(a[k].numpy(), w1[k].numpy()).items():
+            for name, expected in proofs.conditions(a[k].numpy(), w1[k].numpy()).items():
                 found = CONDITIONS[name](a[k], w1[k])
                 rounding = 4 * (n + 4) * EPS
                 assert abs(Fraction(found.margin.item()) - expected.margin) <= rounding * (1 + abs(expected.margin))
@@ -231,7 +231,7 @@ def test_gradients():
     for condition in (*CONDITIONS.values(), *BEST_GAUGE.values()):
         assert torch.autograd.gradcheck(condition, (a, w1))
     skip = torch.tensor([0.3, -0.4, 0.1], dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(tight, (a, w1, skip))
+    assert torch.autograd.gradcheck(exact, (a, w1, skip))
     assert torch.autograd.gradcheck(lambda a, w1: interval(weights._replace(a=a, w1=w1), *BOX), (a, w1))
 
 
@@ -260,12 +260,12 @@ def test_a_dead_neuron_fails_gershgorin_though_the_map_ignores_it():
     for condition in (simple, gershgorin):
         assert condition(a, w1).margin <= 0 and condition(a, w1).rate == torch.inf
         assert condition(a[:1], w1[:1]).margin > 0
-    for condition in (lmi, tight, *BEST_GAUGE.values()):
+    for condition in (lmi, exact, *BEST_GAUGE.values()):
         assert condition(a, w1).margin > 0
 
 
 def test_each_condition_holds_for_a_network_of_one_neuron_for_which_the_one_before_does_not():
-    cases = {"gershgorin": (0.6, 0.5), "lmi": (10.0, 0.04), "tight": (0.9, 1.0)}
+    cases = {"gershgorin": (0.6, 0.5), "lmi": (10.0, 0.04), "exact": (0.9, 1.0)}
     for (name, (a, w1)), before in zip(cases.items(), CONDITIONS, strict=False):
         a, w1 = torch.tensor([a]), torch.tensor([w1])
         assert CONDITIONS[name](a, w1).margin > 0 >= CONDITIONS[before](a, w1).margin
@@ -276,7 +276,7 @@ def test_the_identity_holds_at_no_condition():
     one = torch.ones(1)
     for condition in (*CONDITIONS.values(), *BEST_GAUGE.values()):
         assert condition(one, one).margin <= 0
-    assert tight(one, one).margin == 0
+    assert exact(one, one).margin == 0
 
 
 @pytest.mark.parametrize("batch", [(), (2, 3)])
@@ -285,5 +285,5 @@ def test_conditions_stay_on_the_device_of_the_weights(batch):
     there, box = ShallowWeights(*(x.to("meta") for x in networks(*batch))), [x.to("meta") for x in BOX]
     with on_device():
         found = [each(there.a, there.w1) for each in (*CONDITIONS.values(), *BEST_GAUGE.values())]
-        found += [interval(there, *box), tight(there.a, there.w1, torch.full(batch, 0.5, device="meta"))]
+        found += [interval(there, *box), exact(there.a, there.w1, torch.full(batch, 0.5, device="meta"))]
     assert all(x.is_meta and x.shape == batch and x.dtype == torch.float64 for each in found for x in each)

@@ -17,7 +17,7 @@ from tests.support.placement import on_device
 
 BOUNDS = torch.tensor([0.0, 0, 0, -1, -1]).double(), torch.ones(5).double()
 CASES = [("simple", "literal"), ("simple", "best"), ("gershgorin", "literal"), ("gershgorin", "best"),
-         ("lmi", "literal"), ("tight", "literal"), ("interval", "literal")]  # fmt: skip
+         ("lmi", "literal"), ("exact", "literal"), ("interval", "literal")]  # fmt: skip
 
 
 def networks(batch, n: int = 6, size: float = 1.0, seed: int = 0, dtype=torch.float64) -> ShallowWeights:
@@ -118,8 +118,8 @@ def test_inside_exactly(condition, gauge, size, dtype, count):
 def test_signs_do_not_cancel():
     """One class of 1e17 hides nothing of the other: P and N are summed apart."""
     a, one = torch.tensor([1e17, -5.0]).double(), torch.ones(2).double()
-    near = project(ShallowWeights(a, one, torch.zeros(2, 4).double(), 0 * one), "tight", 0.999)
-    assert exact_rate(near, "tight", "literal") <= Fraction(0.999)
+    near = project(ShallowWeights(a, one, torch.zeros(2, 4).double(), 0 * one), "exact", 0.999)
+    assert exact_rate(near, "exact", "literal") <= Fraction(0.999)
 
 
 def test_networks_inside_on_a_box_stay_exactly():
@@ -166,9 +166,9 @@ def test_gradients(condition, gauge):
 
 def test_elements_equal_single_networks():
     weights = networks((2, 3), seed=7)
-    near, kappa = project(weights, "tight", torch.full((2, 1), 0.7)), 0.7
+    near, kappa = project(weights, "exact", torch.full((2, 1), 0.7)), 0.7
     for i, j in np.ndindex(2, 3):
-        alone = project(ShallowWeights(*(x[i, j] for x in weights)), "tight", kappa)
+        alone = project(ShallowWeights(*(x[i, j] for x in weights)), "exact", kappa)
         torch.testing.assert_close(near.a[i, j], alone.a, rtol=1e-6, atol=1e-7)
 
 
@@ -190,7 +190,7 @@ def test_two_trajectories_contract_whatever_the_weights_do():
     x = torch.tensor([[-0.7], [0.9]], dtype=torch.float64).expand(2, 200)
     distance = (x[1] - x[0]).abs()
     for k in range(200):
-        near = project(networks((200,), n=20, size=2.0, seed=k), "tight", kappa)
+        near = project(networks((200,), n=20, size=2.0, seed=k), "exact", kappa)
         u = torch.randn(200, 4, generator=generator, dtype=torch.float64)
         drive = (near.W2 * u[:, None]).sum(-1) + near.b
         x = torch.stack([(near.a * (near.w1 * each[:, None] + drive).relu()).sum(-1) for each in x])

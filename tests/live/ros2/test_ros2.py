@@ -320,7 +320,7 @@ def test_the_health_is_a_diagnostic_of_the_model_and_one_of_the_inputs(out):
     told = health(
         ages={"surge": 0.25, "heading": math.inf}, counts={"surge": {"stale": 3}}, warnings=("the disk is full",),
         identified={"steady_speed_full": (2.5, 2.0, 3.0, "m/s")},
-        contraction={"rnn": {"contracting": True, "condition": "tight", "rate": 0.5, "equilibrium": None}},
+        contraction={"rnn": {"contracting": True, "condition": "exact", "rate": 0.5, "equilibrium": None}},
     )  # fmt: skip
     message = out.diagnostics(START, "usvlearn", told, {"heading": "nobody publishes /imu yet"}, ["a note"])
     model, inputs = message.status
@@ -329,7 +329,7 @@ def test_the_health_is_a_diagnostic_of_the_model_and_one_of_the_inputs(out):
     assert inputs.message == "heading: nobody publishes /imu yet; a note; the disk is full"
     values = {pair.key: pair.value for status in message.status for pair in status.values}
     assert values["surge age s"] == "0.25" and values["heading age s"] == "never" and values["surge stale"] == "3"
-    assert values["rnn condition"] == "tight" and values["rnn equilibrium"] == "unknown"
+    assert values["rnn condition"] == "exact" and values["rnn equilibrium"] == "unknown"
     assert values["steady_speed_full"] == "2.5 m/s, 90 % interval 2 to 3"
 
 

@@ -137,7 +137,7 @@ class RNN(Estimator):
         momentum: Adam's β₁, in [0, 1), no unit.
         clip: c, the norm that no batch element's gradient exceeds, no unit; None or infinity for no limit.
         stability: "project" onto `condition` after every update, "penalty" (the paper's), or "none".
-        condition: simple, gershgorin, lmi, tight (all activation patterns, the weakest that (a, w₁) alone can tell), or
+        condition: simple, gershgorin, lmi, exact (all activation patterns, the weakest that (a, w₁) alone can tell), or
             interval (the same for |x| ≤ 1, where a speed that coasts is kept, and commands of up to 1.2).
         contraction_rate: κ of the projection, no unit; broadcasts against the batch.
         gauge: "literal", or "best": simple and gershgorin of the equal network that holds them most easily.
@@ -173,7 +173,7 @@ class RNN(Estimator):
         momentum: float = 0.0,
         clip: float | None = 0.1,
         stability: str = "project",
-        condition: str = "tight",
+        condition: str = "exact",
         contraction_rate: Hyper = 0.999,
         gauge: str = "literal",
         penalty: Hyper = 1e-4,
@@ -238,7 +238,7 @@ class RNN(Estimator):
             a, b = weights.a, weights.b
             constant = (
                 -(a * b)[..., :1] / b[..., 1:2]
-            )  # a condition stricter than `tight` may have shrunk the first neuron's
+            )  # a condition stricter than `exact` may have shrunk the first neuron's
             weights = weights._replace(a=torch.cat([a[..., :1], constant, a[..., 2:]], -1))
         weights = self._stable(weights)
         zero = self.a.new_zeros

@@ -66,7 +66,7 @@ def project(weights, n, condition, best, kappa, bounds, work):
     """a becomes the nearest that holds a condition at the rate κ; literal conditions may change the gauge first."""
     a, w1, cost = weights[n * BEGIN.a : n * BEGIN.a + n], weights[n * BEGIN.w1 : n * BEGIN.w1 + n], work[:n]
     kappa *= 1 - 8 * n * np.finfo(weights.dtype).eps
-    if condition == Condition.TIGHT or condition == Condition.LMI:
+    if condition == Condition.EXACT or condition == Condition.LMI:
         times = 2.0 if condition == Condition.LMI else 1.0
         P, N = extremes(a, w1)
         if times * max(P, N) <= kappa:  # NaN goes on, and stays

@@ -121,7 +121,7 @@ class Condition(IntEnum):
     SIMPLE = 1
     GERSHGORIN = 2
     LMI = 3
-    TIGHT = 4
+    EXACT = 4
     INTERVAL = 5
 
 

@@ -79,7 +79,7 @@ def network_section(seasons: Sequence[Season], ensemble: Ensemble, errors: Mappi
         )
     here.append(
         "A network that satisfies the paper's condition (K < ¼) has a time constant below 0.72 steps, and no hull is "
-        "so fast. tight (K < 1) is the weakest condition that covers all activation patterns."
+        "so fast. exact (K < 1) is the weakest condition that covers all activation patterns."
     )
     counts = "one equilibrium at each" if single else "none or several at some"
     here.append(f"Without thrust the last networks have {counts} of {HEADINGS} headings.")
