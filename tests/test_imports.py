@@ -54,7 +54,7 @@ CERTIFY = {
         "certify.networks.shallow",
     },
     "scipy": {"certify.search", "certify.command.compare"},
-    "cvxpy": {"certify.search.lmi"},
+    "cvxpy": {"certify.search.vector_lmi"},
     "clarabel": {"certify.search.vector_lmi"},
     "matplotlib": {"certify.display.figures"},
     "rich": {"certify.display"},

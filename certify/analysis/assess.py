@@ -6,14 +6,12 @@ import math
 import sys
 from collections.abc import Sequence
 from fractions import Fraction
-from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from certify.errors import CertifyError
 from certify.networks.shallow import Network, ShallowWeights
-from certify.networks.vector import MOST_STATES, VectorNetwork, is_recurrent
+from certify.networks.vector import MOST_STATES, VectorNetwork, is_recurrent, of_shallow
 from certify.proofs import exact, vector_certificate, vector_exact
 from certify.proofs.box_planes import Box, value_at
 from certify.proofs.box_proof import proves
@@ -22,6 +20,9 @@ from certify.proofs.rational import Matrix
 from certify.proofs.rounding import float_above, float_below
 from certify.search.recurrent import by_full_metric, by_spectral_norm, diagonal_scaling
 from certify.search.vector_scaling import best_scaling
+
+if TYPE_CHECKING:
+    from certify.search.vector_lmi import Solved
 
 HEADINGS = np.linspace(0.0, 2 * math.pi, 12, endpoint=False)  # rad, of the equilibria at rest
 AT_REST = (-1.0, 1.0)  # interval of x that is searched for equilibria: twice the largest speed, ahead or astern
@@ -101,7 +102,7 @@ def _one_state(network: Network, u: np.ndarray, box: Box | None, seconds: float,
             "classes": sorted({each.kind for each in every}),
         }
     if solver is not None:
-        found["lmi"] = solved(weights, solver)
+        found["lmi"] = {"solver": solver} | solved_both(weights, solver)
     if box is not None:
         found["box"] = search_box(weights, box, seconds)
     return found
@@ -163,34 +164,20 @@ def _point(witness) -> dict[str, Any] | None:
     return {"x": float(witness.x), "u": list(map(float, witness.u)), "slope": float(witness.slope)}
 
 
-def solved(weights: ShallowWeights, solver: str = "CLARABEL") -> dict[str, Any]:
-    """What a solver says of both matrices' LMI; problems are compiled once per size."""
-    found: dict[str, Any] = {"solver": solver}
-    for condition in ("lmi", "exact"):
-        problem = _problem(len(weights.a), condition, solver)
-        try:
-            solution = problem.solve(weights.a, weights.w1)
-            rate, _ = problem.smallest_rate(weights.a, weights.w1)
-        except CertifyError as error:  # weights that no float solver can take
-            nothing = {"margin": None, "rate": None, "metric": None, "status": str(error), "seconds": 0.0}
-            found[condition] = {"verdict": "unknown", **nothing}
-            continue
-        found[condition] = {
-            "verdict": solution.verdict,
-            "margin": _number(solution.margin),
-            "rate": _number(rate),
-            "metric": _number(solution.metric),
-            "status": solution.status,
-            "seconds": solution.seconds,
-        }
-    return found
+def solved(network: VectorNetwork, condition: str, solver: str) -> tuple[dict[str, Any], Solved]:
+    """What a solver says of an LMI: `lmi` is the paper's, with slopes up to 2, any other that of the slopes of φ."""
+    from certify.search.vector_lmi import smallest_rate
+
+    found = smallest_rate(network.weights, network.activation, 2 if condition == "lmi" else 1, solver)
+    proved = found.kappa is not None and found.kappa <= 1
+    verdict = "certified" if proved else "not certified" if found.rate > 1 else "unknown"
+    return {"verdict": verdict, "rate": _number(found.rate), "status": found.status, "seconds": found.seconds}, found
 
 
-@cache
-def _problem(n: int, condition: str, solver: str) -> Any:
-    from certify.search.lmi import LMI
-
-    return LMI(n, condition, solver=solver)
+def solved_both(weights: ShallowWeights, solver: str) -> dict[str, dict[str, Any]]:
+    """What a solver says of the LMIs of one state; the closed forms must agree with it."""
+    alike = VectorNetwork("", of_shallow(weights))
+    return {name: solved(alike, name, solver)[0] for name in ("lmi", "exact")}
 
 
 def _number(x: float) -> float | None:
@@ -214,7 +201,10 @@ def _vector_state(
         for name in ("lmi", "quadratic"):
             rates[name] = None
             if name == "quadratic" or phi.name == "relu":
-                made[name], statuses[name] = _solved_vector(network, name, solver)
+                statuses[name], answer = solved(network, name, solver)
+                made[name] = None
+                if answer.proof is not None and statuses[name]["verdict"] == "certified":
+                    made[name] = vector_certificate.make(network, name, answer.kappa, answer.proof)
                 if (proved := made[name]) is not None:
                     rates[name] = Fraction(proved["rate"])
                     metric = [[Fraction(x) for x in each] for each in proved["proof"]["metric"]]
@@ -249,17 +239,6 @@ def _vector_state(
         if all_steps is not None:
             found[STEPS] = all_steps
     return row, found
-
-
-def _solved_vector(network: VectorNetwork, name: str, solver: str) -> tuple[dict[str, Any] | None, dict[str, Any]]:
-    from certify.search.vector_lmi import smallest_rate
-
-    found = smallest_rate(network.weights, network.activation, 2 if name == "lmi" else 1, solver)
-    made = None
-    if found.proof is not None and found.kappa is not None and found.kappa <= 1:
-        made = vector_certificate.make(network, name, found.kappa, found.proof)
-    answer = {"rate": found.rate if math.isfinite(found.rate) else None, "status": found.status}
-    return made, {**answer, "seconds": found.seconds}
 
 
 def _quadratic(network: VectorNetwork, seconds: float, full: bool) -> tuple[Fraction | None, dict[str, Any] | None]:

@@ -14,7 +14,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from certify.analysis.assess import solved
+from certify.analysis.assess import solved_both
 from certify.display.figures import comparison_figure, save
 from certify.display.printed import progress, show_comparison
 from certify.errors import CertifyError
@@ -61,7 +61,7 @@ def examine(weights: ShallowWeights, seconds: float, solver: str | None = None) 
         "closed": bracket.closed,
     }
     if solver is not None:
-        row["solved"] = {name: each["verdict"] for name, each in solved(weights, solver).items() if name != "solver"}
+        row["solved"] = {name: each["verdict"] for name, each in solved_both(weights, solver).items()}
     return row
 
 

@@ -260,7 +260,8 @@ def read_tensors(path: str | Path) -> dict[str, np.ndarray]:
 def stated_activation(path: str | Path) -> str | None:
     """The activation that a file states, None where it states none.
 
-    It is an entry `activation` of an .npz, or of the metadata of .safetensors, as usvlearn writes them.
+    It is an entry `activation` of an .npz or of the metadata of .safetensors, or of the descriptions of estimators with
+    which usvlearn saves a checkpoint; version 0.2 wrote it beside these.
 
     Raises:
         CertifyError: as `read_tensors`, or metadata that cannot be read.
@@ -277,9 +278,20 @@ def stated_activation(path: str | Path) -> str | None:
         with safe_open(path, "np") as file:
             known = file.metadata() or {}
         facts = json.loads(known.get("usvlearn", "{}"))
-        return known.get("activation") or (facts.get("activation") if isinstance(facts, dict) else None)
+        stated = {known["activation"]} if "activation" in known else set(_stated(facts))
     except Exception as error:  # a damaged file can make a reader raise anything
         raise CertifyError(f"{path}: its metadata cannot be read ({shortened(error)}): save it again") from error
+    if len(stated) > 1:
+        raise CertifyError(f"{path}: states the activations {quoted(sorted(stated))}, expected one")
+    return next(iter(stated), None)
+
+
+def _stated(facts: Any) -> Iterator[str]:
+    """Every `activation` in nested dictionaries."""
+    for key, value in facts.items() if isinstance(facts, dict) else ():
+        if key == "activation":
+            yield str(value)
+        yield from _stated(value)
 
 
 def _read_safetensors(path: Path) -> dict[str, np.ndarray]:

@@ -157,11 +157,11 @@ def check(weights: VectorWeights, name: str = "weights") -> VectorWeights:
             f"{name}: found the shapes {found}, expected R (q, q), A (q, n), W (n, q), W2 (n, m), b (n,) with q and n "
             "of 1 or more; with a second hidden layer V (l, n), c (l,) and A (q, l)"
         )
-    found = VectorWeights(**arrays)
-    most = MOST_RECURRENT if is_recurrent(found) else MOST_STATES
-    if not 1 <= q <= most:
-        raise CertifyError(f"{name}: found a state of {q} components, expected 1 to {most}")
-    return found
+    checked = VectorWeights(**arrays)
+    most_states = MOST_RECURRENT if is_recurrent(checked) else MOST_STATES
+    if not 1 <= q <= most_states:
+        raise CertifyError(f"{name}: found a state of {q} components, expected 1 to {most_states}")
+    return checked
 
 
 def is_recurrent(weights: VectorWeights) -> bool:

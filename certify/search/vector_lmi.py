@@ -16,6 +16,7 @@ from __future__ import annotations
 import itertools
 import math
 import time
+import warnings
 from fractions import Fraction
 from typing import Any, NamedTuple
 
@@ -24,9 +25,9 @@ import numpy as np
 from certify.errors import CertifyError
 from certify.networks.vector import Activation, VectorWeights, check, refuse_large
 from certify.proofs.vector_exact import Proof, proves
-from certify.search.lmi import TOLERANCE, import_cvxpy, quietly
 from certify.search.vector_balance import Balanced, balance
 
+USABLE = ("optimal", "optimal_inaccurate")  # answers of cvxpy
 QUIET = np.errstate(all="ignore")  # weights near the ends of a float's range; what is claimed is proved in fractions
 SMALLEST = 2.0**-12  # rate of the balanced network: one whose slopes are all zero has the rate 0, which is no κ
 FLOOR = 0.01  # of P₀ and Λ₀: beside a singular P₀ the solver fails
@@ -44,13 +45,10 @@ SAMPLES = 50  # patterns, for a first κ
 class Solved(NamedTuple):
     """The answer of a solver, and the result of checking it exactly."""
 
-    verdict: str  # certified; not certified: the solver's answer, no proof; unknown: its answer proves nothing
-    rate: float  # the smallest rate by the solver, or the rate that was asked for; NaN where the solver fails
-    kappa: Fraction | None  # the rate that P and Λ prove; None unless certified
+    rate: float  # the smallest rate by the solver; NaN where it fails
+    kappa: Fraction | None  # the rate that P and Λ prove
     proof: Proof | None
-    margin: float  # t of (1) for the balanced network, at the last κ
     status: str  # as the solver reports it
-    solver: str
     seconds: float  # wall time, with the exact proof
     programs: int  # how many were solved
 
@@ -66,7 +64,7 @@ def smallest_rate(weights: VectorWeights, phi: Activation, most: int = 1, solver
         solver: CLARABEL, or any installed solver of cvxpy that takes semidefinite programs.
 
     Returns:
-        The verdict, the solver's rate, and the κ that is proved exactly, with its P and Λ.
+        The solver's rate, and the κ that is proved exactly, with its P and Λ.
 
     Raises:
         CertifyError: weights that are no network or too large, a `most` other than 1 and 2, no such solver.
@@ -74,14 +72,14 @@ def smallest_rate(weights: VectorWeights, phi: Activation, most: int = 1, solver
     >>> from certify.networks.vector import RELU
     >>> net = VectorWeights(None, [[0.5, -1.0]], [[1.0], [0.75]], np.zeros((2, 0)), [0.0, 0.0])
     >>> found = smallest_rate(net, RELU)
-    >>> found.verdict, round(found.rate, 5), 0.75 < found.kappa < 0.7501
-    ('certified', 0.75, True)
+    >>> round(found.rate, 5), 0.75 < found.kappa < 0.7501
+    (0.75, True)
     """
     start, weights = time.perf_counter(), _one(weights, most)
     program = Program(balance(weights), phi, most, solver)
     size = Fraction(program.network.size)
     kappa, high = 1.5 * max(SMALLEST, _largest_sampled_slope(program.network, phi, most)), math.inf
-    margin, status = math.nan, ""
+    status = ""
     while program.solved < PROGRAMS:
         margin, x, status = program.solve(kappa)
         if x is None or not margin > 0:
@@ -98,56 +96,11 @@ def smallest_rate(weights: VectorWeights, phi: Activation, most: int = 1, solver
     rate, exact, proof = high * float(size) if math.isfinite(high) else math.nan, None, None
     for widened in WIDENED if math.isfinite(high) else ():
         short = _short(high * (1 + widened))
-        margin, x, status = program.solve(float(short))
+        _, x, status = program.solve(float(short))
         if x is not None and (proof := program.proof(weights, x, short * size)):
             exact = short * size
             break
-    verdict = "certified" if proof else "unknown"
-    return Solved(verdict, rate, exact, proof, margin, status, solver, time.perf_counter() - start, program.solved)
-
-
-@QUIET
-def certify(
-    weights: VectorWeights, phi: Activation, rate: float | Fraction = 1, most: int = 1, solver: str = "CLARABEL"
-) -> Solved:
-    """Whether (1) proves a rate.
-
-    Args:
-        weights: of one network, one or two hidden layers.
-        phi: gives the least slope α.
-        rate: the rate asked for, no unit.
-        most: β, no unit, as in `smallest_rate`.
-        solver: CLARABEL, or any installed solver of cvxpy that takes semidefinite programs.
-
-    Returns:
-        The verdict, with P and Λ where the rate is proved.
-
-    Raises:
-        CertifyError: as in `smallest_rate`, or a rate that is not above 0.
-
-    >>> from certify.networks.vector import RELU
-    >>> net = VectorWeights(None, [[0.5, -1.0]], [[1.0], [0.75]], np.zeros((2, 0)), [0.0, 0.0])
-    >>> certify(net, RELU, 0.76).verdict, certify(net, RELU, 0.74).verdict
-    ('certified', 'not certified')
-    """
-    start, weights = time.perf_counter(), _one(weights, most)
-    if not (math.isfinite(rate) and rate > 0):
-        raise CertifyError(f"rate: found {rate}, expected a finite number above 0")
-    program = Program(balance(weights), phi, most, solver)
-    kappa = Fraction(rate) / Fraction(program.network.size)
-    kappa = min(max(kappa, Fraction(1, 2**60)), MOST)  # what proves MOST also proves more
-    proof, verdict = None, "unknown"
-    for _ in range(2):  # the second time scaled by the P and Λ of the first
-        margin, x, status = program.solve(float(kappa))
-        if x is None or margin < -TOLERANCE:
-            verdict = "unknown" if x is None else "not certified"
-            break
-        if proof := program.proof(weights, x, Fraction(rate)):
-            verdict = "certified"
-            break
-        program.scale_by(x)
-    exact, seconds = Fraction(rate) if proof else None, time.perf_counter() - start
-    return Solved(verdict, float(rate), exact, proof, margin, status, solver, seconds, program.solved)
+    return Solved(rate, exact, proof, status, time.perf_counter() - start, program.solved)
 
 
 def _one(weights: VectorWeights, most: int) -> VectorWeights:
@@ -219,13 +172,9 @@ class Program:
         if self.solver != "CLARABEL":
             import_cvxpy(self.solver)
             return
-        try:
-            import clarabel  # noqa: F401
-            from scipy.sparse import csc_matrix
-        except ImportError as error:
-            raise CertifyError(
-                "clarabel is not installed, expected it for an LMI: run pip install 'usvlearn[lmi]'"
-            ) from error
+        _clarabel()
+        from scipy.sparse import csc_matrix
+
         self._fixed, self._square = (csc_matrix(-self._triangle(X).T) for X in (self.fixed, self.square))
 
     def _triangle(self, X: np.ndarray) -> np.ndarray:
@@ -325,8 +274,46 @@ def _clarabel() -> Any:
     """The solver; it has no types."""
     try:
         import clarabel
+        from scipy.sparse import csc_matrix  # noqa: F401
     except ImportError as error:
         raise CertifyError(
             "clarabel is not installed, expected it for an LMI: run pip install 'usvlearn[lmi]'"
         ) from error
     return clarabel
+
+
+def quietly(problem: Any, solver: str, **options: Any) -> str:
+    """Solve a problem of cvxpy; the solver's status. Its output and its warnings are discarded."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            problem.solve(solver=solver, **options)
+        status = problem.status
+        found = [x.value for x in problem.variables()]
+        if status in USABLE and not all(x is not None and np.isfinite(x).all() for x in found):
+            status = "no finite values"
+    except import_cvxpy().SolverError as error:
+        status = f"SolverError: {str(error).strip().splitlines()[0]}"
+    return status
+
+
+def import_cvxpy(solver: str | None = None) -> Any:
+    """cvxpy, imported when it is used because that takes a second. If a solver is given, check that it solves (1)."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            import cvxpy as cp
+    except ImportError as error:
+        raise CertifyError("cvxpy is not installed, expected it for an LMI: run pip install 'usvlearn[lmi]'") from error
+    if solver is not None:
+        installed = cp.installed_solvers()
+        expected = f"expected one of {', '.join(installed)}, of which CLARABEL is the default"
+        if solver not in installed:
+            raise CertifyError(
+                f"solver: found {solver}, which is not installed: {expected} (pip install 'usvlearn[lmi]')"
+            )
+        try:
+            cp.Problem(cp.Minimize(0), [cp.Variable((2, 2), PSD=True) >> 0]).get_problem_data(solver)
+        except cp.SolverError as error:
+            raise CertifyError(f"solver: {solver} takes no semidefinite programs: {expected}") from error
+    return cp

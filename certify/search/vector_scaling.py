@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from certify.networks.vector import RELU, Activation, VectorWeights, check
+from certify.networks.vector import Activation, VectorWeights
 from certify.proofs.rational import Matrix, identity, inverse
 from certify.proofs.vector_exact import NORMS, everywhere, rate
 
@@ -86,29 +86,14 @@ class Values:
         return T @ self.R @ x + greatest
 
 
-@QUIET
-def best_diagonal(weights: VectorWeights, phi: Activation = RELU, norm: str = "inf") -> np.ndarray:
-    """The diagonal of T for which K is smallest, with the geometric mean 1.
-
-    Args:
-        weights: of one network.
-        phi: gives the slopes.
-        norm: "inf" or "one".
-
-    Returns:
-        The diagonal, `(q,)`.
-
-    Raises:
-        CertifyError: weights that are no network.
+def best_diagonal(values: Values) -> np.ndarray:
+    """The diagonal of T for which K is smallest, `(q,)`, with the geometric mean 1.
 
     >>> zero = np.zeros((1, 2))
-    >>> best_diagonal(VectorWeights([[0.5, 1.0], [0.01, 0.5]], zero.T, zero, [[0.0]], [0.0])).round(2).tolist()
+    >>> net = check(VectorWeights([[0.5, 1.0], [0.01, 0.5]], zero.T, zero, [[0.0]], [0.0]))
+    >>> best_diagonal(Values(net, RELU, "inf")).round(2).tolist()
     [0.32, 3.16]
     """
-    return _diagonal(Values(check(weights), phi, norm))
-
-
-def _diagonal(values: Values) -> np.ndarray:
     q = len(values.R)
     s, unit = np.ones(q), np.eye(q)
     for _ in range(ITERATIONS):
@@ -156,7 +141,7 @@ def improve(values: Values, T: np.ndarray, until: float) -> np.ndarray:
 
 def starts(weights: VectorWeights, phi: Activation, values: Values, metric: np.ndarray | None) -> Iterator[np.ndarray]:
     """The T from which the search starts."""
-    yield np.diag(_diagonal(values))
+    yield np.diag(best_diagonal(values))
     if metric is not None and np.linalg.eigvalsh(metric)[0] > 0:
         root = np.linalg.cholesky(metric).T
         generator = np.random.default_rng(0)
@@ -208,7 +193,7 @@ def best_scaling(
     for k, norm in enumerate(NORMS, 1):
         until = start + seconds * k / len(NORMS)
         values = Values(weights, phi, norm)
-        tried = [("diagonal", np.diag(_diagonal(values)))]
+        tried = [("diagonal", np.diag(best_diagonal(values)))]
         for T in starts(weights, phi, values, P) if full else ():
             if time.perf_counter() < until:
                 tried.append(("full", improve(values, T / np.abs(T).max(), until)))

@@ -30,7 +30,7 @@ def test_roundtrip_is_exact_and_complete(tmp_path):
     assert dict(named_leaves(found)).keys() == expected.keys()
     for name, leaf in named_leaves(found):
         assert torch.equal(leaf, expected[name]) and leaf.dtype == expected[name].dtype, name
-    assert facts == {"schema": 3, "estimator": "Ensemble", "boat": "heron", "time": 12.5, "activation": "relu"}
+    assert facts == {"schema": 3, "estimator": "Ensemble", "boat": "heron", "time": 12.5}
     assert list(path.parent.iterdir()) == [path]  # no temporary file is left
 
 

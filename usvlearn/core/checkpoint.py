@@ -63,7 +63,7 @@ def save(path: str | Path, state: Any, **metadata: Any) -> Path:
     """
     path = Path(path)
     leaves = {name: as_array(leaf) for name, leaf in named_leaves(state)}
-    facts = {"schema": SCHEMA, **metadata} | ({"activation": "relu"} if any("weights.w1" in x for x in leaves) else {})
+    facts = {"schema": SCHEMA, **metadata}
     facts["sha256"] = _digest(leaves, facts)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, save_tensors(leaves, {KEY: json.dumps(facts)}))

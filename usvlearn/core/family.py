@@ -217,6 +217,7 @@ class Family(Generic[S]):
         state: from the size (of forecasts a tuple), and then the values of `lengths`, a state of `Field`s.
         numbers, choices, vectors: its other declarations.
         size: the legal sizes, or a function from its entries in a specification to its size.
+        facts: what its specifications state beside choices; those of version 0.2 do not.
         optional: choices that a specification has all or none of.
         last: numbers, the last ones, that a specification has where it has those choices, and only there.
         lengths: choices, whole numbers, that also size the state; one that a specification lacks counts as 0.
@@ -238,6 +239,7 @@ class Family(Generic[S]):
     choices: type[Choices] = Choices
     vectors: type[Vectors] = Vectors
     size: Range | Callable[[Mapping[str, Any]], int] = Range(0, 0)
+    facts: Mapping[str, str] = field(default_factory=dict)
     optional: tuple[Choices, ...] = ()
     last: tuple[Numbers, ...] = ()
     lengths: tuple[Choices, ...] = ()

@@ -290,6 +290,7 @@ def describe(family: Family[Any], part: Any, **own: Any) -> dict[str, Any]:
     for choice in family.choices:
         if choice not in family.optional:
             found[choice.key] = own[choice.key] if choice.key in own else getattr(part, choice.key)
+    found |= family.facts
     found["numbers"] = numbers_of([each for each in family.numbers if each not in family.last], part, **own)
     return found | ({"vectors": numbers_of(family.vectors, part, **own)} if len(family.vectors) else {})
 

@@ -268,7 +268,10 @@ class _Reading:
         family = KINDS[_choose(f"{entry}.kind", kind, [*KINDS, *left])]
         chosen = family.chosen(member)
         vectors = ("vectors",) if len(family.vectors) else ()
-        _keys(entry, member, ("kind", "size", "numbers", *(choice.key for choice in chosen), *vectors))
+        for key, fact in family.facts.items():
+            _choose(f"{entry}.{key}", member.get(key, fact), [fact])
+        facts = member.keys() & family.facts.keys()
+        _keys(entry, member, ("kind", "size", "numbers", *facts, *(choice.key for choice in chosen), *vectors))
         for choice in chosen:
             if choice.each is None:
                 self._choice(entry, choice, member[choice.key])

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from certify.__main__ import main
-from certify.analysis.assess import _problem
 from certify.networks.shallow import ShallowWeights
 from tests.support import few
 from tests.support.certify_command import told
@@ -179,8 +178,7 @@ def test_bad_input_is_one_sentence_and_code_2(files, capsys, monkeypatch, argume
 
 
 def test_a_missing_solver_package_says_which_extra(files, capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, "cvxpy", None)
-    _problem.cache_clear()
+    monkeypatch.setitem(sys.modules, "clarabel", None)
     assert main([str(files / "good.npz"), "--lmi"]) == 2
     assert "usvlearn[lmi]" in capsys.readouterr().err
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)

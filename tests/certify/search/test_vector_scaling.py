@@ -44,7 +44,7 @@ def test_best_diagonal_is_the_spectral_radius_of_a_positive_matrix(norm):
         R = size * rng.uniform(0.1, 1, (q, q)) * 10 ** rng.uniform(-1, 1, (q, 1))
         values = Values(linear(R), RELU, norm)
         radius = np.abs(np.linalg.eigvals(R)).max()
-        assert values.largest(np.diag(best_diagonal(linear(R), RELU, norm))) == pytest.approx(radius, rel=1e-6)
+        assert values.largest(np.diag(best_diagonal(values))) == pytest.approx(radius, rel=1e-6)
 
 
 @pytest.mark.parametrize("norm", few(exact.NORMS, ["one"], "thorough"))
@@ -55,7 +55,7 @@ def test_no_other_diagonal_is_better(norm, count):
     for case in range(count):
         weights = draw(rng, 3, 6, 4 if case % 3 == 2 else 0)
         values = Values(weights, activation(PHI[case % 3]), norm)
-        best = best_diagonal(weights, activation(PHI[case % 3]), norm)
+        best = best_diagonal(Values(weights, activation(PHI[case % 3]), norm))
         K = values.largest(np.diag(best))
         for start in (np.log(best[1:] / best[0]), *rng.standard_normal((3, 2))):
             found = minimize(

@@ -186,6 +186,7 @@ FAMILY = Family(
     Choice,
     Vector,
     size=Range(1, 100_000),
+    facts={"activation": "relu"},  # by which `certify` knows φ
     optional=(Choice.REPLAY_SIZE, Choice.REPLAY_STEPS),
     lengths=(Choice.REPLAY_SIZE,),
     work=lambda n: INPUTS + 16 * n,
