@@ -141,7 +141,7 @@ def stability(
     >>> from usvlearn import RNN
     >>> ensemble = Ensemble({"rnn": RNN(surge_max=2.7)})
     >>> stability(ensemble, ensemble.init((1,)), ["heron"])[0].split(", K")[0]
-    'rnn of heron: certified contracting by tight'
+    'rnn of heron: certified contracting by exact'
     """
     found = verdicts(ensemble, state, boats[:SHOWN])
     lines = []
