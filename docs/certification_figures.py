@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from certify.display.figures import INK, PALE, TIER_COLOURS
 from certify.networks.shallow import ShallowWeights
-from certify.networks.vector import RELU, VectorNetwork, VectorWeights, check, forward
+from certify.networks.vector import RELU, VectorWeights, check
 from certify.proofs import vector_exact
 from certify.proofs.box_planes import Box, slope_at
 from certify.proofs.rational import matrix
@@ -189,7 +189,8 @@ def pairs():
     found = []
     for _ in range(25):
         found.append(np.abs((x[0] - x[1]) @ T).max(-1))
-        x = forward(VectorNetwork("", net), x, rng.uniform(-1, 1, (40, 1)))
+        z = x @ net.W.T + rng.uniform(-1, 1, (40, 1)) @ net.W2.T + net.b
+        x = x @ net.R.T + np.maximum(z, 0.0) @ net.A.T
     figure, (axes,) = panes(1, 3.6)
     figure.set_figwidth(6)
     K = float(vector_exact.rate(net, vector_exact.everywhere(net, RELU), "inf", matrix(T)))

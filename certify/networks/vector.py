@@ -185,25 +185,6 @@ def refuse_large(weights: VectorWeights, name: str = "weights") -> None:
         raise CertifyError(f"{name}: found a weight of {size:.3g}, expected none above {largest:g}")
 
 
-def forward(network: VectorNetwork, x: Any, u: Any) -> np.ndarray:
-    """x⁺ of (1) in floats, `(*batch, q)`, from x `(*batch, q)` and u `(*batch, m)`.
-
-    >>> halved = VectorNetwork("", check(VectorWeights(None, [[0.5]], [[1.0]], [[0.0]], [0.0])))
-    >>> forward(halved, np.ones(1), np.zeros(1)).tolist()
-    [0.5]
-    """
-    R, A, W, W2, b, V, c = network.weights
-    x = np.asarray(x)
-    hidden = _phi(network.activation, x @ W.T + np.asarray(u) @ W2.T + b)
-    if V is not None:
-        hidden = _phi(network.activation, hidden @ V.T + c)
-    return np.asarray(x @ R.T + hidden @ A.T)
-
-
-def _phi(phi: Activation, z: np.ndarray) -> np.ndarray:
-    return np.asarray(np.tanh(z) if phi.name == "tanh" else np.maximum(z, float(phi.least) * z))
-
-
 def of_shallow(weights: ShallowWeights) -> VectorWeights:
     """The paper's network as one with a vector state, q = 1.
 

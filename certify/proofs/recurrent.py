@@ -52,13 +52,16 @@ def diagonal_rate(W: Matrix, norm: str, scaling: Sequence[Fraction]) -> Fraction
 
 
 def proves(W: ArrayLike, metric: Matrix, multipliers: Sequence[Fraction], kappa: Fraction) -> bool:
-    """Whether P and Λ prove the rate κ by (2). False says nothing about others.
+    """Whether P and Λ prove the rate κ by (2).
 
     Args:
         W: `(n, n)` floats.
         metric: P, `(n, n)`, symmetric.
         multipliers: the diagonal of Λ, `(n,)`.
-        kappa: above 0.
+        kappa: κ, above 0, no unit.
+
+    Returns:
+        True after the proof, in integers. False says nothing about other P and Λ.
 
     >>> one, zero = Fraction(1), Fraction(0)
     >>> proves([[0.0, 0.5], [0.5, 0.0]], [[one, zero], [zero, one]], [one, one], Fraction(51, 100))

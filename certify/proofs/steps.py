@@ -6,26 +6,16 @@ A network f is learned at the step h, so that (f(x, u) − x)/h is the speed at 
 
 is a network of the same kind: R_η = (1 − η) I + η R, A_η = η A.
 
-**One step proves all smaller ones.** Let K(η) = sup ‖I + η (J − I)‖ over all slopes, in any norm ‖T x‖_∞, ‖T x‖_1 or
-√(xᵀ P x). Each ‖I + η (J − I)‖ is a norm of a function that is affine in η, so it is convex in η; so is the supremum K.
-K(0) = 1. Hence for 0 < η ≤ η_max
+In any norm the rate K(η) is convex in η, and K(0) = 1. So one proof at η_max proves every smaller step:
 
-    K(η) ≤ (1 − η/η_max) K(0) + (η/η_max) K(η_max) = 1 − (η/η_max)(1 − K(η_max)).                              (2)
+    K(η) ≤ 1 − (η/η_max)(1 − K(η_max)),    0 < η ≤ η_max                                                      (2)
 
-So if K(η_max) < 1, every smaller step contracts. After the time t = k η h the distance of two trajectories is at most
-K(η)ᵏ ≤ exp(−λ t) times that at the start, with the rate λ = (1 − K(η_max))/(η_max h) per second, for all these steps.
+In the ∞-norm, with c_rε = max [J ε]_r over all slopes (`certify.proofs.vector_exact`),
 
-**Which steps contract.** For one hidden layer and the ∞-norm, with c_rε = max [J ε]_r over all slopes, see
-`certify.proofs.vector_exact`,
+    K(η) = max(1 + η μ, −1 + η (1 + ν)),   μ = max_{ε_r = 1} c_rε − 1,   ν = max_{ε_r = −1} c_rε              (3)
 
-    K(η) = max_{r, ε} ε_r + η (c_rε − ε_r) = max(1 + η μ, −1 + η (1 + ν)),                                    (3)
-    μ = max_{ε_r = 1} c_rε − 1,   ν = max_{ε_r = −1} c_rε,
-
-because each row sum is affine in η. μ is the greatest logarithmic norm of J − I. So every η < 2/(1 + ν) contracts if
-μ < 0, and no step does if μ ≥ 0. Up to η = 2/(1 + ν − μ) the rate λ of (2) is −μ/h, the greatest possible. If μ < 0
-then 1 + ν > 0, because ν ≥ −J_rr and J_rr ≤ 1 + μ < 1. For one state, relu and R = ρ this says: all η ≤ η_max contract
-iff ρ + P < 1 and η_max (1 − ρ + N) < 2, P the sum of the positive a_i w_i, −N that of the negative ones. The 1-norm is
-the ∞-norm of the transposed matrices. With two hidden layers c_rε is a bound, so that (3) bounds K(η) from above.
+So every η < 2/(1 + ν) contracts if μ < 0, and no step does if μ ≥ 0. Up to η = 2/(1 + ν − μ) the rate of (2) in time is
+the greatest possible, −μ/h. With two hidden layers (3) bounds K(η) from above. `docs/certification.md` derives this.
 """
 
 from __future__ import annotations
@@ -35,9 +25,9 @@ from collections.abc import Sequence
 from fractions import Fraction
 from typing import NamedTuple
 
-from certify.networks.vector import Activation, VectorWeights
+from certify.networks.vector import VectorWeights
 from certify.proofs.rational import Matrix, identity, matrix
-from certify.proofs.vector_exact import Slopes, everywhere, rate, row_sums
+from certify.proofs.vector_exact import Slopes, row_sums
 
 BITS = 20  # after the point of the step that `short` gives
 
@@ -76,6 +66,7 @@ def steps(weights: VectorWeights, slopes: Sequence[Slopes], norm: str = "inf", s
         μ and ν, fractions; `largest` is the least step of the network that does not contract.
 
     >>> from certify.networks.vector import RELU, ShallowWeights, of_shallow
+    >>> from certify.proofs.vector_exact import everywhere
     >>> net = of_shallow(ShallowWeights([0.5, -0.25], [1.0, 1.0], [[], []], [0.0, 1.0]))
     >>> found = steps(net, everywhere(net, RELU))  # P = ½, N = ¼
     >>> found.measure, found.reach, found.largest
@@ -120,37 +111,3 @@ def short(largest: Fraction, bits: int = BITS) -> Fraction | None:
     while largest * 2**bits <= 1:
         bits += 8
     return Fraction(math.ceil(largest * 2**bits) - 1, 2**bits)
-
-
-def proves(
-    weights: VectorWeights,
-    phi: Activation,
-    eta: Fraction,
-    kappa: Fraction,
-    norm: str = "inf",
-    scaling: Matrix | None = None,
-    slopes: Sequence[Slopes] | None = None,
-) -> bool:
-    """Whether K(η) ≤ κ < 1, by one evaluation of the exact rate: (2) then holds for all steps up to η with κ.
-
-    Args:
-        weights: of one network, checked.
-        phi: its activation.
-        eta: η_max, a number of steps of the network.
-        kappa: the rate at η_max, no unit.
-        norm: "inf" or "one".
-        scaling: T, `(q, q)`; the identity by default.
-        slopes: of each hidden layer, such as those on a box; all slopes of φ by default.
-
-    Returns:
-        True after the proof, in rational arithmetic.
-
-    >>> from certify.networks.vector import RELU, ShallowWeights, of_shallow
-    >>> net = of_shallow(ShallowWeights([0.5, -0.25], [1.0, 1.0], [[], []], [0.0, 1.0]))
-    >>> [proves(net, RELU, Fraction(3, 2), Fraction(k, 8)) for k in (7, 6, 8)]
-    [True, False, False]
-    """
-    if not (eta > 0 and kappa < 1):
-        return False
-    known = everywhere(weights, phi) if slopes is None else slopes
-    return rate(stepped(weights, Fraction(eta)), known, norm, scaling) <= kappa

@@ -10,7 +10,7 @@ neurons, so that K = max(P, N) is the exact rate over all activation patterns. F
     interval    (4) on a box, neurons whose sign is fixed there counted as such                           (5)
 
 A condition holds *at the rate* κ if it holds with a/κ in place of a. The smallest such κ is the rate that it proves.
-`docs/certification.md` derives the conditions.
+`docs/certification.md` derives the conditions. a and w₁ are `(*batch, n)` everywhere, margins and rates `(*batch,)`.
 """
 
 from __future__ import annotations
@@ -39,13 +39,6 @@ class Condition(NamedTuple):
 def extreme_slopes(a: Tensor, w1: Tensor) -> tuple[Tensor, Tensor]:
     """P and N: over all activation patterns the slope of x ↦ x⁺ lies in [−N, P].
 
-    Args:
-        a: `(*batch, n)`.
-        w1: `(*batch, n)`.
-
-    Returns:
-        P and N, `(*batch,)` each.
-
     >>> extreme_slopes(torch.tensor([0.5, -1.0]), torch.tensor([1.0, 0.75]))
     (tensor(0.5000), tensor(0.7500))
     """
@@ -56,13 +49,6 @@ def extreme_slopes(a: Tensor, w1: Tensor) -> tuple[Tensor, Tensor]:
 def rate(a: Tensor, w1: Tensor) -> Tensor:
     """K = max(P, N), the exact contraction rate over all activation patterns.
 
-    Args:
-        a: `(*batch, n)`.
-        w1: `(*batch, n)`.
-
-    Returns:
-        K, `(*batch,)`.
-
     >>> rate(torch.tensor([0.5, -1.0]), torch.tensor([1.0, 0.75]))
     tensor(0.7500)
     """
@@ -72,13 +58,6 @@ def rate(a: Tensor, w1: Tensor) -> Tensor:
 
 def simple(a: Tensor, w1: Tensor) -> Condition:
     """(1): the paper's theorem with p = 1, λ = 1/(n+1). It proves no rate K above ¼.
-
-    Args:
-        a: `(*batch, n)`.
-        w1: `(*batch, n)`.
-
-    Returns:
-        Its margin and its rate, `(*batch,)` each.
 
     >>> simple(torch.tensor([0.25]), torch.tensor([0.25])).margin
     tensor(0.2500)
@@ -92,13 +71,6 @@ def simple(a: Tensor, w1: Tensor) -> Condition:
 def gershgorin(a: Tensor, w1: Tensor) -> Condition:
     """(2): the paper's lemma, with the best p and Λ. It proves no rate K above ½.
 
-    Args:
-        a: `(*batch, n)`.
-        w1: `(*batch, n)`.
-
-    Returns:
-        Its margin and its rate, `(*batch,)` each.
-
     >>> gershgorin(torch.tensor([0.5]), torch.tensor([0.5]))
     Condition(margin=tensor(0.5000), rate=tensor(0.5000))
     """
@@ -111,13 +83,6 @@ def gershgorin(a: Tensor, w1: Tensor) -> Condition:
 
 def lmi(a: Tensor, w1: Tensor) -> Condition:
     """(3): the paper's LMI is feasible ⇔ 2K < 1. The factor is 2 because Λ in its corner allows slopes in [0, 2].
-
-    Args:
-        a: `(*batch, n)`.
-        w1: `(*batch, n)`.
-
-    Returns:
-        Its margin and its rate, `(*batch,)` each.
 
     >>> lmi(torch.tensor([0.5]), torch.tensor([0.5])).margin
     tensor(0.5000)
@@ -200,13 +165,6 @@ def fixed_signs(weights: ShallowWeights, lo: Tensor, hi: Tensor) -> tuple[Tensor
 def simple_best_gauge(a: Tensor, w1: Tensor) -> Condition:
     """(1) of the best of the equal networks (a_i/c_i, c_i w_{1i}, …), c > 0: 4(n+1) max |s_i| < 1.
 
-    Args:
-        a: `(*batch, n)`.
-        w1: `(*batch, n)`.
-
-    Returns:
-        Its margin and its rate, `(*batch,)` each.
-
     >>> simple_best_gauge(torch.tensor([10.0]), torch.tensor([0.01])).rate
     tensor(0.8000)
     """
@@ -216,13 +174,6 @@ def simple_best_gauge(a: Tensor, w1: Tensor) -> Condition:
 
 def gershgorin_best_gauge(a: Tensor, w1: Tensor) -> Condition:
     """(2) of the best of the equal networks: 2 Σ |s_i| < 1, at c_i = 1/(2|w_{1i}|).
-
-    Args:
-        a: `(*batch, n)`.
-        w1: `(*batch, n)`.
-
-    Returns:
-        Its margin and its rate, `(*batch,)` each.
 
     >>> gershgorin_best_gauge(torch.tensor([10.0]), torch.tensor([0.01])).rate
     tensor(0.2000)
