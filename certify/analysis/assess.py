@@ -222,11 +222,12 @@ def _vector_state(
         "m": network.inputs,
         "activation": str(phi),
         "hidden_layers": 1 if weights.V is None else 2,
-        "recurrent": recurrent,
         "rates": {name: None if rate is None else float_above(rate) for name, rate in rates.items()},
         "norm": norm,
         "scaling": [[str(x) for x in each] for each in scaling],
     }
+    if recurrent:
+        row["recurrent"] = True
     if statuses:
         row["solver"] = {"name": solver, **statuses}
     found = {name: each for name, each in made.items() if each is not None}

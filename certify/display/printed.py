@@ -268,9 +268,9 @@ def _vector_summary(rows: Sequence[dict[str, Any]]) -> list[str]:
         + (f" (by {by})" if by else "") + ", in rational arithmetic"
     ]  # fmt: skip
     open_rows = [row for row in rows if row["judged"] is None and "solver" not in row]
-    if any(row["recurrent"] and row["states"] > MOST_FULL for row in open_rows):
+    if any("recurrent" in row and row["states"] > MOST_FULL for row in open_rows):
         lines.append(f"above {MOST_FULL} states diagonal metrics alone are tried: a full one may prove more")
-    if any(not row["recurrent"] and not row["certified"]["exact"] for row in open_rows):
+    if any("recurrent" not in row and not row["certified"]["exact"] for row in open_rows):
         lines.append("a full metric P may prove more: --lmi searches for it (extra lmi)")
     return lines
 

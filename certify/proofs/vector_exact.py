@@ -186,6 +186,7 @@ def gershgorin_proof(weights: VectorWeights, kappa: Fraction) -> Proof | None:
     diagonal P and Λ: its sums leave a slack, which is shared by λ_i and both sides of p_r. As 2 − p ≤ 1/p, the matrix
     with P⁻¹ in place of 2I − P is positive definite, too. Scaled by P, κ I and κ I, it is (3) with κ²Λ/2 for Λ.
 
+    >>> import numpy as np
     >>> from certify.networks.vector import RELU, check
     >>> net = check(VectorWeights(None, [[0.5]], [[0.5]], np.zeros((1, 0)), [0.0]))
     >>> found = gershgorin_proof(net, Fraction(3, 4))
@@ -253,6 +254,7 @@ def effort(weights: VectorWeights, scaling: Matrix | None = None) -> float:
     Raises:
         CertifyError: T is singular.
 
+    >>> import numpy as np
     >>> from certify.networks.vector import check
     >>> net = check(VectorWeights(None, [[0.5]], [[1.0]], np.zeros((1, 0)), [0.0]))
     >>> effort(net), effort(net, [[Fraction(1)]]) < effort(net, [[Fraction(1, 3**40)]]) < WORK
@@ -288,6 +290,7 @@ def proves(
     Returns:
         True after the proof, in rational arithmetic. False also where LDLᵀ takes longer than about 5 s.
 
+    >>> import numpy as np
     >>> from certify.networks.vector import RELU, check
     >>> net = check(VectorWeights(None, [[0.5]], [[1.0]], np.zeros((1, 0)), [0.0]))
     >>> half = Proof([[ONE]], [[Fraction(1, 2)]])

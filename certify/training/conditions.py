@@ -91,26 +91,13 @@ def lmi(a: Tensor, w1: Tensor) -> Condition:
     return Condition(1 - twice, twice)
 
 
-def exact(a: Tensor, w1: Tensor, skip: Tensor | float = 0.0, leak: float = 0.0) -> Condition:
+def exact(a: Tensor, w1: Tensor) -> Condition:
     """(4): all activation patterns; no condition on (a, w₁) alone is weaker.
-
-    Args:
-        a: `(*batch, n)`.
-        w1: `(*batch, n)`.
-        skip: ρ of x⁺ = ρ x + aᵀ φ(·), `(*batch,)`.
-        leak: α, the slope of leaky relu for negative arguments. Each s_i counts with a slope in [α, 1], so that
-            K = max(|ρ + P − αN|, |ρ + αP − N|).
-
-    Returns:
-        Its margin and its rate, `(*batch,)` each.
 
     >>> exact(torch.tensor([0.5]), torch.tensor([0.5])).margin
     tensor(0.7500)
-    >>> exact(torch.tensor([-0.5]), torch.tensor([0.5]), skip=0.5, leak=0.5).rate
-    tensor(0.3750)
     """
-    P, N = extreme_slopes(a, w1)
-    K = (skip + P - leak * N).abs().maximum((skip + leak * P - N).abs())
+    K = rate(a, w1)
     return Condition(1 - K, K)
 
 

@@ -39,3 +39,14 @@ def network(rng: np.random.Generator, q: int = 2, n: int = 4, two: bool = False,
     A = 0.3 * rng.normal(size=(q, 3 if two else n)) / n
     weights = VectorWeights(0.3 * np.eye(q), A, rng.normal(size=(n, q)), rng.normal(size=(n, 2)), rng.normal(size=n))
     return VectorNetwork("net.npz", check(weights._replace(**layer)), phi)
+
+
+def forward(network: VectorNetwork, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """x⁺ in floats."""
+    R, A, W, W2, b, V, c = network.weights
+
+    def phi(z: np.ndarray) -> np.ndarray:
+        return np.tanh(z) if network.activation.name == "tanh" else np.maximum(z, float(network.activation.least) * z)
+
+    hidden = phi(x @ W.T + u @ W2.T + b)
+    return x @ R.T + (hidden if V is None else phi(hidden @ V.T + c)) @ A.T

@@ -2,7 +2,6 @@
 
 import itertools
 import json
-import sys
 import time
 from fractions import Fraction
 from pathlib import Path
@@ -175,15 +174,6 @@ def test_bad_input_is_one_sentence_and_code_2(files, capsys, monkeypatch, argume
     captured = capsys.readouterr()
     assert captured.out == "" and captured.err.startswith("error: ") and captured.err.count("\n") == 1
     assert message in captured.err
-
-
-def test_a_missing_solver_package_says_which_extra(files, capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, "clarabel", None)
-    assert main([str(files / "good.npz"), "--lmi"]) == 2
-    assert "usvlearn[lmi]" in capsys.readouterr().err
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    assert main([str(files / "good.npz"), "--plot", str(files / "x.png")]) == 2
-    assert "usvlearn[plot]" in capsys.readouterr().err
 
 
 def test_what_can_be_verified_is_though_another_cannot(files, capsys, monkeypatch):

@@ -229,9 +229,3 @@ def test_certificates_of_like_names_are_all_kept(files, monkeypatch, capsys):
     np.savez("a_1.npz", **{**arrays, "b": [9.0]})
     capsys.readouterr()
     assert main(["--verify", *map(str, Path("../proofs").glob("a_1.*"))]) in (0, 1)
-
-
-def test_the_module_runs(files):
-    command = [sys.executable, "-m", "certify", str(files / "good.npz")]
-    found = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    assert found.returncode == 0 and "1 of 1 certified" in found.stdout and not found.stderr

@@ -71,19 +71,6 @@ def test_definiteness_agrees_with_the_minors():
     assert min(counts.values()) > 80
 
 
-def test_definiteness_agrees_with_eigenvalues_away_from_zero():
-    generator, counts = np.random.default_rng(1), {True: 0, False: 0}
-    for k in range(60):
-        n = 2 + k % 9
-        M = generator.standard_normal((n, n))
-        M = M + M.T + generator.uniform(0, 6) * np.sqrt(n) * np.eye(n) / 2
-        least = np.linalg.eigvalsh(M)[0]
-        assert abs(least) > 1e-6
-        assert definiteness(rationals(M)) == (1 if least > 0 else -1)
-        counts[bool(least > 0)] += 1
-    assert min(counts.values()) > 10
-
-
 def test_definiteness_tells_a_singular_matrix_from_its_neighbours():
     """A Gram matrix of floats, exactly singular, whose least eigenvalue is rounding noise; ± 2⁻²⁰⁰ is seen."""
     generator = np.random.default_rng(2)
@@ -135,13 +122,6 @@ def test_conditions_are_those_of_the_paper():
         )
 
 
-def test_a_float_sum_loses_what_makes_K_exceed_one():
-    s = [1 - 2.0**-53] + 16 * [2.0**-56]
-    assert sum(s) < 1 < exact.conditions(s, np.ones(17))["exact"].rate == 1 + Fraction(1, 2**53)
-    assert multipliers("exact", s, np.ones(17)) is None
-    assert multipliers("exact", s[:8], np.ones(8)) is not None  # 1 − 2⁻⁵³ + 7/2⁵⁶ is below 1
-
-
 @pytest.mark.parametrize("condition", CORNER)
 @pytest.mark.parametrize("rate", [ONE, Fraction(7, 8), Fraction(0.3)])
 @cases(40, 80)
@@ -176,14 +156,6 @@ def test_closed_form_multipliers_prove_up_to_the_edge(condition):
         assert multipliers(condition, a, w1, smallest * (1 - tiny)) is None
         rate = smallest * (1 + tiny)
         assert proves(condition, a, w1, multipliers(condition, a, w1, rate), rate), name
-
-
-def test_exact_multipliers_grow_without_bound_towards_the_edge():
-    a, w1 = [0.5, 0.25], [0.5, 0.0]  # K = ¼
-    largest = [
-        max(multipliers("exact", a, w1, Fraction(1, 4) * (1 + Fraction(1, 10**k))).multipliers) for k in (3, 6, 9)
-    ]
-    assert largest[0] > 100 and largest[1] > 900 * largest[0] and largest[2] > 900 * largest[1]
 
 
 def test_nothing_is_proved_by_what_was_tampered_with():
@@ -228,26 +200,6 @@ def test_the_papers_matrix_is_sound_though_only_semidefinite():
             assert 4 * slope(a, w1) ** 2 <= p * (2 - p)
         singular, definite = singular + (found == 0), definite + (found == 1)
     assert singular > 50 and definite > 500
-
-
-def test_the_papers_matrix_at_p_0_p_2_and_lambda_0():
-    lam = [ONE]
-    assert definiteness(matrix([0.5], [0.0], Fraction(0), lam, corner=1)) == 0  # p = 0: λ w₁ = 0
-    assert definiteness(matrix([0.5], [0.5], Fraction(0), lam, corner=1)) == -1
-    assert definiteness(matrix([0.0], [0.5], Fraction(2), lam, corner=1)) == 0  # p = 2: a = 0
-    assert definiteness(matrix([0.5], [0.5], Fraction(2), lam, corner=1)) == -1
-    assert definiteness(matrix([0.0], [9.0], ONE, [Fraction(0)], corner=1)) == 0  # Λ = 0: a = 0
-    assert definiteness(matrix([0.5], [0.0], ONE, [Fraction(0)], corner=1)) == -1
-
-
-def test_the_bound_of_the_semidefinite_matrix_is_reached():
-    """p = 2/5, λ_i = |a_i|/(2|w_i|), K = 2/5 = ½√(p(2 − p)): singular; a little more, and indefinite."""
-    K, p = Fraction(2, 5), Fraction(2, 5)
-    rate = Fraction(1, 2) / K  # a/rate·w₁ sums to K
-    for a, w1, factor in (([0.5], [1.0], ONE), ([0.25, 0.5], [1.0, 0.5], ONE), ([0.25, 0.5], [1.0, 0.5], 1 + HALF**99)):
-        lam = [Fraction(x) / Fraction(y) / rate / 2 for x, y in zip(a, w1, strict=True)]
-        found = definiteness(matrix(a, w1, p, lam, rate / factor, corner=1))
-        assert found == (0 if factor == 1 else -1)
 
 
 def test_two_lambda_and_semidefinite_passes_the_identity():

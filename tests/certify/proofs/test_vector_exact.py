@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import linprog
 
 from certify.errors import CertifyError
-from certify.networks.vector import RELU, VectorWeights, activation, check
+from certify.networks.vector import RELU, activation
 from certify.proofs import vector_exact as exact
 from tests.support import few
 from tests.support.vector_networks import draw, draw_scaling, spectral
@@ -174,58 +174,3 @@ def test_proofs_that_do_not_fit_are_refused():
     ):
         assert not exact.proves(small, RELU, wrong, big)
     assert not exact.proves(small, RELU, exact.Proof(P, lam), -big)
-
-
-@pytest.mark.parametrize("name", PHI)
-@pytest.mark.parametrize("second", [0, 3])
-def test_pairs_of_trajectories_contract_at_the_rate(name, second):
-    """In the norm of the rate, with equal inputs; equality is approached, as some distances shrink no faster."""
-    rng, phi = np.random.default_rng(11), activation(name)
-    functions = {
-        "relu": lambda z: np.maximum(z, 0),
-        "leaky:1/8": lambda z: np.maximum(z, z / 8),
-        "tanh": np.tanh,
-    }
-    for norm in exact.NORMS:
-        weights = draw(rng, 3, 4, second)
-        T = draw_scaling(rng, 3)
-        K = float(exact.rate(weights, exact.everywhere(weights, phi), norm, T))
-        steps = simulate(weights, functions[name], np.array(T, dtype=float), 1 if norm == "one" else np.inf, rng)
-        assert 0 < steps.max() <= K * (1 + 1e-9)
-
-
-def simulate(weights: VectorWeights, function, T, order, rng) -> np.ndarray:
-    """The ratios of the distances of consecutive states, over random inputs and starts."""
-    x, other = rng.standard_normal((2, 500, len(T)))
-    ratios = []
-    for _ in range(20):
-        drive = rng.standard_normal((500, weights.W2.shape[-1])) @ weights.W2.T + weights.b
-        before = np.linalg.norm((x - other) @ T.T, order, axis=1)
-        x, other = (_next(weights, function, each, drive) for each in (x, other))
-        after = np.linalg.norm((x - other) @ T.T, order, axis=1)
-        far = before > 1e-6
-        ratios.append(after[far] / before[far])
-        size = np.maximum(np.abs(x).max(), 1.0)
-        x, other = x / size, other / size
-    return np.concatenate(ratios)
-
-
-def _next(weights, function, x, drive):
-    hidden = function(x @ weights.W.T + drive)
-    if weights.V is not None:
-        hidden = function(hidden @ weights.V.T + weights.c)
-    return x @ weights.R.T + hidden @ weights.A.T
-
-
-def test_one_network_of_the_paper_is_a_vector_network():
-    from certify.networks.shallow import ShallowWeights
-    from certify.networks.vector import of_shallow
-    from certify.proofs.exact import conditions
-
-    rng = np.random.default_rng(2)
-    for _ in range(20):
-        a, w1 = rng.uniform(-0.5, 0.5, (2, 6))
-        weights, found = of_shallow(ShallowWeights(a, w1, np.zeros((6, 1)), np.zeros(6))), conditions(a, w1)
-        assert exact.rate(weights, exact.everywhere(weights, RELU)) == found["exact"].rate
-        assert exact.gershgorin(weights) == found["gershgorin"]
-    assert check(weights).R.tolist() == [[0.0]]

@@ -10,7 +10,7 @@ import pytest
 
 from certify.errors import CertifyError
 from certify.networks.shallow import ShallowWeights
-from certify.networks.vector import RELU, VectorWeights, activation, check, of_shallow
+from certify.networks.vector import RELU, VectorWeights, activation, of_shallow
 from certify.proofs import vector_exact as exact
 from certify.search.vector_balance import balance
 from certify.search.vector_lmi import smallest_rate
@@ -219,10 +219,3 @@ def test_bad_input_is_refused():
     ):
         with pytest.raises(CertifyError, match=message):
             call()
-
-
-@pytest.mark.slow
-def test_the_largest_networks_of_two_layers():
-    weights = draw(np.random.default_rng(15), 2, 20, 20)
-    checked(weights, RELU, smallest_rate(weights, RELU))
-    assert check(weights).V.shape == (20, 20)

@@ -15,11 +15,9 @@ from certify.training.conditions import (
     exact,
     extreme_slopes,
     fixed_signs,
-    gershgorin,
     interval,
     lmi,
     rate,
-    simple,
 )
 from tests.support.placement import on_device
 
@@ -73,27 +71,6 @@ def test_some_network_with_these_a_and_w1_has_the_slope_K():
     torch.testing.assert_close(((ahead - behind) / (2 * x)).abs()[:, 0], exact(a, w1).rate, rtol=1e-11, atol=0)
 
 
-def test_skip_term_is_the_largest_slope_over_all_patterns():
-    a, w1, *_ = networks(50, seed=2)
-    skip = torch.linspace(-2, 2, 50).double()
-    slopes = skip[:, None] + (a * w1) @ patterns(6).mT
-    torch.testing.assert_close(exact(a, w1, skip).rate, slopes.abs().amax(-1), rtol=1e-12, atol=1e-13)
-    assert exact(a, w1).rate.equal(exact(a, w1, skip=0.0).rate)
-
-
-def test_simple_is_sufficient_for_the_papers_matrix():
-    """Where `simple` holds, M of the paper is positive definite with p = 1, λ = 1/(n+1), and so `exact` holds."""
-    n = 3
-    a, w1, *_ = networks(3000, n=n, seed=3)
-    held = simple(a, w1).margin > 0
-    assert 300 < held.sum() < 2700
-    for ai, wi in zip(a[held].numpy(), w1[held].numpy(), strict=True):
-        lam = np.eye(n) / (n + 1)
-        M = np.block([[np.eye(2), np.vstack([-ai, -wi @ lam])], [np.column_stack([-ai, -lam @ wi]), lam]])
-        assert np.linalg.eigvalsh(M).min() > 0
-    assert (rate(a, w1)[held] < n / (4 * (n + 1))).all()
-
-
 def test_conditions_are_nested():
     """simple ⇒ gershgorin ⇒ lmi ⇒ exact ⇒ interval, and their rates fall, on 2·10⁵ networks."""
     holds = dict.fromkeys([*CONDITIONS, "interval"], 0)
@@ -115,21 +92,6 @@ def test_conditions_are_nested():
     counts = list(holds.values())
     assert 30_000 < counts[0] and counts[-1] < 190_000
     assert all(strong - weak > 5000 for weak, strong in itertools.pairwise(counts)), holds
-
-
-def test_largest_rates_that_can_be_certified():
-    """K below n/(4(n+1)) for `simple`, ½ for `gershgorin` and `lmi`, 1 for `exact`: never above, and nearly reached."""
-    for n in (1, 4, 20):
-        bounds = {"simple": n / (4 * (n + 1)), "gershgorin": 0.5, "lmi": 0.5, "exact": 1.0}
-        half = torch.full((n,), 0.5).double()
-        extremes = {"simple": half / (n + 1), "gershgorin": 2 * half / n, "lmi": 2 * half / n, "exact": 4 * half / n}
-        a, w1, *_ = networks(20_000, n=n, seed=4)
-        for name, bound in bounds.items():
-            held = CONDITIONS[name](a, w1).margin > 0
-            assert held.any() and (rate(a, w1)[held] < bound).all()
-            inside, outside = (CONDITIONS[name](extremes[name] * (1 + e), half) for e in (-1e-9, 1e-9))
-            assert inside.margin > 0 > outside.margin
-            assert abs(rate(extremes[name], half) - bound) < 1e-14
 
 
 def test_equal_networks_have_equal_lmi_and_exact():
@@ -193,12 +155,6 @@ def test_a_sign_that_rounding_may_turn_is_not_fixed():
         assert interval(weights, point, point).rate == 0.1
 
 
-def test_margin_is_positive_where_the_rate_is_below_one():
-    for name, found in results(networks(20_000, seed=9)).items():
-        assert ((found.margin > 0) == (found.rate < 1)).all(), name
-        assert 1000 < (found.margin > 0).sum() < 19_000, name
-
-
 @pytest.mark.parametrize("name", ["simple", "gershgorin", "lmi", "exact"])
 def test_rate_is_that_at_which_the_condition_holds(name):
     """With a/κ in place of a it holds for κ above the rate, and not below."""
@@ -230,8 +186,6 @@ def test_gradients():
     a, w1 = (x.clone().requires_grad_() for x in (weights.a, 0.4 * weights.w1))
     for condition in (*CONDITIONS.values(), *BEST_GAUGE.values()):
         assert torch.autograd.gradcheck(condition, (a, w1))
-    skip = torch.tensor([0.3, -0.4, 0.1], dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(exact, (a, w1, skip))
     assert torch.autograd.gradcheck(lambda a, w1: interval(weights._replace(a=a, w1=w1), *BOX), (a, w1))
 
 
@@ -255,22 +209,6 @@ def test_batches_are_networks_one_by_one(batch):
             assert each.margin == found[name].margin[index] and each.rate == found[name].rate[index]
 
 
-def test_a_dead_neuron_fails_gershgorin_though_the_map_ignores_it():
-    a, w1 = torch.tensor([0.1, 0.0]), torch.tensor([0.2, 1.0])
-    for condition in (simple, gershgorin):
-        assert condition(a, w1).margin <= 0 and condition(a, w1).rate == torch.inf
-        assert condition(a[:1], w1[:1]).margin > 0
-    for condition in (lmi, exact, *BEST_GAUGE.values()):
-        assert condition(a, w1).margin > 0
-
-
-def test_each_condition_holds_for_a_network_of_one_neuron_for_which_the_one_before_does_not():
-    cases = {"gershgorin": (0.6, 0.5), "lmi": (10.0, 0.04), "exact": (0.9, 1.0)}
-    for (name, (a, w1)), before in zip(cases.items(), CONDITIONS, strict=False):
-        a, w1 = torch.tensor([a]), torch.tensor([w1])
-        assert CONDITIONS[name](a, w1).margin > 0 >= CONDITIONS[before](a, w1).margin
-
-
 def test_the_identity_holds_at_no_condition():
     """a = w₁ = 1, b = 0 is x⁺ = x for x ≥ 0: K = 1 to the last bit, which a non-strict test would pass."""
     one = torch.ones(1)
@@ -285,5 +223,5 @@ def test_conditions_stay_on_the_device_of_the_weights(batch):
     there, box = ShallowWeights(*(x.to("meta") for x in networks(*batch))), [x.to("meta") for x in BOX]
     with on_device():
         found = [each(there.a, there.w1) for each in (*CONDITIONS.values(), *BEST_GAUGE.values())]
-        found += [interval(there, *box), exact(there.a, there.w1, torch.full(batch, 0.5, device="meta"))]
+        found.append(interval(there, *box))
     assert all(x.is_meta and x.shape == batch and x.dtype == torch.float64 for each in found for x in each)
