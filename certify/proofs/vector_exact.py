@@ -99,9 +99,8 @@ def rate(
     Raises:
         CertifyError: T is singular.
 
-    >>> import numpy as np
     >>> from certify.networks.vector import RELU, check
-    >>> net = check(VectorWeights(None, [[0.5, -1.0]], [[1.0], [0.75]], np.zeros((2, 0)), [0.0, 0.0]))
+    >>> net = check(VectorWeights(None, [[0.5, -1.0]], [[1.0], [0.75]], [[], []], [0.0, 0.0]))
     >>> rate(net, everywhere(net, RELU))
     Fraction(3, 4)
     """
@@ -164,7 +163,7 @@ def gershgorin(weights: VectorWeights) -> tuple[Fraction, Fraction | None]:
         Its margin, and the smallest rate at which it holds, no unit; None in place of the rate if there is none.
 
     >>> from certify.networks.vector import check
-    >>> gershgorin(check(VectorWeights(None, [[0.5]], [[0.5]], np.zeros((1, 0)), [0.0])))
+    >>> gershgorin(check(VectorWeights(None, [[0.5]], [[0.5]], [[]], [0.0])))
     (Fraction(1, 2), Fraction(1, 2))
     """
     R, A, W = ([[abs(x) for x in row] for row in matrix(X)] for X in (weights.R, weights.A, weights.W))
@@ -186,9 +185,8 @@ def gershgorin_proof(weights: VectorWeights, kappa: Fraction) -> Proof | None:
     diagonal P and Λ: its sums leave a slack, which is shared by λ_i and both sides of p_r. As 2 − p ≤ 1/p, the matrix
     with P⁻¹ in place of 2I − P is positive definite, too. Scaled by P, κ I and κ I, it is (3) with κ²Λ/2 for Λ.
 
-    >>> import numpy as np
     >>> from certify.networks.vector import RELU, check
-    >>> net = check(VectorWeights(None, [[0.5]], [[0.5]], np.zeros((1, 0)), [0.0]))
+    >>> net = check(VectorWeights(None, [[0.5]], [[0.5]], [[]], [0.0]))
     >>> found = gershgorin_proof(net, Fraction(3, 4))
     >>> proves(net, RELU, found, Fraction(3, 4), Fraction(2)), gershgorin_proof(net, Fraction(1, 2))
     (True, None)
@@ -254,9 +252,8 @@ def effort(weights: VectorWeights, scaling: Matrix | None = None) -> float:
     Raises:
         CertifyError: T is singular.
 
-    >>> import numpy as np
     >>> from certify.networks.vector import check
-    >>> net = check(VectorWeights(None, [[0.5]], [[1.0]], np.zeros((1, 0)), [0.0]))
+    >>> net = check(VectorWeights(None, [[0.5]], [[1.0]], [[]], [0.0]))
     >>> effort(net), effort(net, [[Fraction(1)]]) < effort(net, [[Fraction(1, 3**40)]]) < WORK
     (1350.0, True)
     """
@@ -290,10 +287,9 @@ def proves(
     Returns:
         True after the proof, in rational arithmetic. False also where LDLᵀ takes longer than about 5 s.
 
-    >>> import numpy as np
     >>> from certify.networks.vector import RELU, check
-    >>> net = check(VectorWeights(None, [[0.5]], [[1.0]], np.zeros((1, 0)), [0.0]))
-    >>> half = Proof([[ONE]], [[Fraction(1, 2)]])
+    >>> net = check(VectorWeights(None, [[0.5]], [[1.0]], [[]], [0.0]))
+    >>> half = Proof([[Fraction(1)]], [[Fraction(1, 2)]])
     >>> proves(net, RELU, half, Fraction(3, 4)), proves(net, RELU, half, Fraction(1, 2))
     (True, False)
     """
