@@ -27,6 +27,7 @@ GROUPS = {
         (
             "certify/*/vector_*.py",
             "certify/networks/vector.py",
+            "certify/*/recurrent.py",
         ),
         18,
         (
@@ -34,6 +35,7 @@ GROUPS = {
             *named("certify/command", "vector_certify"),
             *named("certify/search", "vector_scaling"),
             *named("certify/search", "vector_lmi"),
+            *named("certify", "torch_rnn"),
         ),
     ),
     "live": Group(

@@ -104,13 +104,7 @@ def exact(a: Tensor, w1: Tensor) -> Condition:
 def interval(weights: ShallowWeights, lo: Tensor, hi: Tensor) -> Condition:
     """(5): as `exact`, of the patterns that interval arithmetic cannot exclude on a box.
 
-    Args:
-        weights: `(*batch, …)`.
-        lo: least x, u₁ … u_m, `(1 + m,)`.
-        hi: greatest x, u₁ … u_m, `(1 + m,)`.
-
-    Returns:
-        Its margin and its rate, `(*batch,)` each.
+    lo and hi: the least and the greatest x, u₁ … u_m, `(1 + m,)` each.
 
     >>> one = torch.ones(1)
     >>> interval(ShallowWeights(one, -one, 0 * one[:, None], -one), torch.zeros(2), torch.ones(2)).rate
@@ -126,14 +120,6 @@ def interval(weights: ShallowWeights, lo: Tensor, hi: Tensor) -> Condition:
 
 def fixed_signs(weights: ShallowWeights, lo: Tensor, hi: Tensor) -> tuple[Tensor, Tensor]:
     """The neurons that are on everywhere in a box, and those that are off everywhere.
-
-    Args:
-        weights: `(*batch, …)`.
-        lo: least x, u₁ … u_m, `(1 + m,)`.
-        hi: greatest x, u₁ … u_m, `(1 + m,)`.
-
-    Returns:
-        Always on, and never on: bool, `(*batch, n)` each.
 
     >>> one = torch.ones(1)
     >>> fixed_signs(ShallowWeights(one, one, 0 * one[:, None], one), torch.zeros(2), torch.ones(2))
