@@ -23,7 +23,6 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
 
 from usvlearn.evaluation.autocorrelation import NORMAL_99
 
@@ -113,12 +112,10 @@ def _sums(first: Sequence[np.ndarray], second: Sequence[np.ndarray], reach: int)
     sums, pairs = np.zeros(reach + 1), np.zeros(reach + 1)
     for x, y in zip(first, second, strict=True):
         count = min(reach + 1, len(x))
-        length = next_fast_len(len(x) + count, real=True)
+        length = 1 << (len(x) + count).bit_length()
 
         def lagged(a: np.ndarray, b: np.ndarray, length: Any = length, count: int = count) -> np.ndarray:
-            left, right = (np.asarray(rfft(x, length)) for x in (a, b))
-            found: np.ndarray = np.asarray(irfft(np.conj(left) * right, length))[:count]
-            return found
+            return np.fft.irfft(np.conj(np.fft.rfft(a, length)) * np.fft.rfft(b, length), length)[:count]
 
         sums[:count] += lagged(np.nan_to_num(x), np.nan_to_num(y))
         pairs[:count] += np.round(lagged(np.isfinite(x).astype(float), np.isfinite(y).astype(float)))

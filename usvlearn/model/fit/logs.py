@@ -13,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from usvlearn.core.events import LOSS, RECOVERY
 from usvlearn.core.rows import COS, HOLD, LEFT, MODE, PREDICT, RIGHT, SIN, SURGE, YAW_RATE
@@ -124,8 +123,10 @@ def smoothed(rows: np.ndarray, dt: float) -> np.ndarray:
         return rows
     rows, places = rows.copy(), np.arange(len(rows))
     rate = np.interp(places, places[steps], rows[steps, YAW_RATE])
-    smooth: np.ndarray = np.asarray(savgol_filter(rate, count, 2))
-    rows[steps, YAW_RATE] = smooth[steps]
+    basis, half = np.vander(np.arange(count) - count // 2, 3), count // 2
+    fitted = basis @ np.linalg.pinv(basis)  # (count, count), of a parabola through so many steps
+    ends = fitted[:half] @ rate[:count], fitted[half + 1 :] @ rate[-count:]
+    rows[steps, YAW_RATE] = np.concatenate([ends[0], np.convolve(rate, fitted[half], "valid"), ends[1]])[steps]
     return rows
 
 

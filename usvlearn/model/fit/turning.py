@@ -13,7 +13,6 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
-from scipy.special import erf
 
 from usvlearn.core.events import NINETY
 from usvlearn.core.jit import announced
@@ -99,7 +98,8 @@ def first_fit(missions: Mapping[str, np.ndarray], top: float) -> tuple[dict[str,
         at.turned(prepared(rows, top), natural(fit.theta), np.zeros(m), np.zeros((m, m)), r, np.zeros((12, m)))
         use = (rows[:, MODE] >= PREDICT) & np.isfinite(r[:, 0]) & np.isnan(rows[:, at.RATE])
         size, wide = np.abs(r[use, 0]), np.sqrt(2 * r[use, 1])
-        expected = wide / math.sqrt(math.pi) * np.exp(-((size / wide) ** 2)) + size * erf(size / wide)
+        erf = np.array([math.erf(x) for x in size / wide])
+        expected = wide / math.sqrt(math.pi) * np.exp(-((size / wide) ** 2)) + size * erf
         found[name][use, YAW_RATE] = np.copysign(expected, r[use, 0])
     return found, fit
 
