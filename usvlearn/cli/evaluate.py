@@ -9,6 +9,7 @@ from omegaconf import DictConfig, OmegaConf
 from usvlearn.cli.checked import CheckedAlignment
 from usvlearn.cli.command import command
 from usvlearn.cli.composition import plain
+from usvlearn.cli.fit import fit_on_the_way
 from usvlearn.cli.settings import instantiate
 from usvlearn.cli.sweep import load
 from usvlearn.core.unconfirmed import open_questions, unconfirmed
@@ -67,4 +68,7 @@ def main(cfg: DictConfig) -> None:
         own = Path(cfg.runs, "report" if data is None else "report_of_other_logs")
         folders, asked = run_folders(cfg.runs), {} if data is None else open_questions(plain(cfg))
         show(*unconfirmed(questions_of_runs(folders, cfg.trust) | asked))
+        if data is None and not (folders[-1] / "fit").exists():
+            with Activity(board, "fitting the missions"):
+                fit_on_the_way(folders[-1], console(quiet=True))
         evaluate(folders, Path(cfg.report or own), tools, data, asked=asked)

@@ -17,6 +17,7 @@ from usvlearn.errors import CheckpointError, ConfigError, UsvlearnError, complai
 
 if TYPE_CHECKING:
     import numpy as np
+    from rich.console import Console
 
     from usvlearn.core.samples import Fleet
     from usvlearn.estimators.joint.reading import Identified
@@ -41,8 +42,8 @@ def parser() -> argparse.ArgumentParser:
     return found
 
 
-def work(arguments: Sequence[str]) -> None:
-    """Fit each boat, print, and write.
+def work(arguments: Sequence[str], console: Console | None = None) -> None:
+    """Fit each boat, print, and write; on the way of another command, on its console, and no report is renewed.
 
     Raises:
         ConfigError: there is no run, no such boat or set of terms, or too little was measured.
@@ -51,17 +52,25 @@ def work(arguments: Sequence[str]) -> None:
     given = parser().parse_intermixed_args(list(arguments))
     folder = Path(given.run).expanduser()
     out = folder / "fit" if given.out is None else out_folder(given.out)
+    if (folder / "missions").is_dir():
+        from usvlearn.cli.refit import refit
+
+        if given.boat or given.terms or given.out or given.data:
+            raise ConfigError(f"{folder}: is the folder of a node, whose missions are fitted without options")
+        print(f"{refit(folder)}\nvalues: usvlearn live status {folder}")
+        return
     from usvlearn.cli.fit_report import REPORT, renew_report
     from usvlearn.display import terminal
     from usvlearn.display.activity_bar import Activity
 
-    console = terminal.console()
+    renews, console = console is None, console or terminal.console()
     with Activity(console, "loading"):
         from usvlearn.core.unconfirmed import open_questions, unconfirmed
         from usvlearn.model.fit.fitted import check_terms, fit_boat
         from usvlearn.model.fit.logs import missions_of, without_losses
         from usvlearn.model.fit.shown import tables
         from usvlearn.model.fit.terms import SETS
+        from usvlearn.runs.layout import CHECKPOINTS
         from usvlearn.runs.saved import configuration, results
 
         check_terms(given.terms)
@@ -92,7 +101,7 @@ def work(arguments: Sequence[str]) -> None:
                 activity.advance(1)
 
             try:
-                last = _last(folder, boat)
+                last = last_of(folder / CHECKPOINTS / boat)
                 online = None if last is None else last.online
                 found = fit_boat(boat, rows, mass, top, given.terms, advance, Stopped, online)
                 stopped = None if set(SETS) <= set(found.fits) else was_stopped() or Stopped(signal.SIGINT)
@@ -103,25 +112,33 @@ def work(arguments: Sequence[str]) -> None:
                 stopped = received
                 if found is None or found.boat != boat:
                     break
-            done.append((found, last, _write(out, found, last, settings)))
+            done.append((found, last, write(out, found, last, float(settings["align"]["dt"]))))
             if stopped is not None:
                 break
     if stopped is not None and not done:
         raise stopped
     for number, (found, last, files) in enumerate(done):
-        if number:
+        if number or not renews:
             console.print()
         console.print(*tables(found, None if last is None else last.online), sep="\n")
-        terminal.show(f"Written to {', '.join(map(str, files))}")
-    terminal.show(*unconfirmed(open_questions({**settings, "data": data})))
+        terminal.show(f"Written to {', '.join(map(str, files))}", to=console)
+    terminal.show(*unconfirmed(open_questions({**settings, "data": data})) if renews else (), to=console)
     if out == folder / "fit":
         _add_to_results(folder, [found for found, _, _ in done])
-        if stopped is None and (folder / REPORT).exists():
+        if renews and stopped is None and (folder / REPORT).exists():
             renew_report(folder, console, data)
-        elif not given.data:
+        elif renews and not given.data:
             terminal.show(f"report: usvlearn evaluate runs={folder}")
     if stopped is not None:
         raise SystemExit(stopped.code)
+
+
+def fit_on_the_way(folder: Path, console: Console) -> None:
+    """Fit a run for a command that goes on without a fit, too."""
+    try:
+        work([str(folder.absolute())], console)
+    except (ValueError, ArithmeticError, OSError) as error:  # also of a folder that is only read
+        complain(f"warning: no fit was made: {error}")
 
 
 def _check_run(folder: Path) -> None:
@@ -142,15 +159,15 @@ class Last(NamedTuple):
     online: Identified | None  # None: it identifies nothing
 
 
-def _last(folder: Path, boat: str) -> Last | None:
-    """The newest readable checkpoint of a boat; None without one."""
+def last_of(folder: Path) -> Last | None:
+    """The newest readable checkpoint of a boat in a folder; None without one."""
     from usvlearn.core.checkpoint import newest
     from usvlearn.engine.identified import identified, members_of
     from usvlearn.engine.online import read_checkpoint
-    from usvlearn.runs.layout import CHECKPOINTS
+    from usvlearn.live.watched import surge_alone
 
     try:
-        leaves, facts = newest(folder / CHECKPOINTS / boat, read_checkpoint)
+        leaves, facts = surge_alone(*newest(folder, read_checkpoint))
     except CheckpointError:
         return None
     try:
@@ -256,8 +273,8 @@ def _simulation(folder: Path, found: Fitted, fine: Fleet, coarse: Fleet) -> Free
     return decide(found.boat, found.chosen, found.fit.top, fine, coarse, middle(coarse.runs), ensemble)
 
 
-def _write(folder: Path, found: Fitted, last: Last | None, settings: dict[str, Any]) -> list[Path]:
-    """Write the files of a boat; returns their paths."""
+def write(folder: Path, found: Fitted, last: Last | None, dt: float) -> list[Path]:
+    """Write the files of a boat, whose checkpoint has steps of `dt`, s; returns their paths."""
     from usvlearn.core import checkpoint
     from usvlearn.model.fit.hand_over import handed_over
     from usvlearn.runs.layout import CHECKPOINTS
@@ -268,7 +285,7 @@ def _write(folder: Path, found: Fitted, last: Last | None, settings: dict[str, A
     checkpoint.write_atomically(path, f"{text}\n".encode())
     if last is None:
         return [path]
-    leaves, own = handed_over(last.leaves, last.facts["kernel"], found, float(settings["align"]["dt"]))
+    leaves, own = handed_over(last.leaves, last.facts["kernel"], found, dt)
     facts = {key: value for key, value in last.facts.items() if key != "schema"} | own
     file = folder / CHECKPOINTS / found.boat / f"fit{checkpoint.SUFFIX}"
     return [path, checkpoint.save(file, leaves, **facts)]
@@ -281,10 +298,8 @@ def _add_to_results(folder: Path, fitted: Sequence[Fitted]) -> None:
 
     if not (folder / RESULTS).exists() or not (known := results(folder)):
         return
-    new = {
-        each.boat: {"terms": each.chosen} | ({} if (mode := each.simulation) is None else {"simulation": mode.json()})
-        for each in fitted
-    }
+    kept = ["terms", "doubts", "quantities"] + ["simulation"] * all(each.simulation for each in fitted)
+    new = {x.boat: {"use": not (x.doubts or x.found.unphysical), **{k: x.json()[k] for k in kept}} for x in fitted}
     save_results(folder, known | {"fit": known.get("fit", {}) | new})
 
 

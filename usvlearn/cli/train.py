@@ -15,6 +15,7 @@ from rich.console import Console
 from usvlearn.cli.checked import CheckedAlignment
 from usvlearn.cli.command import command
 from usvlearn.cli.composition import plain
+from usvlearn.cli.fit import fit_on_the_way
 from usvlearn.cli.settings import as_written, check_settings, ensemble_of, instantiate, planar_of
 from usvlearn.cli.stopping import until_stopped
 from usvlearn.cli.sweep import do_job
@@ -22,6 +23,7 @@ from usvlearn.core.unconfirmed import SECTION, open_questions, unconfirmed
 from usvlearn.display import terminal
 from usvlearn.display.activity_bar import Activity
 from usvlearn.errors import check_positive
+from usvlearn.estimators.axis.turning_intervals import FIRST
 from usvlearn.logs.setup import setups_of
 from usvlearn.report.tables import (
     error_tables,
@@ -61,7 +63,7 @@ def work(cfg: DictConfig, folder: Path, overrides: Sequence[str], resume: str | 
 def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, overrides: Sequence[str] = ()) -> float:
     """Replay what the configuration names into the run's folder; returns the objective."""
     with Activity(console, "loading"):
-        from usvlearn.evaluation.identification import identified_boats, identified_planar_boats
+        from usvlearn.evaluation.identification import identified_boats
         from usvlearn.evaluation.measure import check_measure, measure_of
         from usvlearn.evaluation.members import explained, remarks
         from usvlearn.report.sections.network import stability
@@ -114,10 +116,11 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
     if (tracks := track_table(found.get("tracks"))) is not None:
         console.print(tracks)
     console.print(*fit_lines(found), sep="\n")
-    surge = identified_boats(ensemble, run.state, fleet.boats)
-    console.print(identified_table(surge, truth))
-    if planar is not None and run.beside is not None:
-        console.print(turning_table(identified_planar_boats(planar, run.beside, fleet.boats), turns, surge))
+    console.print(identified_table(identified_boats(ensemble, run.state, fleet.boats), truth))
+    if cfg.get("refit"):
+        fit_on_the_way(folder, console)
+    elif planar is not None:
+        terminal.show(FIRST, to=console)
     guessed = unconfirmed(open_questions(settings))
     terminal.show(*event_lines(found["events"]), *networks, "", *guessed, *summary_lines(found, folder), to=console)
     return found["objective"]

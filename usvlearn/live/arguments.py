@@ -28,7 +28,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--channel", action="append", default=[], metavar="KEY=VALUE",
         help="an option of a channel, such as surge=NAV_SPEED or command_left.span=100; repeatable")  # fmt: skip
     add("--boat", default="boat", help="name of the boat")
-    add("--record", action="store_true", help="record all messages, so that train.py can replay the session")
+    add(
+        "--record",
+        action=argparse.BooleanOptionalAction,
+        default=False,
+        help="record all messages, so that train.py can replay the session",
+    )
+    add("--refit", action=argparse.BooleanOptionalAction, default=True, help="keep missions, and fit all after each")
     add("--save-period", type=float, default=300.0, metavar="S", help="time between two checkpoints, s (300)")
     add("--keep", type=int, default=100, metavar="N", help="number of checkpoints that are kept (100)")
     add("--patience", type=float, default=PATIENCE, metavar="S",
@@ -61,5 +67,5 @@ def options_of(given: argparse.Namespace, warp: float = 1.0) -> Options:
     return Options(
         Path(given.folder).expanduser(), None if given.start is None else Path(given.start).expanduser(), mass,
         top, channels, given.boat, given.record, given.save_period, given.keep, given.patience,
-        None if given.tensorboard is None else Path(given.tensorboard).expanduser(), warp, asked,
+        None if given.tensorboard is None else Path(given.tensorboard).expanduser(), warp, asked, given.refit,
     )  # fmt: skip

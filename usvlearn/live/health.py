@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from usvlearn.display.json_values import finite
@@ -11,6 +12,15 @@ ONE_COMMAND = (
     "one command drives both sides: nothing tells left from right, so that neither the thrust of a side nor "
     "thrust_ratio can be identified, nor a failed thruster be noticed; what a rudder does is not learned"
 )
+
+
+class Refit(NamedTuple):
+    """What the last batch fit of a node's missions says."""
+
+    use: bool = False  # whether its values are to be used, and not those learned online
+    missions: int = 0
+    quantities: Mapping[str, tuple[float, float, float, str]] = {}  # value, low, high, unit
+    sentence: str = "use those learned online: no mission has been fitted yet"
 
 
 class Health(NamedTuple):
@@ -31,10 +41,11 @@ class Health(NamedTuple):
     warnings: tuple[str, ...]  # sentences
     notes: tuple[str, ...] = ()  # sentences about what cannot be known
     loss: str = ""  # what is known of the failed thruster now
+    refit: Refit | None = None  # None: missions are not fitted
 
     def json(self) -> dict[str, Any]:
         """As JSON values: a number that is not finite becomes null."""
-        found: dict[str, Any] = finite(self._asdict())
+        found: dict[str, Any] = finite({**self._asdict(), "refit": self.refit and self.refit._asdict()})
         return found
 
 

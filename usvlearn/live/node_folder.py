@@ -117,13 +117,13 @@ def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     return leaves, facts
 
 
-def status_of(folder: Path) -> dict[str, Any]:
-    """What a node wrote last; {} if it wrote nothing.
+def status_of(folder: Path, name: str = STATUS) -> dict[str, Any]:
+    """What a node, or a fit of its missions, wrote last; {} if it wrote nothing.
 
     Raises:
         CheckpointError: the file is damaged, or something else.
     """
-    path = folder / STATUS
+    path = folder / name
     try:
         if not stat.S_ISREG(path.stat().st_mode):
             raise ValueError("it is no regular file")

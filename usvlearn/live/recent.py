@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from usvlearn.errors import LogFormatError
-from usvlearn.logs.alignment.mixing import Mix
-from usvlearn.logs.channels.channel import Channel, Recording, Source
+from usvlearn.logs.channels.channel import Channel, Recording
 from usvlearn.logs.setup import Setup
 
 MOST = 20_000  # messages of a channel, at most: half an hour at 10 Hz
@@ -34,13 +33,16 @@ class Recent:
         columns[0].append(time)
         columns[1].append(value)
         columns[2].append(self._count)
-        if len(columns[0]) >= 2 * MOST:
-            for column in columns:
-                del column[:MOST]
 
-    def clear(self) -> None:
-        """Forget all: the stamps begin anew."""
-        self._columns.clear()
+    @property
+    def full(self) -> bool:
+        """Whether the messages are so many that they are to be forgotten."""
+        return any(len(time) >= MOST for time, _, _ in self._columns.values())
+
+    def clear(self, keep_held: bool = False) -> None:
+        """Forget all messages, or all but the commands in force."""
+        held = {name for name, each in self._setup.aligned.items() if each.held and keep_held}
+        self._columns = {k: (x[0][-1:], x[1][-1:], x[2][-1:]) for k, x in self._columns.items() if k in held}
 
     def copy(self) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Time, value and place of the messages of each channel."""
@@ -60,16 +62,11 @@ class Recent:
         from usvlearn.logs.checks.finding import WARNING
         from usvlearn.logs.recordings import align_fleet
 
-        channels: dict[str, Channel] = {}
-        aligned = self._setup.aligned
-        for name, (time, value, order) in columns.items():
-            source = aligned.get(name) or self._source(name)
-            if len(time) < LEAST and not source.held:
-                return []
-            channels[name] = Channel(time, value, order, source.held, source.window, source.delay, source.period)
-        if not all(name in channels for name in aligned):
+        recording = recording_of(self._setup, columns, boat, "live")
+        if not all(name in columns for name in self._setup.aligned):
             return []
-        recording = Recording(boat, "live", channels, {})
+        if any(len(each.time) < LEAST and not each.held for each in recording.channels.values()):
+            return []
         declared = self._setup.json()["channels"]
         top = math.inf if self._setup.surge_max is None else self._setup.surge_max
         try:
@@ -80,6 +77,11 @@ class Recent:
         told = [each.sentence() for each in found if each.severity == WARNING and each.kind not in LIVE_KNOWS]
         return [each.replace("data.channels.", "").replace("vehicle.surge_max", "surge_max") for each in told]
 
-    def _source(self, name: str) -> Source:
-        given = self._setup.channels[name]
-        return given.parts[0] if isinstance(given, Mix) else given
+
+def recording_of(setup: Setup, columns: Mapping[str, Sequence[np.ndarray]], boat: str, run: str) -> Recording:
+    """The messages of `Recent.copy` as a log."""
+    channels = {}
+    for name, (time, value, order) in columns.items():
+        source = setup.aligned[name]
+        channels[name] = Channel(time, value, order, source.held, source.window, source.delay, source.period)
+    return Recording(boat, run, channels, {})

@@ -22,7 +22,7 @@ from usvlearn.core import checkpoint
 from usvlearn.core.checkpoint import SUFFIX, write_atomically
 from usvlearn.core.unconfirmed import SECTION
 from usvlearn.errors import printable
-from usvlearn.live.watched import PLANAR
+from usvlearn.live.watched import PLANAR, surge_alone
 from usvlearn.logs.channels.channel import SURGE
 from usvlearn.logs.setup import Setup
 
@@ -109,9 +109,7 @@ def _begin(path: Path, boat: str, leaves: dict[str, Any], facts: dict[str, Any])
     if facts["kernel"]["kind"] != PLANAR:
         return checkpoint.save(path.with_suffix(SUFFIX), leaves, **facts)
     folder = path.with_suffix("")
-    surge = {name.removeprefix("surge."): each for name, each in leaves.items() if name.startswith("surge.")}
-    own = facts | {"estimator": "Ensemble", "kernel": facts["kernel"]["surge"]}
-    for begin, tree, known in ((folder, surge, own), (folder / PLANAR, leaves, facts)):
+    for begin, tree, known in ((folder, *surge_alone(leaves, facts)), (folder / PLANAR, leaves, facts)):
         checkpoint.save(begin / "checkpoints" / printable(boat) / f"start{SUFFIX}", tree, **known)
     return folder
 

@@ -23,6 +23,7 @@ from usvlearn.live import watched
 from usvlearn.live.background import Background
 from usvlearn.live.health import COMPILING, ONE_COMMAND, Health
 from usvlearn.live.listening import Listening
+from usvlearn.live.missions import Missions
 from usvlearn.live.node_folder import NodeFolder, unsaved
 from usvlearn.live.plan_requests import answer
 from usvlearn.live.recent import Recent
@@ -91,12 +92,12 @@ class Session:
         self._board: Board | None = None
         self._recent = Recent(self.setup)
         self._background = Background()
+        self._missions = Missions(options, self.setup, self._recent, self._background)
         self._began = time.monotonic()
         self._early: Counter[tuple[str, str]] = Counter()  # part and cause of messages that came before it was ready
         self._saved, self._due = -math.inf, self._began  # when a checkpoint was saved, and when the next period begins
         self._reported = self._told = -math.inf
-        self._closed = False
-        self._checked = False  # whether the data were checked once
+        self._closed = self._checked = False  # whether the data were checked once
         self._learned = self._hoped = 0  # at the last save, and at the one that is being made
         self._warnings: dict[str, str] = {f"set {k}": each for k, each in enumerate(self._begin.warnings)}
         self._contraction: dict[str, dict[str, Any]] = {}
@@ -155,8 +156,8 @@ class Session:
         if self._node is None:
             return []
         found = self._node.restart()
-        self._recent.clear()
         self._took(found)
+        self._missions.keep(ended=True, anew=True)
         if self._recorder is not None:
             self._record()
         return found
@@ -177,16 +178,16 @@ class Session:
         self._finished()
         if self._recorder is not None:
             self._recorder.flush(clock)
-            if self._recorder.problem:
-                self._warnings["record"] = self._recorder.problem
+            self.advise("record", self._recorder.problem or "")
         if clock - self._reported >= REPORT:
             self._reported = clock
             self._look()
         outage = min(ages.values(), default=math.inf) > float(self.setup.align.get("outage", 5.0))
-        if clock - self._due >= self.options.save_period or (outage and node.learned > self._learned):
+        if saves := clock - self._due >= self.options.save_period or (outage and node.learned > self._learned):
             self._save_soon(clock)
         elif clock - self._began >= FIRST_CHECK and not self._checked:
             self._check()
+        self.advise("fit", self._missions.tick(saves, outage, node.loss))
         health = self._health(ages, clock)
         self.state = health.state
         if clock - self._told >= TELL and self._background.submit("status", self._tell, health.json()):
@@ -236,6 +237,7 @@ class Session:
         self._finished()
         if node.learned > self._learned:
             self.save()
+        self._missions.tick(False, True, node.loss)
         self._look()
         clock = time.monotonic()
         with suppress(OSError):
@@ -285,13 +287,6 @@ class Session:
             self._node.drop(part, cause, count)
         if self.options.record:
             self._record()
-        if self.options.tensorboard is not None:
-            from usvlearn.live.live_board import Board
-
-            try:
-                self._board = Board(self.options.tensorboard)
-            except OSError as error:
-                self._warnings["board"] = f"nothing is shown in TensorBoard ({error.strerror or error})"
         return True
 
     def _record(self) -> None:
@@ -307,10 +302,14 @@ class Session:
             self._draw(steps)
 
     def _draw(self, steps: Sequence[Step] = (), health: Health | None = None, close: bool = False) -> None:
-        """Show in TensorBoard; a full disk ends that, and nothing else."""
-        if self._board is None:
+        """Show in TensorBoard, where that is asked for; a full disk ends that, and nothing else."""
+        if self.options.tensorboard is None or "board" in self._warnings:
             return
         try:
+            if self._board is None:
+                from usvlearn.live.live_board import Board
+
+                self._board = Board(self.options.tensorboard)
             for step in steps:
                 self._board.step(step)
             if health is not None:
@@ -318,7 +317,6 @@ class Session:
             if close:
                 self._board.close()
         except OSError as error:
-            self._board = None
             self._warnings["board"] = f"TensorBoard's files end here ({error.strerror or error}): make room on the disk"
 
     def _health(self, ages: Mapping[str, float], clock: float) -> Health:
@@ -333,7 +331,7 @@ class Session:
         return Health(
             state, f"{sentence}; {counts}", node.counts, dict(ages), node.steps, node.learned, node.alarms, node.alarm,
             clock - self._began, clock - self._saved, self._contraction, self._identified, self.warnings,
-            (ONE_COMMAND,) if self.one_command else (), node.loss.sentence if node.loss else "",
+            (ONE_COMMAND,) if self.one_command else (), node.loss.sentence if node.loss else "", self._missions.told,
         )  # fmt: skip
 
     def _checkpoint(self) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -373,6 +371,7 @@ class Session:
         node.one_command = self.one_command
         self._contraction = watched.networks(node.online)
         self._identified, wrong = watched.identified(node.online, self.one_command)
+        self._identified |= self._missions.turning(self._identified)
         self.advise("boat", wrong)
         self._listening.look(node.counts)
 
@@ -388,8 +387,8 @@ class Session:
             elif name == "check" and error is None:
                 self._warnings |= {f"{name} {k}": each for k, each in enumerate(result)}
             elif error is not None:
-                what = {"check": "the data cannot be checked", "status": "the status cannot be written"}[name]
-                self._warnings[name] = f"{what}: {error}"
+                what = {"check": "the data cannot be checked", "status": "the status cannot be written"}
+                self._warnings[name] = f"{what.get(name, 'the missions cannot be kept')}: {error}"
 
     def _tell(self, health: Mapping[str, Any]) -> None:
         last = None if self.last is None else {"time": self.last.time, "speed": self.last.speed, "next": self.last.next}

@@ -42,6 +42,7 @@ class Options:
             `steering`, stand for the commands of both sides (`usvlearn.logs.alignment.mixing.sides_of`).
         boat: its name.
         record: whether to record the session.
+        refit: whether to keep the missions, and to fit all of them after each.
         save_period: s between two checkpoints.
         keep: how many checkpoints are kept.
         patience: s, for which a step waits for late messages.
@@ -63,6 +64,7 @@ class Options:
     tensorboard: Path | None = None
     warp: float = 1.0
     unconfirmed: Mapping[str, Mapping[str, Any]] | None = None
+    refit: bool = True
 
     def __post_init__(self) -> None:
         if not str(self.folder).strip(". ") or "\0" in str(self.folder):

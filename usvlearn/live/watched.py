@@ -21,6 +21,14 @@ def surge_of(online: Online) -> tuple[Mapping[str, Any], str]:
     return (described["surge"], "surge.") if described.get("kind") == PLANAR else (described, "")
 
 
+def surge_alone(leaves: Mapping[str, Any], facts: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Leaves and metadata of a checkpoint; of one that makes tracks, those of its surge."""
+    if facts["kernel"]["kind"] != PLANAR:
+        return dict(leaves), dict(facts)
+    surge = {name.removeprefix("surge."): each for name, each in leaves.items() if name.startswith("surge.")}
+    return surge, {**facts, "estimator": "Ensemble", "kernel": facts["kernel"]["surge"]}
+
+
 def accommodated(description: Mapping[str, Any]) -> list[str]:
     """The filters of a described ensemble that get what the monitor of the thrusters finds."""
     given = description.get("accommodation")

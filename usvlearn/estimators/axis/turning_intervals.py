@@ -44,7 +44,7 @@ HARDLY = (
     "of the commands vary."
 )
 B = TypeVar("B", bound=Identified)
-FIRST = "Quantities of turning are first estimates: usvlearn fit finds them from the headings, with narrow intervals."
+FIRST = "Yaw rates, turning radii and yaw time constants: –; the batch fit tells them (usvlearn fit, refit=true)."
 Filter = tuple[Mapping[str, Any], Mapping[str, np.ndarray]]  # description of an axis EKF, and leaves of its state
 
 
@@ -72,7 +72,7 @@ def with_turning(surge: Identified, surge_variance: np.ndarray, yaw: Filter, swa
     for name, unit in QUANTITIES.items():
         variance = sum(float(g @ part.P @ g) for part, g in zip(parts, slopes[name], strict=True))  # (1)
         found[name] = on_log_scale(values[name], variance, OWN_ERROR[name], unit)
-    return joined(surge, found, _lacks(parts[1], slopes[TOLD][1], updates) or [FIRST])
+    return joined(surge, found, _lacks(parts[1], slopes[TOLD][1], updates) or [FIRST], told=False)
 
 
 class _Part(NamedTuple):
@@ -123,9 +123,9 @@ def _lacks(yaw: _Part, slope: np.ndarray, updates: float) -> list[str]:
     return [HARDLY]
 
 
-def joined(surge: B, found: dict[str, Quantity], lacks: Sequence[str]) -> B:
-    """A boat with the quantities of turning behind those of the surge, and what its log lacks for them."""
-    unknown = {name for name, each in found.items() if not each.high <= RATIO * each.low}
+def joined(surge: B, found: dict[str, Quantity], lacks: Sequence[str], told: bool = True) -> B:
+    """A boat with the quantities of turning behind those of the surge, told or not, and what its log lacks for them."""
+    unknown = {name for name, each in found.items() if not (told and each.high <= RATIO * each.low)}
     return dataclasses.replace(
         surge,
         quantities=surge.quantities | found,

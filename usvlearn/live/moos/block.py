@@ -31,7 +31,7 @@ MIDDLEWARE = Middleware(
     {"north": {"name": "NAV_Y", "unit": "m"}, "east": {"name": "NAV_X", "unit": "m"}},
 )
 NODE = ("folder", "start", "mass", "surge_max", "channels", "boat", "save_period", "keep", "patience", "tensorboard")
-SWITCHES = ("record", "members")
+SWITCHES = ("record", "refit", "members")
 LEAST_TICK, MOST_TICK, MOST_WARP = 0.1, 1000.0, 500.0  # Hz, Hz, times real time
 OWN = ("apptick", "prefix", "plan")
 OTHERS = (  # of every app, without an effect here: messages are handled as they come
@@ -53,6 +53,7 @@ ProcessConfig = {NAME}
   save_period = 300                   // s between two checkpoints
   keep        = 100                   // checkpoints
   record      = false                 // true: record all messages, so that train.py can replay the session
+  refit       = true                  // false: do not fit the missions after each
   prefix      = {PREFIX}                  // of what is published
   plan        = {PLAN}         // variable: a plan that is posted there is answered by a forecast
   members     = false                 // true: publish the prediction of each member, too
@@ -175,8 +176,8 @@ def _argument(mission: Mission, key: str, entry: Entry) -> list[tuple[str, Entry
     """An entry as an argument of the command line, if it is one that all nodes share."""
     if key in NODE:
         return [(f"--{key.replace('_', '-')}={entry.value}", entry)]
-    if key == "record":
-        return [("--record", entry)] if _switch(mission, entry) else []
+    if key in ("record", "refit"):
+        return [(f"--{key}" if _switch(mission, entry) else f"--no-{key}", entry)]
     if key in KNOWN:
         return []
     try:

@@ -19,7 +19,7 @@ KINDS: dict[str, tuple[type, ...]] = {  # of all options; a whole number is lega
     **dict.fromkeys((*PATHS, "boat", "frame_id", "clock"), (str,)),
     **dict.fromkeys(("mass", "surge_max", "save_period", "patience"), (float, int)),
     "keep": (int,),
-    **dict.fromkeys(("record", "members"), (bool,)),
+    **dict.fromkeys(("record", "refit", "members"), (bool,)),
 }
 OF_ROS = ("use_sim_time", "start_type_description_service")
 PREFIXES_OF_ROS = ("qos_overrides.",)

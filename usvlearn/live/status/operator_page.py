@@ -30,7 +30,10 @@ def page(health: Health, step: Step | None = None) -> list[str]:
     lines += _wrapped("Alarm", f"{health.loss or 'none'} ({health.alarms} so far)")
     for name, network in health.contraction.items():
         lines += _wrapped(f"Network {name}"[:11], _network(network))
-    shown = [(name, health.identified[name]) for name in QUANTITIES if name in health.identified]
+    if health.refit is not None:
+        lines += _wrapped("Values", health.refit.sentence)
+    source = health.refit.quantities if health.refit is not None and health.refit.use else health.identified
+    shown = [(name, source[name]) for name in QUANTITIES if name in source]
     for name, each in shown:
         lines.append(_line(name[:20].replace("_", " "), quantity(*each), 21))
     lines += [part for each in health.notes for part in _wrapped("Note", each)]

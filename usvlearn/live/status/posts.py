@@ -51,6 +51,8 @@ TABLE = (
     Published("ALARM", TEXT, "", RAISED, "a thruster has lost thrust, and how much of it is left"),
     Published("EVENT", TEXT, "", RAISED, "the same, what the filters got, a recovery, or another change of the boat"),
     Published("PARAMS", TEXT, "", SELDOM, "identified quantities, as drag_linear=-20.7,thrust_full_left=18.2,…"),
+    Published("REFIT", TEXT, "", SELDOM,
+              "batch fit of the missions, and which values to use: use=fit,missions=2,time_constant=1.63:1.46:1.83,…"),
     Published("CONTRACTING", TEXT, "", SELDOM, "verdict on each network, by which condition"),
     Published("CONTRACTION_RATE", NUMBER, "a step", SELDOM, "rate K of the first network; below 1: contracting",
               "USV_K"),
@@ -96,6 +98,10 @@ def of_health(health: Health) -> list[Post]:
     known = {name: each[0] for name, each in health.identified.items() if math.isfinite(each[0])}
     if known:
         found.append(Post("PARAMS", ",".join(f"{name}={value:.4g}" for name, value in known.items())))
+    if health.refit is not None:
+        use, fitted = "fit" if health.refit.use else "online", health.refit.quantities
+        rows = [f"{name}={value:.4g}:{low:.4g}:{high:.4g}" for name, (value, low, high, _) in fitted.items()]
+        found.append(Post("REFIT", ",".join([f"use={use},missions={health.refit.missions}", *rows])))
     for name, network in list(health.contraction.items())[:1]:
         verdict = f"yes by {network['condition']}" if network["contracting"] else "not certified"
         found.append(Post("CONTRACTING", f"{name}: {verdict}"))

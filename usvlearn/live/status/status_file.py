@@ -11,6 +11,7 @@ from usvlearn.core import checkpoint
 from usvlearn.core.lock import Lock
 from usvlearn.errors import CheckpointError, ConfigError, printable
 from usvlearn.live.health import quantity, seconds
+from usvlearn.live.missions import FIT, RESULT, read_refit
 from usvlearn.live.node_folder import status_of
 
 
@@ -34,7 +35,10 @@ def status_lines(folder: Path) -> list[str]:
     last: Any = found.get("last")
     if isinstance(last, dict) and _number(last.get("speed")):
         lines.append(f"Predicted   {last['speed']:.2f} m/s at its last step")
-    lines += _networks(found) + _identified(found)
+    lines += _networks(found) + _identified("Identified", found.get("identified"))
+    if (folder / FIT / RESULT).exists():
+        refit = read_refit(folder)
+        lines += [f"Values      {refit.sentence}", *_identified("Fit", {k: [*x] for k, x in refit.quantities.items()})]
     for title, key in (("Note", "notes"), ("Warning", "warnings")):
         said = found.get(key)
         sentences = [each for each in said if isinstance(each, str)] if isinstance(said, list) else []
@@ -79,12 +83,12 @@ def _networks(found: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _identified(found: dict[str, Any]) -> list[str]:
-    lines, quantities = [], found.get("identified")
+def _identified(title: str, quantities: Any) -> list[str]:
+    lines = []
     for name, each in quantities.items() if isinstance(quantities, dict) else ():
         if isinstance(each, list) and len(each) == 4 and all(x is None or _number(x) for x in each[:3]):
             value, low, high = (math.nan if x is None else x for x in each[:3])
-            lines.append(f"Identified  {printable(str(name))} {quantity(value, low, high, printable(str(each[3])))}")
+            lines.append(f"{title:<11} {printable(str(name))} {quantity(value, low, high, printable(str(each[3])))}")
     return lines
 
 

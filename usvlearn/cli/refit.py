@@ -1,0 +1,75 @@
+"""The batch fit of the missions that a node has kept (`usvlearn.live.missions`). It needs neither torch nor rich."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from usvlearn.cli.fit import last_of, write
+from usvlearn.core import checkpoint
+from usvlearn.core.json_values import finite
+from usvlearn.errors import CheckpointError, ConfigError, UsvlearnError, complain
+from usvlearn.live.missions import FIT, MISSIONS, RESULT, settings_of
+from usvlearn.live.recent import recording_of
+from usvlearn.logs.channels.channel import Recording
+from usvlearn.logs.recordings import align_fleet
+from usvlearn.logs.setup import KEY, Setup
+from usvlearn.model.fit.fitted import fit_boat
+from usvlearn.model.fit.logs import fine, missions_of
+
+
+def refit(folder: Path) -> str:
+    """Fit all missions in a node's folder, and write its `fit`; returns which values are to be used, a sentence.
+
+    Raises:
+        UsvlearnError: no mission can be read, or they are too little for a fit; the node is told this, too.
+    """
+    paths = checkpoint.checkpoints(folder / MISSIONS)
+    seen = {path.name: path.stat().st_size for path in paths}
+    told: dict[str, Any] = {"seen": seen, "use": False, "missions": 0, "quantities": {}}
+    try:
+        boat, setup, recordings = _read(paths)
+        told[KEY] = settings_of(setup)
+        if setup.mass is None or setup.surge_max is None:
+            raise ConfigError("mass: found none, or no surge_max, expected both: give the node --mass and --surge-max")
+        last = last_of(folder)
+        missions = missions_of(align_fleet(recordings, **fine(setup.align)), boat)
+        found = fit_boat(boat, missions, setup.mass, setup.surge_max, online=None if last is None else last.online)
+        write(folder / FIT, found, last, float(setup.align["dt"]))
+        against = " ".join(filter(None, [found.found.unphysical, *found.doubts]))
+        many = f"the fit of {found.missions.number} mission{'s' * (found.missions.number != 1)}"
+        told |= {
+            "use": not against, "missions": found.missions.number,
+            "quantities": {k: x for k in found.quantities if np.isfinite((x := found.found.displayed(k))[:3]).all()},
+            "sentence": f"use those learned online, not {many}: {against}" if against else f"use those of {many}",
+        }  # fmt: skip
+        return str(told["sentence"])
+    except UsvlearnError as error:
+        told["sentence"] = f"use those learned online: {error}"
+        raise
+    finally:
+        (folder / FIT).mkdir(exist_ok=True)
+        checkpoint.write_atomically(folder / FIT / RESULT, json.dumps(finite(told), indent=1).encode())
+
+
+def _read(paths: list[Path]) -> tuple[str, Setup, list[Recording]]:
+    """Boat and setup of the newest mission, and all missions that have the same."""
+    found: list[tuple[str, Setup, Recording]] = []
+    for path in reversed(paths):
+        try:
+            leaves, facts = checkpoint.load(path)
+            boat, setup = str(facts["boat"]), Setup.of(facts[KEY])
+            if found and (boat, settings_of(setup)) != (found[0][0], settings_of(found[0][1])):
+                raise ConfigError("it is of another boat, or has other settings")
+            if not setup.aligned.keys() <= leaves.keys() or any(leaf.ndim != 2 for leaf in leaves.values()):
+                raise ConfigError("it lacks a channel")
+            columns = {name: (leaf[0], leaf[1], leaf[2].astype(int)) for name, leaf in leaves.items()}
+            found.append((boat, setup, recording_of(setup, columns, boat, path.stem)))
+        except (CheckpointError, ConfigError, KeyError, TypeError, ValueError, IndexError) as error:
+            complain(f"warning: {path}: is left out ({error!r:.200})")
+    if not found:
+        raise ConfigError("found no mission that can be read, expected one of a minute or more")
+    return *found[0][:2], [each for *_, each in reversed(found)]
