@@ -12,9 +12,10 @@ import pytest
 
 from tests.support.commands import QUICK, run
 from usvlearn.__main__ import main
-from usvlearn.cli.fit import work
+from usvlearn.cli.fit import fit_on_the_way, work
 from usvlearn.cli.stopping import Stopped
 from usvlearn.core.samples import Inputs, Sample
+from usvlearn.display import terminal
 from usvlearn.engine.online import Online
 from usvlearn.errors import UsvlearnError
 from usvlearn.live.node_folder import newest
@@ -31,12 +32,13 @@ SCRIPT = "usvlearn/__main__.py"
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A run of two boats, half an hour each, three missions."""
+    """A run of two boats, half an hour each, three missions, which was fitted at its end."""
     folder = tmp_path_factory.mktemp("fit")
     missions = ["data.hours=0.5", "data.mission_minutes=10", "data.n=2"]
     quick = [each for each in QUICK[1:] if each != "~estimators.joint_averaged"]  # which tells the parameters
-    done = run(*missions, *quick, "hydra.run.dir=run", folder=folder)
+    done = run(*missions, *quick, "hydra.run.dir=run", "refit=true", folder=folder)
     assert done.returncode == 0, done.stderr
+    assert done.stdout.count("(used)") == 2 and "report: " not in done.stdout
     return folder
 
 
@@ -58,6 +60,18 @@ def test_it_is_nearer_to_the_truth_than_online_learning_and_says_how_sure_it_is(
             found["quantities"][k]["low"] <= truth[boat][k]["truth"] <= found["quantities"][k]["high"] for k in known
         ]
     assert np.mean(inside) >= 0.8 and np.mean(nearer) > 0.5
+
+
+def test_a_run_is_fitted_on_the_way_of_another_command_which_goes_on_without_a_fit(folder, tmp_path, capsys):
+    shutil.copytree(folder / "run", tmp_path / "run")
+    fit_on_the_way(tmp_path / "none", terminal.console(quiet=True))
+    assert "warning: no fit was made" in capsys.readouterr().err
+    fit_on_the_way(tmp_path / "run", terminal.console(quiet=True))
+    assert capsys.readouterr().out == ""
+    for boat, found in json.loads((tmp_path / "run" / "results.json").read_text())["fit"].items():
+        saved = json.loads((tmp_path / "run" / "fit" / f"{boat}.fit.json").read_text())
+        assert found["quantities"] == saved["quantities"] and found["doubts"] == saved["doubts"]
+        assert found["use"] == (not found["doubts"]) and found["terms"] == saved["terms"]
 
 
 def test_one_boat_and_one_set_may_be_named(folder, tmp_path, capsys, monkeypatch):

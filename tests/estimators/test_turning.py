@@ -1,6 +1,5 @@
 """Identified quantities of turning: closed forms, simulated boats, intervals, and what a log lacks."""
 
-import dataclasses
 import functools
 import math
 from typing import Any
@@ -8,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from rich.console import Console
 
 from usvlearn import Ensemble, ForecastSettings, JointEKF
 from usvlearn.core.events import NINETY
@@ -20,7 +18,6 @@ from usvlearn.estimators.axis.state import THETA, axis_inputs, names
 from usvlearn.estimators.axis.turning_intervals import FIRST
 from usvlearn.estimators.axis.turning_quantities import (
     INNER,
-    MEANING,
     QUANTITIES,
     Theta,
     acceleration,
@@ -33,7 +30,6 @@ from usvlearn.estimators.planar.layer import Planar
 from usvlearn.estimators.planar.state import HEADING, TURN
 from usvlearn.evaluation.identification import as_results, identified_planar_boats
 from usvlearn.logs.recordings import align_fleet
-from usvlearn.report.tables import turning_table
 from usvlearn.simulate import turning as simulated
 from usvlearn.simulate.planar import HERON, simulate_planar
 from usvlearn.simulate.planar_fleet import planar_boats, planar_fleet
@@ -137,7 +133,7 @@ def test_a_mission_tells_the_quantities(mission):
     (boat,) = planar_boats(1, seed=3)
     known = simulated.true_turning(boat)
     assert set(QUANTITIES) < set(found) and "steady_speed_full" in found
-    assert found.unknown & QUANTITIES.keys() == {"yaw_time_constant", "yaw_time_constant_rest"} and FIRST in found.lacks
+    assert found.unknown >= QUANTITIES.keys() and FIRST in found.lacks
     for name in ("yaw_rate_half", "turning_radius_half", "yaw_rate_full_difference"):
         assert found[name].value == pytest.approx(known[name], rel=0.2), name
         assert found[name].low < known[name] < found[name].high, name
@@ -180,30 +176,12 @@ def test_an_interval_is_that_of_draws_from_the_filters(mission):
     assert 10 * some[name].std() == pytest.approx(spread, rel=0.1)
 
 
-def test_results_and_table_have_the_truth(mission):
+def test_results_have_the_truth(mission):
     found = identified_planar_boats(*mission, ["planar"])
     truth = simulated.turning_of([{"_target_": "usvlearn.simulate.planar_fleet.planar_fleet", "seed": 3}])
     results = as_results(found, truth)["identified"]["planar"]
     assert results["turning_radius_half"]["truth"] == truth["planar"]["turning_radius_half"]
     assert results["turning_radius_half"]["unit"] == "m"
-    console = Console(width=200)
-    with console.capture() as capture:
-        console.print(turning_table(found, truth))
-    text = capture.get()
-    assert all(name in text for name in QUANTITIES) and "truth" in text and MEANING[:40] in text
-    with console.capture() as capture:
-        console.print(turning_table({"planar": dataclasses.replace(found["planar"], quantities={})}))
-    assert not capture.get().strip()
-
-
-def test_the_table_says_what_the_log_lacks_once(mission):
-    found = identified_planar_boats(*mission, ["planar"])["planar"]
-    surge, whole = (dataclasses.replace(found, lacks=lacks) for lacks in (("A.",), ("A.", "It did not turn.")))
-    console = Console(width=200)
-    with console.capture() as capture:
-        console.print(turning_table({"planar": whole}, said={"planar": surge}))
-    text = capture.get()
-    assert "It did not turn." in text and "A." not in text and found.basis not in text
 
 
 def test_a_reversed_simulated_turn_is_the_same_turn():

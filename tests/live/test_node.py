@@ -14,7 +14,7 @@ from usvlearn.core.events import LOSS, Event
 from usvlearn.engine.online import Online
 from usvlearn.errors import ConfigError
 from usvlearn.live import watched
-from usvlearn.live.health import COMPILING
+from usvlearn.live.health import COMPILING, Refit
 from usvlearn.live.moos.block import MIDDLEWARE
 from usvlearn.live.node import Node
 from usvlearn.live.node_folder import NodeFolder
@@ -318,7 +318,7 @@ def test_posts_are_those_of_the_table(start):
     steps = [step for message in messages(boat(0.02)) for step in one.push(*message)]
     network = {"contracting": True, "condition": "exact", "rate": 0.9, "time_constant": None, "equilibrium": 0.1}
     found = {"drag_linear": (-1.0, -2.0, 0.0, "kg/s")}
-    health = COMPILING._replace(state="ok", identified=found, contraction={"rnn": network})
+    health = COMPILING._replace(state="ok", identified=found, contraction={"rnn": network}, refit=Refit())
     posts = of_step(steps[-1]._replace(events=(Event(1.0, LOSS, "left", 0.4),)), members=True) + of_health(health)
     assert {post.name for post in posts} == set(KINDS) - {PLANNED, TRACK}
     assert all((KINDS[post.name] == "D") == isinstance(post.value, float) for post in posts)

@@ -77,7 +77,7 @@ def planar_set(folder: Path, reader: str | None = PLAIN.reader) -> Path:
 
 def ready(folder: Path, start: Path | None, middleware: Middleware = PLAIN, **options) -> Session:
     """A session that listens."""
-    session = Session(Options(folder, start, **options), middleware)
+    session = Session(Options(folder, start, **{"refit": False, **options}), middleware)
     session.start()
     assert session.wait(300)
     return session

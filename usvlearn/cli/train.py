@@ -33,7 +33,6 @@ from usvlearn.report.tables import (
     rejection_table,
     summary_lines,
     track_table,
-    turning_table,
 )
 from usvlearn.runs.layout import TENSORBOARD
 from usvlearn.sweeps.launchers import set_threads

@@ -6,7 +6,6 @@ import math
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +15,6 @@ from rich.text import Text
 from usvlearn.core.events import LOSS, event_of
 from usvlearn.display.terminal import Blocks
 from usvlearn.engine.identified import sentences
-from usvlearn.estimators.axis.turning_quantities import MEANING as OF_TURNING
-from usvlearn.estimators.axis.turning_quantities import QUANTITIES as TURNING
 from usvlearn.estimators.joint.quantities import MEANING
 from usvlearn.estimators.joint.reading import Identified, shown
 from usvlearn.estimators.regressors.terms import SURGE
@@ -243,63 +240,25 @@ def identified_table(found: Mapping[str, Identified], truth: Mapping[str, Mappin
     """
     if not found:
         return Group()
-    several = len(found) > 1
-    names = {boat: [name for name in each if not (several and name in SURGE)] for boat, each in found.items()}
+    truth, several = truth or {}, len(found) > 1
+    heads = ["value", "from", "to", *(["truth"] if truth else []), "unit"]
+    table = Blocks("Identified, with 90 % intervals", ["quantity"], heads)
+    for boat, quantities in found.items():
+        if several:
+            table.group(boat)
+        known = truth.get(boat, {})
+        for name in (name for name in quantities if not (several and name in SURGE)):
+            *numbers, unit = quantities.displayed(name)
+            true = [shown(known[name]) if name in known else "–"] if truth else []
+            table.add(name, *map(shown, numbers), *true, unit)
     more = ["The nine parameters of each boat are in results.json and in the report."] if several else []
     if any(each.unknown for each in found.values()):
         more.append("–: not known yet; the interval is wider than what such a boat can have.")
     wrong = [f"WARNING: {boat}: {each.unphysical}" for boat, each in found.items() if each.unphysical]
     stated = [each for each in sentences(found) if not any(each in one for one in wrong)]
-    table = _quantities("Identified, with 90 % intervals", found, names, truth or {})
     return Group(
         Text(), table, *map(Text, [MEANING, *stated, *more]), *(Text(f"\n{each}", "bold red") for each in wrong)
     )
-
-
-def turning_table(
-    found: Mapping[str, Identified],
-    truth: Mapping[str, Mapping[str, float]] | None = None,
-    said: Mapping[str, Identified] | None = None,
-) -> Group:
-    """Quantities of turning with their 90 % intervals, boat by boat; nothing is printed where there are none.
-
-    Args:
-        found: of each boat (`usvlearn.evaluation.identification.identified_planar_boats`).
-        truth: boat -> quantity -> value.
-        said: what is printed above it of the surge, whose sentences are not repeated.
-    """
-    turning = {boat: each for boat, each in found.items() if TURNING.keys() <= each.keys()}
-    if not turning:
-        return Group()
-    known = {boat: values for boat, values in (truth or {}).items() if TURNING.keys() & values.keys()}
-    table = _quantities(
-        "Identified turning, with 90 % intervals", turning, dict.fromkeys(turning, tuple(TURNING)), known
-    )
-    above = {boat: each.lacks for boat, each in (said or {}).items()}
-    own_lacks = {
-        boat: replace(each, basis="", scale="", lacks=tuple(x for x in each.lacks if x not in above.get(boat, ())))
-        for boat, each in turning.items()
-    }
-    return Group(Text(), table, *map(Text, [OF_TURNING, *sentences(own_lacks)]))
-
-
-def _quantities(
-    title: str,
-    found: Mapping[str, Identified],
-    names: Mapping[str, Sequence[str]],
-    truth: Mapping[str, Mapping[str, float]],
-) -> Blocks:
-    """One row per boat and quantity; a column of truths if there are any."""
-    table = Blocks(title, ["quantity"], ["value", "from", "to", *(["truth"] if truth else []), "unit"])
-    for boat, quantities in found.items():
-        if len(found) > 1:
-            table.group(boat)
-        known = truth.get(boat, {})
-        for name in names[boat]:
-            *numbers, unit = quantities.displayed(name)
-            true = [shown(known[name]) if name in known else "–"] if truth else []
-            table.add(name, *map(shown, numbers), *true, unit)
-    return table
 
 
 def short_settings(settings: Mapping[str, str], keys: Sequence[str]) -> str:
