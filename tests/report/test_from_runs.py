@@ -48,7 +48,8 @@ def test_every_file_is_there_and_replaced(saved):
     figures = {path.name for path in (report / "figures").iterdir()}
     names = {"online", "forecast", "crossval", "fleet", "certificates", "equilibria", "residuals",
              "parameters_heron1", "parameters_heron2",
-             "identified_heron1", "identified_heron2", "tracks", "tracks_heron1", "tracks_heron2"}  # fmt: skip
+             "identified_heron1", "identified_heron2", "tracks", "tracks_heron1", "tracks_heron2",
+             *(f"fit_{kind}_heron{k}" for kind in ("curves", "residuals", "worst") for k in (1, 2))}  # fmt: skip
     assert figures == {f"{name}.svg" for name in names}
     tables = {
         "online",
@@ -64,6 +65,9 @@ def test_every_file_is_there_and_replaced(saved):
         "cost",
         "residuals",
         "tracks",
+        "fit",
+        "fit_sets",
+        "fit_missions",
     }
     assert {path.name for path in (report / "tables").iterdir()} == {f"{name}.csv" for name in tables}
     assert "The paper found" not in (report / "report.md").read_text()  # it stands where a study is judged

@@ -28,13 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--channel", action="append", default=[], metavar="KEY=VALUE",
         help="an option of a channel, such as surge=NAV_SPEED or command_left.span=100; repeatable")  # fmt: skip
     add("--boat", default="boat", help="name of the boat")
-    add(
-        "--record",
-        action=argparse.BooleanOptionalAction,
-        default=False,
-        help="record all messages, so that train.py can replay the session",
-    )
-    add("--refit", action=argparse.BooleanOptionalAction, default=True, help="keep missions, and fit all after each")
+    add("--record", action="store_true", help="record all messages, so that train.py can replay the session")
+    add("--no-refit", dest="refit", action="store_false", help="keep no missions, and do not fit them after each")
     add("--save-period", type=float, default=300.0, metavar="S", help="time between two checkpoints, s (300)")
     add("--keep", type=int, default=100, metavar="N", help="number of checkpoints that are kept (100)")
     add("--patience", type=float, default=PATIENCE, metavar="S",

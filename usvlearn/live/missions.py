@@ -75,10 +75,8 @@ class Missions:
         self._lost |= loss is not None
         if self._process is not None and (code := self._process.poll()) is not None:
             self._process, self._found = None, read_refit(self._options.folder, self._setup)
-            how = f"signal {-code}" if code < 0 else f"exit code {code}"  # 2: the result says what was too little
-            self._problem = f"the fit of the missions ended with {how}: the next mission tries again" * (
-                code not in (0, 2)
-            )
+            how = "" if code in (0, 2) else f"signal {-code}" if code < 0 else f"exit code {code}"  # 2: too little data
+            self._problem = how and f"the fit of the missions ended with {how}: the next mission tries again"
             self._due = True  # of missions that have ended meanwhile
         if self._options.refit:
             self.told = Refit(sentence=f"use those learned online: {loss.sentence}") if loss else self._found
@@ -89,9 +87,7 @@ class Missions:
         return self._problem
 
     def keep(self, ended: bool, anew: bool = False) -> None:
-        """Have this mission written, unless it is short or lay still; where it has ended, have all of them fitted.
-        After `anew` the clock begins anew, too.
-        """
+        """Have this mission written, unless it is short or lay still; another begins if it has ended, or the clock."""
         columns = {name: np.stack(each).astype(float) for name, each in self._recent.copy().items()}
         moves = any(np.abs(columns[name][1]).max() > MOVES for name in COMMANDS if name in columns)
         long = SURGE in columns and np.ptp(columns[SURGE][0]) > SHORTEST

@@ -5,6 +5,7 @@ import pytest
 from usvlearn.errors import ConfigError
 from usvlearn.live.moos.block import EXAMPLE, MIDDLEWARE, interface, parser, settings_of
 from usvlearn.live.moos.mission import LARGEST, Mission
+from usvlearn.live.start import Options
 from usvlearn.live.status.posts import TABLE
 
 TEXT = """\
@@ -31,6 +32,7 @@ processconfig=pUSVLearn
   mass = 36
   save_period = 60 // s
   record = TRUE
+  refit = false
   prefix = "A//B" // not a comment, and one
   members = true
   surge = NAV_SPEED@pNav
@@ -60,6 +62,7 @@ def test_a_mission_says_all(tmp_path, monkeypatch):
     options = found.options
     assert (str(options.folder), str(options.start)) == ("/data/boat/a b", "/home/set")
     assert (options.mass, options.save_period, options.record, options.keep, options.warp) == (36, 60, True, 7, 5)
+    assert not options.refit and Options(tmp_path).refit
     assert options.channels == {
         "surge": {"name": "NAV_SPEED@pNav", "unit": "knots"},
         "command_left": {"name": ["A", "B"]},

@@ -177,7 +177,8 @@ def _argument(mission: Mission, key: str, entry: Entry) -> list[tuple[str, Entry
     if key in NODE:
         return [(f"--{key.replace('_', '-')}={entry.value}", entry)]
     if key in ("record", "refit"):
-        return [(f"--{key}" if _switch(mission, entry) else f"--no-{key}", entry)]
+        flag = "--record" if key == "record" else "--no-refit"
+        return [(flag, entry)] if _switch(mission, entry) == (key == "record") else []
     if key in KNOWN:
         return []
     try:
