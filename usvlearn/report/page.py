@@ -68,10 +68,10 @@ def write_report(
         write_atomically(folder / name, content)
     write_atomically(folder / "report.md", _markdown(facts, sections, commands).encode())
     if errors:
-        content = io.BytesIO()
+        archive = io.BytesIO()
         named = {f"{boat}_{name}": x for boat, found in errors.items() for name, x in found._asdict().items()}
-        np.savez_compressed(content, **named)
-        write_atomically(folder / "crossval.npz", content.getvalue())
+        np.savez_compressed(archive, **named)
+        write_atomically(folder / "crossval.npz", archive.getvalue())
     index = folder / "index.html"
     write_atomically(folder / FILES, json.dumps(sorted(own), indent=2).encode())
     write_atomically(
