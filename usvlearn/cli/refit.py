@@ -10,7 +10,7 @@ import numpy as np
 
 from usvlearn.cli.fit import last_of, write
 from usvlearn.core import checkpoint
-from usvlearn.core.json_values import finite
+from usvlearn.display.json_values import finite
 from usvlearn.errors import CheckpointError, ConfigError, UsvlearnError, complain
 from usvlearn.live.missions import FIT, MISSIONS, RESULT, settings_of
 from usvlearn.live.recent import recording_of

@@ -19,8 +19,8 @@ import numpy as np
 
 from usvlearn.core import checkpoint
 from usvlearn.core.events import Event
-from usvlearn.core.json_values import finite
 from usvlearn.core.unconfirmed import SECTION
+from usvlearn.display.json_values import finite
 from usvlearn.errors import CheckpointError, printable
 from usvlearn.estimators.axis.turning_quantities import QUANTITIES as TURNING
 from usvlearn.live.background import Background
