@@ -8,14 +8,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-_LOGS = "usvlearn.logs"
 TARGETS = {  # classes in settings; the first six are in the boats' files of `usvlearn inspect` of version 0.2
-    f"{_LOGS}.alog.Alog": f"{_LOGS}.formats.moos.alog.Alog",
-    f"{_LOGS}.csv_table.Table": f"{_LOGS}.formats.csv.table.Table",
-    f"{_LOGS}.dataflash.DataFlash": f"{_LOGS}.formats.ardupilot.dataflash.DataFlash",
-    f"{_LOGS}.rosbag.Rosbag": f"{_LOGS}.formats.ros.rosbag.Rosbag",
-    f"{_LOGS}.tlog.Tlog": f"{_LOGS}.formats.ardupilot.tlog.Tlog",
-    f"{_LOGS}.ulog.Ulog": f"{_LOGS}.formats.px4.ulog.Ulog",
+    "usvlearn.logs.alog.Alog": "usvlearn.logs.formats.moos.alog.Alog",
+    "usvlearn.logs.csv_table.Table": "usvlearn.logs.formats.csv.table.Table",
+    "usvlearn.logs.dataflash.DataFlash": "usvlearn.logs.formats.ardupilot.dataflash.DataFlash",
+    "usvlearn.logs.rosbag.Rosbag": "usvlearn.logs.formats.ros.rosbag.Rosbag",
+    "usvlearn.logs.tlog.Tlog": "usvlearn.logs.formats.ardupilot.tlog.Tlog",
+    "usvlearn.logs.ulog.Ulog": "usvlearn.logs.formats.px4.ulog.Ulog",
 }
 KEYS: dict[str, str] = {}  # keys of settings and of descriptions, and parts of the dotted names of a state's arrays
 
@@ -30,8 +29,5 @@ def today(found: Any, levels: int = 100) -> Any:
         return [today(each, levels - 1) for each in found]
     if not isinstance(found, Mapping) or not levels:
         return TARGETS.get(found, found) if isinstance(found, str) else found
-    return {_today(key): today(value, levels - 1) for key, value in found.items()}
-
-
-def _today(key: Any) -> Any:
-    return ".".join(KEYS.get(part, part) for part in key.split(".")) if isinstance(key, str) else key
+    names = {key: ".".join(KEYS.get(part, part) for part in key.split(".")) for key in found if isinstance(key, str)}
+    return {names.get(key, key): today(value, levels - 1) for key, value in found.items()}
