@@ -64,8 +64,8 @@ def write_report(
     tables = {f"tables/{each.name}.csv": each for section in sections for each in section.sheets}
     own = {f"figures/{name}.svg": whole for name, (_, whole) in drawings.items()}
     own |= {name: each.csv().encode() for name, each in tables.items()}
-    for name, content in own.items():
-        write_atomically(folder / name, content)
+    for path, whole in own.items():
+        write_atomically(folder / path, whole)
     write_atomically(folder / "report.md", _markdown(facts, sections, commands).encode())
     if errors:
         archive = io.BytesIO()
