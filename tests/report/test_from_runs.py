@@ -22,8 +22,7 @@ from usvlearn.core.checkpoint import checkpoints, load
 from usvlearn.display.result_table import ResultTable
 from usvlearn.errors import CheckpointError, ConfigError, MissingExtraError
 from usvlearn.logs.recordings import align_fleet
-from usvlearn.report.assembly import assemble
-from usvlearn.report.from_runs import Tools, known_quantities, read
+from usvlearn.report.from_runs import Tools, assemble, known_quantities, read
 from usvlearn.report.page import check_report_folder, write_report
 from usvlearn.report.sections.parameters import identified_section, parameters_section
 from usvlearn.runs.saved import configuration, is_sweep, read_seasons, results, run_folders

@@ -16,8 +16,7 @@ from tests.support.runs import tools
 from tests.support.seasons import boats, decoded
 from usvlearn.estimators.joint.reading import shown
 from usvlearn.report import front
-from usvlearn.report.assembly import assemble, front_of
-from usvlearn.report.from_runs import evaluate, read
+from usvlearn.report.from_runs import assemble, evaluate, front_of, read
 from usvlearn.report.overview import MAIN, Ahead, Overview
 from usvlearn.report.page import SCRIPT, write_report
 
