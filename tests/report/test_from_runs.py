@@ -69,7 +69,9 @@ def test_every_file_is_there_and_replaced(saved):
         "fit_missions",
     }
     assert {path.name for path in (report / "tables").iterdir()} == {f"{name}.csv" for name in tables}
-    assert "The paper found" not in (report / "report.md").read_text()  # it stands where a study is judged
+    text = (report / "report.md").read_text()
+    assert "The paper found" not in text  # it stands where a study is judged
+    assert "- heron1, rnn: open-loop simulations " in text and "The map of the last network of heron1" in text
 
 
 def test_online_errors_are_those_of_the_run(saved):

@@ -55,9 +55,9 @@ def network_section(seasons: Sequence[Season], ensemble: Ensemble, errors: Mappi
     for boat, some in networks.items():
         found = [exact.verdict(weights) for weights in some]
         rates[boat] = np.array([float_above(each.rate) if each else np.nan for each in found])
-        for name in exact.CORNER:
-            own = [float_below(each.margins[name]) if each else np.nan for each in found]
-            margins.setdefault(name, {})[boat] = np.array(own)
+        for condition in exact.CORNER:
+            own = [float_below(each.margins[condition]) if each else np.nan for each in found]
+            margins.setdefault(condition, {})[boat] = np.array(own)
     held = {condition: sum(int((m > 0).sum()) for m in boats.values()) for condition, boats in margins.items()}
     headings = np.linspace(0, 2 * np.pi, HEADINGS, endpoint=False)
     inputs = surge_inputs(headings)
