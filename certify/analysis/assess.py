@@ -30,7 +30,7 @@ STEPS = "steps"  # the certificate of all steps, beside those of the conditions
 NEARLY = Fraction(99, 100)  # of the largest step: at the largest itself the rate is 1
 SHARE = 0.1  # of the seconds of a search on a box, which the search of a scaling takes
 FULL = 6.0  # times these seconds: the search of a full metric
-MOST_FULL, MOST_QUADRATIC = 64, 256  # states of a recurrent network with a full metric, and with any
+MOST_FULL, MOST_QUADRATIC = 64, 200  # states of a recurrent network with a full metric, and with any
 
 
 def assess(

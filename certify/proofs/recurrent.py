@@ -102,10 +102,10 @@ def positive_definite(M: np.ndarray) -> bool:
     return all(2 * Y[i, i] > sum(map(abs, Y[i])) for i in range(n))
 
 
-def effort(W: ArrayLike, numbers: Sequence[Fraction]) -> float:
-    """About how many ns a check takes, told before it from the sizes of W and of the numbers of a proof.
+def effort(W: ArrayLike, numbers: Sequence[Fraction], products: float) -> float:
+    """About how many ns so many products take, told before a check from the sizes of W and of the numbers of a proof.
 
-    >>> effort(np.eye(2), [Fraction(1)]) < 1e5 < effort(np.eye(64), [Fraction(1)]) < 5e9
+    >>> effort(np.eye(2), [Fraction(1)], 1e3) < 1e6 < effort(np.eye(2), [Fraction(1, 3**400)], 1e3)
     True
     """
     bits, below = 0, 1
@@ -117,7 +117,7 @@ def effort(W: ArrayLike, numbers: Sequence[Fraction]) -> float:
             return float("inf")
     V, unit = _whole(W)
     bits += 3 * below.bit_length() + unit.bit_length() + max((abs(x).bit_length() for x in V.flat), default=0)
-    return 16.0 * len(V) ** 3 * (80 + bits**2 / 4000)
+    return products * (80 + bits**2 / 4000)
 
 
 def _whole(W: ArrayLike) -> tuple[np.ndarray, int]:

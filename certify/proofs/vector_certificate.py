@@ -178,7 +178,7 @@ def _refusal(content: dict[str, Any], network: VectorNetwork) -> str | None:
     q = len(weights.R)
     if proof["norm"] not in NORMS or len(scaling) != q or any(len(row) != q for row in scaling):
         return "its norm or its T is of another kind"
-    if vector_exact.effort(weights, scaling) > vector_exact.WORK:
+    if vector_exact.effort(weights, scaling, proof["norm"]) > vector_exact.WORK:
         return f"its T is too long, or the network too large: the check would take longer than {LONGEST_CHECK}"
     step = _number(proof["step"])
     if not step > 0 or not _below(_exact_rate(weights, phi, proof["norm"], scaling, step), kappa):

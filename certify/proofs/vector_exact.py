@@ -242,12 +242,13 @@ def inequality(
     return M
 
 
-def effort(weights: VectorWeights, scaling: Matrix | None = None) -> float:
+def effort(weights: VectorWeights, scaling: Matrix | None = None, norm: str = "inf") -> float:
     """About how many ns it takes to check a proof, told from the sizes and before any work: compare with `WORK`.
 
     Args:
         weights: of one network.
         scaling: T of a rate (2), `(q, q)`; without it, of M (3), before its LDLᵀ.
+        norm: of that rate.
 
     Raises:
         CertifyError: T is singular.
@@ -259,7 +260,7 @@ def effort(weights: VectorWeights, scaling: Matrix | None = None) -> float:
     """
     q, n, last = len(weights.R), len(weights.b), 0 if weights.c is None else len(weights.c)
     if is_recurrent(weights) and scaling is not None and (t := diagonal(scaling)) is not None:
-        return recurrent.effort(weights.W, [x for each in t for x in (each, 1 / each)]) / q
+        return recurrent.effort(weights.W, [1 / x for x in t] if norm == "inf" else t, 16.0 * q * q)
     if scaling is None:
         return 150.0 * (2 * q + n + last) ** 2
     back = inverse(scaling)
@@ -300,8 +301,7 @@ def proves(
     if [len(each) for each in proof.multipliers] != sizes or not all(x > 0 for each in proof.multipliers for x in each):
         return False
     if is_recurrent(weights) and (phi.most if most is None else most) <= 1:
-        numbers = [kappa * kappa, *itertools.chain(*P, *proof.multipliers)]
-        return recurrent.effort(weights.W, numbers) <= WORK and recurrent.proves(
-            weights.W, P, proof.multipliers[0], kappa
-        )
+        numbers, (lam,) = [kappa * kappa, *itertools.chain(*P, *proof.multipliers)], proof.multipliers
+        products = q**3 * (3.0 if diagonal(P) == lam else 16.0)
+        return recurrent.effort(weights.W, numbers, products) <= WORK and recurrent.proves(weights.W, P, lam, kappa)
     return definiteness(inequality(weights, phi, proof, kappa, most), WORK) == 1

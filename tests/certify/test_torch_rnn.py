@@ -172,6 +172,19 @@ def test_definite_matrices_alone_are_proved_definite(n):
 # Certificates
 
 
+@pytest.mark.parametrize("n", [10, 30, *(pytest.param(n, marks=pytest.mark.thorough) for n in (100, 200))])
+def test_many_states_are_certified_by_numbers_that_verification_accepts(n):
+    W = 0.4 * random(n)
+    for condition, given in (
+        ("quadratic", by_spectral_norm(W)._asdict()),
+        ("exact", {"norm": "one", "scaling": diagonal_scaling(W)}),
+    ):
+        net = network(W if condition == "quadratic" else W / 10)
+        given["rate"] = given.pop("kappa", None)
+        content = vector_certificate.make(net, condition, **given)
+        assert vector_certificate.verify(content, net).valid
+
+
 @pytest.mark.parametrize("n", [3, 10])
 def test_a_certificate_is_about_its_weights_alone(n):
     made = by_spectral_norm(0.5 * random(n))
