@@ -188,10 +188,10 @@ def _vector_state(
     network: VectorNetwork, seconds: float, solver: str | None, steps: bool
 ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
     weights, phi = network.weights, network.activation
-    rates: dict[str, Fraction | None] = {}
+    recurrent = is_recurrent(weights)
+    rates: dict[str, Fraction | None] = {} if recurrent else {"gershgorin": None}
     made: dict[str, dict[str, Any] | None] = {}
     statuses, metric = {}, None
-    recurrent = is_recurrent(weights)
     if recurrent:
         rates["quadratic"], made["quadratic"] = _quadratic(network, FULL * seconds, solver is not None)
     elif weights.V is None and phi.name == "relu":
