@@ -41,6 +41,11 @@ QUANTITIES = {
     **{f"turning_radius_{name}": "m" for name in COMMANDS},
     "yaw_time_constant": "s", "yaw_time_constant_rest": "s",
 }  # fmt: skip
+OF_FIT = {"dead_zone": "of full", "compass_offset": "deg", "current": "m/s"}  # of a batch fit alone
+MEANING_OF_FIT = (
+    "dead_zone: the share of a command that gives no thrust. compass_offset: what the compass shows too much, clockwise: "
+    "add it to data.channels.heading.zero. current: its mean size over the missions."
+)
 MEANING = (
     "yaw_rate_full_difference: on the spot, one side full ahead and the other one full astern. yaw_rate and "
     "turning_radius: of a steady turn with the outer side at full, half or quarter command, and the inner one at half "

@@ -74,7 +74,7 @@ def poses(
     for begin, end in pairwise(begins):
         since = float(came[begin]) if begin else -math.inf
         found[begin:end] = _rising(channels, time[begin:end], came[begin:end], since)
-    way, known = _reckoned(time, found[:, 0], np.where(samples.measured, samples.surge, np.nan), found[:, 2])
+    way, known = reckoned(time, found[:, 0], np.where(samples.measured, samples.surge, np.nan), found[:, 2])
     for begin, end in pairwise(begins):
         position = found[begin:end, 3:]
         fixed = np.flatnonzero(np.isfinite(position[:, 0]))
@@ -215,7 +215,7 @@ def over_ground(surge: np.ndarray, sway: np.ndarray, heading: np.ndarray) -> np.
     return np.column_stack([north, surge * np.sin(heading) + aside * np.cos(heading)])
 
 
-def _reckoned(
+def reckoned(
     time: np.ndarray, heading: np.ndarray, surge: np.ndarray, sway: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The way of a boat by its own measured velocity, m north and east, `(n, 2)`, and where that was measured, `(n,)`.

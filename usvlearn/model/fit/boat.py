@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from usvlearn.errors import CheckpointError
 from usvlearn.estimators.axis.turning_intervals import joined
+from usvlearn.estimators.axis.turning_quantities import OF_FIT
 from usvlearn.estimators.axis.turning_quantities import QUANTITIES as TURNING
 from usvlearn.estimators.joint.lacking import POSITIVE_OF_BOATS, Quantity, unphysical
 from usvlearn.estimators.joint.quantities import QUANTITIES
@@ -158,14 +159,15 @@ class FittedBoat(Identified):
             found = {}
             for name, each in facts["quantities"].items():
                 value, low, high = (math.nan if x is None else float(x) for x in each)
-                found[name] = Quantity(value, low, high, (QUANTITIES | TURNING)[name])
+                found[name] = Quantity(value, low, high, (QUANTITIES | TURNING | OF_FIT)[name])
             if missing := [name for name in QUANTITIES if name not in found and name != "mass"]:
                 raise KeyError(missing[0])
             lacks, basis = tuple(map(str, facts["lacks"])), str(facts["basis"])
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise CheckpointError(f"its fit is damaged ({error!r}): run usvlearn fit again") from error
         impossible = unphysical({name: found[name] for name in POSITIVE_OF_BOATS})
-        turns = {name: found.pop(name) for name in TURNING if name in found}
+        turns, own = ({name: found.pop(name) for name in names if name in found} for names in (TURNING, OF_FIT))
         lacks = tuple(x for x in lacks if x != impossible)
         made = cls._made(terms, top, mass, theta, covariance, found, common, lacks, basis, late)
-        return joined(made, turns, ())
+        made = joined(made, turns, ())
+        return replace(made, quantities=made.quantities | own)

@@ -18,6 +18,7 @@ from usvlearn.model.fit.boat import FittedBoat
 from usvlearn.model.fit.choice import WEAR, Score, choose
 from usvlearn.model.fit.diagnostics import diagnostics, doubts
 from usvlearn.model.fit.gauss_newton import Fit, Missions
+from usvlearn.model.fit.ground import with_ground
 from usvlearn.model.fit.intervals import alike
 from usvlearn.model.fit.logs import DT, lacking
 from usvlearn.model.fit.open_loop import FreeMode
@@ -155,11 +156,13 @@ def fit_boat(
 
     def chosen() -> Fitted:
         name, scores = choose(missions, fits, terms, worn)
-        errors = {each: float(np.mean(np.abs(missions.errors(fit)))) for each, fit in fits.items()}
+        last = sorted(fits, key=lambda each: each == name)  # whose simulation is kept
+        errors = {each: float(np.mean(np.abs(missions.errors(fits[each])))) for each in last}
         made = FittedBoat.of(missions, fits, scores, name, mass, lacks, steps * DT)
         if turning is not None:
             both = zip(missions.rows, missions.simulate(fits[name]), strict=True)
             made = with_turning(made, fitted((prepared(each, top, end) for each, (_, end) in both), turning.theta))
+            made = with_ground(made, rows)
         return Fitted(boat, missions, fits, scores, name, made, errors, online=online)
 
     try:

@@ -15,7 +15,7 @@ The derivation is in `docs/theory/identification.md#batch-fit-minimum`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -126,6 +126,7 @@ class Missions:
     def __init__(self, rows: Sequence[np.ndarray], top: float, names: Sequence[str] = ()):
         compile_fit()
         self.rows, self.top = list(rows), top
+        self._simulated: tuple[Fit | None, list[tuple[np.ndarray, np.ndarray]]] = None, []
         self.names = list(names) or [str(k + 1) for k in range(len(rows))]
         self.steps = [int(scored(each).sum()) for each in self.rows]
         self.number = len(set(self.names))  # of missions, whose pieces `rows` may be
@@ -149,13 +150,14 @@ class Missions:
         places = range(len(self.rows)) if k is None else [k]
         return float(sum(self._one(place, theta, deviation)[0] for place in places))
 
-    def simulate(self, fit: Fit) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    def simulate(self, fit: Fit) -> list[tuple[np.ndarray, np.ndarray]]:
         """The speed of each mission, m/s, `(time,)`, NaN where no step is made; and its current at the end, north and
-        east, m/s, `(2,)`.
+        east, m/s, `(2,)`. The last result is kept.
         """
-        for k in range(len(self.rows)):
-            theta = fit.theta if fit.by_mission is None else fit.by_mission[k]
-            yield self._one(k, theta, fit.deviation)[2:]
+        if self._simulated[0] is not fit:
+            thetas = [fit.theta] * len(self.rows) if fit.by_mission is None else fit.by_mission
+            self._simulated = fit, [self._one(k, theta, fit.deviation)[2:] for k, theta in enumerate(thetas)]
+        return self._simulated[1]
 
     def _one(
         self, k: int, theta: np.ndarray, deviation: float, active: np.ndarray = NO_PLACES,

@@ -15,14 +15,16 @@ from typing import Any
 import numpy as np
 
 from usvlearn.core.events import LOSS, RECOVERY
-from usvlearn.core.rows import COS, HOLD, LEFT, MODE, PREDICT, RIGHT, SIN, SURGE, YAW_RATE
-from usvlearn.core.samples import Fleet, tree_map
+from usvlearn.core.rows import COS, HOLD, LEFT, MODE, PREDICT, RIGHT, ROW, SIN, SURGE, YAW_RATE
+from usvlearn.core.samples import Fleet, Sample, tree_map
 from usvlearn.errors import ConfigError, complain
 from usvlearn.logs.channels.astern import without_sign
-from usvlearn.logs.channels.poses import slope
+from usvlearn.logs.channels.poses import reckoned, slope
 from usvlearn.model.fit.gauss_newton import rows_of, scored
 
 DT = 0.1  # s, of the grid
+ALONG, ACROSS = ROW + 2, ROW + 3  # places of `over_ground` in a row of a mission
+FIX = 1e-3  # m, by which fixes differ from the way of the speed
 WINDOW = 3.0  # s, of the parabola
 FEWEST = 600  # measured steps, below which nothing is fitted
 CHANGE = 0.02  # standard deviation of the mean command, below which nothing tells thrust from drag
@@ -38,8 +40,8 @@ def fine(align: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def missions_of(fleet: Fleet, boat: str, dt: float = DT) -> dict[str, np.ndarray]:
-    """The missions of a boat by name, as prepared samples with `turns` behind them, `(time, ROW + 2)` each; those
-    without measured steps are left out.
+    """The missions of a boat by name, as prepared samples with `turns` and `over_ground` behind them, `(time, ROW + 4)`
+    each; those without measured steps are left out.
 
     Args:
         fleet: logs, aligned on a grid of `dt`.
@@ -52,11 +54,15 @@ def missions_of(fleet: Fleet, boat: str, dt: float = DT) -> dict[str, np.ndarray
     element, found = fleet.boats.index(boat), dict[str, np.ndarray]()
     for k, run in enumerate(fleet.runs):
         if length := run.lengths[element]:
-            rows = rows_of(tree_map(lambda x, n=length: x[:n, element], run.samples))
+            samples, time = tree_map(lambda x, n=length: x[:n, element], run.samples), run.time[:length, element]
+            rows = rows_of(samples)
             if scored(rows).any():
                 name = run.names[element]
-                pose = turns(None if run.poses is None else run.poses[:length, element], run.time[:length, element])
-                found[name if name not in found else f"{name} ({k + 1})"] = np.column_stack([smoothed(rows, dt), pose])
+                poses = None if run.poses is None else run.poses[:length, element]
+                beside = turns(poses, time), over_ground(samples, poses, time, dt)
+                found[name if name not in found else f"{name} ({k + 1})"] = np.column_stack(
+                    [smoothed(rows, dt), *beside]
+                )
     back = sum(float(without_sign(rows[:, LEFT], rows[:, RIGHT], rows[:, SURGE]).sum()) for rows in found.values())
     if back:
         raise ConfigError(
@@ -113,6 +119,27 @@ def turns(poses: np.ndarray | None, time: np.ndarray) -> np.ndarray:
     turned, step = np.diff(found[:, 0], prepend=np.nan), np.diff(time, prepend=np.nan)
     found[np.abs(found[:, 1] - slope(turned, step)) < 1e-9, 1] = np.nan
     found[turned == 0, 0] = np.nan
+    return found
+
+
+def over_ground(samples: Sample, poses: np.ndarray | None, time: np.ndarray, dt: float) -> np.ndarray:
+    """The velocity over ground along and across the measured heading, m/s, `(time, 2)`, NaN where it is not known: by
+    course, velocity or sway, else by the slope of fixes; a position that adds up measured speeds tells none.
+    """
+    found = np.full((len(time), 2), np.nan)
+    if poses is None:
+        return found
+    heading, aside, place, at = poses[:, 0], poses[:, 2], poses[:, 3:], np.arange(len(time))
+    surge = np.where(samples.measured, samples.surge, np.nan)
+    if np.isfinite(aside).any():
+        return np.column_stack([surge, aside])
+    known, count = np.isfinite(place[:, 0]), 2 * round(WINDOW / dt / 2) + 1
+    added, _ = reckoned(time, heading, surge, aside)
+    if known.sum() > count > 2 and np.abs(place - added)[known].max() > FIX:
+        whole = np.column_stack([np.interp(at, at[known], place[known, k]) for k in range(2)])
+        north, east = savgol_filter(whole, count, 2, deriv=1, delta=dt, axis=0).T
+        c, s = np.cos(heading), np.sin(heading)
+        found[known] = np.column_stack([c * north + s * east, c * east - s * north])[known]
     return found
 
 

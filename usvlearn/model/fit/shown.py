@@ -8,6 +8,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from usvlearn.display.terminal import Blocks
+from usvlearn.estimators.axis.turning_quantities import MEANING_OF_FIT
 from usvlearn.estimators.joint.quantities import MEANING
 from usvlearn.estimators.joint.reading import Identified, shown
 from usvlearn.model.fit.fitted import Fitted
@@ -35,6 +36,7 @@ def tables(found: Fitted, online: Identified | None) -> list[RenderableType]:
     many = "1 mission errs" if found.missions.number == 1 else f"{found.missions.number} missions err"
     lines = [
         MEANING,
+        MEANING_OF_FIT,
         *(["Do not use the values of the fit before this is settled:", *found.doubts] if found.doubts else [USE]),
         f"In open loop, {many} by {found.errors[found.chosen]:.4f} m/s; speeds are {found.found.late:.1f} s late.",
         *([] if found.simulation is None else [found.simulation.sentence]),

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,12 +19,15 @@ from usvlearn.core.events import NINETY
 from usvlearn.core.jit import announced
 from usvlearn.core.rows import COS, LEARN, MODE, PREDICT, ROW, SIN, SURGE, YAW_RATE
 from usvlearn.estimators.axis.turning_intervals import HARDLY, TOLD, VAGUE, joined, on_log_scale
-from usvlearn.estimators.axis.turning_quantities import INNER, QUANTITIES, balance
+from usvlearn.estimators.axis.turning_quantities import INNER, OF_FIT, QUANTITIES, balance
+from usvlearn.estimators.joint.lacking import Quantity
 from usvlearn.estimators.joint.quantities import COMMANDS
 from usvlearn.model.fit import turning_kernel as at
 from usvlearn.model.fit.boat import FittedBoat
 from usvlearn.model.fit.gauss_newton import Fit
 from usvlearn.model.fit.intervals import spread
+from usvlearn.model.fit.logs import DT as GRID
+from usvlearn.model.fit.pieces import SECONDS
 from usvlearn.model.fit.terms import AT, Prior
 
 POSITIVE = [at.D0, at.D1, at.D2, at.LAG, at.DEAD, at.ASTERN, at.SIDE, at.PROCESS, at.COMPASS, at.GYRO]
@@ -36,13 +40,15 @@ PRIOR = {  # θ₀ and σ₀; of POSITIVE for the logarithm
 MEAN, DEVIATION = np.array([PRIOR[j] for j in range(at.PARAMETERS)]).T
 ALIKE = (np.isin(np.arange(at.PARAMETERS), [at.LAG, at.D0]) / 0.5)[:, None]  # thrusters of slow boats are slow
 KNOWN = Prior(MEAN, np.arange(at.PARAMETERS), np.diag(DEVIATION**-2) + ALIKE @ ALIKE.T)
-PIECE, MOST = 1500, 100  # steps of a piece; pieces that are fitted: of longer logs, so many that are evenly spread
+MOST = 100  # pieces that are fitted: of longer logs, so many that are evenly spread
 STEPS, SHORTEST, TOLERANCE = 40, 8, 1e-2  # of Gauss-Newton; how often one is halved; the gain that ends it
 STEP, HALVINGS, FASTEST = 1e-4, 40, 3.0  # deviations of a central difference; of an interval of speeds; top speeds
 OWN_ERROR = dict.fromkeys(QUANTITIES, 0.02) | {
     "yaw_rate_full_difference": 0.05, "yaw_time_constant": 0.06, "yaw_time_constant_rest": 0.12,
 }  # fmt: skip
 SWAPPED = 0.8  # own error of a time constant, by the square of its ratio to LAG, with which it may be swapped
+OWN_DEAD, VAGUE_DEAD = (0.001, 0.03), 0.04  # own error of a dead zone, and relative; a half-width that tells none
+NO_DEAD = "The dead zone does not show: dead_zone is not known. Let the boat turn by commands from 0 to 20 %."
 SPEED_ERROR = {"full": 0.02, "half": 0.03, "quarter": 0.1, "difference": 0.6}  # of the speed in a turn, relative
 
 
@@ -75,7 +81,7 @@ def evaluate(theta: np.ndarray, pieces: Sequence[np.ndarray]) -> Fit:
 
 def fitted(missions: Iterable[np.ndarray], start: np.ndarray = MEAN) -> Fit:
     """The fit to some missions of `prepared`."""
-    pieces = [part for rows in missions for part in np.array_split(rows, max(round(len(rows) / PIECE), 1))]
+    pieces = [part for rows in missions for part in np.array_split(rows, max(round(len(rows) * GRID / SECONDS), 1))]
     pieces = [pieces[k] for k in np.unique(np.linspace(0, len(pieces) - 1, MOST).astype(int))]
     found = evaluate(start, pieces)
     for _ in range(STEPS):
@@ -150,4 +156,8 @@ def with_turning(boat: FittedBoat, fit: Fit) -> FittedBoat:
         vague |= name == TOLD and not variance < (VAGUE * value) ** 2
     if vague:
         found = {name: on_log_scale(math.nan, 0.0, 0.0, unit) for name, unit in QUANTITIES.items()}
-    return joined(boat, found, (HARDLY,) if vague else ())
+    boat, dead = joined(boat, found, (HARDLY,) if vague else ()), natural(fit.theta)[at.DEAD]
+    half = NINETY * math.hypot(dead * math.sqrt(P[at.DEAD, at.DEAD]), OWN_DEAD[0], OWN_DEAD[1] * dead)
+    dead, lacks = (math.nan, (NO_DEAD,)) if vague or not half < VAGUE_DEAD else (float(dead), ())
+    zone = Quantity(dead, max(dead - half, 0.0), dead + half, OF_FIT["dead_zone"])
+    return replace(boat, quantities=boat.quantities | {"dead_zone": zone}, lacks=(*boat.lacks, *lacks))

@@ -9,6 +9,7 @@ import numpy as np
 
 from usvlearn.core.samples import tree_map
 from usvlearn.display.result_table import ResultTable
+from usvlearn.estimators.axis.turning_quantities import MEANING_OF_FIT, OF_FIT
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.joint.lacking import WIDE, Quantity
 from usvlearn.estimators.joint.quantities import MEANING, SIDES
@@ -81,7 +82,7 @@ def fit_section(
             ]
             drawn += _figures(season.boat, fit.diagnostics, known)
     if rows["fit"]:
-        here += [*([] if any(DOUBTED in row for row in rows["fit"]) else [USES]), MEANING]
+        here += [*([] if any(DOUBTED in row for row in rows["fit"]) else [USES]), MEANING, MEANING_OF_FIT]
     if held:
         here.insert(0, f"The intervals of the fit hold {100 * np.mean(held):.0f} % of the truths (90 % asked).")
     true = any(row[-1] is not None for row in rows["fit"])
@@ -100,10 +101,10 @@ def fit_section(
 
 def _quantities(boat: str, fit: SavedFit, online: Mapping[str, Quantity], truth: Mapping[str, float]) -> list[tuple]:
     """Rows of the table."""
-    rows = []
+    rows, told = [], {name for name in OF_FIT if name in fit.quantities and math.isfinite(fit.quantities[name].value)}
     for name, (value, low, high, unit) in fit.quantities.items():
         beside = [_known(x) for x in online[name][:3]] if name in online else [None] * 3
-        use = DOUBTED if fit.doubts else "yes" if high - low <= 2 * WIDE * abs(value) else UNKNOWN
+        use = DOUBTED if fit.doubts else "yes" if name in told or high - low <= 2 * WIDE * abs(value) else UNKNOWN
         rows.append((boat, name, unit, *map(_known, (value, low, high)), *beside, use, truth.get(name)))
     return rows
 

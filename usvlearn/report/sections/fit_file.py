@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.errors import printable
+from usvlearn.estimators.axis.turning_quantities import OF_FIT
 from usvlearn.estimators.axis.turning_quantities import QUANTITIES as TURNING
 from usvlearn.estimators.joint.lacking import Quantity
 from usvlearn.estimators.joint.quantities import QUANTITIES, SIDES
@@ -138,7 +139,7 @@ def read_fit(path: Path) -> SavedFit:
     facts = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refused)
     quantities = {}
     for name, each in facts["quantities"].items():
-        if unit := (QUANTITIES | TURNING).get(name):
+        if unit := (QUANTITIES | TURNING | OF_FIT).get(name):
             value, low, high = (_number(each[key], True) for key in ("value", "low", "high"))
             quantities[name] = Quantity(value, low, high, unit)
     if not quantities:

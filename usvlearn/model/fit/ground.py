@@ -1,0 +1,74 @@
+"""The offset of the compass and the current, from the velocity over ground across the hull.
+
+With the measured heading ψ, too large by δ, the speed over ground S along it, the yaw rate r, and the current c of a
+mission, turned by δ and divided by cos δ, c', the velocity over ground across it, to starboard, is
+
+    y = −S tan δ + (k S + l) r + c'·(−sin ψ, cos ψ)                                                     (1)
+
+where k is the drift of a turn, and what a late speed makes of it, and l the place of the receiver. (1) is linear, and
+solved by least squares over all missions, with variances from the scatter of their pieces (White 1982).
+
+The derivation is in `docs/theory/identification.md#batch-fit-ground`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from usvlearn.core.events import NINETY
+from usvlearn.core.rows import COS, LEARN, MODE, SIN, YAW_RATE
+from usvlearn.estimators.axis.turning_quantities import OF_FIT
+from usvlearn.estimators.joint.lacking import Quantity
+from usvlearn.model.fit.boat import FittedBoat
+from usvlearn.model.fit.logs import ACROSS, ALONG, DT, TURNS
+from usvlearn.model.fit.pieces import SECONDS
+
+SHARED = 3  # parameters of (1) beside the currents
+FEW = 8.0  # variances are larger by this over the number of pieces
+OWN_ERROR = {"compass_offset": 0.02, "current": 0.001}  # deg, m/s
+LITTLE, TINY = 1e-6, 1e-9  # information of a current without any; m/s
+NO_GROUND = (
+    "Neither course, velocity over ground nor position was measured: compass_offset and current are not known. Log one."
+)
+FEW_COURSES = "The boat kept one course, or its opposite: compass_offset and current are not known. Let it turn."
+
+
+def with_ground(boat: FittedBoat, missions: Mapping[str, np.ndarray]) -> FittedBoat:
+    """The boat with what its compass shows too much, deg, and the mean size of its currents, m/s; NaN if unknown.
+
+    Args:
+        boat: fitted to the missions.
+        missions: of `usvlearn.model.fit.logs.missions_of`.
+    """
+    parts, turned, count = [], np.zeros(len(missions), bool), SHARED + 2 * len(missions)
+    for k, rows in enumerate(each for each in missions.values() if each.shape[1] > ACROSS):
+        use = (rows[:, MODE] == LEARN) & np.isfinite(rows[:, ACROSS])
+        sides = np.column_stack([-rows[:, SIN], rows[:, COS]])
+        turned[k] = use.any() and np.linalg.eigvalsh(sides[use].T @ sides[use])[0] > TURNS * use.sum()
+        for part in np.array_split(np.flatnonzero(use), max(round(use.sum() * DT / SECONDS), 1)):
+            along, r, X = rows[part, ALONG], rows[part, YAW_RATE], np.zeros((len(part), count))
+            X[:, :SHARED] = np.column_stack([-along, along * r, r])
+            X[:, SHARED + 2 * k : SHARED + 2 * k + 2] = sides[part]
+            parts += [(X, rows[part, ACROSS])] if len(part) else []
+    found, n = {name: Quantity(math.nan, math.nan, math.nan, OF_FIT[name]) for name in OWN_ERROR}, len(parts)
+    if not turned.any():
+        lacks = (*boat.lacks, FEW_COURSES if parts else NO_GROUND)
+        return replace(boat, quantities=boat.quantities | found, lacks=lacks)
+    A = np.linalg.inv(sum(X.T @ X for X, _ in parts) + LITTLE * np.eye(count))
+    theta = A @ sum(X.T @ y for X, y in parts)
+    scores = np.array([X.T @ (y - X @ theta) for X, y in parts])
+    P = (n / max(n - 1, 1) + FEW / n) * A @ scores.T @ scores @ A
+    currents = np.cos(np.arctan(theta[0])) * theta[SHARED:].reshape(-1, 2)
+    sizes, slope = np.hypot(*currents.T), np.zeros(count)
+    slope[SHARED:] = (turned / turned.sum() / np.maximum(sizes, TINY) * currents.T).T.ravel()
+    value = {"compass_offset": math.degrees(math.atan(theta[0])), "current": float(sizes[turned].mean())}
+    spread = {"compass_offset": math.degrees(math.sqrt(P[0, 0])), "current": math.sqrt(slope @ P @ slope)}
+    for name, own in OWN_ERROR.items():
+        half = NINETY * math.hypot(spread[name], own)
+        low = value[name] - half if name == "compass_offset" else max(value[name] - half, 0.0)
+        found[name] = Quantity(value[name], low, value[name] + half, OF_FIT[name])
+    return replace(boat, quantities=boat.quantities | found)
