@@ -16,13 +16,13 @@ import statistics
 import subprocess
 import sys
 import time
+from collections import namedtuple
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import ModuleType
-from typing import NamedTuple
 
 import numpy as np
 import output_error
@@ -42,7 +42,6 @@ from usvlearn.estimators.axis.turning_quantities import QUANTITIES as TURNING
 from usvlearn.estimators.joint.lacking import Quantity
 from usvlearn.estimators.joint.quantities import QUANTITIES
 from usvlearn.estimators.regressors.terms import SURGE
-from usvlearn.learned import AlignedLogs
 from usvlearn.model.fit.quantities import quantities
 from usvlearn.model.fit.terms import by_name
 
@@ -54,29 +53,8 @@ AHEAD, LEARNED = (1, 13, 25, 75), 2 / 3  # steps of 0.4 s; share of the logs tha
 ABSOLUTE = {"dead_zone": "of full", "compass_offset": "deg"}  # whose errors are not relative: they may be 0
 
 
-class Log(NamedTuple):
-    """What an owner has of a boat, and what he does not know."""
-
-    name: str
-    missions: int
-    sensors: str
-    mass: float
-    top: float
-    truth: dict[str, float]
-    read: AlignedLogs
-    runs: list[Sample]
-
-
-class Row(NamedTuple):
-    """A quantity of a log by one method; NaN where it is not told."""
-
-    missions: int
-    sensors: str
-    name: str
-    method: str
-    error: float
-    half: float
-    holds: bool
+Log = namedtuple("Log", "name missions sensors mass top truth read runs")  # what an owner has, and does not know
+Row = namedtuple("Row", "missions sensors name method error half holds")  # a quantity of a log; NaN: it is not told
 
 
 def strangers() -> ModuleType:
@@ -224,7 +202,7 @@ def by_sensors(rows: Sequence[Row]) -> list[str]:
 def page(rows: Sequence[Row], ahead: dict[str, dict[str, list[float]]], said: Sequence[str], command: str) -> list[str]:
     lines = []
     for name in ("ours, online", *PEERS) if ahead else ():
-        known = [each[name] for each in ahead.values() if each[name]]
+        known = [each[name] for each in ahead.values() if each.get(name)]
         lines.append([name, *([f"{x:.2f}" for x in np.median(known, 0)] if known else ["not installed", "", "", ""])])
     return [
         "# Boats whose equations are not ours", "",

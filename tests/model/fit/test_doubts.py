@@ -11,7 +11,7 @@ from usvlearn.model.fit.gauss_newton import LAGS, Missions
 from usvlearn.model.fit.terms import AT, PLACE_LAG, prior
 
 
-def said(theta=(), cross=None, online=None, **changed: float) -> tuple[str, ...]:
+def said(theta=(), cross=None, online=None, lag=0.0, **changed: float) -> tuple[str, ...]:
     fit = Missions([], TOP).evaluate("curves", prior("curves", TOP).mean.copy(), 0.1)
     for place, value in theta:
         fit.theta[place] = value
@@ -19,7 +19,7 @@ def said(theta=(), cross=None, online=None, **changed: float) -> tuple[str, ...]
     found |= {name: Quantity(value, value - 1, value + 1, "") for name, value in changed.items()}
     lags = [-1.0, 0.0, 0.5, 1.0]
     white = {"lags": lags, "values": [0.9, 0.1, 0.1, None], "bounds": [0.1, 0.1, 0.1, None]}
-    return doubts(fit, found, {"mean": white, "difference": white} | (cross or {}), online)
+    return doubts(fit, found, {"mean": white, "difference": white} | (cross or {}), online, lag)
 
 
 def test_nothing_speaks_against_a_good_fit():
@@ -36,6 +36,7 @@ def test_nothing_speaks_against_a_good_fit():
             {"cross": {"mean": {"lags": [0.0, 0.5, 1.0], "values": [0.0, 0.1, -0.3], "bounds": [0.1] * 3}}},
             "follow the mean command, most after 1 s",
         ),
+        ({"lag": 0.7, "time_constant": 2.0}, "The thrust follows the commands by 0.7 s in turns"),
         ({"online": {"time_constant": Quantity(99.0, 98.0, np.inf, "s")}}, "do not meet for time_constant"),
     ],
 )

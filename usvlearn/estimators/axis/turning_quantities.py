@@ -43,7 +43,7 @@ QUANTITIES = {
 }  # fmt: skip
 OF_FIT = {"dead_zone": "of full", "compass_offset": "deg", "current": "m/s"}  # of a batch fit alone
 MEANING_OF_FIT = (
-    "dead_zone: the share of a command that gives no thrust. compass_offset: what the compass shows too much, clockwise: "
+    "dead_zone: the share of a command that has no thrust. compass_offset: what the compass shows too much, clockwise; "
     "add it to data.channels.heading.zero. current: its mean size over the missions."
 )
 MEANING = (

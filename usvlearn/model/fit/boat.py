@@ -169,5 +169,4 @@ class FittedBoat(Identified):
         turns, own = ({name: found.pop(name) for name in names if name in found} for names in (TURNING, OF_FIT))
         lacks = tuple(x for x in lacks if x != impossible)
         made = cls._made(terms, top, mass, theta, covariance, found, common, lacks, basis, late)
-        made = joined(made, turns, ())
-        return replace(made, quantities=made.quantities | own)
+        return replace(joined(made, turns, ()), quantities=made.quantities | turns | own)

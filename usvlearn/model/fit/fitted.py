@@ -11,6 +11,7 @@ import numpy as np
 
 from usvlearn.display.json_values import finite
 from usvlearn.errors import ConfigError, did_you_mean
+from usvlearn.estimators.axis.turning_intervals import HARDLY
 from usvlearn.estimators.joint.lacking import Quantity
 from usvlearn.estimators.joint.reading import Identified
 from usvlearn.estimators.regressors.terms import LAG
@@ -24,7 +25,8 @@ from usvlearn.model.fit.logs import DT, lacking
 from usvlearn.model.fit.open_loop import FreeMode
 from usvlearn.model.fit.pieces import cut, late
 from usvlearn.model.fit.terms import AT, NAMES, SETS, TIME_CONSTANT, by_name
-from usvlearn.model.fit.turning import first_fit, fitted, prepared, with_turning
+from usvlearn.model.fit.turning import first_fit, fitted, natural, prepared, with_turning
+from usvlearn.model.fit.turning_kernel import LAG as LAG_OF_TURNS
 from usvlearn.model.fit.wear import worn
 
 
@@ -42,6 +44,7 @@ class Fitted:
         errors: mean |error| of the simulation of each set over the logs, m/s.
         simulation: which open-loop simulation to use; None where that was not asked.
         online: what was identified online; None where nothing was.
+        lag: of the thrust, s, as turns show it.
     """
 
     boat: str
@@ -53,6 +56,7 @@ class Fitted:
     errors: dict[str, float]
     simulation: FreeMode | None = None
     online: Identified | None = None
+    lag: float = 0.0
 
     @cached_property
     def diagnostics(self) -> dict[str, Any]:
@@ -62,7 +66,7 @@ class Fitted:
     @cached_property
     def doubts(self) -> tuple[str, ...]:
         """What speaks against the use of its values, one sentence each."""
-        return doubts(self.fit, self.found, self.diagnostics["cross_correlation"], self.online)
+        return doubts(self.fit, self.found, self.diagnostics["cross_correlation"], self.online, self.lag)
 
     @property
     def fit(self) -> Fit:
@@ -158,12 +162,13 @@ def fit_boat(
         name, scores = choose(missions, fits, terms, worn)
         last = sorted(fits, key=lambda each: each == name)  # whose simulation is kept
         errors = {each: float(np.mean(np.abs(missions.errors(fits[each])))) for each in last}
-        made = FittedBoat.of(missions, fits, scores, name, mass, lacks, steps * DT)
+        made, lag = FittedBoat.of(missions, fits, scores, name, mass, lacks, steps * DT), 0.0
         if turning is not None:
             both = zip(missions.rows, missions.simulate(fits[name]), strict=True)
-            made = with_turning(made, fitted((prepared(each, top, end) for each, (_, end) in both), turning.theta))
-            made = with_ground(made, rows)
-        return Fitted(boat, missions, fits, scores, name, made, errors, online=online)
+            turns = fitted((prepared(each, top, end) for each, (_, end) in both), turning.theta)
+            made = with_ground(with_turning(made, turns), rows)
+            lag = 0.0 if HARDLY in made.lacks else float(natural(turns.theta)[LAG_OF_TURNS])
+        return Fitted(boat, missions, fits, scores, name, made, errors, online=online, lag=lag)
 
     try:
         for name in SETS:

@@ -151,9 +151,7 @@ class Missions:
         return float(sum(self._one(place, theta, deviation)[0] for place in places))
 
     def simulate(self, fit: Fit) -> list[tuple[np.ndarray, np.ndarray]]:
-        """The speed of each mission, m/s, `(time,)`, NaN where no step is made; and its current at the end, north and
-        east, m/s, `(2,)`. The last result is kept.
-        """
+        """The speed of each mission, m/s, `(time,)`, NaN without a step; its current at the end, m/s north and east."""
         if self._simulated[0] is not fit:
             thetas = [fit.theta] * len(self.rows) if fit.by_mission is None else fit.by_mission
             self._simulated = fit, [self._one(k, theta, fit.deviation)[2:] for k, theta in enumerate(thetas)]

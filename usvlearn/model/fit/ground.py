@@ -31,19 +31,12 @@ SHARED = 3  # parameters of (1) beside the currents
 FEW = 8.0  # variances are larger by this over the number of pieces
 OWN_ERROR = {"compass_offset": 0.02, "current": 0.001}  # deg, m/s
 LITTLE, TINY = 1e-6, 1e-9  # information of a current without any; m/s
-NO_GROUND = (
-    "Neither course, velocity over ground nor position was measured: compass_offset and current are not known. Log one."
-)
+NO_GROUND = "Neither course nor position was measured: compass_offset and current are not known. Log one of them."
 FEW_COURSES = "The boat kept one course, or its opposite: compass_offset and current are not known. Let it turn."
 
 
 def with_ground(boat: FittedBoat, missions: Mapping[str, np.ndarray]) -> FittedBoat:
-    """The boat with what its compass shows too much, deg, and the mean size of its currents, m/s; NaN if unknown.
-
-    Args:
-        boat: fitted to the missions.
-        missions: of `usvlearn.model.fit.logs.missions_of`.
-    """
+    """The boat with what its compass shows too much and the mean size of its missions' currents; NaN if unknown."""
     parts, turned, count = [], np.zeros(len(missions), bool), SHARED + 2 * len(missions)
     for k, rows in enumerate(each for each in missions.values() if each.shape[1] > ACROSS):
         use = (rows[:, MODE] == LEARN) & np.isfinite(rows[:, ACROSS])
@@ -51,8 +44,7 @@ def with_ground(boat: FittedBoat, missions: Mapping[str, np.ndarray]) -> FittedB
         turned[k] = use.any() and np.linalg.eigvalsh(sides[use].T @ sides[use])[0] > TURNS * use.sum()
         for part in np.array_split(np.flatnonzero(use), max(round(use.sum() * DT / SECONDS), 1)):
             along, r, X = rows[part, ALONG], rows[part, YAW_RATE], np.zeros((len(part), count))
-            X[:, :SHARED] = np.column_stack([-along, along * r, r])
-            X[:, SHARED + 2 * k : SHARED + 2 * k + 2] = sides[part]
+            X[:, [0, 1, 2, SHARED + 2 * k, SHARED + 2 * k + 1]] = np.column_stack([-along, along * r, r, sides[part]])
             parts += [(X, rows[part, ACROSS])] if len(part) else []
     found, n = {name: Quantity(math.nan, math.nan, math.nan, OF_FIT[name]) for name in OWN_ERROR}, len(parts)
     if not turned.any():
@@ -65,10 +57,9 @@ def with_ground(boat: FittedBoat, missions: Mapping[str, np.ndarray]) -> FittedB
     currents = np.cos(np.arctan(theta[0])) * theta[SHARED:].reshape(-1, 2)
     sizes, slope = np.hypot(*currents.T), np.zeros(count)
     slope[SHARED:] = (turned / turned.sum() / np.maximum(sizes, TINY) * currents.T).T.ravel()
-    value = {"compass_offset": math.degrees(math.atan(theta[0])), "current": float(sizes[turned].mean())}
-    spread = {"compass_offset": math.degrees(math.sqrt(P[0, 0])), "current": math.sqrt(slope @ P @ slope)}
-    for name, own in OWN_ERROR.items():
-        half = NINETY * math.hypot(spread[name], own)
-        low = value[name] - half if name == "compass_offset" else max(value[name] - half, 0.0)
-        found[name] = Quantity(value[name], low, value[name] + half, OF_FIT[name])
+    offset, size = math.degrees(math.atan(theta[0])), float(sizes[turned].mean())
+    half = NINETY * math.hypot(math.degrees(math.sqrt(P[0, 0])), OWN_ERROR["compass_offset"])
+    found["compass_offset"] = Quantity(offset, offset - half, offset + half, "deg")
+    half = NINETY * math.hypot(math.sqrt(slope @ P @ slope), OWN_ERROR["current"])
+    found["current"] = Quantity(size, max(size - half, 0.0), size + half, "m/s")
     return replace(boat, quantities=boat.quantities | found)

@@ -24,7 +24,6 @@ from usvlearn.model.fit.gauss_newton import rows_of, scored
 
 DT = 0.1  # s, of the grid
 ALONG, ACROSS = ROW + 2, ROW + 3  # places of `over_ground` in a row of a mission
-FIX = 1e-3  # m, by which fixes differ from the way of the speed
 WINDOW = 3.0  # s, of the parabola
 FEWEST = 600  # measured steps, below which nothing is fitted
 CHANGE = 0.02  # standard deviation of the mean command, below which nothing tells thrust from drag
@@ -57,12 +56,10 @@ def missions_of(fleet: Fleet, boat: str, dt: float = DT) -> dict[str, np.ndarray
             samples, time = tree_map(lambda x, n=length: x[:n, element], run.samples), run.time[:length, element]
             rows = rows_of(samples)
             if scored(rows).any():
-                name = run.names[element]
-                poses = None if run.poses is None else run.poses[:length, element]
-                beside = turns(poses, time), over_ground(samples, poses, time, dt)
-                found[name if name not in found else f"{name} ({k + 1})"] = np.column_stack(
-                    [smoothed(rows, dt), *beside]
-                )
+                name = run.names[element] if run.names[element] not in found else f"{run.names[element]} ({k + 1})"
+                poses = np.full((length, 5), np.nan) if run.poses is None else run.poses[:length, element]
+                parts = smoothed(rows, dt), turns(poses, time), over_ground(samples, poses, time, dt)
+                found[name] = np.column_stack(parts)
     back = sum(float(without_sign(rows[:, LEFT], rows[:, RIGHT], rows[:, SURGE]).sum()) for rows in found.values())
     if back:
         raise ConfigError(
@@ -113,34 +110,28 @@ def without_losses(
     return {name: rows for name, rows in found.items() if scored(rows).any()}
 
 
-def turns(poses: np.ndarray | None, time: np.ndarray) -> np.ndarray:
+def turns(poses: np.ndarray, time: np.ndarray) -> np.ndarray:
     """Measured headings and yaw rates, `(time, 2)`, NaN where a heading repeats the last one, and for slopes of it."""
-    found = np.full((len(time), 2), np.nan) if poses is None else poses[:, :2].copy()
+    found = poses[:, :2].copy()
     turned, step = np.diff(found[:, 0], prepend=np.nan), np.diff(time, prepend=np.nan)
     found[np.abs(found[:, 1] - slope(turned, step)) < 1e-9, 1] = np.nan
     found[turned == 0, 0] = np.nan
     return found
 
 
-def over_ground(samples: Sample, poses: np.ndarray | None, time: np.ndarray, dt: float) -> np.ndarray:
+def over_ground(samples: Sample, poses: np.ndarray, time: np.ndarray, dt: float) -> np.ndarray:
     """The velocity over ground along and across the measured heading, m/s, `(time, 2)`, NaN where it is not known: by
     course, velocity or sway, else by the slope of fixes; a position that adds up measured speeds tells none.
     """
-    found = np.full((len(time), 2), np.nan)
-    if poses is None:
-        return found
-    heading, aside, place, at = poses[:, 0], poses[:, 2], poses[:, 3:], np.arange(len(time))
-    surge = np.where(samples.measured, samples.surge, np.nan)
-    if np.isfinite(aside).any():
+    heading, aside, place = poses[:, 0], poses[:, 2], poses[:, 3:]
+    surge, known = np.where(samples.measured, samples.surge, np.nan), np.isfinite(place[:, 0])
+    added, count = reckoned(time, heading, surge, aside)[0], 2 * round(WINDOW / dt / 2) + 1
+    if np.isfinite(aside).any() or not known.sum() > count > 2 or np.abs(place - added)[known].max() < 1e-3:
         return np.column_stack([surge, aside])
-    known, count = np.isfinite(place[:, 0]), 2 * round(WINDOW / dt / 2) + 1
-    added, _ = reckoned(time, heading, surge, aside)
-    if known.sum() > count > 2 and np.abs(place - added)[known].max() > FIX:
-        whole = np.column_stack([np.interp(at, at[known], place[known, k]) for k in range(2)])
-        north, east = savgol_filter(whole, count, 2, deriv=1, delta=dt, axis=0).T
-        c, s = np.cos(heading), np.sin(heading)
-        found[known] = np.column_stack([c * north + s * east, c * east - s * north])[known]
-    return found
+    whole = [np.interp(time, time[known], each) for each in place[known].T]
+    north, east = savgol_filter(whole, count, 2, deriv=1, delta=dt) + np.where(known, 0.0, np.nan)
+    c, s = np.cos(heading), np.sin(heading)
+    return np.column_stack([c * north + s * east, c * east - s * north])
 
 
 def smoothed(rows: np.ndarray, dt: float) -> np.ndarray:

@@ -1,0 +1,51 @@
+"""The benchmark of boats with other equations: its own boat, least squares, and its page."""
+
+import math
+
+import numpy as np
+import other_boat
+import pytest
+import strangers
+
+from usvlearn.core.samples import Inputs, Sample
+from usvlearn.estimators.regressors.terms import SURGE
+
+
+def test_without_other_boats_there_is_one_whose_log_has_its_truth(monkeypatch, tmp_path):
+    monkeypatch.setenv("USVLEARN_STRANGERS", str(tmp_path / "none.py"))
+    boats, boat = strangers.strangers(), other_boat.BOATS["without_gyro"]
+    assert boats is other_boat
+    rows = np.array(boats.mission(boat, 60.0, np.random.default_rng(0)))
+    boats.write(tmp_path / "a.csv", boat, rows)
+    head, *lines = (tmp_path / "a.csv").read_text().splitlines()
+    assert "yaw rate" not in head and len(lines) == len(rows) == 300 and len(lines[0].split(",")) == 8
+    truth = boats.truth(boat)
+    assert truth["steady_speed_quarter"] < truth["steady_speed_half"] < truth["steady_speed_full"]
+    u = truth["steady_speed_full"]
+    assert 2 * other_boat.thrust(boat, 1.0, u) == pytest.approx(other_boat.drag(u), rel=1e-3)
+
+
+def test_least_squares_finds_a_boat_of_its_own_equations():
+    rng, n, theta = np.random.default_rng(0), 400, np.array([-0.1, -0.3, -0.2, 0.5, 0.2, -0.05, 0.4, 0.3, -0.02])
+    left, right, r = (np.repeat(rng.uniform(-0.5, 1, n // 10), 10) for _ in range(3))
+    v, yes = np.zeros(n), np.ones(n, bool)
+    for k in range(1, n):
+        u = v[k - 1]
+        columns = [abs(u) * u, u, abs(r[k]) * u]
+        columns += [y for x in (left[k], right[k]) for y in (x, x * abs(x), x * abs(u))]
+        v[k] = u + 0.4 * theta @ columns
+    run = Sample(Inputs(left, right, 0 * v, r, np.where(np.arange(n) == 0, 0.0, 0.4)), v, yes, yes)
+    assert strangers.squares([run]) == pytest.approx(dict(zip(SURGE, theta, strict=True)), abs=1e-6)
+
+
+def test_the_page_counts_what_is_told_and_what_holds():
+    rows = [
+        strangers.Row(missions, "gyro", name, method, 0.02, half, holds)
+        for missions in strangers.KINDS
+        for name in ("time_constant", "dead_zone")
+        for method, half, holds in (("fit", 0.1, True), ("fit", 0.2, False), ("fit", math.nan, False))
+    ]
+    text = "\n".join(strangers.page(rows, {"a": {"ours, online": [0.5] * 4, "jax-sysid": []}}, ["said"], "command"))
+    assert "| time_constant | 2 of 3 | 50% | 2.0% | 15.0% | – | – | – | – |" in text
+    assert "| all | surge | 2 of 3, 50% | 2 of 3, 50% | 15.0% | 15.0% |" in text
+    assert "| jax-sysid | not installed |" in text and text.endswith("- said")
