@@ -1,6 +1,6 @@
 """How true a fit is on boats whose equations are not ours, and how often its intervals hold; forecasts of such boats.
 
-python benchmarks/strangers.py [--seeds 30] [--boats NAME ...] [--forecasts 3]      writes docs/benchmarks/strangers.md
+python benchmarks/strangers.py [--seeds 30] [--boats NAME ...] [--forecasts 2]      writes docs/benchmarks/strangers.md
 
 The boats are those of the file USVLEARN_STRANGERS, of ../shared/strangers/boats.py, or else of `other_boat.py`. Their
 owner takes all that `usvlearn inspect` proposes, and gives the mass. The script needs the extra bench.
@@ -225,7 +225,7 @@ def main() -> None:
     ask = argparse.ArgumentParser(description=__doc__)
     ask.add_argument("--seeds", type=int, nargs="+", default=list(SEEDS))
     ask.add_argument("--boats", nargs="+", default=list(boats.BOATS), choices=list(boats.BOATS))
-    ask.add_argument("--forecasts", type=int, default=3, help="so many boats")
+    ask.add_argument("--forecasts", type=int, default=2, help="so many boats")
     given = ask.parse_args()
     torch.set_num_threads(1)
     torch.set_default_dtype(torch.float64)

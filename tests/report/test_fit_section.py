@@ -87,6 +87,7 @@ def test_what_the_log_does_not_determine_is_marked(season, folder):
     found = deepcopy(facts())
     found["quantities"]["drag_linear"] = {"value": -3.0, "low": -6.0, "high": 1.0, "unit": "kg/s"}
     found["quantities"]["thrust_ratio"] = {"value": None, "low": None, "high": None, "unit": ""}
+    found["quantities"]["compass_offset"] = {"value": 0.1, "low": -0.1, "high": 0.3, "unit": "deg"}  # known, and near 0
     write(folder, found)
     uses = {row["quantity"]: row["use the fit"] for row in table(section_of(season, folder), "fit")}
     assert {name for name, use in uses.items() if use == UNKNOWN} == {"drag_linear", "thrust_ratio"}
