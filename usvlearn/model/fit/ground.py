@@ -27,36 +27,37 @@ from usvlearn.model.fit.boat import FittedBoat
 from usvlearn.model.fit.logs import ACROSS, ALONG, DT, TURNS
 from usvlearn.model.fit.pieces import SECONDS
 
-SHARED = 3  # parameters of (1) beside the currents
 FEW = 8.0  # variances are larger by this over the number of pieces
 OWN_ERROR = {"compass_offset": 0.02, "current": 0.001}  # deg, m/s
-LITTLE, TINY = 1e-6, 1e-9  # information of a current without any; m/s
 NO_GROUND = "Neither course nor position was measured: compass_offset and current are not known. Log one of them."
 FEW_COURSES = "The boat kept one course, or its opposite: compass_offset and current are not known. Let it turn."
 
 
 def with_ground(boat: FittedBoat, missions: Mapping[str, np.ndarray]) -> FittedBoat:
     """The boat with what its compass shows too much and the mean size of its missions' currents; NaN if unknown."""
-    parts, turned, count = [], np.zeros(len(missions), bool), SHARED + 2 * len(missions)
+    parts, turned, count = [], np.zeros(len(missions), bool), 3 + 2 * len(missions)
     for k, rows in enumerate(each for each in missions.values() if each.shape[1] > ACROSS):
         use = (rows[:, MODE] == LEARN) & np.isfinite(rows[:, ACROSS])
-        sides = np.column_stack([-rows[:, SIN], rows[:, COS]])
-        turned[k] = use.any() and np.linalg.eigvalsh(sides[use].T @ sides[use])[0] > TURNS * use.sum()
-        for part in np.array_split(np.flatnonzero(use), max(round(use.sum() * DT / SECONDS), 1)):
-            along, r, X = rows[part, ALONG], rows[part, YAW_RATE], np.zeros((len(part), count))
-            X[:, [0, 1, 2, SHARED + 2 * k, SHARED + 2 * k + 1]] = np.column_stack([-along, along * r, r, sides[part]])
-            parts += [(X, rows[part, ACROSS])] if len(part) else []
+        along, r, s, c, y = rows[use][:, [ALONG, YAW_RATE, SIN, COS, ACROSS]].T
+        X, at = np.column_stack([-along, along * r, r, -s, c]), [0, 1, 2, 3 + 2 * k, 4 + 2 * k]
+        turned[k] = use.any() and np.linalg.eigvalsh(X[:, 3:].T @ X[:, 3:])[0] > TURNS * len(X)
+        for part in np.array_split(np.arange(len(X)), max(round(len(X) * DT / SECONDS), 1)) if use.any() else []:
+            parts.append((at, X[part], y[part]))
     found, n = {name: Quantity(math.nan, math.nan, math.nan, OF_FIT[name]) for name in OWN_ERROR}, len(parts)
     if not turned.any():
-        lacks = (*boat.lacks, FEW_COURSES if parts else NO_GROUND)
-        return replace(boat, quantities=boat.quantities | found, lacks=lacks)
-    A = np.linalg.inv(sum(X.T @ X for X, _ in parts) + LITTLE * np.eye(count))
-    theta = A @ sum(X.T @ y for X, y in parts)
-    scores = np.array([X.T @ (y - X @ theta) for X, y in parts])
+        why = FEW_COURSES if parts else NO_GROUND
+        return replace(boat, quantities=boat.quantities | found, lacks=(*boat.lacks, why))
+    H, g, scores = 1e-6 * np.eye(count), np.zeros(count), np.zeros((n, count))  # of a current without information
+    for at, X, y in parts:
+        H[np.ix_(at, at)] += X.T @ X
+        g[at] += X.T @ y
+    A, theta = np.linalg.inv(H), np.linalg.solve(H, g)
+    for score, (at, X, y) in zip(scores, parts, strict=True):
+        score[at] = X.T @ (y - X @ theta[at])
     P = (n / max(n - 1, 1) + FEW / n) * A @ scores.T @ scores @ A
-    currents = np.cos(np.arctan(theta[0])) * theta[SHARED:].reshape(-1, 2)
+    currents = np.cos(np.arctan(theta[0])) * theta[3:].reshape(-1, 2)
     sizes, slope = np.hypot(*currents.T), np.zeros(count)
-    slope[SHARED:] = (turned / turned.sum() / np.maximum(sizes, TINY) * currents.T).T.ravel()
+    slope[3:] = (turned / turned.sum() / np.maximum(sizes, 1e-9) * currents.T).T.ravel()
     offset, size = math.degrees(math.atan(theta[0])), float(sizes[turned].mean())
     half = NINETY * math.hypot(math.degrees(math.sqrt(P[0, 0])), OWN_ERROR["compass_offset"])
     found["compass_offset"] = Quantity(offset, offset - half, offset + half, "deg")
