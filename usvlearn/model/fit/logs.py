@@ -120,18 +120,17 @@ def turns(poses: np.ndarray, time: np.ndarray) -> np.ndarray:
 
 
 def over_ground(samples: Sample, poses: np.ndarray, time: np.ndarray, dt: float) -> np.ndarray:
-    """The velocity over ground along and across the measured heading, m/s, `(time, 2)`, NaN where it is not known: by
-    course, velocity or sway, else by the slope of fixes; a position that adds up measured speeds tells none.
-    """
+    """The velocity over ground along and across the heading, m/s, `(time, 2)`, by course or sway, fixes, or NaN."""
     heading, aside, place = poses[:, 0], poses[:, 2], poses[:, 3:]
     surge, known = np.where(samples.measured, samples.surge, np.nan), np.isfinite(place[:, 0])
     added, count = reckoned(time, heading, surge, aside)[0], 2 * round(WINDOW / dt / 2) + 1
     if np.isfinite(aside).any() or not known.sum() > count > 2 or np.abs(place - added)[known].max() < 1e-3:
         return np.column_stack([surge, aside])
-    whole = [np.interp(time, time[known], each) for each in place[known].T]
-    north, east = savgol_filter(whole, count, 2, deriv=1, delta=dt) + np.where(known, 0.0, np.nan)
+    arms = count // 2 - np.arange(count)  # of the slope of a parabola at its middle
+    whole = [np.convolve(np.interp(time, time[known], each), arms, "valid") for each in place[known].T]
+    north, east = (np.pad(each / (arms @ arms * dt), count // 2, constant_values=np.nan) for each in whole)
     c, s = np.cos(heading), np.sin(heading)
-    return np.column_stack([c * north + s * east, c * east - s * north])
+    return np.where(known[:, None], np.column_stack([c * north + s * east, c * east - s * north]), np.nan)
 
 
 def smoothed(rows: np.ndarray, dt: float) -> np.ndarray:
