@@ -23,7 +23,6 @@ from usvlearn.core.unconfirmed import SECTION, open_questions, unconfirmed
 from usvlearn.display import terminal
 from usvlearn.display.activity_bar import Activity
 from usvlearn.errors import check_positive
-from usvlearn.estimators.axis.turning_intervals import FIRST
 from usvlearn.logs.setup import setups_of
 from usvlearn.report.tables import (
     error_tables,
@@ -62,6 +61,7 @@ def work(cfg: DictConfig, folder: Path, overrides: Sequence[str], resume: str | 
 def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, overrides: Sequence[str] = ()) -> float:
     """Replay what the configuration names into the run's folder; returns the objective."""
     with Activity(console, "loading"):
+        from usvlearn.estimators.axis.turning_intervals import FIRST
         from usvlearn.evaluation.identification import identified_boats
         from usvlearn.evaluation.measure import check_measure, measure_of
         from usvlearn.evaluation.members import explained, remarks
