@@ -53,3 +53,15 @@ def concluded(boat: dict[str, np.ndarray], convention: str = "CSV", **columns: n
 def told(found: Proposal) -> dict[tuple[str, str], tuple[str, str]]:
     """Channel and what -> value and certainty."""
     return {each[:2]: (each.value, each.certainty) for each in found.decisions}
+
+
+def pulses(share):
+    return np.round(1500 + 400 * share)
+
+
+def driven(boat, **columns):
+    return concluded(boat, pwm_left=pulses(boat["l"]), pwm_right=pulses(boat["r"]), heading=boat["hdg"], **columns)
+
+
+def tell(boat, name, **columns):
+    return told(driven(boat, **columns))[tuple(name.split())]

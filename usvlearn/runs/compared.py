@@ -20,6 +20,7 @@ NAMED = ("data.plant", "data.seed")
 RESULT_NUMBERS = {  # of tags; AHEAD: of the MAE over a horizon
     "MAE (m/s)": 1, "skill": 2, "MAE free (m/s)": 3, "contraction rate": 4, "coverage of 90 %": 6, "seconds": 7,
 }  # fmt: skip
+MAE, WINDOW = "MAE, next step (m/s)", 750  # a tag; steps over which its errors are averaged
 AHEAD, NEAR = 5, 10.0  # s: the horizon of the results, or else the longest below
 
 

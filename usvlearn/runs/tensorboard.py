@@ -46,12 +46,11 @@ from usvlearn.evaluation.horizons import LEAST
 from usvlearn.evaluation.identification import Truth, identified_boats
 from usvlearn.evaluation.metrics import PERSISTENCE
 from usvlearn.evaluation.tracks import FEWEST
-from usvlearn.runs.compared import data_text, label, number, result_tag, results_of
+from usvlearn.runs.compared import MAE, WINDOW, data_text, label, number, result_tag, results_of
 from usvlearn.runs.published import BEGIN, Position, Published
 from usvlearn.runs.replay import Chunk
 from usvlearn.runs.replay_figures import Replayed, figures
 
-WINDOW = 750  # steps over which errors are averaged
 STEPS_PER_POINT = 100  # and boat: one point of all curves costs about as much as 100 compiled steps
 MOST_POINTS = 200  # of a curve
 MOST_IDENTIFIED, IDENTIFIED = 60, 300  # points of what is identified, and least s between two
@@ -64,7 +63,6 @@ FLEET, RESULTS, TRUE = "fleet", "results", "truth"
 MAIN = ("steady_speed_full", "thrust_full_left", "thrust_full_right", "drag_half_speed", "time_constant",
         "stopping_distance", "mass")  # fmt: skip
 SHOWN = ("2 s", "10 s", "30 s")  # horizons of forecasts; of tracks the second
-MAE = "MAE, next step (m/s)"
 ABOUT = {  # of a tag: what TensorBoard shows beside it
     "1 overview/": f"Over the last {WINDOW} steps, or those since the point before. Skill: 1 - MAE/MAE(persistence) "
     "over the same steps. Coverage: share of the measurements in the 90 % intervals. Position error: mean distance "

@@ -14,10 +14,9 @@ from usvlearn.display.tensorboard import EVENTS, Setting, TensorBoardWriter, fol
 from usvlearn.errors import ConfigError
 from usvlearn.evaluation.metrics import mean
 from usvlearn.report.tables import short_settings
-from usvlearn.runs.compared import number, results_of
+from usvlearn.runs.compared import MAE, WINDOW, number, results_of
 from usvlearn.runs.layout import PREDICTIONS
 from usvlearn.runs.published import DAMAGE, archive_of
-from usvlearn.runs.tensorboard import MAE, WINDOW
 from usvlearn.sweeps.jobs import Job
 from usvlearn.sweeps.standings import Standing
 

@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.logs.inspection.test_strangers import driven, tell
-from tests.support.strangers import sail, told
+from tests.support.strangers import driven, sail, tell, told
 
 
 def placed(boat, noise=0.0):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.ardupilot import PARAMETERS, dataflash, frame
-from tests.support.strangers import concluded, sail, told
+from tests.support.strangers import concluded, driven, pulses, sail, tell, told
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.channels.series import Series
 from usvlearn.logs.inspection.candidate import candidates, missing_values
@@ -14,18 +14,6 @@ from usvlearn.logs.inspection.inspected import inspect_logs
 from usvlearn.logs.inspection.logfiles import boats_of
 from usvlearn.logs.inspection.vehicles import told_apart
 from usvlearn.logs.inspection.vocabulary import fit
-
-
-def pulses(share):
-    return np.round(1500 + 400 * share)
-
-
-def driven(boat, **columns):
-    return concluded(boat, pwm_left=pulses(boat["l"]), pwm_right=pulses(boat["r"]), heading=boat["hdg"], **columns)
-
-
-def tell(boat, name, **columns):
-    return told(driven(boat, **columns))[tuple(name.split())]
 
 
 @pytest.mark.parametrize("names", [("RCOU__C1", "RCOU__C3"), ("output_1", "output_2"), ("servo1", "servo3")])

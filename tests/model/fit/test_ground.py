@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tests.model.fit.test_turning import sailed
 from tests.support.fitted_boats import MASS, TOP
+from tests.support.turning_boat import sailed
 from usvlearn.core.rows import COS, LEFT, RIGHT, ROW, SIN, SURGE
 from usvlearn.core.samples import Inputs, Sample
 from usvlearn.logs.channels.channel import Channel
