@@ -20,7 +20,7 @@ from peers.batch import Held, free_run_errors
 from truths import MINUTES, NOMINAL, free_run_mae
 
 from usvlearn import SurgeDynamics
-from usvlearn.estimators.joint.lacking import Quantity
+from usvlearn.estimators.joint.excitation_warnings import Quantity
 from usvlearn.estimators.joint.state import NORTH, THETA
 from usvlearn.model.fit.fitted import fit_boat
 from usvlearn.model.fit.logs import DT as FINE

@@ -21,7 +21,7 @@ from accuracy import Log, ensemble, first_half, fleet_of, measured, recorded
 from pages import publish
 from truths import NOMINAL, PLANTS
 
-from usvlearn.engine.rollouts import stretches
+from usvlearn.engine.rollouts import chunked_rollout
 from usvlearn.estimators.ensemble.forecasts.state import HORIZONS
 from usvlearn.evaluation.manoeuvres import groups_of
 
@@ -41,7 +41,7 @@ def replayed(given: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Forecasts `(time, boats, horizons, columns)` and half-widths `(time, boats, horizons)`, m/s."""
     fleet, model = fleet_of(tuple(key for key in given if "conditional" not in key)), ensemble(given)
     leaves, found = ["forecasts.predictions", "forecasts.halfwidths"], []
-    for _, kept in stretches(model, model.init((len(fleet.boats),)), [run.samples for run in fleet.runs], leaves):
+    for _, kept in chunked_rollout(model, model.init((len(fleet.boats),)), [run.samples for run in fleet.runs], leaves):
         found.append([kept[name] for name in leaves])
     made, widths = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return made, widths

@@ -38,7 +38,7 @@ from tests.support.traps import TRAPS
 from tests.support.vector_networks import draw_scaling
 from tests.support.voyages import voyage
 from usvlearn import Ensemble, Estimator, Inputs, Online, PlanarSample, Sample, forecast, rollout
-from usvlearn.cli.exporting import export
+from usvlearn.cli.export import export
 from usvlearn.cli.settings import planar_of
 from usvlearn.cli.train import work
 from usvlearn.core import checkpoint

@@ -32,8 +32,8 @@ from truths import MINUTES, NOMINAL, PLANTS, Boat, Truths, boats, errors, free_r
 from usvlearn.core.samples import Sample  # noqa: E402
 from usvlearn.engine.backend import arrays_of  # noqa: E402
 from usvlearn.engine.rollouts import rollout, tensors  # noqa: E402
+from usvlearn.estimators.joint.periodic_estimates import Identified, identify  # noqa: E402
 from usvlearn.estimators.joint.quantities import Ahead, sums  # noqa: E402
-from usvlearn.estimators.joint.reading import Identified, identify  # noqa: E402
 from usvlearn.estimators.joint.state import NORTH, THETA  # noqa: E402
 from usvlearn.evaluation.members import unwrapped  # noqa: E402
 from usvlearn.simulate.truth import true_parameters, true_quantities  # noqa: E402
@@ -97,7 +97,7 @@ def learned(estimator: Any, runs: Sequence[Sample]) -> tuple[list[Any], float]:
 
 
 def identified(averaged: Any, state: Any) -> Identified:
-    return identify(averaged.spec(), arrays_of(state))
+    return identify(averaged.description(), arrays_of(state))
 
 
 def study(

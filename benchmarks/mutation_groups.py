@@ -54,7 +54,7 @@ GROUPS = {
     ),
     "export": Group(("usvlearn/model/export/*.py",), 7, named("model/export", "formats command")),
     "joint": Group(
-        ("usvlearn/estimators/joint/*.py", "usvlearn/estimators/augmented/*.py"),
+        ("usvlearn/estimators/joint/*.py", "usvlearn/estimators/augmented_ekf/*.py"),
         6,
         named("estimators", "joint identified quantities refused"),
         False,
@@ -99,7 +99,7 @@ GROUPS = {
         ),
     ),
     "trial": Group(
-        ("usvlearn/estimators/joint/trial*.py",),
+        ("usvlearn/estimators/joint/change_detection*.py",),
         6,
         (
             *named("estimators", "trial_equations trial refused"),
@@ -109,7 +109,7 @@ GROUPS = {
         False,
     ),
     "conditional": Group(
-        ("usvlearn/estimators/ensemble/conditional/*.py",),
+        ("usvlearn/estimators/ensemble/manoeuvre_intervals/*.py",),
         5,
         (*named("estimators", "conditional_equations conditional"), f"{EVERY}[forecasts]"),
         False,
@@ -135,7 +135,7 @@ GROUPS = {
         3,
         named("runs", "tensorboard tensorboard_window"),
     ),
-    "standings": Group(("usvlearn/sweeps/standings.py",), 2, named("sweeps", "standings board jobs")),
+    "standings": Group(("usvlearn/sweeps/ranking.py",), 2, named("sweeps", "standings board jobs")),
 }
 MASKED = "np.ma.filled(given.astype(np.float64), np.nan) if np.ma.isMaskedArray(given) else np.asarray(given)"
 FAR = "max(abs(left - path[LEFT]), abs(right - path[RIGHT]))"

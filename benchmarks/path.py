@@ -24,7 +24,7 @@ from timing import machine, table
 from usvlearn.cli.settings import planar_of
 from usvlearn.core.samples import Fleet
 from usvlearn.engine.planar_runs import planar_stretches, with_poses
-from usvlearn.engine.rollouts import stretches
+from usvlearn.engine.rollouts import chunked_rollout
 from usvlearn.estimators.planar.state import CONSTANT, ERROR, GROUP, HEADING_ERROR, HELD_RATE, HORIZONS, RADIUS, RHO
 
 REAL, SEEDS, BOATS, HOURS = ("blueboat", "vtec", "dalian"), (8001, 8002, 8003, 8004), 6, 2
@@ -106,7 +106,7 @@ def cost(boat: Boat) -> list[str]:
             with torch.no_grad():
                 if k == 0:
                     model = boat.planar.surge
-                    list(stretches(model, model.init((boats,)), samples, ["predictions"]))
+                    list(chunked_rollout(model, model.init((boats,)), samples, ["predictions"]))
                 else:
                     list(boat.followed(parts, boats))
             best[k] = min(best[k], time.perf_counter() - began)

@@ -39,7 +39,7 @@ from usvlearn.engine.rollouts import simulate, tensors
 from usvlearn.errors import UsvlearnError
 from usvlearn.estimators.axis.turning_quantities import OF_FIT
 from usvlearn.estimators.axis.turning_quantities import QUANTITIES as TURNING
-from usvlearn.estimators.joint.lacking import Quantity
+from usvlearn.estimators.joint.excitation_warnings import Quantity
 from usvlearn.estimators.joint.quantities import QUANTITIES
 from usvlearn.estimators.regressors.terms import SURGE
 from usvlearn.model.fit.quantities import quantities

@@ -199,7 +199,7 @@ def _run(options: argparse.Namespace) -> int:
         for note in notes:
             print(note, file=sys.stderr)
     else:
-        from certify.display.printed import show
+        from certify.display.tables import show
 
         _say(show, rows, options.condition, notes, options.dt)
     return max(code, CERTIFIED if all(row["judged"] for row in rows) else NOT_ALL)

@@ -19,8 +19,8 @@ import pytest
 from usvlearn import Aligner, Inputs, Online, Sample
 from usvlearn.core import checkpoint
 from usvlearn.errors import CheckpointError
+from usvlearn.live.diagnostics import networks
 from usvlearn.live.prior import prior
-from usvlearn.live.watched import networks
 from usvlearn.logs.channels.channel import Source
 
 RUN = os.environ.get("USVLEARN_RUN")

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:  # what type checkers and editors see; a test compares it with _HOME
     from usvlearn.api import learn as learn
     from usvlearn.api import read as read
-    from usvlearn.core.hyper import Positive as Positive
-    from usvlearn.core.hyper import UnitInterval as UnitInterval
-    from usvlearn.core.plans import Forecast as Forecast
-    from usvlearn.core.plans import Track as Track
+    from usvlearn.core.forecasts import Forecast as Forecast
+    from usvlearn.core.forecasts import Track as Track
+    from usvlearn.core.hyperparameters import Positive as Positive
+    from usvlearn.core.hyperparameters import UnitInterval as UnitInterval
     from usvlearn.core.protocol import Estimator as Estimator
     from usvlearn.core.samples import Fleet as Fleet
     from usvlearn.core.samples import Inputs as Inputs
@@ -37,8 +37,8 @@ if TYPE_CHECKING:  # what type checkers and editors see; a test compares it with
     from usvlearn.estimators.ensemble.combiners.layer import RecursiveWeights as RecursiveWeights
     from usvlearn.estimators.ensemble.forecasts.layer import ForecastSettings as ForecastSettings
     from usvlearn.estimators.ensemble.layer import Ensemble as Ensemble
+    from usvlearn.estimators.joint.change_detection import Trial as Trial
     from usvlearn.estimators.joint.layer import JointEKF as JointEKF
-    from usvlearn.estimators.joint.trial import Trial as Trial
     from usvlearn.estimators.least_squares.projected import Projected as Projected
     from usvlearn.estimators.least_squares.rls import RLS as RLS
     from usvlearn.estimators.least_squares.sift import SIFtRLS as SIFtRLS
@@ -61,10 +61,10 @@ _HOME = {
     "Estimator": "core.protocol",
     "rollout": "engine.rollouts",
     "forecast": "engine.rollouts",
-    "Forecast": "core.plans",
-    "Track": "core.plans",
-    "Positive": "core.hyper",
-    "UnitInterval": "core.hyper",
+    "Forecast": "core.forecasts",
+    "Track": "core.forecasts",
+    "Positive": "core.hyperparameters",
+    "UnitInterval": "core.hyperparameters",
     "AID": "estimators.aid.layer",
     "ARX": "estimators.arx.layer",
     "RLS": "estimators.least_squares.rls",
@@ -79,7 +79,7 @@ _HOME = {
     "YawEKF": "estimators.axis.layer",
     "SwayEKF": "estimators.axis.layer",
     "Planar": "estimators.planar.layer",
-    "Trial": "estimators.joint.trial",
+    "Trial": "estimators.joint.change_detection",
     "Ensemble": "estimators.ensemble.layer",
     "ForecastSettings": "estimators.ensemble.forecasts.layer",
     "Bank": "estimators.wrappers.bank",

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 
 import usvlearn
-from usvlearn.cli.beginning import COMMANDS, begin
+from usvlearn.cli.commands import COMMANDS, begin
 from usvlearn.errors import complain, drop_output
 
 USAGE = "usage: usvlearn COMMAND ARGUMENTS, COMMAND --help or --version"

@@ -98,7 +98,7 @@ def read(
     >>> read(time=time, **same, heading=0 * time + 90.0, units={"heading": "deg"}).rejected
     {'boat': {}}
     """
-    from usvlearn.cli.checked import CheckedAlignment
+    from usvlearn.cli.checked_alignment import CheckedAlignment
     from usvlearn.cli.composition import compose_train, plain, recordings_of
     from usvlearn.logs.formats.array_log import NAMES, arrays_among, channels_of_arrays, described, read_arrays
     from usvlearn.logs.setup import setups_of
@@ -173,7 +173,7 @@ def learn(
     fleet, ensemble = check_logs(logs).fleet, _ensemble(logs, estimator)
     state = ensemble.init((len(fleet.boats),))
     if start is not None:
-        state = _started(state, fleet.boats, start, ensemble.spec())
+        state = _started(state, fleet.boats, start, ensemble.description())
     parts: list[list[dict[str, np.ndarray]]] = [[] for _ in fleet.runs]
     for chunk in replay(ensemble, fleet, state):
         parts[chunk.end.run].append(chunk.published)

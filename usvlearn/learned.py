@@ -17,7 +17,7 @@ from usvlearn.evaluation.predictions import Predictions, measured_surge, predict
 if TYPE_CHECKING:
     from usvlearn.estimators.ensemble.layer import Ensemble
     from usvlearn.estimators.ensemble.state import EnsembleState
-    from usvlearn.estimators.joint.reading import Identified
+    from usvlearn.estimators.joint.periodic_estimates import Identified
     from usvlearn.logs.channels.channel import Recording
     from usvlearn.logs.checks.finding import Finding
     from usvlearn.logs.setup import Setup
@@ -280,15 +280,15 @@ class Learned:
         """
         import usvlearn
         from usvlearn.core import checkpoint
-        from usvlearn.engine import of_element
-        from usvlearn.runs.layout import ESTIMATOR
+        from usvlearn.engine import select_element
+        from usvlearn.runs.file_names import ESTIMATOR
 
         if boat is None and len(self.boats) > 1:
             raise ConfigError(f"boat: found none, expected one of {', '.join(self.boats)}")
         element = 0 if boat is None else self._element(boat)
         last = next(run for run in reversed(self.predictions) if run.boat == self.boats[element])
         state: Any = tree_map(lambda leaf: leaf[element].detach(), self.state)
-        kernel, fitted = of_element(self.ensemble.spec(), len(self.boats), element), dict[str, Any]()
+        kernel, fitted = select_element(self.ensemble.description(), len(self.boats), element), dict[str, Any]()
         if fit is not None:
             from usvlearn.model.fit.hand_over import handed_over
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from certify.analysis.assess import solved_both
 from certify.display.figures import comparison_figure, save
-from certify.display.printed import progress, show_comparison
+from certify.display.tables import progress, show_comparison
 from certify.errors import CertifyError
 from certify.networks.shallow import ShallowWeights, find, load, matched
 from certify.proofs import exact

@@ -100,7 +100,7 @@ def _shown(
     slow = options.lmi or options.box is not None or any(isinstance(each, VectorNetwork) for each in networks)
     if len(networks) < 2 or not slow:
         return networks
-    from certify.display.printed import progress
+    from certify.display.tables import progress
 
     return progress(networks, "certifying")
 

@@ -16,7 +16,7 @@ NEEDED = {
     "matplotlib": ["net.npz", "--plot", "map.png"],
 }
 IMPORTING = (
-    "certify.display.printed",
+    "certify.display.tables",
     "certify.command.compare",
     "certify.training.conditions",
     "certify.training.projections",

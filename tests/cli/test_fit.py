@@ -13,7 +13,7 @@ import pytest
 from tests.support.commands import QUICK, run
 from usvlearn.__main__ import main
 from usvlearn.cli.fit import fit_on_the_way, work
-from usvlearn.cli.stopping import Stopped
+from usvlearn.cli.signals import Stopped
 from usvlearn.core.samples import Inputs, Sample
 from usvlearn.display import terminal
 from usvlearn.engine.online import Online

@@ -9,7 +9,7 @@ import usvlearn
 from tests.support.commands import GOOD, results, run, sentence
 from tests.support.exported import knots_table
 from tests.support.voyages import voyage
-from usvlearn.cli import exporting, fit, inspect, speed_controller, train
+from usvlearn.cli import controller, export, fit, inspect, train
 from usvlearn.core.unconfirmed import SECTION, open_questions
 from usvlearn.logs.setup import Setup
 
@@ -71,9 +71,9 @@ def test_it_is_said_everywhere_until_it_is_confirmed(tmp_path, monkeypatch, caps
         if name == "given":
             continue
         fit.work([name])
-        exporting.work([name, "--to", "json,c", "--force"])
-        exporting.work([f"{name}/fit", "--to", "json", "--out", f"{name}/export/fit", "--force"])
-        speed_controller.work([f"{name}/fit", "--out", f"{name}/gains"])
+        export.work([name, "--to", "json,c", "--force"])
+        export.work([f"{name}/fit", "--to", "json", "--out", f"{name}/export/fit", "--force"])
+        controller.work([f"{name}/fit", "--out", f"{name}/gains"])
         printed = capsys.readouterr()
         told = [(SENTENCE in each) for each in (printed.out, printed.err)]
         assert told == [bool(left)] * 2

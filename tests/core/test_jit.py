@@ -60,7 +60,10 @@ def test_another_checkout_with_the_same_sources_uses_the_machine_code(once, tmp_
         os.utime(path, (1, 1))
     script = f"import sys\nsys.path.insert(0, {str(tmp_path / 'copy')!r})\n{PREPARE}print(samples.__file__)\n"
     done = python(script + "print(*samples.prepare_all.stats.cache_hits.values())", NUMBA_CACHE_DIR=str(cache))
-    assert done.stdout.split() == ["3.0", str(tmp_path / "copy/usvlearn/core/rows.py"), "1"] and done.stderr == ""
+    assert (
+        done.stdout.split() == ["3.0", str(tmp_path / "copy/usvlearn/core/prepared_samples.py"), "1"]
+        and done.stderr == ""
+    )
     assert {path: path.stat().st_mtime_ns for path in cache.rglob("*.nb*")} == kept
 
 
@@ -153,7 +156,7 @@ CHANGES = (  # a file, what is in it, and what it becomes: the same with a line 
     ("estimators/aid/state.py", "    GAIN = POSITIVE\n    LEAK = POSITIVE", "    LEAK = POSITIVE\n    GAIN = POSITIVE"),
     ("estimators/baselines/persistence/kernel.py", "def coast", "def coast"),
     ("estimators/__init__.py", '"least_squares",\n    "aid",', '"aid",\n    "least_squares",'),
-    ("engine/chains.py", "def chain(", "def chain("),
+    ("engine/dispatch_tables.py", "def chain(", "def chain("),
     ("core/jit.py", '"nogil": True', '"nogil": False'),
 )
 
@@ -289,7 +292,8 @@ def test_parts_are_compiled_within_their_callers_or_alone_where_numba_lacks_what
     parted = python(run, NUMBA_CACHE_DIR=str(tmp_path / "parts")).stdout
     assert parted == f"{numba.version_info.short > (0, 68)} 3.5 2.5 3.5 1 1.5\n"
     plain = python(
-        f"import sys; sys.modules['usvlearn.core.parts'] = None; {run}", NUMBA_CACHE_DIR=str(tmp_path / "plain")
+        f"import sys; sys.modules['usvlearn.core.linked_functions'] = None; {run}",
+        NUMBA_CACHE_DIR=str(tmp_path / "plain"),
     )
     assert plain.stdout == "True 3.5 2.5 3.5 1 1.5\n"
 

@@ -16,7 +16,7 @@ from tests.support.runs import tools
 from tests.support.studies import Recorder, made
 from usvlearn.core.lock import NAME, Lock
 from usvlearn.errors import CheckpointError, ConfigError
-from usvlearn.report.from_runs import evaluate
+from usvlearn.report.build import evaluate
 from usvlearn.sweeps.jobs import run_job
 
 HOLD = "import sys, time; from pathlib import Path; from usvlearn.core.lock import Lock\n"

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from usvlearn import Inputs, Sample
+from usvlearn.core.prepared_samples import HOLD, LEARN, MODE, PREDICT, ROW, START, SURGE, prepare_all
 from usvlearn.core.protocol import clean
-from usvlearn.core.rows import HOLD, LEARN, MODE, PREDICT, ROW, START, SURGE, prepare_all
 from usvlearn.core.samples import PLAUSIBLE_INPUTS, masks, tree_map
 
 LIMIT = 10.0

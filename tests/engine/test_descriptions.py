@@ -37,8 +37,8 @@ from usvlearn import (
 from usvlearn.core import checkpoint
 from usvlearn.core.protocol import spec_of
 from usvlearn.core.samples import named_leaves, rebuild, tree_map
-from usvlearn.engine import of_element
-from usvlearn.engine.check import check
+from usvlearn.engine import select_element
+from usvlearn.engine.validate import check
 from usvlearn.errors import CheckpointError
 from usvlearn.runs.resuming import from_checkpoints
 
@@ -314,7 +314,7 @@ def test_what_estimators_say_of_themselves_is_legal(name, dtype):
         state = rollout(estimator, state, mission(100, *batch, dtype=dtype))[0]
         check(description, {name: leaf.numpy() for name, leaf in named_leaves(state)})
         one = {name: leaf[1].numpy() for name, leaf in named_leaves(state)}  # boat's, as a run saves it
-        check(of_element(description, batch[0], 1), one)
+        check(select_element(description, batch[0], 1), one)
 
 
 @pytest.mark.parametrize("name", sorted(BEYOND))

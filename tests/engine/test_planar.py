@@ -23,7 +23,7 @@ from usvlearn import (
 from usvlearn.core.samples import rebuild, tree_map
 from usvlearn.engine.backend import arrays_of
 from usvlearn.engine.planar_runs import planar_stretches, with_poses
-from usvlearn.engine.rollouts import stretches
+from usvlearn.engine.rollouts import chunked_rollout
 from usvlearn.errors import CheckpointError, ConfigError, ShapeError
 from usvlearn.estimators.axis.state import axis_inputs
 from usvlearn.estimators.planar.state import CONSTANT, ERROR, GROUP, HELD_RATE, RADIUS, RHO, USED
@@ -87,7 +87,7 @@ def test_live_is_replay_and_goes_on_from_a_file(boats, tmp_path):
 def test_the_surge_is_that_without_tracks(boats, learned):
     own, state, _ = learned
     with torch.no_grad():
-        *_, (alone, _) = stretches(own.surge, own.surge.init((2,)), [each.sample for each in boats], [])
+        *_, (alone, _) = chunked_rollout(own.surge, own.surge.init((2,)), [each.sample for each in boats], [])
     for name, leaf in arrays_of(alone).items():
         assert np.array_equal(leaf, arrays_of(state)[f"surge.{name}"], equal_nan=True), name
 
@@ -279,9 +279,9 @@ def test_a_million_steps_of_single_precision(boats):
 
 def test_what_is_wrong_is_told(boats, tmp_path):
     with pytest.raises(ConfigError, match=r"surge: found an ensemble without compiled code or forecasts"):
-        Planar(Ensemble({"joint": JointEKF(TOP)})).spec()
+        Planar(Ensemble({"joint": JointEKF(TOP)})).description()
     with pytest.raises(ConfigError, match=r"surge: found the members persistence, expected a filter of the kind joint"):
-        Planar(Ensemble({"persistence": Persistence()}, forecasts=ForecastSettings())).spec()
+        Planar(Ensemble({"persistence": Persistence()}, forecasts=ForecastSettings())).description()
     with pytest.raises(ConfigError, match=r"horizons: found \[5, 2\], expected times, s, increasing"):
         planar(horizons=[5, 2])
     with pytest.raises(ConfigError, match=r"headings: found none, and JointEKF"):
@@ -296,7 +296,7 @@ def test_what_is_wrong_is_told(boats, tmp_path):
         online.step(PlanarSample(one, 0.0, 0.0, [0.0, 1.0], 0.0, 0.0))
     online.save(tmp_path / "boat.safetensors")
     leaves, facts = dict(online.state), {"estimator": "Planar", "kernel": dict(online.description)}
-    from usvlearn.engine.check import check
+    from usvlearn.engine.validate import check
 
     check(facts["kernel"], leaves)
     for key, value, words in (

@@ -36,7 +36,7 @@ from usvlearn.core import checkpoint as store
 from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.engine import rollouts
 from usvlearn.engine.backend import choose
-from usvlearn.engine.rollouts import stretches
+from usvlearn.engine.rollouts import chunked_rollout
 from usvlearn.errors import ConfigError
 
 every_family = pytest.mark.parametrize("name", FAMILIES)
@@ -364,11 +364,11 @@ def test_a_member_that_is_not_finite_begins_again_and_the_others_go_on(monkeypat
     if backend == "torch":
         monkeypatch.setattr(rollouts, "choose", lambda *_: None)
     parts = [tree_map(lambda x: x.numpy(), random_samples(5, 2, seed=seed)) for seed in range(3)]
-    sound = [state for state, _ in stretches(ensemble, ensemble.init((2,)), parts, [])]
+    sound = [state for state, _ in chunked_rollout(ensemble, ensemble.init((2,)), parts, [])]
     broken = tree_map(torch.clone, ensemble.init((2,)))
     broken.members["aid"].theta[1, 0] = math.nan
     with pytest.warns(UserWarning, match=r"^the state of aid is not finite in 1 of 2 vehicles: it begins again there$"):
-        found = [state for state, _ in stretches(ensemble, broken, parts, [])]
+        found = [state for state, _ in chunked_rollout(ensemble, broken, parts, [])]
     first = dict(named_leaves(ensemble.init((2,)).members["aid"]))
     assert all(torch.equal(leaf[1], first[name][1]) for name, leaf in named_leaves(found[0].members["aid"]))
     for after, wanted in zip(found, sound, strict=True):
@@ -376,6 +376,6 @@ def test_a_member_that_is_not_finite_begins_again_and_the_others_go_on(monkeypat
             same = dict(named_leaves(wanted.members))[name]
             assert leaf.isfinite().all() and torch.equal(leaf[0], same[0]), name
             assert name.startswith("aid") or torch.equal(leaf, same), name
-    again = [state for state, _ in stretches(ensemble, found[0], parts[1:], [])]
+    again = [state for state, _ in chunked_rollout(ensemble, found[0], parts[1:], [])]
     ends = (dict(named_leaves(each[-1].members)) for each in (again, found))
     assert all(torch.equal(x, y) for x, y in zip(*(end.values() for end in ends), strict=True))

@@ -165,9 +165,9 @@ def test_single_precision_finds_the_same():
 def test_only_joint_filters_with_trials_that_nothing_wraps_are_accommodated():
     members = {"plain": JointEKF(2.5), "wrapped": Robust(JointEKF(2.5, trial=Trial())), "persistence": Persistence()}
     none = Ensemble(members)
-    assert none.accommodated == () and none.init().accommodation == {} and "accommodation" not in none.spec()
+    assert none.accommodated == () and none.init().accommodation == {} and "accommodation" not in none.description()
     some = Ensemble(members | {"joint": JointEKF(2.5, trial=Trial())})
-    assert some.accommodated == ("joint",) and some.spec()["accommodation"]["members"] == [3]
+    assert some.accommodated == ("joint",) and some.description()["accommodation"]["members"] == [3]
     assert Ensemble({"joint": JointEKF(2.5, trial=Trial())}, watched=False).accommodated == ()
 
 

@@ -5,8 +5,8 @@ import torch
 from tests.support.forecasts import ensemble, plain
 from usvlearn import Online, rollout
 from usvlearn.core.samples import named_leaves, tree_map
-from usvlearn.estimators.ensemble.conditional import layer
-from usvlearn.estimators.ensemble.conditional.state import HIGH, LOW
+from usvlearn.estimators.ensemble.manoeuvre_intervals import layer
+from usvlearn.estimators.ensemble.manoeuvre_intervals.state import HIGH, LOW
 
 
 def test_predictions_are_the_same_and_old_states_go_on(tmp_path):
@@ -21,7 +21,7 @@ def test_predictions_are_the_same_and_old_states_go_on(tmp_path):
     for name, leaf in found[False].items():
         if not name.endswith("halfwidths"):
             torch.testing.assert_close(found[True][name], leaf, rtol=0, atol=0, equal_nan=True)
-    assert "conditional" not in ensemble(conditional=False).spec()
+    assert "conditional" not in ensemble(conditional=False).description()
     torch.testing.assert_close(found[False]["conformal.halfwidth"], found[True]["conformal.halfwidth"], rtol=0, atol=0)
     boat = Online.open(Online(ensemble(conditional=False)).save(tmp_path / "a.safetensors"))
     assert "conditional" not in boat.description and not any(".conditional." in name for name in boat.state)

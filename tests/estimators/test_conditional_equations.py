@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from usvlearn.estimators.ensemble.conditional import kernel, layer
-from usvlearn.estimators.ensemble.conditional.state import HELD, PATH, _horizons, learned_leaves
+from usvlearn.estimators.ensemble.manoeuvre_intervals import kernel, layer
+from usvlearn.estimators.ensemble.manoeuvre_intervals.state import HELD, PATH, _horizons, learned_leaves
 
 ALPHA, OVERLAP = 0.1, 4.0
 

@@ -28,7 +28,7 @@ from usvlearn import (
     rollout,
 )
 from usvlearn.core.samples import named_leaves, tree_map
-from usvlearn.engine.rollouts import stretches
+from usvlearn.engine.rollouts import chunked_rollout
 from usvlearn.errors import ShapeError
 from usvlearn.estimators.least_squares.sift import sift_step
 
@@ -146,7 +146,7 @@ def test_stretches_of_arrays_are_sent_to_the_device_of_the_state():
     ensemble = Ensemble({"aid": AID(28.0)}).to("meta")
     parts = [tree_map(lambda x: x.numpy(), random_samples(STEPS, 2))] * 2
     with read_as_ones():
-        for state, kept in stretches(ensemble, ensemble.init((2,)), parts, ["predictions"]):
+        for state, kept in chunked_rollout(ensemble, ensemble.init((2,)), parts, ["predictions"]):
             assert state.predictions.is_meta and isinstance(kept["predictions"], np.ndarray)
 
 

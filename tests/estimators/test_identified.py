@@ -14,8 +14,8 @@ from usvlearn.core.samples import named_leaves
 from usvlearn.engine.rollouts import rollout
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.joint.curves import curves
+from usvlearn.estimators.joint.periodic_estimates import Identified, identify
 from usvlearn.estimators.joint.quantities import FORCES, SIDES, quantities, sums
-from usvlearn.estimators.joint.reading import Identified, identify
 from usvlearn.estimators.joint.state import THETA
 from usvlearn.estimators.regressors.terms import SURGE
 from usvlearn.evaluation.identification import as_results, identified_boats
@@ -34,7 +34,7 @@ def leaves_of(state) -> dict[str, np.ndarray]:
 
 def read(joint: JointEKF, **changed) -> Identified:
     """What is identified in the filter's first state, with some leaves replaced."""
-    return identify(joint.spec(), leaves_of(joint.init()) | {name: np.asarray(x) for name, x in changed.items()})
+    return identify(joint.description(), leaves_of(joint.init()) | {name: np.asarray(x) for name, x in changed.items()})
 
 
 def log(steps: int, left, right, heading=None, current: float = 0.0, noise: float = 0.02) -> Sample:
@@ -70,7 +70,7 @@ def varied(steps: int, low: float = 0.0, high: float = 1.0, seed: int = 1) -> np
 def learned(sample: Sample, **changed) -> Identified:
     joint = averaged(**changed)
     state, _, _ = rollout(joint, joint.init(), sample)
-    return identify(joint.spec(), leaves_of(state))
+    return identify(joint.description(), leaves_of(state))
 
 
 def test_an_undefined_steady_speed_leaves_the_other_quantities():
@@ -254,7 +254,7 @@ def test_twenty_samples_say_so_and_are_wider_than_the_prior():
 
 
 def test_a_filter_that_diverged_identifies_nothing_and_writes_null(tmp_path):
-    from usvlearn.runs.layout import save_results
+    from usvlearn.runs.file_names import save_results
 
     joint = averaged()
     found = read(joint, mean=np.full(23, np.nan))
@@ -307,7 +307,7 @@ def test_an_ensemble_without_kernels_identifies_too():
         pass
 
     ensemble = Ensemble({"slow": Slow(), "joint_averaged": averaged()})
-    assert ensemble.spec() is None and ensemble.averaged == "joint_averaged"
+    assert ensemble.description() is None and ensemble.averaged == "joint_averaged"
     assert "time_constant" in Online(ensemble).identified()
 
 

@@ -15,7 +15,7 @@ from usvlearn.core import checkpoint
 from usvlearn.core.protocol import clean
 from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.errors import CheckpointError
-from usvlearn.estimators.augmented import state as augmented
+from usvlearn.estimators.augmented_ekf import state as augmented
 from usvlearn.estimators.axis.state import FAMILY as AXIS
 from usvlearn.estimators.joint.flow import flow as moved_by
 from usvlearn.estimators.joint.state import AT, SIZES, JointState

@@ -8,8 +8,8 @@ import torch
 
 from tests.support import random_samples
 from usvlearn import RLS, Inputs, SurgeDynamics, rollout
-from usvlearn.core import rows as samples
-from usvlearn.core.family import WIDTH, Node
+from usvlearn.core import prepared_samples as samples
+from usvlearn.core.family import WIDTH, Row
 from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.estimators.ensemble.monitors import kernel as compiled
 from usvlearn.estimators.ensemble.monitors import layer as monitors
@@ -177,9 +177,9 @@ def kernel_step(state, inputs):
     sample = np.zeros(samples.ROW, row.dtype)
     sample[[samples.LEFT, samples.RIGHT, samples.YAW_RATE, samples.DT]] = inputs.command_left, inputs.command_right, \
         inputs.yaw_rate, inputs.dt  # fmt: skip
-    numbers = np.array([monitors.spec()[number.key] for number in Number], row.dtype)
+    numbers = np.array([monitors.description()[number.key] for number in Number], row.dtype)
     places, node = np.cumsum([0, *(leaf.size for leaf in leaves[:-1])]), np.full(WIDTH, -1)
-    node[Node.NUMBERS], node[list(AT.thrusters)] = 0, places
+    node[Row.NUMBERS], node[list(AT.thrusters)] = 0, places
     compiled.observe_thrusters(node, row, numbers, sample, np.empty(256, row.dtype))
     parts = np.split(row, places[1:])
     return type(state)(*(torch.from_numpy(x.reshape(leaf.shape)) for x, leaf in zip(parts, leaves, strict=True)))

@@ -67,7 +67,7 @@ def test_further_terms_stand_behind_the_papers(memory, ambient, cubic):
     torch.testing.assert_close(base, samples.surge)
     count = 9 + 2 * cubic + 3 * (memory + ambient)
     assert phi.shape[-1] == len(model.names) == len(set(model.names)) == len(model.signs) == count
-    assert set(model.names) <= set(UNITS) and model.spec() in TERMS
+    assert set(model.names) <= set(UNITS) and model.description() in TERMS
     assert model.signs[9:] == (0,) * (len(model.signs) - 9)  # physics gives none
 
 

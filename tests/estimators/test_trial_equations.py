@@ -7,9 +7,9 @@ import torch
 from usvlearn import Inputs, JointEKF, Sample, Trial
 from usvlearn.core.samples import named_leaves
 from usvlearn.engine.rollouts import rollout
-from usvlearn.estimators.joint import trial_kernel
+from usvlearn.estimators.joint import change_detection_kernel
+from usvlearn.estimators.joint.change_detection import side_of
 from usvlearn.estimators.joint.state import AT_TRIAL, THETA, WARM, names
-from usvlearn.estimators.joint.trial import side_of
 
 
 def plain(function):
@@ -125,10 +125,10 @@ def test_the_sum_of_innovations_is_that_of_page():
     s, node = np.zeros(4), np.arange(4)
     places = AT_TRIAL._replace(usual=0, last=1, statistic=2, run=3)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(trial_kernel, "AT_TRIAL", places)
+        patched.setattr(change_detection_kernel, "AT_TRIAL", places)
         for k in range(400):
             s[:] = usual[k], last[k], statistic[k], run[k]
-            begins = plain(trial_kernel.detect)(node, s, z[k])
+            begins = plain(change_detection_kernel.detect)(node, s, z[k])
             expected = [found.usual[k], z[k], g[k], run[k] if g[k] > 2 else 0]
             np.testing.assert_allclose(s, expected, atol=1e-12)
             assert begins == (g[k] > 2 and run[k] == 0)
@@ -143,7 +143,7 @@ def test_the_parameters_of_a_side_are_those_of_its_name(even, side):
     assert side_of(side, mean).double().tolist() == expected and sum(expected) == (7 if even else 4)
     found = np.full(len(expected), 9.0)
     node = np.full(64, 1 if even else 0)
-    plain(trial_kernel.side_of)(node, mean.numpy(), side, found)
+    plain(change_detection_kernel.side_of)(node, mean.numpy(), side, found)
     assert found.tolist() == expected
 
 

@@ -24,8 +24,8 @@ from usvlearn.estimators.axis.turning_quantities import (
     quantities,
     steady_turns,
 )
+from usvlearn.estimators.joint.periodic_estimates import Identified
 from usvlearn.estimators.joint.quantities import COMMANDS
-from usvlearn.estimators.joint.reading import Identified
 from usvlearn.estimators.planar.layer import Planar
 from usvlearn.estimators.planar.state import HEADING, TURN
 from usvlearn.evaluation.identification import as_results, identified_planar_boats
@@ -163,7 +163,7 @@ def test_an_interval_is_that_of_draws_from_the_filters(mission):
     """(1) against the spread of the quantity over the filters' normal distributions; ε is taken out."""
     own, state = mission
     leaves = leaves_of(state)
-    found = identified_planar(own.spec(), leaves)[0]
+    found = identified_planar(own.description(), leaves)[0]
     yaw = leaves["yaw.members.yaw.mean"][0, THETA:]
     sway = leaves["sway.members.sway.mean"][0, THETA:]
     P = turning_intervals.covariance_of(leaves["yaw.members.yaw.factor"][0])[THETA:, THETA:]

@@ -17,7 +17,7 @@ from usvlearn.errors import ShapeError
 from usvlearn.estimators.regressors.layer import SurgeDynamics
 from usvlearn.evaluation.crossval import FreeErrors, cross_validate, methods
 from usvlearn.evaluation.season import Season
-from usvlearn.report.from_runs import assemble, best_start
+from usvlearn.report.build import assemble, best_start
 from usvlearn.report.sections.cross import best_checkpoints, fleet_matrices
 
 

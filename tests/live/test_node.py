@@ -13,7 +13,7 @@ from usvlearn.core import checkpoint
 from usvlearn.core.events import LOSS, Event
 from usvlearn.engine.online import Online
 from usvlearn.errors import ConfigError
-from usvlearn.live import watched
+from usvlearn.live import diagnostics
 from usvlearn.live.health import COMPILING, Refit
 from usvlearn.live.moos.block import MIDDLEWARE
 from usvlearn.live.node import Node
@@ -22,7 +22,7 @@ from usvlearn.live.plan_requests import parse_plan, sampled
 from usvlearn.live.prior import prior
 from usvlearn.live.start import Options, begin
 from usvlearn.live.status.operator_page import WIDTH, page
-from usvlearn.live.status.posts import KINDS, PLANNED, TABLE, TRACK, of_health, of_step, told
+from usvlearn.live.status.publications import KINDS, PLANNED, TABLE, TRACK, of_health, of_step, told
 from usvlearn.live.status.status_line import StatusLine
 from usvlearn.logs.alignment.align import Aligner
 from usvlearn.logs.alignment.mixing import Mix, sides_of
@@ -223,7 +223,7 @@ def test_what_an_interval_does_not_tell_is_no_number(start):
     """The top speed of a prior is 3 m/s, and its interval reaches from -61 to 67 m/s."""
     before = Online.of(*prior(36.0, 3.0))
     assert before.identified()["steady_speed_full"].high > 60
-    found, wrong = watched.identified(before)
+    found, wrong = diagnostics.identified(before)
     assert wrong == ""
     assert all(math.isnan(value) for value, *_ in found.values()) and len(found) == 18
     health = COMPILING._replace(state="ok", identified=found)
@@ -233,7 +233,7 @@ def test_what_an_interval_does_not_tell_is_no_number(start):
     learned, log = node(start), boat(0.5, seed=3)
     for message in messages(log, 0.0):
         learned.push(*message)
-    value, low, high, _ = watched.identified(learned.online)[0]["steady_speed_full"]
+    value, low, high, _ = diagnostics.identified(learned.online)[0]["steady_speed_full"]
     assert low < value < high < 2 * value
 
 

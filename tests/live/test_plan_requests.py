@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from usvlearn.core.plans import Forecast, Track
+from usvlearn.core.forecasts import Forecast, Track
 from usvlearn.errors import ConfigError
 from usvlearn.live.plan_requests import MOST_ROWS, answer, identifier, parse_plan, sampled
 

@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.commands import python
 from usvlearn import Inputs, Online, Sample
-from usvlearn.cli import prior_file
+from usvlearn.cli import build_prior
 from usvlearn.core import checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.live.prior import FILE, prior
@@ -39,9 +39,9 @@ def assert_equal(found, expected, path: str = "") -> None:
 @pytest.mark.thorough
 @pytest.mark.parametrize("mass, surge_max", BOATS)
 def test_it_equals_the_ensemble_that_torch_makes(mass, surge_max):
-    """It fails, too, if a default has changed since the file was made: run `python -m usvlearn.cli.prior_file`."""
+    """It fails, too, if a default has changed since the file was made: run `python -m usvlearn.cli.build_prior`."""
     leaves, facts = prior(mass, surge_max)
-    name, description, state = prior_file.default_ensemble(mass, surge_max)
+    name, description, state = build_prior.default_ensemble(mass, surge_max)
     assert_equal(facts, {"estimator": name, "kernel": description})
     assert_equal(leaves, state)
 
@@ -90,7 +90,7 @@ def test_what_is_no_positive_number_is_refused(value):
 
 @pytest.mark.thorough
 def test_the_file_is_made_again(tmp_path):
-    found, before = checkpoint.load(prior_file.make(tmp_path / "prior.safetensors")), checkpoint.load(FILE)
+    found, before = checkpoint.load(build_prior.make(tmp_path / "prior.safetensors")), checkpoint.load(FILE)
     assert_equal(list(found), list(before))
 
 
@@ -102,10 +102,10 @@ def test_the_file_is_made_again(tmp_path):
 ])  # fmt: skip
 def test_a_number_that_is_no_monomial_is_refused(law, sentence, tmp_path, monkeypatch):
     monkeypatch.setattr(
-        prior_file, "default_ensemble", lambda *boat: ("Ensemble", {"numbers": {"new": law(*boat)}}, {})
+        build_prior, "default_ensemble", lambda *boat: ("Ensemble", {"numbers": {"new": law(*boat)}}, {})
     )
     with pytest.raises(ConfigError, match=f"^kernel.numbers.new: found .*{sentence}"):
-        prior_file.make(tmp_path / "prior.safetensors")
+        build_prior.make(tmp_path / "prior.safetensors")
     assert list(tmp_path.iterdir()) == []
 
 

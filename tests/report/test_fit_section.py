@@ -14,14 +14,14 @@ from tests.support.pages import BAD, Page
 from tests.support.runs import tools
 from tests.support.saved_fits import facts
 from usvlearn.cli.fit_report import renew_report
-from usvlearn.estimators.joint.lacking import Quantity
-from usvlearn.report.from_runs import read
-from usvlearn.report.front import Front, first_page
+from usvlearn.estimators.joint.excitation_warnings import Quantity
+from usvlearn.report.build import read
 from usvlearn.report.overview import MAIN, Overview
 from usvlearn.report.page import write_report
 from usvlearn.report.sections.fit import DOUBTED, UNKNOWN, USES, fit_section
 from usvlearn.report.sections.fit_file import FEW, SavedFit, read_fit, saved_fits
 from usvlearn.report.sections.section import Section
+from usvlearn.report.summary import Front, first_page
 
 pytestmark = pytest.mark.thorough  # the set-up of its tests takes long
 

@@ -17,9 +17,9 @@ from usvlearn.core.samples import Inputs, PlanarSample, Sample
 from usvlearn.engine.online import read_checkpoint
 from usvlearn.evaluation.free_simulation import free_runs
 from usvlearn.logs.recordings import align_fleet
-from usvlearn.report.front import embedded
 from usvlearn.report.page import write_report
 from usvlearn.report.sections.tracks import RECKONED, _outline, chosen, tracks_section
+from usvlearn.report.summary import embedded
 from usvlearn.report.track_maps import Ahead, Ellipse, saved_tracks
 from usvlearn.report.viewer_data import viewer_data
 from usvlearn.runs.replay import replay

@@ -14,7 +14,7 @@ from usvlearn.cli.settings import instantiate
 from usvlearn.cli.sweep import load
 from usvlearn.core import checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
-from usvlearn.report.from_runs import read
+from usvlearn.report.build import read
 from usvlearn.runs.index import begun
 from usvlearn.runs.saved import results, run_folders
 from usvlearn.sweeps.jobs import jobs

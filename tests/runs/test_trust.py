@@ -16,7 +16,7 @@ from tests.support.runs import tools
 from usvlearn import Persistence
 from usvlearn.core import checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
-from usvlearn.report.from_runs import read
+from usvlearn.report.build import read
 from usvlearn.runs.saved import configuration
 from usvlearn.runs.trust import PACKAGES, check_setting, check_settings
 

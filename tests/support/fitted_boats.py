@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from usvlearn.core.rows import COS, DT, LEARN, LEFT, MODE, PREDICT, RIGHT, ROW, SIN, START, SURGE, YAW_RATE
+from usvlearn.core.prepared_samples import COS, DT, LEARN, LEFT, MODE, PREDICT, RIGHT, ROW, SIN, START, SURGE, YAW_RATE
 from usvlearn.model.fit import motion_kernel as kernel
 from usvlearn.model.fit.terms import NAMES, PLACE_LAG, prior
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usvlearn.estimators.joint.reading import Beside, Identified
+from usvlearn.estimators.joint.periodic_estimates import Identified, IntervalTerms
 from usvlearn.estimators.joint.state import names
 from usvlearn.logs.setup import Setup
 from usvlearn.model.read_boats import IdentifiedBoat
@@ -34,6 +34,6 @@ def known_boat(spread: float = 0.04, vague: bool = False, lacks=(), **parameters
     """
     theta = np.array([{**HERON, **parameters}[name] for name in names(even=False)])
     covariance = np.diag((spread * theta) ** 2)
-    beside = Beside(0.0, theta, theta, np.maximum(theta**2, 1e-4), vague)
+    beside = IntervalTerms(0.0, theta, theta, np.maximum(theta**2, 1e-4), vague)
     found = Identified({}, "Known.", "", tuple(lacks), MASS, np.zeros(len(theta)), theta, covariance, beside)
     return IdentifiedBoat("heron", Path("known.safetensors"), found, SurgeModel.of(found), SETUP, {}, {})

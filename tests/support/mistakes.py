@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from usvlearn.logs.channels.channel import COMMANDS, METRES, SURGE, Channel, Recording
-from usvlearn.logs.channels.relations import heading_rate
+from usvlearn.logs.channels.correlations import heading_rate
 from usvlearn.logs.checks.data_check import check_data
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.simulate.autopilot import Autopilot

@@ -56,7 +56,7 @@ def lone_filters() -> Planar:
 def save_planar(folder: Path, boat: str, leaves: dict[str, np.ndarray]) -> Path:
     """A checkpoint of `lone_filters` in RUN/planar, with these leaves in place of the first ones; returns its path."""
     path, planar = folder / "planar" / "checkpoints" / boat / "00000_0000001.safetensors", lone_filters()
-    checkpoint.save(path, planar.init(), estimator="Planar", kernel=planar.spec(), boat=boat)
+    checkpoint.save(path, planar.init(), estimator="Planar", kernel=planar.description(), boat=boat)
     first, facts = checkpoint.load(path)
     assert leaves.keys() <= first.keys()
     return checkpoint.save(path, {**first, **leaves}, **facts)

@@ -7,7 +7,7 @@ from rich.console import Console
 from usvlearn import AID, RLS, Ensemble, Persistence, SurgeDynamics
 from usvlearn.core import checkpoint
 from usvlearn.logs.recordings import align_fleet
-from usvlearn.report.from_runs import Tools
+from usvlearn.report.build import Tools
 from usvlearn.runs.replay import replay
 from usvlearn.runs.run_folder import RunFolder
 from usvlearn.simulate.truth import truth_of

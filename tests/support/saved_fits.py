@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from tests.support.fitted_boats import MASS, TOP, boat, mission, simulated
-from usvlearn.core.rows import LEARN, MODE, SURGE
+from usvlearn.core.prepared_samples import LEARN, MODE, SURGE
 from usvlearn.model.fit.diagnostics import diagnostics
 from usvlearn.model.fit.gauss_newton import Fit, Missions
 from usvlearn.model.fit.open_loop import FreeMode

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 from tests.support import exported, exported_bags
 from tests.support.voyages import Voyage
+from usvlearn.logs.inspection.config_writer import KEYS
 from usvlearn.logs.inspection.decision import CERTAIN, UNSURE, Decision, least
-from usvlearn.logs.inspection.written import KEYS
 
 Truth = dict[str, list[dict[str, Any]]]  # channel -> what is right: arguments of a `Source`
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from tests.support.fitted_boats import TOP
-from usvlearn.core.rows import COS, DT, LEARN, LEFT, MODE, RIGHT, ROW, SIN, START, SURGE, YAW_RATE
+from usvlearn.core.prepared_samples import COS, DT, LEARN, LEFT, MODE, RIGHT, ROW, SIN, START, SURGE, YAW_RATE
 from usvlearn.model.fit import turning_kernel as at
 
 TRUE = {at.K1: 0.4, at.K2: 0.8, at.D0: 0.7, at.D1: 1.1, at.D2: 0.7, at.LAG: 0.2, at.LATE: 0.1, at.DEAD: 0.06,

@@ -22,12 +22,12 @@ from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from usvlearn.cli.again import again
+from usvlearn.cli.config_errors import in_one_sentence, known_names
 from usvlearn.cli.configs import configs_folder
-from usvlearn.cli.data_files import with_data_files
-from usvlearn.cli.forgiving import with_keys
-from usvlearn.cli.mistakes import in_one_sentence, known_names
-from usvlearn.cli.stopping import Stopped, in_program, stoppable, stoppable_worker, was_stopped
+from usvlearn.cli.data_configs import with_data_files
+from usvlearn.cli.path_arguments import with_keys
+from usvlearn.cli.resume_command import again
+from usvlearn.cli.signals import Stopped, in_program, stoppable, stoppable_worker, was_stopped
 from usvlearn.cli.sweep import Sweep, cut_short, end_progress, load
 from usvlearn.errors import ConfigError, UsvlearnError, complain, did_you_mean, exit_on_user_error
 from usvlearn.sweeps.launchers import check_launcher

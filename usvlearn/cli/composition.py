@@ -8,9 +8,9 @@ from typing import Any
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
 
+from usvlearn.cli.config_errors import in_one_sentence, known_names
 from usvlearn.cli.configs import configs_folder
-from usvlearn.cli.data_files import with_data_files
-from usvlearn.cli.mistakes import in_one_sentence, known_names
+from usvlearn.cli.data_configs import with_data_files
 from usvlearn.cli.settings import check_settings, instantiate
 from usvlearn.logs.channels.channel import Recording
 

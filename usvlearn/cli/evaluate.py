@@ -6,7 +6,7 @@ from pathlib import Path
 import hydra
 from omegaconf import DictConfig, OmegaConf
 
-from usvlearn.cli.checked import CheckedAlignment
+from usvlearn.cli.checked_alignment import CheckedAlignment
 from usvlearn.cli.command import command
 from usvlearn.cli.composition import plain
 from usvlearn.cli.fit import fit_on_the_way
@@ -24,7 +24,7 @@ from usvlearn.sweeps.leaderboard import leaderboard
 def study(cfg: DictConfig, tools) -> None:
     """Tune on one season, learn the next one, and judge it; goes on where it stopped."""
     from usvlearn.cli.train import work
-    from usvlearn.report.from_runs import evaluate, start_of
+    from usvlearn.report.build import evaluate, start_of
     from usvlearn.report.study import Study
     from usvlearn.sweeps.tuning.tune import request
 
@@ -51,7 +51,7 @@ def main(cfg: DictConfig) -> None:
         raise ConfigError(f"trust: found {cfg.trust!r}, expected a module, or a list")
     board = console()
     with Activity(board, "loading"):
-        from usvlearn.report.from_runs import Tools, evaluate
+        from usvlearn.report.build import Tools, evaluate
         from usvlearn.runs.saved import is_sweep, questions_of_runs, run_folders
         from usvlearn.simulate.truth import truth_of
 

@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from usvlearn.cli.without_hydra import out_folder, run_command
+from usvlearn.cli.plain_command import out_folder, run_command
 from usvlearn.core.checkpoint import write_atomically
 from usvlearn.errors import ConfigError
 

@@ -10,9 +10,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from usvlearn.cli.forgiving import without_key
-from usvlearn.cli.stopping import Stopped, was_stopped
-from usvlearn.cli.without_hydra import out_folder, run_command
+from usvlearn.cli.path_arguments import without_key
+from usvlearn.cli.plain_command import out_folder, run_command
+from usvlearn.cli.signals import Stopped, was_stopped
 from usvlearn.errors import CheckpointError, ConfigError, UsvlearnError, complain, did_you_mean
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from usvlearn.core.samples import Fleet
-    from usvlearn.estimators.joint.reading import Identified
+    from usvlearn.estimators.joint.periodic_estimates import Identified
     from usvlearn.model.fit.fitted import Fitted
     from usvlearn.model.fit.open_loop import FreeMode
 
@@ -70,7 +70,7 @@ def work(arguments: Sequence[str], console: Console | None = None) -> None:
         from usvlearn.model.fit.logs import missions_of, without_losses
         from usvlearn.model.fit.shown import tables
         from usvlearn.model.fit.terms import SETS
-        from usvlearn.runs.layout import CHECKPOINTS
+        from usvlearn.runs.file_names import CHECKPOINTS
         from usvlearn.runs.saved import configuration, results
 
         check_terms(given.terms)
@@ -143,7 +143,7 @@ def fit_on_the_way(folder: Path, console: Console) -> None:
 
 def _check_run(folder: Path) -> None:
     """Raise a ConfigError if there is no folder, or that of a fit."""
-    from usvlearn.runs.layout import RUNS
+    from usvlearn.runs.file_names import RUNS
 
     if not folder.is_dir():
         raise ConfigError(f"{folder}: there is no such folder: give that of a run, which train has written")
@@ -164,7 +164,7 @@ def last_of(folder: Path) -> Last | None:
     from usvlearn.core.checkpoint import newest
     from usvlearn.engine.identified import identified, members_of
     from usvlearn.engine.online import read_checkpoint
-    from usvlearn.live.watched import surge_alone
+    from usvlearn.live.diagnostics import surge_alone
 
     try:
         leaves, facts = surge_alone(*newest(folder, read_checkpoint))
@@ -259,7 +259,7 @@ def _simulation(folder: Path, found: Fitted, fine: Fleet, coarse: Fleet) -> Free
     from usvlearn.evaluation.by_run import FREE, from_csv
     from usvlearn.evaluation.free_simulation import middle
     from usvlearn.model.fit.open_loop import ENSEMBLE, NOTHING, decide
-    from usvlearn.runs.layout import ERRORS
+    from usvlearn.runs.file_names import ERRORS
 
     try:
         errors = from_csv((folder / ERRORS).read_text())
@@ -277,7 +277,7 @@ def write(folder: Path, found: Fitted, last: Last | None, dt: float) -> list[Pat
     """Write the files of a boat, whose checkpoint has steps of `dt`, s; returns their paths."""
     from usvlearn.core import checkpoint
     from usvlearn.model.fit.hand_over import handed_over
-    from usvlearn.runs.layout import CHECKPOINTS
+    from usvlearn.runs.file_names import CHECKPOINTS
 
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{found.boat}.fit.json"
@@ -293,7 +293,7 @@ def write(folder: Path, found: Fitted, last: Last | None, dt: float) -> list[Pat
 
 def _add_to_results(folder: Path, fitted: Sequence[Fitted]) -> None:
     """Say in `results.json` which terms were chosen, and which open-loop simulation to use."""
-    from usvlearn.runs.layout import RESULTS, save_results
+    from usvlearn.runs.file_names import RESULTS, save_results
     from usvlearn.runs.saved import results
 
     if not (folder / RESULTS).exists() or not (known := results(folder)):

@@ -24,10 +24,10 @@ def renew_report(folder: Path, console: Console, data: Mapping[str, Any] | None 
         console: shows how far it is.
         data: the configuration of the run's logs, where they have moved.
     """
-    from usvlearn.cli.checked import CheckedAlignment
+    from usvlearn.cli.checked_alignment import CheckedAlignment
     from usvlearn.cli.settings import instantiate
     from usvlearn.logs.recordings import align_fleet
-    from usvlearn.report.from_runs import Tools, evaluate
+    from usvlearn.report.build import Tools, evaluate
     from usvlearn.runs.saved import configuration
     from usvlearn.simulate.truth import truth_of
     from usvlearn.sweeps.launchers import set_threads

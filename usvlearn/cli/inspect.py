@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from usvlearn.cli.without_hydra import run_command
+from usvlearn.cli.plain_command import run_command
 from usvlearn.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def work(arguments: Sequence[str]) -> None:
         return terminal.show(*confirm(options.logs, options.confirm))
     with Activity(console := terminal.console(), "loading"):
         from usvlearn.core.checkpoint import write_atomically
-        from usvlearn.logs.inspection import screen
+        from usvlearn.logs.inspection import table_view
         from usvlearn.logs.inspection.inspected import inspect_logs
     output = Path(options.output).expanduser()
     if output.suffix not in (".yaml", ".yml"):
@@ -83,7 +83,7 @@ def work(arguments: Sequence[str]) -> None:
             pass
     with Activity(console, "reading, and comparing the channels with each other"):
         found = inspect_logs(options.logs, options.name, options.output, options.any_vehicle)
-    screen.show(found, options.output, console, options.all)
+    table_view.show(found, options.output, console, options.all)
     if found.proposal.missing:
         raise ConfigError(
             f"{options.logs[0]}: found no {', '.join(found.proposal.missing)}, so that nothing was written: "
@@ -96,7 +96,7 @@ def work(arguments: Sequence[str]) -> None:
         )
     write_atomically(output, found.text.encode())
     if options.plot:
-        from usvlearn.logs.inspection.picture import draw
+        from usvlearn.logs.inspection.figure import draw
 
         draw(found, output.with_suffix(".png"))
     terminal.show(*_end(found, output, options.plot))
@@ -118,7 +118,7 @@ def _what_to_do(found: Inspected) -> str:
 
 def _end(found: Inspected, output: Path, plot: bool) -> Iterator[str]:
     from usvlearn.logs.inspection.override import shell_override
-    from usvlearn.logs.inspection.screen import hours
+    from usvlearn.logs.inspection.table_view import hours
 
     yield f"Read back: {len(found.recordings)} run{'s' * (len(found.recordings) > 1)}, {hours(found.recordings):.2f} h."
     if plot:

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from usvlearn.cli.forgiving import without_key
-from usvlearn.cli.without_hydra import out_folder, run_command
+from usvlearn.cli.path_arguments import without_key
+from usvlearn.cli.plain_command import out_folder, run_command
 from usvlearn.errors import ConfigError, printable
 
 if TYPE_CHECKING:
-    from usvlearn.estimators.joint.reading import Identified
+    from usvlearn.estimators.joint.periodic_estimates import Identified
     from usvlearn.model.planning.course import Limits
-    from usvlearn.model.planning.exchange import Plan
+    from usvlearn.model.planning.exchange import BestCourse
     from usvlearn.model.planning.rehearsal import Rehearsal
     from usvlearn.model.read_boats import IdentifiedBoat
 
@@ -92,7 +92,7 @@ class Planned(NamedTuple):
     rehearsal: Rehearsal
     quantities: list[str]  # that the boat's commands can tell
     aims: list[str]  # those that are not well known
-    plan: Plan
+    plan: BestCourse
     mower: Identified  # what a lawn mower is expected to tell
 
 
@@ -145,7 +145,7 @@ def _width(found: Identified, name: str) -> float:
     return found[name].high - found[name].low
 
 
-def _segments(boat: IdentifiedBoat, rehearsal: Rehearsal, plan: Plan, limits: Limits, aims: list[str]):
+def _segments(boat: IdentifiedBoat, rehearsal: Rehearsal, plan: BestCourse, limits: Limits, aims: list[str]):
     """The table of the segments; `why` names the interval that a segment shrinks most."""
     from usvlearn.display import terminal
     from usvlearn.model.planning.course import steps_of
@@ -170,10 +170,10 @@ def _segments(boat: IdentifiedBoat, rehearsal: Rehearsal, plan: Plan, limits: Li
     return table
 
 
-def _intervals(boat: IdentifiedBoat, mower: Identified, plan: Plan, quantities: list[str]):
+def _intervals(boat: IdentifiedBoat, mower: Identified, plan: BestCourse, quantities: list[str]):
     """The table of the intervals."""
     from usvlearn.display import terminal
-    from usvlearn.estimators.joint.reading import shown
+    from usvlearn.estimators.joint.periodic_estimates import shown
     from usvlearn.model.planning.course import SURVEY
 
     table = terminal.Blocks(
@@ -200,7 +200,7 @@ def _determined(now: Identified, after: Identified, quantities: list[str]) -> It
     )
 
 
-def _written(boat: IdentifiedBoat, limits: Limits, plan: Plan, folder: Path) -> Iterator[str]:
+def _written(boat: IdentifiedBoat, limits: Limits, plan: BestCourse, folder: Path) -> Iterator[str]:
     """Write the files; what each is."""
     from usvlearn.core.checkpoint import write_atomically
     from usvlearn.model.planning.schedules import csv_lines, moos_lines

@@ -12,8 +12,8 @@ from usvlearn.cli.fit import last_of, write
 from usvlearn.core import checkpoint
 from usvlearn.display.json_values import finite
 from usvlearn.errors import CheckpointError, ConfigError, UsvlearnError, complain
+from usvlearn.live.message_buffer import recording_of
 from usvlearn.live.missions import FIT, MISSIONS, RESULT, settings_of
-from usvlearn.live.recent import recording_of
 from usvlearn.logs.channels.channel import Recording
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.logs.setup import KEY, Setup

@@ -13,7 +13,7 @@ import hydra
 from hydra.errors import InstantiationException
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from usvlearn.cli.mistakes import in_one_sentence
+from usvlearn.cli.config_errors import in_one_sentence
 from usvlearn.core.former_names import today
 from usvlearn.core.samples import LIMIT, speed_limit
 from usvlearn.errors import ConfigError, UsvlearnError, check_positive, did_you_mean, under
@@ -126,7 +126,7 @@ def planar_of(cfg: Mapping[str, Any], ensemble: Ensemble) -> tuple[Planar | None
     with under("tracks", given):
         found = Planar(ensemble, surge_max=cfg["vehicle"]["surge_max"], **given)
     try:
-        found.spec()
+        found.description()
     except ConfigError as error:
         return None, f"no tracks: {error} (tracks=null asks for none)"
     return found, ""

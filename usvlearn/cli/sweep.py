@@ -18,12 +18,12 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 import usvlearn
-from usvlearn.cli.again import again
-from usvlearn.cli.mistakes import in_one_sentence
-from usvlearn.cli.stopping import defer_signals, end_deferral
-from usvlearn.cli.submitted import wait_for_all
-from usvlearn.core.foreign_yaml import has_alias
+from usvlearn.cli.config_errors import in_one_sentence
+from usvlearn.cli.resume_command import again
+from usvlearn.cli.signals import defer_signals, end_deferral
+from usvlearn.cli.slurm import wait_for_all
 from usvlearn.core.lock import Lock
+from usvlearn.core.safe_yaml import has_alias
 from usvlearn.errors import ConfigError, exit_on_user_error
 from usvlearn.evaluation.measure import measure_of
 from usvlearn.runs.index import check_own

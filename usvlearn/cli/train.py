@@ -12,12 +12,12 @@ from pathlib import Path
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
-from usvlearn.cli.checked import CheckedAlignment
+from usvlearn.cli.checked_alignment import CheckedAlignment
 from usvlearn.cli.command import command
 from usvlearn.cli.composition import plain
 from usvlearn.cli.fit import fit_on_the_way
 from usvlearn.cli.settings import as_written, check_settings, ensemble_of, instantiate, planar_of
-from usvlearn.cli.stopping import until_stopped
+from usvlearn.cli.signals import until_stopped
 from usvlearn.cli.sweep import do_job
 from usvlearn.core.unconfirmed import SECTION, open_questions, unconfirmed
 from usvlearn.display import terminal
@@ -33,10 +33,10 @@ from usvlearn.report.tables import (
     summary_lines,
     track_table,
 )
-from usvlearn.runs.layout import TENSORBOARD
+from usvlearn.runs.file_names import TENSORBOARD
 from usvlearn.sweeps.launchers import set_threads
 from usvlearn.sweeps.seeds import seeded
-from usvlearn.sweeps.tuning.ways import asked
+from usvlearn.sweeps.tuning.methods import asked
 
 
 def work(cfg: DictConfig, folder: Path, overrides: Sequence[str], resume: str | None = None, quiet=False) -> float:
@@ -48,7 +48,7 @@ def work(cfg: DictConfig, folder: Path, overrides: Sequence[str], resume: str | 
     console = terminal.console(quiet)  # of its own: what a worker is sent must be picklable
     with as_written(cfg):
         if not asked(made):
-            from usvlearn.engine.ahead import compiling
+            from usvlearn.engine.background_compile import compiling
 
             with nullcontext() if quiet else compiling(tracks=made.get("tracks") is not None):
                 return train(made, folder, console, resume or cfg.resume, overrides)
@@ -88,8 +88,8 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
         console.print(rejected)
     check_measure(measure_of(cfg.get("objective"), ensemble.output), ensemble, fleet)
     run = RunFolder(
-        folder, fleet, {"configuration": settings, "kernel": ensemble.spec()}, ensemble.names, ensemble.forecasts,
-        align.json, {boat: each.json() for boat, each in setups_of(settings, recordings).items()},
+        folder, fleet, {"configuration": settings, "kernel": ensemble.description()}, ensemble.names,
+        ensemble.forecasts, align.json, {boat: each.json() for boat, each in setups_of(settings, recordings).items()},
         ensemble.accommodated, planar,
     )  # fmt: skip
     start = run.begin(ensemble.init((len(fleet.boats),)), resume)

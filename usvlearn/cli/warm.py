@@ -34,7 +34,7 @@ def warm(float32: bool = False, readers: bool = False, live: bool = False) -> Pa
     from usvlearn.core.jit import folder
     from usvlearn.engine import dispatch
     from usvlearn.engine.first_use import compile_planar, compile_plans
-    from usvlearn.engine.free_runs import compile_free_runs
+    from usvlearn.engine.open_loop_scores import compile_free_runs
     from usvlearn.logs.alignment.align import Aligner
     from usvlearn.logs.channels.channel import REQUIRED, Source
 

@@ -1,4 +1,4 @@
-"""What a family of estimators declares, once: the leaves of its state, its numbers, its choices, and what is legal.
+"""The schema of a family: state arrays, parameters, options, legal ranges.
 
 The layer reads the names, the kernel the places, the engine both, and `engine.check` the ranges. A family is an
 estimator, a wrapper, a combiner, or another part of an ensemble. It declares in its `state.py`
@@ -89,7 +89,7 @@ TRIANGLE = Range(-MOST, MOST, diagonal=LEAST)  # the Cholesky factor of a covari
 ANY = Range(-inf, inf, diverged=True)
 
 
-class Node(IntEnum):
+class Row(IntEnum):
     """The first places in the row of a part; those that the part declares follow."""
 
     FAMILY = 0  # index in the list of families
@@ -127,7 +127,7 @@ def leaf(*shape: int, legal: Range = FINITE, flag: bool = False) -> Any:
 
 
 class Named(IntEnum):
-    """Members are numbered in the order of their declaration. A specification has their names in lower case."""
+    """Members are numbered in the order of their declaration. A description has their names in lower case."""
 
     @property
     def key(self) -> str:
@@ -143,7 +143,7 @@ class Named(IntEnum):
         return member
 
 
-class Numbers(Named):
+class Parameters(Named):
     """Named numbers with their legal range; a value is an offset from the part's first number.
 
     >>> class Number(Numbers):
@@ -161,7 +161,7 @@ class Numbers(Named):
         return member
 
 
-class Vectors(Named):
+class ParameterVectors(Named):
     """Named vectors with their legal range and their length, which is the size unless stated.
 
     A value is the place in a row that holds the place of the vector's first number.
@@ -183,7 +183,7 @@ class Each:
     allowed: tuple[Any, ...]
 
 
-class Choices(Named):
+class Options(Named):
     """Named choices with what is allowed: some values, the whole numbers of a `Range`, or `Each`.
 
     A value is the place in a row that holds the choice: the index of the chosen value, or the whole number itself,
@@ -213,14 +213,14 @@ class Family(Generic[S]):
     """What a family declares.
 
     Attributes:
-        kinds: its names in specifications.
+        kinds: its names in descriptions.
         state: from the size (of forecasts a tuple), and then the values of `lengths`, a state of `Field`s.
         numbers, choices, vectors: its other declarations.
-        size: the legal sizes, or a function from its entries in a specification to its size.
-        facts: what its specifications state beside choices; those of version 0.2 do not.
-        optional: choices that a specification has all or none of.
-        last: numbers, the last ones, that a specification has where it has those choices, and only there.
-        lengths: choices, whole numbers, that also size the state; one that a specification lacks counts as 0.
+        size: the legal sizes, or a function from its entries in a description to its size.
+        facts: what its descriptions state beside choices; those of version 0.2 do not.
+        optional: choices that a description has all or none of.
+        last: numbers, the last ones, that a description has where it has those choices, and only there.
+        lengths: choices, whole numbers, that also size the state; one that a description lacks counts as 0.
         work: from the size, the length of the work array that its kernel needs.
         heading: from its entries, whether it needs the heading.
         remembers: from its entries, whether it needs the inputs that `WithMemory` adds.
@@ -235,14 +235,14 @@ class Family(Generic[S]):
 
     kinds: tuple[str, ...]
     state: Callable[..., S]
-    numbers: type[Numbers] = Numbers
-    choices: type[Choices] = Choices
-    vectors: type[Vectors] = Vectors
+    numbers: type[Parameters] = Parameters
+    choices: type[Options] = Options
+    vectors: type[ParameterVectors] = ParameterVectors
     size: Range | Callable[[Mapping[str, Any]], int] = Range(0, 0)
     facts: Mapping[str, str] = field(default_factory=dict)
-    optional: tuple[Choices, ...] = ()
-    last: tuple[Numbers, ...] = ()
-    lengths: tuple[Choices, ...] = ()
+    optional: tuple[Options, ...] = ()
+    last: tuple[Parameters, ...] = ()
+    lengths: tuple[Options, ...] = ()
     work: Callable[[int], int] = lambda size: 0
     heading: Callable[[Mapping[str, Any]], bool] = lambda own: False
     remembers: Callable[[Mapping[str, Any]], bool] = lambda own: False
@@ -255,20 +255,20 @@ class Family(Generic[S]):
         return _counted(self.state(1, *(1 for _ in self.lengths)), count(LEAVES))
 
     def leaves(self, size: Any, prefix: str = "", own: Mapping[str, Any] | None = None) -> dict[str, Field]:
-        """The leaves of its state by dotted name, in its order; `own` is its entries in a specification."""
+        """The leaves of its state by dotted name, in its order; `own` is its entries in a description."""
         lengths = ((own or {}).get(choice.key, 0) for choice in self.lengths)
         return {prefix + name: each for name, each in named_leaves(self.state(size, *lengths))}
 
-    def chosen(self, own: Mapping[str, Any]) -> list[Choices]:
-        """The choices that a specification must state."""
+    def chosen(self, own: Mapping[str, Any]) -> list[Options]:
+        """The choices that a description must state."""
         return [choice for choice in self.choices if self.stated(own) or choice not in self.optional]
 
-    def numbered(self, own: Mapping[str, Any]) -> list[Numbers]:
-        """The numbers that a specification must have."""
+    def numbered(self, own: Mapping[str, Any]) -> list[Parameters]:
+        """The numbers that a description must have."""
         return [number for number in self.numbers if self.stated(own) or number not in self.last]
 
     def stated(self, own: Mapping[str, Any]) -> bool:
-        """Whether a specification has the optional choices."""
+        """Whether a description has the optional choices."""
         return any(choice.key in own for choice in self.optional)
 
 

@@ -38,7 +38,7 @@ from usvlearn.core.lock import Lock
 from usvlearn.errors import UsvlearnError
 
 try:
-    from usvlearn.core.parts import Part
+    from usvlearn.core.linked_functions import Part
 except (ImportError, AttributeError):  # a version of numba with other internals
     Part = None  # type: ignore[assignment, misc]  # no type says "this class, or None"
 

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple, final
 import torch
 from torch import Tensor, nn
 
-from usvlearn.core.family import Family, Numbers, Vectors
-from usvlearn.core.hyper import numbers
+from usvlearn.core.family import Family, Parameters, ParameterVectors
+from usvlearn.core.hyperparameters import numbers
 from usvlearn.core.samples import PLAUSIBLE, Inputs, Sample, masks, tree_map, where
 from usvlearn.errors import ConfigError
 
@@ -162,8 +162,8 @@ class Estimator(nn.Module, abc.ABC):
         """
         return self.update(state, inputs, surge), self.predict(state, inputs)[1]
 
-    def spec(self) -> dict[str, Any] | None:
-        """The specification by which the engine makes these steps in compiled code (`describe`).
+    def description(self) -> dict[str, Any] | None:
+        """The description by which the engine makes these steps in compiled code (`describe`).
 
         It is not inherited, since a subclass may change the steps: a subclass without its own runs in torch.
 
@@ -171,7 +171,7 @@ class Estimator(nn.Module, abc.ABC):
             Its kind, size, choices and numbers, as JSON stores them; None where there is no compiled code.
 
         >>> from usvlearn import Acceleration
-        >>> Acceleration().spec()["numbers"]
+        >>> Acceleration().description()["numbers"]
         {'surge_dot_max': 2.0, 'surge_max': 10.0}
         """
         return None
@@ -263,18 +263,18 @@ def advance(estimator: Estimator, state: State, step: Step, some: Kinds) -> tupl
 
 
 def spec_of(part: Any) -> dict[str, Any] | None:
-    """The `spec()` of an estimator, or of a part of one; None where its class defines none, or a method was replaced.
+    """The description of an estimator, or of a part of one; None where its class has none, or a method was replaced.
 
     >>> from usvlearn import Persistence
     >>> spec_of(Persistence())["kind"]
     'persistence'
     """
     changed = vars(part).keys() & {"predict", "update", "learn", "start", "inflate_covariance", "combine", "forward"}
-    return part.spec() if "spec" in vars(type(part)) and not changed else None
+    return part.description() if "description" in vars(type(part)) and not changed else None
 
 
 def describe(family: Family[Any], part: Any, **own: Any) -> dict[str, Any]:
-    """A specification: the values of everything that a family declares, read from attributes of the same names.
+    """A description: the values of everything that a family declares, read from attributes of the same names.
 
     Args:
         family: of the part.
@@ -295,7 +295,7 @@ def describe(family: Family[Any], part: Any, **own: Any) -> dict[str, Any]:
     return found | ({"vectors": numbers_of(family.vectors, part, **own)} if len(family.vectors) else {})
 
 
-def numbers_of(declared: Iterable[Numbers | Vectors], part: Any, **own: Any) -> dict[str, Any]:
+def numbers_of(declared: Iterable[Parameters | ParameterVectors], part: Any, **own: Any) -> dict[str, Any]:
     """The declared numbers as JSON values, from attributes of a part or from `own`.
 
     >>> from usvlearn import AID

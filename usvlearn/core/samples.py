@@ -121,7 +121,7 @@ def masks(sample: Sample, surge_limit: float = PLAUSIBLE) -> Masks:
         sample: leaves `(*batch,)`, or `(time, *batch)`.
         surge_limit: m/s; `Estimator.surge_limit`.
 
-    The compiled twin is `usvlearn.core.rows.prepare`.
+    The compiled twin is `usvlearn.core.prepared_samples.prepare`.
 
     >>> one, dt = np.ones(3), np.array([0.4, 0.4, 0.0])
     >>> sample = Sample(Inputs(one, one, one, one, dt), np.array([1.0, 1e6, 1.0]), one > 0, one > 0)

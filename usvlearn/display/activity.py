@@ -1,4 +1,4 @@
-"""What a long command is doing: told where it is done (reading, aligning, drawing), shown where it was started."""
+"""Progress: library code reports a phase, and the command shows it."""
 
 from __future__ import annotations
 

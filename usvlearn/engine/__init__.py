@@ -5,12 +5,12 @@ steps. A table describes the parts of an estimator, and the kernels interpret it
 compilation. A state is one row of numbers per batch element; its leaves are views of that row. The files, in the order
 in which they build on each other:
 
-    kinds         the families that have a kernel; whether a specification consists of them alone
+    kinds         the families that have a kernel; whether a description consists of them alone
     chains        one function for each verb, which calls the kernel of the right family
     dispatch      one estimator with its wrappers, one ensemble, one step; runs over (time, elements)
-    leaves        the leaves of the state of a specified estimator
-    program       from a specification (`Estimator.spec`) to the table, the numbers and the places of the leaves
-    check         checks a specification and a state from a file
+    leaves        the leaves of the state of a described estimator
+    program       from a description (`Estimator.description`) to the table, the numbers and the places of the leaves
+    check         checks a description and a state from a file
     first_use     compiles what runs and live steps need together
     run, single_steps, free_runs    runs over samples, single steps, scored simulations, of arrays
     planar, planar_ellipses    surge, sway and yaw rate together, their tracks, and the ellipses of these
@@ -25,11 +25,11 @@ from typing import Any
 import numpy as np
 
 
-def of_element(description: Any, elements: int, element: int, depth: int = 0) -> Any:
+def select_element(description: Any, elements: int, element: int, depth: int = 0) -> Any:
     """The description of one batch element: where a number differs by batch element, that of this batch element.
 
     >>> many = {"kind": "aid", "numbers": {"gain": [1.0, 2.0], "scale": 28.0}, "vectors": {"spread": [[1.0], [3.0]]}}
-    >>> of_element(many, 2, 1)
+    >>> select_element(many, 2, 1)
     {'kind': 'aid', 'numbers': {'gain': 2.0, 'scale': 28.0}, 'vectors': {'spread': [3.0]}}
     """
     if not isinstance(description, Mapping):
@@ -45,9 +45,9 @@ def of_element(description: Any, elements: int, element: int, depth: int = 0) ->
                 for name, x in value.items()
             }
         elif key == "inner":
-            own[key] = of_element(value, elements, element, depth + (description["kind"] == "bank"))
+            own[key] = select_element(value, elements, element, depth + (description["kind"] == "bank"))
         elif key in ("members", "rules"):
-            own[key] = {name: of_element(x, elements, element) for name, x in value.items()}
+            own[key] = {name: select_element(x, elements, element) for name, x in value.items()}
         else:
             own[key] = value
     return own

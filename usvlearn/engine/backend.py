@@ -1,4 +1,4 @@
-"""Who makes the steps of an estimator of torch: torch, or compiled code where it can. Their states as each other's."""
+"""Chooses the backend, torch or compiled, and converts states between them."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from torch.autograd.forward_ad import unpack_dual
 
 from usvlearn.core.protocol import Estimator, spec_of
 from usvlearn.core.samples import Sample, named_leaves, rebuild
-from usvlearn.engine.kinds import compilable
+from usvlearn.engine.registry import compilable
 from usvlearn.errors import ConfigError, check_choice
 
 BACKENDS = ("auto", "torch", "kernel")
 
 
 def choose(estimator: Estimator, state: Any, samples: Sample, backend: str) -> dict[str, Any] | None:
-    """The specification that the kernels run (`Estimator.spec`), or None where torch makes the steps.
+    """The description that the kernels run (`Estimator.description`), or None where torch makes the steps.
 
     Raises:
         ConfigError: the backend is unknown, or is "kernel" where the kernels cannot run.
@@ -51,7 +51,7 @@ def tree_of(template: Any, leaves: dict[str, np.ndarray], device: torch.device |
 
 
 def description_of(estimator: Estimator, obstacle: str | None, backend: str) -> dict[str, Any] | None:
-    """The specification that the kernels run; where they cannot, None, or a ConfigError if they were asked for."""
+    """The description that the kernels run; where they cannot, None, or a ConfigError if they were asked for."""
     if not obstacle and importlib.util.find_spec("numba") is None:
         obstacle = "numba is not installed (pip install numba)"
     description = None if obstacle else spec_of(estimator)

@@ -10,12 +10,12 @@ from enum import IntEnum
 import numpy as np
 
 from usvlearn.core.arrays import copy
-from usvlearn.core.family import CHOICES, Node
+from usvlearn.core.family import CHOICES, Row
 from usvlearn.core.jit import jit
-from usvlearn.core.rows import DT, HOLD, INPUTS, LEARN, MODE, PREDICT, ROW, START, SURGE, prepare
+from usvlearn.core.prepared_samples import DT, HOLD, INPUTS, LEARN, MODE, PREDICT, ROW, START, SURGE, prepare
 from usvlearn.core.samples import PLAUSIBLE
-from usvlearn.engine.chains import ALONE, INFLATES, coast, inflate_covariance, learn, predict, run_alone
-from usvlearn.engine.chains import start as start_estimator
+from usvlearn.engine.dispatch_tables import ALONE, INFLATES, coast, inflate_covariance, learn, predict, run_alone
+from usvlearn.engine.dispatch_tables import start as start_estimator
 from usvlearn.engine.forecasting import KNOWN_PLACE, PLACE, coasted, forecast_step, forget_forecasts
 from usvlearn.engine.planar import axis_row, tracks
 from usvlearn.estimators.ensemble.accommodation.kernel import accommodate
@@ -53,17 +53,17 @@ class Whole(IntEnum):
 def start(program, node, s, q, surge):
     """`Estimator.start`, wrappers included."""
     start_estimator(node, s, q, surge)
-    if node[Node.MEMORY] >= 0:
-        start_memory(program[node[Node.MEMORY]], s, surge)
-    if node[Node.ROBUST] >= 0:
-        start_robust(program[node[Node.ROBUST]], s)
+    if node[Row.MEMORY] >= 0:
+        start_memory(program[node[Row.MEMORY]], s, surge)
+    if node[Row.ROBUST] >= 0:
+        start_robust(program[node[Row.ROBUST]], s)
 
 
 @jit
 def advance(program, node, s, q, row, learns, work, kept):
     """One estimator, one step on, its wrappers included; returns what it predicted, m/s."""
-    x, rest, remembers, robust = row, work[INPUTS:], node[Node.MEMORY] >= 0, node[Node.ROBUST] >= 0
-    memory = program[max(node[Node.MEMORY], 0)]
+    x, rest, remembers, robust = row, work[INPUTS:], node[Row.MEMORY] >= 0, node[Row.ROBUST] >= 0
+    memory = program[max(node[Row.MEMORY], 0)]
     if remembers:
         x = work[:INPUTS]
         recall(memory, s, row, x)
@@ -78,15 +78,15 @@ def advance(program, node, s, q, row, learns, work, kept):
         if remembers:
             remember(memory, s, q, x, row[SURGE], True)
         return predicted
-    wrapper, state = program[node[Node.ROBUST]], s[node[Node.BEGIN] : node[Node.END]]
+    wrapper, state = program[node[Row.ROBUST]], s[node[Row.BEGIN] : node[Row.END]]
     before = kept[: len(state)]
     copy(before, state)
     target, beyond, clips, first = within(wrapper, s, q, row[SURGE], predicted)
-    if first and INFLATES >> node[Node.FAMILY] & 1:
+    if first and INFLATES >> node[Row.FAMILY] & 1:
         inflate_covariance(node, s, q, inflation(wrapper, q))
     learn(node, s, q, x, estimate, target, rest)
     if remembers:
-        remember(memory, s, q, x, target if node[Node.OUTER] else row[SURGE], True)
+        remember(memory, s, q, x, target if node[Row.OUTER] else row[SURGE], True)
     update_scale(wrapper, s, q, row[SURGE] - predicted, beyond, clips, first, state, before)
     return predicted
 
@@ -152,7 +152,7 @@ def aggregate(program, s, q, predictions, row, learns, work):
 @jit
 def surge_max(program, q):
     """`Ensemble.surge_max`."""
-    return q[program[0, Node.NUMBERS] :][Number.SURGE_MAX]
+    return q[program[0, Row.NUMBERS] :][Number.SURGE_MAX]
 
 
 @jit
@@ -219,8 +219,8 @@ def run(program, head, states, q, rows, poses, columns, free, picked, prediction
         work: array of length `Plan.work`.
     """
     node = program[1]
-    wrapped = node[Node.MEMORY] >= 0 or node[Node.ROBUST] >= 0
-    bare = program[0, Whole.RULES] == 0 and not wrapped and ALONE >> node[Node.FAMILY] & 1
+    wrapped = node[Row.MEMORY] >= 0 or node[Row.ROBUST] >= 0
+    bare = program[0, Whole.RULES] == 0 and not wrapped and ALONE >> node[Row.FAMILY] & 1
     planar = len(head) > 1
     for element in range(first, last):
         s, numbers = states[element], q[element if len(q) > 1 else 0]

@@ -9,9 +9,9 @@ import numpy as np
 
 from usvlearn.core.family import WIDTH
 from usvlearn.core.jit import NUMBA, announced
-from usvlearn.core.rows import ROW, prepare_all
-from usvlearn.engine import ahead, dispatch, forecasting, planar
-from usvlearn.engine.program import Plan, plan_for
+from usvlearn.core.prepared_samples import ROW, prepare_all
+from usvlearn.engine import background_compile, dispatch, forecasting, planar
+from usvlearn.engine.program import Program, program_for
 from usvlearn.estimators.planar.state import PLACES
 
 COMPILING = threading.RLock()  # a fork waits for it
@@ -23,7 +23,7 @@ def compile_steps(dtype: np.dtype) -> None:
     if NUMBA.DISABLE_JIT:  # plain Python, for a debugger
         return
     plan, numbers, work = _smallest(dtype)
-    with COMPILING, announced(dispatch.__file__, ahead.steps_of(dtype)):
+    with COMPILING, announced(dispatch.__file__, background_compile.steps_of(dtype)):
         dispatch.surge_limit(plan.program, numbers[0])
         dispatch.step_once.disable_compile(False)
         state = np.zeros(plan.size, dtype)
@@ -39,7 +39,14 @@ def compile_runs(dtype: np.dtype) -> None:
     plan, numbers, work = _smallest(dtype)
     samples, masks, column = np.zeros((1, 1), dtype), np.zeros((1, 1), bool), np.zeros(1, np.int64)
     rows, picks = np.zeros((1, 1, ROW), dtype), np.zeros((1, 1, 1), dtype)
-    with COMPILING, announced(dispatch.__file__, ahead.runs_of(dtype), ahead.share if ahead.running else None):
+    with (
+        COMPILING,
+        announced(
+            dispatch.__file__,
+            background_compile.runs_of(dtype),
+            background_compile.share if background_compile.running else None,
+        ),
+    ):
         limit = dispatch.surge_limit(plan.program, numbers[0])
         prepare_all(samples, samples, samples, samples, samples, samples, masks, masks, False, limit, rows)
         states = np.zeros((1, plan.size), dtype)
@@ -51,9 +58,9 @@ def compile_runs(dtype: np.dtype) -> None:
         compile_steps(dtype)
 
 
-def _smallest(dtype: np.dtype) -> tuple[Plan, np.ndarray, np.ndarray]:
+def _smallest(dtype: np.dtype) -> tuple[Program, np.ndarray, np.ndarray]:
     """The plan of one estimator without numbers, its numbers, and an array to work in."""
-    plan = plan_for({"kind": "persistence", "size": 0, "numbers": {}}, (), dtype)
+    plan = program_for({"kind": "persistence", "size": 0, "numbers": {}}, (), dtype)
     return plan, np.zeros((1, 1), dtype), np.zeros(plan.work, dtype)
 
 
@@ -64,7 +71,7 @@ def compile_planar(dtype: np.dtype) -> None:
     if NUMBA.DISABLE_JIT:
         return
     plan, numbers, work = _smallest(dtype)
-    with COMPILING, announced(dispatch.__file__, ahead.tracks_of(dtype)):
+    with COMPILING, announced(dispatch.__file__, background_compile.tracks_of(dtype)):
         state, pose, none = np.zeros(plan.size, dtype), np.zeros(5, dtype), np.zeros(0, dtype)
         wide = np.zeros(len(work) + 4 * ROW, dtype)
         dispatch.step_planar.disable_compile(False)

@@ -8,13 +8,10 @@ length, the place of a leaf that is copied instead of it, and that of the flag t
 import numpy as np
 
 from usvlearn.core.arrays import copy, fill, whole
-from usvlearn.core.family import CHOICES, WIDTH, Node
+from usvlearn.core.family import CHOICES, WIDTH, Row
 from usvlearn.core.jit import jit
-from usvlearn.core.rows import DT, INPUTS, LEFT, RIGHT, ROW, SURGE, prepare
-from usvlearn.engine.chains import free_step
-from usvlearn.estimators.ensemble.conditional.kernel import extend_path
-from usvlearn.estimators.ensemble.conditional.state import AT as KNOWN
-from usvlearn.estimators.ensemble.conditional.state import DUE, PATH
+from usvlearn.core.prepared_samples import DT, INPUTS, LEFT, RIGHT, ROW, SURGE, prepare
+from usvlearn.engine.dispatch_tables import free_step
 from usvlearn.estimators.ensemble.forecasts.kernel import (
     begin_again,
     combine,
@@ -26,6 +23,9 @@ from usvlearn.estimators.ensemble.forecasts.kernel import (
     weights_after,
 )
 from usvlearn.estimators.ensemble.forecasts.state import AT, EMPTY, Choice, Vector
+from usvlearn.estimators.ensemble.manoeuvre_intervals.kernel import extend_path
+from usvlearn.estimators.ensemble.manoeuvre_intervals.state import AT as KNOWN
+from usvlearn.estimators.ensemble.manoeuvre_intervals.state import DUE, PATH
 from usvlearn.estimators.wrappers.memory.kernel import recall, remember
 
 PLACE = CHOICES + 8  # in the first row of the table: there stands the index of the forecasts' row, −1 without
@@ -50,8 +50,8 @@ def step_frozen(program, node, slot, q, row, limit, x, work):
     """One step of all members of a slot; writes their predictions, NaN where one is inactive."""
     for m in range(node[Choice.MEMBERS]):
         member = program[node[WIDTH + 1 + m]]
-        if member[Node.MEMORY] >= 0:
-            memory, inputs = program[member[Node.MEMORY]], work[:INPUTS]
+        if member[Row.MEMORY] >= 0:
+            memory, inputs = program[member[Row.MEMORY]], work[:INPUTS]
             recall(memory, slot, row, inputs)
             predicted = free_step(member, slot, q, inputs, work[INPUTS:])
             remember(memory, slot, q, inputs, predicted, False)
@@ -73,7 +73,7 @@ def forget_forecasts(node, s, q):
 def forecast_step(program, node, s, q, row, learns, limit, work):
     """`ForecastSettings.step`, in place."""
     slots, H, M = node[Choice.SLOTS], node[Choice.HORIZONS], node[Choice.MEMBERS]
-    begin, block = node[WIDTH], node[Node.SIZE]
+    begin, block = node[WIDTH], node[Row.SIZE]
     horizons, half, x, rest = q[node[Vector.HORIZONS] :], row[DT] / 2, work[:M], work[M:]
     known, knows = program[max(program[0, KNOWN_PLACE], 0)], program[0, KNOWN_PLACE] >= 0
     if knows:

@@ -1,7 +1,7 @@
 """`identified`: the physical quantities of a boat, from the averaged joint EKF of an ensemble. Imports no torch.
 
-That is the first member that is a joint EKF with periodic estimates (`usvlearn.estimators.joint.reading`). Of a boat in
-the plane the quantities of turning follow (`usvlearn.estimators.axis.turning_intervals`).
+That is the first member that is a joint EKF with `usvlearn.estimators.joint.periodic_estimates`. Of a boat in the
+plane the quantities of turning follow (`usvlearn.estimators.axis.turning_intervals`).
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from usvlearn.engine import of_element
+from usvlearn.engine import select_element
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.axis.turning_intervals import Filter, with_turning
-from usvlearn.estimators.joint.reading import Identified, identify, reader_of
+from usvlearn.estimators.joint.periodic_estimates import Identified, identify, reader_of
 from usvlearn.estimators.planar.state import USED, filter_of
 
 Members = Mapping[str, Mapping[str, Any] | None]  # descriptions by name; None of an estimator without one
@@ -59,7 +59,7 @@ def identified(members: Members, leaves: Mapping[str, np.ndarray]) -> list[Ident
     description, own = reader_leaves(members, leaves)
     boats = len(own["mean"])
     return [
-        identify(of_element(description, boats, element), {key: leaf[element] for key, leaf in own.items()})
+        identify(select_element(description, boats, element), {key: leaf[element] for key, leaf in own.items()})
         for element in range(boats)
     ]
 
@@ -68,7 +68,7 @@ def identified_planar(description: Mapping[str, Any], leaves: Mapping[str, np.nd
     """As `identified`, of boats in the plane: the quantities of turning follow those of the surge.
 
     Args:
-        description: of a `Planar`, as its `spec` gives it.
+        description: of a `Planar`, as its `description` gives it.
         leaves: of its state by dotted name, `(boats, …)`.
 
     Raises:
@@ -80,7 +80,7 @@ def identified_planar(description: Mapping[str, Any], leaves: Mapping[str, np.nd
     >>> joint = JointEKF(surge_max=2.7, read_every=600.0)
     >>> planar = Planar(Ensemble({"joint": joint}, forecasts=ForecastSettings()), surge_max=2.7)
     >>> leaves = {name: leaf.detach().numpy() for name, leaf in named_leaves(planar.init((1,)))}
-    >>> identified_planar(planar.spec(), leaves)[0].lacks[-1]
+    >>> identified_planar(planar.description(), leaves)[0].lacks[-1]
     'Neither heading nor yaw rate was measured under way: nothing is known of turning.'
     """
     surge = {name.removeprefix("surge."): leaf for name, leaf in leaves.items() if name.startswith("surge.")}
@@ -89,7 +89,7 @@ def identified_planar(description: Mapping[str, Any], leaves: Mapping[str, np.nd
     found, boats = [], identified(members, surge)
     for element, each in enumerate(boats):
         yaw, sway = (_filter(axis, description[axis], leaves, len(boats), element) for axis in ("yaw", "sway"))
-        variance = np.asarray(of_element(own, len(boats), element)["vectors"]["variance"], dtype=np.float64)
+        variance = np.asarray(select_element(own, len(boats), element)["vectors"]["variance"], dtype=np.float64)
         found.append(with_turning(each, variance, yaw, sway if float(sway[1]["updates"]) >= USED else None))
     return found
 
@@ -99,10 +99,10 @@ def _filter(
 ) -> Filter:
     """The filter of an axis and its leaves, of one boat."""
     name = filter_of(axis, ensemble)
-    assert name is not None  # see `Planar.spec`
+    assert name is not None  # see `Planar.description`
     prefix = f"{axis}.members.{name}."
     own = {key.removeprefix(prefix): leaf[element] for key, leaf in leaves.items() if key.startswith(prefix)}
-    return of_element(ensemble["members"][name], boats, element), own
+    return select_element(ensemble["members"][name], boats, element), own
 
 
 def sentences(found: Mapping[str, Identified]) -> list[str]:

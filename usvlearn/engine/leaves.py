@@ -1,4 +1,4 @@
-"""The leaves of the state of a specified estimator, in the order of the kernels, with their legal ranges."""
+"""The leaves of the state of a described estimator, in the order of the kernels, with their legal ranges."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.core.family import Field
-from usvlearn.engine.kinds import KINDS, WRAPPERS
+from usvlearn.engine.registry import KINDS, WRAPPERS
 from usvlearn.errors import ShapeError
 from usvlearn.estimators.ensemble import state as ensemble
 from usvlearn.estimators.ensemble.accommodation import state as accommodation
 from usvlearn.estimators.ensemble.combiners.state import RULES
-from usvlearn.estimators.ensemble.conditional import state as conditional
 from usvlearn.estimators.ensemble.conformal import state as conformal
 from usvlearn.estimators.ensemble.forecasts import state as forecasts
+from usvlearn.estimators.ensemble.manoeuvre_intervals import state as conditional
 from usvlearn.estimators.ensemble.monitors import state as monitors
 from usvlearn.estimators.planar import state as track
 from usvlearn.estimators.planar.state import AXES
@@ -28,7 +28,7 @@ KNOWN = "forecasts.conditional."  # prefix of what the intervals of forecasts kn
 
 
 class Part(NamedTuple):
-    """One estimator of a specification, and its wrappers."""
+    """One estimator of a description, and its wrappers."""
 
     own: Description  # without its wrappers
     prefix: str  # of its leaves
@@ -49,7 +49,7 @@ def unwrapped(description: Description, prefix: str = "") -> Part:
 
 
 def leaves_of(description: Description) -> dict[str, Field]:
-    """The leaves of the state of an estimator with this specification.
+    """The leaves of the state of an estimator with this description.
 
     >>> list(leaves_of({"kind": "robust", "inner": {"kind": "persistence", "size": 0}}))
     ['inner.surge', 'variance', 'run', 'clipped', 'rejected', 'escaped']

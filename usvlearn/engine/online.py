@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 
 from usvlearn.core import checkpoint
-from usvlearn.core.plans import Forecast, Track, plan_inputs
+from usvlearn.core.forecasts import Forecast, Track, plan_inputs
 from usvlearn.core.samples import Inputs, PlanarSample, Sample, named_leaves
 from usvlearn.errors import CheckpointError, ConfigError
 
 if TYPE_CHECKING:
     from usvlearn.core.protocol import Estimator
-    from usvlearn.engine.torch_steps import Stepper
-    from usvlearn.estimators.joint.reading import Identified
+    from usvlearn.engine.torch_steps import TorchStepper
+    from usvlearn.estimators.joint.periodic_estimates import Identified
     from usvlearn.estimators.planar.layer import Planar
 
 
@@ -36,7 +36,7 @@ class Online:
     Attributes:
         state: a copy of the estimator's state; it can be set. After `open` it is a dict of arrays by dotted name.
         names: of the predictions in the state's leaf `predictions`, where the estimator is an ensemble.
-        description: how the estimator is built, a dict (`Estimator.spec`); None if it has no compiled code.
+        description: how the estimator is built, a dict (`Estimator.description`); None if it has no compiled code.
         setup: how messages become samples (`usvlearn.logs.setup.Setup.json`), which `save` writes; None if unknown.
 
     Raises:
@@ -52,23 +52,23 @@ class Online:
     """
 
     description: dict[str, Any] | None
-    _template: Stepper | None
+    _template: TorchStepper | None
 
     def __init__(self, estimator: Estimator | Planar, batch: Sequence[int] = (), backend: str = "auto"):
         from usvlearn.core.protocol import Estimator, spec_of
-        from usvlearn.engine.torch_steps import Stepper, live
+        from usvlearn.engine.torch_steps import TorchStepper, live
 
         self._name, self._template = type(estimator).__name__, None
         self.setup: Mapping[str, Any] | None = None
         self._live: Any
         if isinstance(estimator, Estimator):
-            stepper = self._template = Stepper(estimator, batch)  # torch's steps, and the shape of the state
+            stepper = self._template = TorchStepper(estimator, batch)  # torch's steps, and the shape of the state
             self.description = spec_of(estimator)
             self._live = live(estimator, stepper.state, backend) or stepper
         else:
             from usvlearn.engine.backend import arrays_of
 
-            self.description = own = estimator.spec()
+            self.description = own = estimator.description()
             self._live = live_of(own, arrays_of(estimator.init(batch)))
 
     @classmethod
@@ -106,7 +106,7 @@ class Online:
             The estimator, with this state.
 
         >>> from usvlearn import Persistence
-        >>> facts = {"estimator": "Persistence", "kernel": Persistence().spec()}
+        >>> facts = {"estimator": "Persistence", "kernel": Persistence().description()}
         >>> online = Online.of({"surge": np.array(1.5)}, facts)
         >>> online.predict(Inputs(0.0, 0.0, 0.0, 0.0, 0.4))
         1.5
@@ -338,7 +338,7 @@ class Online:
         Raises:
             CheckpointError: it cannot be read, or belongs to another estimator.
         """
-        from usvlearn.engine.check import restored
+        from usvlearn.engine.validate import restored
 
         self.state, metadata = restored(Path(path), self.state, self._name, self.description)
         self.setup = metadata.get("setup", self.setup)
@@ -346,14 +346,14 @@ class Online:
 
 
 def live_of(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -> Any:
-    """What makes single steps of a specified estimator, or of a boat in the plane, in compiled code."""
+    """What makes single steps of a described estimator, or of a boat in the plane, in compiled code."""
     if description["kind"] == "planar":
         from usvlearn.engine.planar_steps import PlanarLive
 
         return PlanarLive(description, leaves)
-    from usvlearn.engine.single_steps import Live
+    from usvlearn.engine.single_steps import CompiledStepper
 
-    return Live(description, leaves)
+    return CompiledStepper(description, leaves)
 
 
 def read_checkpoint(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
@@ -362,7 +362,7 @@ def read_checkpoint(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     Raises:
         CheckpointError: it cannot be read, or its description of the estimator is missing or not legal.
     """
-    from usvlearn.engine.check import check, wrong
+    from usvlearn.engine.validate import check, wrong
 
     leaves, facts = checkpoint.load(path)
     torch = "Online(ESTIMATOR).restore(path), with torch"

@@ -7,18 +7,18 @@ and numbers of the axes lie one behind the other.
 import numpy as np
 
 from usvlearn.core.arrays import fill, whole
-from usvlearn.core.family import Node
+from usvlearn.core.family import Row
 from usvlearn.core.jit import jit
-from usvlearn.core.rows import COS, DT, HOLD, LEARN, LEFT, MODE, PREDICT, RIGHT, ROW, SIN, START, YAW_RATE
-from usvlearn.core.rows import SURGE as TARGET
+from usvlearn.core.prepared_samples import COS, DT, HOLD, LEARN, LEFT, MODE, PREDICT, RIGHT, ROW, SIN, START, YAW_RATE
+from usvlearn.core.prepared_samples import SURGE as TARGET
 from usvlearn.engine.forecasting import PLACE, freeze, step_frozen
 from usvlearn.engine.planar_ellipses import ellipse, follow_surprise, keep_ellipses, publish_due
-from usvlearn.estimators.ensemble.conditional.kernel import begin_path, extend_path
-from usvlearn.estimators.ensemble.conditional.state import PATH
 from usvlearn.estimators.ensemble.forecasts.kernel import between, combine, judged
 from usvlearn.estimators.ensemble.forecasts.state import AT as FORECASTS
 from usvlearn.estimators.ensemble.forecasts.state import EMPTY
 from usvlearn.estimators.ensemble.forecasts.state import Choice as ForecastChoice
+from usvlearn.estimators.ensemble.manoeuvre_intervals.kernel import begin_path, extend_path
+from usvlearn.estimators.ensemble.manoeuvre_intervals.state import PATH
 from usvlearn.estimators.ensemble.state import Number as EnsembleNumber
 from usvlearn.estimators.joint.state import EAST as CURRENT_EAST
 from usvlearn.estimators.joint.state import NORTH as CURRENT_NORTH
@@ -134,9 +134,9 @@ def mixed(axis, program, head, q, slot, after, own, work):
     """One step of the frozen members of an axis, and what they predict together, `after` s from the origin."""
     table, numbers = program[head[axis, PROGRAM] :], q[head[axis, NUMBER] :]
     node = table[table[0, PLACE]]
-    H, M, length = node[ForecastChoice.HORIZONS], node[ForecastChoice.MEMBERS], node[Node.SIZE]
+    H, M, length = node[ForecastChoice.HORIZONS], node[ForecastChoice.MEMBERS], node[Row.SIZE]
     x, weights, rest = work[:M], work[M : 2 * M], work[2 * M :]
-    limit = numbers[table[0, Node.NUMBERS] + EnsembleNumber.SURGE_MAX]
+    limit = numbers[table[0, Row.NUMBERS] + EnsembleNumber.SURGE_MAX]
     block = slot[head[axis, BLOCK] : head[axis, BLOCK] + length]
     step_frozen(table, node, block, numbers, own, limit, x, rest)
     k, rise = between(node, numbers, after)
@@ -205,7 +205,7 @@ def origin(program, head, s, q, slot, psi, surge):
     for axis in range(3):
         table, own = program[head[axis, PROGRAM] :], s[head[axis, STATE] :]
         node = table[table[0, PLACE]]
-        H, M, length = node[ForecastChoice.HORIZONS], node[ForecastChoice.MEMBERS], node[Node.SIZE]
+        H, M, length = node[ForecastChoice.HORIZONS], node[ForecastChoice.MEMBERS], node[Row.SIZE]
         freeze(node, own, slot[head[axis, BLOCK] : head[axis, BLOCK] + length])
         for k in range(H):
             weights = own[node[FORECASTS.rule.weights] + judged(node, own, k) * M :]

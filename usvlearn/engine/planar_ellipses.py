@@ -6,12 +6,18 @@
 import numpy as np
 
 from usvlearn.core.jit import jit
-from usvlearn.core.rows import DT, LEARN, MODE
-from usvlearn.core.rows import SURGE as TARGET
-from usvlearn.estimators.ensemble.conditional.kernel import group_of, halfwidth_held, hold, learn_error, moves_of
-from usvlearn.estimators.ensemble.conditional.state import FAR, HELD, NARROWEST, PATH
+from usvlearn.core.prepared_samples import DT, LEARN, MODE
+from usvlearn.core.prepared_samples import SURGE as TARGET
 from usvlearn.estimators.ensemble.conformal.state import FEW
 from usvlearn.estimators.ensemble.forecasts.state import LEAST, MOST, SHARE
+from usvlearn.estimators.ensemble.manoeuvre_intervals.kernel import (
+    group_of,
+    halfwidth_held,
+    hold,
+    learn_error,
+    moves_of,
+)
+from usvlearn.estimators.ensemble.manoeuvre_intervals.state import FAR, HELD, NARROWEST, PATH
 from usvlearn.estimators.planar.state import (
     AT_EAST,
     AT_NORTH,

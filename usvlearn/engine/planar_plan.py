@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from usvlearn.core.rows import ROW
+from usvlearn.core.prepared_samples import ROW
 from usvlearn.engine.leaves import Description, block_size, forecast_size, track_size
-from usvlearn.engine.program import Leaf, Plan, plan_for
+from usvlearn.engine.program import Leaf, Program, program_for
 from usvlearn.estimators.planar import state as at
 from usvlearn.estimators.planar.state import AXES, FAMILY, TrackState, filter_of
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from numpy.typing import DTypeLike
 
 
-class PlanarPlan(Plan):
-    """As `Plan`, of a `Planar`.
+class PlanarProgram(Program):
+    """As `Program`, of a `Planar`.
 
     Args:
-        description: of a `Planar`, as its `spec` gives it.
-        batch, dtype: as of `Plan`.
+        description: of a `Planar`, as its `description` gives it.
+        batch, dtype: as of `Program`.
     """
 
     def __init__(self, description: Description, batch: Sequence[int] = (), dtype: DTypeLike = np.float64):
@@ -36,7 +36,7 @@ class PlanarPlan(Plan):
         numbers: list[np.ndarray] = []
         begin = width = work = 0
         for row, axis in zip(self.head, AXES, strict=False):
-            plan, own = plan_for(description[axis], self.batch, self.dtype), description[axis]
+            plan, own = program_for(description[axis], self.batch, self.dtype), description[axis]
             name, updates = filter_of(axis, own), 0
             mean = plan.leaves[f"members.{name}.mean"].place
             if axis != "surge":

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from usvlearn.core.plans import Track
+from usvlearn.core.forecasts import Track
 from usvlearn.core.samples import Inputs, PlanarSample, Sample, tree_map
 from usvlearn.engine.backend import arrays_of, tree_of
 from usvlearn.engine.leaves import afresh
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def planar_stretches(
     planar: Planar, state: PlanarState, parts: Iterable[PlanarSample], record: Sequence[str]
 ) -> Iterator[tuple[PlanarState, dict[str, np.ndarray]]]:
-    """`usvlearn.engine.rollouts.stretches` of a boat in the plane.
+    """`usvlearn.engine.rollouts.chunked_rollout` of a boat in the plane.
 
     Args:
         planar, state: as of `Online`.
@@ -34,7 +34,7 @@ def planar_stretches(
     """
     from usvlearn.engine.run import roll
 
-    description, leaves = planar.spec(), arrays_of(state)
+    description, leaves = planar.description(), arrays_of(state)
     dtype, batch = leaves["surge.predictions"].dtype, leaves["surge.predictions"].shape[:-1]
     for part in parts:
         own: PlanarSample = tree_map(lambda x: x if x.dtype == bool else x.astype(dtype, copy=False), part)
@@ -57,7 +57,7 @@ def forecast_tracks(planar: Any, state: PlanarState, inputs: Inputs) -> Track:
     left, right, dt = (np.asarray(x, float) for x in (inputs.command_left, inputs.command_right, inputs.dt))
     if dt.size == 0 or not (dt == dt.flat[0]).all():
         raise ConfigError(f"inputs.dt: found {dt.size} lengths that differ, expected one for all steps, s")
-    return PlanarLive(planar.spec(), arrays_of(state)).track(np.stack([left, right], -1), float(dt.flat[0]))
+    return PlanarLive(planar.description(), arrays_of(state)).track(np.stack([left, right], -1), float(dt.flat[0]))
 
 
 def with_poses(samples: Sample, poses: np.ndarray | None) -> PlanarSample:

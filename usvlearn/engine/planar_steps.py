@@ -9,29 +9,29 @@ from typing import Any
 import numpy as np
 from numba.core.errors import NumbaError
 
-from usvlearn.core.plans import Track, plan_commands, track_of
+from usvlearn.core.forecasts import Track, plan_commands, track_of
 from usvlearn.core.samples import PlanarSample, Sample, check_sample, one_number
 from usvlearn.engine import dispatch
 from usvlearn.engine.first_use import compile_planar
 from usvlearn.engine.leaves import Description
 from usvlearn.engine.planar import FOUND, track_plan
-from usvlearn.engine.planar_plan import PlanarPlan
-from usvlearn.engine.single_steps import Live
+from usvlearn.engine.planar_plan import PlanarProgram
+from usvlearn.engine.single_steps import CompiledStepper
 from usvlearn.errors import ShapeError
 from usvlearn.estimators.planar.state import POSE
 
 UNKNOWN = np.full(POSE, math.nan)
 
 
-class PlanarLive(Live):
-    """As `Live`, of a `Planar`. The surge lies first in its states, so that what `Live` does with it holds here, too.
+class PlanarLive(CompiledStepper):
+    """A `CompiledStepper` of a `Planar`. The surge lies first in its states, where the base class expects it.
 
     Args:
-        description: of a `Planar` (`Planar.spec`).
+        description: of a `Planar` (`Planar.description`).
         leaves: of its state.
     """
 
-    plan: PlanarPlan
+    plan: PlanarProgram
 
     def __init__(self, description: Description, leaves: Mapping[str, np.ndarray]):
         super().__init__(description, leaves)
@@ -105,7 +105,7 @@ class PlanarLive(Live):
         return predictions, widths
 
 
-def _wide(name: str, value: Any, plan: PlanarPlan) -> np.ndarray:
+def _wide(name: str, value: Any, plan: PlanarProgram) -> np.ndarray:
     """A measured number for each batch element."""
     try:
         found = np.asarray(one_number(value), float)

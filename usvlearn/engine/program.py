@@ -1,7 +1,7 @@
-"""Lowers a specification to what the kernels interpret: a table, numbers, and the places of the leaves.
+"""Lowers a description to what the kernels interpret: a table, numbers, and the places of the leaves.
 
-A specification (`Estimator.spec`) has JSON values only: `kind`, `size`, `numbers` and `vectors` by name
-(hyperparameters broadcast against the batch), the choices, and the specification of the estimator that it wraps.
+A description (`Estimator.description`) has JSON values only: `kind`, `size`, `numbers` and `vectors` by name
+(hyperparameters broadcast against the batch), the choices, and the description of the estimator that it wraps.
 """
 
 from __future__ import annotations
@@ -13,18 +13,18 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.core.family import LEAVES, WIDTH, Family, Field, Node
-from usvlearn.core.rows import INPUTS, ROW
+from usvlearn.core.family import LEAVES, WIDTH, Family, Field, Row
+from usvlearn.core.prepared_samples import INPUTS, ROW
 from usvlearn.engine.dispatch import Whole
-from usvlearn.engine.kinds import ESTIMATORS, KINDS, WRAPPERS
 from usvlearn.engine.leaves import KNOWN, Description, Part, forecast_size, frozen, unwrapped
+from usvlearn.engine.registry import ESTIMATORS, KINDS, WRAPPERS
 from usvlearn.errors import ShapeError
 from usvlearn.estimators.ensemble import state as ensemble
 from usvlearn.estimators.ensemble.accommodation import state as accommodation
 from usvlearn.estimators.ensemble.combiners.state import RULES
-from usvlearn.estimators.ensemble.conditional import state as conditional
 from usvlearn.estimators.ensemble.conformal import state as conformal
 from usvlearn.estimators.ensemble.forecasts import state as forecasts
+from usvlearn.estimators.ensemble.manoeuvre_intervals import state as conditional
 from usvlearn.estimators.ensemble.monitors import state as monitors
 from usvlearn.estimators.planar.state import PLACES
 
@@ -43,26 +43,26 @@ class Leaf(NamedTuple):
     flag: bool  # whether it is bool
 
 
-def plan_for(description: Description, batch: Sequence[int], dtype: np.dtype) -> Plan:
-    """The `Plan`, cached, because a replay needs the same one for every chunk."""
+def program_for(description: Description, batch: Sequence[int], dtype: np.dtype) -> Program:
+    """The `Program`, cached, because a replay needs the same one for every chunk."""
     return _plan(json.dumps(description), tuple(batch), np.dtype(dtype))
 
 
 @lru_cache(maxsize=8)
-def _plan(description: str, batch: tuple[int, ...], dtype: np.dtype) -> Plan:
+def _plan(description: str, batch: tuple[int, ...], dtype: np.dtype) -> Program:
     found = json.loads(description)
     if found["kind"] == "planar":
-        from usvlearn.engine.planar_plan import PlanarPlan
+        from usvlearn.engine.planar_plan import PlanarProgram
 
-        return PlanarPlan(found, batch, dtype)
-    return Plan(found, batch, dtype)
+        return PlanarProgram(found, batch, dtype)
+    return Program(found, batch, dtype)
 
 
-class Plan:
+class Program:
     """A table, its numbers and the places of the leaves, for one estimator and batch.
 
     Args:
-        description: of an estimator, as `Estimator.spec` gives it.
+        description: of an estimator, as `Estimator.description` gives it.
         batch: of its state.
         dtype: of the state, float64 or float32.
 
@@ -78,7 +78,7 @@ class Plan:
     Raises:
         ShapeError: a hyperparameter does not broadcast against the batch.
 
-    >>> one = Plan({"kind": "persistence", "size": 0, "numbers": {}})
+    >>> one = Program({"kind": "persistence", "size": 0, "numbers": {}})
     >>> one.unpack(np.ones((1, one.size)))["surge"]
     array(1.)
     """
@@ -116,7 +116,7 @@ class Plan:
         """States, `(elements, size)`, from leaves `(*batch, …)` by dotted name; a ShapeError where they do not fit."""
         if other := sorted(self.leaves.keys() ^ leaves.keys()):
             raise ShapeError(
-                f"leaves: found {', '.join(other[:4])} in only one of the state and the specification, "
+                f"leaves: found {', '.join(other[:4])} in only one of the state and the description, "
                 "expected the same leaves in both"
             )
         for name, (shape, _, _) in self._layout.items():
@@ -162,7 +162,7 @@ class Plan:
                 estimators.append(self._others[made[k]])
                 made[k] += first
         for row in estimators:
-            for wrapper in (Node.MEMORY, Node.ROBUST):
+            for wrapper in (Row.MEMORY, Row.ROBUST):
                 row[wrapper] += first if row[wrapper] >= 0 else 0
         for part in (Whole.CONFORMAL, Whole.MONITORS, Whole.FORECASTS, Whole.KNOWN, Whole.ACCOMMODATION):
             whole[part] += first if whole[part] >= 0 else 0
@@ -176,10 +176,10 @@ class Plan:
     ) -> list[int]:
         """Add the leaves, numbers and choices of one part with the entries `own`; returns its row."""
         row = [-1] * WIDTH
-        row[Node.SIZE], row[Node.BEGIN], row[Node.NUMBERS] = size, self.size, len(self._columns)
+        row[Row.SIZE], row[Row.BEGIN], row[Row.NUMBERS] = size, self.size, len(self._columns)
         for place, (leaf, field) in enumerate(family.leaves(size, prefix, own).items(), LEAVES):
             row[place] = self._place(leaf, field)
-        row[Node.END] = self.size
+        row[Row.END] = self.size
         for number in family.numbered(own):
             value = np.asarray(own["numbers"][number.key], float)[..., None]
             self._vector(value, 1, f"{name}: {number.key}", setting)
@@ -240,17 +240,17 @@ class Plan:
         own, prefix, wrappers = unwrapped(description, prefix)
         kind, family = own["kind"], KINDS[own["kind"]]
         row = self._part(family, own, own["size"], prefix, prefix.rstrip(".") or kind, setting)
-        row[Node.FAMILY], row[Node.KIND] = ESTIMATORS.index(family), family.kinds.index(kind)
-        row[Node.OUTER] = int(next(iter(wrappers), None) == "robust")
-        for name, place in (("memory", Node.MEMORY), ("robust", Node.ROBUST)):
+        row[Row.FAMILY], row[Row.KIND] = ESTIMATORS.index(family), family.kinds.index(kind)
+        row[Row.OUTER] = int(next(iter(wrappers), None) == "robust")
+        for name, place in (("memory", Row.MEMORY), ("robust", Row.ROBUST)):
             if name in wrappers:
                 wrapper, before = wrappers[name]
                 row[place] = len(self._others)
                 self._others.append(self._part(WRAPPERS[name], wrapper, 0, before, before, setting))
-                if name == "memory" and row[Node.OUTER]:
-                    row[Node.END] = self.size
+                if name == "memory" and row[Row.OUTER]:
+                    row[Row.END] = self.size
         self._estimators.append(row)
-        self._kept = max(self._kept, row[Node.END] - row[Node.BEGIN])
+        self._kept = max(self._kept, row[Row.END] - row[Row.BEGIN])
         return family.heading(own)
 
     def _ensemble(self, description: Description) -> list[int]:
@@ -278,7 +278,7 @@ class Plan:
             if description.get("conditional"):
                 row[Whole.KNOWN] = len(self._others)
                 known = self._part(conditional.FAMILY, {}, forecast_size(made)[:2], KNOWN, "forecasts")
-                known[Node.SIZE] = 0  # the table has whole numbers only
+                known[Row.SIZE] = 0  # the table has whole numbers only
                 self._others.append(known)
         if given := description.get("accommodation"):
             row[Whole.ACCOMMODATION] = len(self._others)
@@ -302,7 +302,7 @@ class Plan:
             if name.startswith("forecasts.frozen."):
                 self.leaves[name] = Leaf(begin + place, (slots, *shape), (block, *strides), flag)
         self.size += slots * block
-        row[Node.SIZE] = self.slot = block
+        row[Row.SIZE] = self.slot = block
         self._largest += 2 * members + conditional.PATH
         return [*row, begin, *rows, *columns, len(copies) // 5, *copies]
 
@@ -332,10 +332,10 @@ class Plan:
             self._others.append([*row[:LEAVES], *leaves, *row[LEAVES + len(leaves) :]])
             return len(self._others) - 1
 
-        own, memory = list(member), member[Node.MEMORY]
-        own[Node.ROBUST] = -1
+        own, memory = list(member), member[Row.MEMORY]
+        own[Row.ROBUST] = -1
         if memory >= 0:
-            own[Node.MEMORY] = at(self._others[memory], WRAPPERS["memory"], 0, part.wrappers["memory"][1])
+            own[Row.MEMORY] = at(self._others[memory], WRAPPERS["memory"], 0, part.wrappers["memory"][1])
         return at(own, KINDS[part.own["kind"]], part.own["size"], part.prefix), block
 
     def _rule(self, rule: Description, name: str, count: int) -> list[int]:
@@ -346,6 +346,6 @@ class Plan:
             end = begin + vector.length(len(columns))
             vectors[vector.key], begin = rule["vector"][begin:end], end
         row = self._part(family, {**rule, "vectors": vectors}, len(columns), f"combiners.{name}.", name)
-        row[Node.FAMILY] = list(RULES).index(rule["kind"])
+        row[Row.FAMILY] = list(RULES).index(rule["kind"])
         self._largest = max(self._largest, 2 * count + family.work(len(columns)))
         return [*row, *columns]

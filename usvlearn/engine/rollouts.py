@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usvlearn.core.plans import NONE, Forecast, Track, check_plan
+from usvlearn.core.forecasts import NONE, Forecast, Track, check_plan
 from usvlearn.core.protocol import EVERY, Estimator, Kinds, State, Step, advance, clean
 from usvlearn.core.samples import Inputs, Sample, named_leaves, tree_map
 from usvlearn.engine.backend import array_of, arrays_of, choose, is_transformed, tensors_in, tree_of
@@ -133,7 +133,7 @@ def forecast(estimator: Any, state: State, inputs: Inputs) -> Forecast | Track:
     return Forecast(inputs.dt.cumsum(0), surge, surge - width, surge + width)
 
 
-def stretches(
+def chunked_rollout(
     estimator: Estimator, state: State, samples: Iterable[Sample], record: Sequence[str]
 ) -> Iterator[tuple[State, dict[str, np.ndarray]]]:
     """`rollout` without gradients, over consecutive stretches of NumPy samples, which the kernels read uncopied.

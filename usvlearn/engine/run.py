@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from usvlearn.core.rows import ROW, prepare_all
+from usvlearn.core.prepared_samples import ROW, prepare_all
 from usvlearn.core.samples import PlanarSample, Sample, named_leaves, tree_map
 from usvlearn.engine import dispatch as step
 from usvlearn.engine.first_use import compile_runs
 from usvlearn.engine.leaves import Description
-from usvlearn.engine.program import Plan, plan_for
+from usvlearn.engine.program import Program, program_for
 
 
 class Result(NamedTuple):
@@ -44,7 +44,7 @@ def roll(
     """
     own = samples.sample if isinstance(samples, PlanarSample) else samples
     steps, *batch = own.surge.shape
-    plan = plan_for(description, batch, own.surge.dtype)
+    plan = program_for(description, batch, own.surge.dtype)
     states = plan.pack(leaves)
     places = {name: plan.places(name) for name in record}
     picked = np.concatenate([np.zeros(0, np.int64), *(x.reshape(-1) for x in places.values())])
@@ -73,13 +73,13 @@ def roll(
     return Result(plan.unpack(states), together, kept)
 
 
-def _poses(samples: PlanarSample, plan: Plan) -> np.ndarray:
+def _poses(samples: PlanarSample, plan: Program) -> np.ndarray:
     """What is measured at the end of each step, `(elements, time, 5)`."""
     wide = [np.asarray(x, plan.dtype).reshape(len(x), plan.elements).T for x in samples[1:]]
     return np.ascontiguousarray(np.stack(wide, -1))
 
 
-def prepared(samples: Sample, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
+def prepared(samples: Sample, plan: Program) -> tuple[np.ndarray, np.ndarray]:
     """Prepared samples, `(columns, time, ROW)`, and the column that each batch element sees, `(elements,)`.
 
     Batch elements that share their samples, along an axis of stride 0, share a column.

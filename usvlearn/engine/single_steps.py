@@ -11,32 +11,32 @@ from typing import Any
 import numpy as np
 from numba.core.errors import NumbaError
 
-from usvlearn.core.plans import NONE
+from usvlearn.core.forecasts import NONE
 from usvlearn.core.samples import Inputs, PlanarSample, Sample, check_sample, one_number
 from usvlearn.engine import dispatch as step
 from usvlearn.engine.first_use import COMPILING, compile_plans, compile_steps
 from usvlearn.engine.forecasting import forecast_plan
 from usvlearn.engine.leaves import Description, batch_of, leaves_of
-from usvlearn.engine.program import plan_for
+from usvlearn.engine.program import program_for
 from usvlearn.errors import ConfigError
 
 LIVE = step.step_once
 Element = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # its first arguments: program, state, numbers, work
-ALIVE: weakref.WeakSet[Live] = weakref.WeakSet()  # a fork waits for the steps of all of them
-WAITING: list[Live] = []  # a fork holds the locks of these
+ALIVE: weakref.WeakSet[CompiledStepper] = weakref.WeakSet()  # a fork waits for the steps of all of them
+WAITING: list[CompiledStepper] = []  # a fork holds the locks of these
 
 
-class Live:
+class CompiledStepper:
     """Makes one estimator's steps in place.
 
     Args:
-        description: of the estimator (`Estimator.spec`).
+        description: of the estimator (`Estimator.description`).
         leaves: of its state, `(*batch, …)`, by dotted name; all float64 or all float32, but for those that are bool.
 
     Raises:
         ShapeError: the leaves are not those of such an estimator.
 
-    >>> live = Live({"kind": "persistence", "size": 0, "numbers": {}}, {"surge": np.array(1.5)})
+    >>> live = CompiledStepper({"kind": "persistence", "size": 0, "numbers": {}}, {"surge": np.array(1.5)})
     >>> live.step(Sample(Inputs(0.0, 0.0, 0.0, 0.0, 0.4), surge=1.6, fresh=True, measured=True))
     1.5
     >>> float(live.leaves["surge"])
@@ -46,7 +46,7 @@ class Live:
     def __init__(self, description: Description, leaves: Mapping[str, np.ndarray]):
         self._description, self._lock = description, threading.RLock()  # all steps share one work array
         first = next(x for x in leaves.values() if x.dtype != bool)
-        self.plan = plan_for(description, batch_of(leaves_of(description), leaves), first.dtype)
+        self.plan = program_for(description, batch_of(leaves_of(description), leaves), first.dtype)
         self.states = self.plan.pack(leaves)
         self._spare = self.states.copy()  # `predict` steps this copy
         self._work = np.empty(self.plan.work, first.dtype)
@@ -57,7 +57,7 @@ class Live:
         compile_steps(first.dtype)
 
     def __reduce__(self) -> tuple[Any, ...]:  # `_steps` holds views of `states`: a copy must make its own
-        return Live, (self._description, self.leaves)
+        return CompiledStepper, (self._description, self.leaves)
 
     @property
     def batch(self) -> tuple[int, ...]:

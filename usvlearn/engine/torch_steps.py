@@ -9,14 +9,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usvlearn.core.plans import NONE
+from usvlearn.core.forecasts import NONE
 from usvlearn.core.protocol import Estimator
 from usvlearn.core.samples import Inputs, Sample, check_inputs, check_sample, one_number, tree_map
 from usvlearn.engine.backend import BACKENDS, array_of, arrays_of, description_of, out_of_reach, tensors_in, tree_of
 from usvlearn.errors import ConfigError, check_choice
 
 
-class Stepper:
+class TorchStepper:
     """The steps of one state by torch, without gradients, on numbers of any type; as `engine.single_steps.Live`."""
 
     def __init__(self, estimator: Estimator, batch: Sequence[int]):
@@ -91,9 +91,9 @@ def live(estimator: Estimator, state: Any, backend: str) -> Any:
     obstacle = out_of_reach([*tensors_in(state), *estimator.parameters(), *estimator.buffers()])
     if (description := description_of(estimator, obstacle, backend)) is None:
         return None
-    from usvlearn.engine.single_steps import Live
+    from usvlearn.engine.single_steps import CompiledStepper
 
-    return Live(description, arrays_of(state))
+    return CompiledStepper(description, arrays_of(state))
 
 
 def _plain(predicted: Tensor) -> float | np.ndarray:

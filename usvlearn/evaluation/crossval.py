@@ -142,7 +142,7 @@ def _simulated(ensemble: Ensemble, state: Any, runs: Sequence[Sample], advance: 
     scored = masks(samples, ensemble.surge_limit).learns.to(dtype).sum(0).cpu().numpy()
     whole = tree_map(lambda x: x[:, None].expand(-1, *batch), samples)
     if (description := choose(ensemble, state, whole, backend)) is not None:
-        from usvlearn.engine.free_runs import free_totals
+        from usvlearn.engine.open_loop_scores import free_totals
 
         rules = [list(ensemble.combiners).index(name) for name in learning]
         arrays = arrays_of(state), tree_map(array_of, whole)

@@ -47,7 +47,7 @@ def horizon_sums(
 
     Args:
         fleet: what was replayed.
-        published: stretches with `forecasts` and `forecast_halfwidths`, as `usvlearn.runs.published` says.
+        published: stretches with `forecasts` and `forecast_halfwidths`, as `usvlearn.runs.prediction_files` says.
         horizons: s.
         names: of the columns of forecasts; the last is the ensemble's.
         surge_limit: m/s, of the ensemble.

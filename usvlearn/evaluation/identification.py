@@ -10,7 +10,7 @@ from usvlearn.core.protocol import spec_of
 from usvlearn.core.samples import named_leaves
 from usvlearn.engine.identified import identified, identified_planar
 from usvlearn.estimators.ensemble.layer import Ensemble
-from usvlearn.estimators.joint.reading import Identified
+from usvlearn.estimators.joint.periodic_estimates import Identified
 from usvlearn.estimators.planar.layer import Planar
 
 Truth = Mapping[str, Mapping[str, float]]  # boat -> quantity -> value
@@ -46,7 +46,7 @@ def identified_planar_boats(planar: Planar, state: Any, boats: Sequence[str]) ->
     if planar.surge.averaged is None:
         return {}
     leaves = {key: as_array(leaf) for key, leaf in named_leaves(state) if ".members." in key}
-    return dict(zip(boats, identified_planar(planar.spec(), leaves), strict=True))
+    return dict(zip(boats, identified_planar(planar.description(), leaves), strict=True))
 
 
 def as_results(found: Mapping[str, Identified], truth: Truth) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from usvlearn.core.samples import PLAUSIBLE, Sample, masks
-from usvlearn.estimators.ensemble.conditional.state import LITTLE, MUCH
+from usvlearn.estimators.ensemble.manoeuvre_intervals.state import LITTLE, MUCH
 
 GROUPS = ("stay", "move", "move_much")
 

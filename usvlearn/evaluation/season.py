@@ -16,7 +16,7 @@ class SeasonRun(NamedTuple):
     name: str
     key: str  # a sha256 of the samples
     samples: Sample  # leaves (time,), NumPy
-    published: dict[str, np.ndarray]  # (time, ...) online predictions (`usvlearn.runs.published`), or empty
+    published: dict[str, np.ndarray]  # (time, ...) online predictions (`usvlearn.runs.prediction_files`), or empty
     time: np.ndarray  # (time,) s
     position: np.ndarray | None = None  # (time, 2) m north and east, if the log has it
     surge_limit: float = PLAUSIBLE  # m/s, of the ensemble that is judged

@@ -1,4 +1,4 @@
-"""How far tracks were from where the boat was, beside two that need no learning; and how often their ellipses hold it.
+"""Position errors of tracks against two baselines, and the coverage of the ellipses.
 
 tracks                   those of `usvlearn.Planar`, with the commands that came
 constant turn            the measured speed and yaw rate of the origin go on

@@ -1,4 +1,4 @@
-"""What a node says about itself, once a second."""
+"""The node's health, published once a second."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Health(NamedTuple):
     alarm: str | None  # the side whose thruster seems to have failed, while the alarm is on
     uptime: float  # s
     saved: float  # s since the last save; infinite: none yet
-    contraction: dict[str, dict[str, Any]]  # network -> see `usvlearn.live.watched.networks`
+    contraction: dict[str, dict[str, Any]]  # network -> see `usvlearn.live.diagnostics.networks`
     identified: dict[str, tuple[float, float, float, str]]  # quantity -> value, low, high, unit
     warnings: tuple[str, ...]  # sentences
     notes: tuple[str, ...] = ()  # sentences about what cannot be known

@@ -25,8 +25,8 @@ from usvlearn.errors import CheckpointError, printable
 from usvlearn.estimators.axis.turning_quantities import QUANTITIES as TURNING
 from usvlearn.live.background import Background
 from usvlearn.live.health import Refit
+from usvlearn.live.message_buffer import Recent
 from usvlearn.live.node_folder import status_of
-from usvlearn.live.recent import Recent
 from usvlearn.live.start import Options
 from usvlearn.logs.channels.channel import COMMANDS, SURGE
 from usvlearn.logs.setup import KEY, Setup

@@ -19,14 +19,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.core.events import Event
-from usvlearn.core.plans import YAW_RATE, Forecast, Track
+from usvlearn.core.forecasts import YAW_RATE, Forecast, Track
 from usvlearn.core.samples import Inputs, PlanarSample, Sample
 from usvlearn.engine.online import Online
 from usvlearn.errors import ConfigError, ShapeError
-from usvlearn.live import watched
-from usvlearn.live.held import HeldIntervals
+from usvlearn.live import diagnostics
+from usvlearn.live.held_command_intervals import HeldIntervals
 from usvlearn.live.live_poses import LivePoses
-from usvlearn.live.plan_requests import Plan, answer, parse_plan, sampled
+from usvlearn.live.plan_requests import PlannedCommands, answer, parse_plan, sampled
 from usvlearn.live.track_points import Point, points
 from usvlearn.logs.alignment.mixing import LiveMix, Mix
 from usvlearn.logs.channels.channel import CHANNELS, SURGE
@@ -103,16 +103,16 @@ class Node:
         description = online.description
         if description is None:
             raise ConfigError("estimator: found one without compiled code, expected one that has it")
-        own, _ = watched.surge_of(online)
+        own, _ = diagnostics.surge_of(online)
         self._output = str(own.get("output"))
-        self._watch = watched.event_watch(own)
+        self._watch = diagnostics.event_watch(own)
         self.origin = math.nan  # stamps are counted from here, s
         self.derived: float | None = None
         self.took: Callable[[str, float, float], None] = lambda *_: None
         self.dt = float(setup.align["dt"])
         self.horizons, self.track_horizons = (
             tuple(each for each in found if round(each / self.dt) <= LONGEST)
-            for found in (watched.horizons(own), watched.track_horizons(description))
+            for found in (diagnostics.horizons(own), diagnostics.track_horizons(description))
         )
         self.held = HeldIntervals(self.horizons, self.dt)
         self.last = math.nan  # the end of the last step, s, as the messages are stamped
@@ -292,7 +292,7 @@ class Node:
             found = str(error)
         return answer(text, self.last, found)
 
-    def _planned(self, plan: Plan) -> Forecast | Track:
+    def _planned(self, plan: PlannedCommands) -> Forecast | Track:
         last = float(plan.time[-1]) / self.dt  # steps until then; infinite where t is as large as numbers go
         if last >= LONGEST:
             raise ConfigError(f"plan: found t {plan.time[-1]:g}, expected at most {(LONGEST - 1) * self.dt:g} s")
@@ -322,7 +322,7 @@ class Node:
         """The events of this step, at `time`, s."""
         if self._watch is None:
             return ()
-        found = self._watch.see(time, watched.event_row(self.online, self._watch.filters))
+        found = self._watch.see(time, diagnostics.event_row(self.online, self._watch.filters))
         losses = sorted(self._watch.losses.values(), key=lambda event: event.effectiveness)
         self.loss = losses[0] if losses else None
         self.alarm = self.loss and self.loss.side

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.core.plans import Forecast, Track
+from usvlearn.core.forecasts import Forecast, Track
 from usvlearn.errors import ConfigError
 from usvlearn.live.track_points import Point, points
 
@@ -31,7 +31,7 @@ HEADER = re.compile(r"t\s*,\s*left\s*,\s*right(\s*,\s*heading)?")
 EXPECTED = 'expected rows t,left,right or t,left,right,heading, or {"t": […], "left": […], "right": […]}'
 
 
-class Plan(NamedTuple):
+class PlannedCommands(NamedTuple):
     """What will be commanded, arrays `(rows,)`."""
 
     time: np.ndarray  # s from now, increasing
@@ -40,7 +40,7 @@ class Plan(NamedTuple):
     heading: np.ndarray | None  # in the unit of the heading channel
 
 
-def parse_plan(text: str) -> Plan:
+def parse_plan(text: str) -> PlannedCommands:
     """The plan in a text.
 
     Raises:
@@ -67,7 +67,7 @@ def parse_plan(text: str) -> Plan:
                 raise ConfigError(f"plan: found {name} {value:g} in row {k}, expected -1 to 1, shares of full scale")
     if time[0] < 0 or not (np.diff(time) > 0).all():
         raise ConfigError("plan: found times t that do not rise from 0 on, expected s from now, increasing")
-    return Plan(time, columns[1], columns[2], columns[3] if len(columns) > 3 else None)
+    return PlannedCommands(time, columns[1], columns[2], columns[3] if len(columns) > 3 else None)
 
 
 def is_json(text: str) -> bool:
@@ -119,7 +119,7 @@ def _of_text(text: str) -> list[list[float]]:
     return rows
 
 
-def sampled(plan: Plan, edges: np.ndarray, before: np.ndarray, side: str) -> np.ndarray:
+def sampled(plan: PlannedCommands, edges: np.ndarray, before: np.ndarray, side: str) -> np.ndarray:
     """The mean command of a side in each step, `(steps,)`.
 
     Args:

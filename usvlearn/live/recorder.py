@@ -22,7 +22,7 @@ from usvlearn.core import checkpoint
 from usvlearn.core.checkpoint import SUFFIX, write_atomically
 from usvlearn.core.unconfirmed import SECTION
 from usvlearn.errors import printable
-from usvlearn.live.watched import PLANAR, surge_alone
+from usvlearn.live.diagnostics import PLANAR, surge_alone
 from usvlearn.logs.channels.channel import SURGE
 from usvlearn.logs.setup import Setup
 

@@ -19,17 +19,17 @@ import usvlearn
 from usvlearn.core.lock import Lock
 from usvlearn.engine.leaves import afresh
 from usvlearn.errors import ConfigError
-from usvlearn.live import watched
+from usvlearn.live import diagnostics
 from usvlearn.live.background import Background
+from usvlearn.live.channel_activity import Listening
 from usvlearn.live.health import COMPILING, ONE_COMMAND, Health
-from usvlearn.live.listening import Listening
+from usvlearn.live.message_buffer import Recent
 from usvlearn.live.missions import Missions
 from usvlearn.live.node_folder import NodeFolder, unsaved
 from usvlearn.live.plan_requests import answer
-from usvlearn.live.recent import Recent
 from usvlearn.live.recorder import Recorder
+from usvlearn.live.sample_quality import Usable
 from usvlearn.live.start import Begin, Middleware, Options, begin
-from usvlearn.live.usable import Usable
 from usvlearn.logs.channels.channel import SURGE, Source
 from usvlearn.logs.setup import KEY
 
@@ -369,8 +369,8 @@ class Session:
         node = self._node
         assert node is not None
         node.one_command = self.one_command
-        self._contraction = watched.networks(node.online)
-        self._identified, wrong = watched.identified(node.online, self.one_command)
+        self._contraction = diagnostics.networks(node.online)
+        self._identified, wrong = diagnostics.identified(node.online, self.one_command)
         self._identified |= self._missions.turning(self._identified)
         self.advise("boat", wrong)
         self._listening.look(node.counts)

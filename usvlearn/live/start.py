@@ -17,9 +17,9 @@ from usvlearn.core.former_names import today
 from usvlearn.core.samples import LIMIT, speed_limit
 from usvlearn.core.unconfirmed import Questions, questions_in, unconfirmed
 from usvlearn.errors import CheckpointError, ConfigError, check_not_negative, check_positive, did_you_mean
+from usvlearn.live.diagnostics import PLANAR
 from usvlearn.live.node import PATIENCE
 from usvlearn.live.node_folder import NodeFolder, newest
-from usvlearn.live.watched import PLANAR
 from usvlearn.logs.alignment.mixing import PER_NAME, SOURCE_KEYS, STEERING, THROTTLE, listed, sides_of
 from usvlearn.logs.channels.channel import AUTO, AUXILIARY, CHANNELS, COMMANDS
 from usvlearn.logs.read import sources_of
@@ -285,7 +285,7 @@ def boat_of(path: Path) -> tuple[dict[str, dict[str, Any]], dict[str, float], Qu
         ConfigError: there is no such file, it holds no channels, or PyYAML is not installed.
     """
     try:
-        from usvlearn.core.foreign_yaml import read_yaml
+        from usvlearn.core.safe_yaml import read_yaml
     except ImportError as error:
         raise ConfigError("channels: PyYAML is not installed here: run `pip install pyyaml`") from error
     found = today(read_yaml("channels", path))

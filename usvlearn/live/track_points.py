@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from usvlearn.core.plans import Track
+from usvlearn.core.forecasts import Track
 
 DECIMALS = (2, 2, 1, 2, 2, 1)
 

@@ -29,8 +29,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.core.jit import jit
-from usvlearn.core.rows import DT, LEFT, RIGHT, ROW, SURGE, YAW_RATE
-from usvlearn.core.rows import SIN as OTHER_INPUT
+from usvlearn.core.prepared_samples import DT, LEFT, RIGHT, ROW, SURGE, YAW_RATE
+from usvlearn.core.prepared_samples import SIN as OTHER_INPUT
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.axis.kernel import flow
 from usvlearn.estimators.axis.state import KINDS, THETA, names

@@ -16,11 +16,11 @@ from usvlearn.core.unconfirmed import unconfirmed
 from usvlearn.engine.identified import identified, members_of
 from usvlearn.engine.online import read_checkpoint
 from usvlearn.errors import CheckpointError, ConfigError, did_you_mean, printable
-from usvlearn.estimators.joint.reading import Identified
+from usvlearn.estimators.joint.periodic_estimates import Identified
 from usvlearn.logs.setup import Setup
 from usvlearn.model.fit.boat import FITTED, FittedBoat
 from usvlearn.model.surge import SurgeModel
-from usvlearn.runs.layout import CHECKPOINTS
+from usvlearn.runs.file_names import CHECKPOINTS
 
 LONGEST = 100  # bytes of a boat's name in that of a file
 

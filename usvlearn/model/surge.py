@@ -20,11 +20,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.core.jit import jit
-from usvlearn.core.rows import DT, LEFT, RIGHT, ROW, SURGE, YAW_RATE
+from usvlearn.core.prepared_samples import DT, LEFT, RIGHT, ROW, SURGE, YAW_RATE
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.joint.kernel import flow
+from usvlearn.estimators.joint.periodic_estimates import Identified
 from usvlearn.estimators.joint.quantities import SIDES, Ahead, kilograms_of
-from usvlearn.estimators.joint.reading import Identified
 from usvlearn.estimators.joint.state import THETA, names
 from usvlearn.estimators.regressors.terms import LAG
 from usvlearn.model.fit import terms

@@ -9,8 +9,8 @@ import numpy as np
 
 from usvlearn.core.samples import tree_map
 from usvlearn.estimators.ensemble.layer import Ensemble
-from usvlearn.estimators.joint.lacking import Quantity
-from usvlearn.estimators.joint.reading import Identified
+from usvlearn.estimators.joint.excitation_warnings import Quantity
+from usvlearn.estimators.joint.periodic_estimates import Identified
 from usvlearn.evaluation.events import events
 from usvlearn.evaluation.free_simulation import FreeRun
 from usvlearn.evaluation.horizons import ensemble_scores

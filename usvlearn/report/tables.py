@@ -15,13 +15,13 @@ from rich.text import Text
 from usvlearn.core.events import LOSS, event_of
 from usvlearn.display.terminal import Blocks
 from usvlearn.engine.identified import sentences
+from usvlearn.estimators.joint.periodic_estimates import Identified, shown
 from usvlearn.estimators.joint.quantities import MEANING
-from usvlearn.estimators.joint.reading import Identified, shown
 from usvlearn.estimators.regressors.terms import SURGE
 from usvlearn.evaluation.measure import measure_of
 from usvlearn.evaluation.metrics import PERSISTENCE, by_error, mean, mean_mae
 from usvlearn.runs.compared import label
-from usvlearn.runs.layout import CHECKPOINTS, ERRORS, PREDICTIONS, RESULTS, TENSORBOARD
+from usvlearn.runs.file_names import CHECKPOINTS, ERRORS, PREDICTIONS, RESULTS, TENSORBOARD
 
 TOGGLE = "Of several boats, the pages IMAGES and TEXT open empty: press TOGGLE ALL RUNS there."
 COVERED = {

@@ -9,15 +9,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.core.checkpoint import checkpoints
-from usvlearn.core.plans import Track
+from usvlearn.core.forecasts import Track
 from usvlearn.core.samples import Fleet, PlanarSample, Sample, masks
 from usvlearn.engine.online import Online, read_checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.planar.state import HEADING, NORTH, TURN
 from usvlearn.evaluation.season import Season, SeasonRun
+from usvlearn.runs.file_names import CHECKPOINTS, PLANAR
 from usvlearn.runs.index import digest, runs_file
-from usvlearn.runs.layout import CHECKPOINTS, PLANAR
-from usvlearn.runs.published import position
+from usvlearn.runs.prediction_files import position
 
 EVERY, MOST = 10.0, 240  # s between two tracks, at least; and how many, at most
 LEAST = 120.0  # s of a mission, if there is one of that length

@@ -23,8 +23,8 @@ from usvlearn.display.figures import (
     worst_stretch,
 )
 from usvlearn.estimators.joint.curves import Curve
+from usvlearn.estimators.joint.periodic_estimates import Identified
 from usvlearn.estimators.joint.quantities import COMMANDS
-from usvlearn.estimators.joint.reading import Identified
 from usvlearn.evaluation.horizons import Scores
 from usvlearn.evaluation.metrics import PERSISTENCE
 
@@ -223,7 +223,7 @@ def course_of(
     surge: np.ndarray,
     published: Mapping[str, np.ndarray],
 ) -> Course:
-    """The course of a run from what was published of it (`usvlearn.runs.published`), arrays `(time, …)`.
+    """The course of a run from what was published of it (`usvlearn.runs.prediction_files`), arrays `(time, …)`.
 
     Args:
         names: of the predictions.

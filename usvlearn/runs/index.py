@@ -17,7 +17,7 @@ from typing import Any
 from usvlearn.core.checkpoint import LEFT, SUFFIX, load
 from usvlearn.core.samples import Run, named_leaves
 from usvlearn.errors import CheckpointError, ConfigError
-from usvlearn.runs.layout import (
+from usvlearn.runs.file_names import (
     CHECKPOINTS,
     ERRORS,
     HYDRA,
@@ -30,7 +30,7 @@ from usvlearn.runs.layout import (
     TUNING,
     WORKERS,
 )  # fmt: skip
-from usvlearn.runs.published import BEGIN, Position, named, position
+from usvlearn.runs.prediction_files import BEGIN, Position, named, position
 
 INDEXES = (RUNS, TUNING, JOURNAL, JOB)  # each says that the folder is that of a run, a tuning, a search, a job
 INDEXED = (CHECKPOINTS, PREDICTIONS, TENSORBOARD, RESULTS, ERRORS)  # what is written after one of them

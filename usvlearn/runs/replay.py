@@ -10,12 +10,12 @@ import torch
 
 from usvlearn.core.samples import Fleet, masks, tree_map
 from usvlearn.engine.planar_runs import planar_stretches, with_poses
-from usvlearn.engine.rollouts import stretches
+from usvlearn.engine.rollouts import chunked_rollout
 from usvlearn.estimators.ensemble.accommodation.layer import thrust_remaining
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.state import EnsembleState
 from usvlearn.estimators.planar.layer import Planar, PlanarState
-from usvlearn.runs.published import BEGIN, Position
+from usvlearn.runs.prediction_files import BEGIN, Position
 
 THRUSTERS = tuple(f"monitors.thrusters.{name}" for name in ("evidence", "sums", "raised"))  # leaves of a state
 GIVEN = tuple(f"accommodation.{name}" for name in ("handed", "share", "deviation"))
@@ -64,7 +64,7 @@ def replay(
     parts = (tree_map(lambda x, a=a, b=b: x[a:b], fleet.runs[run].samples) for run, a, b, _ in places)
     names, whole = _recorded(state, filters), None
     if planar is None:
-        replayed: Iterator[Any] = stretches(ensemble, state, parts, names)
+        replayed: Iterator[Any] = chunked_rollout(ensemble, state, parts, names)
     else:
         first = (planar.init((len(fleet.boats),)) if beside is None else beside)._replace(surge=state)
         poses = (None if (all_ := fleet.runs[run].poses) is None else all_[a:b] for run, a, b, _ in places)

@@ -12,10 +12,10 @@ from usvlearn.core.samples import Fleet, masks, tree_map
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.monitors.state import THRESHOLD
 from usvlearn.estimators.joint.curves import curves
-from usvlearn.estimators.joint.reading import Identified
+from usvlearn.estimators.joint.periodic_estimates import Identified
 from usvlearn.evaluation.identification import Truth
 from usvlearn.runs.figures import Traces, course_of, event_figure, forecast_figure, identified_figure, runs_figure
-from usvlearn.runs.published import Published, joined
+from usvlearn.runs.prediction_files import Published, joined
 
 LEAST_FIGURES, STEPS_PER_FIGURE = 4, 100_000  # of a replay: a figure takes as long as ten thousand compiled steps
 RUNS = 24  # in a figure

@@ -10,14 +10,14 @@ from typing import Any, NamedTuple
 
 from usvlearn.core.checkpoint import SUFFIX, checkpoints, load, write_atomically
 from usvlearn.core.samples import Fleet, tree_map
-from usvlearn.engine.check import restored
 from usvlearn.engine.rollouts import stack
+from usvlearn.engine.validate import restored
 from usvlearn.errors import CheckpointError
 from usvlearn.estimators.ensemble.state import EnsembleState
-from usvlearn.runs.beside import planar_path
+from usvlearn.runs.file_names import CHECKPOINTS, ESTIMATOR, PLANAR, PREDICTIONS, RUNS
 from usvlearn.runs.index import begun
-from usvlearn.runs.layout import CHECKPOINTS, ESTIMATOR, PLANAR, PREDICTIONS, RUNS
-from usvlearn.runs.published import BEGIN, Position, Published, position, stem
+from usvlearn.runs.planar_checkpoints import planar_path
+from usvlearn.runs.prediction_files import BEGIN, Position, Published, position, stem
 
 
 class Start(NamedTuple):
@@ -153,7 +153,7 @@ def from_checkpoints(
     Args:
         state: of a fresh start, leaves `(boats, ...)`.
         paths: of each boat a checkpoint, or a folder of them, of which the newest readable one is taken.
-        kernel: how the ensemble is built (`Ensemble.spec`).
+        kernel: how the ensemble is built (`Ensemble.description`).
 
     Raises:
         CheckpointError: a checkpoint cannot be read, or belongs to another ensemble.

@@ -17,7 +17,7 @@ from usvlearn.core.checkpoint import SUFFIX, checkpoints, restore, write_atomica
 from usvlearn.core.checkpoint import save as save_checkpoint
 from usvlearn.core.samples import Fleet, tree_map
 from usvlearn.core.unconfirmed import SECTION, open_questions
-from usvlearn.engine import of_element
+from usvlearn.engine import select_element
 from usvlearn.engine.rollouts import stack
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.ensemble.layer import Ensemble
@@ -25,13 +25,13 @@ from usvlearn.estimators.ensemble.state import EnsembleState
 from usvlearn.estimators.planar.layer import Planar, PlanarState
 from usvlearn.estimators.planar.state import AXES
 from usvlearn.evaluation.identification import Truth
-from usvlearn.runs.beside import ESTIMATOR as ESTIMATOR_BESIDE
-from usvlearn.runs.beside import beside_of, forget, planar_path, started, started_from
+from usvlearn.runs.file_names import CHECKPOINTS, ERRORS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, save_results
 from usvlearn.runs.index import check_own, digest, ensemble_digest, no_run, number, own_predictions, same_run
-from usvlearn.runs.layout import CHECKPOINTS, ERRORS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, save_results
-from usvlearn.runs.outcome import judged
-from usvlearn.runs.published import BEGIN, Position, Published, joined, packed, position, stem, widths_of
+from usvlearn.runs.planar_checkpoints import ESTIMATOR as ESTIMATOR_BESIDE
+from usvlearn.runs.planar_checkpoints import beside_of, forget, planar_path, started, started_from
+from usvlearn.runs.prediction_files import BEGIN, Position, Published, joined, packed, position, stem, widths_of
 from usvlearn.runs.replay import Chunk
+from usvlearn.runs.results import judged
 from usvlearn.runs.resuming import Resumption, Start, checkpoint_path, of_boat, own_settings
 
 
@@ -258,7 +258,7 @@ class RunFolder:
         time = float(run.time[place.step - 1, element]) if place.step else 0.0
         facts = {"estimator": ESTIMATOR, "boat": boat, "run": run.names[element], "step": place.step, "time": time}
         copied = tree_map(lambda leaf: leaf[element].detach().numpy().copy(), self.state)
-        built = {"kernel": of_element(self.metadata.get("kernel"), len(self.fleet.boats), element)}
+        built = {"kernel": select_element(self.metadata.get("kernel"), len(self.fleet.boats), element)}
         if boat in self._setups:
             built["setup"] = self._setups[boat]
         return Unsaved(checkpoint_path(self.path, boat, place), copied, facts | self.metadata | built)
@@ -273,8 +273,8 @@ class RunFolder:
 
     def _planar_kernel(self, element: int) -> dict[str, Any]:
         assert self._planar is not None
-        found = self._planar.spec()
-        return found | {axis: of_element(found[axis], len(self.fleet.boats), element) for axis in AXES}
+        found = self._planar.description()
+        return found | {axis: select_element(found[axis], len(self.fleet.boats), element) for axis in AXES}
 
     @cached_property
     def _runs(self) -> dict[str, Any]:

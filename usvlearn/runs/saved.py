@@ -13,14 +13,14 @@ import numpy as np
 from usvlearn.core.checkpoint import FormerVersionError, checkpoints, load
 from usvlearn.core.samples import Fleet, tree_map
 from usvlearn.core.unconfirmed import Questions, open_questions
-from usvlearn.engine.check import restored
 from usvlearn.engine.rollouts import stack
+from usvlearn.engine.validate import restored
 from usvlearn.errors import CheckpointError, ConfigError, check_positive
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.season import Season, SeasonRun
+from usvlearn.runs.file_names import CHECKPOINTS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, TUNING
 from usvlearn.runs.index import begun, digest, runs_file
-from usvlearn.runs.layout import CHECKPOINTS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, TUNING
-from usvlearn.runs.published import DAMAGE, position, read_published, widths_of
+from usvlearn.runs.prediction_files import DAMAGE, position, read_published, widths_of
 from usvlearn.runs.trust import check_settings
 
 SETTINGS = ("estimators", "combiners", "data", "align", "vehicle")  # what a saved configuration must contain
@@ -199,7 +199,7 @@ def _read(folder: Path, lengths: Mapping[str, int], widths: Mapping[str, int]) -
 
 
 def _season(boat: str, runs: list[SeasonRun], folders: Sequence[_Folder], ensemble: Ensemble) -> Season:
-    template, description = tree_map(lambda x: x[0], ensemble.init((1,))), ensemble.spec()
+    template, description = tree_map(lambda x: x[0], ensemble.init((1,))), ensemble.description()
     keys = [run.key for run in runs]
     spacing = {run.key: run.spacing for run in runs if run.spacing}  # a step's may differ from align.dt
     found, paths, own, hours, before = [], [], [], [], 0.0

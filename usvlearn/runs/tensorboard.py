@@ -39,15 +39,15 @@ from usvlearn.errors import ConfigError, MissingExtraError
 from usvlearn.estimators.axis.turning_quantities import QUANTITIES as TURNING
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.state import EnsembleState
+from usvlearn.estimators.joint.periodic_estimates import Identified
 from usvlearn.estimators.joint.quantities import QUANTITIES
-from usvlearn.estimators.joint.reading import Identified
 from usvlearn.estimators.planar.state import CONSTANT, DUE, ERROR, HEADING_ERROR, HELD_RATE, RADIUS, RHO
 from usvlearn.evaluation.horizons import LEAST
 from usvlearn.evaluation.identification import Truth, identified_boats
 from usvlearn.evaluation.metrics import PERSISTENCE
 from usvlearn.evaluation.tracks import FEWEST
 from usvlearn.runs.compared import MAE, WINDOW, data_text, label, number, result_tag, results_of
-from usvlearn.runs.published import BEGIN, Position, Published
+from usvlearn.runs.prediction_files import BEGIN, Position, Published
 from usvlearn.runs.replay import Chunk
 from usvlearn.runs.replay_figures import Replayed, figures
 

@@ -1,4 +1,4 @@
-"""What changes about a boat: from some minute of the season on, thrust, drag or mass of every boat are others.
+"""A fault: from a given minute, thrust, drag or mass of every boat changes.
 
 tau_side ← share · tau_side at the same command, drag ← drag · `drag`, m ← m · `mass`. A thruster that fails or fouls
 has a share below 1, one that comes back or sheds its weed one above. The rest of the boat and its autopilot do not

@@ -23,12 +23,12 @@ from usvlearn.evaluation.measure import Measure
 from usvlearn.evaluation.ranking import differing, own_objective, ranked_by, scored
 from usvlearn.report.tables import board_lines, from_here
 from usvlearn.runs.index import check_no_link
-from usvlearn.sweeps.board import write_board
+from usvlearn.sweeps.figures import settings_figure, sweep_figure
 from usvlearn.sweeps.jobs import SWEEP, Job, jobs, noted_sweep
-from usvlearn.sweeps.panels import settings_figure, sweep_figure
+from usvlearn.sweeps.ranking import Standing, standings
 from usvlearn.sweeps.seeds import SEED
-from usvlearn.sweeps.standings import Standing, standings
 from usvlearn.sweeps.table import printed, result_table
+from usvlearn.sweeps.tensorboard import write_board
 
 FOLDER, TABLE, TEXT = "leaderboard", "leaderboard.csv", "leaderboard.md"
 FIGURES = {"settings": settings_figure, "leaderboard": sweep_figure}
@@ -75,7 +75,7 @@ def write_leaderboard(
     Args:
         folder: of the sweep.
         jobs: see `usvlearn.sweeps.jobs.jobs`; with results from `usvlearn.evaluation.ranking.scored`.
-        ranks: see `usvlearn.sweeps.standings.standings`; by default those without known default values.
+        ranks: see `usvlearn.sweeps.ranking.standings`; by default those without known default values.
         measure: what ranks them; None if each job's own output does.
 
     Raises:

@@ -18,7 +18,7 @@ from usvlearn.evaluation.measure import SKILL, Measure, measure_of
 from usvlearn.evaluation.metrics import mean, mean_mae
 from usvlearn.report.tables import short_settings
 from usvlearn.sweeps.jobs import Job
-from usvlearn.sweeps.standings import Standing
+from usvlearn.sweeps.ranking import Standing
 
 DASH, LARGE = "–", 200.0  # percent, from which on a difference is not stated more exactly
 CONTRACTION = "K: the largest rate of the networks, a step, certified as contracting; no: one of them is not."
@@ -29,7 +29,7 @@ def result_table(folder: Path, found: Sequence[Standing], keys: Sequence[str]) -
 
     Args:
         folder: of the sweep.
-        found: of `usvlearn.sweeps.standings.standings`.
+        found: of `usvlearn.sweeps.ranking.standings`.
         keys: the swept keys, without the seed.
     """
     names = list(dict.fromkeys(name for each in found for job in each.jobs for name in _maes(job)))

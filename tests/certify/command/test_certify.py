@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from certify.__main__ import main
-from certify.display.printed import show
+from certify.display.tables import show
 from certify.networks.shallow import ShallowWeights
 from certify.proofs.rounding import above, below
 from tests.support import ROOT, few

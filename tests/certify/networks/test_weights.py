@@ -208,7 +208,7 @@ def test_an_archive_that_unpacks_to_gigabytes_is_refused_before_it_is_unpacked(t
 
 def test_a_file_states_its_activation_and_a_contradiction_is_refused(tmp_path):
     ensemble = Ensemble({"rnn": RNN(6)})
-    own = save(tmp_path / "set.safetensors", ensemble.init(), kernel=ensemble.spec())
+    own = save(tmp_path / "set.safetensors", ensemble.init(), kernel=ensemble.description())
     assert stated_activation(own) == "relu" and read_both(own)[0] and read_both(own, RELU)[0]
     with pytest.raises(CertifyError, match="states the activation relu, found --activation tanh"):
         read_both(own, activation("tanh"))

@@ -11,7 +11,7 @@ from usvlearn.live.health import COMPILING
 from usvlearn.live.mavlink.frames import Frames
 from usvlearn.live.mavlink.telemetry import BURST, INFO, ROOM, WRAP, Telemetry
 from usvlearn.live.node import Step
-from usvlearn.live.status.posts import TABLE, Post
+from usvlearn.live.status.publications import TABLE, Post
 
 
 def sent(telemetry: Telemetry) -> list:

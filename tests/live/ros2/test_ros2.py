@@ -12,10 +12,10 @@ import pytest
 
 from tests.support import over
 from tests.support.ros2 import NotedSession, health, like_rclpy, rclpy_class
-from usvlearn.core.plans import Track
+from usvlearn.core.forecasts import Track
 from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.live.ros2 import shell
-from usvlearn.live.ros2.inputs import AUXILIARY, NS, Messages, plan
+from usvlearn.live.ros2.inputs import AUXILIARY, NS, Messages, choose_topics
 from usvlearn.live.ros2.outputs import CLASSES, UNKNOWN, Outputs, message_class
 from usvlearn.live.track_points import Point
 from usvlearn.logs.channels.channel import Source
@@ -80,7 +80,7 @@ def test_fields_of_rclpy_are_read_as_those_of_a_bag():
 
 def chosen(sources, graph, current=None, namespace="/", remap=None):
     resolve = lambda name: (remap or {}).get(name) or (name if name[0] == "/" else f"{namespace.rstrip('/')}/{name}")  # noqa: E731
-    return plan(sources, graph, lambda topic: graph.get(topic, []), resolve, namespace, current)
+    return choose_topics(sources, graph, lambda topic: graph.get(topic, []), resolve, namespace, current)
 
 
 def test_a_topic_is_chosen_by_name_pattern_namespace_and_remapping():

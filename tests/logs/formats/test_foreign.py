@@ -36,7 +36,11 @@ def saved(function, *args) -> bytes:
 
 
 FILES = {  # name -> content, what it is, the way out
-    "lfs.csv": (b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 1\n", "Git LFS", "git lfs pull"),
+    "lfs.csv": (
+        b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 1\n",
+        "Git LFS",
+        "git lfs pull",
+    ),
     "page.bag": (b"\n<!doctype html>\n<html><head>", "web page", "download the file itself"),
     "gps.txt": (f"{NMEA}\r\n".encode() * 40, "NMEA 0183", "convert it to a table"),
     "logged.csv": (f"2024-06-03T09:15:00Z,{NMEA}\r\n".encode() * 40, "NMEA 0183", "convert it to a table"),

@@ -16,7 +16,7 @@ from tests.support.exported import write_alog, write_table
 from tests.support.shapes import SHAPES
 from tests.support.voyages import voyage
 from usvlearn.cli.composition import recordings_of
-from usvlearn.cli.data_files import with_data_files
+from usvlearn.cli.data_configs import with_data_files
 from usvlearn.cli.inspect import main
 from usvlearn.logs.inspection.logfiles import boats_of
 

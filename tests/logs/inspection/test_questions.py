@@ -12,7 +12,7 @@ from tests.support.voyages import voyage
 from usvlearn.cli import inspect as command
 from usvlearn.core.unconfirmed import SECTION, open_questions, questions_in, questions_of, unconfirmed
 from usvlearn.errors import ConfigError
-from usvlearn.logs.inspection import screen
+from usvlearn.logs.inspection import table_view
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision
 from usvlearn.logs.inspection.inspected import inspect_logs
 from usvlearn.logs.inspection.questions import confirm, questions
@@ -137,7 +137,7 @@ def test_what_cannot_be_removed_by_line_is_left_as_it_is(tmp_path):
 
 def shown(found, width, whole=False):
     console = Console(file=io.StringIO(), width=width, markup=False)
-    screen.show(found, "my_boat.yaml", console, whole)
+    table_view.show(found, "my_boat.yaml", console, whole)
     return console.file.getvalue().splitlines()
 
 
@@ -149,7 +149,7 @@ def test_a_hundred_series_take_forty_lines(found, width):
     worse = noisy._replace(decisions=[*found.decisions, *doubtful], settings={**found.settings, SECTION: asked})
     for each in (found, noisy, worse):
         lines = shown(each, width)
-        assert len(lines) + screen.END <= screen.LINES == 40
+        assert len(lines) + table_view.END <= table_view.LINES == 40
         order = [next(k for k, line in enumerate(lines) if word in line) for word in ("What was found", "Please check")]
         assert order == sorted(order) and not any("temperature 7 " in line for line in lines)
         assert "--all" in lines[order[0]] and "--confirm KEY my_boat.yaml" in " ".join(" ".join(lines).split())

@@ -8,7 +8,7 @@ import pytest
 
 from usvlearn import AID, Online
 from usvlearn.__main__ import main
-from usvlearn.cli import exporting
+from usvlearn.cli import export
 from usvlearn.core import checkpoint
 from usvlearn.core.checkpoint import checkpoints
 from usvlearn.model.export.formats import FORMATS
@@ -138,7 +138,7 @@ def test_a_filter_that_diverged_is_no_boat(run, tmp_path, capsys):
 
 def test_a_boat_that_is_not_physical_is_written_by_force_only(run, boat, tmp_path, capsys, monkeypatch):
     wrong = boat._replace(found=dataclasses.replace(boat.found, unphysical="It goes astern."))
-    monkeypatch.setattr(exporting, "read_boats", lambda *_: [wrong])
+    monkeypatch.setattr(export, "read_boats", lambda *_: [wrong])
     said = told(capsys, run, "--to", "json", "--out", tmp_path)
     assert said == f"error: {boat.name}: It goes astern. To write it all the same, add --force."
     assert not list(tmp_path.iterdir())

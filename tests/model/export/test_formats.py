@@ -275,7 +275,7 @@ def test_a_network_that_diverged_is_refused(boat):
 
 @pytest.mark.thorough
 def test_nothing_of_it_needs_torch():
-    code = "import usvlearn.cli.exporting, sys; sys.exit('torch' in sys.modules)"
+    code = "import usvlearn.cli.export, sys; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
 
 

@@ -8,11 +8,11 @@ import pytest
 
 from tests.support.fitted_boats import MASS, TOP, boat, mission, simulated
 from usvlearn import JointEKF
-from usvlearn.core.rows import COS, LEARN, LEFT, MODE, RIGHT, SIN, SURGE, YAW_RATE
+from usvlearn.core.prepared_samples import COS, LEARN, LEFT, MODE, RIGHT, SIN, SURGE, YAW_RATE
 from usvlearn.core.samples import named_leaves
 from usvlearn.errors import CheckpointError, ConfigError
-from usvlearn.estimators.augmented.state import LAG_MOST
-from usvlearn.estimators.joint.reading import covariance_of, identify
+from usvlearn.estimators.augmented_ekf.state import LAG_MOST
+from usvlearn.estimators.joint.periodic_estimates import covariance_of, identify
 from usvlearn.estimators.joint.state import THETA, names
 from usvlearn.model.fit.boat import FITTED, FittedBoat
 from usvlearn.model.fit.choice import choose
@@ -105,7 +105,7 @@ def test_what_the_commands_do_not_show_is_said():
 def test_joint_filters_go_on_from_the_fit(fitted):
     joint = JointEKF(surge_max=TOP, mass=MASS, read_every=600.0, even=None)
     leaves = {name: leaf.detach().numpy() for name, leaf in named_leaves(joint.init())}
-    found, facts = handed_over(leaves, joint.spec(), fitted, dt=0.4)
+    found, facts = handed_over(leaves, joint.description(), fitted, dt=0.4)
     assert facts == {FITTED: fitted.found.facts()} and set(found) == set(leaves)
     assert all(found[name].shape == leaf.shape and found[name].dtype == leaf.dtype for name, leaf in leaves.items())
     cubic = fitted.fits["cubic"]
@@ -119,7 +119,7 @@ def test_joint_filters_go_on_from_the_fit(fitted):
     assert not P[:THETA, THETA:].any()
     places = [list(cubic.known.active).index(AT[name]) for name in own[:-1]]
     np.testing.assert_allclose(P[THETA:-1, THETA:-1], spread(cubic)[np.ix_(places, places)], rtol=1e-6, atol=1e-12)
-    online = identify(joint.spec(), found)
+    online = identify(joint.description(), found)
     for name in ("steady_speed_full", "drag_half_speed", "thrust_full_left"):
         each = online[name]
         assert each.low <= fitted.quantities[name].value <= each.high, name

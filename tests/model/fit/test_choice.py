@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.fitted_boats import MASS, TOP, boat, mission, simulated
-from usvlearn.core.rows import LEARN, MODE, SURGE
+from usvlearn.core.prepared_samples import LEARN, MODE, SURGE
 from usvlearn.model.fit import choice
 from usvlearn.model.fit.choice import FEWEST, choose, left_out
 from usvlearn.model.fit.fitted import fit_boat

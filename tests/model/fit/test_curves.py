@@ -8,8 +8,8 @@ import pytest
 from rich.console import Console
 
 from tests.support.fitted_boats import MASS, TOP, boat, mission
-from usvlearn.core.rows import LEARN, LEFT, MODE, PREDICT, RIGHT, SURGE
-from usvlearn.estimators.joint.lacking import Quantity
+from usvlearn.core.prepared_samples import LEARN, LEFT, MODE, PREDICT, RIGHT, SURGE
+from usvlearn.estimators.joint.excitation_warnings import Quantity
 from usvlearn.model.fit import motion_kernel as kernel
 from usvlearn.model.fit.choice import Score
 from usvlearn.model.fit.gauss_newton import Fit, Missions, legal

@@ -5,7 +5,7 @@ import pytest
 
 from tests.support.fitted_boats import TOP
 from tests.support.saved_fits import facts
-from usvlearn.estimators.joint.lacking import Quantity
+from usvlearn.estimators.joint.excitation_warnings import Quantity
 from usvlearn.model.fit.diagnostics import doubts
 from usvlearn.model.fit.gauss_newton import LAGS, Missions
 from usvlearn.model.fit.terms import AT, PLACE_LAG, prior

@@ -5,7 +5,7 @@ import pytest
 
 from tests.support.fitted_boats import MASS, TOP
 from tests.support.turning_boat import sailed
-from usvlearn.core.rows import COS, LEFT, RIGHT, ROW, SIN, SURGE
+from usvlearn.core.prepared_samples import COS, LEFT, RIGHT, ROW, SIN, SURGE
 from usvlearn.core.samples import Inputs, Sample
 from usvlearn.logs.channels.channel import Channel
 from usvlearn.logs.channels.poses import poses

@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.fitted_boats import log
 from tests.support.strangers import sail
-from usvlearn.core.rows import HOLD, LEARN, MODE
+from usvlearn.core.prepared_samples import HOLD, LEARN, MODE
 from usvlearn.errors import ConfigError
 from usvlearn.logs.channels.channel import Channel, Recording
 from usvlearn.logs.recordings import align_fleet

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.support.fitted_boats import MASS, TOP, boat, mission, simulated
-from usvlearn.core.rows import COS, DT, HOLD, LEARN, LEFT, MODE, RIGHT, SIN, SURGE, YAW_RATE
+from usvlearn.core.prepared_samples import COS, DT, HOLD, LEARN, LEFT, MODE, RIGHT, SIN, SURGE, YAW_RATE
 from usvlearn.core.samples import Fleet, Inputs, Run, Sample
 from usvlearn.model.fit import logs
 from usvlearn.model.fit.gauss_newton import Missions

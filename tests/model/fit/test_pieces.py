@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.support.fitted_boats import TOP, log
-from usvlearn.core.rows import HOLD, LEARN, MODE, START, SURGE
+from usvlearn.core.prepared_samples import HOLD, LEARN, MODE, START, SURGE
 from usvlearn.model.fit.choice import _smallest
 from usvlearn.model.fit.gauss_newton import Missions
 from usvlearn.model.fit.intervals import spread

@@ -5,7 +5,7 @@ import pytest
 
 from tests.support.fitted_boats import MASS, TOP
 from tests.support.turning_boat import TRUE, sailed
-from usvlearn.core.rows import HOLD, MODE, ROW, YAW_RATE
+from usvlearn.core.prepared_samples import HOLD, MODE, ROW, YAW_RATE
 from usvlearn.estimators.axis.turning_intervals import HARDLY
 from usvlearn.estimators.axis.turning_quantities import QUANTITIES
 from usvlearn.model.fit import turning_kernel as at

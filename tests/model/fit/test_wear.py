@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.support.fitted_boats import MASS, TOP, mission, simulated
-from usvlearn.core.rows import LEARN, MODE, SURGE
+from usvlearn.core.prepared_samples import LEARN, MODE, SURGE
 from usvlearn.model.fit.choice import WEAR, choose
 from usvlearn.model.fit.gauss_newton import Missions, legal
 from usvlearn.model.fit.quantities import quantities

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from usvlearn.core.rows import COS, DT, LEFT, RIGHT, SIN, YAW_RATE
+from usvlearn.core.prepared_samples import COS, DT, LEFT, RIGHT, SIN, YAW_RATE
 from usvlearn.core.samples import Inputs
 from usvlearn.errors import ConfigError
 from usvlearn.model.planning.course import QUARTER, Limits, lawn_mower, planned, steer

@@ -16,7 +16,7 @@ import pytest
 from tests.support import few
 from tests.support.commands import ENVIRONMENT, command
 from tests.support.configured import TWO_BOATS
-from usvlearn.core.hyper import Positive
+from usvlearn.core.hyperparameters import Positive
 from usvlearn.sweeps.tuning import search
 from usvlearn.sweeps.tuning.batches import Evaluation, Hyperparameter
 

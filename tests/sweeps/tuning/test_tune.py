@@ -17,7 +17,8 @@ from tests.support.configured import TWO_BOATS, added, configured, replayed, req
 from usvlearn import Estimator, Persistence, Positive, UnitInterval, UsvlearnError
 from usvlearn.errors import ConfigError
 from usvlearn.logs.recordings import align_fleet
-from usvlearn.sweeps.tuning import batches, winners
+from usvlearn.sweeps.tuning import batches
+from usvlearn.sweeps.tuning import results as winners
 from usvlearn.sweeps.tuning import tune as tuning
 from usvlearn.sweeps.tuning.batches import Evaluation, Hyperparameter, Objective, hyperparameter
 from usvlearn.sweeps.tuning.grid import counts, grid

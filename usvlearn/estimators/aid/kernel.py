@@ -3,9 +3,9 @@
 import numpy as np
 
 from usvlearn.core.arrays import clamp, dot
-from usvlearn.core.family import ESTIMATE, Node
+from usvlearn.core.family import ESTIMATE, Row
 from usvlearn.core.jit import jit
-from usvlearn.core.rows import DT, HOLD, LEARN, MODE, START, SURGE
+from usvlearn.core.prepared_samples import DT, HOLD, LEARN, MODE, START, SURGE
 from usvlearn.estimators.aid.state import AT, Choice, Number, Vector
 from usvlearn.estimators.regressors.kernel import regressor
 
@@ -19,7 +19,7 @@ def start(node, s, q, surge):
 @jit
 def predict(node, s, q, x, work):
     """`AID.predict`: the speed, (1), and what it was before its limits; φ stays in `work`."""
-    p, numbers = node[Node.SIZE], q[node[Node.NUMBERS] :]
+    p, numbers = node[Row.SIZE], q[node[Row.NUMBERS] :]
     phi, theta = work[:p], s[node[AT.theta] : node[AT.theta] + p]
     base = regressor(node[Choice.TERMS], s[node[AT.surge]], x, numbers[Number.SCALE], theta, phi)
     estimate = base + dot(phi, theta)
@@ -43,7 +43,7 @@ def free_step(node, s, q, x, work):
 @jit
 def learn(node, s, q, x, estimate, target, work):
     """The state after `AID.learn`."""
-    p, numbers = node[Node.SIZE], q[node[Node.NUMBERS] :]
+    p, numbers = node[Row.SIZE], q[node[Row.NUMBERS] :]
     phi, gamma, theta = work[:p], work[p : 2 * p], s[node[AT.theta] : node[AT.theta] + p]
     adaptation(numbers, q[node[Vector.SPREAD] :], gamma)
     inverse_spread, theta0 = q[node[Vector.INVERSE_SPREAD] :], q[node[Vector.THETA0] :]
@@ -93,7 +93,7 @@ def adapt(theta, numbers, gamma, inverse_spread, theta0, lower, upper, feedback,
 @jit
 def run_alone(node, s, q, rows, free, predictions, picked, picks, work):
     """One batch element of AID alone through all steps, as `engine.dispatch.run` does; constants are read once."""
-    p, numbers = node[Node.SIZE], q[node[Node.NUMBERS] :]
+    p, numbers = node[Row.SIZE], q[node[Row.NUMBERS] :]
     phi, gamma, theta = work[:p], work[p : 2 * p], s[node[AT.theta] : node[AT.theta] + p]
     adaptation(numbers, q[node[Vector.SPREAD] :], gamma)
     inverse_spread, theta0 = q[node[Vector.INVERSE_SPREAD] :], q[node[Vector.THETA0] :]

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from usvlearn.core.family import FEEDBACK
-from usvlearn.core.hyper import Hyper, Positive, as_tensor, check_broadcast
+from usvlearn.core.hyperparameters import Hyper, Positive, as_tensor, check_broadcast
 from usvlearn.core.protocol import Estimator, describe, spec_of
 from usvlearn.core.samples import Inputs
 from usvlearn.errors import ConfigError, check_choice, check_not_negative, check_positive
@@ -154,7 +154,7 @@ class AID(Estimator):
     def start(self, state: AIDState, surge: Tensor) -> AIDState:
         return state._replace(surge=surge)
 
-    def spec(self) -> dict[str, Any] | None:
+    def description(self) -> dict[str, Any] | None:
         if (terms := spec_of(self.model)) is None:
             return None
         leak = self.leak if self.feedback == "estimate" else 1.0

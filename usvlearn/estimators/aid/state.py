@@ -51,11 +51,11 @@ from usvlearn.core.family import (
     MODEST,
     NOT_NEGATIVE,
     POSITIVE,
-    Choices,
     Family,
-    Numbers,
+    Options,
+    Parameters,
+    ParameterVectors,
     Range,
-    Vectors,
     leaf,
 )
 from usvlearn.estimators.regressors import terms
@@ -71,7 +71,7 @@ class AIDState(NamedTuple):
     surge: Tensor  # (*batch,) speed from which the next step departs, m/s
 
 
-class Number(Numbers):
+class Number(Parameters):
     """Constants and hyperparameters, in the units of the arguments of `AID`."""
 
     SCALE = MODEST  # the mass, or 1
@@ -84,7 +84,7 @@ class Number(Numbers):
     BOUND = POSITIVE
 
 
-class Vector(Vectors):
+class Vector(ParameterVectors):
     """One number for each parameter."""
 
     SPREAD = NOT_NEGATIVE
@@ -94,7 +94,7 @@ class Vector(Vectors):
     UPPER = Range(0.0, inf)
 
 
-class Choice(Choices):
+class Choice(Options):
     """Choices."""
 
     FEEDBACK = FEEDBACK

@@ -3,9 +3,9 @@
 import numpy as np
 
 from usvlearn.core.arrays import clamp, copy, dot, fill, whole
-from usvlearn.core.family import Node
+from usvlearn.core.family import Row
 from usvlearn.core.jit import jit
-from usvlearn.core.rows import DT, LEFT, RIGHT, YAW_RATE
+from usvlearn.core.prepared_samples import DT, LEFT, RIGHT, YAW_RATE
 from usvlearn.estimators.arx.state import (
     AT,
     COMMANDS,
@@ -21,8 +21,8 @@ from usvlearn.estimators.arx.state import (
     Number,
     Vector,
 )
-from usvlearn.estimators.factored.kernel import add, loosen, measure, project, rotated, variance, walked
 from usvlearn.estimators.least_squares.state import LOOSEST, NOISE_LEAST, NOISE_SHARE
+from usvlearn.estimators.ud_factorization.kernel import add, loosen, measure, project, rotated, variance, walked
 
 GROUP = len(COMMANDS)
 
@@ -32,13 +32,13 @@ def start(node, s, q, surge):
     """`ARX.start`."""
     s[node[AT.surge]] = surge
     s[node[AT.started]] = 1.0
-    fill(s[node[AT.past] : node[AT.past] + node[Node.SIZE]], 0.0)
+    fill(s[node[AT.past] : node[AT.past] + node[Row.SIZE]], 0.0)
 
 
 @jit
 def predict(node, s, q, x, work):
     """`ARX.predict`: the speed, and what it was before its limits; f stays in `work`."""
-    p, surge, limit = node[Node.SIZE], s[node[AT.surge]], q[node[Node.NUMBERS] :][Number.SURGE_MAX]
+    p, surge, limit = node[Row.SIZE], s[node[AT.surge]], q[node[Row.NUMBERS] :][Number.SURGE_MAX]
     f = work[:p]
     features(node, s, x, clamp(surge, limit), f)
     estimate = surge + steps(x) * dot(f, s[node[AT.theta] : node[AT.theta] + p])
@@ -48,7 +48,7 @@ def predict(node, s, q, x, work):
 @jit
 def coast(node, s, q, x, predicted, work):
     """The state after `ARX.predict`: the deviation of its prediction, and its increment."""
-    p, h = node[Node.SIZE], steps(x)
+    p, h = node[Row.SIZE], steps(x)
     phi, g, G = work[p : 2 * p], work[2 * p : 3 * p], work[3 * p : 4 * p]
     for i in range(p):
         phi[i] = h * work[i]
@@ -68,7 +68,7 @@ def free_step(node, s, q, x, work):
 @jit
 def learn(node, s, q, x, estimate, target, work):
     """The state after `ARX.learn`."""
-    p, numbers, prior = node[Node.SIZE], q[node[Node.NUMBERS] :], q[node[Vector.PRIOR] :]
+    p, numbers, prior = node[Row.SIZE], q[node[Row.NUMBERS] :], q[node[Vector.PRIOR] :]
     phi, g, G, gain = work[p : 2 * p], work[2 * p : 3 * p], work[3 * p : 4 * p], work[4 * p : 5 * p]
     theta, A = s[node[AT.theta] : node[AT.theta] + p], s[node[AT.factor] : node[AT.factor] + p * p].reshape(p, p)
     h, noise, error, tails = steps(x), s[node[AT.noise]], target - estimate, numbers[Number.TAILS]
@@ -101,7 +101,7 @@ def learn(node, s, q, x, estimate, target, work):
 @jit
 def inflate_covariance(node, s, q, factor):
     """`ARX.inflate_covariance`: P times `factor`, up to its limit."""
-    p, prior = node[Node.SIZE], q[node[Vector.PRIOR] :]
+    p, prior = node[Row.SIZE], q[node[Vector.PRIOR] :]
     A = s[node[AT.factor] : node[AT.factor] + p * p].reshape(p, p)
     first, trace = 0.0, 0.0
     for j in range(p):
@@ -149,7 +149,7 @@ def features(node, s, x, v, f):
 @jit
 def remember(node, s, q, h, surge, work):
     """Keep f in `work` and the increment to the speed from which the next step departs."""
-    p, lags, limit = node[Node.SIZE], node[Choice.LAGS], q[node[Node.NUMBERS] :][Number.SURGE_MAX]
+    p, lags, limit = node[Row.SIZE], node[Choice.LAGS], q[node[Row.NUMBERS] :][Number.SURGE_MAX]
     past = s[node[AT.past] : node[AT.past] + p]
     copy(past, work[:p])
     if lags > 0:

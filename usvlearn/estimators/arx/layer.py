@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from usvlearn.core.hyper import Hyper, Positive, as_tensor, check_broadcast
+from usvlearn.core.hyperparameters import Hyper, Positive, as_tensor, check_broadcast
 from usvlearn.core.protocol import Estimator, describe
 from usvlearn.core.samples import Inputs, tree_map, where
 from usvlearn.errors import ConfigError, check_positive
@@ -25,9 +25,10 @@ from usvlearn.estimators.arx.state import (
     ARXState,
     deviations,
 )
-from usvlearn.estimators.factored.layer import (
+from usvlearn.estimators.least_squares.state import LOOSEST, NOISE, NOISE_LEAST, NOISE_SHARE
+from usvlearn.estimators.ud_factorization.layer import (
     added,
-    loosened,
+    inflate_covariance,
     measured,
     packed,
     projected,
@@ -35,7 +36,6 @@ from usvlearn.estimators.factored.layer import (
     unpacked,
     variances,
 )
-from usvlearn.estimators.least_squares.state import LOOSEST, NOISE, NOISE_LEAST, NOISE_SHARE
 
 GROUP = len(COMMANDS)
 
@@ -157,9 +157,9 @@ class ARX(Estimator):
     def inflate_covariance(self, state: ARXState, factor: Tensor) -> ARXState:
         """P times `factor`, up to `LOOSEST` times P₀, in trace."""
         trace = variances(*unpacked(state.factor)).sum(-1)
-        return state._replace(factor=loosened(state.factor, factor, LOOSEST * self.prior.sum(-1) / trace))
+        return state._replace(factor=inflate_covariance(state.factor, factor, LOOSEST * self.prior.sum(-1) / trace))
 
-    def spec(self) -> dict[str, Any]:
+    def description(self) -> dict[str, Any]:
         return describe(FAMILY, self, size=len(self.names), tails=self._tails())
 
     def monitor(self, state: ARXState) -> dict[str, Tensor]:

@@ -17,8 +17,8 @@ distribution of ν degrees; its weight w is small for outliers (West 1981):
     σ² ← σ² + 0.02 (w e²/S − σ²),   at least (1 mm/s)²                                                              (3)
 
 w is 1 for all e where ν is infinite. With `project` drag slows the boat: the weights of v, and of v|v| plus and minus
-that of the even v², are not positive: in turn, each is projected in the metric of P (`usvlearn.estimators.factored`,
-(3)). Without it a model may grow without bound beyond the speeds that it has seen.
+that of the even v², are not positive: in turn, each is projected in the metric of P, (3) of
+`usvlearn.estimators.ud_factorization`. Without it a model may grow without bound beyond the speeds that it has seen.
 
 Before the first sample P is diagonal, with the deviations `scale` × (1 for the bias and the fore-aft asymmetry terms,
 30/j for a_j, 10 for all others): as multiples of the noise.
@@ -36,8 +36,8 @@ A segment starts with a speed alone. The increments before it count as 0, the co
 to those of this step, and the yaw rate as unchanged. A step without a measured speed departs from the prediction before
 it, and its increment is the predicted one.
 
-The covariance is kept as P = U D Uᵀ (`usvlearn.estimators.factored`), with H = φ and α_0 = 1/w in (2). The first σ, and
-the share and the least of (3), are those of least squares.
+The covariance is kept as P = U D Uᵀ (`usvlearn.estimators.ud_factorization`), with H = φ and α_0 = 1/w in (2). The
+first σ, and the share and the least of (3), are those of least squares.
 
 The derivation is in `docs/theory/estimators.md#arx`.
 """
@@ -47,7 +47,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from usvlearn.core.family import NOT_NEGATIVE, POSITIVE, TRIANGLE, UNIT, Choices, Family, Numbers, Range, Vectors, leaf
+from usvlearn.core.family import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    TRIANGLE,
+    UNIT,
+    Family,
+    Options,
+    Parameters,
+    ParameterVectors,
+    Range,
+    leaf,
+)
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -99,7 +110,7 @@ class ARXState(NamedTuple):
     started: Tensor  # (*batch,) bool: no step was made since the segment's start
 
 
-class Number(Numbers):
+class Number(Parameters):
     """Constants and hyperparameters."""
 
     SURGE_MAX = POSITIVE
@@ -107,13 +118,13 @@ class Number(Numbers):
     TAILS = NOT_NEGATIVE  # 1/ν
 
 
-class Vector(Vectors):
+class Vector(ParameterVectors):
     """One number for each weight."""
 
     PRIOR = POSITIVE  # the diagonal of P₀
 
 
-class Choice(Choices):
+class Choice(Options):
     """Choices: the features."""
 
     LAGS = Range(0, MOST_LAGS)
@@ -124,7 +135,7 @@ class Choice(Choices):
 
 
 def parameters(own: Mapping[str, Any]) -> int:
-    """How many features an estimator has, from its entries in a specification."""
+    """How many features an estimator has, from its entries in a description."""
     return len(deviations(*(own[choice.key] for choice in Choice if choice != Choice.PROJECT)))
 
 

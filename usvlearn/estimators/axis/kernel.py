@@ -6,11 +6,11 @@
 import numpy as np
 
 from usvlearn.core.arrays import clamp, fill
-from usvlearn.core.family import Node
+from usvlearn.core.family import Row
 from usvlearn.core.jit import jit
-from usvlearn.core.rows import DT, LEFT, RIGHT, YAW_RATE
-from usvlearn.core.rows import SIN as OTHER_INPUT
-from usvlearn.estimators.augmented.kernel import (
+from usvlearn.core.prepared_samples import DT, LEFT, RIGHT, YAW_RATE
+from usvlearn.core.prepared_samples import SIN as OTHER_INPUT
+from usvlearn.estimators.augmented_ekf.kernel import (
     add_noise,
     blocks,
     correct,
@@ -21,7 +21,7 @@ from usvlearn.estimators.augmented.kernel import (
     limit,
     limit_lag,
 )
-from usvlearn.estimators.augmented.state import AT, LONGEST, MOST, REST, B, Y
+from usvlearn.estimators.augmented_ekf.state import AT, LONGEST, MOST, REST, B, Y
 from usvlearn.estimators.axis.state import (
     COUPLING,
     CROSS,
@@ -35,8 +35,8 @@ from usvlearn.estimators.axis.state import (
     Number,
     Vector,
 )
-from usvlearn.estimators.factored.kernel import project
 from usvlearn.estimators.regressors.kernel import phi1
+from usvlearn.estimators.ud_factorization.kernel import project
 
 YAW = KINDS.index("yaw")
 
@@ -51,12 +51,12 @@ def start(node, s, q, surge):
 @jit
 def predict(node, s, q, x, work):
     """`AxisEKF.predict`: y⁺ of (3), and the same before its limit."""
-    n, commands = node[Node.SIZE], node[AT.commands]
+    n, commands = node[Row.SIZE], node[AT.commands]
     mean, g = s[node[AT.mean] : node[AT.mean] + n], work[:n]
     y, b, left, right = mean[Y], mean[B], s[commands], s[commands + 1]
     if s[node[AT.started]] > 0:
         y, b, left, right = s[node[AT.surge]], 0.0, x[LEFT], x[RIGHT]
-    work[n] = flow(node[Node.KIND] == YAW, mean, y, b, left, right, x, g)
+    work[n] = flow(node[Row.KIND] == YAW, mean, y, b, left, right, x, g)
     predicted = clamp(work[n], MOST)
     return predicted, predicted
 
@@ -72,10 +72,10 @@ def free_step(node, s, q, x, work):
     """One step of an open-loop simulation: `predict`, and the leaves `frozen` after it."""
     commands = node[AT.commands]
     predicted, _ = predict(node, s, q, x, work)
-    mean = s[node[AT.mean] : node[AT.mean] + node[Node.SIZE]]
+    mean = s[node[AT.mean] : node[AT.mean] + node[Row.SIZE]]
     if s[node[AT.started]] > 0:
         mean[B], s[node[AT.started]] = 0.0, 0.0
-    mean[Y], mean[B] = predicted, mean[B] * decay(x[DT], q[node[Node.NUMBERS] :][Number.DISTURBANCE_TIME])
+    mean[Y], mean[B] = predicted, mean[B] * decay(x[DT], q[node[Row.NUMBERS] :][Number.DISTURBANCE_TIME])
     s[commands], s[commands + 1] = x[LEFT], x[RIGHT]
     return predicted
 
@@ -83,7 +83,7 @@ def free_step(node, s, q, x, work):
 @jit
 def learn(node, s, q, x, estimate, target, work):
     """The state after `AxisEKF.learn`."""
-    n, numbers = node[Node.SIZE], q[node[Node.NUMBERS] :]
+    n, numbers = node[Row.SIZE], q[node[Row.NUMBERS] :]
     mean, A = blocks(node, s)
     spread, rest = advance(node, s, q, x, work)
     if x[DT] > LONGEST:
@@ -149,7 +149,7 @@ def advance(node, s, q, x, work):
 
     Returns HᵀPH, and whether the boat was at rest.
     """
-    n, numbers, h, commands = node[Node.SIZE], q[node[Node.NUMBERS] :], x[DT], node[AT.commands]
+    n, numbers, h, commands = node[Row.SIZE], q[node[Row.NUMBERS] :], x[DT], node[AT.commands]
     mean, A = blocks(node, s)
     g, ahead, noise = work[:n], work[n], s[node[AT.noise]]
     if s[node[AT.started]] > 0:

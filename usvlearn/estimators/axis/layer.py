@@ -8,11 +8,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from usvlearn.core.hyper import Hyper, Positive, as_tensor, check_broadcast
+from usvlearn.core.hyperparameters import Hyper, Positive, as_tensor, check_broadcast
 from usvlearn.core.protocol import Estimator, describe
 from usvlearn.core.samples import Inputs, where
 from usvlearn.errors import ConfigError
-from usvlearn.estimators.augmented.layer import (
+from usvlearn.estimators.augmented_ekf.layer import (
     advanced,
     corrected,
     decay,
@@ -23,10 +23,10 @@ from usvlearn.estimators.augmented.layer import (
     moved,
     noisy,
 )
-from usvlearn.estimators.augmented.state import FIRST_DISTURBANCE, LONGEST, MOST, NOISE, REST, B, FilterState, Y
+from usvlearn.estimators.augmented_ekf.state import FIRST_DISTURBANCE, LONGEST, MOST, NOISE, REST, B, FilterState, Y
 from usvlearn.estimators.axis.state import CROSS, FAMILY, LINEAR, QUADRATIC, SIDE, SIZES, THETA, names
-from usvlearn.estimators.factored.layer import packed, unpacked
 from usvlearn.estimators.regressors.layer import phi1
+from usvlearn.estimators.ud_factorization.layer import packed, unpacked
 
 
 class AxisEKF(Estimator):
@@ -117,7 +117,7 @@ class AxisEKF(Estimator):
         """P times `factor`, up to its limit."""
         return inflated(state, factor, self.variance)
 
-    def spec(self) -> dict[str, Any]:
+    def description(self) -> dict[str, Any]:
         return describe(FAMILY, self, kind=self.kind, size=SIZES[self.kind])
 
     def monitor(self, state: FilterState) -> dict[str, Tensor]:
@@ -227,7 +227,7 @@ class YawEKF(AxisEKF):
         prior, scale = [*prior, zero + 0.1], [*scale, zero + 0.3]
         super().__init__(torch.stack(prior, -1), torch.stack(scale, -1), **options)
 
-    spec = AxisEKF.spec  # a subclass states its own, see `Estimator.spec`
+    description = AxisEKF.description  # a subclass states its own, see `Estimator.description`
 
 
 class SwayEKF(AxisEKF):
@@ -254,7 +254,7 @@ class SwayEKF(AxisEKF):
                  *[zero + 0.1] * 4, zero + 0.3]  # fmt: skip
         super().__init__(torch.stack(prior, -1), torch.stack(scale, -1), **options)
 
-    spec = AxisEKF.spec  # a subclass states its own, see `Estimator.spec`
+    description = AxisEKF.description  # a subclass states its own, see `Estimator.description`
 
 
 def positive(name: str, value: Hyper) -> Tensor:

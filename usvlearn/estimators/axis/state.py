@@ -31,9 +31,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from usvlearn.core.family import FINITE, POSITIVE, POSITIVE_OR_INFINITE, Family, Numbers, Vectors
+from usvlearn.core.family import FINITE, POSITIVE, POSITIVE_OR_INFINITE, Family, Parameters, ParameterVectors
 from usvlearn.core.samples import Inputs
-from usvlearn.estimators.augmented.state import FROZEN, leaves
+from usvlearn.estimators.augmented_ekf.state import FROZEN, leaves
 from usvlearn.estimators.regressors.terms import LAG
 
 KINDS = ("yaw", "sway")
@@ -74,7 +74,7 @@ def axis_inputs(command_left: Any, command_right: Any, other: Any, surge: Any, d
     return Inputs(command_left, command_right, heading=other, yaw_rate=surge, dt=dt)
 
 
-class Number(Numbers):
+class Number(Parameters):
     """Hyperparameters, in the units of the arguments of `AxisEKF`."""
 
     DISTURBANCE = POSITIVE  # q_b
@@ -83,7 +83,7 @@ class Number(Numbers):
     OUTLIER = POSITIVE_OR_INFINITE  # k
 
 
-class Vector(Vectors):
+class Vector(ParameterVectors):
     """One number for each parameter."""
 
     VARIANCE = POSITIVE, lambda size: size - THETA  # prior

@@ -1,7 +1,7 @@
 """The identified quantities of turning, each with a 90 % interval. Imports no torch.
 
-With θ the parameters of the surge (θ̄ of `usvlearn.estimators.joint.reading`), of the yaw rate and of the sway (means of
-their filters), and ∇g the gradient of a quantity g at θ, the interval is on the log scale
+With θ the parameters of the surge (θ̄ of `usvlearn.estimators.joint.periodic_estimates`), of the yaw rate and of the
+sway (means of their filters), and ∇g the gradient of a quantity g at θ, the interval is on the log scale
 
     g(θ) exp(± 1.645 s/g),   s² = Σ ∇gᵀ P ∇g + (ε g)²,   the sum over yaw rate, sway and surge          (1)
 
@@ -28,9 +28,9 @@ import numpy as np
 from usvlearn.core.events import NINETY
 from usvlearn.estimators.axis.state import THETA
 from usvlearn.estimators.axis.turning_quantities import QUANTITIES, Theta, quantities
-from usvlearn.estimators.joint.lacking import FEW, Quantity
+from usvlearn.estimators.joint.excitation_warnings import FEW, Quantity
+from usvlearn.estimators.joint.periodic_estimates import Identified, covariance_of
 from usvlearn.estimators.joint.quantities import steps_of
-from usvlearn.estimators.joint.reading import Identified, covariance_of
 
 SURGE = 0.1  # of (1)
 OWN_ERROR = {name: 0.45 if "radius" in name else 0.35 for name in QUANTITIES} | {
@@ -54,7 +54,7 @@ def with_turning(surge: Identified, surge_variance: np.ndarray, yaw: Filter, swa
     Args:
         surge: of one boat.
         surge_variance: prior variance of its parameters, `(m,)`.
-        yaw: of one batch element (`YawEKF.spec`), and its leaves without batch axes.
+        yaw: of one batch element (`YawEKF.description`), and its leaves without batch axes.
         sway: likewise; None: not measured.
     """
     updates = float(yaw[1]["updates"])

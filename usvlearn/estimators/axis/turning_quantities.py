@@ -29,7 +29,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from usvlearn.estimators.augmented.state import MOST
+from usvlearn.estimators.augmented_ekf.state import MOST
 from usvlearn.estimators.axis.state import CROSS, LINEAR, QUADRATIC, SIZES, THETA
 from usvlearn.estimators.joint.quantities import COMMANDS, SIDES, Ahead
 

@@ -9,7 +9,7 @@ from typing import Any, cast
 import torch
 from torch import Tensor, nn
 
-from usvlearn.core.plans import NONE
+from usvlearn.core.forecasts import NONE
 from usvlearn.core.protocol import Estimator, numbers_of, spec_of
 from usvlearn.core.samples import Inputs, named_leaves
 from usvlearn.errors import ConfigError, check_positive, did_you_mean, under
@@ -241,7 +241,7 @@ class Ensemble(Estimator):
         }
         return state._replace(members=members)
 
-    def spec(self) -> dict[str, Any] | None:
+    def description(self) -> dict[str, Any] | None:
         members = {name: spec_of(member) for name, member in self.members.items()}
         rules = {
             name: (own := spec_of(rule)) and {**own, "columns": self._places[name]}
@@ -252,16 +252,16 @@ class Ensemble(Estimator):
         return {
             "kind": "ensemble", "members": members, "output": self.output, "columns": list(self.columns),
             "rules": rules, "numbers": numbers_of(Number, self), "conformal": conformal_numbers(self.coverage),
-            "monitors": monitors.spec() if self.watched else None,
+            "monitors": monitors.description() if self.watched else None,
             **({"conditional": 1} if self.conditional else {}),
             **({"accommodation": self._accommodation()} if self.accommodated else {}),
-            **({} if self.forecasts is None else {"forecasts": self.forecasts.spec(self.columns)}),
+            **({} if self.forecasts is None else {"forecasts": self.forecasts.description(self.columns)}),
         }  # fmt: skip
 
     def _accommodation(self) -> dict[str, Any]:
         """Columns of the filters that get what the monitor finds, and the numbers of this part."""
         columns = [self.columns.index(name) for name in self.accommodated]
-        return {"members": columns, "numbers": accommodation.spec()}
+        return {"members": columns, "numbers": accommodation.description()}
 
     def monitor(self, state: EnsembleState) -> dict[str, Tensor]:
         """The members' and combiners' numbers, as `name/number`; whiteness and thrusters as `monitors/number`."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from usvlearn.core.family import ANY, POSITIVE, POSITIVE_OR_INFINITE, Family, Numbers, leaf
+from usvlearn.core.family import ANY, POSITIVE, POSITIVE_OR_INFINITE, Family, Parameters, leaf
 from usvlearn.estimators.ensemble.conformal.state import ConformalState
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ class EnsembleState(NamedTuple):
     accommodation: Any = {}  # an `AccommodationState`, or {} without filters that make trials  # noqa: RUF012
 
 
-class Number(Numbers):
+class Number(Parameters):
     """Limit."""
 
     SURGE_MAX = POSITIVE

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from usvlearn.core.samples import where
-from usvlearn.estimators.factored.layer import added, packed, rotated, unpacked
+from usvlearn.estimators.joint.change_detection import anew, chosen, ended, of, side_of
 from usvlearn.estimators.joint.state import KAPPA, THETA, E, JointState, W
-from usvlearn.estimators.joint.trial import anew, chosen, ended, of, side_of
+from usvlearn.estimators.ud_factorization.layer import added, packed, rotated, unpacked
 
 
 def keep_past(state: JointState, mask: Tensor) -> JointState:

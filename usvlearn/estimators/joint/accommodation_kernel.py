@@ -3,18 +3,18 @@
 import numpy as np
 
 from usvlearn.core.arrays import copy, dot, fill
-from usvlearn.core.family import Node
+from usvlearn.core.family import Row
 from usvlearn.core.jit import jit
-from usvlearn.estimators.factored.kernel import along, rotated
+from usvlearn.estimators.joint.change_detection_kernel import anew, end, side_of
 from usvlearn.estimators.joint.kernel import start
 from usvlearn.estimators.joint.state import AT, AT_TRIAL, KAPPA, THETA, Choice, E, W
-from usvlearn.estimators.joint.trial_kernel import anew, end, side_of
+from usvlearn.estimators.ud_factorization.kernel import along, rotated
 
 
 @jit
 def keep_past(node, s):
     """The filter that predicts is copied; the copy before becomes the older one."""
-    n, mean, factor, noise = node[Node.SIZE], node[AT_TRIAL.past_mean], node[AT_TRIAL.past_factor], AT_TRIAL.past_noise
+    n, mean, factor, noise = node[Row.SIZE], node[AT_TRIAL.past_mean], node[AT_TRIAL.past_factor], AT_TRIAL.past_noise
     copy(s[mean : mean + n], s[mean + n :])
     copy(s[mean + n : mean + 2 * n], s[node[AT.mean] :])
     copy(s[factor : factor + n * n], s[factor + n * n :])
@@ -25,7 +25,7 @@ def keep_past(node, s):
 @jit
 def hand_over(node, s, q, shares, loose, surge, a):
     """(1) of every side whose share is not 1."""
-    n, past = node[Node.SIZE], s[node[AT_TRIAL.past_mean] :]
+    n, past = node[Row.SIZE], s[node[AT_TRIAL.past_mean] :]
     copy(s[node[AT.mean] + THETA : node[AT.mean] + n], past[THETA:])
     copy(s[node[AT.factor] : node[AT.factor] + n * n], s[node[AT_TRIAL.past_factor] :])
     s[node[AT.noise]] = s[node[AT_TRIAL.past_noise]]
@@ -45,7 +45,7 @@ def give_back(node, s, q, side, loose, surge, a):
 @jit
 def give(node, s, side, share, loose, a):
     """A side's parameters are `share` times the older ones, and P grows along them."""
-    n, own = node[Node.SIZE], node[AT.mean]
+    n, own = node[Row.SIZE], node[AT.mean]
     a = a[:n]
     side_of(node, s[node[AT_TRIAL.past_mean] :], side, a)
     k, e = THETA + 3 + 3 * side, E + 1 + 3 * side
@@ -68,7 +68,7 @@ def begin_anew(node, s, q, surge):
 @jit
 def thrust_left(node, s, side, scale, floor, work):
     """(2): η_j and s_j, which is infinite where the older parameters push backwards."""
-    n, own, old = node[Node.SIZE], node[AT.mean], node[AT_TRIAL.past_mean]
+    n, own, old = node[Row.SIZE], node[AT.mean], node[AT_TRIAL.past_mean]
     mean, past, a = s[own : own + n], s[old : old + n], work[:n]
     fill(a, 0.0)
     w, k, e = mean[W], THETA + 3 + 3 * side, E + 1 + 3 * side

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from usvlearn.estimators.joint.periodic_estimates import Identified, IntervalTerms
 from usvlearn.estimators.joint.quantities import SIDES, Ahead, kilograms_of, steps_of
-from usvlearn.estimators.joint.reading import Beside, Identified
 
 POINTS = 41
 
@@ -51,7 +51,7 @@ def curves(found: Identified) -> dict[str, Curve]:
 
 
 def banded(
-    found: Identified, beside: Beside, name: str, at: np.ndarray, f: Callable[[np.ndarray], np.ndarray]
+    found: Identified, beside: IntervalTerms, name: str, at: np.ndarray, f: Callable[[np.ndarray], np.ndarray]
 ) -> Curve:
     """A curve of the parameters with the 90 % interval of each point.
 

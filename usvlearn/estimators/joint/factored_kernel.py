@@ -4,8 +4,8 @@ A is the leaf `factor`: U_ij at A[j, i] for i < j, D_j at A[j, j].
 """
 
 from usvlearn.core.jit import jit
-from usvlearn.core.rows import COS, SIN
-from usvlearn.estimators.augmented.kernel import add_slow, first_row
+from usvlearn.core.prepared_samples import COS, SIN
+from usvlearn.estimators.augmented_ekf.kernel import add_slow, first_row
 from usvlearn.estimators.joint.state import EAST, NORTH, B, W
 
 

@@ -6,10 +6,10 @@
 import numpy as np
 
 from usvlearn.core.arrays import clamp, fill
-from usvlearn.core.family import Node
+from usvlearn.core.family import Row
 from usvlearn.core.jit import jit
-from usvlearn.core.rows import COS, DT, LEFT, RIGHT, SIN, YAW_RATE
-from usvlearn.estimators.augmented.kernel import (
+from usvlearn.core.prepared_samples import COS, DT, LEFT, RIGHT, SIN, YAW_RATE
+from usvlearn.estimators.augmented_ekf.kernel import (
     add_noise,
     blocks,
     correct,
@@ -19,8 +19,16 @@ from usvlearn.estimators.augmented.kernel import (
     limit,
     limit_lag,
 )
-from usvlearn.estimators.augmented.state import LONGEST, MOST, REST
-from usvlearn.estimators.factored.kernel import measure, project
+from usvlearn.estimators.augmented_ekf.state import LONGEST, MOST, REST
+from usvlearn.estimators.joint.change_detection_kernel import (
+    detect,
+    exchange,
+    has_trial,
+    judge,
+    keep,
+    likelihood,
+    loosen_sides,
+)
 from usvlearn.estimators.joint.factored_kernel import add_current, seen, transition
 from usvlearn.estimators.joint.state import (
     AGEING,
@@ -40,8 +48,8 @@ from usvlearn.estimators.joint.state import (
     Vector,
     W,
 )
-from usvlearn.estimators.joint.trial_kernel import detect, exchange, has_trial, judge, keep, likelihood, loosen_sides
 from usvlearn.estimators.regressors.kernel import phi1
+from usvlearn.estimators.ud_factorization.kernel import measure, project
 
 
 @jit
@@ -76,11 +84,11 @@ def coast(node, s, q, x, predicted, work):
 @jit
 def free_step(node, s, q, x, work):
     """One step of an open-loop simulation: `predict`, and the leaves `frozen` after it; returns the speed, m/s."""
-    n, commands = node[Node.SIZE], node[AT.commands]
+    n, commands = node[Row.SIZE], node[AT.commands]
     mean, predicted = s[node[AT.mean] : node[AT.mean] + n], forecast(node, s, q, x, work)
     if s[node[AT.started]] > 0:
         mean[B], s[node[AT.started]] = 0.0, 0.0
-    move(mean, work[n], decay(x[DT], q[node[Node.NUMBERS] :][Number.DISTURBANCE_TIME]), work[n + 1])
+    move(mean, work[n], decay(x[DT], q[node[Row.NUMBERS] :][Number.DISTURBANCE_TIME]), work[n + 1])
     s[commands], s[commands + 1] = x[LEFT], x[RIGHT]
     return predicted
 
@@ -103,14 +111,14 @@ def learn(node, s, q, x, estimate, target, work):
         leads = s[node[AT_TRIAL.leads]] > 0
     if x[DT] > LONGEST:
         start(node, s, q, target)
-    elif s[node[AT.learned]] >= q[node[Node.NUMBERS] :][Number.READ_EVERY] and not leads:
-        read(node, s, s[node[AT.mean] + THETA : node[AT.mean] + node[Node.SIZE]])
+    elif s[node[AT.learned]] >= q[node[Row.NUMBERS] :][Number.READ_EVERY] and not leads:
+        read(node, s, s[node[AT.mean] + THETA : node[AT.mean] + node[Row.SIZE]])
 
 
 @jit
 def update(node, s, q, x, estimate, target, work):
     """One filter after a measurement, (3) to (7); returns S, and whether the boat was at rest."""
-    n, numbers = node[Node.SIZE], q[node[Node.NUMBERS] :]
+    n, numbers = node[Row.SIZE], q[node[Row.NUMBERS] :]
     mean, A = blocks(node, s)
     spread, rest = advance(node, s, q, x, mean, A, work)
     if x[DT] > LONGEST:
@@ -155,7 +163,7 @@ def compare(node, s, q, x, z, S, target, rest, before, work):
         s[node[AT_TRIAL.since]] += x[DT]
         begins = not s[node[AT_TRIAL.tried]] > 0 and detect(node, s, z)
     if begins:
-        loosen_sides(node, s, q, work[: node[Node.SIZE]])
+        loosen_sides(node, s, q, work[: node[Row.SIZE]])
         s[node[AT_TRIAL.evidence]] = 0.0
     if not (begins or s[node[AT_TRIAL.run]] > 0):
         return
@@ -176,7 +184,7 @@ def inflate_covariance(node, s, q, factor):
 @jit
 def forecast(node, s, q, x, work):
     """The prediction, m/s; g, w⁺ and e^(−h/τ_c) stay in `work`."""
-    n, numbers, commands = node[Node.SIZE], q[node[Node.NUMBERS] :], node[AT.commands]
+    n, numbers, commands = node[Row.SIZE], q[node[Row.NUMBERS] :], node[AT.commands]
     mean, g = s[node[AT.mean] : node[AT.mean] + n], work[:n]
     along = x[COS] * mean[NORTH] + x[SIN] * mean[EAST]
     w, b, left, right = mean[W], mean[B], s[commands], s[commands + 1]
@@ -245,7 +253,7 @@ def advance(node, s, q, x, mean, A, work):
 
     Returns HᵀPH, and whether the boat was at rest.
     """
-    n, numbers, h = node[Node.SIZE], q[node[Node.NUMBERS] :], x[DT]
+    n, numbers, h = node[Row.SIZE], q[node[Row.NUMBERS] :], x[DT]
     g, speed, current, noise = work[:n], work[n], work[n + 1], s[node[AT.noise]]
     if s[node[AT.started]] > 0:
         begin(mean, A, s[node[AT.surge]], noise, x, work[n + 2 :])

@@ -10,11 +10,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usvlearn.core.hyper import Hyper, Positive, as_tensor, check_broadcast
+from usvlearn.core.hyperparameters import Hyper, Positive, as_tensor, check_broadcast
 from usvlearn.core.protocol import Estimator, describe
 from usvlearn.core.samples import Inputs, where
 from usvlearn.errors import ConfigError, check_positive
-from usvlearn.estimators.augmented.layer import (
+from usvlearn.estimators.augmented_ekf.layer import (
     advanced,
     corrected,
     decay,
@@ -25,15 +25,15 @@ from usvlearn.estimators.augmented.layer import (
     moved,
     noisy,
 )
-from usvlearn.estimators.augmented.state import FIRST_DISTURBANCE, LONGEST, MOST, REST
-from usvlearn.estimators.factored.layer import added, measured, packed, rotated, unpacked
+from usvlearn.estimators.augmented_ekf.state import FIRST_DISTURBANCE, LONGEST, MOST, REST
 from usvlearn.estimators.joint import state as at
+from usvlearn.estimators.joint.change_detection import Stepped, Trial, chosen, exchanged, of
 from usvlearn.estimators.joint.flow import flow
 from usvlearn.estimators.joint.quantities import KNOWN_SIGNS, sums
 from usvlearn.estimators.joint.state import EAST, FAMILY, NORTH, THETA, B, E, JointState, W, names
-from usvlearn.estimators.joint.trial import Stepped, Trial, chosen, exchanged, of
 from usvlearn.estimators.mass import known_rows
 from usvlearn.estimators.regressors.terms import CURRENT, DISTURBANCE, LAG
+from usvlearn.estimators.ud_factorization.layer import added, measured, packed, rotated, unpacked
 
 TIME = 2.5  # s, time constant of the prior's boat
 
@@ -234,12 +234,12 @@ class JointEKF(Estimator):
         """P times `factor`, up to its limit."""
         return inflated(state, factor, self.variance)
 
-    def spec(self) -> dict[str, Any]:
+    def description(self) -> dict[str, Any]:
         even = self.even is not None
         found = describe(FAMILY, self, size=THETA + len(self.names), even=even)
         if self.trial is None:
             return found
-        steps, numbers = self.trial.spec()
+        steps, numbers = self.trial.description()
         return found | steps | {"numbers": found["numbers"] | numbers}
 
     def monitor(self, state: JointState) -> dict[str, Tensor]:

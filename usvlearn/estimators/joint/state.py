@@ -29,8 +29,8 @@ Measurement with the innovation e, S its variance:
     θ_q, θ_l, θ_c ≤ 0 and θ_q ± e₀ ≤ 0, by projection in turn                                            (7)
 
 P = U D Uᵀ is kept in factors, whose measurement, with α_0 = S − HᵀPH in (5), and projection are those of
-`usvlearn.estimators.factored`. As w is the first state, F U is triangular but for scales, and a time update needs no
-orthogonalisation. Each step adds noise to w, b and c; at every fourth step one parameter, in turn, gets the
+`usvlearn.estimators.ud_factorization`. As w is the first state, F U is triangular but for scales, and a time update
+needs no orthogonalisation. Each step adds noise to w, b and c; at every fourth step one parameter, in turn, gets the
 random-walk noise of all the steps between.
 
 A segment starts at a measured speed. Its first step knows the heading: there P loses all that joins w and b to others,
@@ -76,14 +76,14 @@ from usvlearn.core.family import (
     POSITIVE_OR_INFINITE,
     TRIANGLE,
     UNIT,
-    Choices,
     Family,
-    Numbers,
+    Options,
+    Parameters,
+    ParameterVectors,
     Range,
-    Vectors,
     leaf,
 )
-from usvlearn.estimators.augmented.state import FROZEN, leaves
+from usvlearn.estimators.augmented_ekf.state import FROZEN, leaves
 from usvlearn.estimators.regressors.terms import CUBIC, EVEN, LAG, SURGE
 
 if TYPE_CHECKING:
@@ -162,7 +162,7 @@ def names(even: bool) -> tuple[str, ...]:
     return (*SURGE, *CUBIC, *(EVEN if even else ()), LAG)
 
 
-class Number(Numbers):
+class Number(Parameters):
     """Hyperparameters and constants, in the units of the arguments of `JointEKF`."""
 
     DISTURBANCE = POSITIVE  # q_b
@@ -182,7 +182,7 @@ class Number(Numbers):
     EACH = NOT_NEGATIVE  # r
 
 
-class Vector(Vectors):
+class Vector(ParameterVectors):
     """One number for each parameter."""
 
     VARIANCE = POSITIVE, lambda size: size - THETA  # prior
@@ -190,7 +190,7 @@ class Vector(Vectors):
     INVERSE_MASS = FINITE, lambda size: size - THETA  # g of 1/m = gᵀθ; zeros where the mass is an assumption
 
 
-class Choice(Choices):
+class Choice(Options):
     """Choices."""
 
     EVEN = False, True

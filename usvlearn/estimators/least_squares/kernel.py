@@ -7,9 +7,9 @@ w = Σ_{k>j} S_ik x_k that the row has passed, S_ij ← S_ij T_jj + y_j w. What 
 import numpy as np
 
 from usvlearn.core.arrays import clamp, copy, dot, fill
-from usvlearn.core.family import ESTIMATE, Node
+from usvlearn.core.family import ESTIMATE, Row
 from usvlearn.core.jit import jit
-from usvlearn.core.rows import DT
+from usvlearn.core.prepared_samples import DT
 from usvlearn.estimators.least_squares.state import AT, RLS, Choice, Number
 from usvlearn.estimators.regressors.kernel import regressor
 
@@ -23,7 +23,7 @@ def start(node, s, q, surge):
 @jit
 def predict(node, s, q, x, work):
     """`LeastSquares.predict`: the speed, and what it was before its limits; φ stays in `work`."""
-    p, numbers = node[Node.SIZE], q[node[Node.NUMBERS] :]
+    p, numbers = node[Row.SIZE], q[node[Row.NUMBERS] :]
     phi, theta = work[:p], s[node[AT.theta] : node[AT.theta] + p]
     base = regressor(node[Choice.TERMS], s[node[AT.surge]], x, numbers[Number.SCALE], theta, phi)
     estimate = base + dot(phi, theta)
@@ -33,7 +33,7 @@ def predict(node, s, q, x, work):
 @jit
 def coast(node, s, q, x, predicted, work):
     """The state after `LeastSquares.predict`: the speed, and the deviation of its prediction."""
-    p = node[Node.SIZE]
+    p = node[Row.SIZE]
     spread = 1.0 + rotated(s[node[AT.factor] : node[AT.factor] + p * p].reshape(p, p), work[:p], work[p : 2 * p])
     s[node[AT.surge]] = predicted
     s[node[AT.deviation]] = np.sqrt(s[node[AT.noise]] * spread)
@@ -50,13 +50,13 @@ def free_step(node, s, q, x, work):
 @jit
 def learn(node, s, q, x, estimate, target, work):
     """The state after `LeastSquares.learn`, or `Projected.learn`."""
-    p, numbers = node[Node.SIZE], q[node[Node.NUMBERS] :]
+    p, numbers = node[Row.SIZE], q[node[Row.NUMBERS] :]
     theta, S = s[node[AT.theta] : node[AT.theta] + p], s[node[AT.factor] : node[AT.factor] + p * p].reshape(p, p)
     phi, f, rest = work[:p], work[p : 2 * p], work[2 * p :]
     innovation = target - estimate
     spread = 1.0 + rotated(S, phi, f)
     noise = s[node[AT.noise]]
-    if node[Node.KIND] == RLS:
+    if node[Row.KIND] == RLS:
         lam, trace_max = numbers[Number.FORGETTING], numbers[Number.TRACE_MAX]
         forget(theta, S, f, innovation, lam, trace_max, rest[p : 2 * p], rest[2 * p : 3 * p])
     else:
@@ -80,7 +80,7 @@ def learn(node, s, q, x, estimate, target, work):
 @jit
 def inflate_covariance(node, s, q, factor):
     """`LeastSquares.inflate_covariance`: P times `factor`, up to its limit."""
-    p, numbers = node[Node.SIZE], q[node[Node.NUMBERS] :]
+    p, numbers = node[Row.SIZE], q[node[Row.NUMBERS] :]
     S = s[node[AT.factor] : node[AT.factor] + p * p]
     limit = numbers[Number.LOOSEST] * numbers[Number.PRIOR] / dot(S, S)
     limit = 1.0 if limit < 1.0 else limit

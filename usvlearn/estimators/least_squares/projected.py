@@ -137,7 +137,7 @@ class Projected(Estimator):
     def inflate_covariance(self, state: RLSState, factor: Tensor) -> RLSState:
         return self.estimator.inflate_covariance(state, factor)
 
-    def spec(self) -> dict[str, Any] | None:
+    def description(self) -> dict[str, Any] | None:
         inner = spec_of(self.estimator)
         return inner and {
             **inner,

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from usvlearn.core.family import FEEDBACK
-from usvlearn.core.hyper import Hyper, Positive, UnitInterval, as_tensor, check_broadcast
+from usvlearn.core.hyperparameters import Hyper, Positive, UnitInterval, as_tensor, check_broadcast
 from usvlearn.core.protocol import Estimator, describe, spec_of
 from usvlearn.core.samples import Inputs
 from usvlearn.errors import check_choice, check_positive
@@ -149,7 +149,7 @@ class LeastSquares(Estimator):
         return state._replace(factor=state.factor * factor.sqrt()[..., None, None])
 
     def _spec(self, kind: str, **own: Any) -> dict[str, Any] | None:
-        """`spec` of a kind, whose numbers are `own`."""
+        """`description` of a kind, whose numbers are `own`."""
         if (terms := spec_of(self.model)) is None:
             return None
         p, scale = len(self.model.names), self.model.scale
@@ -216,7 +216,7 @@ class RLS(LeastSquares):
         growth = check_positive("trace_growth", trace_growth) * len(self.model.names)
         self.register_buffer("trace_max", growth * as_tensor(covariance) * self.model.scale**2)
 
-    def spec(self) -> dict[str, Any] | None:
+    def description(self) -> dict[str, Any] | None:
         return self._spec("rls", forgetting=self.forgetting, trace_max=self.trace_max)
 
     def _step(

@@ -27,7 +27,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from usvlearn.core.hyper import Hyper, Positive
+from usvlearn.core.hyperparameters import Hyper, Positive
 from usvlearn.errors import check_not_negative
 from usvlearn.estimators.least_squares.rls import LeastSquares, measured, triangle
 from usvlearn.estimators.least_squares.state import LONGEST
@@ -98,7 +98,7 @@ class SIFtRLS(LeastSquares):
         self.memory = Positive(memory, "memory")
         self.floor = check_not_negative("floor", floor)
 
-    def spec(self) -> dict[str, Any] | None:
+    def description(self) -> dict[str, Any] | None:
         return self._spec("sift", memory=self.memory, longest=LONGEST, floor=self.floor)
 
     def _step(

@@ -32,10 +32,10 @@ from usvlearn.core.family import (
     POSITIVE,
     TRIANGLE,
     UNIT,
-    Choices,
     Each,
     Family,
-    Numbers,
+    Options,
+    Parameters,
     Range,
     leaf,
 )
@@ -67,7 +67,7 @@ class RLSState(NamedTuple):
         return self.factor @ self.factor.mT
 
 
-class Number(Numbers):
+class Number(Parameters):
     """Numbers of both kinds; a number that a kind does not use has the value that forgets nothing."""
 
     SCALE = MODEST  # the mass, or 1
@@ -83,7 +83,7 @@ class Number(Numbers):
     FLOOR = NOT_NEGATIVE  # of "sift"
 
 
-class Choice(Choices):
+class Choice(Options):
     """Choices; the last two are those of `Projected`."""
 
     FEEDBACK = FEEDBACK

@@ -16,10 +16,10 @@ from usvlearn.estimators.arx.layer import ARX
 from usvlearn.estimators.axis.layer import SwayEKF, YawEKF
 from usvlearn.estimators.baselines.persistence.layer import Persistence
 from usvlearn.estimators.ensemble.combiners.layer import BOA
-from usvlearn.estimators.ensemble.conditional import layer as conditional
 from usvlearn.estimators.ensemble.forecasts.layer import ForecastSettings
 from usvlearn.estimators.ensemble.forecasts.state import EMPTY, FIRST
 from usvlearn.estimators.ensemble.layer import Ensemble
+from usvlearn.estimators.ensemble.manoeuvre_intervals import layer as conditional
 from usvlearn.estimators.ensemble.state import EnsembleState
 from usvlearn.estimators.planar import state as at
 from usvlearn.estimators.planar.state import AXES, DUE, LIMIT, TrackState
@@ -117,18 +117,18 @@ class Planar(nn.Module):
         )
         return PlanarState(**axes, track=track)
 
-    def spec(self) -> dict[str, Any]:
-        """The specification by which the engine makes the steps.
+    def description(self) -> dict[str, Any]:
+        """The description by which the engine makes the steps.
 
         Returns:
-            The specifications of the three ensembles, and the numbers of the tracks, as JSON stores them.
+            The descriptions of the three ensembles, and the numbers of the tracks, as JSON stores them.
 
         Raises:
             ConfigError: an ensemble makes no forecasts, has no compiled code, or lacks its filter.
 
         >>> from usvlearn import Ensemble, ForecastSettings, JointEKF
         >>> surge = Ensemble({"joint": JointEKF(surge_max=2.7)}, forecasts=ForecastSettings())
-        >>> Planar(surge, surge_max=2.7).spec()["kind"]
+        >>> Planar(surge, surge_max=2.7).description()["kind"]
         'planar'
         """
         found: dict[str, Any] = {"kind": "planar"}

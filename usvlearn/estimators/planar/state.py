@@ -43,8 +43,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from usvlearn.core.family import ANY, NOT_NEGATIVE, POSITIVE, UNIT, Family, Numbers, Vectors, leaf
-from usvlearn.estimators.ensemble.conditional.state import HELD, PATH, LearnedState, learned_leaves
+from usvlearn.core.family import ANY, NOT_NEGATIVE, POSITIVE, UNIT, Family, Parameters, ParameterVectors, leaf
+from usvlearn.estimators.ensemble.manoeuvre_intervals.state import HELD, PATH, LearnedState, learned_leaves
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -98,14 +98,14 @@ class TrackState(NamedTuple):
     due: Tensor  # (*batch, H, 8) of the tracks that became due in the last step; NaN where none did
 
 
-class Number(Numbers):
+class Number(Parameters):
     """Constants."""
 
     COVERAGE = UNIT
     OVERLAP = POSITIVE
 
 
-class Vector(Vectors):
+class Vector(ParameterVectors):
     """Horizons, s, `(H,)`. A size is (slots, H, length)."""
 
     HORIZONS = POSITIVE, lambda size: size[1]

@@ -3,7 +3,7 @@
 import numpy as np
 
 from usvlearn.core.jit import jit
-from usvlearn.core.rows import COS, DT, LEFT, LEFT_BEFORE, RIGHT, RIGHT_BEFORE, SIN, SURGE_DOT, YAW_RATE
+from usvlearn.core.prepared_samples import COS, DT, LEFT, LEFT_BEFORE, RIGHT, RIGHT_BEFORE, SIN, SURGE_DOT, YAW_RATE
 from usvlearn.estimators.regressors.terms import LEAST, MOST, NEAR, SERIES, TERMS
 
 QUASI_STATIC, PLAIN = TERMS.index([]), TERMS.index(["dynamics"])

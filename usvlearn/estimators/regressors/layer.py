@@ -27,7 +27,7 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor, nn
 
-from usvlearn.core.hyper import Hyper, as_tensor
+from usvlearn.core.hyperparameters import Hyper, as_tensor
 from usvlearn.core.samples import Inputs
 from usvlearn.errors import ConfigError, ShapeError
 from usvlearn.estimators.regressors.terms import LEAST, MOST, NEAR, QUASI_STATIC, SERIES, signs_of
@@ -168,13 +168,13 @@ class SurgeDynamics(nn.Module):
             raise ConfigError(f"mass: found {given.tolist()}, expected a positive number of kg")
         self.register_buffer("mass", given)
 
-    def spec(self) -> list[str]:
-        """Its terms, for the specification of an estimator.
+    def description(self) -> list[str]:
+        """Its terms, for the description of an estimator.
 
         Returns:
             The names of the terms.
 
-        >>> SurgeDynamics(28.0, cubic=True).spec()
+        >>> SurgeDynamics(28.0, cubic=True).description()
         ['dynamics', 'cubic']
         """
         return list(self.terms)
@@ -222,13 +222,13 @@ class QuasiStatic(nn.Module):
     names, signs = tuple(QUASI_STATIC), tuple(QUASI_STATIC.values())
     scale = 1.0
 
-    def spec(self) -> list[str]:
+    def description(self) -> list[str]:
         """It has none of the terms of the dynamics.
 
         Returns:
             An empty list.
 
-        >>> QuasiStatic().spec()
+        >>> QuasiStatic().description()
         []
         """
         return []

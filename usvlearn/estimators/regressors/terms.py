@@ -73,7 +73,7 @@ def signs_of(terms: Collection[str]) -> dict[str, int]:
 
 
 def parameters(own: Mapping[str, Any]) -> int:
-    """How many parameters an estimator has, from its entries in a specification."""
+    """How many parameters an estimator has, from its entries in a description."""
     return len(signs_of(own["terms"]))
 
 

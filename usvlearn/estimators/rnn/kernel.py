@@ -6,9 +6,9 @@ The weights lie in the order of the gradient: a, w1, W2 row by row, b.
 import numpy as np
 
 from usvlearn.core.arrays import clamp, copy, fill, whole
-from usvlearn.core.family import ESTIMATE, Node
+from usvlearn.core.family import ESTIMATE, Row
 from usvlearn.core.jit import jit
-from usvlearn.core.rows import COS, DT, LEFT, RIGHT, SIN
+from usvlearn.core.prepared_samples import COS, DT, LEFT, RIGHT, SIN
 from usvlearn.estimators.rnn.projection_kernel import project
 from usvlearn.estimators.rnn.state import (
     AT,
@@ -41,7 +41,7 @@ def start(node, s, q, surge):
 @jit
 def predict(node, s, q, x, work):
     """`RNN.predict`: the speed, m/s, twice; u and z stay in `work`."""
-    n, scale, u = node[Node.SIZE], q[node[Node.NUMBERS] :][Number.SCALE], work[:INPUTS]
+    n, scale, u = node[Row.SIZE], q[node[Row.NUMBERS] :][Number.SCALE], work[:INPUTS]
     network_inputs(x, u)
     weights = s[node[AT.weights.a] : node[AT.weights.a] + WEIGHTS * n]
     surge = network(weights, scale * s[node[AT.surge]], u, work[INPUTS : INPUTS + n]) / scale
@@ -51,7 +51,7 @@ def predict(node, s, q, x, work):
 @jit
 def coast(node, s, q, x, predicted, work):
     """The state after `RNN.predict`."""
-    s[node[AT.surge]] = clamp(predicted, 2 * q[node[Node.NUMBERS] :][Number.SURGE_MAX])
+    s[node[AT.surge]] = clamp(predicted, 2 * q[node[Row.NUMBERS] :][Number.SURGE_MAX])
     s[node[AT.unbroken]] = 0.0
 
 
@@ -59,14 +59,14 @@ def coast(node, s, q, x, predicted, work):
 def free_step(node, s, q, x, work):
     """One step of an open-loop simulation: `predict`, and the leaves `frozen` after it; returns the speed, m/s."""
     predicted, _ = predict(node, s, q, x, work)
-    s[node[AT.surge]] = clamp(predicted, 2 * q[node[Node.NUMBERS] :][Number.SURGE_MAX])
+    s[node[AT.surge]] = clamp(predicted, 2 * q[node[Row.NUMBERS] :][Number.SURGE_MAX])
     return predicted
 
 
 @jit
 def learn(node, s, q, x, estimate, target, work):
     """`RNN.update`."""
-    n, numbers = node[Node.SIZE], q[node[Node.NUMBERS] :]
+    n, numbers = node[Row.SIZE], q[node[Row.NUMBERS] :]
     count = WEIGHTS * n
     weights, h, surge = s[node[AT.weights.a] : node[AT.weights.a] + count], numbers[Number.SCALE], s[node[AT.surge]]
     u, z, rest = work[:INPUTS], work[INPUTS : INPUTS + n], work[INPUTS + n :]
@@ -100,7 +100,7 @@ def limited(weights, numbers, n, grad):
 @jit(inline=True)
 def descend(node, s, q, weights, grad, factor, rest):
     """`RNN._descend` by a gradient times a factor."""
-    n, numbers, count = node[Node.SIZE], q[node[Node.NUMBERS] :], len(grad)
+    n, numbers, count = node[Row.SIZE], q[node[Row.NUMBERS] :], len(grad)
     moment1, moment2 = s[node[AT.moment1] : node[AT.moment1] + count], s[node[AT.moment2] : node[AT.moment2] + count]
     ratios = q[node[Vector.RATE_RATIO] : node[Vector.RATE_RATIO] + count]
     adam(weights, moment1, moment2, grad, factor, ratios, numbers, s[node[AT.updates]])
@@ -124,7 +124,7 @@ def keep(node, s, u, surge, target):
 @jit
 def learn_again(node, s, q, weights, z, rest):
     """One step of `descend` by the mean gradient of the kept samples that are due."""
-    n, numbers, steps = node[Node.SIZE], q[node[Node.NUMBERS] :], node[Choice.REPLAY_STEPS]
+    n, numbers, steps = node[Row.SIZE], q[node[Row.NUMBERS] :], node[Choice.REPLAY_STEPS]
     count = WEIGHTS * n
     z_before, grad, total = rest[:n], rest[n : n + count], rest[n + count : n + 2 * count]
     fill(total, 0.0)

@@ -17,12 +17,12 @@ from certify.proofs.equilibria import CLASSES, equilibria
 from certify.training.conditions import CONDITIONS, rate
 from certify.training.projections import GAUGES, project
 from usvlearn.core.family import FEEDBACK
-from usvlearn.core.hyper import Hyper, Positive, UnitInterval, as_tensor, check_broadcast
+from usvlearn.core.hyperparameters import Hyper, Positive, UnitInterval, as_tensor, check_broadcast
 from usvlearn.core.protocol import Estimator, describe
 from usvlearn.core.samples import Inputs
 from usvlearn.errors import ConfigError, check_choice, check_not_negative, check_positive
 from usvlearn.estimators.rnn.initial import initial_weights, pretrained_weights
-from usvlearn.estimators.rnn.kept import added, due
+from usvlearn.estimators.rnn.replay_buffer import added, due
 from usvlearn.estimators.rnn.state import (
     BETA2,
     EPSILON,
@@ -280,7 +280,7 @@ class RNN(Estimator):
     def start(self, state: RNNState, surge: Tensor) -> RNNState:
         return state._replace(surge=surge, unbroken=torch.zeros_like(state.unbroken))
 
-    def spec(self) -> dict[str, Any]:
+    def description(self) -> dict[str, Any]:
         found = describe(
             FAMILY, self, size=len(self.a), unroll=int(self.unroll), best=self.gauge == "best",
             condition="none" if self.contraction_rate is None else self.condition,

@@ -61,11 +61,11 @@ from usvlearn.core.family import (
     POSITIVE,
     POSITIVE_OR_INFINITE,
     UNIT,
-    Choices,
     Family,
-    Numbers,
+    Options,
+    Parameters,
+    ParameterVectors,
     Range,
-    Vectors,
     leaf,
 )
 
@@ -125,7 +125,7 @@ class Condition(IntEnum):
     INTERVAL = 5
 
 
-class Number(Numbers):
+class Number(Parameters):
     """Constants and hyperparameters."""
 
     SCALE = MODEST  # h, s/m
@@ -142,14 +142,14 @@ class Number(Numbers):
     TINY = UNIT
 
 
-class Vector(Vectors):
+class Vector(ParameterVectors):
     """The box of `interval`, least and then greatest x and u; the relative rate of each weight."""
 
     BOUNDS = FINITE, lambda n: 2 * (1 + INPUTS)
     RATE_RATIO = NOT_NEGATIVE, lambda n: WEIGHTS * n
 
 
-class Choice(Choices):
+class Choice(Options):
     """Choices."""
 
     FEEDBACK = FEEDBACK

@@ -56,7 +56,7 @@ class Bank(nn.Module):
     def inflate_covariance(self, state: Any, factor: Tensor) -> Any:
         return self.estimator.inflate_covariance(state, self._wide(factor))
 
-    def spec(self) -> dict[str, Any] | None:
+    def description(self) -> dict[str, Any] | None:
         inner = spec_of(self.estimator)
         return inner and {"kind": "bank", "inner": inner, "count": len(self.labels)}
 

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from usvlearn.live.status.posts import TABLE, Post, of_health, of_step
+from usvlearn.live.status.publications import TABLE, Post, of_health, of_step
 
 if TYPE_CHECKING:
     from usvlearn.live.health import Health

@@ -23,7 +23,7 @@ from usvlearn.live.moos.block import EXAMPLE, MIDDLEWARE, Settings, interface, p
 from usvlearn.live.moos.client import Client
 from usvlearn.live.moos.wire import Message
 from usvlearn.live.session import Session
-from usvlearn.live.status import posts
+from usvlearn.live.status import publications
 from usvlearn.live.status.operator_page import page
 from usvlearn.live.status.status_line import StatusLine
 from usvlearn.logs.channels.channel import COMMANDS
@@ -36,7 +36,7 @@ ADVICE = (
 )
 SECOND, STATUS, SELDOM = 1.0, 2.0, 5.0  # s between two reports of health, of status, and of what changes seldom
 OLD = 1.0  # s: what is older than the subscription by more than this is no news
-SELDOM_POSTS = {each.name for each in posts.TABLE if each.when == posts.SELDOM}
+SELDOM_POSTS = {each.name for each in publications.TABLE if each.when == publications.SELDOM}
 
 
 class App:
@@ -139,7 +139,7 @@ class App:
         if last and not self.session.sources[part].held:
             return self.session.drop(part, "last_value")
         for step in self.session.push(part, self._subscribed if last else message.time, value):
-            self._publish(posts.of_step(step, self.settings.members))
+            self._publish(publications.of_step(step, self.settings.members))
             for event in step.events:
                 self.casts.event(event.sentence, self._uptime())
                 self._line.say(event.sentence)
@@ -149,11 +149,11 @@ class App:
         """Answer a plan; the last value that the database has is old."""
         if not self._is_last_value(message):
             text = message.text if message.data == wire.TEXT else f"{message.value:g}"
-            self._publish([posts.Post(posts.PLANNED, self.session.answer(text))])
+            self._publish([publications.Post(publications.PLANNED, self.session.answer(text))])
 
     # what goes out
 
-    def _publish(self, found: Iterable[posts.Post]) -> None:
+    def _publish(self, found: Iterable[publications.Post]) -> None:
         for post in found:
             self._published.add(self.settings.prefix + post.name)
             self.client.notify(self.settings.prefix + post.name, post.value)
@@ -180,7 +180,7 @@ class App:
             self.casts.event(self._trouble or f"connected to the MOOSDB at {where}", self._uptime())
         self._line.show(health, self.session.last, self._trouble)
         if self.client.connected:  # old news is none
-            self._publish(post for post in posts.of_health(health) if seldom or post.name not in SELDOM_POSTS)
+            self._publish(post for post in publications.of_health(health) if seldom or post.name not in SELDOM_POSTS)
 
     def _status(self, cpu: float) -> str:
         """What every app says about itself."""

@@ -14,7 +14,7 @@ from usvlearn.errors import ConfigError, did_you_mean, printable
 from usvlearn.live import arguments as shared
 from usvlearn.live.moos.mission import Entry, Mission
 from usvlearn.live.start import NAMED, Middleware, Options, channel_options
-from usvlearn.live.status.posts import PLANNED, TABLE
+from usvlearn.live.status.publications import PLANNED, TABLE
 
 NAME, HOST, PORT, TICK, PREFIX = "pUSVLearn", "localhost", 9000, 4.0, "USV_"
 PLAN = "USVLEARN_PLAN"  # variable

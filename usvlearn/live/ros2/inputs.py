@@ -31,7 +31,7 @@ AUXILIARY: dict[str, dict[str, Any]] = {  # likewise, of a node that makes track
 }
 
 
-class Plan(NamedTuple):
+class Subscriptions(NamedTuple):
     """What is subscribed to."""
 
     topics: dict[str, str]  # topic -> type of its messages
@@ -39,14 +39,14 @@ class Plan(NamedTuple):
     problems: dict[str, str]  # part -> why it is not received, in one sentence
 
 
-def plan(
+def choose_topics(
     sources: Mapping[str, Source],
     names: Iterable[str],
     kinds: Callable[[str], Sequence[str]],
     resolve: Callable[[str], str],
     namespace: str = "/",
     current: Mapping[str, str] | None = None,
-) -> Plan:
+) -> Subscriptions:
     """Choose a topic for each part.
 
     A name without `*` is resolved as ROS resolves it: with the node's namespace and the remappings. A name with `*`
@@ -62,7 +62,7 @@ def plan(
 
     >>> sources = {"surge": Source("*/odom"), "heading": Source("*/odom"), "command_left": Source("thrust")}
     >>> graph = {"/boat/odom": ["nav_msgs/msg/Odometry"]}
-    >>> found = plan(sources, graph, lambda topic: graph.get(topic, []), lambda name: "/" + name)
+    >>> found = choose_topics(sources, graph, lambda topic: graph.get(topic, []), lambda name: "/" + name)
     >>> found.topics, found.fields["/boat/odom"]["heading"]
     ({'/boat/odom': 'nav_msgs/msg/Odometry'}, 'pose.pose.orientation')
     >>> found.problems
@@ -70,7 +70,7 @@ def plan(
     """
     below, current = namespace.rstrip("/") + "/", current or {}
     names = sorted(name for name in names if name.startswith(below))
-    found = Plan({}, {}, {})
+    found = Subscriptions({}, {}, {})
     for part, source in sources.items():
         chosen = matching(source.name, names) if set("*?[") & set(source.name) else [resolve(source.name)]
         kept = [topic for topic in chosen if topic in current]

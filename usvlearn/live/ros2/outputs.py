@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from usvlearn.core.plans import Track
+from usvlearn.core.forecasts import Track
 from usvlearn.errors import ConfigError
 from usvlearn.live.ros2.inputs import NS
 

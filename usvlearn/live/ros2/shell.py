@@ -21,7 +21,7 @@ from typing import Any
 
 from usvlearn.errors import ConfigError
 from usvlearn.live.arguments import add_arguments, options_of
-from usvlearn.live.ros2.inputs import AUXILIARY, DEFAULTS, NS, Messages, plan
+from usvlearn.live.ros2.inputs import AUXILIARY, DEFAULTS, NS, Messages, choose_topics
 from usvlearn.live.ros2.outputs import CLASSES, NAME, TRACK_CLASSES, Outputs, message_class
 from usvlearn.live.ros2.parameters import given_by, with_parameters
 from usvlearn.live.session import Session
@@ -138,7 +138,7 @@ class Shell:
         own = {publisher.topic_name for publisher in self._publishers.values()}
         names = [name for name, _ in node.get_topic_names_and_types() if name not in own]
         current = {topic: kind for topic, (kind, _) in self._subscriptions.items()}
-        found = plan(self._session.sources, names, kinds_of, resolve, node.get_namespace(), current)
+        found = choose_topics(self._session.sources, names, kinds_of, resolve, node.get_namespace(), current)
         self._fields, problems = found.fields, dict(found.problems)
         for topic, kind in found.topics.items():
             if current.get(topic) == kind:

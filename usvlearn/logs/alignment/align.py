@@ -33,7 +33,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.core.plans import HEADING
+from usvlearn.core.forecasts import HEADING
 from usvlearn.core.samples import Inputs, Sample
 from usvlearn.errors import ConfigError, LogFormatError, check_choice, check_not_negative, check_positive
 from usvlearn.logs.channels.channel import AUTO, CHANNELS, COMMANDS, REQUIRED, Channel

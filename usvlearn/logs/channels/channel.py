@@ -72,7 +72,7 @@ class Source:
         delay: time from the stamp of a value to its effect on the measured speed, s (thruster and filter lag).
         period: time between two measurements of the speed's sensor, s, where messages come faster than it measures: the
             same number again within two periods is a copy of one measurement. 0: every message is a measurement.
-            "auto": found from the logs, see `usvlearn.logs.channels.copies`.
+            "auto": found from the logs, see `usvlearn.logs.channels.repeated_values`.
         missing: raw values that mean "unknown", such as [65535]; they count as not a number.
 
     Raises:

@@ -1,7 +1,7 @@
 """The check of the data before a run: is what was read likely to be what the configuration says that it is?
 
 Wrong units, reversed sides and delays do not stop a run: it prints plausible numbers. Each check compares channels with
-each other and with physics, on all runs of a boat together (`usvlearn.logs.channels.relations`), and yields a finding
+each other and with physics, on all runs of a boat together (`usvlearn.logs.channels.correlations`). It yields a finding
 with the setting that corrects it. The thresholds stand beside the checks: `scales`, `track`, `thrusters`, `response`,
 `frozen` and `delivery` of `usvlearn.logs.checks`.
 

@@ -25,7 +25,7 @@ import numpy as np
 
 from usvlearn.logs.channels.bins import cleaned
 from usvlearn.logs.channels.channel import AUTO, CHANNELS, COMMANDS, EPSILON, LEAST_WINDOW, METRES, MOST_WINDOW, SURGE
-from usvlearn.logs.channels.copies import find_period
+from usvlearn.logs.channels.repeated_values import find_period
 from usvlearn.logs.checks.evidence import MOVING, NONE, Evidence
 from usvlearn.logs.checks.finding import NOTE, WARNING, Finding, override, see
 

@@ -25,9 +25,7 @@ from usvlearn.logs.channels.channel import (
     Recording,
     Source,
 )
-from usvlearn.logs.channels.derived_surge import pair_of
-from usvlearn.logs.channels.positions import in_metres
-from usvlearn.logs.channels.relations import (
+from usvlearn.logs.channels.correlations import (
     Motion,
     Offset,
     Relation,
@@ -37,6 +35,8 @@ from usvlearn.logs.channels.relations import (
     relate,
     relate_sides,
 )
+from usvlearn.logs.channels.derived_surge import pair_of
+from usvlearn.logs.channels.positions import in_metres
 from usvlearn.logs.checks.finding import override
 
 STEP = 1.0  # s, of the bins: below the time constants of hulls, and few enough that a check takes milliseconds

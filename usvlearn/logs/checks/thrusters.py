@@ -31,7 +31,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from usvlearn.logs.channels.channel import COMMANDS, SURGE
-from usvlearn.logs.channels.relations import Relation
+from usvlearn.logs.channels.correlations import Relation
 from usvlearn.logs.checks.evidence import Evidence, angular, mirrored
 from usvlearn.logs.checks.finding import NOTE, Finding, override, see
 from usvlearn.logs.checks.response import STEADY, implausible_lag

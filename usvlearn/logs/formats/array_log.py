@@ -28,8 +28,8 @@ from usvlearn.logs.channels.channel import (
     build_channel,
     match_name,
 )
-from usvlearn.logs.channels.copies import settle_period
 from usvlearn.logs.channels.derived_surge import PAIRS_TOLD, pair_of
+from usvlearn.logs.channels.repeated_values import settle_period
 from usvlearn.logs.channels.series import Series
 from usvlearn.logs.formats.csv.stamps import spread, unwrapped
 from usvlearn.logs.formats.csv.table import TIME_UNITS

@@ -7,9 +7,9 @@ from typing import Any
 
 from usvlearn.logs.channels.channel import AUTO
 from usvlearn.logs.inspection.candidate import Candidate
+from usvlearn.logs.inspection.command_sides import Commands, Side
+from usvlearn.logs.inspection.config_writer import scalar
 from usvlearn.logs.inspection.decision import PROBABLE, UNSURE, Decision
-from usvlearn.logs.inspection.sides import Commands, Side
-from usvlearn.logs.inspection.written import scalar
 
 SIDES = ("command_left", "command_right")
 UNEVEN, ON_CHANGE = 1.5, 3.0  # ratio of long to usual intervals, from which a command may be, and is posted on change

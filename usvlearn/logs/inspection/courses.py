@@ -13,13 +13,13 @@ import numpy as np
 
 from usvlearn.logs.channels.bins import cleaned
 from usvlearn.logs.channels.channel import AUTO, COURSES
-from usvlearn.logs.channels.relations import sway_on_positions
+from usvlearn.logs.channels.correlations import sway_on_positions
 from usvlearn.logs.inspection.candidate import Candidate
 from usvlearn.logs.inspection.decision import CERTAIN, ORDER, PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.directions import Heading, read_any_turn
-from usvlearn.logs.inspection.places import MOVING, Pair, Places, course_of
+from usvlearn.logs.inspection.position_channels import MOVING, Pair, Places, course_of
 from usvlearn.logs.inspection.speeds import RATIO, Speed
-from usvlearn.logs.inspection.sways import FOLLOWS, SURE
+from usvlearn.logs.inspection.sway_channels import FOLLOWS, SURE
 from usvlearn.logs.inspection.vocabulary import OVER_GROUND, fit, words
 
 MOST = 4  # speeds that are tried

@@ -15,11 +15,11 @@ import numpy as np
 from usvlearn.logs.channels.bins import cleaned
 from usvlearn.logs.channels.channel import AUTO, UNITS
 from usvlearn.logs.channels.compass import compass_error
-from usvlearn.logs.channels.relations import rate_slope
+from usvlearn.logs.channels.correlations import rate_slope
 from usvlearn.logs.inspection.candidate import ANGLES, Candidate
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.known import rank
-from usvlearn.logs.inspection.places import Pair, Places, course_of
+from usvlearn.logs.inspection.position_channels import Pair, Places, course_of
 from usvlearn.logs.inspection.vocabulary import fit, words
 
 HEADINGS = ("deg", "rad", "enu_deg", "enu_rad")

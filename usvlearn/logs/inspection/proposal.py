@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from usvlearn.logs.channels.channel import UNITS
-from usvlearn.logs.channels.relations import heading_rate
+from usvlearn.logs.channels.correlations import heading_rate
 from usvlearn.logs.inspection.candidate import Candidate
+from usvlearn.logs.inspection.command_sides import SWAPPED, Commands, doubted, find_commands, seconds_astern
 from usvlearn.logs.inspection.commands import SIDES, tell_commands
+from usvlearn.logs.inspection.config_writer import scalar
 from usvlearn.logs.inspection.courses import course_beside, find_course, reckoned, tell_course
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.directions import (
@@ -21,7 +23,7 @@ from usvlearn.logs.inspection.directions import (
     tell_yaw_rate,
     without_error,
 )
-from usvlearn.logs.inspection.places import (
+from usvlearn.logs.inspection.position_channels import (
     Pair,
     Places,
     course_of,
@@ -32,8 +34,7 @@ from usvlearn.logs.inspection.places import (
     rate_of,
     tell_places,
 )
-from usvlearn.logs.inspection.senses import LIKELY
-from usvlearn.logs.inspection.sides import SWAPPED, Commands, doubted, find_commands, seconds_astern
+from usvlearn.logs.inspection.sign_hypotheses import LIKELY
 from usvlearn.logs.inspection.speeds import (
     IS_SET,
     along_hull,
@@ -45,7 +46,7 @@ from usvlearn.logs.inspection.speeds import (
     tell_speed,
     tell_without_sign,
 )
-from usvlearn.logs.inspection.sways import find_sway, tell_sway
+from usvlearn.logs.inspection.sway_channels import find_sway, tell_sway
 from usvlearn.logs.inspection.vehicles import of_one_vehicle
 from usvlearn.logs.inspection.velocities import find_velocities, tell_velocities
 from usvlearn.logs.inspection.vocabulary import (
@@ -57,7 +58,6 @@ from usvlearn.logs.inspection.vocabulary import (
     names_side_alone,
     side,
 )
-from usvlearn.logs.inspection.written import scalar
 
 DEGREES = ("latitude", "longitude")  # which rise as evenly as a clock on a straight line
 

@@ -13,12 +13,12 @@ from typing import Any
 import yaml
 
 from usvlearn.core.checkpoint import write_atomically
-from usvlearn.core.foreign_yaml import read_yaml
+from usvlearn.core.safe_yaml import read_yaml
 from usvlearn.core.unconfirmed import ALL, SECTION, Questions, at, questions_in, unconfirmed
 from usvlearn.errors import ConfigError, did_you_mean, printable
 from usvlearn.logs.channels.channel import COMMANDS
+from usvlearn.logs.inspection.config_writer import path_of, scalar
 from usvlearn.logs.inspection.decision import CERTAIN, UNSURE, Decision, least
-from usvlearn.logs.inspection.written import path_of, scalar
 
 DETAILS = ("posting", "period", "window", "rejected")
 

@@ -14,12 +14,12 @@ import numpy as np
 
 from usvlearn.logs.channels.bins import cleaned
 from usvlearn.logs.channels.channel import AUTO, RARE, SPEEDS, UNITS, Channel
-from usvlearn.logs.channels.copies import find_period
-from usvlearn.logs.channels.relations import Relation, speed_on_positions, speed_on_thrust
+from usvlearn.logs.channels.correlations import Relation, speed_on_positions, speed_on_thrust
+from usvlearn.logs.channels.repeated_values import find_period
 from usvlearn.logs.inspection.candidate import Candidate
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
-from usvlearn.logs.inspection.places import CLOSE as FOLLOWED
-from usvlearn.logs.inspection.places import Pair, Places, crossed
+from usvlearn.logs.inspection.position_channels import CLOSE as FOLLOWED
+from usvlearn.logs.inspection.position_channels import Pair, Places, crossed
 from usvlearn.logs.inspection.vocabulary import OTHER_UNITS, SETPOINT, fit, names_side_alone, words
 
 RATIO = 1.3  # by which a slope may differ from that of a unit, as far as that unit is near at all

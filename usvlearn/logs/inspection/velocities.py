@@ -9,12 +9,12 @@ from typing import NamedTuple
 import numpy as np
 
 from usvlearn.logs.channels.channel import AUTO
-from usvlearn.logs.channels.relations import speed_on_positions
+from usvlearn.logs.channels.correlations import speed_on_positions
 from usvlearn.logs.inspection.candidate import Candidate
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision
 from usvlearn.logs.inspection.directions import agreement
 from usvlearn.logs.inspection.known import known_velocity
-from usvlearn.logs.inspection.places import Pair, Places
+from usvlearn.logs.inspection.position_channels import Pair, Places
 from usvlearn.logs.inspection.speeds import Speed, read_speed, vectors
 from usvlearn.logs.inspection.vocabulary import fit
 

@@ -15,8 +15,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from usvlearn.errors import ConfigError
+from usvlearn.estimators.joint.periodic_estimates import Identified
 from usvlearn.estimators.joint.quantities import Ahead
-from usvlearn.estimators.joint.reading import Identified
 
 STEP = 0.05  # s, longest of the simulation
 BAND = 0.05  # of a step of the wanted speed: settled within it

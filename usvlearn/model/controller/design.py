@@ -10,8 +10,8 @@ import numpy as np
 from usvlearn.core.events import NINETY
 from usvlearn.errors import ConfigError, check_positive
 from usvlearn.estimators.joint.curves import Curve, banded
+from usvlearn.estimators.joint.periodic_estimates import Identified
 from usvlearn.estimators.joint.quantities import SIDES
-from usvlearn.estimators.joint.reading import Identified
 from usvlearn.logs.setup import Setup
 from usvlearn.model.controller.autopilots import Moos, MoosLaw, Rover, RoverLaw
 from usvlearn.model.controller.closed_loop import Law, Responses, Step, draws, simulate, steps_of

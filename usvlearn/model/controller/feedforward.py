@@ -13,7 +13,7 @@ import numpy as np
 
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.joint.curves import Curve, banded
-from usvlearn.estimators.joint.reading import Identified
+from usvlearn.estimators.joint.periodic_estimates import Identified
 
 POINTS = 201
 DEAD = 0.02  # share of the greatest speed, below which a command is in the dead band

@@ -26,8 +26,8 @@ import numpy as np
 
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.joint.curves import Curve, banded
+from usvlearn.estimators.joint.periodic_estimates import Identified
 from usvlearn.estimators.joint.quantities import SIDES
-from usvlearn.estimators.joint.reading import Identified
 from usvlearn.model.controller.feedforward import SAIL
 
 FASTEST, DELAYED, SLOWEST_INTEGRAL = 4.0, 0.5, 4.0  # of (4)

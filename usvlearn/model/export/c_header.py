@@ -8,7 +8,7 @@ from textwrap import wrap
 
 import numpy as np
 
-from usvlearn.estimators.joint.lacking import Quantity
+from usvlearn.estimators.joint.excitation_warnings import Quantity
 from usvlearn.estimators.joint.quantities import SIDES
 from usvlearn.estimators.regressors.terms import UNITS
 from usvlearn.model.export.described import SIGNS, STEP, equation

@@ -11,7 +11,7 @@ from typing import Any
 import usvlearn
 from usvlearn.errors import MissingExtraError
 from usvlearn.model.export.published_steps import Stretch
-from usvlearn.runs.published import UNITS
+from usvlearn.runs.prediction_files import UNITS
 
 GAP = 10.0  # s between two runs, which follow each other from time 0
 TOPICS = {"measured": "/usvlearn/measured", "predicted": "/usvlearn/predicted", "halfwidth": "/usvlearn/halfwidth"}

@@ -13,9 +13,9 @@ from usvlearn.errors import CheckpointError
 from usvlearn.estimators.axis.turning_intervals import joined
 from usvlearn.estimators.axis.turning_quantities import OF_FIT
 from usvlearn.estimators.axis.turning_quantities import QUANTITIES as TURNING
-from usvlearn.estimators.joint.lacking import POSITIVE_OF_BOATS, Quantity, unphysical
+from usvlearn.estimators.joint.excitation_warnings import POSITIVE_OF_BOATS, Quantity, unphysical
+from usvlearn.estimators.joint.periodic_estimates import Identified, IntervalTerms, says_nothing, scale_sentence
 from usvlearn.estimators.joint.quantities import QUANTITIES
-from usvlearn.estimators.joint.reading import Beside, Identified, says_nothing, scale_sentence
 from usvlearn.estimators.regressors.terms import LAG
 from usvlearn.model.fit.choice import Score
 from usvlearn.model.fit.gauss_newton import Fit, Missions
@@ -89,7 +89,7 @@ class FittedBoat(Identified):
         return cls(
             dict(found), basis, scale_sentence(np.zeros(0), mass), tuple(filter(None, [impossible, *lacks])), mass,
             np.zeros(len(theta)), theta, covariance,
-            Beside(common, theta, start, np.diag(np.linalg.inv(known.information)), vague=False),
+            IntervalTerms(common, theta, start, np.diag(np.linalg.inv(known.information)), vague=False),
             frozenset(name for name, each in found.items() if says_nothing(name, each, first, mass)), impossible,
             terms, top, late,
         )  # fmt: skip

@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.core.events import NINETY
-from usvlearn.core.rows import DT, LEFT, MODE, PREDICT, RIGHT, SURGE
-from usvlearn.estimators.joint.lacking import Quantity
+from usvlearn.core.prepared_samples import DT, LEFT, MODE, PREDICT, RIGHT, SURGE
+from usvlearn.estimators.joint.excitation_warnings import Quantity
 from usvlearn.estimators.joint.quantities import SIDES
 from usvlearn.estimators.regressors.terms import SURGE as COEFFICIENTS
 from usvlearn.evaluation.metrics import fit as per_cent

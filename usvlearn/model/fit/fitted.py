@@ -12,8 +12,8 @@ import numpy as np
 from usvlearn.display.json_values import finite
 from usvlearn.errors import ConfigError, did_you_mean
 from usvlearn.estimators.axis.turning_intervals import HARDLY
-from usvlearn.estimators.joint.lacking import Quantity
-from usvlearn.estimators.joint.reading import Identified
+from usvlearn.estimators.joint.excitation_warnings import Quantity
+from usvlearn.estimators.joint.periodic_estimates import Identified
 from usvlearn.estimators.regressors.terms import LAG
 from usvlearn.model.fit.boat import FittedBoat
 from usvlearn.model.fit.choice import WEAR, Score, choose

@@ -22,8 +22,8 @@ from functools import cache
 import numpy as np
 
 from usvlearn.core.jit import announced
-from usvlearn.core.rows import LEARN, LEFT, MODE, RIGHT, ROW, prepare_all
-from usvlearn.core.rows import SURGE as SPEED
+from usvlearn.core.prepared_samples import LEARN, LEFT, MODE, RIGHT, ROW, prepare_all
+from usvlearn.core.prepared_samples import SURGE as SPEED
 from usvlearn.core.samples import PLAUSIBLE, Sample, tree_map
 from usvlearn.estimators.joint.quantities import SIDES
 from usvlearn.estimators.regressors.terms import SURGE

@@ -20,9 +20,9 @@ from dataclasses import replace
 import numpy as np
 
 from usvlearn.core.events import NINETY
-from usvlearn.core.rows import COS, LEARN, MODE, SIN, YAW_RATE
+from usvlearn.core.prepared_samples import COS, LEARN, MODE, SIN, YAW_RATE
 from usvlearn.estimators.axis.turning_quantities import OF_FIT
-from usvlearn.estimators.joint.lacking import Quantity
+from usvlearn.estimators.joint.excitation_warnings import Quantity
 from usvlearn.model.fit.boat import FittedBoat
 from usvlearn.model.fit.logs import ACROSS, ALONG, DT, TURNS
 from usvlearn.model.fit.pieces import SECONDS

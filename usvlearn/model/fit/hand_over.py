@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from usvlearn.engine.identified import members_of
-from usvlearn.estimators.augmented.state import LAG_LEAST, LAG_MOST
-from usvlearn.estimators.joint.reading import covariance_of
+from usvlearn.estimators.augmented_ekf.state import LAG_LEAST, LAG_MOST
+from usvlearn.estimators.joint.periodic_estimates import covariance_of
 from usvlearn.estimators.joint.state import DROPPED, THETA, names
 from usvlearn.estimators.regressors.terms import LAG
 from usvlearn.model.fit.boat import FITTED
@@ -35,7 +35,7 @@ def handed_over(
 
     Args:
         leaves: by dotted name, without batch axes.
-        description: of the ensemble (`Estimator.spec`).
+        description: of the ensemble (`Estimator.description`).
         fitted: the boat.
         dt: of the ensemble's samples, s.
     """

@@ -22,9 +22,9 @@ from typing import Any
 
 import numpy as np
 
-from usvlearn.estimators.joint.lacking import Quantity
+from usvlearn.estimators.joint.excitation_warnings import Quantity
+from usvlearn.estimators.joint.periodic_estimates import around
 from usvlearn.estimators.joint.quantities import QUANTITIES, SIDES
-from usvlearn.estimators.joint.reading import around
 from usvlearn.model.fit.choice import Score
 from usvlearn.model.fit.gauss_newton import Fit
 from usvlearn.model.fit.quantities import quantities

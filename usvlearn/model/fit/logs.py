@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from usvlearn.core.events import LOSS, RECOVERY
-from usvlearn.core.rows import COS, HOLD, LEFT, MODE, PREDICT, RIGHT, ROW, SIN, SURGE, YAW_RATE
+from usvlearn.core.prepared_samples import COS, HOLD, LEFT, MODE, PREDICT, RIGHT, ROW, SIN, SURGE, YAW_RATE
 from usvlearn.core.samples import Fleet, Sample, tree_map
 from usvlearn.errors import ConfigError, complain
 from usvlearn.logs.channels.astern import without_sign

@@ -22,7 +22,7 @@ import numpy as np
 
 from usvlearn.core.arrays import fill
 from usvlearn.core.jit import jit
-from usvlearn.core.rows import COS, DT, HOLD, LEARN, LEFT, MODE, RIGHT, SIN, START, SURGE, YAW_RATE
+from usvlearn.core.prepared_samples import COS, DT, HOLD, LEARN, LEFT, MODE, RIGHT, SIN, START, SURGE, YAW_RATE
 from usvlearn.estimators.regressors.kernel import phi1
 from usvlearn.model.fit.terms import (
     AT,

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.core.rows import COS, MODE, PREDICT, SIN, START, SURGE
+from usvlearn.core.prepared_samples import COS, MODE, PREDICT, SIN, START, SURGE
 from usvlearn.core.samples import Fleet, masks, tree_map
 from usvlearn.errors import ConfigError
 from usvlearn.model.fit.choice import FEWEST_WORN, WEAR, compared

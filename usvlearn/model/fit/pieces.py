@@ -15,7 +15,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from usvlearn.core.rows import HOLD, LEARN, MODE, PREDICT, START, SURGE
+from usvlearn.core.prepared_samples import HOLD, LEARN, MODE, PREDICT, START, SURGE
 from usvlearn.model.fit.gauss_newton import LAGS, Missions, scored
 from usvlearn.model.fit.terms import PLACE_LAG
 

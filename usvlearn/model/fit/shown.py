@@ -9,8 +9,8 @@ from rich.text import Text
 
 from usvlearn.display.terminal import Blocks
 from usvlearn.estimators.axis.turning_quantities import MEANING_OF_FIT
+from usvlearn.estimators.joint.periodic_estimates import Identified, shown
 from usvlearn.estimators.joint.quantities import MEANING
-from usvlearn.estimators.joint.reading import Identified, shown
 from usvlearn.model.fit.fitted import Fitted
 
 USE = "Use the values of the fit: it has learned from all missions at once, online each sample is seen once."

@@ -17,10 +17,10 @@ import numpy as np
 
 from usvlearn.core.events import NINETY
 from usvlearn.core.jit import announced
-from usvlearn.core.rows import COS, LEARN, MODE, PREDICT, ROW, SIN, SURGE, YAW_RATE
+from usvlearn.core.prepared_samples import COS, LEARN, MODE, PREDICT, ROW, SIN, SURGE, YAW_RATE
 from usvlearn.estimators.axis.turning_intervals import HARDLY, TOLD, VAGUE, joined, on_log_scale
 from usvlearn.estimators.axis.turning_quantities import INNER, OF_FIT, QUANTITIES, balance
-from usvlearn.estimators.joint.lacking import Quantity
+from usvlearn.estimators.joint.excitation_warnings import Quantity
 from usvlearn.estimators.joint.quantities import COMMANDS
 from usvlearn.model.fit import turning_kernel as at
 from usvlearn.model.fit.boat import FittedBoat

@@ -19,7 +19,7 @@ import numpy as np
 
 from usvlearn.core.arrays import fill
 from usvlearn.core.jit import jit
-from usvlearn.core.rows import DT, LEFT, MODE, PREDICT, RIGHT, ROW, SURGE
+from usvlearn.core.prepared_samples import DT, LEFT, MODE, PREDICT, RIGHT, ROW, SURGE
 
 K1, K2, LOSS, RUDDER, BIAS, D0, D1, D2, LAG, LATE, DEAD, ASTERN, SIDE, PROCESS, COMPASS, GYRO, OFFSET, ZERO = range(18)
 HEADING, RATE = ROW, ROW + 1  # places that follow those of a prepared sample: measured at the end of its step

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from usvlearn.core.rows import COS, DT, LEARN, LEFT, MODE, RIGHT, ROW, SIN, YAW_RATE
+from usvlearn.core.prepared_samples import COS, DT, LEARN, LEFT, MODE, RIGHT, ROW, SIN, YAW_RATE
 from usvlearn.errors import ConfigError, check_positive
 
 QUARTER = math.pi / 2  # rad; headings of a plan are multiples of it, from the first one

@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from usvlearn.errors import ConfigError
+from usvlearn.estimators.joint.periodic_estimates import Identified, tells_sides
 from usvlearn.estimators.joint.quantities import QUANTITIES
-from usvlearn.estimators.joint.reading import Identified, tells_sides
 from usvlearn.estimators.regressors.terms import SURGE
 from usvlearn.model.planning.course import Course, Limits, planned, steps_of
 from usvlearn.model.planning.rehearsal import Rehearsal, Rehearsed
@@ -37,7 +37,7 @@ TOLERANCE = 0.01  # m outside the area that counts as inside
 Cost = tuple[float, float]  # m outside the area, mean over the steps; mean log width
 
 
-class Plan(NamedTuple):
+class BestCourse(NamedTuple):
     """The best course that was found."""
 
     course: Course
@@ -71,7 +71,7 @@ def log_width(found: Identified, aims: Sequence[str]) -> float:
     return float(np.mean([math.log(x) if 0 < x < math.inf else NOTHING for x in widths]))
 
 
-def search(rehearsal: Rehearsal, limits: Limits, dt: float, aims: Sequence[str], seed: int = 0) -> Plan:
+def search(rehearsal: Rehearsal, limits: Limits, dt: float, aims: Sequence[str], seed: int = 0) -> BestCourse:
     """The course that shrinks the intervals of `aims` most.
 
     Args:
@@ -127,7 +127,7 @@ def search(rehearsal: Rehearsal, limits: Limits, dt: float, aims: Sequence[str],
             f"{fastest:.2g} m/s at --command-max and keeps a heading for {limits.segment:g} s: give an area of "
             f"{wider:.0f} m, a shorter --segment, or a lower --command-max"
         )
-    return Plan(course, expected, path, levels[places], quarters)
+    return BestCourse(course, expected, path, levels[places], quarters)
 
 
 def beyond(path: np.ndarray, limits: Limits) -> np.ndarray:

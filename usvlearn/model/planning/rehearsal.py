@@ -14,12 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.core.jit import announced, jit
-from usvlearn.core.rows import COS, DT, LEARN, LEFT, MODE, RIGHT, ROW
-from usvlearn.engine import of_element
+from usvlearn.core.prepared_samples import COS, DT, LEARN, LEFT, MODE, RIGHT, ROW
+from usvlearn.engine import select_element
 from usvlearn.engine.identified import reader_leaves
-from usvlearn.engine.program import plan_for
+from usvlearn.engine.program import program_for
 from usvlearn.estimators.joint.kernel import forecast, learn, start
-from usvlearn.estimators.joint.reading import Identified, identify
+from usvlearn.estimators.joint.periodic_estimates import Identified, identify
 from usvlearn.estimators.joint.state import AT, NORTH, THETA
 
 
@@ -43,8 +43,8 @@ class Rehearsal:
 
     def __init__(self, members: Mapping[str, Mapping[str, Any] | None], leaves: Mapping[str, np.ndarray]):
         description, own = reader_leaves(members, leaves)
-        self.description = of_element(description, 1, 0)
-        self._plan = plan_for(self.description, (), np.dtype(float))
+        self.description = select_element(description, 1, 0)
+        self._plan = program_for(self.description, (), np.dtype(float))
         self._node = self._plan.program[1]
         self._state = self._plan.pack({key: leaf.astype(float) for key, leaf in own.items()})
         self.current: np.ndarray = own["mean"][NORTH:THETA].astype(float)  # (2,) north and east, m/s

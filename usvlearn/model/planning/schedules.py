@@ -21,7 +21,7 @@ import numpy as np
 from usvlearn.logs.channels.channel import COMMANDS, UNITS, Source
 from usvlearn.logs.setup import Setup
 from usvlearn.model.planning.course import Course
-from usvlearn.model.planning.exchange import Plan
+from usvlearn.model.planning.exchange import BestCourse
 
 MOOS_NAMES = {"command_left": "DESIRED_THRUST_L", "command_right": "DESIRED_THRUST_R"}  # without logs of MOOS
 MOOS_SPAN = 100.0  # percent
@@ -34,7 +34,7 @@ def changes(course: Course) -> np.ndarray:
     return np.flatnonzero(np.append(True, (np.abs(np.diff(watched)) > 1e-9).any(0)))
 
 
-def csv_lines(plan: Plan) -> Iterator[str]:
+def csv_lines(plan: BestCourse) -> Iterator[str]:
     """The table, with the expected speed and place at each time; it starts at rest, and the last row ends the plan."""
     course = plan.course
     speed, path = np.append(0.0, plan.expected.speed), np.concatenate([np.zeros((1, 2)), plan.path])
@@ -53,7 +53,7 @@ def _row(course: Course, k: int, time: float, left: float, right: float, speed: 
     )
 
 
-def moos_lines(plan: Plan, setup: Setup | None) -> Iterator[str]:
+def moos_lines(plan: BestCourse, setup: Setup | None) -> Iterator[str]:
     """The block of uTimerScript.
 
     Args:

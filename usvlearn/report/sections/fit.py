@@ -11,7 +11,7 @@ from usvlearn.core.samples import tree_map
 from usvlearn.display.result_table import ResultTable
 from usvlearn.estimators.axis.turning_quantities import MEANING_OF_FIT, OF_FIT
 from usvlearn.estimators.ensemble.layer import Ensemble
-from usvlearn.estimators.joint.lacking import WIDE, Quantity
+from usvlearn.estimators.joint.excitation_warnings import WIDE, Quantity
 from usvlearn.estimators.joint.quantities import MEANING, SIDES
 from usvlearn.evaluation.identification import Truth, identified_boats
 from usvlearn.evaluation.season import Season

@@ -13,7 +13,7 @@ import numpy as np
 from usvlearn.errors import printable
 from usvlearn.estimators.axis.turning_quantities import OF_FIT
 from usvlearn.estimators.axis.turning_quantities import QUANTITIES as TURNING
-from usvlearn.estimators.joint.lacking import Quantity
+from usvlearn.estimators.joint.excitation_warnings import Quantity
 from usvlearn.estimators.joint.quantities import QUANTITIES, SIDES
 
 FOLDER, ENDING = "fit", ".fit.json"  # of a run, and of the name of a boat's file

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from usvlearn.core.hyper import Positive, UnitInterval
+from usvlearn.core.hyperparameters import Positive, UnitInterval
 from usvlearn.core.protocol import Estimator, check_estimator, clean
 from usvlearn.core.samples import LIMIT, Fleet, named_leaves, tree_map
 from usvlearn.engine.rollouts import rollout, simulate, tensors

@@ -20,8 +20,8 @@ from usvlearn.errors import ConfigError, under
 from usvlearn.estimators.baselines.persistence.layer import Persistence
 from usvlearn.evaluation.free_simulation import check_halves
 from usvlearn.evaluation.measure import COVERAGE, FREE, ONE_STEP, SKILL, Measure, measure_of
+from usvlearn.runs.file_names import CHECKPOINTS, TUNING
 from usvlearn.runs.index import digest
-from usvlearn.runs.layout import CHECKPOINTS, TUNING
 from usvlearn.sweeps.launchers import set_threads
 from usvlearn.sweeps.tuning.batches import (
     NEXT,
@@ -33,10 +33,10 @@ from usvlearn.sweeps.tuning.batches import (
     hyperparameters,
 )
 from usvlearn.sweeps.tuning.grid import grid, product
+from usvlearn.sweeps.tuning.methods import WAYS, asked
+from usvlearn.sweeps.tuning.results import EXPERIMENT, record, report, write
 from usvlearn.sweeps.tuning.search import search
 from usvlearn.sweeps.tuning.sensitivities import Fitted, descend
-from usvlearn.sweeps.tuning.ways import WAYS, asked
-from usvlearn.sweeps.tuning.winners import EXPERIMENT, record, report, write
 
 
 class Request(NamedTuple):

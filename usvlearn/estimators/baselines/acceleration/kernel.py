@@ -1,9 +1,9 @@
 """Constant acceleration: the step of `layer`."""
 
 from usvlearn.core.arrays import clamp
-from usvlearn.core.family import Node
+from usvlearn.core.family import Row
 from usvlearn.core.jit import jit
-from usvlearn.core.rows import DT
+from usvlearn.core.prepared_samples import DT
 from usvlearn.estimators.baselines.acceleration.state import AT, Number
 
 
@@ -18,7 +18,7 @@ def start(node, s, q, surge):
 def predict(node, s, q, x, work):
     """`Acceleration.predict`: the speed, within its limits and without."""
     estimate = s[node[AT.surge]] + x[DT] * s[node[AT.surge_dot]]
-    return clamp(estimate, q[node[Node.NUMBERS] :][Number.SURGE_MAX]), estimate
+    return clamp(estimate, q[node[Row.NUMBERS] :][Number.SURGE_MAX]), estimate
 
 
 @jit
@@ -41,6 +41,6 @@ def learn(node, s, q, x, estimate, target, work):
     """`Acceleration.update`."""
     since = s[node[AT.since]] + x[DT]
     change = (target - s[node[AT.measured]]) / (since if since > 0 else 1.0)
-    s[node[AT.surge_dot]] = clamp(change, q[node[Node.NUMBERS] :][Number.SURGE_DOT_MAX])
+    s[node[AT.surge_dot]] = clamp(change, q[node[Row.NUMBERS] :][Number.SURGE_DOT_MAX])
     s[node[AT.surge]] = s[node[AT.measured]] = target
     s[node[AT.since]] = 0.0

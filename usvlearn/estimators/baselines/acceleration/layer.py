@@ -42,7 +42,7 @@ class Acceleration(Estimator):
         self.surge_max = check_positive("surge_max", surge_max, "of m/s")
         self.register_buffer("rest", torch.zeros((), dtype=torch.float64))
 
-    def spec(self) -> dict[str, Any]:
+    def description(self) -> dict[str, Any]:
         return describe(FAMILY, self)
 
     def init(self, batch: Sequence[int] = ()) -> AccelerationState:

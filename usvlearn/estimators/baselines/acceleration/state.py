@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from usvlearn.core.family import NOT_NEGATIVE, POSITIVE, Family, Numbers, leaf
+from usvlearn.core.family import NOT_NEGATIVE, POSITIVE, Family, Parameters, leaf
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -22,7 +22,7 @@ class AccelerationState(NamedTuple):
     since: Tensor  # (*batch,) s since then
 
 
-class Number(Numbers):
+class Number(Parameters):
     """Limits."""
 
     SURGE_DOT_MAX = POSITIVE

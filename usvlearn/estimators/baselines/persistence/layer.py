@@ -30,7 +30,7 @@ class Persistence(Estimator):
         super().__init__()
         self.register_buffer("rest", torch.zeros((), dtype=torch.float64))
 
-    def spec(self) -> dict[str, Any]:
+    def description(self) -> dict[str, Any]:
         return describe(FAMILY, self)
 
     def init(self, batch: Sequence[int] = ()) -> PersistenceState:

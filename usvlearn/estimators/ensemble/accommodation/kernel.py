@@ -3,9 +3,9 @@
 import numpy as np
 
 from usvlearn.core.events import NINETY
-from usvlearn.core.family import WIDTH, Node
+from usvlearn.core.family import WIDTH, Row
 from usvlearn.core.jit import jit
-from usvlearn.core.rows import DT, SURGE
+from usvlearn.core.prepared_samples import DT, SURGE
 from usvlearn.estimators.ensemble.accommodation.state import AT, Number
 from usvlearn.estimators.ensemble.monitors.kernel import effectiveness
 from usvlearn.estimators.ensemble.monitors.state import AT as MONITOR
@@ -16,7 +16,7 @@ from usvlearn.estimators.joint.accommodation_kernel import give_back, hand_over,
 @jit
 def accommodate(program, node, monitors, s, q, row, work):
     """What the monitor has found enters the filters, whose rows follow that of this part, after their number."""
-    own, thrusters, surge = q[node[Node.NUMBERS] :], MONITOR.thrusters, row[SURGE]
+    own, thrusters, surge = q[node[Row.NUMBERS] :], MONITOR.thrusters, row[SURGE]
     joints, handed = node[WIDTH + 1 : WIDTH + 1 + node[WIDTH]], s[node[AT.handed] : node[AT.handed] + 2]
     share, deviation = s[node[AT.share] : node[AT.share] + 2], s[node[AT.deviation] : node[AT.deviation] + 2]
     raised, evidence = s[monitors[thrusters.raised] :], s[monitors[thrusters.evidence] :]

@@ -34,10 +34,10 @@ def accommodated(members: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(name for name, member in members.items() if isinstance(member, JointEKF) and member.trial is not None)
 
 
-def spec() -> dict[str, float]:
+def description() -> dict[str, float]:
     """The numbers of `accommodate`, for its kernel.
 
-    >>> spec()["after"]
+    >>> description()["after"]
     10.0
     """
     return {

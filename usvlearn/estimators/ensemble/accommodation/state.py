@@ -32,7 +32,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from usvlearn.core.family import NOT_NEGATIVE, UNIT, Family, Numbers, leaf
+from usvlearn.core.family import NOT_NEGATIVE, UNIT, Family, Parameters, leaf
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -53,7 +53,7 @@ class AccommodationState(NamedTuple):
     deviation: Tensor  # (*batch, 2) likewise, standard deviation; else 0
 
 
-class Number(Numbers):
+class Number(Parameters):
     """Numbers, named as the constants above."""
 
     WAIT = NOT_NEGATIVE

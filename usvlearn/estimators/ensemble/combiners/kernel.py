@@ -6,7 +6,7 @@
 import numpy as np
 
 from usvlearn.core.arrays import clamp, dot, fill
-from usvlearn.core.family import WIDTH, Node
+from usvlearn.core.family import WIDTH, Row
 from usvlearn.core.jit import jit
 from usvlearn.estimators.ensemble.combiners import state
 from usvlearn.estimators.ensemble.combiners.state import Bernstein, Exponential, Given, Loss, Plain, Prior, Priors
@@ -23,7 +23,7 @@ SQUARE = state.LOSSES.index("square")
 @jit
 def share(node, s, q, k):
     """The weight of member k among those that are active."""
-    rule, numbers = node[Node.FAMILY], q[node[Node.NUMBERS] :]
+    rule, numbers = node[Row.FAMILY], q[node[Row.NUMBERS] :]
     if rule == AVERAGE:
         return numbers[Plain.TINY] + 1.0
     if rule == FIXED:
@@ -42,7 +42,7 @@ def fill_inactive(node, s, q, predictions, x):
 
     Returns whether all are inactive.
     """
-    m, inactive = node[Node.SIZE], 0
+    m, inactive = node[Row.SIZE], 0
     for k in range(m):
         x[k] = predictions[node[WIDTH + k]]
         inactive += np.isnan(x[k])
@@ -64,7 +64,7 @@ def fill_inactive(node, s, q, predictions, x):
 @jit
 def combine(node, s, q, x):
     """`Combiner.combine` of x."""
-    rule, m = node[Node.FAMILY], node[Node.SIZE]
+    rule, m = node[Row.FAMILY], node[Row.SIZE]
     if rule == AVERAGE:
         total = 0.0
         for k in range(m):
@@ -74,7 +74,7 @@ def combine(node, s, q, x):
         return dot(q[node[Given.WEIGHTS] : node[Given.WEIGHTS] + m], x[:m])
     if rule == RECURSIVE:
         total = dot(s[node[AT_RECURSIVE.weights] : node[AT_RECURSIVE.weights] + m], x[:m])
-        return clamp(total, q[node[Node.NUMBERS] :][Weighted.SURGE_MAX])
+        return clamp(total, q[node[Row.NUMBERS] :][Weighted.SURGE_MAX])
     at = node[AT_EXPONENTIAL.weights] if rule == EXPONENTIAL else node[AT_BOA.weights]
     return dot(s[at : at + m], x[:m])
 
@@ -82,7 +82,7 @@ def combine(node, s, q, x):
 @jit
 def learn_rule(node, s, q, x, inactive, surge, dt, work):
     """`Combiner.learn` of x; `inactive`: all its members are."""
-    m, rule = node[Node.SIZE], node[Node.FAMILY]
+    m, rule = node[Row.SIZE], node[Row.FAMILY]
     if rule == RECURSIVE and not inactive:
         learn_recursive(node, s, q, x[:m], surge, work)
     if rule == EXPONENTIAL or rule == BOA:
@@ -97,7 +97,7 @@ def learn_rule(node, s, q, x, inactive, surge, dt, work):
 @jit
 def learn_recursive(node, s, q, x, surge, work):
     """`RecursiveWeights.learn`."""
-    m, numbers, f = node[Node.SIZE], q[node[Node.NUMBERS] :], work[: len(x)]
+    m, numbers, f = node[Row.SIZE], q[node[Row.NUMBERS] :], work[: len(x)]
     weights = s[node[AT_RECURSIVE.weights] : node[AT_RECURSIVE.weights] + m]
     factor = s[node[AT_RECURSIVE.factor] : node[AT_RECURSIVE.factor] + m * m].reshape(m, m)
     rotated(factor, x, f)
@@ -122,7 +122,7 @@ def shares(weights, factors, exponents):
 @jit
 def learn_exponential(node, s, q, x, surge, dt, work):
     """`ExponentialWeights.learn`."""
-    m, numbers, square = node[Node.SIZE], q[node[Node.NUMBERS] :], node[Loss.LOSS] == SQUARE
+    m, numbers, square = node[Row.SIZE], q[node[Row.NUMBERS] :], node[Loss.LOSS] == SQUARE
     weights = s[node[AT_EXPONENTIAL.weights] : node[AT_EXPONENTIAL.weights] + m]
     losses = s[node[AT_EXPONENTIAL.losses] : node[AT_EXPONENTIAL.losses] + m]
     exponents, kept = work[:m], np.exp(-dt / numbers[Exponential.MEMORY])
@@ -136,7 +136,7 @@ def learn_exponential(node, s, q, x, surge, dt, work):
 @jit
 def learn_boa(node, s, q, x, surge, dt, work):
     """`BOA.learn`."""
-    m, numbers = node[Node.SIZE], q[node[Node.NUMBERS] :]
+    m, numbers = node[Row.SIZE], q[node[Row.NUMBERS] :]
     bernstein(
         s[node[AT_BOA.weights] : node[AT_BOA.weights] + m],
         s[node[AT_BOA.losses] : node[AT_BOA.losses] + m],

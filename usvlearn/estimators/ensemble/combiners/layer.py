@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from usvlearn.core.hyper import Hyper, Positive, UnitInterval, as_tensor, check_broadcast, numbers
+from usvlearn.core.hyperparameters import Hyper, Positive, UnitInterval, as_tensor, check_broadcast, numbers
 from usvlearn.errors import ConfigError, check_choice, check_not_negative, check_positive
 from usvlearn.estimators.ensemble.combiners.state import LOSSES, TINY, BOAState, ExponentialState, WeightsState
 from usvlearn.estimators.least_squares.rls import rls_step
@@ -64,8 +64,8 @@ class Combiner(nn.Module, abc.ABC):
         """The state after `surge`, m/s, was measured."""
         return state
 
-    def spec(self) -> dict[str, Any] | None:
-        """As `Estimator.spec`, of the combiner."""
+    def description(self) -> dict[str, Any] | None:
+        """As `Estimator.description`, of the combiner."""
         return None
 
     def monitor(self, state: Any) -> dict[str, Tensor]:
@@ -89,7 +89,7 @@ class Average(Combiner):
     def combine(self, state: Any, predictions: Tensor) -> Tensor:
         return fill_inactive(predictions, torch.ones_like(predictions)).mean(-1)
 
-    def spec(self) -> dict[str, Any]:
+    def description(self) -> dict[str, Any]:
         return {"kind": "average", "numbers": numbers(tiny=TINY)}
 
 
@@ -122,7 +122,7 @@ class FixedWeights(Combiner):
     def combine(self, state: Any, predictions: Tensor) -> Tensor:
         return (self.weights * fill_inactive(predictions, self.weights.abs())).sum(-1)
 
-    def spec(self) -> dict[str, Any]:
+    def description(self) -> dict[str, Any]:
         return {"kind": "fixed", "numbers": numbers(tiny=TINY), "vector": self.weights.tolist()}
 
 
@@ -179,7 +179,7 @@ class RecursiveWeights(Combiner):
         innovation = surge - (state.weights * x).sum(-1)
         return WeightsState(*rls_step(state.weights, state.factor, x, innovation, forgetting, self.trace_max))
 
-    def spec(self) -> dict[str, Any]:
+    def description(self) -> dict[str, Any]:
         values = numbers(
             tiny=TINY, forgetting=self.forgetting, trace_max=self.trace_max, surge_max=self.surge_max
         )  # fmt: skip
@@ -276,7 +276,7 @@ class ExponentialWeights(Prior):
         losses = self._kept(dt) * state.losses + (error.abs() if self.loss == "absolute" else error * error)
         return ExponentialState((self.log_prior - self.rate()[..., None] * losses).softmax(-1), losses)
 
-    def spec(self) -> dict[str, Any]:
+    def description(self) -> dict[str, Any]:
         return self._spec("exponential", rate=self.rate)
 
     def monitor(self, state: ExponentialState) -> dict[str, Tensor]:
@@ -343,7 +343,7 @@ class BOA(Prior):
         weights = torch.lerp(weights, self.log_prior.exp(), self.share)
         return BOAState(weights, losses, squares, ranges)
 
-    def spec(self) -> dict[str, Any]:
+    def description(self) -> dict[str, Any]:
         found = self._spec("boa", scale=self.scale, share=self.share)
         return found | {"vector": [*found["vector"], *self._costs().tolist()]}
 

@@ -33,10 +33,10 @@ from usvlearn.core.family import (
     TRIANGLE,
     UNIT,
     WEIGHT,
-    Choices,
     Family,
-    Numbers,
-    Vectors,
+    Options,
+    Parameters,
+    ParameterVectors,
     leaf,
 )
 
@@ -74,13 +74,13 @@ class BOAState(NamedTuple):
     ranges: Tensor  # E of (1)
 
 
-class Plain(Numbers):
+class Plain(Parameters):
     """The number that every combiner has."""
 
     TINY = POSITIVE
 
 
-class Recursive(Numbers):
+class Recursive(Parameters):
     """Numbers of `RecursiveWeights`."""
 
     TINY = POSITIVE
@@ -89,7 +89,7 @@ class Recursive(Numbers):
     SURGE_MAX = POSITIVE
 
 
-class Exponential(Numbers):
+class Exponential(Parameters):
     """Numbers of `ExponentialWeights`."""
 
     TINY = POSITIVE
@@ -97,7 +97,7 @@ class Exponential(Numbers):
     RATE = POSITIVE
 
 
-class Bernstein(Numbers):
+class Bernstein(Parameters):
     """Numbers of `BOA`."""
 
     TINY = POSITIVE
@@ -106,26 +106,26 @@ class Bernstein(Numbers):
     SHARE = UNIT
 
 
-class Given(Vectors):
+class Given(ParameterVectors):
     """The weights of `FixedWeights`."""
 
     WEIGHTS = FINITE
 
 
-class Prior(Vectors):
+class Prior(ParameterVectors):
     """The weights from which `ExponentialWeights` starts."""
 
     PRIOR = FACTOR
 
 
-class Priors(Vectors):
+class Priors(ParameterVectors):
     """The weights from which `BOA` starts, and c = log(1/w0) of (3)."""
 
     PRIOR = FACTOR
     COSTS = POSITIVE
 
 
-class Loss(Choices):
+class Loss(Options):
     """The loss of a prediction."""
 
     LOSS = LOSSES

@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from usvlearn.core.family import Node
+from usvlearn.core.family import Row
 from usvlearn.core.jit import jit
-from usvlearn.core.rows import LEFT, RIGHT
-from usvlearn.estimators.ensemble.conditional.kernel import (
+from usvlearn.core.prepared_samples import LEFT, RIGHT
+from usvlearn.estimators.ensemble.conformal.state import AT, FEW, Choice, Number
+from usvlearn.estimators.ensemble.manoeuvre_intervals.kernel import (
     begin_path,
     extend_path,
     group_of,
@@ -13,8 +14,7 @@ from usvlearn.estimators.ensemble.conditional.kernel import (
     learn_error,
     moves_of,
 )
-from usvlearn.estimators.ensemble.conditional.state import FAR, PATH
-from usvlearn.estimators.ensemble.conformal.state import AT, FEW, Choice, Number
+from usvlearn.estimators.ensemble.manoeuvre_intervals.state import FAR, PATH
 
 FIRST, PLACE = AT.conditional.learned.coefficients, AT.conditional.path
 
@@ -22,14 +22,14 @@ FIRST, PLACE = AT.conditional.learned.coefficients, AT.conditional.path
 @jit
 def published(node, s, predictions, members, limit, row, spreads, found):
     """`layer.published`, into `found`; of predictions of which the first ones are the members'."""
-    for i in range(node[Node.SIZE]):
+    for i in range(node[Row.SIZE]):
         found[i] = np.inf if s[node[AT.count] + i] < FEW else s[node[AT.halfwidth] + i]
     if node[Choice.CONDITIONAL] <= 0:
         return
     at, path = node[FIRST:], s[node[PLACE] : node[PLACE] + PATH]
     extend_path(path, row[LEFT], row[RIGHT])
     group = group_of(path)
-    for i in range(node[Node.SIZE]):
+    for i in range(node[Row.SIZE]):
         if abs(predictions[i]) < limit:
             spreads[i] = spread_about(predictions[i], predictions, members, limit)
             found[i] = halfwidth_now(s, at, i, s[node[AT.count] + i], found[i], spreads[i], path[FAR], group)
@@ -49,7 +49,7 @@ def spread_about(predicted, predictions, members, limit):
 @jit
 def conformal(node, s, q, innovation, predictions, limit, row, spreads):
     """`conformal_step`, in place."""
-    k, numbers = node[Node.SIZE], q[node[Node.NUMBERS] :]
+    k, numbers = node[Row.SIZE], q[node[Row.NUMBERS] :]
     halfwidth, count = s[node[AT.halfwidth] : node[AT.halfwidth] + k], s[node[AT.count] : node[AT.count] + k]
     conditional, at, path = node[Choice.CONDITIONAL] > 0, node[FIRST:], s[max(node[PLACE], 0) :]
     moves, alpha = moves_of(0.0, 1 - numbers[Number.COVERAGE]), 1 - numbers[Number.COVERAGE]

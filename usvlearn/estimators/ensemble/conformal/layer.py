@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from usvlearn.core.samples import Inputs, tree_map, where
-from usvlearn.estimators.ensemble.conditional import layer as conditional
-from usvlearn.estimators.ensemble.conditional.state import PATH, StepState
 from usvlearn.estimators.ensemble.conformal.state import BOOST, FEW, LEAST, NONE, RATE, START, ConformalState
+from usvlearn.estimators.ensemble.manoeuvre_intervals import layer as conditional
+from usvlearn.estimators.ensemble.manoeuvre_intervals.state import PATH, StepState
 
 
 def conformal_start(batch: Sequence[int], k: int, like: Tensor, knows: bool = False) -> ConformalState:

@@ -19,8 +19,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from usvlearn.core.family import AT_MOST_TEN, NOT_NEGATIVE, POSITIVE, UNIT, Choices, Family, Numbers, Range, leaf
-from usvlearn.estimators.ensemble.conditional.state import COMMAND, PATH, StepState, learned_leaves
+from usvlearn.core.family import AT_MOST_TEN, NOT_NEGATIVE, POSITIVE, UNIT, Family, Options, Parameters, Range, leaf
+from usvlearn.estimators.ensemble.manoeuvre_intervals.state import COMMAND, PATH, StepState, learned_leaves
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -42,7 +42,7 @@ class ConformalState(NamedTuple):
     conditional: Any = NONE  # a `StepState`, or {}
 
 
-class Number(Numbers):
+class Number(Parameters):
     """Constants and the coverage."""
 
     COVERAGE = UNIT  # 1 − α
@@ -51,7 +51,7 @@ class Number(Numbers):
     LEAST = POSITIVE  # m/s
 
 
-class Choice(Choices):
+class Choice(Options):
     """Whether the published half-widths know the manoeuvre, 0 or 1."""
 
     CONDITIONAL = (Range(0, 1),)

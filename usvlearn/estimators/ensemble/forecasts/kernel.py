@@ -6,21 +6,9 @@
 import numpy as np
 
 from usvlearn.core.arrays import whole
-from usvlearn.core.family import Node
+from usvlearn.core.family import Row
 from usvlearn.core.jit import jit
 from usvlearn.estimators.ensemble.combiners.kernel import bernstein
-from usvlearn.estimators.ensemble.conditional.kernel import (
-    begin_path,
-    extend_path,
-    group_of,
-    halfwidth_held,
-    halfwidth_now,
-    hold,
-    learn_error,
-    moves_of,
-)
-from usvlearn.estimators.ensemble.conditional.state import AT as KNOWN
-from usvlearn.estimators.ensemble.conditional.state import DUE, FAR, GROUPS, HELD, PATH
 from usvlearn.estimators.ensemble.conformal.state import FEW
 from usvlearn.estimators.ensemble.forecasts.state import (
     AT,
@@ -35,6 +23,18 @@ from usvlearn.estimators.ensemble.forecasts.state import (
     Number,
     Vector,
 )
+from usvlearn.estimators.ensemble.manoeuvre_intervals.kernel import (
+    begin_path,
+    extend_path,
+    group_of,
+    halfwidth_held,
+    halfwidth_now,
+    hold,
+    learn_error,
+    moves_of,
+)
+from usvlearn.estimators.ensemble.manoeuvre_intervals.state import AT as KNOWN
+from usvlearn.estimators.ensemble.manoeuvre_intervals.state import DUE, FAR, GROUPS, HELD, PATH
 
 
 @jit
@@ -100,7 +100,7 @@ def path_at(known, slot):
 @jit
 def combine(node, q, weights, x):
     """(1) of the members' predictions x, m/s, NaN where one is inactive."""
-    tiny, total, together, combined = q[node[Node.NUMBERS] :][Number.TINY], 0.0, 0.0, 0.0
+    tiny, total, together, combined = q[node[Row.NUMBERS] :][Number.TINY], 0.0, 0.0, 0.0
     inactive = 0.0
     for m in range(node[Choice.MEMBERS]):
         if np.isnan(x[m]):
@@ -133,7 +133,7 @@ def publish(node, known, knows, s, q, slot, k, x):
 @jit
 def learn_due(node, known, knows, s, q, surge, dt, work):
     """Compare what became due with the measured speed, m/s."""
-    H, M, numbers = node[Choice.HORIZONS], node[Choice.MEMBERS], q[node[Node.NUMBERS] :]
+    H, M, numbers = node[Choice.HORIZONS], node[Choice.MEMBERS], q[node[Row.NUMBERS] :]
     horizons, memory = q[node[Vector.HORIZONS] :], q[node[Vector.MEMORY] :]
     prior, costs = q[node[Vector.PRIOR] : node[Vector.PRIOR] + M], q[node[Vector.COSTS] : node[Vector.COSTS] + M]
     x, rest, overlap, tiny = work[:M], work[M:], numbers[Number.OVERLAP], numbers[Number.TINY]
@@ -199,7 +199,7 @@ def fill_slot(node, known, knows, s, q, slot, surge, half):
         for i in range(PATH):
             path[i] = now[i]
     H, M, horizons = node[Choice.HORIZONS], node[Choice.MEMBERS], q[node[Vector.HORIZONS] :]
-    reach, overlap = 0, q[node[Node.NUMBERS] :][Number.OVERLAP]
+    reach, overlap = 0, q[node[Row.NUMBERS] :][Number.OVERLAP]
     for k in range(H):
         if s[node[AT.since] + k] + half >= horizons[k] / overlap:
             reach = k

@@ -14,10 +14,10 @@ from usvlearn.core.samples import Inputs, named_leaves, rebuild, tree_map, where
 from usvlearn.errors import ConfigError, check_not_negative, check_positive
 from usvlearn.estimators.ensemble.combiners.layer import BOA, fill_inactive
 from usvlearn.estimators.ensemble.combiners.state import TINY
-from usvlearn.estimators.ensemble.conditional import layer as conditional
 from usvlearn.estimators.ensemble.conformal.state import FEW
 from usvlearn.estimators.ensemble.forecasts import state as at
 from usvlearn.estimators.ensemble.forecasts.state import ForecastState
+from usvlearn.estimators.ensemble.manoeuvre_intervals import layer as conditional
 
 
 class ForecastSettings(nn.Module):
@@ -254,8 +254,8 @@ class ForecastSettings(nn.Module):
         surges, widths = (torch.stack(column) for column in zip(*found, strict=True))
         return surges, widths
 
-    def spec(self, columns: Sequence[str]) -> dict[str, Any]:
-        """As `Estimator.spec`, of the forecasts; `columns` are the ensemble's."""
+    def description(self, columns: Sequence[str]) -> dict[str, Any]:
+        """As `Estimator.description`, of the forecasts; `columns` are the ensemble's."""
         prior, costs = self.rule.log_prior.exp(), (-self.rule.log_prior).clamp(min=TINY)
         assert self.rule.memory is not None
         return {

@@ -47,11 +47,11 @@ from usvlearn.core.family import (
     POSITIVE,
     UNIT,
     WEIGHT,
-    Choices,
     Family,
-    Numbers,
+    Options,
+    Parameters,
+    ParameterVectors,
     Range,
-    Vectors,
     leaf,
 )
 from usvlearn.estimators.ensemble.combiners.state import BOAState
@@ -97,7 +97,7 @@ class ForecastState(NamedTuple):
     conditional: Any = NONE  # a `HorizonState`, or {}
 
 
-class Number(Numbers):
+class Number(Parameters):
     """Constants and hyperparameters."""
 
     OVERLAP = POSITIVE  # n
@@ -107,7 +107,7 @@ class Number(Numbers):
     SHARE = UNIT
 
 
-class Vector(Vectors):
+class Vector(ParameterVectors):
     """Horizons, and memories of their weights, s, `(H,)`; BOA's priors and costs, `(M,)`. A size is (slots, H, M)."""
 
     HORIZONS = POSITIVE, lambda size: size[1]
@@ -116,7 +116,7 @@ class Vector(Vectors):
     COSTS = POSITIVE, lambda size: size[2]
 
 
-class Choice(Choices):
+class Choice(Options):
     """Sizes; the row's own size is that of a slot."""
 
     SLOTS = (Range(1, MOST_SLOTS),)

@@ -3,9 +3,9 @@
 import numpy as np
 
 from usvlearn.core.arrays import clamp, dot, fill
-from usvlearn.core.family import Node
+from usvlearn.core.family import Row
 from usvlearn.core.jit import jit
-from usvlearn.core.rows import DT, LEFT, RIGHT, YAW_RATE
+from usvlearn.core.prepared_samples import DT, LEFT, RIGHT, YAW_RATE
 from usvlearn.estimators.ensemble.monitors.state import (
     APART,
     AT,
@@ -22,7 +22,7 @@ from usvlearn.estimators.ensemble.monitors.state import (
 @jit
 def observe_innovations(node, s, q, innovation):
     """Whiteness: (1) and (2)."""
-    k, q, at = node[Node.SIZE], q[node[Node.NUMBERS] :], AT.innovations
+    k, q, at = node[Row.SIZE], q[node[Row.NUMBERS] :], AT.innovations
     moments = s[node[at.moments] : node[at.moments] + 4 * k].reshape(k, 4)
     scales, last = s[node[at.scale] : node[at.scale] + k], s[node[at.last] : node[at.last] + k]
     share, huber = 1 / q[Number.INNOVATION_MEMORY], q[Number.HUBER] * q[Number.HUBER]
@@ -77,7 +77,7 @@ def solve_model(moments, ridge, L, x, theta, solved):
 @jit
 def observe_thrusters(node, s, q, inputs, work):
     """The evidence against each thruster: (3) to (6)."""
-    q, at = q[node[Node.NUMBERS] :], AT.thrusters
+    q, at = q[node[Row.NUMBERS] :], AT.thrusters
     moments = s[node[at.moments] : node[at.moments] + Z * Z].reshape(Z, Z)
     before = s[node[at.before] : node[at.before] + 2]
     variance, evidence = s[node[at.variance]], s[node[at.evidence] : node[at.evidence] + 2]
@@ -137,7 +137,7 @@ def observe_thrusters(node, s, q, inputs, work):
 @jit
 def effectiveness(node, s, q, side, work):
     """`layer.effectiveness` of a side: (6)."""
-    q, at = q[node[Node.NUMBERS] :], AT.thrusters
+    q, at = q[node[Row.NUMBERS] :], AT.thrusters
     moments, sums = s[node[at.moments] : node[at.moments] + Z * Z].reshape(Z, Z), s[node[at.sums] + 2 * side :]
     theta, solved, full = work[:FEATURES], work[Z : Z + FEATURES], work[2 * Z : 2 * Z + FEATURES]
     L = work[3 * Z : 3 * Z + FEATURES * FEATURES].reshape(FEATURES, FEATURES)

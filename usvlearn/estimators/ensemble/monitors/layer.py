@@ -93,10 +93,10 @@ def excitation_report(names: Sequence[str], factor: Tensor, prior: Tensor | floa
     return informed | {f"least_informed_{name}": x for name, x in zip(names, direction, strict=True)}
 
 
-def spec(threshold: float = THRESHOLD, memory: float = 500.0) -> dict[str, float]:
+def description(threshold: float = THRESHOLD, memory: float = 500.0) -> dict[str, float]:
     """The numbers of `observe`, for its kernel.
 
-    >>> spec()["threshold"]
+    >>> description()["threshold"]
     20.0
     """
     innovations = {"huber": HUBER, "huber_mean": HUBER_MEAN, "huber_rate": HUBER_RATE, "least_scale": LEAST_SCALE**2}

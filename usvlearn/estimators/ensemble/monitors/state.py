@@ -47,7 +47,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from usvlearn.core.family import FINITE, MOST, NOT_NEGATIVE, POSITIVE, UNIT, Family, Numbers, Range, leaf
+from usvlearn.core.family import FINITE, MOST, NOT_NEGATIVE, POSITIVE, UNIT, Family, Parameters, Range, leaf
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -110,7 +110,7 @@ class MonitorState(NamedTuple):
     thrusters: ThrusterState
 
 
-class Number(Numbers):
+class Number(Parameters):
     """Numbers of the monitors, named as the constants above."""
 
     HUBER = POSITIVE

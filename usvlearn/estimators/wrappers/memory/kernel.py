@@ -1,9 +1,9 @@
 """Memory of the step before: the parts of `WithMemory` before and after the steps of its estimator."""
 
 from usvlearn.core.arrays import clamp, copy
-from usvlearn.core.family import Node
+from usvlearn.core.family import Row
 from usvlearn.core.jit import jit
-from usvlearn.core.rows import DT, LEFT, LEFT_BEFORE, RIGHT, RIGHT_BEFORE, SURGE, SURGE_DOT
+from usvlearn.core.prepared_samples import DT, LEFT, LEFT_BEFORE, RIGHT, RIGHT_BEFORE, SURGE, SURGE_DOT
 from usvlearn.estimators.wrappers.memory.state import AT, Number
 
 
@@ -30,7 +30,7 @@ def remember(node, s, q, x, surge, learned):
     s[node[AT.since]] += x[DT]
     span = s[node[AT.since]] if learned else x[DT]
     change = surge - s[node[AT.surge if learned else AT.estimate]]
-    limit = q[node[Node.NUMBERS] :][Number.SURGE_DOT_MAX]
+    limit = q[node[Row.NUMBERS] :][Number.SURGE_DOT_MAX]
     s[node[AT.surge_dot]] = clamp(change / (span if span > 0 else 1.0), limit)
     if learned:
         s[node[AT.surge]], s[node[AT.since]] = surge, 0.0

@@ -82,7 +82,7 @@ class WithMemory(Estimator):
     def inflate_covariance(self, state: MemoryState, factor: Tensor) -> MemoryState:
         return state._replace(inner=self.estimator.inflate_covariance(state.inner, factor))
 
-    def spec(self) -> dict[str, Any] | None:
+    def description(self) -> dict[str, Any] | None:
         inner = spec_of(self.estimator)
         return inner and {"kind": "memory", "inner": inner, "numbers": numbers_of(FAMILY.numbers, self)}
 

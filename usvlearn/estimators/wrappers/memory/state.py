@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from usvlearn.core.family import NOT_NEGATIVE, POSITIVE, UNIT, Family, Numbers, leaf
+from usvlearn.core.family import NOT_NEGATIVE, POSITIVE, UNIT, Family, Parameters, leaf
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -29,7 +29,7 @@ class MemoryState(NamedTuple):
     known: Tensor  # (*batch,) bool: the segment has had a step
 
 
-class Number(Numbers):
+class Number(Parameters):
     """Limit."""
 
     SURGE_DOT_MAX = POSITIVE

@@ -3,7 +3,7 @@
 import numpy as np
 
 from usvlearn.core.arrays import clamp, copy, finite
-from usvlearn.core.family import Node
+from usvlearn.core.family import Row
 from usvlearn.core.jit import jit
 from usvlearn.estimators.wrappers.robust.state import AT, Number
 
@@ -17,13 +17,13 @@ def start(node, s):
 @jit
 def inflation(node, q):
     """The factor by which a covariance is inflated where a change is accepted."""
-    return q[node[Node.NUMBERS] :][Number.INFLATION]
+    return q[node[Row.NUMBERS] :][Number.INFLATION]
 
 
 @jit
 def within(node, s, q, surge, predicted):
     """y' of (1); whether the innovation is beyond the bound, is clipped, is the first of an accepted change."""
-    numbers, run = q[node[Node.NUMBERS] :], s[node[AT.run]]
+    numbers, run = q[node[Row.NUMBERS] :], s[node[AT.run]]
     innovation = surge - predicted
     bound = numbers[Number.THRESHOLD] * np.sqrt(s[node[AT.variance]])
     beyond = abs(innovation) > bound
@@ -36,7 +36,7 @@ def within(node, s, q, surge, predicted):
 @jit
 def update_scale(node, s, q, innovation, beyond, clips, first, inner, kept):
     """The scale and the counts, (2); a sample that spoiled the estimator's state is undone."""
-    numbers, square = q[node[Node.NUMBERS] :], innovation * innovation
+    numbers, square = q[node[Row.NUMBERS] :], innovation * innovation
     if not np.isfinite(square) or (not finite(inner) and finite(kept)):
         copy(inner, kept)
         s[node[AT.rejected]] += 1

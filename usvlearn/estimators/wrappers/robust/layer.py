@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from usvlearn.core.hyper import Hyper, Positive, check_broadcast
+from usvlearn.core.hyperparameters import Hyper, Positive, check_broadcast
 from usvlearn.core.protocol import Estimator, check_estimator, numbers_of, spec_of
 from usvlearn.core.samples import Inputs, named_leaves, tree_map, where
 from usvlearn.errors import ConfigError, check_positive
@@ -136,7 +136,7 @@ class Robust(Estimator):
     def inflate_covariance(self, state: RobustState, factor: Tensor) -> RobustState:
         return state._replace(inner=self.estimator.inflate_covariance(state.inner, factor))
 
-    def spec(self) -> dict[str, Any] | None:
+    def description(self) -> dict[str, Any] | None:
         inner = spec_of(self.estimator)
         return inner and {"kind": "robust", "inner": inner, "numbers": numbers_of(FAMILY.numbers, self)}
 

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from usvlearn.core.family import MOST, NOT_NEGATIVE, POSITIVE, UNIT, Family, Numbers, Range, leaf
+from usvlearn.core.family import MOST, NOT_NEGATIVE, POSITIVE, UNIT, Family, Parameters, Range, leaf
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -39,7 +39,7 @@ class RobustState(NamedTuple):
     escaped: Tensor  # (*batch,) count of changes accepted
 
 
-class Number(Numbers):
+class Number(Parameters):
     """Constants and hyperparameters."""
 
     THRESHOLD = POSITIVE  # c

@@ -1,0 +1,84 @@
+"""The list of commands, their help, and what they print before anything slow is imported.
+
+It imports nothing of ours, so that its first words come at once.
+"""
+
+import sys
+
+COMMANDS = {  # name -> the module whose `main` does it, and what it does
+    "train": ("usvlearn.cli.train", "replay logs through estimators online, save what they learn"),
+    "evaluate": ("usvlearn.cli.evaluate", "judge saved runs, compare the jobs of a sweep, or make a study"),
+    "example": ("usvlearn.cli.example", "write logs of a simulated boat, to try the other commands on"),
+    "inspect": ("usvlearn.cli.inspect", "tell what own logs hold, and write their configuration"),
+    "export": ("usvlearn.cli.export", "write what was learned for C, MATLAB, CasADi, ONNX, Gazebo, CSV"),
+    "fit": ("usvlearn.cli.fit", "fit the model to all logs of a run, for its best parameters"),
+    "controller": ("usvlearn.cli.controller", "design a speed controller from what a run has identified"),
+    "plan": ("usvlearn.cli.plan", "tell what to sail next to narrow the confidence intervals"),
+    "live": ("usvlearn.cli.aboard", "learn aboard: a node on MOOS, MAVLink or ROS 2, and its status"),
+    "warm": ("usvlearn.cli.warm", "compile everything ahead of need, when a boat's computer is set up"),
+    "certify": ("certify.__main__", "prove whether the networks in checkpoints contract"),
+}
+QUICK = ("live",)  # which say something themselves
+ALL = "--help=all"
+HELP = {
+    "train": """\
+usage: {program} my_boat.yaml [KEY=VALUE …] [FLAG …]
+Learns online from logs, and saves errors, checkpoints and predictions.
+
+  my_boat.yaml               which logs; usvlearn inspect LOGS writes this file
+  data=simulated             logs of a simulated boat; the default
+  hydra.run.dir=FOLDER       where the run is saved (outputs/DATE_TIME)
+  resume=FOLDER|latest       continue a run; `latest` with its hydra.run.dir
+  vehicle.mass=36            kg, of the boat
+  align.dt=0.4               s, step of the predictions
+  estimators.rnn.neurons=20  any setting of a member; ~estimators.rnn removes it
+  output=ensemble            the combiner that predicts
+  seed=0                     of initial weights, simulated data and search
+  check=warn                 the data before a run: warn, strict, off
+  grid=aid                   tune a member; learn=aid and search=aid, too
+  -m KEY=1,2 seeds=5         a sweep: a run for each value and seed
+  sweep=inputs               a sweep of configs/sweep, with -m
+  experiment=paper_small     the settings of configs/experiment
+
+  --cfg job                  print the settings that these arguments make
+  --config-dir FOLDER        more configurations of your own
+  --help=all                 every key with its default, and every group
+  --hydra-help               every flag""",
+    "evaluate": """\
+usage: {program} RUN [my_boat.yaml] [KEY=VALUE …]
+Writes a report of a run: errors, open-loop simulations, certificates,
+parameters. Of a sweep it prints the leaderboard.
+
+  RUN                     a folder that train has written, or one of several
+  my_boat.yaml            judge on other logs of the same boats
+  report=FOLDER           of the report (RUN/report)
+  objective=MEMBER.skill  ranks the jobs of a sweep, also by .mae, .coverage,
+                          .forecast.SECONDS or .free
+  experiment=paper_small  make a whole study from nothing; or paper
+  trust=MODULE            saved settings may name its classes: only if you trust
+                          its code
+
+  --help=all              every key with its default
+  --hydra-help            every flag""",
+}
+
+
+def begin(name: str) -> None:
+    """Print the help of a command of Hydra and end, if that is asked for; else say on a terminal what is loading.
+
+    Args:
+        name: of the command; its arguments are those of this program.
+    """
+    arguments = sys.argv[1:]
+    if name in HELP and ("--help" in arguments or "-h" in arguments):
+        program = f"python {sys.argv[0]}" if sys.argv[0].endswith(".py") else sys.argv[0]
+        print(HELP[name].format(program=program), flush=True)
+        sys.exit(0)
+    sys.argv[1:] = ["--help" if each == ALL else each for each in arguments]
+    if (
+        name not in QUICK
+        and (arguments or name in HELP)
+        and not {"-h", "--help", ALL} & {*arguments}
+        and sys.stderr.isatty()
+    ):
+        print(f"usvlearn {name}: loading …", file=sys.stderr, flush=True)

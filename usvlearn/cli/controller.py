@@ -1,0 +1,98 @@
+"""The command `usvlearn controller RUN`: a speed controller from what a run has identified.
+
+It prints the feedforward, PI gains that hold over the identified intervals, their margins, the parameters for ArduRover
+and the block for MOOS-IvP, and how the closed loop follows steps on boats that are drawn from the intervals.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from usvlearn.cli.path_arguments import without_key
+from usvlearn.cli.plain_command import out_folder, run_command
+
+if TYPE_CHECKING:
+    from usvlearn.model.controller.design import Controller
+
+USAGE = "usage: usvlearn controller RUN [--boat NAME] [--out FOLDER] …; all options: usvlearn controller --help"
+
+
+def parser() -> argparse.ArgumentParser:
+    found = argparse.ArgumentParser("usvlearn controller", description=__doc__)
+    found.add_argument("path", metavar="RUN", type=without_key, help="the folder of a run, or a checkpoint")
+    found.add_argument("--boat", help="only this one")
+    found.add_argument("--speed", type=float, help="cruise speed, m/s (the middle of --range)")
+    found.add_argument(
+        "--range", type=float, nargs=2, metavar=("LOW", "HIGH"),
+        help="speeds at which the gains must hold, m/s (from a quarter of the top speed to 0.9 of its lower end)",
+    )  # fmt: skip
+    found.add_argument("--bandwidth", type=float, help="ω of the wanted poles, rad/s (from time constant and delay)")
+    found.add_argument("--damping", type=float, help="ζ of the wanted poles (from the same, or 1 with --bandwidth)")
+    found.add_argument("--period", type=float, help="of the control loop, s (0.2)")
+    found.add_argument("--delay", type=float, help="of the commands, s (identified: their delay and lag)")
+    found.add_argument("--boats", type=int, default=200, help="drawn from the intervals for the closed loop (200)")
+    found.add_argument("--seed", type=int, default=0, help="of the draws (0)")
+    found.add_argument("--out", metavar="FOLDER", help="write BOAT.controller.json, BOAT.param, BOAT_pid.moos")
+    return found
+
+
+def work(arguments: Sequence[str]) -> None:
+    """Design, print, and write.
+
+    Raises:
+        CheckpointError: there is no checkpoint.
+        ConfigError: an option is wrong, or a boat is not identified well enough, or is not physical.
+    """
+    given = vars(parser().parse_args(list(arguments)))
+    path, name, out = given.pop("path"), given.pop("boat"), given.pop("out")
+    from usvlearn.display import terminal
+    from usvlearn.display.activity_bar import Activity
+
+    with Activity(terminal.console(), "loading"):
+        from usvlearn.model.controller.design import Wanted, controller
+        from usvlearn.model.controller.design_text import parts
+        from usvlearn.model.read_boats import read_boats
+
+    folder = None if out is None else out_folder(out)
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+    given["range"] = None if given["range"] is None else tuple(given["range"])
+    wanted = Wanted(**given)
+    with Activity(terminal.console(), "designing"):
+        boats = read_boats(path, name)
+        for boat in boats:
+            boat.check_physical()
+        designed = [controller(boat, wanted) for boat in boats]
+        files = [[] if folder is None else _write(folder, found) for found in designed]
+    for number, found in enumerate(designed):
+        terminal.show(*([""] if number else []), *parts(found))
+        if folder is not None:
+            terminal.show(f"Written to {folder}: {', '.join(files[number])}")
+
+
+def _write(folder: Path, found: Controller) -> list[str]:
+    """Write all files of a boat; returns their names."""
+    from usvlearn.core.checkpoint import write_atomically
+    from usvlearn.model.controller.design import facts
+    from usvlearn.model.controller.design_text import head
+
+    name = found.boat.stem
+    files = {
+        f"{name}.controller.json": (
+            json.dumps(facts(found), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        ).encode(),
+        f"{name}.param": found.rover.text(head(found)).encode(),
+        f"{name}_pid.moos": found.moos.text(head(found)).encode(),
+    }
+    for file, content in files.items():
+        write_atomically(folder / file, content)
+    return list(files)
+
+
+def main() -> int:
+    """The command; returns the exit code."""
+    return run_command(work, USAGE)

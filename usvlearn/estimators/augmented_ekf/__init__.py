@@ -1,0 +1,1 @@
+"""Steps that extended Kalman filters with parameters in their state share: the joint EKF and the axis EKF."""

@@ -1,0 +1,107 @@
+"""The covariance P = U D Uᵀ in torch: equations (1) to (3) of the package, for all columns at once.
+
+U is unit upper triangular, `(*batch, n, n)`, and D the diagonal, `(*batch, n)`.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+
+def unpacked(factor: Tensor) -> tuple[Tensor, Tensor]:
+    """U and D from the leaf `factor`, `(*batch, n, n)`.
+
+    >>> unpacked(torch.tensor([[2.0, 0.0], [0.5, 3.0]]))
+    (tensor([[1.0000, 0.5000],
+            [0.0000, 1.0000]]), tensor([2., 3.]))
+    """
+    return unit(factor.mT), factor.diagonal(dim1=-2, dim2=-1)
+
+
+def packed(U: Tensor, D: Tensor) -> Tensor:
+    """The leaf `factor`, `(*batch, n, n)`."""
+    return U.triu(1).mT + torch.diag_embed(D)
+
+
+def unit(U: Tensor) -> Tensor:
+    """What is above the diagonal, and 1 on it."""
+    return U.triu(1) + torch.eye(U.shape[-1], dtype=U.dtype, device=U.device)
+
+
+def variances(U: Tensor, D: Tensor) -> Tensor:
+    """The diagonal of P, `(*batch, n)`.
+
+    >>> variances(torch.tensor([[1.0, 0.5], [0.0, 1.0]]), torch.tensor([2.0, 4.0]))
+    tensor([3., 4.])
+    """
+    return (U * U * D[..., None, :]).sum(-1)
+
+
+def rotated(U: Tensor, H: Tensor) -> Tensor:
+    """f = UᵀH, `(*batch, n)`.
+
+    >>> rotated(torch.tensor([[1.0, 0.5], [0.0, 1.0]]), torch.tensor([1.0, 1.0]))
+    tensor([1.0000, 1.5000])
+    """
+    return (U * H[..., None]).sum(-2)
+
+
+def added(U: Tensor, D: Tensor, a: Tensor, c: Tensor) -> tuple[Tensor, Tensor]:
+    """P + c a aᵀ, (1), with its sums in closed form.
+
+    Args:
+        U, D: of P.
+        a: `(*batch, n)` or `(n,)`.
+        c: `(*batch,)`, 0 or more.
+
+    >>> added(torch.eye(2), torch.ones(2), torch.tensor([1.0, 1.0]), torch.tensor(1.0))
+    (tensor([[1.0000, 0.5000],
+            [0.0000, 1.0000]]), tensor([1.5000, 2.0000]))
+    """
+    a = a.expand(D.shape)
+    v = torch.linalg.solve_triangular(U, a[..., None], upper=True, unitriangular=True).squeeze(-1)
+    beyond = pad((v * v / D).flip(-1).cumsum(-1)[..., :-1], (1, 0)).flip(-1)  # sums over the columns after each
+    left = c[..., None] / (1 + c[..., None] * beyond)
+    larger = D + left * v * v
+    rest = a[..., None] - pad((U * v[..., None, :]).flip(-1).cumsum(-1)[..., :-1], (1, 0)).flip(-1)
+    return unit(U * (D / larger)[..., None, :] + rest * (left * v / larger)[..., None, :]), larger
+
+
+def measured(U: Tensor, D: Tensor, f: Tensor, alpha: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """The measurement update (2): U and D after it, P H before it, `(*batch, n)`, and S, `(*batch,)`.
+
+    Args:
+        U, D: of P.
+        f: UᵀH, `(*batch, n)`.
+        alpha: the variance of the measurement, `(*batch,)`.
+
+    >>> U, D, PH, S = measured(torch.eye(1), torch.ones(1), torch.ones(1), torch.tensor(1.0))
+    >>> D, PH, S
+    (tensor([0.5000]), tensor([1.]), tensor(2.))
+    """
+    G = D * f
+    after = alpha[..., None] + (f * G).cumsum(-1)
+    before = torch.cat([alpha[..., None], after[..., :-1]], -1)
+    sums = (U * G[..., None, :]).cumsum(-1)
+    U = unit(U - pad(sums[..., :-1], (1, 0)) * (f / before)[..., None, :])
+    return U, D * before / after, sums[..., -1], after[..., -1]
+
+
+def projected(x: Tensor, U: Tensor, D: Tensor, d: Tensor) -> Tensor:
+    """x after (3) where dᵀx > 0, `(*batch, n)`; the d of shape `(n,)`.
+
+    >>> projected(torch.tensor([1.0, 2.0]), torch.eye(2), torch.ones(2), torch.tensor([1.0, 0.0]))
+    tensor([0., 2.])
+    """
+    value, f = (x * d).sum(-1), rotated(U, d)
+    G = D * f
+    step = torch.where(value > 0, value / (f * G).sum(-1), 0.0)
+    return x - step[..., None] * (U * G[..., None, :]).sum(-1)
+
+
+def inflate_covariance(factor: Tensor, growth: Tensor, limit: Tensor) -> Tensor:
+    """The leaf `factor` of P times `growth`, `(*batch,)`, up to `limit`, `(*batch,)`; a limit below 1 counts as 1."""
+    U, D = unpacked(factor)
+    return packed(U, D * torch.minimum(growth, limit.clamp(min=1))[..., None])

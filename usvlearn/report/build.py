@@ -1,0 +1,315 @@
+"""From the folders of runs to their report: all sections from the saved data of a season.
+
+The library does not use Hydra: it receives functions that build objects from configuration nodes and that align logs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from rich.console import Console
+
+from usvlearn.core.lock import Lock
+from usvlearn.core.samples import Fleet, speed_limit, tree_map
+from usvlearn.core.unconfirmed import Questions, unconfirmed
+from usvlearn.display.activity_bar import Activity
+from usvlearn.display.terminal import show
+from usvlearn.engine.rollouts import stack
+from usvlearn.errors import CheckpointError, ConfigError
+from usvlearn.estimators.ensemble.layer import Ensemble
+from usvlearn.evaluation.crossval import FreeErrors, cross_validate
+from usvlearn.evaluation.free_simulation import free_runs
+from usvlearn.evaluation.members import explained, remarks
+from usvlearn.evaluation.season import Season
+from usvlearn.report.overview import overviews
+from usvlearn.report.page import check_report_folder, write_report
+from usvlearn.report.sections.cost import cost_section
+from usvlearn.report.sections.cross import best_checkpoints, cross_section, fleet_matrices, fleet_section
+from usvlearn.report.sections.errors import forecast_section, online_section, residual_section
+from usvlearn.report.sections.events import events_section
+from usvlearn.report.sections.fit import fit_section
+from usvlearn.report.sections.fit_file import SavedFit, saved_fits
+from usvlearn.report.sections.network import network_section
+from usvlearn.report.sections.parameters import Truth, identified_section, parameters_section
+from usvlearn.report.sections.section import Section
+from usvlearn.report.sections.tracks import tracks_section
+from usvlearn.report.summary import Front
+from usvlearn.report.track_maps import BoatTracks, saved_tracks
+from usvlearn.report.viewer_data import viewer_data
+from usvlearn.runs.saved import configuration, data_check, questions_of_runs, read_seasons, results
+
+
+class Tools(NamedTuple):
+    """Functions that a report needs from the command."""
+
+    instantiate: Callable[..., Any]  # makes the object that a configuration node describes
+    align: Callable[..., Fleet]  # recordings to a fleet, with the options of `align`
+    truth: Callable[[Sequence[Mapping[str, Any]], float], Truth]  # of sources of data, and a declared mass, kg
+    console: Console
+    trust: str | Sequence[str] | None = None  # the user's own modules that saved settings may name
+    checked: Callable[[Mapping[str, Any]], Any] | None = None  # `align` with a data check, for a configuration
+
+    def say(self, text: str) -> None:
+        """Print a line, such as a command or a path."""
+        show(text, to=self.console)
+
+
+def read(folders: Sequence[Path], tools: Tools, data: Any = None) -> tuple[Ensemble, list[Season], Truth]:
+    """The ensemble of some runs, the season of each boat, and the true parameters if they are known.
+
+    Args:
+        folders: of the runs, the oldest first.
+        tools: see `Tools`.
+        data: configuration of other logs of the same boats; by default the logs of the runs.
+
+    Raises:
+        CheckpointError, ConfigError: the saved files cannot be read, or do not fit the data.
+    """
+    ensemble, fleets, truth = _built(folders, tools, data)
+    return ensemble, read_seasons(folders, ensemble, fleets), truth
+
+
+def _built(folders: Sequence[Path], tools: Tools, data: Any) -> tuple[Ensemble, list[Fleet], Truth]:
+    """The ensemble, the aligned logs and the truth; arguments and errors as of `read`."""
+    if data is not None and "_target_" not in data:
+        raise ConfigError(f"data: found {', '.join(data)} alone, expected a file of configs/data: set data=NAME")
+    settings = [configuration(folder, tools.trust) for folder in folders]
+    last, sources = settings[-1], []
+    for each in [found["data"] for found in settings] if data is None else [data]:
+        if each not in sources:  # several folders may have used the same logs
+            sources.append(each)
+    try:
+        combiners = tools.instantiate(last["combiners"], _convert_="all")
+        forecasts = last.get("forecasts") and tools.instantiate(last["forecasts"])
+        output = str(last["output"]).partition(".")[0] if last.get("output") else None  # older ones named a measure
+        members, knows = tools.instantiate(last["estimators"]), bool(last.get("conditional", False))
+        limit = speed_limit(last["vehicle"]["surge_max"])
+        ensemble = Ensemble(members, combiners, output, surge_max=limit, forecasts=forecasts, conditional=knows)
+        with Activity(tools.console):
+            fleets = [tools.align(tools.instantiate(each), **last["align"]) for each in sources]
+    except (TypeError, AttributeError, KeyError, OverflowError, MemoryError) as error:
+        what = f"{type(error).__name__}: {error}"
+        raise CheckpointError(f"{folders[-1]}: its settings cannot be used ({what:.200}): run it again") from error
+    truth = tools.truth(sources, last["vehicle"]["mass"]) if data is None else {}  # only for the logs of the runs
+    return ensemble, fleets, truth
+
+
+def evaluate(
+    folders: Sequence[Path],
+    report: Path,
+    tools: Tools,
+    data: Any = None,
+    more: Sequence[Section] = (),
+    commands: Sequence[str] = (),
+    paper: bool = False,
+    asked: Questions | None = None,
+) -> Path:
+    """Judge every checkpoint of some runs and write the report; returns its page.
+
+    Args:
+        folders, tools, data: as of `read`.
+        report: its folder.
+        more: sections to put first.
+        commands: that make the report again.
+        paper: whether the paper's results stand beside those found here.
+        asked: the open questions of the other logs.
+    """
+    with Lock(report, "report"):
+        check_report_folder(report)
+        found = [results(folder) for folder in folders]
+        unfinished = [
+            f"{folder} is not finished: the report covers the finished part."
+            for folder, finished in zip(folders, found, strict=True)
+            if not finished
+        ]
+        checks = [data_check(folder) for folder in folders]
+        told = unconfirmed(questions_of_runs(folders, tools.trust) | (asked or {}))
+        if data is not None and tools.checked is not None:
+            align = tools.checked({**configuration(folders[-1], tools.trust), "data": data})
+            ensemble, fleets, truth = _built(folders, tools._replace(align=align), data)
+            checks = [align.json]
+        else:
+            ensemble, fleets, truth = _built(folders, tools, data)
+        seasons = read_seasons(folders, ensemble, fleets)
+        with Activity(tools.console) as activity:
+            activity.begin("simulating each checkpoint on each run", total=simulations(ensemble, seasons))
+            known = known_quantities(found[-1]) if data is None else {}
+            fits = saved_fits(folders, [season.boat for season in seasons]) if data is None else {}
+            tracks = saved_tracks(folders, found, seasons, fleets) if data is None else {}
+            sections, errors = assemble(ensemble, seasons, truth, activity.advance, known, fits, tracks)
+            front = front_of(ensemble, seasons, checks, activity.advance, fits, tracks)
+            activity.begin("drawing the report")
+            other = "Judged on other logs than those of the runs from which the boats learned."
+            notes = [*unfinished, *([] if data is None else [other])]
+            parts = [section if paper else section._replace(paper="") for section in (*more, *sections)]
+            said = [*facts(seasons, folders), *told, *notes]
+            front = front._replace(notes=notes, unconfirmed=told)
+            page = write_report(report, said, parts, commands, errors, front)
+    tools.say(f"report: {page}")
+    return page
+
+
+def known_quantities(found: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    """The true quantities of simulated boats that a run's results contain.
+
+    >>> known_quantities({"identified": {"heron": {"mass": {"value": 27.0, "truth": 28.0}, "lag": {"value": 1.0}}}})
+    {'heron': {'mass': 28.0}}
+    """
+    return {
+        boat: {name: each["truth"] for name, each in quantities.items() if each.get("truth") is not None}
+        for boat, quantities in found.get("identified", {}).items()
+    }
+
+
+def start_of(folder: Path, tools: Tools) -> Path:
+    """The checkpoint of a finished run that is best for all of its boats (`best_start`)."""
+    ensemble, seasons, _ = read([folder], tools)
+    return best_start(ensemble, seasons)
+
+
+def simulations(ensemble: Ensemble, seasons: Sequence[Season]) -> int:
+    """The steps that are simulated: every checkpoint and one more on every run of its boat, and one checkpoint per boat
+    on all.
+    """
+    steps = {season.boat: sum(int(run.steps.sum()) for run in season.runs) for season in seasons}
+    matrices = len(_compared(ensemble)) * len(seasons) * sum(steps.values()) if len(seasons) > 1 else 0
+    return sum((len(season.own) + 1) * steps[season.boat] for season in seasons) + matrices
+
+
+def facts(seasons: Sequence[Season], folders: Sequence[Path]) -> list[str]:
+    """The data on which a report is based, one sentence each."""
+    runs = [run for season in seasons for run in season.runs]
+    hours = sum(float(run.samples.inputs.dt[run.steps].sum()) for run in runs) / 3600
+    sets = sum(len(season.own) for season in seasons)
+    boats = "1 boat" if len(seasons) == 1 else f"{len(seasons)} boats"
+    return [
+        f"{boats}, {len(runs)} runs, {hours:.1f} h measured, {sets} checkpoints, of {', '.join(map(str, folders))}."
+    ]
+
+
+def assemble(
+    ensemble: Ensemble,
+    seasons: Sequence[Season],
+    truth: Truth,
+    advance: Callable[[int], object] = lambda steps: None,
+    known: Mapping[str, Mapping[str, float]] | None = None,
+    fits: Mapping[str, SavedFit | str] | None = None,
+    tracks: Mapping[str, BoatTracks] | None = None,
+) -> tuple[list[Section], dict[str, FreeErrors]]:
+    """Simulate, compare and draw.
+
+    Args:
+        ensemble: to which all checkpoints belong.
+        seasons: of all boats.
+        truth: true parameters of simulated boats (see `usvlearn.simulate.truth`), else empty.
+        advance: receives the number of simulated steps, for a progress bar.
+        known: true quantities of simulated boats at the end.
+        fits: batch fits of the boats (`saved_fits`).
+        tracks: of the boats (`saved_tracks`).
+
+    Returns:
+        The sections, what a boat's owner asks first, and the errors of every boat's cross-validation.
+    """
+    errors = {
+        season.boat: cross_validate(ensemble, season.state, [run.samples for run in season.runs], advance=advance)
+        for season in seasons
+    }
+    beside = remarks(ensemble)
+    between = _between(ensemble, seasons, errors, advance) if len(seasons) > 1 else None
+    # Runs of a simulated season are named after their mission: 001_convoy is the first.
+    mission = {
+        season.boat: np.array([int(run.name.partition("_")[0]) - 1 for run in season.runs])
+        for season in seasons
+        if season.boat in truth
+    }
+    sections: list[Section | None] = [
+        fit_section(seasons, ensemble, fits or {}, known or {}),
+        identified_section(seasons, ensemble, known or {}),
+        forecast_section(seasons, ensemble),
+        tracks_section(tracks or {}),
+        events_section(seasons, ensemble),
+        online_section(seasons, ensemble.names, beside, explained(ensemble)),
+        residual_section(seasons, ensemble),
+        cross_section(seasons, errors, beside),
+        between,
+        parameters_section(seasons, ensemble, truth, mission),
+        network_section(seasons, ensemble, errors),
+        cost_section(ensemble),
+    ]
+    return [section for section in sections if section is not None], errors
+
+
+def front_of(
+    ensemble: Ensemble,
+    seasons: Sequence[Season],
+    checks: Sequence[Any],
+    advance: Callable[[int], object] = lambda steps: None,
+    fits: Mapping[str, SavedFit | str] | None = None,
+    tracks: Mapping[str, BoatTracks] | None = None,
+) -> Front:
+    """The first page: simulate each run free once.
+
+    Args:
+        ensemble, seasons, advance, fits, tracks: as of `assemble`.
+        checks: findings of the data checks, as of `overviews`.
+    """
+    free = {}
+    for season in seasons:
+        free[season.boat] = list(free_runs(ensemble, season))
+        advance(sum(int(run.steps.sum()) for run in season.runs))
+    boats = [
+        each._replace(batch=fit.quantities, doubted=bool(fit.doubts))
+        if isinstance(fit := (fits or {}).get(each.boat), SavedFit)
+        else each
+        for each in overviews(ensemble, seasons, free, checks)
+    ]
+    return Front(boats, viewer_data(ensemble, seasons, free, tracks))
+
+
+def best_start(ensemble: Ensemble, seasons: Sequence[Season]) -> Path:
+    """The boat's last checkpoint whose open-loop simulations, on the runs of all boats, have the least MSE.
+
+    Args:
+        ensemble: to which the checkpoints belong.
+        seasons: of all boats.
+    """
+    last = [len(season.own) - 1 for season in seasons]
+    method = _compared(ensemble)[0]
+    matrix = fleet_matrices(seasons, _each_on_all(ensemble, seasons, last), [method])[method]
+    best = int(np.nanargmin(matrix.mean(1)))
+    return seasons[best].paths[-1]
+
+
+def _compared(ensemble: Ensemble) -> list[str]:
+    """The methods by which boats are compared: the paper's average, if it exists, and the ensemble's output."""
+    return list(dict.fromkeys(name for name in ("average", ensemble.output) if name in ensemble.names))
+
+
+def _each_on_all(
+    ensemble: Ensemble,
+    seasons: Sequence[Season],
+    chosen: Sequence[int],
+    advance: Callable[[int], object] = lambda steps: None,
+) -> dict[str, FreeErrors]:
+    """The errors of one checkpoint of each boat on all runs of each boat."""
+    states = [tree_map(lambda x, k=k: x[k], season.state) for season, k in zip(seasons, chosen, strict=True)]
+    return {
+        season.boat: cross_validate(ensemble, stack(states), [run.samples for run in season.runs], advance=advance)
+        for season in seasons
+    }
+
+
+def _between(
+    ensemble: Ensemble, seasons: Sequence[Season], errors: Mapping[str, FreeErrors], advance: Callable[[int], object]
+) -> Section:
+    matrices: dict[str, np.ndarray] = {}
+    best: dict[str, list[float]] = {}
+    for method in _compared(ensemble):
+        chosen = best_checkpoints(seasons, errors, method)
+        between = _each_on_all(ensemble, seasons, chosen, advance)
+        matrices |= fleet_matrices(seasons, between, [method])
+        best[method] = [float(season.hours[k]) for season, k in zip(seasons, chosen, strict=True)]
+    return fleet_section(seasons, matrices, best)

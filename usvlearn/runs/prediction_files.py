@@ -1,0 +1,244 @@
+"""The files of predictions, `predictions/RRRRR_SSSSSSS.npz`: what a run publishes of each step.
+
+A file contains the steps of one run since the previous file. It can be used alone, and opens without pickle. With n
+steps, b boats and m estimators:
+
+    predictions      (n, b, m)  m/s; NaN where no step was made
+    halfwidths       (n, b, m)  m/s, of the intervals about them; infinite before ten errors are known
+    thrusters        (n, b, 5)  effectiveness left and right, evidence of a loss left and right, 1 in an alarm
+    health           (n, b, 6+f) standard deviations of the effectiveness left and right, 1 while the alarm of a side is
+                                on, 1 once the filters have got its effectiveness, and the count of changes that each of
+                                f filters has confirmed
+    forecasts        (n, b, h·c) m/s: for each of h horizons what c columns forecast then for this step; NaN where no
+                                forecast was due. The columns are the members weighed, persistence, and the ensemble
+    forecast_halfwidths (n, b, h) m/s, of the ensemble's intervals; infinite where none is known
+    tracks           (n, b, k·8) of the tracks that became due then, for each of k horizons: position error, m, heading
+                                error, rad, position error of a constant turn and with the yaw rate held, m, ρ, m, the
+                                ellipse's radius, m, group of the commands, distance run, m; NaN where none was due
+    time             (n, b)     s since the run's first step; NaN after the end of a boat's shorter run
+    measured_surge   (n, b)     m/s; NaN where it was not measured
+    command_left, command_right, heading, yaw_rate, dt    (n, b)    known before each prediction
+    fresh, measured  (n, b)     bool: every input was recent; so was the speed
+    boats, runs      (b,)       names; the run's name is empty for a boat without this run
+    estimators       (m,)       names of the last axis of predictions and halfwidths
+    horizons         (h,)       s
+    track_horizons   (k,)       s
+    forecast_columns (c,)       names
+    filters          (f,)       names of the filters that are given the effectiveness
+    units            (k, 2)     name and unit of each array that has one
+
+Older files contain only the first three. An ensemble without forecasts has none here.
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from usvlearn.core import samples
+from usvlearn.core.samples import Run
+from usvlearn.errors import CheckpointError
+from usvlearn.estimators.planar.state import DUE
+from usvlearn.runs.file_names import PREDICTIONS
+
+# what a damaged .npz raises
+DAMAGE = (OSError, ValueError, KeyError, IndexError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error)
+PUBLISHED = ("predictions", "halfwidths", "thrusters", "health", "forecasts", "forecast_halfwidths", "tracks")
+UNITS = samples.UNITS | {
+    "predictions": "m/s", "halfwidths": "m/s", "thrusters": "share of the thrust; evidence; 0 or 1",
+    "health": "share of the thrust; 0 or 1; 0 or 1; count",
+    "measured_surge": samples.UNITS["surge"], "forecasts": "m/s", "forecast_halfwidths": "m/s", "horizons": "s",
+    "tracks": "m; rad; m; m; m; m; group; m", "track_horizons": "s",
+}  # fmt: skip
+Widths = Mapping[str, int]  # the length of the last axis of each array that may be published
+
+
+class Position(NamedTuple):
+    """A place in a fleet's runs: `step` steps of the run with index `run` are done."""
+
+    run: int
+    step: int
+
+
+BEGIN = Position(0, 0)
+
+
+class Stretch(NamedTuple):
+    """The steps of one run in one file."""
+
+    run: int  # its index
+    step: int  # the first
+    arrays: dict[str, np.ndarray]  # by PUBLISHED, (time, boats, …)
+
+
+class Published:
+    """The stretches in a run's folder, in order. Each is read when it is needed, so that memory contains one at a time.
+
+    Args:
+        folder: of the run.
+        lengths: steps of each run.
+        boats: how many there are.
+        widths: see `widths_of`.
+        names: of the arrays that are read.
+    """
+
+    def __init__(
+        self, folder: Path, lengths: Sequence[int], boats: int, widths: Widths, names: Sequence[str] = PUBLISHED
+    ):
+        self._folder, self._lengths, self._boats, self._widths = folder / PREDICTIONS, lengths, boats, widths
+        self._names = names
+
+    def places(self) -> list[tuple[int, int, int]]:
+        """Index of the run, first step and end of each stretch, from the names of the files."""
+        found, before = [], BEGIN
+        for place in filter(None, map(position, self.paths())):
+            found.append((place.run, before.step if place.run == before.run else 0, place.step))
+            before = place
+        return found
+
+    def paths(self) -> list[Path]:
+        """The files, in order."""
+        return named(self._folder.parent, self._lengths)
+
+    def read(self, run: int, step: int, end: int, names: Sequence[str] = PUBLISHED) -> Stretch:
+        """Read the arrays `names` of one of the `places`, as far as its file has them.
+
+        Raises:
+            CheckpointError: its file is damaged, or contains other steps.
+        """
+        path = self._folder / f"{stem(Position(run, end))}.npz"
+        try:
+            arrays = read_published(path, min(end, self._lengths[run]) - step, self._boats, self._widths, names)
+            if other := [len(array) for array in arrays.values() if len(array) != end - step]:
+                raise ValueError(f"it contains {other[0]} steps, expected {end - step}")
+        except DAMAGE as error:
+            raise CheckpointError(f"{path}: is damaged ({error})") from error
+        return Stretch(run, step, arrays)
+
+    def only(self, *names: str) -> Published:
+        """The same stretches with these arrays alone, which saves unpacking the others."""
+        return Published(self._folder.parent, self._lengths, self._boats, self._widths, names)
+
+    def __iter__(self) -> Iterator[Stretch]:
+        """All stretches, one after the other."""
+        return (self.read(*place, self._names) for place in self.places())
+
+
+def widths_of(
+    names: Sequence[str], forecasts: Any, filters: Sequence[str], horizons: Sequence[float] = ()
+) -> dict[str, int]:
+    """The widths of what an ensemble with these `names`, `forecasts` and `accommodated` filters publishes.
+
+    Args:
+        names, forecasts, filters: of the ensemble.
+        horizons: of tracks beside it, s.
+    """
+    found = {"predictions": len(names), "halfwidths": len(names), "thrusters": 5, "health": 6 + len(filters)}
+    if forecasts is not None:
+        count = len(forecasts.horizons)
+        found |= {"forecasts": count * len(forecasts.columns), "forecast_halfwidths": count}
+    return found | ({"tracks": DUE * len(horizons)} if horizons else {})
+
+
+def joined(parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Stretches, concatenated in time."""
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def packed(
+    published: Mapping[str, np.ndarray],
+    run: Run,
+    end: int,
+    boats: Sequence[str],
+    estimators: Sequence[str],
+    forecasts: Any = None,
+    filters: Sequence[str] = (),
+    horizons: Sequence[float] = (),
+) -> bytes:
+    """The content of a file: what was published of the last steps of a run before `end`, with their samples."""
+    part = slice(end - len(published["predictions"]), end)
+    inputs, surge, fresh, measured = run.samples
+    arrays = {
+        **published,
+        "time": run.time[part],
+        "measured_surge": np.where(measured[part], surge[part], np.nan),
+        **{name: values[part] for name, values in inputs._asdict().items()},
+        "fresh": fresh[part],
+        "measured": measured[part],
+        "boats": np.array(boats, str),
+        "runs": np.array(run.names, str),
+        "estimators": np.array(estimators, str),
+    }
+    if forecasts is not None:
+        arrays |= {"horizons": forecasts.horizons.numpy(), "forecast_columns": np.array(forecasts.columns, str)}
+    if "tracks" in published:
+        arrays["track_horizons"] = np.array(horizons, float)
+    if "health" in published:
+        arrays["filters"] = np.array(filters, str)
+    arrays["units"] = np.array([(name, unit) for name, unit in UNITS.items() if name in arrays])
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:  # 6 takes 2.5 times as long
+        for name, array in arrays.items():  # and makes it 1 % smaller
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+                np.lib.format.write_array(file, np.ascontiguousarray(array), allow_pickle=False)
+    return content.getvalue()
+
+
+def read_published(
+    path: Path, steps: int, boats: int, widths: Widths, names: Sequence[str] = PUBLISHED
+) -> dict[str, np.ndarray]:
+    """The arrays of a file of predictions, by name; raises one of DAMAGE if the file cannot be read.
+
+    Args:
+        path: of the file.
+        steps, boats: the greatest size of the predictions. A much larger file is not unpacked, and one with other
+            boats counts as damaged.
+        widths: of the arrays. A file with other widths counts as damaged; arrays without one are not read.
+        names: of the arrays. A file without predictions counts as damaged.
+    """
+    most = (1 << 16) + (2048 + 4 * 8 * max(0, steps) * (sum(widths.values()) + 7)) * boats  # 2048: names
+    with archive_of(path, most) as archive:
+        found = {name: archive[name] for name in names if name in widths and (name in archive or name == "predictions")}
+    for name, array in found.items():
+        width = widths[name]
+        if array.dtype.kind != "f" or array.ndim != 3 or array.shape[1:] != (boats, width):
+            raise ValueError(f"{name} are {array.dtype} {array.shape}, expected numbers of (time, {boats}, {width})")
+    if len({len(array) for array in found.values()}) > 1:
+        raise ValueError("its arrays differ in length")
+    return found
+
+
+@contextmanager
+def archive_of(path: Path, most: int) -> Iterator[Any]:
+    """The opened archive of a file of predictions; raises one of DAMAGE if it unpacks to more than `most` bytes."""
+    if not (path.is_file() and zipfile.is_zipfile(path)):  # a pipe would never end
+        raise ValueError("it is no archive of arrays")
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        if (size := sum(each.file_size for each in archive.zip.infolist())) > most:
+            raise ValueError(f"it unpacks to {size / 1e6:.0f} MB, expected {most / 1e6:.1f} at most")
+        yield archive
+
+
+def position(path: Path) -> Position | None:
+    """The place in a file's name; None if the name has another form than `stem` gives it."""
+    run, _, step = path.stem.partition("_")
+    found = Position(int(run), int(step)) if run.isdecimal() and step.isdecimal() else None
+    return found if found is not None and stem(found) == path.stem else None
+
+
+def named(folder: Path, lengths: Sequence[int]) -> list[Path]:
+    """The predictions in a folder that belong to runs of so many steps, in order."""
+    found = [(at, path) for path in (folder / PREDICTIONS).glob("*.npz") if (at := position(path)) is not None]
+    return [path for at, path in sorted(found) if at.run < len(lengths) and 0 < at.step <= lengths[at.run]]
+
+
+def stem(place: Position) -> str:
+    """The stem of the names of a place's files."""
+    return f"{place.run:05d}_{place.step:07d}"

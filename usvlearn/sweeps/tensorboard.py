@@ -1,0 +1,190 @@
+"""The page of a sweep in TensorBoard: for each setting a row of HPARAMS and a learning curve, means over its seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
+from itertools import chain
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from usvlearn.display.tensorboard import EVENTS, Setting, TensorBoardWriter, folder_names
+from usvlearn.errors import ConfigError
+from usvlearn.evaluation.metrics import mean
+from usvlearn.report.tables import short_settings
+from usvlearn.runs.compared import MAE, WINDOW, number, results_of
+from usvlearn.runs.file_names import PREDICTIONS
+from usvlearn.runs.prediction_files import DAMAGE, archive_of
+from usvlearn.sweeps.jobs import Job
+from usvlearn.sweeps.ranking import Standing
+
+MOST_KEYS = 5  # columns of settings that the page shows at first
+MOST_POINTS = 100  # of a learning curve
+LARGEST = 1 << 28  # bytes of an archive of predictions
+OBJECTIVE, REST, RATE = "objective", "other settings", "contraction rate"  # RATE: of `results_of`
+Curve = list[tuple[int, float]]  # run time, s, and the rolling MAE, m/s
+
+
+class Row(NamedTuple):
+    """A row of HPARAMS, and a run of TIME SERIES."""
+
+    name: str
+    settings: dict[str, str]
+    results: dict[str, float]  # by title
+    curve: Curve
+    failed: bool
+
+
+def write_board(board: Path, ranks: Sequence[Standing], figures: Mapping[str, bytes] | None = None) -> None:
+    """Write the page; an earlier one is replaced.
+
+    The columns are the settings that differ, then the results that are known, of the ranking member where it has them,
+    else of the output. The page shows five settings at first, so of more than five the rest share the last column.
+
+    Args:
+        board: folder of the page.
+        ranks: the settings in their order, of `usvlearn.sweeps.ranking.standings`.
+        figures: PNG by name, for the IMAGES page.
+
+    Raises:
+        ConfigError: the folder is a link.
+        OSError: it cannot be written to.
+    """
+    _clear(board)
+    width = len(str(len(ranks)))  # TensorBoard sorts the rows by their names
+    names = folder_names(
+        f"{rank:0{width}d} {short_settings(each.settings, list(each.settings)) or each.jobs[0].folder.name}"
+        for rank, each in enumerate(ranks, 1)
+    )
+    rows = [_row(name, each) for name, each in zip(names, ranks, strict=True)]
+    columns = {
+        key: _alike({k: row.settings[key] for k, row in enumerate(rows) if key in row.settings})
+        for key in dict.fromkeys(chain(*(row.settings for row in rows)))
+    }
+    every = [job for each in ranks for job in each.jobs]
+    titles = _titles([row.results for row in rows], {_ranked_by(job) for job in every if job.finished})
+    with TensorBoardWriter(board, names) as writer:
+        writer.columns({key: list(values.values()) for key, values in columns.items()}, dict(titles.values()))
+        for k, row in enumerate(rows):
+            settings = {key: values[k] for key, values in columns.items() if k in values}
+            writer.session(settings, row.name, row.results.get("seconds"), row.failed)
+            writer.scalars({titles[title][0]: x for title, x in row.results.items() if title in titles}, 0, row.name)
+            for step, mae in row.curve:
+                writer.scalars({f"1 overview/{MAE}": mae}, step, row.name)
+        if failed := [job for job in every if not job.finished]:
+            told = (f"- {short_settings(job.settings, list(job.settings))}: {job.failure}" for job in failed)
+            writer.text("failed jobs", "\n".join(told))
+        for name, png in (figures or {}).items():
+            writer.image(name, png)
+
+
+def _row(name: str, each: Standing) -> Row:
+    """The row of a setting, with means over its jobs that finished."""
+    shown = list(each.settings)
+    if len(shown) > MOST_KEYS:
+        rest = shown[MOST_KEYS - 1 :]
+        settings = {key: each.settings[key] for key in shown[: MOST_KEYS - 1]}
+        settings[REST] = short_settings({key: each.settings[key] for key in rest}, rest)
+    else:
+        settings = dict(each.settings)
+    done = [job for job in each.jobs if job.finished]
+    results = [_results(job) for job in done]
+    means = {title: mean(row.get(title) for row in results) for title in dict.fromkeys(chain(*results))}
+    known = {title: x for title, x in (means | {RATE: each.rate}).items() if x is not None}  # a rate is the largest
+    return Row(name, settings, known, _mean_curve([learning_curve(job) for job in done]), not done)
+
+
+def _mean_curve(curves: Sequence[Curve]) -> Curve:
+    """The mean of curves where all are known, at the steps of the first.
+
+    >>> _mean_curve([[(0, 1.0), (10, 2.0), (20, 3.0)], [(5, 2.0), (15, 4.0)]])
+    [(10, 2.5)]
+    >>> _mean_curve([[(0, 1.0)], []])
+    []
+    """
+    if not curves or not all(curves):
+        return []
+    first, last = max(curve[0][0] for curve in curves), min(curve[-1][0] for curve in curves)
+    steps = [step for step, _ in curves[0] if first <= step <= last]
+    values = np.mean([np.interp(steps, [at for at, _ in curve], [x for _, x in curve]) for curve in curves], 0)
+    return list(zip(steps, values.tolist(), strict=True))
+
+
+def learning_curve(job: Job) -> Curve:
+    """The rolling MAE of the job's ranking member or else its output, of its first boat, from its predictions.
+
+    There are at most MOST_POINTS; none of a job whose files are lost, damaged or old.
+    """
+    name, before, run = _ranked_by(job).partition(".")[0], 0.0, ""
+    times, errors = list[np.ndarray](), list[np.ndarray]()
+    for path in sorted((job.folder / PREDICTIONS).glob("*.npz")):
+        try:
+            with archive_of(path, LARGEST) as archive:
+                column = archive["estimators"].tolist().index(name)
+                errors.append(np.abs(archive["predictions"][:, 0, column] - archive["measured_surge"][:, 0]))
+                if run and path.name[:5] != run:  # a further one
+                    before = float(np.nanmax(times[-1], initial=before)) + 1
+                times.append(archive["time"][:, 0] + before)
+                run = path.name[:5]
+        except DAMAGE:
+            return []
+    if not errors:
+        return []
+    error, time = np.concatenate(errors), np.concatenate(times)
+    sums, counts = (np.append(0.0, np.cumsum(x)) for x in (np.nan_to_num(error), np.isfinite(error)))
+    shown = np.unique(np.linspace(0, len(error), MOST_POINTS + 1).astype(int)[1:])
+    begins = np.maximum(shown - WINDOW, 0)
+    known = counts[shown] - counts[begins]
+    means = (sums[shown] - sums[begins]) / np.maximum(known, 1)
+    return [
+        (int(time[k - 1]), float(x))
+        for k, x, some in zip(shown, means, known, strict=True)
+        if some and np.isfinite(time[k - 1])
+    ]
+
+
+def _clear(board: Path) -> None:
+    """Remove an earlier page."""
+    if board.is_symlink():  # a sweep may come from anybody
+        raise ConfigError(f"{board} is a link to another folder: remove it")
+    for old in [*board.glob(f"{EVENTS}.*"), *board.glob(f"*/{EVENTS}.*")]:
+        if not old.parent.is_symlink():
+            old.unlink()
+    for row in board.glob("*"):
+        with suppress(OSError):  # other people's files stay
+            row.rmdir()
+
+
+def _alike(texts: dict[int, str]) -> dict[int, Setting]:
+    """The values of a column by row: numbers if all are, else texts."""
+    numbers = {k: number(text) for k, text in texts.items()}
+    return {**texts} if any(isinstance(x, str) for x in numbers.values()) else numbers
+
+
+def _ranked_by(job: Job) -> str:
+    return str(job.results.get("measure") or job.results.get("output", ""))
+
+
+def _results(job: Job) -> dict[str, float]:
+    """The results of a job by title, the objective first."""
+    found, objective = results_of(job.results, _ranked_by(job).partition(".")[0]), job.results.get("objective")
+    return ({} if objective is None or objective != objective else {OBJECTIVE: float(objective)}) | found
+
+
+def _titles(results: Sequence[Mapping[str, float]], by: Collection[str]) -> dict[str, tuple[str, str]]:
+    """The tag and the head of the column of each result that some setting has.
+
+    The result that is the objective is not shown twice. What is the same for all settings comes last.
+
+    Args:
+        results: of the settings, by title.
+        by: whose error the objective is.
+    """
+    titles = list(dict.fromkeys(chain(*sorted(results, key=len, reverse=True))))
+    columns = {title: [row.get(title) for row in results] for title in titles}
+    same = next((title for title in titles[1:] if titles[0] == OBJECTIVE and columns[title] == columns[OBJECTIVE]), "")
+    shown = sorted((each for each in titles if each != same), key=lambda each: len({*columns[each]} - {None}) < 2)
+    heads = {OBJECTIVE: f"{OBJECTIVE}: {', '.join(sorted(by))}" + (" (m/s)" if "m/s" in same else "")}
+    return {each: (f"8 results/{k} {each}", heads.get(each, each)) for k, each in enumerate(shown, 1)}
