@@ -12,6 +12,7 @@ from usvlearn.evaluation.by_run import RunError
 from usvlearn.evaluation.comparison import over_seeds
 from usvlearn.evaluation.measure import Measure
 from usvlearn.evaluation.ranking import differing, scored
+from usvlearn.sweeps import ranking
 from usvlearn.sweeps.jobs import Job
 from usvlearn.sweeps.leaderboard import write_leaderboard
 from usvlearn.sweeps.ranking import same, standings
@@ -19,6 +20,12 @@ from usvlearn.sweeps.table import printed
 
 RNN = Measure("rnn")
 SWEEP = Path("sweep")
+
+
+@pytest.fixture(autouse=True)
+def errors_at_hand(monkeypatch):
+    """The errors of a job by run, which lie in its folder else."""
+    monkeypatch.setattr(ranking, "errors_of", lambda job: job.results.get("by run", ()))
 
 
 def job(k: int, mae: float | None, seconds: float = 2.0, network: dict | None = None, **settings: str) -> Job:
@@ -34,7 +41,7 @@ def job(k: int, mae: float | None, seconds: float = 2.0, network: dict | None = 
     results = {"boats": {"heron": {"rnn": {"mae": float(maes.mean()), "skill": 0.1}}}, "output": "ensemble",
                "measure": "ensemble.mae", "objective": 0.5, "seconds": seconds}  # fmt: skip
     results |= {"network": {"heron": {"rnn": network}}} if network else {}
-    return Job(SWEEP / f"{k}", keys, scored(results, RNN), runs)
+    return Job(SWEEP / f"{k}", keys, scored(results, RNN) | {"by run": runs})
 
 
 def lines(jobs: list[Job], defaults: dict[str, str] | None = None, width: int = 80, measure=RNN) -> list[str]:
@@ -119,7 +126,8 @@ def of_seeds(mae: float, first: int, scatter: float, count: int = 5, **settings:
         errors = (RunError("heron", "r", "step", 100, {"rnn": mae + add, "persistence": 0.2}),)
         each = job(first + seed, mae + add, seed=f"{seed}", **settings)
         rows = {"heron": {"rnn": {"mae": mae + add}}}
-        found.append(each._replace(results=scored(each.results | {"boats": rows}, RNN), errors=errors))
+        results = scored(each.results | {"boats": rows}, RNN) | {"by run": errors}
+        found.append(each._replace(results=results))
     return found
 
 
