@@ -12,6 +12,7 @@ from usvlearn.logs.checks.data_check import check_data
 from usvlearn.logs.checks.delivery import rejected
 from usvlearn.logs.checks.evidence import Evidence
 from usvlearn.logs.checks.finding import WARNING
+from usvlearn.logs.checks.runs import runs
 
 
 def stranger(boat, late=0.0, channels=(SURGE, "heading"), **values):
@@ -112,3 +113,23 @@ def test_stamps_far_in_the_future_are_told_as_such():
     fleet = Fleet(("a",), (), {"a": {SURGE: {"not_a_number": 400}}})
     (found,) = rejected(Evidence("a", [one._replace(channels=one.channels | {SURGE: late})], fleet, {}, 2.5, {}))
     assert "leave out rows whose stamps are more than 1e+12 s after" in found.expected
+
+
+@pytest.mark.parametrize("placed", [True, False])
+def test_a_log_of_another_unit_than_the_others_is_named(placed):
+    logs = []
+    for run, boat in enumerate(sail(3, seed) for seed in (1, 2, 3)):
+        where = {"north": boat["n"], "east": boat["e"]} if placed else {}
+        logs.append(stranger(boat, **where)._replace(run=f"r{run}"))
+
+    def kinds(**factors):
+        own = {name: each._replace(value=each.value * factors.get(name, 1)) for name, each in logs[1].channels.items()}
+        evidence = Evidence("a", [logs[0], logs[1]._replace(channels=own), logs[2]], None, {}, 2.5, {})
+        return {each.kind: each.found for each in runs(evidence)}
+
+    assert kinds() == {}
+    for factor in (1.944, 3.6):
+        assert "in r1 (×" in kinds(surge=factor)["speeds of runs"]
+    for factor in (100, 1e-3, 2.55):
+        assert "in r1 (×" in kinds(command_left=factor, command_right=factor)["commands of runs"]
+    assert kinds(command_left=0.1, command_right=0.1, surge=0.2).keys() <= ({"speeds of runs"} if placed else set())
