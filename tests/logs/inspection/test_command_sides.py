@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.exported import write_table
+from tests.support.strangers import sail, told
 from tests.support.traps import columns
 from tests.support.voyages import voyage
 from usvlearn.logs.channels.series import Series
@@ -145,3 +146,18 @@ def test_a_latitude_on_a_straight_line_is_no_clock():
     (found,) = (each for each in candidates([Series("lat", None, table["time"], table["lat"], np.arange(2400))]))
     assert found.is_clock
     assert concluded(table).channels["latitude"]["name"] == "lat"
+
+
+@pytest.mark.parametrize("gear", ["gear", "Gang", "marche", "reverse", ""])
+@pytest.mark.parametrize("size", [1.0, 2800.0])
+def test_commands_without_a_sign_of_a_boat_that_goes_astern_are_asked(gear, size):
+    def table(boat):
+        sides = {name: size * np.abs(boat[name[0]]) for name in ("left", "right")}
+        return {"time": boat["time"], "heading": boat["hdg"], "speed": boat["u"]} | sides
+
+    boat = sail(4)
+    gears = {f"{gear}_{name}": np.sign(boat[name[0]]) for name in ("left", "right") if gear}
+    found = next(each for each in concluded(table(boat) | gears).decisions if each.what == "sign")
+    assert found.certainty == "unsure"
+    assert (", ".join(gears) if gear else "the speed is astern in") in found.reason
+    assert told(concluded(table(sail(4, lowest=0.0))))["command_left", "sign"][1] != "unsure"

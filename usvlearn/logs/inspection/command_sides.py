@@ -21,6 +21,7 @@ from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, least
 from usvlearn.logs.inspection.position_channels import Pair
 from usvlearn.logs.inspection.sign_hypotheses import LIKELY, SURE, Decided, Senses, decide, pushes
 from usvlearn.logs.inspection.vocabulary import (
+    GEARS,
     MIDDLE,
     OTHER_UNITS,
     fit,
@@ -35,6 +36,8 @@ from usvlearn.logs.inspection.vocabulary import (
 CLEAR = 4.0  # standard errors of a correlation, beyond which it is no chance
 STRONG = 0.35  # correlation that two unnamed series need to be taken as commands
 MOST_UNNAMED = 14  # series among which unnamed commands are sought
+UNSIGNED, MOST_GEARS = 0.02, 5  # of full scale, to which a command without a sign may be negative; positions of a gear
+ASTERN, SELDOM = 0.1, 0.01  # share of the greatest speed, and of the time
 MIXED = {"steer", "steering", "turn", "differential", "diff"}  # names of what a mixer adds to the throttle
 
 
@@ -94,7 +97,25 @@ def find_commands(pool: Sequence[Candidate], everything: Sequence[Candidate], sp
     rudders = [each for each in both if fit("rudder", each.label) >= 1]
     found = found or list(_with_rudder(thrusts, rudders, levels, speed, turn))
     found = found or list(_unnamed(pool, levels, speed, turn))
-    return sorted(found, key=lambda each: -each.score)
+    return [_with_gear(each, everything, speed) for each in sorted(found, key=lambda each: -each.score)]
+
+
+def _with_gear(found: Commands, everything: Sequence[Candidate], speed: Pair | None) -> Commands:
+    """The same, but unsure where commands without a sign drive a boat that has gears, or that goes astern."""
+    thrusts = [(one.parts[0], one.levels[0]) for one in (found.left, found.right)]
+    if any(each.extent[0] < level.zero - UNSIGNED * abs(level.span) for each, level in thrusts):
+        return found
+    gears = [each.label for each in everything if GEARS & set(words(each.label)) and each.varies]
+    gears = [each.label for each in everything if each.label in gears and len(np.unique(each.value)) <= MOST_GEARS]
+    astern = float((speed[1] < -ASTERN * np.quantile(np.abs(speed[1]), 0.95)).mean()) if speed and len(speed[1]) else 0
+    if gears:
+        why = f"{', '.join(gears)} may tell the sense: if so, make them negative where it says astern"
+    elif astern > SELDOM:
+        why = f"the speed is astern in {astern:.0%} of the time: if they push astern, log them with a sign"
+    else:
+        return found
+    reason = f"{found.sign_reason}; the commands are never negative, but {why}"
+    return found._replace(sign_certainty=UNSURE, sign_reason=reason)
 
 
 def names_command(candidate: Candidate) -> bool:

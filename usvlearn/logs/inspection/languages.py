@@ -46,6 +46,10 @@ RIGHT = spelled(
     "direito estibordo boreste stuurboord höger høyre højre styrbord prawa prawy prawo sterburta oikea tyyrpuuri"
 )
 SHORT_LEFT, SHORT_RIGHT = {"sx", "izq", "esq"}, {"dx", "dcha"}  # beside the word of a drive only
+GEARS = spelled(
+    "gang getriebe richtung rückwärts vorwärts marche sens arrière inverseur marcha atrás retromarcia marcia "
+    "sentido inversor ré keerkoppeling achteruit richting versnelling backslag växel gear bakk bak bieg wstecz vaihde"
+)
 SETPOINT = spelled(
     "soll sollwert consigne consigna deseado desejado desiderato gewenst önskad ønsket børværdi börvärde zadana tavoite"
 )

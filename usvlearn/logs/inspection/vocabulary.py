@@ -69,6 +69,7 @@ AZIMUTHS = {"azimuth", "azimuths", "azi", "azipod"}
 AHEAD, ABOUT = {"x", "u", "surge", "ahead", "forward", "1", "fx"}, {"z", "n", "r", "psi", "yaw", "3", "6", "mz"}
 SIDED = {"pwm", "thrust", "thruster", "motor", "cmd", "esc", "prop", "thr", "throttle", "drive"}
 MIDDLE = {"mid", "middle", "center", "centre", "mitte", "milieu", "centro"}
+GEARS = {"gear", "direction", "dir", "reverse", "rev", "astern", "ahead", "forward", "clutch"} | languages.GEARS
 DRIVES = {"rpm", "thrust", "thruster", "motor", "pwm", "esc", "servo", "throttle", "prop", "propeller",
           "tau", "force", "wrench", "torque", "moment"} | languages.DRIVES  # fmt: skip
 COMMANDED = {"cmd", "command", "commanded"}
