@@ -1,5 +1,6 @@
 """Logs of strangers: what `usvlearn inspect` concludes of them, and where it asks in place of guessing."""
 
+import glob
 from pathlib import Path
 
 import numpy as np
@@ -257,6 +258,21 @@ def test_vehicles_that_only_names_tell_apart_are_never_one_boat(name):
     assert told(found)["vehicle", "system"][1] == "unsure"
 
 
+@pytest.mark.parametrize("name", ["/{1}/{0}", "/{1}/{0}/value", "{1}.{0}"])
+def test_vehicles_whose_commands_only_name_a_side_are_never_one_boat(name):
+    columns = {}
+    for vehicle, boat in (("alpha", sail(4)), ("bravo", sail(4, seed=7))):
+        own = {"left": boat["l"], "right": boat["r"], "odom__heading": boat["psi"], "odom__u": boat["u"]}
+        columns |= {name.format(key, vehicle): value for key, value in own.items()}
+    found = concluded(sail(4), **columns)
+    assert all("alpha" in each["name"] for each in found.channels.values() if each["name"])
+    assert told(found)["vehicle", "system"] == ("alpha", "unsure")
+    others = [other for each in found.decisions if each.channel != "vehicle" for other in each.alternatives]
+    assert not any("bravo" in other for other in others)
+    alone = {"/imu_left/heading": boat["psi"], "/imu_right/heading": boat["psi"], "/imu_left/r": boat["turn"]}
+    assert ("vehicle", "system") not in told(concluded(boat, left=boat["l"], right=boat["r"], **alone))
+
+
 SENDERS = [
     (("ATTITUDE", "1.1"), ("ATTITUDE", "2.1"), "1"), 
     (("DB_TIME", "MOOSDB_abe"), ("DB_TIME", "MOOSDB_ben"), "abe"),
@@ -277,6 +293,20 @@ def test_logs_of_several_senders_are_told_apart(one, other, boat):
 )  # fmt: skip
 def test_folders_that_may_be_of_several_boats_are_told(folders, told):
     assert len(boats_of([Path("logs", each, "a.csv") for each in folders.split()])) == told
+
+
+@pytest.mark.parametrize(
+    ("files", "told"), [("anna_2025-06-01 bert_2025-06-02", 2), ("usv-a_20250601 usv-b_20250601", 2),
+                        ("hai_01.06.2025 wal_02.06.2025", 2), ("zigzag_2025-06-01 turn_2025-06-01", 0),
+                        ("anna bert", 0), ("anna_1 bert_1", 0), ("usv_20250601 usv_20250602", 0)],
+)  # fmt: skip
+def test_single_files_that_may_be_of_several_boats_are_told(files, told, tmp_path):
+    paths = [tmp_path / f"{name}.csv" for name in files.split()]
+    for path in paths:
+        path.touch()
+    found = boats_of(paths)
+    assert len(found) == told
+    assert sorted(path for each in found.values() for path in glob.glob(each)) == sorted(map(str, paths)) * bool(told)
 
 
 def test_a_propeller_at_the_bow_is_no_heading_and_electrical_power_no_command():

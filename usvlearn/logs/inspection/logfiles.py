@@ -29,6 +29,7 @@ RECENT = 1e15, 4.1e15  # us since 1970, from 2001 to 2099: before a frame in a t
 BETWEEN = 1000.0  # s between two logs that are looked at as one
 MOST_BYTES = 400e6  # of logs that are looked at; more of one boat tell no more
 ROW = re.compile(rb"^-?\d+(\.\d+)?\s+\S+\s+\S+\s+\S")  # of a MOOS log
+DATED = re.compile(r"(?<!\d)(?:20\d\d\D?[01]\d|[0-3]?\d\D[01]?\d\D20\d\d)")
 SYNCHRONOUS = re.compile(rb"^\S+\s+([-+.\d][-+.\de]*|nan)\s", re.IGNORECASE)  # row of a .slog, which is a table
 
 
@@ -226,6 +227,8 @@ def _common_path(given: Sequence[str], files: Sequence[Path]) -> str:
 def boats_of(files: Sequence[Path]) -> dict[str, str]:
     """boat -> pattern of its logs, where the logs of one folder, or its folders, have several names; else {}.
 
+    Two logs of a folder need a name each, or a single one before a date.
+
     >>> boats_of([Path(f"logs/{name}_{k}.csv") for name in ("heron", "otter") for k in (1, 2)])
     {'heron': 'logs/heron_*', 'otter': 'logs/otter_*'}
     """
@@ -237,10 +240,11 @@ def boats_of(files: Sequence[Path]) -> dict[str, str]:
         numbered = not flat and words_of(name) & VEHICLES and re.fullmatch(r"\D+\d{1,2}", name)
         groups.setdefault(name if numbered else re.sub(r"[\W_]*\d.*$", "", name), []).append(name)
     several = len(groups) > 1 and "" not in groups and not any((words_of(each) - {"log"}) & PHASES for each in groups)
-    if not several or (flat and min(map(len, groups.values())) < 2):
+    alone = flat and min(map(len, groups.values())) < 2 and not all(DATED.search(file.stem) for file in files)
+    if not several or alone:
         return {}
     start, below = glob.escape(str(folder)), "" if flat else "/**"
-    ends = {name: "*" if len({*names}) > 1 else "" for name, names in groups.items()}
+    ends = {name: "*" if flat or len({*names}) > 1 else "" for name, names in groups.items()}
     return {name: f"{start}/{glob.escape(_common(names))}{ends[name]}{below}" for name, names in groups.items()}
 
 

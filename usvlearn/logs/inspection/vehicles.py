@@ -13,7 +13,7 @@ from usvlearn.logs.formats.ardupilot.dataflash import DataFlash
 from usvlearn.logs.formats.ardupilot.servos import FUNCTION, FUNCTIONS
 from usvlearn.logs.inspection.candidate import Candidate
 from usvlearn.logs.inspection.decision import UNSURE, Decision
-from usvlearn.logs.inspection.vocabulary import fit
+from usvlearn.logs.inspection.vocabulary import fit, side
 
 TYPE = re.compile(r"HEARTBEAT(@\S*)? type|vehicle_status system_type")  # series of MAVLink's MAV_TYPE
 OF_VEHICLES = tuple(map(re.compile, (r"/([^/]+)/.+", r"([A-Za-z]+\d*)[._].+", r".*?[A-Za-z][ _.]?(\d+)")))  # in names
@@ -36,7 +36,8 @@ def of_one_vehicle(found: Sequence[Candidate], convention: str) -> tuple[list[Ca
     for system in _vehicles_of(found, telemetry):
         known = [(system[id(each)], each.label) for each in found if id(each) in system and each.varies]
         headed = {one for one, label in known if fit("heading", label) >= 2}
-        driven = {one for one, label in known if fit("command", label) >= 1}
+        sided = [{one for one, label in known if side(label.replace(one, "", 1)) == way} for way in ("left", "right")]
+        driven = {one for one, label in known if fit("command", label) >= 1} | (sided[0] & sided[1])
         systems = sorted(filter(str.isdigit, headed), key=int) if telemetry else sorted(headed & driven)
         if len(systems) < 2:
             continue
