@@ -119,7 +119,7 @@ def read_recordings(
 def recordings_of(
     log: Path, reader: Reader, sources: Mapping[str, Source | Mix], boat: str, run: str
 ) -> list[Recording]:
-    """One log as its runs: each jump back of its clock begins one. A surge is computed where there is none."""
+    """One log as its runs: each jump of its clock begins one. A surge is computed where there is none."""
     read, dropped = _channels(log, reader, sources)
     parts, jumps = segments(read.values())
     found = [{name: each for name, each in zip(read, part, strict=True) if len(each.time)} for part in parts]
@@ -130,9 +130,10 @@ def recordings_of(
             channels[SURGE], lost[SURGE] = derived_surge(str(log), channels)
         runs.append(Recording(boat, f"{run}-part{len(runs) + 1}" if runs else run, channels, lost))
     if jumps:
-        where = ", ".join(f"{back:.4g} s at {place}" for place, back in jumps[:5]) + (", …" if len(jumps) > 5 else "")
+        way = "ahead" if jumps[0][1] < 0 else "back"
+        where = ", ".join(f"{abs(by):.4g} s at {place}" for place, by in jumps[:5]) + (", …" if len(jumps) > 5 else "")
         warnings.warn(
-            f"{log}: the stamps jump back, as where a logger starts anew or its clock is set back, by {where} (line or "
+            f"{log}: the stamps jump {way}, as where a logger starts anew or its clock is set, by {where} (line or "
             f"message): a new run begins there, so there are {len(runs)}",
             stacklevel=2,
         )

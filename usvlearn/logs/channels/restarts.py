@@ -1,7 +1,8 @@
-"""Where a log's clock jumps back for good: the logger started anew, or a local clock was set back.
+"""Where a log's clock jumps for good: the logger started anew, or its clock was set.
 
-A jump counts if the five stamps after it are, by their median, more than `JUMP` earlier than the five before it. So a
-single wrong stamp is none. It must be seen in most series of the log: the clock of one sensor alone divides no log.
+A jump counts if the five stamps after it are, by their median, more than `JUMP` earlier than the five before it, or
+more than `AHEAD` later. So a single wrong stamp is none. It must be seen in most series of the log: the clock of one
+sensor alone divides no log.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from usvlearn.logs.channels.channel import Channel
 from usvlearn.logs.channels.series import Series
 
-JUMP = 5.0  # s, that a clock is set back at least
+JUMP, AHEAD = 5.0, 1e6  # s, that a clock is set back, or ahead, at least
 AROUND = 5  # stamps at each side of a jump
 MOST = 50  # jumps, beyond which the rows are in no order of time
 
@@ -23,7 +24,7 @@ T = TypeVar("T", Channel, Series)
 
 
 def segments(series: Collection[T]) -> tuple[list[list[T]], list[tuple[int, float]]]:
-    """The series between the jumps of their clock, and each jump: its place in the log, and how far it goes back, s.
+    """The series between the jumps of their clock, and each jump: its place in the log, and how far back it goes, s.
 
     If there are jumps, times count from the first stamp of each part.
 
@@ -47,10 +48,12 @@ def segments(series: Collection[T]) -> tuple[list[list[T]], list[tuple[int, floa
 def _jumps(series: Collection[T]) -> list[tuple[int, float]]:
     spans: list[tuple[int, int, float]] = []  # places in the log between which a series jumps, and how far
     for each in series:
-        back = np.flatnonzero(np.diff(each.time) < -JUMP)
-        for k in back.tolist() if len(back) <= AROUND * MOST else ():
+        steps = np.diff(each.time)
+        places = np.flatnonzero((steps < -JUMP) | (steps > AHEAD))
+        for k in places.tolist() if len(places) <= AROUND * MOST else ():
             before, after = each.time[max(0, k + 1 - AROUND) : k + 1], each.time[k + 1 : k + 1 + AROUND]
-            if min(len(before), len(after)) > 2 and np.median(after) < np.median(before) - JUMP:
+            ahead = np.median(after) - np.median(before)
+            if min(len(before), len(after)) > 2 and (ahead < -JUMP or ahead > AHEAD):
                 spans.append((int(each.order[k]), int(each.order[k + 1]), float(each.time[k] - each.time[k + 1])))
     found: list[tuple[int, float]] = []
     while spans:  # the fewest places that divide all jumps

@@ -148,6 +148,28 @@ def test_the_order_of_a_date_is_found_from_the_whole_column_or_asked_for(tmp_pat
     assert any(each.startswith("dates: ") for each in table_of(path)[1])
 
 
+@pytest.mark.parametrize("form", ["06/03/2025 09:0{} AM", "6/3/25 9:0{}:00 p.m.", "06-03-2025, 09:0{}:00.5 pm"])
+def test_an_ambiguous_date_with_am_or_pm_is_asked_for(tmp_path, form):
+    path = tmp_path / "a.csv"
+    path.write_text("t;v\n" + "".join(f"{form.format(minute)};{minute}\n" for minute in range(9)))
+    table, unsure = table_of(path)
+    assert table.dates == "month_first" and [each[:7] for each in unsure] == ["dates: "]
+    with pytest.raises(LogFormatError, match=r"set data.reader.dates to one of"):
+        Table("t").read(path, {"surge": Source("v")})
+    path.write_text(path.read_text().replace("06/03", "13/03").replace("6/3", "13/3").replace("06-03", "13-03"))
+    assert (table_of(path)[0].dates, table_of(path)[1]) == ("day_first", [])
+
+
+@pytest.mark.parametrize(
+    ("stamps", "asked"),
+    [(range(30), True), (range(1, 31), True), (np.arange(30) / 2, False), (range(1_760_000_000, 1_760_000_030), False)],
+)
+def test_a_time_that_may_number_the_rows_is_asked_for(tmp_path, stamps, asked):
+    path = tmp_path / "a.csv"
+    path.write_text("time,v\n" + "".join(f"{stamp},{k % 7}\n" for k, stamp in enumerate(stamps)))
+    assert [each[:10] for each in table_of(path)[1]] == ["time_unit:"] * asked
+
+
 def test_separators_of_thousands_are_counted_or_refused(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text('t,v\n0,"1,234.5"\n1,"1,234"\n2,7.5\n')

@@ -294,6 +294,14 @@ def test_columns_that_are_left_out_are_named(tmp_path):
     assert "'mode' (0 of 30), 'sonar' (10 of 30): name one" in open_logs([str(path)]).notes[0]
 
 
+@pytest.mark.parametrize("ahead", [1.76e9, 2e6])
+def test_a_clock_that_is_set_ahead_begins_a_run(tmp_path, ahead):
+    path = write(tmp_path / "a.csv", "time", [[t + ahead * (t > 70)] for t in TIME])
+    with pytest.warns(UserWarning, match=r"jump ahead.*set, by .* at 2\d\d .*so there are 2"):
+        runs = read_recordings(path, Table("time"), {name: {"name": "speed"} for name in CHANNELS})
+    assert [each.run for each in runs] == ["a", "a-part2"]
+
+
 def test_a_logger_that_starts_anew_begins_a_run(tmp_path):
     path = write(tmp_path / "a.csv", "time", [[t % 75 + 9] for t in TIME])
     sources = {name: {"name": "speed"} for name in CHANNELS}

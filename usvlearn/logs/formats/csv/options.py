@@ -237,6 +237,8 @@ def _time_unit(stamps: _Candidate) -> tuple[str, str]:
     for unit in usual:
         if unit in EPOCHS and EPOCHS[unit][0] <= stamps.first <= EPOCHS[unit][1]:
             return unit, ""
+    if stamps.first in (0, 1) and (steps == 1).all():
+        return "s", f"found {stamps.first:g}, {stamps.first + 1:g}, …: seconds, or rows, to divide by their rate, Hz"
     fine = [unit for unit in usual if unit not in ("min", "h", "days")]
     minutes = "min" in usual and _digits(60 * step) < min(3, _digits(step))  # rounder than seconds
     fractions = (np.abs(steps - np.round(steps)) > 1e-9).any()

@@ -69,6 +69,7 @@ class Stamps:
         self._values: list[np.ndarray] = []  # number, s since 1970, or s since midnight
         self._dates: list[np.ndarray] = []  # (n, 3) first, second, year; of OTHER_DATE
         self._dotted = False  # dates are written with points
+        self._halves = False  # times of dates are AM or PM
         self._minutes = self._seconds = False  # some times are minutes:seconds.fraction; some have seconds
         self.origin = 0.0  # the first readable stamp, as a number, or in s since 1970 or midnight; of `seconds`
 
@@ -104,6 +105,7 @@ class Stamps:
             first, sign, second, year, *clock, zone = found.groups()
             seconds = _seconds(*clock) - _offset(zone) if clock[0] else 0.0
             self._dotted |= sign == "."
+            self._halves |= clock[4] is not None
             return OTHER_DATE, seconds, (int(first), int(second), int(year) + 2000 * (len(year) == 2))
         stamp = _named(cell)
         return YEAR_FIRST if np.isfinite(stamp) else UNREADABLE, stamp, none
@@ -176,11 +178,14 @@ class Stamps:
             share = max(first, second) / (first + second)
             found = "day_first" if first >= second else "month_first"
             return found, "" if share >= CERTAIN else "dates of which some have no month in either order"
-        if self._dotted or len(np.unique(dates, axis=0)) == 1:  # on a single day, either order gives the same times
+        likely = "month_first" if self._halves else "day_first"
+        if self._dotted or (
+            len(np.unique(dates, axis=0)) == 1 and not self._halves
+        ):  # on a single day, either order gives the same times
             return "day_first", ""
         one, other = (dates[place].tolist() for place in (0, -1))
         shown = " to ".join(f"{a}/{b}/{year}" for a, b, year in (one, other))
-        return "day_first", f"dates from {shown}, which may have the day or the month first"
+        return likely, f"dates from {shown}, which may have the day or the month first"
 
 
 def spread(time: np.ndarray, origin: float) -> tuple[np.ndarray, float]:
