@@ -432,3 +432,35 @@ def test_a_course_confirms_a_right_heading_and_tells_one_that_points_astern(off,
     found = concluded(boat, left=boat["l"], right=boat["r"], yaw=yaw, sog=boat["sog"], cog=boat["cog"])
     assert told(found)["heading", "unit"] == ("deg" if sense == 1 else "enu_deg", certainty)
     assert found.channels["heading"].get("zero", 0.0) % 360 == pytest.approx(off % 360, abs=3)
+
+
+@pytest.mark.parametrize("idle", [800, 650.0])
+def test_a_motor_that_idles_has_no_certain_zero(idle):
+    boat = sail(4, lowest=0.0)
+    rpm = {f"rpm_{side}": np.round(idle + 3000 * boat[side[0]]) for side in ("left", "right")}
+    found = told(concluded(boat, **rpm, heading=boat["hdg"], speed=boat["u"]))["command_left", "zero"]
+    assert found == (f"{idle:g}", "probable") or found[1] == "unsure"
+    moving = {name: np.maximum(value, idle + 40) for name, value in rpm.items()}
+    found = told(concluded(boat, **moving, heading=boat["hdg"]))["command_left", "zero"]
+    assert found[1] == "unsure"
+
+
+def test_the_setpoint_of_a_speed_is_no_thrust_with_a_zero_of_its_own():
+    boat = sail(4, lowest=0.0)
+    speed = np.where(boat["time"] < 90, 1.8, 1.0 + 0.9 * (boat["time"] // 12 % 3))
+    columns = {"/odom__heading": boat["psi"], "/odom__u": np.where(boat["time"] < 90, 0.0, boat["u"])}
+    found = concluded(boat, **{"/cmd_vel__linear.x": speed, **columns})
+    assert told(found)["command_left", "zero"][0] == "0"
+    assert any("it names a speed" in each.reason for each in found.decisions if each.channel == "command_left")
+
+
+@pytest.mark.parametrize(("name", "factor"), [("speed_kn", 1.944), ("v_kmh", 3.6), ("speed_mps", 1.0)])
+def test_a_declared_unit_that_is_off_is_unsure_with_the_span_that_fits(name, factor):
+    boat = sail(6)
+    where = {"north": boat["n"], "east": boat["e"]}
+    asked = []
+    for off in (1.0, 0.92):
+        found = driven(boat, **where, **{name: boat["u"] * factor * off})
+        (unit,) = (each for each in found.decisions if each[:2] == ("surge", "unit"))
+        asked.append(unit.certainty == "unsure" and "with span" in str(unit.alternatives))
+    assert asked == [False, True]

@@ -10,7 +10,7 @@ import numpy as np
 
 from usvlearn.logs.inspection.candidate import Candidate, held_at
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE
-from usvlearn.logs.inspection.vocabulary import SIDES, names_moment, side, words
+from usvlearn.logs.inspection.vocabulary import SIDES, names_moment, names_speed, side, words
 
 PWM = "PWM in us"
 LEAST_PWM, MOST_PWM = 800.0, 2300.0  # us
@@ -57,7 +57,13 @@ def find_level(candidate: Candidate, pool: Sequence[Candidate], convention: str 
     if low >= LEAST_PWM and high <= MOST_PWM and high > low:
         return _pwm(candidate, pool, speed)
     level = _by_size(candidate, convention)
-    return _at_mid_scale(level, candidate, speed) if low >= 0 and high > low else level
+    if low < 0 or high <= low or names_speed(candidate.label):
+        return level
+    found = _at_mid_scale(level, candidate, speed)
+    if found.zero or found.zero_certainty == UNSURE or found.kind != "raw numbers" or low <= IDLE * high:
+        return found
+    why = f"by convention, but it never falls below {low:g}, as a motor that idles"
+    return found._replace(zero_certainty=UNSURE, zero_reason=why, zeros=(f"{low:g}",))
 
 
 def _by_size(candidate: Candidate, convention: str) -> Level:

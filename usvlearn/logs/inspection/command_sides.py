@@ -28,6 +28,7 @@ from usvlearn.logs.inspection.vocabulary import (
     names_force,
     names_moment,
     names_side_alone,
+    names_speed,
     side,
     without_side,
     words,
@@ -301,6 +302,7 @@ def _with_rudder(thrusts: Sequence[Candidate], rudders: Sequence[Candidate], lev
         both = one._replace(sign=ahead)
         if not rudders:
             sentence = "one thrust and no rudder: both sides get the same command"
+            sentence += "; it names a speed: log what drives the thrusters" * names_speed(thrust.label)
             yield Commands(both, both, UNSURE, sentence, UNSURE, f"no side is logged; {pushed}", against, name - 2)
         for rudder in rudders:
             if names_force(thrust.label) != names_moment(rudder.label):

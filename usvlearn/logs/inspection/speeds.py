@@ -197,7 +197,7 @@ def _near(candidate: Candidate, unit: str, relation: Relation, declared: str, ex
         return Speed(candidate, unit, UNSURE, sentence, (declared,), True, "", score)
     fits = unit_of(relation.slope, FITS, declared) == unit
     score += 2 * relation.correlation
-    if fits or unit == expected:
+    if fits or (unit == expected and not (declared and relation.correlation > SAME)):
         sure = CERTAIN if fits and relation.correlation > SAME else PROBABLE
         return Speed(candidate, unit, sure, sentence, (), True, "", score)
     sentence += f", which is no known unit; {unit} would give {1 / UNITS[unit][0]:.3g}"

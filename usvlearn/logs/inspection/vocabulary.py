@@ -154,6 +154,11 @@ def names_moment(name: str) -> bool:
     return bool(MOMENTS & found and ABOUT & found) and not {"force", "kraft"} & found
 
 
+def names_speed(name: str) -> bool:
+    """Whether a name tells the setpoint of a velocity, as `cmd_vel linear.x` does."""
+    return "linear" in (found := set(words(name))) or {"cmd", "vel"} <= found
+
+
 def fit(role: str, name: str) -> float:
     """How well a name fits a role: 3 names it plainly, 1 is a hint, 0 says nothing, less speaks against it.
 
