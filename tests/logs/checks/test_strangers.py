@@ -12,7 +12,7 @@ from usvlearn.logs.checks.data_check import check_data
 from usvlearn.logs.checks.delivery import rejected
 from usvlearn.logs.checks.evidence import Evidence
 from usvlearn.logs.checks.finding import WARNING
-from usvlearn.logs.checks.runs import runs
+from usvlearn.logs.checks.scales import runs
 
 
 def stranger(boat, late=0.0, channels=(SURGE, "heading"), **values):

@@ -3,7 +3,7 @@
 Wrong units, reversed sides and delays do not stop a run: it prints plausible numbers. Each check compares channels with
 each other and with physics, on all runs of a boat together (`usvlearn.logs.channels.correlations`). It yields a finding
 with the setting that corrects it. The thresholds stand beside the checks: `scales`, `track`, `thrusters`, `response`,
-`frozen`, `delivery` and `runs` of `usvlearn.logs.checks`.
+`frozen` and `delivery` of `usvlearn.logs.checks`.
 
 A check that lacks its evidence is silent: a boat that never turns has no sides to be compared.
 """
@@ -17,7 +17,7 @@ from typing import Any
 from usvlearn.core.samples import Fleet
 from usvlearn.errors import LogFormatError, check_choice
 from usvlearn.logs.channels.channel import Recording
-from usvlearn.logs.checks import clocks, delivery, frozen, response, runs, scales, thrusters, track
+from usvlearn.logs.checks import clocks, delivery, frozen, response, scales, thrusters, track
 from usvlearn.logs.checks.evidence import Evidence
 from usvlearn.logs.checks.finding import WARNING, Finding
 
@@ -26,7 +26,7 @@ CHECKS: tuple[Callable[[Evidence], Iterator[Finding]], ...] = (
     scales.heading_sense, scales.yaw_rate, track.degrees, track.axes, track.follows, track.sway,
     thrusters.sides, response.delay, thrusters.excitation, clocks.clocks, frozen.frozen,
     delivery.rejected, delivery.stale, delivery.copies, delivery.clock, delivery.horizons, delivery.together,
-    delivery.jumps, runs.runs,
+    delivery.jumps, scales.runs,
 )  # fmt: skip
 # kind of a finding -> kinds that follow from it, and are left out beside it
 CONSEQUENCES = {

@@ -13,12 +13,16 @@ Thresholds, and why:
   if they jump by their whole range, as at a wrap.
 - Yaw rate and heading have one unit if their slope lies within 1/3 and 3; a wrong unit gives 57 or 1/57.
 - A command that never reaches 0.05 of full scale, or goes beyond 1.2, has another scale.
+- Commands of one log are of another unit if they differ from those of the others by more than 8, or by 2.55 as 255 from
+  100, and the speeds by less than the root of that: a gentle run is slow, too. Without positions, the greatest speeds
+  and how speeds follow commands of like size must both differ as two units do.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -45,6 +49,7 @@ TURNED = 0.03  # rad/s, standard deviation of a turn that a yaw rate has to foll
 TURNED_AWAY = math.radians(45)  # of the course from the heading; a cross current of half the speed makes 30°
 SLUGGISH, FRANTIC = 0.03, 10.0  # rad/s of turn for a full difference of the commands
 SWIFT = 0.3  # rad/s; ten times as much is more than a boat turns: tenths of a degree, not many turns without a wrap
+OTHER, BYTES, ALIKE, SHOWN = 8.0, 2.55, 1.2, 3  # ratios of commands in two logs; names of logs
 CENTURY = (700.0, 2300.0)  # us, the pulses of servos and speed controllers
 FULL = (1.0, 100.0, 1000.0)  # scales that commands usually have
 IDLE, RANGES = 1500.0, (400.0, 500.0)  # us
@@ -112,6 +117,41 @@ def sign(e: Evidence) -> Iterator[Finding]:
     name = override(SURGE, {"name": None})
     ways = "a speed with a sign: velocities to the north and east, or ground_speed and course, or a position alone"
     yield Finding(e.boat, SURGE, "speed sign", text, ways, name if e.has_position and e.channels else "")
+
+
+def runs(e: Evidence) -> Iterator[Finding]:
+    """Logs whose commands, or whose speeds, are in another unit than those of the others."""
+    alone = [replace(e, recordings=[one]) for one in e.recordings]
+    moved = [own for own in alone if own.fastest > RESTING and own.has_position == e.has_position]
+    fastest = [own.fastest for own in moved]
+    commands = [np.abs(np.concatenate([own.values[name] for name in COMMANDS])) for own in moved]
+    sizes = [float(np.quantile(each, 0.995)) if len(each) else 0.0 for each in commands]
+    expected = "logs of one boat in one unit: read these by a configuration of their own, or as another boat"
+    text, driven, faster = _odd(moved, sizes, fastest)
+    if (driven > math.log(OTHER) or abs(driven - math.log(BYTES)) < 0.02) and abs(faster) < driven / 2:
+        yield Finding(e.boat, ", ".join(COMMANDS), "commands of runs", text, expected)
+    found = [own.thrust_on_speed for own in moved]
+    if e.has_position:
+        found = [speed_on_positions(own.series["north"], own.series["east"], own.size) for own in moved]
+    slopes = [each.slope if each.correlation > 0.5 else 0.0 for each in found]
+    text, ratio, faster, driven = _odd(moved, slopes, fastest, sizes)
+    known = any(_in_other_unit(_other_units(e), math.exp(each)) for each in (ratio, -ratio)) if e.speeds else False
+    as_fast = abs(faster - ratio) < math.log(SAME) and abs(driven) < math.log(ALIKE)
+    if e.speeds and ((known and as_fast) or (e.has_position and ratio > math.log(SAME))):
+        yield Finding(e.boat, SURGE, "speeds of runs", text, expected)
+
+
+def _odd(runs: list[Evidence], sizes: list[float], *others: list[float]) -> tuple[Any, ...]:
+    """Which logs differ from a usual one, and by how much the farthest does: logarithms, the first above 0."""
+    order = sorted((k for k, size in enumerate(sizes) if size > 0), key=lambda k: sizes[k])
+    if len(order) < 2:
+        return "", *[0.0] * (1 + len(others))
+    usual = order[(len(order) - 1) // 2]
+    ratios = {k: sizes[k] / sizes[usual] for k in order}
+    high, low = sorted([usual, max(order, key=lambda k: abs(math.log(ratios[k])))], key=lambda k: -sizes[k])
+    odd = [f"{runs[k].recordings[0].run} (× {ratios[k]:.3g})" for k in order if not 1 / SAME < ratios[k] < SAME]
+    text = f"another scale than in the other logs in {', '.join(odd[:SHOWN])}" + ", …" * (len(odd) > SHOWN)
+    return text, *(math.log(max(each[high], 1e-9) / max(each[low], 1e-9)) for each in (sizes, *others))
 
 
 def _plausible(e: Evidence) -> tuple[float, float]:

@@ -106,8 +106,8 @@ def _with_gear(found: Commands, everything: Sequence[Candidate], speed: Pair | N
     thrusts = [(one.parts[0], one.levels[0]) for one in (found.left, found.right)]
     if any(each.extent[0] < level.zero - UNSIGNED * abs(level.span) for each, level in thrusts):
         return found
-    gears = [each.label for each in everything if GEARS & set(words(each.label)) and each.varies]
-    gears = [each.label for each in everything if each.label in gears and len(np.unique(each.value)) <= MOST_GEARS]
+    named = [each for each in everything if GEARS & set(words(each.label))]
+    gears = [each.label for each in named if 2 <= len(np.unique(each.value)) <= MOST_GEARS]
     astern = float((speed[1] < -ASTERN * np.quantile(np.abs(speed[1]), 0.95)).mean()) if speed and len(speed[1]) else 0
     if gears:
         why = f"{', '.join(gears)} may tell the sense: if so, make them negative where it says astern"
