@@ -130,11 +130,10 @@ def recordings_of(
             channels[SURGE], lost[SURGE] = derived_surge(str(log), channels)
         runs.append(Recording(boat, f"{run}-part{len(runs) + 1}" if runs else run, channels, lost))
     if jumps:
-        way = "ahead" if jumps[0][1] < 0 else "back"
         where = ", ".join(f"{abs(by):.4g} s at {place}" for place, by in jumps[:5]) + (", …" if len(jumps) > 5 else "")
         warnings.warn(
-            f"{log}: the stamps jump {way}, as where a logger starts anew or its clock is set, by {where} (line or "
-            f"message): a new run begins there, so there are {len(runs)}",
+            f"{log}: the stamps jump {'ahead' if jumps[0][1] < 0 else 'back'}, as where a logger starts anew "
+            f"or its clock is set, by {where} (line or message): a new run begins there, so there are {len(runs)}",
             stacklevel=2,
         )
     return runs

@@ -135,9 +135,9 @@ def runs(e: Evidence) -> Iterator[Finding]:
         found = [speed_on_positions(own.series["north"], own.series["east"], own.size) for own in moved]
     slopes = [each.slope if each.correlation > 0.5 else 0.0 for each in found]
     text, ratio, faster, driven = _odd(moved, slopes, fastest, sizes)
-    known = any(_in_other_unit(_other_units(e), math.exp(each)) for each in (ratio, -ratio)) if e.speeds else False
-    as_fast = abs(faster - ratio) < math.log(SAME) and abs(driven) < math.log(ALIKE)
-    if e.speeds and ((known and as_fast) or (e.has_position and ratio > math.log(SAME))):
+    known = e.speeds and any(_in_other_unit(_other_units(e), math.exp(each)) for each in (ratio, -ratio))
+    known = known and abs(faster - ratio) < math.log(SAME) and abs(driven) < math.log(ALIKE)
+    if known or (e.speeds and e.has_position and ratio > math.log(SAME)):
         yield Finding(e.boat, SURGE, "speeds of runs", text, expected)
 
 

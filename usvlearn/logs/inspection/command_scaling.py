@@ -10,7 +10,7 @@ import numpy as np
 
 from usvlearn.logs.inspection.candidate import Candidate, held_at
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE
-from usvlearn.logs.inspection.vocabulary import SIDES, names_moment, names_speed, side, words
+from usvlearn.logs.inspection.vocabulary import SIDES, SPEED_SETS, names_moment, side, words
 
 PWM = "PWM in us"
 LEAST_PWM, MOST_PWM = 800.0, 2300.0  # us
@@ -57,7 +57,7 @@ def find_level(candidate: Candidate, pool: Sequence[Candidate], convention: str 
     if low >= LEAST_PWM and high <= MOST_PWM and high > low:
         return _pwm(candidate, pool, speed)
     level = _by_size(candidate, convention)
-    if low < 0 or high <= low or names_speed(candidate.label):
+    if low < 0 or high <= low or SPEED_SETS & set(words(candidate.label)):
         return level
     found = _at_mid_scale(level, candidate, speed)
     if found.zero or found.zero_certainty == UNSURE or found.kind != "raw numbers" or low <= IDLE * high:

@@ -24,11 +24,11 @@ from usvlearn.logs.inspection.vocabulary import (
     GEARS,
     MIDDLE,
     OTHER_UNITS,
+    SPEED_SETS,
     fit,
     names_force,
     names_moment,
     names_side_alone,
-    names_speed,
     side,
     without_side,
     words,
@@ -37,8 +37,7 @@ from usvlearn.logs.inspection.vocabulary import (
 CLEAR = 4.0  # standard errors of a correlation, beyond which it is no chance
 STRONG = 0.35  # correlation that two unnamed series need to be taken as commands
 MOST_UNNAMED = 14  # series among which unnamed commands are sought
-UNSIGNED, MOST_GEARS = 0.02, 5  # of full scale, to which a command without a sign may be negative; positions of a gear
-ASTERN, SELDOM = 0.1, 0.01  # share of the greatest speed, and of the time
+UNSIGNED, ASTERN, SELDOM, POSITIONS = 0.02, 0.1, 0.01, 5  # of full scale, the greatest speed, the time; of a gear
 MIXED = {"steer", "steering", "turn", "differential", "diff"}  # names of what a mixer adds to the throttle
 
 
@@ -107,16 +106,12 @@ def _with_gear(found: Commands, everything: Sequence[Candidate], speed: Pair | N
     if any(each.extent[0] < level.zero - UNSIGNED * abs(level.span) for each, level in thrusts):
         return found
     named = [each for each in everything if GEARS & set(words(each.label))]
-    gears = [each.label for each in named if 2 <= len(np.unique(each.value)) <= MOST_GEARS]
+    gears = [each.label for each in named if 2 <= len(np.unique(each.value)) <= POSITIONS]
     astern = float((speed[1] < -ASTERN * np.quantile(np.abs(speed[1]), 0.95)).mean()) if speed and len(speed[1]) else 0
-    if gears:
-        why = f"{', '.join(gears)} may tell the sense: if so, make them negative where it says astern"
-    elif astern > SELDOM:
-        why = f"the speed is astern in {astern:.0%} of the time: if they push astern, log them with a sign"
-    else:
-        return found
+    why = f"the speed is astern in {astern:.0%} of the time: if they push astern, log them with a sign"
+    why = f"{', '.join(gears)} may tell the sense: if so, make them negative where it says astern" if gears else why
     reason = f"{found.sign_reason}; the commands are never negative, but {why}"
-    return found._replace(sign_certainty=UNSURE, sign_reason=reason)
+    return found._replace(sign_certainty=UNSURE, sign_reason=reason) if gears or astern > SELDOM else found
 
 
 def names_command(candidate: Candidate) -> bool:
@@ -302,7 +297,8 @@ def _with_rudder(thrusts: Sequence[Candidate], rudders: Sequence[Candidate], lev
         both = one._replace(sign=ahead)
         if not rudders:
             sentence = "one thrust and no rudder: both sides get the same command"
-            sentence += "; it names a speed: log what drives the thrusters" * names_speed(thrust.label)
+            if SPEED_SETS & set(words(thrust.label)):
+                sentence += "; it names a speed: log what drives the thrusters"
             yield Commands(both, both, UNSURE, sentence, UNSURE, f"no side is logged; {pushed}", against, name - 2)
         for rudder in rudders:
             if names_force(thrust.label) != names_moment(rudder.label):

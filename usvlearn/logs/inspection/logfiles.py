@@ -29,7 +29,7 @@ RECENT = 1e15, 4.1e15  # us since 1970, from 2001 to 2099: before a frame in a t
 BETWEEN = 1000.0  # s between two logs that are looked at as one
 MOST_BYTES = 400e6  # of logs that are looked at; more of one boat tell no more
 ROW = re.compile(rb"^-?\d+(\.\d+)?\s+\S+\s+\S+\s+\S")  # of a MOOS log
-DATED = re.compile(r"(?<!\d)(?:20\d\d\D?[01]\d|[0-3]?\d\D[01]?\d\D20\d\d)")
+DATED = re.compile(r"(?<!\d)(?:20\d\d\D?[01]\d|[0-3]?\d\D[01]?\d\D20\d\d)")  # the name of a log, after that of its boat
 SYNCHRONOUS = re.compile(rb"^\S+\s+([-+.\d][-+.\de]*|nan)\s", re.IGNORECASE)  # row of a .slog, which is a table
 
 
@@ -226,8 +226,6 @@ def _common_path(given: Sequence[str], files: Sequence[Path]) -> str:
 
 def boats_of(files: Sequence[Path]) -> dict[str, str]:
     """boat -> pattern of its logs, where the logs of one folder, or its folders, have several names; else {}.
-
-    Two logs of a folder need a name each, or a single one before a date.
 
     >>> boats_of([Path(f"logs/{name}_{k}.csv") for name in ("heron", "otter") for k in (1, 2)])
     {'heron': 'logs/heron_*', 'otter': 'logs/otter_*'}

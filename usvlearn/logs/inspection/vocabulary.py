@@ -69,6 +69,7 @@ AZIMUTHS = {"azimuth", "azimuths", "azi", "azipod"}
 AHEAD, ABOUT = {"x", "u", "surge", "ahead", "forward", "1", "fx"}, {"z", "n", "r", "psi", "yaw", "3", "6", "mz"}
 SIDED = {"pwm", "thrust", "thruster", "motor", "cmd", "esc", "prop", "thr", "throttle", "drive"}
 MIDDLE = {"mid", "middle", "center", "centre", "mitte", "milieu", "centro"}
+SPEED_SETS = {"linear", "vel", "velocity"}  # names of commands that are no thrust, such as cmd_vel linear.x
 GEARS = {"gear", "direction", "dir", "reverse", "rev", "astern", "ahead", "forward", "clutch"} | languages.GEARS
 DRIVES = {"rpm", "thrust", "thruster", "motor", "pwm", "esc", "servo", "throttle", "prop", "propeller",
           "tau", "force", "wrench", "torque", "moment"} | languages.DRIVES  # fmt: skip
@@ -152,11 +153,6 @@ def names_moment(name: str) -> bool:
     """
     found = set(words(name))
     return bool(MOMENTS & found and ABOUT & found) and not {"force", "kraft"} & found
-
-
-def names_speed(name: str) -> bool:
-    """Whether a name tells the setpoint of a velocity, as `cmd_vel linear.x` does."""
-    return "linear" in (found := set(words(name))) or {"cmd", "vel"} <= found
 
 
 def fit(role: str, name: str) -> float:

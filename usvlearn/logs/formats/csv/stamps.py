@@ -178,13 +178,12 @@ class Stamps:
             share = max(first, second) / (first + second)
             found = "day_first" if first >= second else "month_first"
             return found, "" if share >= CERTAIN else "dates of which some have no month in either order"
-        likely = "month_first" if self._halves else "day_first"
-        if self._dotted or (
-            len(np.unique(dates, axis=0)) == 1 and not self._halves
-        ):  # on a single day, either order gives the same times
+        one_day = len(np.unique(dates, axis=0)) == 1  # on which either order gives the same times
+        if self._dotted or (one_day and not self._halves):
             return "day_first", ""
         one, other = (dates[place].tolist() for place in (0, -1))
         shown = " to ".join(f"{a}/{b}/{year}" for a, b, year in (one, other))
+        likely = "month_first" if self._halves else "day_first"
         return likely, f"dates from {shown}, which may have the day or the month first"
 
 
