@@ -1,8 +1,7 @@
 """Where a log's clock jumps for good: the logger started anew, or its clock was set.
 
-A jump counts if the five stamps after it are, by their median, more than `JUMP` earlier than the five before it, or
-more than `AHEAD` later. So a single wrong stamp is none. It must be seen in most series of the log: the clock of one
-sensor alone divides no log.
+A jump counts if the median of the five stamps after it is more than `JUMP` before, or `AHEAD` after, that of the five
+before it, in most series of the log: no single wrong stamp, and no clock of one sensor alone, divides a log.
 """
 
 from __future__ import annotations

@@ -13,9 +13,8 @@ Thresholds, and why:
   if they jump by their whole range, as at a wrap.
 - Yaw rate and heading have one unit if their slope lies within 1/3 and 3; a wrong unit gives 57 or 1/57.
 - A command that never reaches 0.05 of full scale, or goes beyond 1.2, has another scale.
-- Commands of one log are of another unit if they differ from those of the others by more than 8, or by 2.55 as 255 from
-  100, and the speeds by less than the root of that: a gentle run is slow, too. Without positions, the greatest speeds
-  and how speeds follow commands of like size must both differ as two units do.
+- Commands of a log are of another unit if they differ by more than 8, or by 2.55, as 255 from 100, and the speeds by
+  less than the root: a gentle run is slow, too. Without positions, the speeds at like commands must differ as units do.
 """
 
 from __future__ import annotations

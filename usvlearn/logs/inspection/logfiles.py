@@ -238,8 +238,7 @@ def boats_of(files: Sequence[Path]) -> dict[str, str]:
         numbered = not flat and words_of(name) & VEHICLES and re.fullmatch(r"\D+\d{1,2}", name)
         groups.setdefault(name if numbered else re.sub(r"[\W_]*\d.*$", "", name), []).append(name)
     several = len(groups) > 1 and "" not in groups and not any((words_of(each) - {"log"}) & PHASES for each in groups)
-    alone = flat and min(map(len, groups.values())) < 2 and not all(DATED.search(file.stem) for file in files)
-    if not several or alone:
+    if not several or (flat and min(map(len, groups.values())) < 2 and not all(DATED.search(x.stem) for x in files)):
         return {}
     start, below = glob.escape(str(folder)), "" if flat else "/**"
     ends = {name: "*" if flat or len({*names}) > 1 else "" for name, names in groups.items()}

@@ -183,8 +183,7 @@ class Stamps:
             return "day_first", ""
         one, other = (dates[place].tolist() for place in (0, -1))
         shown = " to ".join(f"{a}/{b}/{year}" for a, b, year in (one, other))
-        likely = "month_first" if self._halves else "day_first"
-        return likely, f"dates from {shown}, which may have the day or the month first"
+        return ("day_first", "month_first")[self._halves], f"dates from {shown}, with the day or the month first"
 
 
 def spread(time: np.ndarray, origin: float) -> tuple[np.ndarray, float]:
