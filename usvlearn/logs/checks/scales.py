@@ -48,7 +48,7 @@ TURNED = 0.03  # rad/s, standard deviation of a turn that a yaw rate has to foll
 TURNED_AWAY = math.radians(45)  # of the course from the heading; a cross current of half the speed makes 30°
 SLUGGISH, FRANTIC = 0.03, 10.0  # rad/s of turn for a full difference of the commands
 SWIFT = 0.3  # rad/s; ten times as much is more than a boat turns: tenths of a degree, not many turns without a wrap
-OTHER, BYTES, ALIKE, SHOWN = 8.0, 2.55, 1.2, 3  # ratios of commands in two logs; names of logs
+OTHER, BYTES, ALIKE, TELLING, SHOWN = 8.0, 2.55, 1.2, 150.0, 3  # ratios of commands in two logs; s; names of logs
 CENTURY = (700.0, 2300.0)  # us, the pulses of servos and speed controllers
 FULL = (1.0, 100.0, 1000.0)  # scales that commands usually have
 IDLE, RANGES = 1500.0, (400.0, 500.0)  # us
@@ -132,9 +132,9 @@ def runs(e: Evidence) -> Iterator[Finding]:
     found = [own.thrust_on_speed for own in moved]
     if e.has_position:
         found = [speed_on_positions(own.series["north"], own.series["east"], own.size) for own in moved]
-    slopes = [each.slope if each.correlation > 0.5 else 0.0 for each in found]
+    slopes = [each.slope if each.correlation > 0.5 and each.seconds > TELLING else 0.0 for each in found]
     text, ratio, faster, driven = _odd(moved, slopes, fastest, sizes)
-    known = e.speeds and any(_in_other_unit(_other_units(e), math.exp(each)) for each in (ratio, -ratio))
+    known = e.speeds and any(abs(abs(math.log(x)) - (ratio + faster) / 2) < 0.1 for x in _other_units(e).values())
     known = known and abs(faster - ratio) < math.log(SAME) and abs(driven) < math.log(ALIKE)
     if known or (e.speeds and e.has_position and ratio > math.log(SAME)):
         yield Finding(e.boat, SURGE, "speeds of runs", text, expected)
