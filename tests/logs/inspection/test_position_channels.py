@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.support.strangers import driven, sail, told
 from usvlearn.logs.channels.correlations import Relation
 from usvlearn.logs.inspection.candidate import Candidate
 from usvlearn.logs.inspection.position_channels import METRES, Places, crossed, find_places
@@ -52,3 +53,34 @@ def test_a_ros_twist_stays_in_its_unit_and_the_factor_is_said(kind, slope):
     assert found.alternatives[-1] == f"m/s, with span: {slope:.3g}" and by_other(found, speed("", 1.0)) == found
     assert (speed(kind, 1.02).unit, speed(kind, 1.02).certainty) == ("m/s", "certain")
     assert (speed("geometry_msgs/msg/Vector3", 1.94).unit, speed("", 1.94).certainty) == ("knots", "certain")
+
+
+def sources(found):
+    return {name: (each.get("unit"), each.get("span", 1.0)) for name, each in found.channels.items()}
+
+
+@pytest.mark.parametrize(
+    ("names", "metres"),
+    [(("northing_ft", "easting_ft"), 0.3048), (("Northing (km)", "Easting (km)"), 1e3), (("y_nm", "x_nm"), 1852.0),
+     (("pos_north_yards", "pos_east_yards"), 0.9144)],
+)  # fmt: skip
+@pytest.mark.parametrize("speed", [1.0, 3.2808])
+def test_the_name_of_a_position_tells_its_unit(names, metres, speed):
+    boat = sail(5, lowest=0.0)
+    place = {name: boat[key] / metres for name, key in zip(names, "ne", strict=True)}
+    found = driven(boat, speed=speed * boat["u"], **place)
+    scale = ("m", float(f"{1 / metres:.6g}"))
+    assert (sources(found)["north"], sources(found)["east"]) == (scale, scale)
+    (unit,) = (each for each in found.decisions if each[:2] == ("surge", "unit"))
+    assert (unit.value, unit.certainty) == (("m/s", "certain") if speed == 1 else ("ft/s", "unsure"))
+    assert speed == 1 or unit.alternatives[0] == "km/h"
+
+
+def test_a_position_in_metres_by_assumption_proves_no_unit():
+    boat = sail(5, lowest=0.0)
+    feet = {key: boat[key] / 0.3048 for key in "une"}
+    place = {"north": feet["n"], "east": feet["e"]}
+    assert told(driven(boat, speed=feet["u"], **place))["surge", "unit"] == ("m/s", "probable")
+    assert told(driven(boat, speed_mps=boat["u"], north=boat["n"], east=boat["e"]))["surge", "unit"][1] == "certain"
+    (north,) = (each for each in driven(boat, **place).decisions if each.channel == "north")
+    assert north.certainty == "probable" and "taken as m" in north.reason

@@ -19,6 +19,9 @@ from usvlearn.logs.inspection.vocabulary import SETPOINT, fit, words
 
 Pair = tuple[np.ndarray, np.ndarray]  # time, s, and value
 METRES = 6_371_000.0 * math.pi / 180  # of a degree of latitude
+LENGTHS = {"m": 1.0, "metre": 1.0, "meter": 1.0, "utm": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0,
+           **dict.fromkeys(("nm", "nmi", "nautical", "sm"), 1852.0), **dict.fromkeys(("yd", "yard", "yards"), 0.9144),
+           **dict.fromkeys("ft foot feet fuss pied pieds pies piedi voet".split(), 0.3048)}  # fmt: skip
 SPAN = 2.0  # s over which a course and a rate are taken
 MOVING = 0.3  # share of the greatest rate above which the course is known
 FASTEST = 40.0  # m/s, of a boat
@@ -38,6 +41,15 @@ class Places(NamedTuple):
     oriented: bool  # whether it is known which of two local coordinates is north
     north: Pair  # m
     east: Pair  # m
+
+    @property
+    def length(self) -> str:
+        """The unit of local coordinates that a name or the log tells; "" where they are metres by assumption.
+
+        >>> [_length(Candidate(name, None, "", "", *np.ones((2, 1)))) for name in ("north_ft", "y [km]", "east")]
+        ['ft', 'km', '']
+        """
+        return "m" if self.geographic else _length(self.first)
 
 
 def find_places(pool: Sequence[Candidate], convention: str = "") -> list[Places]:
@@ -142,6 +154,7 @@ def tell_places(places: Places, channels: dict, series: dict, confirmed: bool, a
     named = fit(names[0], places.first.label) >= 1 or not places.geographic
     sure = UNSURE if not named else CERTAIN if confirmed else PROBABLE
     why = "the speed follows its rate" if confirmed else "by name and range"
+    why += "" if confirmed or places.length else "; taken as m"
     if fit("longitude", places.first.label) >= 1:
         why = "against the names: only with latitude and longitude interchanged, the speed follows their rate"
     if axes != CERTAIN:
@@ -149,12 +162,16 @@ def tell_places(places: Places, channels: dict, series: dict, confirmed: bool, a
     decisions = []
     pair, doubtful = (places.first, places.second), axes != CERTAIN
     for name, candidate, other in zip(names, pair, pair[::-1], strict=True):
-        scale = {} if not places.geographic or places.first.size <= 90 else {"span": 1e7}
+        span = 1e7 if places.first.size > 90 else 1.0
+        span = span if places.geographic else float(f"{1 / LENGTHS.get(places.length, 1.0):.6g}")
+        scale = {} if span == 1 else {"span": span}
         unit = "ddmm" if candidate.unit == "ddmm" else "deg" if places.geographic else "m"
         scale |= {"span": candidate.span} if unit == "ddmm" and candidate.span < 0 else {}
         channels[name] = candidate.source(unit=unit, window=AUTO, **scale)
         series[name] = candidate
         decisions.append(Decision(name, "series", candidate.label, sure, why, (other.label,) * doubtful))
+        if scale and unit == "m":
+            decisions.append(Decision(name, "span", f"{span:g}", sure, f"1 m is {span:g} {places.length}"))
         if unit == "ddmm":
             how = "degrees and minutes in one number" + (", to the west or south" if candidate.span < 0 else "")
             decisions.append(Decision(name, "unit", unit, PROBABLE, f"{how}: values reach {candidate.size:.4g}°"))
@@ -181,7 +198,8 @@ def even_times(time: np.ndarray) -> np.ndarray:
 
 def _places(first: Candidate, second: Candidate, geographic: bool, oriented: bool) -> Places | None:
     if not geographic:
-        return Places(first, second, False, oriented, first.evidence, second.evidence)
+        north, east = (x.scaled(LENGTHS.get(_length(x), 1.0)) for x in (first, second))
+        return Places(first, second, False, oriented, north, east)
     factor = 1.0 if first.size <= 90 else 1e-7
     if first.size * factor > 90 or second.size * factor > 180 or (first.unit == "rad" and first.size < 1.6):
         return None
@@ -189,6 +207,10 @@ def _places(first: Candidate, second: Candidate, geographic: bool, oriented: boo
     shrunk = scale * math.cos(math.radians(middle))
     north = first.scaled(scale, -middle * METRES)
     return Places(first, second, True, oriented, north, second.scaled(shrunk, -float(np.median(second.value)) * shrunk))
+
+
+def _length(candidate: Candidate) -> str:
+    return next((each for each in (candidate.unit, *words(candidate.label)) if each in LENGTHS), "")
 
 
 def _local(x: Candidate, y: Candidate) -> Places | None:

@@ -78,7 +78,7 @@ def find_speeds(
         if name < 0 or unfit or id(each) in placed:
             continue
         relation = speed_on_positions(*places[0][-2:], each.evidence, heading) if places else None
-        speed = read_speed(each, relation, convention, name)
+        speed = read_speed(each, relation, convention, name, places[0].length if places else "")
         if each.is_set and name >= 1:
             why = f"it {IS_SET}: log the latter, or a position"
             sets.append(speed._replace(certainty=UNSURE, confirmed=False, contradicted=why))
@@ -89,7 +89,7 @@ def find_speeds(
     if sets and not (found or places):
         found = [read_speed(each, None, convention, 0.0) for each in pool if _follows_setpoint(each, sets[0].candidate)]
     found.sort(key=lambda each: (not each.confirmed, -each.score))
-    known = next((each for each in found if each.certainty == CERTAIN), None)
+    known = next((each for each in found if each.confirmed and each.certainty != UNSURE), None)
     return [by_other(each, known) if known and each.certainty == UNSURE else each for each in found] + sets
 
 
@@ -150,15 +150,20 @@ def interchanged(places: Places, speeds: Sequence[Candidate]) -> tuple[Places, b
     return places, swapped.correlation - own.correlation > MORE
 
 
-def read_speed(candidate: Candidate, relation: Relation | None, convention: str, name: float) -> Speed:
-    """The unit of a speed by all evidence that there is."""
+def read_speed(
+    candidate: Candidate, relation: Relation | None, convention: str, name: float, length: str = "m"
+) -> Speed:
+    """The unit of a speed by all evidence that there is; `length`: unit of the position, "" of metres by assumption."""
     declared = candidate.unit if candidate.unit in (*SPEEDS, *RARE) else ""
     usual = "m/s" if any(kind in candidate.kind or kind == convention for kind in METRIC) else ""
     score = name + quality(candidate) + 0.3 * ("nav" in words(candidate.name))
     if relation is not None and _enough(relation):
         unit = unit_of(relation.slope, first=declared)
         if relation.correlation >= FOLLOWS and unit and (unit == "m/s" or not _is_twist(candidate)):
-            return _near(candidate, unit, relation, declared, declared or usual, score)
+            found = _near(candidate, unit, relation, declared, declared or usual, score)
+            if length or declared or usual or found.certainty != CERTAIN:
+                return found
+            return found._replace(certainty=PROBABLE, reason=f"{found.reason}, if this is in m: no name tells its unit")
         if relation.correlation >= FOLLOWS and _is_twist(candidate):
             sentence = f"m/s by definition, but {relation.slope:.3g} × the rate of position: check stamps and position"
             others = (*filter(None, [unit]), _by_span(relation))
@@ -200,8 +205,11 @@ def _near(candidate: Candidate, unit: str, relation: Relation, declared: str, ex
     if fits or (unit == expected and not (declared and relation.correlation > SAME)):
         sure = CERTAIN if fits and relation.correlation > SAME else PROBABLE
         return Speed(candidate, unit, sure, sentence, (), True, "", score)
-    sentence += f", which is no known unit; {unit} would give {1 / UNITS[unit][0]:.3g}"
-    return Speed(candidate, unit, UNSURE, sentence, (_by_span(relation),), True, "", score)
+    rare = next((each for each in RARE if unit_of(relation.slope, FITS, each)), "")
+    sentence += ", which is no known unit" if not rare else f"; {rare} would give {1 / UNITS[rare][0]:.3g}"
+    sentence += f"; {unit} would give {1 / UNITS[unit][0]:.3g}"
+    others = (unit, _by_span(relation)) if rare else (_by_span(relation),)
+    return Speed(candidate, rare or unit, UNSURE, sentence, others, True, "", score)
 
 
 def _is_twist(candidate: Candidate) -> bool:

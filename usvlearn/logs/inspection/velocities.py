@@ -61,7 +61,7 @@ def _velocities(
     same = len(north.value) == len(east.value)
     size = north.named(value=np.hypot(north.value, east.value) if same else np.abs(north.value))
     relation = speed_on_positions(*places[0][-2:], size.evidence, heading) if places and same else None
-    return Velocities(north, east, read_speed(size, relation, convention, 3.0))
+    return Velocities(north, east, read_speed(size, relation, convention, 3.0, places[0].length if places else ""))
 
 
 def tell_velocities(found: Velocities, speeds: Sequence[Speed], channels: dict, series: dict) -> list[Decision]:
