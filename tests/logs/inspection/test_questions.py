@@ -8,6 +8,7 @@ import yaml
 from rich.console import Console
 
 from tests.support.exported import write_table
+from tests.support.strangers import sail
 from tests.support.voyages import voyage
 from usvlearn.cli import inspect as command
 from usvlearn.core.unconfirmed import SECTION, open_questions, questions_in, questions_of, unconfirmed
@@ -164,3 +165,17 @@ def test_the_command_lists_all_and_confirms(found, tmp_path, monkeypatch, capsys
     command.work(["--confirm", "mass", "--confirm", "surge.unit", "my_boat.yaml"])
     assert "Confirmed in my_boat.yaml: mass, surge.unit." in capsys.readouterr().out
     assert not {"mass", "surge.unit"} & set(yaml.safe_load(path.read_text())[SECTION])
+
+
+def test_the_delay_that_is_written_is_checked(tmp_path):
+    boat = sail(4, seed=2)
+    after = {name: np.interp(boat["time"] - 2.5, boat["time"], boat[name]) for name in ("u", "lat", "lon")}
+    columns = {"time": boat["time"], "left": boat["l"], "right": boat["r"], "heading": boat["hdg"], "speed": after["u"]}
+    path = write_table(tmp_path / "a.csv", columns | {"lat": after["lat"], "lon": after["lon"]})
+    found = inspect_logs([str(path)])
+    assert abs(found.lag.delay - 2.5) <= 0.5
+    assert {one.channels["command_left"].delay for one in found.recordings} == {found.lag.delay}
+    (told,) = (each for each in found.findings if each.kind == "delay")
+    assert f"take {found.lag.delay:g} s from the stamps of the speed" in told.sentence()
+    (asked,) = {each for each in found.decisions if each.what == "delay" and each.channel == "command_left"}
+    assert asked.certainty == "unsure" and "Clocks that differ look the same" in asked.reason

@@ -145,7 +145,7 @@ def delay(e: Evidence) -> Iterator[Finding]:
         yield Finding(e.boat, PAIR, "delay", text, limits + (hardly if fix else _restamped(shift, late)), fix)
     elif turn and (turned >= LATE or turned < 0):
         text = f"changes of turn that fit commands {_side(turned)} best (squares × {turn.ratio:.2f})"
-        how = _restamped(-turned, "speed") if given >= -turned > 0 else _restamped(turned, "heading")
+        how = _restamped(given, "speed") if 0 < -turned <= 1.5 * given else _restamped(turned, "heading")
         yield Finding(e.boat, "commands, heading", "delay", text, f"0 to {LATE} s behind{how}")
     elif e.searched.seconds >= LONG and abs(e.searched.correlation) < FOLLOWS and _moves(e):
         text = f"a speed without relation to the commands (r = {e.searched.correlation:.2f})"
@@ -169,7 +169,7 @@ def _side(shift: float) -> str:
 def _restamped(shift: float, late: str) -> str:
     """What to do where a response lies so many s behind the commands because of the clock of one channel."""
     how = "take {} s from" if (shift > 0) != (late == "commands") else "add {} s to"
-    return f": {CLOCKS}: {how.format(round(abs(shift)))} the stamps of the {late}"
+    return f": {CLOCKS}: {how.format(f'{round(abs(shift), 2):g}')} the stamps of the {late}"
 
 
 def _moves(e: Evidence) -> bool:

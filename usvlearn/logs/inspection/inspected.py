@@ -27,7 +27,7 @@ from usvlearn.logs.inspection.override import shell_override
 from usvlearn.logs.inspection.proposal import Proposal, propose
 from usvlearn.logs.inspection.questions import questions
 from usvlearn.logs.inspection.vehicles import check_boat, told_apart
-from usvlearn.logs.recordings import align_fleet
+from usvlearn.logs.recordings import align_fleet, delayed
 
 USUAL, MARGIN = 3.0, 1.1  # m/s, the top speed where no speed is known; of the greatest one that is logged
 SPEED_CHANNELS = ("surge", "velocity_north", "ground_speed")
@@ -87,6 +87,7 @@ def inspect_logs(
         top = _tell_top_speed(settings, recordings, decisions)
         lag = find_lag(recordings, speed_limit(top))
         _tell_delay(settings, lag, decisions)
+        recordings = delayed(recordings, lag.delay)
     why = "not in the logs; forces scale with it"
     decisions.append(Decision("vehicle", "mass", f"{MASS:g} kg", UNSURE, why))
     settings[SECTION] = questions(decisions, settings)
@@ -151,11 +152,13 @@ def _tell_delay(settings: dict[str, Any], lag: Lag, decisions: list[Decision]) -
     if lag.delay:
         sentence = f"surely better than none; {sentence}"
         if lag.delay > 1:
-            sentence += "; delays above 1 s are tried in steps of 0.25 s"
+            sentence += (
+                "; in steps of 0.25 s. Clocks that differ look the same: correct stamps then (see the data check)"
+            )
         if lag.delay == LONG_DELAYS[-1]:
             sentence = f"{lag.delay:g} s or more: it is the longest that is tried"
     elif lag.best:
         sentence = f"{lag.best:g} s fits best, but not surely; {sentence}"
-    sure = PROBABLE if lag.sure else UNSURE
+    sure = PROBABLE if lag.sure and lag.delay <= 1 else UNSURE
     others = (f"{lag.best:g}",) if lag.best != lag.delay else ()
     decisions += [Decision(side, "delay", f"{lag.delay:g} s", sure, sentence, others) for side in SIDES]
