@@ -33,7 +33,10 @@ RATIO = 1.6  # by which the slope may differ from that of a unit
 NORTH = {"heading", "hdg", "hdt", "compass", "steuerkurs", "kurs", "ned", "cap", "rumbo"}  # words of angles from north
 NORTH_FORMATS = {"MOOS", "ArduPilot DataFlash", "MAVLink telemetry", "PX4 ULog"}  # whose headings are from north
 FULL_TURN = 6.6  # a heading in rad, within ±2π, is smaller
-FINE_TURNS = {400.0: "gradians", 3600.0: "tenths of a degree", 36000.0: "hundredths of a degree"}
+BYTE = 256.0  # a full turn in whole numbers of 8 bits
+FINE_TURNS = {BYTE: "bytes, 256 to a turn,", 400.0: "gradians", 3600.0: "tenths of a degree", 4096.0: "12-bit numbers",
+              6283.2: "milliradians", 6400.0: "mils", 36000.0: "hundredths of a degree",
+              65536.0: "16-bit numbers"}  # fmt: skip
 FASTEST_TURN, SLOW_TURN = 60.0, 0.05  # °/s, of a boat; rad/s, that one exceeds which turns several times
 MOST_RADIANS = 100.0  # 16 turns, of a heading that counts on
 BEYOND = 361.0  # values above this are no degrees of one turn
@@ -149,7 +152,8 @@ def orient(places: Places, heading: Heading) -> Places | None:
 def full_turn(candidate: Candidate) -> float:
     """The numbers of a full turn, where they cannot be degrees of one turn; 360 otherwise.
 
-    Values beyond a turn are degrees that count on, if the boat then turns as a boat may.
+    Where the numbers go round, they jump by a turn. Values beyond a turn that do not are degrees that count on, if the
+    boat then turns as a boat may. Whole numbers that go round below 256 are bytes.
 
     >>> time = np.arange(0.0, 100.0)
     >>> full_turn(Candidate("a", None, "", "", time, 10 * (7.0 * time % 360))), full_turn(
@@ -157,11 +161,18 @@ def full_turn(candidate: Candidate) -> float:
     ... )
     (3600.0, 360.0)
     """
-    if not candidate.size > BEYOND or candidate.extent[0] < -BEYOND:
-        return 360.0
-    turn = next((each for each in FINE_TURNS if candidate.size <= each * 1.001), 360.0)
-    jumps = (np.abs(np.diff(candidate.evidence[1])) > 0.9 * turn).any()
-    return turn if jumps or turning(candidate) > FASTEST_TURN or candidate.size <= 400.4 else 360.0
+    low, high = candidate.extent
+    spread, (_, value) = high - min(low, 0.0), candidate.evidence
+    turn = next((each for each in FINE_TURNS if spread <= each * 1.001), 360.0)
+    steps = np.abs(np.diff(value))
+    jumps = bool((steps > 0.95 * turn).any())
+    if turn == BYTE:
+        whole = jumps and (value == np.round(value)).all() and not ((steps > BYTE / 2) & (steps < 0.8 * BYTE)).any()
+        return BYTE if whole else 360.0
+    if jumps and spread > BEYOND:
+        return turn
+    fast = candidate.size > BEYOND and low >= 0 and (turning(candidate) > FASTEST_TURN or spread <= 400.4)
+    return turn if fast else 360.0
 
 
 def turning(candidate: Candidate) -> float:
