@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from tests.support import strangers
 from tests.support.exported import write_table
 from tests.support.strangers import sail, told
 from tests.support.traps import columns
@@ -161,3 +162,26 @@ def test_commands_without_a_sign_of_a_boat_that_goes_astern_are_asked(gear, size
     assert found.certainty == "unsure"
     assert (", ".join(gears) if gear else "the speed is astern in") in found.reason
     assert told(concluded(table(sail(4, lowest=0.0))))["command_left", "sign"][1] != "unsure"
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(
+    ("names", "parts"), [(("axis0", "axis1"), False), (("a", "b"), True), (("joy_x", "joy_y"), False)]
+)
+def test_commands_without_names_are_found_whatever_their_sense(sign, names, parts):
+    boat = strangers.sail(6, lowest=0.0)
+    axes = (boat["l"], boat["r"]) if parts else (boat["l"] - boat["r"], (boat["l"] + boat["r"]) / 2)
+    pair = {name: sign * each for name, each in zip(names, axes, strict=True)}
+    found = strangers.concluded(boat, heading=boat["hdg"], speed=boat["u"], **pair)
+    assert not found.missing and "position" not in {each.channel for each in found.decisions}
+    assert {math.copysign(1, found.channels[side]["span"]) for side in ("command_left", "command_right")} == {sign}
+    assert not parts or (found.channels["command_left"]["name"], found.channels["command_right"]["name"]) == names
+    assert strangers.told(found)["command_left", "series"][1] == "unsure"
+
+
+@pytest.mark.parametrize(("name", "role"), [("heading", "hdg"), ("speed", "u")])
+def test_a_state_that_never_changes_is_named(name, role):
+    boat = strangers.sail(4)
+    states = {"heading": boat["hdg"], "speed": boat["u"]} | {name: 0 * boat[role] + 45}
+    found = strangers.concluded(boat, left=boat["l"], right=boat["r"], **states)
+    assert found.unfit.startswith(f"'{name}' is always 45")

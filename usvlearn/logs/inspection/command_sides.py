@@ -359,15 +359,17 @@ def _unnamed(
             sides = _sides([left], [right], levels)
             one_share, other_share = (_share(each) for each in sides)
             on_speed, on_turn = speed_on_thrust(one_share, other_share, speed), side_sign(one_share, other_share, turn)
-            clear = min(on_speed.certainty, on_turn.certainty) > CLEAR
-            if not clear or min(on_speed.correlation, on_turn.correlation) < STRONG:
+            sign = -1 if on_speed.correlation < 0 else 1
+            clear = min(sign * on_speed.certainty, sign * on_turn.certainty) > CLEAR
+            if not clear or min(sign * on_speed.correlation, sign * on_turn.correlation) < STRONG:
                 continue
             throttle = decide(one_share, other_share, speed, turn, _leveled(sides), True, named=False).throttle
             if throttle is not None:
                 yield from _by_motion([left, right], throttle, levels, speed, turn)
                 continue
             sentence = _correlations(on_speed, on_turn)
-            score = on_speed.correlation + on_turn.correlation
+            score = abs(on_speed.correlation) + abs(on_turn.correlation)
+            sides = [each._replace(sign=sign) for each in sides]
             yield Commands(sides[0], sides[1], UNSURE, f"by its numbers alone: {sentence}", UNSURE, sentence, (), score)
 
 

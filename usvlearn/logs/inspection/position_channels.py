@@ -29,7 +29,8 @@ CLOSE = 0.97  # correlation of a speed with the rate of a position that has no n
 MOST_UNNAMED = 8
 COARSE = 0.3  # m, of a position that tells a speed badly
 NO_PLACE = {"vel", "velocity", "twist", "speed", "angular", "linear", "acc", "accel", "acceleration", "force", "error",
-            "gyro", "gyr", "mag", "magnetic", "orientation", "ecef"} | SETPOINT  # fmt: skip
+            "gyro", "gyr", "mag", "magnetic", "orientation", "ecef", "joy", "joystick", "stick", "gamepad", "pad",
+            "remote", "rc"} | SETPOINT  # fmt: skip
 
 
 class Places(NamedTuple):

@@ -199,6 +199,10 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
     if missing == ["surge"]:
         others = [each for each in rest if not any(each is other for other in series.values())]
         unfit = following(others, [series[side] for side in SIDES if side in series])
+    states = [role for role in ("heading", "surge") if role in missing]
+    if still := [x for x in found if not x.varies and any(fit(role, x.label) >= 1 for role in states)]:
+        told = ", ".join(f"{each.label!r} is always {each.value[0]:g}" for each in still[:3])
+        unfit = f"{told}, as of a sensor that has stopped: give logs in which it changes"
     order = [*SIDES, "heading", "yaw_rate", "surge"]
     ordered = {name: channels[name] for name in (*order, *channels) if name in channels}
     return Proposal(ordered, series, decisions, speed, heading, yaw, missing, unfit)

@@ -291,7 +291,7 @@ def test_columns_that_are_left_out_are_named(tmp_path):
     path.write_text(
         "time,speed,mode,sonar\n" + "".join(f"{t},1,AUTO,{'3' if t % 3 == 0 else '-'}\n" for t in range(30))
     )
-    assert "'mode' (0 of 30), 'sonar' (10 of 30): name one" in open_logs([str(path)]).notes[0]
+    assert "'mode' (0 of 30, as 'AUTO'), 'sonar' (10 of 30): name one" in open_logs([str(path)]).notes[0]
 
 
 @pytest.mark.parametrize("ahead", [1.76e9, 2e6])
@@ -313,3 +313,22 @@ def test_a_logger_that_starts_anew_begins_a_run(tmp_path):
     assert [each[0].time[-1] for each in open_logs([str(path)]).surveyed] == [74.75, 74.75]
     for stamps in ([*TIME[:300], 9e5, *TIME[301:]], [*TIME[:300], 0, *TIME[301:]]):  # one wrong stamp
         assert len(read_recordings(write(path, "time", [[t] for t in stamps]), Table("time"), sources)) == 1
+
+
+@pytest.mark.parametrize("share", [0.07, 0.2])
+def test_rows_some_of_which_are_in_no_order_are_to_be_sorted(tmp_path, share):
+    back = np.random.default_rng(0).random(len(TIME)) < share
+    path = tmp_path / "a.csv"
+    path.write_text(
+        "time,speed\n" + "".join(f"{t - 0.4 * b:.3f},{v}\n" for t, b, v in zip(TIME, back, SPEED, strict=True))
+    )
+    with pytest.raises(LogFormatError, match=r"sort them by time: .*sort_values\(\['time'\]\)"):
+        table_of(path)
+
+
+@pytest.mark.parametrize("cell", ["{:.1f}°", "{:.2f} m/s", "1,{:05.1f}", "{:.1f} U/min"])
+def test_a_column_without_plain_numbers_is_told_with_a_cell_and_what_to_write(tmp_path, cell):
+    path = tmp_path / "a.csv"
+    path.write_text("time;x;speed\n" + "".join(f"{t};{cell.format(v)};{v}\n" for t, v in zip(TIME, SPEED, strict=True)))
+    with pytest.warns(UserWarning, match=r"'x' \(0 of 600, as '.*where there are none, write them without units"):
+        table_of(path)[0].survey(path)

@@ -22,7 +22,7 @@ from usvlearn.logs.formats.csv.packed import open_table
 AUTO = "auto"
 HEAD = 1 << 18  # bytes that are looked at
 LINES = 1000  # and lines
-FEWEST, MIXED = 8, 0.3  # steps, and share of them that go back in time, from which rows are in no order
+FEWEST, MIXED = 8, 0.05  # steps, and share of them that go back in time, from which rows are in no order
 DELIMITERS = (",", ";", "\t", "|", " ")
 COMMENTS = ("#", "%", "//")
 NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|nan|[+-]?inf", re.IGNORECASE)

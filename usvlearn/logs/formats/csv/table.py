@@ -323,10 +323,12 @@ class Opened:
                 time, value, order = (each[readable] for each in (columns.time, column.values, columns.order))
                 series.append(Series(name, None, time, value, order, unit, kind))
             elif not column.empty.all():
-                left.append(f"{name[:QUOTED]!r} ({known.sum()} of {(~column.empty).sum()})")
+                cell = "" if known.any() else f", as {column.first.strip()[:QUOTED]!r}"
+                left.append(f"{name[:QUOTED]!r} ({known.sum()} of {(~column.empty).sum()}{cell})")
         if left:
             told = f"left out columns whose cells are mostly no numbers: {', '.join(left[:8])}{', …' * (len(left) > 8)}"
-            warnings.warn(f"{told}: name one in data.channels to read its numbers", stacklevel=3)
+            plain = "where there are none, write them without units and signs of thousands"
+            warnings.warn(f"{told}: name one in data.channels to read its numbers; {plain}", stacklevel=3)
         return series, columns.origin
 
 
