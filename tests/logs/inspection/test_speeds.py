@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.strangers import driven, sail, tell, told
+from usvlearn.logs.channels.correlations import speed_on_positions
 
 
 def placed(boat, noise=0.0):
@@ -73,3 +74,15 @@ def test_a_coarse_or_slow_speed_is_no_setpoint(held):
     boat = steered(3)
     speed = np.round(boat["u"][np.arange(len(boat["u"])) // held * held], 1)
     assert tell(boat, "surge series", speed=speed, other_ref=boat["ref"]) == ("speed", "probable")
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.944, 0.93])
+@pytest.mark.parametrize("current", [0.8, 1.0])
+def test_the_unit_of_a_speed_over_ground_is_known_in_a_current(current, factor):
+    time, rng = np.arange(0, 600, 0.2), np.random.default_rng(0)
+    turn = np.repeat(0.4 * rng.choice([-1, 0, 1], 60), 50)
+    heading, speed = np.cumsum(0.2 * turn), 1.3 + 0.5 * np.sin(time / 11)
+    rate = speed * np.exp(1j * heading) + current
+    places = [(time, np.cumsum(0.2 * part)) for part in (rate.real, rate.imag)]
+    found = speed_on_positions(*places, (time, factor * np.abs(rate)), (time, heading))
+    assert abs(found.slope / factor - 1) < 0.02

@@ -25,7 +25,8 @@ import numpy as np
 from usvlearn.logs.channels.bins import OUTAGE, Series, bin_edges, bin_means, bin_rates, cleaned, clipped
 
 FEWEST = 12  # bins, below which nothing is concluded
-STRAIGHT = 0.7  # share of the way by which a boat that turns comes on, at least, where its speed is compared
+STRAIGHT = 0.9, 0.7  # share of the way by which a boat that turns comes on, at least, where its speed is compared
+OFTEN = 0.3  # share of the bins from which the first of them is taken
 FAST = 0.3  # share of the greatest speed from which a ratio of speeds is taken
 FEW_LAGS = 64  # that are summed one by one; more by Fourier transforms
 REACH = 60.0  # s, lags of an autocorrelation that are summed
@@ -180,7 +181,8 @@ def speed_on_positions(
 
     1.94 is a speed in knots read as m/s, 3.6 one in km/h, 0.514 one in m/s read as knots. Both are changes between the
     means of neighbouring bins, in which noise averages out. A boat that turns goes farther than its place moves: with a
-    heading, rad, of any zero and sense, the rate is that along its way, if the speed follows this one better.
+    heading, rad, of any zero and sense, the rate is that along its way, if the speed follows this one better. Bins in
+    which it hardly turns are preferred: in a current its way does not turn as its bow does.
 
     >>> time = np.arange(0, 600, 0.2)
     >>> true, heading = 1 + 0.5 * np.sin(0.05 * time), 0.2 * time
@@ -196,7 +198,8 @@ def speed_on_positions(
     if heading is not None:
         stamps, angle = cleaned(heading)
         straight = np.abs(_moved(_sum((stamps, np.exp(1j * angle))), edges))
-        rates.append(rates[0] / np.where(straight > STRAIGHT, straight, np.nan))
+        least = STRAIGHT[0] if (straight > STRAIGHT[0]).sum() > OFTEN * len(straight) else STRAIGHT[1]
+        rates.append(rates[0] / np.where(straight > least, straight, np.nan))
     found = [_ratio(clipped(each), size, step) for each in rates]
     return max(found, key=lambda each: np.nan_to_num(each.correlation, nan=-1.0))
 
