@@ -20,7 +20,7 @@ from usvlearn.logs.inspection.vocabulary import SETPOINT, fit, words
 Pair = tuple[np.ndarray, np.ndarray]  # time, s, and value
 METRES = 6_371_000.0 * math.pi / 180  # of a degree of latitude
 LENGTHS = {"m": 1.0, "metre": 1.0, "meter": 1.0, "utm": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0,
-           **dict.fromkeys(("nm", "nmi", "nautical", "sm"), 1852.0), **dict.fromkeys(("yd", "yard", "yards"), 0.9144),
+           **dict.fromkeys(("nm", "nmi", "nautical"), 1852.0), **dict.fromkeys(("yd", "yard", "yards"), 0.9144),
            **dict.fromkeys("ft foot feet fuss pied pieds pies piedi voet".split(), 0.3048)}  # fmt: skip
 SPAN = 2.0  # s over which a course and a rate are taken
 MOVING = 0.3  # share of the greatest rate above which the course is known
