@@ -464,3 +464,25 @@ def test_a_declared_unit_that_is_off_is_unsure_with_the_span_that_fits(name, fac
         (unit,) = (each for each in found.decisions if each[:2] == ("surge", "unit"))
         asked.append(unit.certainty == "unsure" and "with span" in str(unit.alternatives))
     assert asked == [False, True]
+
+
+def velocity(boat, names=("vn", "ve"), ways=(0.0, 0.0), factor=1.0):
+    """The velocity over ground, with a current, m/s."""
+    psi, u, v = boat["psi"], boat["u"], boat["v"]
+    north, east = u * np.cos(psi) - v * np.sin(psi) + ways[0], u * np.sin(psi) + v * np.cos(psi) + ways[1]
+    return dict(zip(names, (factor * north, factor * east), strict=True))
+
+
+@pytest.mark.parametrize(
+    ("off", "names", "factor", "place"),
+    [(90, ("vn", "ve"), 1.0, ()), (-30, ("vel_n", "vel_e"), 1.94, ()), (150, ("VN_kn", "VE_kn"), 1.94, ("x", "y"))],
+)
+def test_a_compass_that_is_off_is_told_by_velocities_without_a_position(off, names, factor, place):
+    boat = sail(6, lowest=-0.2)
+    local = dict(zip(place, (boat["n"], boat["e"]), strict=False))
+    own = velocity(boat, names, (0.2, -0.1), factor) | local
+    found = driven({**boat, "hdg": (boat["hdg"] + off) % 360}, **own)
+    assert found.channels["heading"]["zero"] == pytest.approx(off, abs=2)
+    assert told(found)["heading", "zero"][1] == "probable"
+    right = told(driven(boat, **own))
+    assert ("heading", "zero") not in right and right["heading", "series"][1] == "certain"

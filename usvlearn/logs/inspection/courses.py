@@ -77,19 +77,26 @@ def course_beside(pool: Sequence[Candidate], speed: Speed, heading: Heading | No
     return Course(best, speed, "by name; with the heading, course and speed give a signed surge")
 
 
-def reckoned(pool: Sequence[Candidate], speeds: Sequence[Candidate]) -> tuple[tuple[Pair, Pair], Pair, Pair] | None:
-    """The track that course and speed give, north and east, the course while moving, rad, and the speed, if logged."""
+def reckoned(
+    pool: Sequence[Candidate], speeds: Sequence[Candidate], velocity: tuple[Candidate, Candidate] | None
+) -> tuple[tuple[Pair, Pair], Pair, Pair] | None:
+    """The track of course and speed, or of velocities, the course while moving, rad, and the speed, if logged."""
     named = sorted(
         (each for each in pool if fit("course", each.label) >= 2), key=lambda each: -fit("course", each.label)
     )
-    if not named or not speeds:
+    if named and speeds:
+        speed = max(speeds, key=lambda each: bool({"sog", *OVER_GROUND} & {*words(each.label)})).evidence
+        time, angle = cleaned(read_any_turn(named[0], None).radians)
+    elif velocity:
+        (time, north), (other, east) = (cleaned(each.evidence) for each in velocity)
+        east = np.interp(time, other, east)
+        speed, angle = (time, np.hypot(north, east)), np.arctan2(east, north)
+    else:
         return None
-    size = max(speeds, key=lambda each: bool({"sog", *OVER_GROUND} & {*words(each.label)}))
-    time, angle = cleaned(read_any_turn(named[0], None).radians)
-    fast = np.abs(np.interp(time, *cleaned(size.evidence)))
+    fast = np.abs(np.interp(time, *cleaned(speed)))
     way, moving = np.gradient(time) * fast, fast > MOVING * np.quantile(fast, 0.95) if len(time) else fast > 0
     track = (time, np.cumsum(way * np.cos(angle))), (time, np.cumsum(way * np.sin(angle)))
-    return track, (time[moving], angle[moving]), size.evidence
+    return track, (time[moving], angle[moving]), speed
 
 
 def _across(speed: Pair, course: Pair, heading: Pair) -> Pair:

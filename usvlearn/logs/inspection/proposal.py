@@ -48,7 +48,7 @@ from usvlearn.logs.inspection.speeds import (
 )
 from usvlearn.logs.inspection.sway_channels import find_sway, tell_sway
 from usvlearn.logs.inspection.vehicles import of_one_vehicle
-from usvlearn.logs.inspection.velocities import find_velocities, tell_velocities
+from usvlearn.logs.inspection.velocities import find_velocities, named_velocities, tell_velocities
 from usvlearn.logs.inspection.vocabulary import (
     WORDS,
     fit,
@@ -98,7 +98,8 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
     series: dict[str, Candidate] = {}
     oriented = next((each for each in places if each.oriented), None)
     course = course_of(oriented) if oriented else None
-    sailed = None if places else reckoned(pool, named)
+    velocity = None if oriented else named_velocities(pool, convention)
+    sailed = None if oriented else reckoned(pool, named, velocity)
     headings = find_headings(pool, sailed[1] if sailed else course, convention)
     heading = headings[0] if headings else None
     yaw, turn, sense, axes, doubt = None, None, CERTAIN, CERTAIN, ""

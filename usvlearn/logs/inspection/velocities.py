@@ -31,16 +31,23 @@ class Velocities(NamedTuple):
     guessed: bool = False  # whether only their direction tells it, and hardly changes
 
 
+def named_velocities(pool: Sequence[Candidate], convention: str) -> tuple[Candidate, Candidate] | None:
+    """The velocities to the north and to the east by format or name, if there are."""
+    if known := known_velocity(pool, convention):
+        return known
+    for north in pool:
+        for east in pool if fit("velocity_north", north.label) >= 2 else ():
+            if fit("velocity_east", east.label) >= 2 and (east.name == north.name or north.field in (None, "data")):
+                return north, east
+    return None
+
+
 def find_velocities(
     pool: Sequence[Candidate], places: Sequence[Places], heading: Pair | None, convention: str
 ) -> Velocities | None:
     """Two series that are the velocity to the north and to the east, by name or by their direction, if there are."""
-    if known := known_velocity(pool, convention):
+    if known := named_velocities(pool, convention):
         return _velocities(*known, places, heading, convention)
-    for north in pool:
-        for east in pool if fit("velocity_north", north.label) >= 2 else ():
-            if fit("velocity_east", east.label) >= 2 and (east.name == north.name or north.field in (None, "data")):
-                return _velocities(north, east, places, heading, convention)
     for x, y in vectors(pool):
         if heading is None or len(x.value) != len(y.value):
             continue
