@@ -486,3 +486,19 @@ def test_a_compass_that_is_off_is_told_by_velocities_without_a_position(off, nam
     assert told(found)["heading", "zero"][1] == "probable"
     right = told(driven(boat, **own))
     assert ("heading", "zero") not in right and right["heading", "series"][1] == "certain"
+
+
+@pytest.mark.parametrize("names", [("lat", "lon"), ("Breite", "Länge"), ("VN", "VE"), ("velN", "velE")])
+def test_a_track_that_may_be_a_mirror_image_proves_no_heading(names):
+    boat, sides = sail(6, lowest=-0.2), ("motor_l", "motor_r")
+    motors = dict(zip(sides, (boat["l"], boat["r"]), strict=True))
+    way = velocity(boat) if names[0].startswith(("V", "v")) else {"n": boat["lat"] - 32, "e": boat["lon"] + 80}
+    right = concluded(
+        boat, **motors, heading=boat["hdg"], speed=boat["u"], **dict(zip(names, way.values(), strict=True))
+    )
+    assert told(right)["heading", "unit"] == ("deg", "certain")
+    mirrored = dict(zip(names, list(way.values())[::-1], strict=True))
+    found = concluded(boat, **motors, heading=boat["hdg"], **mirrored)
+    assert [found.channels[f"command_{side}"]["name"] for side in ("left", "right")] == list(sides)
+    north = "velocity_north" if "v" in names[0].lower() else "latitude"
+    assert told(found)["heading", "unit"] == ("deg", "unsure") and told(found)[north, "series"] == (names[1], "unsure")

@@ -80,17 +80,16 @@ def course_beside(pool: Sequence[Candidate], speed: Speed, heading: Heading | No
 def reckoned(
     pool: Sequence[Candidate], speeds: Sequence[Candidate], velocity: tuple[Candidate, Candidate] | None
 ) -> tuple[tuple[Pair, Pair], Pair, Pair] | None:
-    """The track of course and speed, or of velocities, the course while moving, rad, and the speed, if logged."""
-    named = sorted(
-        (each for each in pool if fit("course", each.label) >= 2), key=lambda each: -fit("course", each.label)
-    )
-    if named and speeds:
-        speed = max(speeds, key=lambda each: bool({"sog", *OVER_GROUND} & {*words(each.label)})).evidence
-        time, angle = cleaned(read_any_turn(named[0], None).radians)
-    elif velocity:
+    """The track of velocities, or of course and speed, the course while moving, rad, and the speed, if logged."""
+    named = [each for each in pool if fit("course", each.label) >= 2]
+    if velocity:
         (time, north), (other, east) = (cleaned(each.evidence) for each in velocity)
         east = np.interp(time, other, east)
         speed, angle = (time, np.hypot(north, east)), np.arctan2(east, north)
+    elif named and speeds:
+        speed = max(speeds, key=lambda each: bool({"sog", *OVER_GROUND} & {*words(each.label)})).evidence
+        best = max(named, key=lambda each: fit("course", each.label))
+        time, angle = cleaned(read_any_turn(best, None).radians)
     else:
         return None
     fast = np.abs(np.interp(time, *cleaned(speed)))

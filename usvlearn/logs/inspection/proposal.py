@@ -27,6 +27,7 @@ from usvlearn.logs.inspection.position_channels import (
     Pair,
     Places,
     course_of,
+    crossed,
     find_places,
     guess_places,
     in_degrees,
@@ -75,14 +76,16 @@ class Proposal(NamedTuple):
     unfit: str = ""  # why the commands of this boat are none of two fixed sides
 
 
-def propose(found: Sequence[Candidate], convention: str) -> Proposal:
+def propose(everything: Sequence[Candidate], convention: str, exchanged: bool = False) -> Proposal:
     """Decide which series is which channel.
 
     Args:
-        found: all series.
+        everything: all series.
         convention: name of the format.
+        exchanged: whether latitude and longitude, or velocities to the north and to the east, are, since only so the
+            heading and the sides are what they are called.
     """
-    found, decisions = of_one_vehicle(in_degrees(found), convention)
+    found, decisions = of_one_vehicle(in_degrees(everything), convention)
     pool = [
         each for each in found if each.varies and not (each.is_clock and max(fit(x, each.label) for x in DEGREES) < 1)
     ]
@@ -90,15 +93,17 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
     if not places and (guessed := guess_places(*_unnamed(pool))):
         places = [guessed]
     named = [each for each in pool if fit("surge", each.label) >= 1]
-    crossing = False  # whether latitude and longitude may be interchanged
+    crossing = exchanged  # whether latitude and longitude may be interchanged
     if places:
-        first, crossing = interchanged(places[0], named)
+        other, doubtful = interchanged(places[0], named)
+        first, crossing = (exchanged and crossed(places[0])) or other, exchanged or doubtful
         places = [first, *places[1:]]
     channels: dict[str, dict[str, Any]] = {}
     series: dict[str, Candidate] = {}
     oriented = next((each for each in places if each.oriented), None)
     course = course_of(oriented) if oriented else None
-    velocity = None if oriented else named_velocities(pool, convention)
+    velocity = named_velocities(pool, convention)
+    velocity = velocity[::-1] if exchanged and velocity and not oriented else velocity
     sailed = None if oriented else reckoned(pool, named, velocity)
     headings = find_headings(pool, sailed[1] if sailed else course, convention)
     heading = headings[0] if headings else None
@@ -128,7 +133,7 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
     angles = heading.radians if heading else None
     speeds = find_speeds([*along_hull(left), *norms(left)], places, convention, angles)
     speeds = by_reaction(speeds, [each for each in left if fit("command", each.label) >= 1])
-    velocities = find_velocities(left, places, angles, convention)
+    velocities = find_velocities(left, places, angles, convention, velocity)
     sets = [each.candidate for each in speeds if each.candidate.is_set]
     if (places or velocities) and len(sets) == len(speeds):
         speeds = []
@@ -143,12 +148,12 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
     over_ground = None if sway or velocities else find_course(left, speeds, track, heading)
     used = [*sets, *(each.candidate for each in (beside, sway) if each)]
     rest = [each for each in left if not (any(each is other for other in used) or _names_state(each))]
-    everything, unfit = found, ""
+    still, unfit = found, ""
     if azimuths := [each.label for each in pool if names_azimuth(each.label)]:
-        rest, everything = ([each for each in group if _names_whole(each)] for group in (rest, found))
+        rest, still = ([each for each in group if _names_whole(each)] for group in (rest, found))
         unfit = "" if rest else _told_azimuths(azimuths)
     proved = heading is not None and heading.certainty == CERTAIN and not crossing
-    commands = find_commands(rest, everything, speed, turn, convention, proved)
+    commands = find_commands(rest, still, speed, turn, convention, proved)
     if heading and course and not (proved or heading.declared(convention)):
         commands = [doubted(each) for each in commands]
     turned = commands[0].turning if commands else 0.0
@@ -157,10 +162,18 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
         why = against if turned <= -LIKELY else "nothing confirms its sense"
         decisions = [_doubted(each, why) for each in decisions]
         sense, axes = UNSURE, axes if axes == CERTAIN else UNSURE
+    contested = heading and _is_contested(heading, commands, places[0] if course else None, speed)
+    local = bool(course and not places[0].geographic)
+    exchangeable = (crossed(places[0]) if course else velocity) is not None
+    if heading and contested and heading.is_from_north and exchangeable and not exchanged:
+        return propose(everything, convention, exchanged=True)
     if crossing:
         axes, doubt = UNSURE, "by name, but the speed follows their rate better if they are interchanged"
-        decisions = [_doubted(each, "latitude and longitude may be interchanged") for each in decisions]
-    if heading and course and not places[0].geographic and _is_contested(heading, commands, places[0], speed):
+        if exchanged:
+            doubt = "against the names: else the heading counts from east, and the sides are swapped"
+        what = "latitude and longitude" if oriented else "velocities to the north and to the east"
+        decisions = [_doubted(each, f"{what} may be interchanged") for each in decisions]
+    elif contested and (local or exchangeable):
         axes, doubt = UNSURE, "the sense that they give the heading is doubtful: north and east may be interchanged"
         decisions = [_doubted(each, "its name or the sides say the opposite") for each in decisions]
     decisions = tell_commands(commands, channels, series) + decisions
@@ -176,7 +189,7 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
     elif lost and track:
         pass  # the surge comes from the position
     elif velocities:
-        decisions += tell_velocities(velocities, speeds[1:], channels, series)
+        decisions += tell_velocities(velocities, speeds[1:], channels, series, doubt if contested or exchanged else "")
     elif speeds:
         decisions += tell_speed(speeds, channels, series)
     elif places:
@@ -209,11 +222,13 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
     return Proposal(ordered, series, decisions, speed, heading, yaw, missing, unfit)
 
 
-def _is_contested(heading: Heading, commands: Sequence[Commands], places: Places, speed: Pair | None) -> bool:
-    """Whether the sides, the name of the heading, or speed and heading contradict the names of local coordinates."""
-    if speed is not None and is_mirror_image(places, speed, heading.radians):
-        return True
+def _is_contested(heading: Heading, commands: Sequence[Commands], places: Places | None, speed: Pair | None) -> bool:
+    """Whether the sides, the name of the heading, or speed and heading contradict the names of north and east."""
     if commands and commands[0].reason == SWAPPED:
+        return heading.unit.startswith("enu_") or (places is not None and not places.geographic)
+    if places is None or places.geographic:
+        return False
+    if speed is not None and is_mirror_image(places, speed, heading.radians):
         return True
     odd = heading.unit.startswith("enu_") and not heading.candidate.unit.startswith("enu_") and heading.is_from_north
     return odd and not (commands and commands[0].certainty == CERTAIN)

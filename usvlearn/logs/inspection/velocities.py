@@ -43,10 +43,14 @@ def named_velocities(pool: Sequence[Candidate], convention: str) -> tuple[Candid
 
 
 def find_velocities(
-    pool: Sequence[Candidate], places: Sequence[Places], heading: Pair | None, convention: str
+    pool: Sequence[Candidate],
+    places: Sequence[Places],
+    heading: Pair | None,
+    convention: str,
+    known: tuple[Candidate, Candidate] | None,
 ) -> Velocities | None:
-    """Two series that are the velocity to the north and to the east, by name or by their direction, if there are."""
-    if known := named_velocities(pool, convention):
+    """Two series that are the velocity to the north and to the east, known or by their direction, if there are."""
+    if known:
         return _velocities(*known, places, heading, convention)
     for x, y in vectors(pool):
         if heading is None or len(x.value) != len(y.value):
@@ -71,15 +75,17 @@ def _velocities(
     return Velocities(north, east, read_speed(size, relation, convention, 3.0, places[0].length if places else ""))
 
 
-def tell_velocities(found: Velocities, speeds: Sequence[Speed], channels: dict, series: dict) -> list[Decision]:
-    """Both components, from which the surge is computed with the heading."""
+def tell_velocities(
+    found: Velocities, speeds: Sequence[Speed], channels: dict, series: dict, doubt: str
+) -> list[Decision]:
+    """Both components, from which the surge is computed with the heading; and why they may be interchanged, or ""."""
     size, decisions = found.size, []
     others = tuple(each.candidate.label for each in speeds[:3])
     for name, candidate in (("velocity_north", found.north), ("velocity_east", found.east)):
         channels[name] = candidate.source(unit=size.unit, window=AUTO)
         series[name] = candidate
-        sure = UNSURE if found.guessed else CERTAIN if size.confirmed else PROBABLE
-        why = "by its direction" if found.guessed else "by name"
+        sure = UNSURE if found.guessed or doubt else CERTAIN if size.confirmed else PROBABLE
+        why = doubt or ("by its direction" if found.guessed else "by name")
         why += "; their size follows the rate of position" if size.confirmed else ""
         decisions.append(Decision(name, "series", candidate.label, sure, why))
         decisions.append(Decision(name, "unit", size.unit, size.certainty, size.reason, size.alternatives))
