@@ -86,3 +86,17 @@ def test_the_unit_of_a_speed_over_ground_is_known_in_a_current(current, factor):
     places = [(time, np.cumsum(0.2 * part)) for part in (rate.real, rate.imag)]
     found = speed_on_positions(*places, (time, factor * np.abs(rate)), (time, heading))
     assert abs(found.slope / factor - 1) < 0.02
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "place"),
+    [("speed", -1, ("lat", "lon")), ("stw_kn", -1.944, ("north", "east")), ("fart", -3.6, ("lat", "lon"))],
+)
+def test_a_speed_that_is_negative_ahead_is_read_with_a_span(name, factor, place):
+    boat = sail(6)
+    own = {**boat, "north": boat["n"], "east": boat["e"]}
+    track = {each: own[each] for each in place}
+    found = driven(boat, **{name: factor * boat["u"]}, **track)
+    assert (found.channels["surge"]["span"], told(found)["surge", "span"]) == (-1, ("-1", "probable"))
+    assert told(found)["command_left", "sign"] == ("positive ahead", "certain")
+    assert "span" not in driven(boat, **{name: -factor * boat["u"]}, **track).channels["surge"]

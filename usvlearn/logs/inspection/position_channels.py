@@ -11,7 +11,7 @@ import numpy as np
 
 from usvlearn.logs.channels.bins import cleaned
 from usvlearn.logs.channels.channel import AUTO, degrees
-from usvlearn.logs.channels.correlations import position_on_velocity, speed_on_positions
+from usvlearn.logs.channels.correlations import Motion, position_on_velocity, speed_on_positions
 from usvlearn.logs.inspection.candidate import Candidate
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.known import rank
@@ -132,12 +132,12 @@ def rate_of(places: Places) -> Pair:
     return time, np.hypot(north, east)
 
 
-def is_mirror_image(places: Places, speed: Pair, heading: Pair) -> bool:
-    """Whether the track is the mirror image of that of speed and heading, m/s and rad."""
+def moved_along(places: Places, speed: Pair, heading: Pair) -> Motion:
+    """How the track follows that of speed and heading, m/s and rad."""
     (time, size), (stamps, angle) = cleaned(speed), cleaned(heading)
     turned = np.interp(time, stamps, np.unwrap(angle))
     velocity = (time, size * np.cos(turned)), (time, size * np.sin(turned))
-    return position_on_velocity((places.north, places.east), velocity).is_mirrored
+    return position_on_velocity((places.north, places.east), velocity)
 
 
 def tell_places(places: Places, channels: dict, series: dict, confirmed: bool, axes: str, doubt: str) -> list[Decision]:

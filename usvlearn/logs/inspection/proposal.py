@@ -31,7 +31,7 @@ from usvlearn.logs.inspection.position_channels import (
     find_places,
     guess_places,
     in_degrees,
-    is_mirror_image,
+    moved_along,
     rate_of,
     tell_places,
 )
@@ -46,6 +46,7 @@ from usvlearn.logs.inspection.speeds import (
     norms,
     tell_speed,
     tell_without_sign,
+    turned_ahead,
 )
 from usvlearn.logs.inspection.sway_channels import find_sway, tell_sway
 from usvlearn.logs.inspection.vehicles import of_one_vehicle
@@ -141,6 +142,8 @@ def propose(everything: Sequence[Candidate], convention: str, exchanged: bool = 
         velocities = None  # the speed is signed already
     if velocities:
         speeds = [velocities.size, *speeds]
+    if oriented and heading and heading.certainty == CERTAIN:
+        speeds = [turned_ahead(each, oriented, heading.radians) for each in speeds]
     speed = speeds[0].metres if speeds else rate_of(places[0]) if places else None
     beside = speeds[0] if speeds and not velocities else None
     track = places[0] if places and places[0].oriented else None
@@ -228,7 +231,7 @@ def _is_contested(heading: Heading, commands: Sequence[Commands], places: Places
         return heading.unit.startswith("enu_") or (places is not None and not places.geographic)
     if places is None or places.geographic:
         return False
-    if speed is not None and is_mirror_image(places, speed, heading.radians):
+    if speed is not None and moved_along(places, speed, heading.radians).is_mirrored:
         return True
     odd = heading.unit.startswith("enu_") and not heading.candidate.unit.startswith("enu_") and heading.is_from_north
     return odd and not (commands and commands[0].certainty == CERTAIN)

@@ -19,7 +19,7 @@ from usvlearn.logs.channels.repeated_values import find_period
 from usvlearn.logs.inspection.candidate import Candidate
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.position_channels import CLOSE as FOLLOWED
-from usvlearn.logs.inspection.position_channels import Pair, Places, crossed
+from usvlearn.logs.inspection.position_channels import Pair, Places, crossed, moved_along
 from usvlearn.logs.inspection.vocabulary import OTHER_UNITS, SETPOINT, fit, names_side_alone, words
 
 RATIO = 1.3  # by which a slope may differ from that of a unit, as far as that unit is near at all
@@ -32,6 +32,7 @@ BETTER = 4  # by which 1 − correlation must shrink, to take latitude and longi
 DOUBT = 2.0  # by which it must shrink where the unit of the speed decides, or both are doubtful
 MORE = 0.005  # by which the correlation must grow, too, where they are doubtful
 MOST, UNLIKE, LIKE = 4, 0.35, 0.5  # series that are compared; correlations with commands
+ASTERN = 0.8  # correlation of the velocity with that of speed and heading, below whose opposite the speed is reversed
 PLAUSIBLE = 15.0  # m/s, of a boat of this kind
 FOLLOWS_NOT = "it does not follow the rate of position"
 IS_SET = "is constant for long, and jumps or rises evenly in between, as a setpoint does and no measured speed"
@@ -294,11 +295,20 @@ def unit_of(slope: float, tolerance: float = RATIO, first: str = "") -> str:
     return best if ratios[best] < math.log(tolerance) else ""
 
 
+def turned_ahead(speed: Speed, places: Places, heading: Pair) -> Speed:
+    """The speed, with the other sign where the boat moves along its heading, rad, while it tells the opposite."""
+    one = speed.candidate
+    if not one.is_signed or moved_along(places, speed.metres, heading).along.real > -ASTERN:
+        return speed
+    return speed._replace(candidate=one.named(value=-one.value, span=-one.span))
+
+
 def tell_speed(speeds: Sequence[Speed], channels: dict, series: dict) -> list[Decision]:
     """The best speed as the channel, its unit, its sensor's period, and how certain each of that is."""
     best = speeds[0]
     candidate = best.candidate
-    channels["surge"] = candidate.source(unit=best.unit, window=AUTO, period="auto")
+    scale = {"span": candidate.span} if candidate.span < 0 else {}
+    channels["surge"] = candidate.source(unit=best.unit, window=AUTO, period="auto", **scale)
     series["surge"] = candidate
     close = [each for each in speeds[1:] if each.score > best.score - 1.5 and not each.contradicted]
     sure = CERTAIN if best.confirmed else UNSURE if best.contradicted else PROBABLE
@@ -320,6 +330,9 @@ def tell_speed(speeds: Sequence[Speed], channels: dict, series: dict) -> list[De
         Decision("surge", "series", candidate.label, sure, why, (*(each.candidate.label for each in close), *sets)),
         Decision("surge", "unit", best.unit, least(best.certainty, sure), best.reason, best.alternatives),
     ]
+    if scale:
+        why = "the rate of position along the heading is positive where this speed is negative"
+        decisions.append(Decision("surge", "span", f"{candidate.span:g}", PROBABLE, why, ("1",)))
     period, share = find_period([Channel(candidate.time, candidate.value, np.arange(len(candidate.time)))])
     if period:
         why = f"{share:.0%} of the speeds are copies of the one before"
