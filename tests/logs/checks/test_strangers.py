@@ -88,6 +88,15 @@ def test_a_late_receiver_and_a_wrong_compass_are_no_other_clock(late, off):
     assert "clocks" not in receiver(late, off)
 
 
+@pytest.mark.parametrize(("seed", "late"), [(1, 2.0), (3, 2.5), (4, 2.5)])
+def test_a_heading_that_is_two_seconds_late_is_found_and_an_early_or_slow_one_is_not(seed, late):
+    boat = sail(8, seed)
+    moved = {"north": boat["n"], "east": boat["e"]}
+    for shift in (late, 0.5, -2.0):
+        told = told_of(stranger(boat, shift, ("heading",), heading=boat["psi"], **moved))
+        assert ("clocks" in told) == (shift == late)
+
+
 IMPOSSIBLE = {
     SURGE: lambda u, rng: np.where(np.arange(len(u)) % 2, 9.0, -9.0),
     "heading": lambda psi, rng: np.where(np.arange(len(psi)) % 4 < 2, psi, 2 - psi),

@@ -4,8 +4,10 @@ For each lag, the concentration of the angle 2 (χ − ψ) between course χ and
 which the boat moves: |mean exp(2i (χ − ψ))|. The factor 2 makes a boat that goes astern count like one that goes ahead,
 and a constant error of the compass changes nothing. Neither commands nor the sign of a speed are needed.
 
-A lag is told from 5 s on, if it leaves less than half of the dispersion 1 − |mean| that no lag leaves, and is better by
-4 standard errors over blocks of 20 s: filters and receivers are late by up to 3 s.
+A heading that is early is told from 5 s on, since filters of positions and receivers are late by up to 3 s, and drift
+in a turn makes the course late, too. Nothing makes a heading late, so that one is told from the first bin on. In both
+cases the lag must leave less than half of the dispersion 1 − |mean| that no lag leaves, and be better by 4 standard
+errors over blocks of 20 s, or less than a quarter, and 2.4.
 """
 
 from __future__ import annotations
@@ -20,8 +22,10 @@ from usvlearn.logs.checks.evidence import MOVING, Evidence
 from usvlearn.logs.checks.finding import Finding
 from usvlearn.logs.checks.response import CLOCKS
 
-STEP, FARTHEST, LEAST = 2.0, 25, 5.0  # s, of the bins; bins of lag that are tried; s
-HALF, CLOSE, SURE = 0.5, 0.3, 4.0  # of the dispersion that is left; dispersion; standard errors
+STEP, FARTHEST = 2.0, 25  # s, of the bins; bins of lag that are tried
+LEAST, LATE = 5.0, 2.0  # s, of a heading that is early, and of one that is late
+SURE = ((4.0, 0.5), (2.4, 0.25))  # standard errors, and of the dispersion that is left
+CLOSE = 0.3  # dispersion
 BLOCK, FEWEST = 10, 3  # bins: 20 s; blocks
 
 
@@ -47,10 +51,14 @@ def clocks(e: Evidence) -> Iterator[Finding]:
     lag = (best - none) * STEP
     aligned = (blocks * (means.conj() / np.abs(means))[:, None, None]).real.mean(2)  # (lags, blocks)
     gain = aligned[best] - aligned[none]
-    sure = float(gain.mean()) > SURE * float(gain.std(ddof=1)) / math.sqrt(len(gain))
-    if abs(lag) < LEAST or abs(best - none) == FARTHEST or spread[best] > min(CLOSE, HALF * spread[none]) or not sure:
+    certain = float(gain.mean()) / max(float(gain.std(ddof=1)) / math.sqrt(len(gain)), 1e-12)
+    less = spread[best] / max(spread[none], 1e-12)
+    sure = any(certain > errors and less < left for errors, left in SURE)
+    if -LEAST < lag < LATE or abs(best - none) == FARTHEST or spread[best] > CLOSE or not sure:
         return
     channels = ", ".join(e.places if e.has_position else e.speeds)
-    side, less = "later" if lag > 0 else "earlier", spread[best] / spread[none]
+    side = "later" if lag > 0 else "earlier"
     text = f"a heading that fits the course over ground {abs(lag):.0f} s {side} (dispersion × {less:.2f})"
-    yield Finding(e.boat, f"heading, {channels}", "clocks", text, f"less than {LEAST:g} s: {CLOCKS}")
+    yield Finding(
+        e.boat, f"heading, {channels}", "clocks", text, f"less than {LATE if lag > 0 else LEAST:g} s: {CLOCKS}"
+    )
