@@ -52,8 +52,6 @@ def compass_error(north: Series, east: Series, heading: Series, speed: Series) -
         rows = np.stack([push, push * turn[known], np.ones(len(push))], 1)
         whole = float(np.angle(np.linalg.lstsq(rows, goal)[0][0]))
     block = np.arange(len(push)) * BLOCKS // len(push)
-    parts = [
-        np.angle(np.linalg.lstsq(rows[block != k], goal[block != k])[0][0] * np.exp(-1j * whole)) for k in range(BLOCKS)
-    ]
+    parts = [np.angle(np.linalg.lstsq(rows[block != k], goal[block != k])[0][0]) for k in range(BLOCKS)]
     error = math.sqrt((BLOCKS - 1) / BLOCKS * float(np.sum(np.square(np.array(parts) - np.mean(parts)))))
     return (whole, error) if abs(whole) > max(OFF, SURE * error) and error < EXACT else None

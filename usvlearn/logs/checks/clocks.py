@@ -24,8 +24,7 @@ from usvlearn.logs.checks.response import CLOCKS
 
 STEP, FARTHEST = 2.0, 25  # s, of the bins; bins of lag that are tried
 LEAST, LATE = 5.0, 2.0  # s, of a heading that is early, and of one that is late
-SURE = ((4.0, 0.5), (2.4, 0.25))  # standard errors, and of the dispersion that is left
-CLOSE = 0.3  # dispersion
+SURE, CLOSE = ((4.0, 0.5), (2.4, 0.25)), 0.3  # standard errors, and of the dispersion that is left; dispersion
 BLOCK, FEWEST = 10, 3  # bins: 20 s; blocks
 
 

@@ -81,15 +81,14 @@ def reckoned(
     pool: Sequence[Candidate], speeds: Sequence[Candidate], velocity: tuple[Candidate, Candidate] | None
 ) -> tuple[tuple[Pair, Pair], Pair, Pair] | None:
     """The track of velocities, or of course and speed, the course while moving, rad, and the speed, if logged."""
-    named = [each for each in pool if fit("course", each.label) >= 2]
+    course = max(pool, key=lambda each: fit("course", each.label), default=None)
     if velocity:
         (time, north), (other, east) = (cleaned(each.evidence) for each in velocity)
         east = np.interp(time, other, east)
         speed, angle = (time, np.hypot(north, east)), np.arctan2(east, north)
-    elif named and speeds:
+    elif speeds and course and fit("course", course.label) >= 2:
         speed = max(speeds, key=lambda each: bool({"sog", *OVER_GROUND} & {*words(each.label)})).evidence
-        best = max(named, key=lambda each: fit("course", each.label))
-        time, angle = cleaned(read_any_turn(best, None).radians)
+        time, angle = cleaned(read_any_turn(course, None).radians)
     else:
         return None
     fast = np.abs(np.interp(time, *cleaned(speed)))

@@ -18,6 +18,7 @@ from usvlearn.logs.inspection.position_channels import Pair, Places
 from usvlearn.logs.inspection.speeds import Speed, read_speed, vectors
 from usvlearn.logs.inspection.vocabulary import fit
 
+Both = tuple[Candidate, Candidate]  # to the north and to the east
 ALONG = 0.8  # mean cosine of heading and direction of a velocity over ground
 TURNS = 0.3  # variance of that direction on the circle, from which it is no chance
 
@@ -31,7 +32,7 @@ class Velocities(NamedTuple):
     guessed: bool = False  # whether only their direction tells it, and hardly changes
 
 
-def named_velocities(pool: Sequence[Candidate], convention: str) -> tuple[Candidate, Candidate] | None:
+def named_velocities(pool: Sequence[Candidate], convention: str) -> Both | None:
     """The velocities to the north and to the east by format or name, if there are."""
     if known := known_velocity(pool, convention):
         return known
@@ -43,11 +44,7 @@ def named_velocities(pool: Sequence[Candidate], convention: str) -> tuple[Candid
 
 
 def find_velocities(
-    pool: Sequence[Candidate],
-    places: Sequence[Places],
-    heading: Pair | None,
-    convention: str,
-    known: tuple[Candidate, Candidate] | None,
+    pool: Sequence[Candidate], places: Sequence[Places], heading: Pair | None, convention: str, known: Both | None
 ) -> Velocities | None:
     """Two series that are the velocity to the north and to the east, known or by their direction, if there are."""
     if known:

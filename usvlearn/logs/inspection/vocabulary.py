@@ -52,7 +52,6 @@ ENGLISH: dict[str, dict[str, float]] = {  # role -> word -> how strongly it name
 WORDS = {role: languages.weights(role) | own for role, own in ENGLISH.items()}
 PLURALS: dict[str, str] = {f"{word}s": word for word in ENGLISH["command"] if len(word) > 2}  # as in motors.port
 TURNS = {"yaw", "heading", "turn", "psi", "hdg", "theta", "head"} | languages.TURNS
-SPEEDS = {"v", "vel", "velocity", "speed"} | languages.RATES
 RATES = {"rate", "dot", "speed", "vel", "velocity", "rotation"} | languages.RATES
 OVER_GROUND = {"ground", "gprmc", "gps"} | languages.OVER_GROUND
 FORCES = {"tau", "force", "wrench", "kraft", "fx"}  # of the whole boat, beside an axis
@@ -187,9 +186,9 @@ def fit(role: str, name: str) -> float:
         score -= 4 * rate
     elif role.startswith("velocity"):
         axis = {"north", "n", "nord"} if role == "velocity_north" else {"east", "e", "ost"}
-        score = 3 if axis & found and SPEEDS & found else score
+        score = 3 if axis & found and ({"v"} | RATES) & found else score
     elif role in ("north", "east"):
-        score -= 4 * bool(SPEEDS & found)
+        score -= 4 * bool(({"v"} | RATES) & found)
     elif role == "sway":
         score -= 5 * bool({"angle", "error", "x", "z", "angular"} & found) + 4 * rate
     elif role == "surge":
