@@ -20,7 +20,6 @@ from usvlearn.logs.channels.bins import Series, bin_directions, bin_edges, bin_m
 
 STEP, BLOCKS, FEWEST = 2.0, 6, 40  # s, of the bins; blocks; bins
 ALIKE, ASTERN = 0.6, math.cos(math.radians(165))  # of the mean direction of the course from the heading, if it is known
-PASSES = 3  # in which bins of a boat that goes astern are left out, by the error that is known so far
 MOVES, STRAIGHT = 0.3, 0.9  # of the greatest speed; length of the mean heading, beyond which there is one course alone
 OFF, SURE, EXACT = math.radians(6), 4.0, math.radians(2.5)  # errors that are told; in, and of standard errors
 
@@ -44,7 +43,7 @@ def compass_error(north: Series, east: Series, heading: Series, speed: Series) -
         fast = (ahead > MOVES * fastest) & np.isfinite(over_ground * along * turn)
         off = np.mean((over_ground * along.conj() / np.abs(over_ground))[fast]) if fast.any() else 0.0
     whole = float(np.angle(off)) if abs(off) > ALIKE and off.real > ASTERN * abs(off) else 0.0
-    for _ in range(PASSES):
+    for _ in range(3):  # each leaves out bins of a boat that goes astern, by the error that is known so far
         known = fast & ((over_ground * along.conj() * np.exp(-1j * whole)).real > 0)
         if known.sum() < FEWEST or abs(np.mean(along[known])) > STRAIGHT:
             return None
