@@ -18,7 +18,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Hand the arguments to a command; returns the exit code.
 
     >>> main(["--version"])
-    usvlearn 0.2.0
+    usvlearn 0.3.0
     0
     """
     try:

@@ -21,7 +21,7 @@ from usvlearn.engine import dispatch
 
 PREPARE = """
 import numpy as np
-from usvlearn import rows as samples
+from usvlearn.core import prepared_samples as samples
 from usvlearn.core.jit import announced
 with announced(samples.__file__, "trial"):
     ones = np.ones((2, 1))
@@ -251,7 +251,7 @@ def test_a_family_declared_in_another_file_is_in_the_folder(copied):
 def test_the_kernels_know_all_families_and_no_layer():
     found = {path.relative_to(compiled.HERE).as_posix() for path in compiled.sources(Path(dispatch.__file__))}
     kernels = {path.relative_to(compiled.HERE).as_posix() for path in compiled.HERE.glob("estimators/**/*kernel.py")}
-    assert kernels | {f"core/{name}.py" for name in ("samples", "family", "rows", "arrays", "jit")} <= found
+    assert kernels | {f"core/{name}.py" for name in ("samples", "family", "prepared_samples", "arrays", "jit")} <= found
     assert not any("layer" in name for name in found)
 
 
@@ -273,7 +273,7 @@ def test_machine_code_that_a_full_disk_cannot_keep_runs(tmp_path, monkeypatch, c
 
 
 TRIAL = """
-from usvlearn import jit
+from usvlearn.core import jit
 @jit.jit
 def half(x):
     return x / 2
@@ -301,7 +301,7 @@ def test_parts_are_compiled_within_their_callers_or_alone_where_numba_lacks_what
 @pytest.mark.thorough
 def test_a_numba_that_lacks_a_name_has_no_parts():
     code = "from numba.core.codegen import JITCodeLibrary, CPUCodeLibrary\ndel CPUCodeLibrary._optimize_final_module\n"
-    assert python(f"{code}from usvlearn import jit\nprint(jit.Part)").stdout == "None\n"
+    assert python(f"{code}from usvlearn.core import jit\nprint(jit.Part)").stdout == "None\n"
 
 
 @pytest.mark.slow

@@ -3,11 +3,11 @@
 The layer reads the names, the kernel the places, the engine both, and `engine.check` the ranges. A family is an
 estimator, a wrapper, a combiner, or another part of an ensemble. It declares in its `state.py`
 
-    class Number(Numbers):          numbers, by name; each has its legal range
+    class Number(Parameters):       numbers, by name; each has its legal range
         GAIN = POSITIVE
-    class Vector(Vectors):          several numbers of one name, as many as the size says
+    class Vector(ParameterVectors): several numbers of one name, as many as the size says
         SPREAD = NOT_NEGATIVE
-    class Choice(Choices):          one of several allowed values
+    class Choice(Options):          one of several allowed values
         FEEDBACK = FEEDBACK
     FAMILY = Family(("aid",), lambda p: AIDState(theta=leaf(p), surge=leaf()), Number, Choice, Vector)
     AT = FAMILY.at                  an AIDState that holds places
@@ -146,7 +146,7 @@ class Named(IntEnum):
 class Parameters(Named):
     """Named numbers with their legal range; a value is an offset from the part's first number.
 
-    >>> class Number(Numbers):
+    >>> class Number(Parameters):
     ...     GAIN = POSITIVE
     ...     SHARE = UNIT
     >>> [(each.key, int(each), str(each.legal)) for each in Number]

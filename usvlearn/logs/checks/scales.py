@@ -32,7 +32,7 @@ from usvlearn.logs.channels.channel import COMMANDS, METRES, SPEEDS, SURGE, UNIT
 from usvlearn.logs.channels.compass import compass_error
 from usvlearn.logs.channels.correlations import rate_slope, speed_on_positions
 from usvlearn.logs.checks.evidence import STEP, Evidence, angular, mirrored, spread, without
-from usvlearn.logs.checks.finding import NOTE, Finding, override, see
+from usvlearn.logs.checks.finding import NOTE, WARNING, Finding, override, see
 from usvlearn.logs.checks.track import half_turn_fix, heading_is_right, mirror_fix, position_unit
 
 SURE, LIKELY_TURN = 4.0, 2.5  # standard errors; less beside headings of a wrong range
@@ -136,8 +136,9 @@ def runs(e: Evidence) -> Iterator[Finding]:
     text, ratio, faster, driven = _odd(moved, slopes, fastest, sizes)
     known = e.speeds and any(abs(abs(math.log(x)) - (ratio + faster) / 2) < 0.1 for x in _other_units(e).values())
     known = known and abs(faster - ratio) < math.log(SAME) and abs(driven) < math.log(ALIKE)
-    if known or (e.speeds and e.has_position and ratio > math.log(SAME)):
-        yield Finding(e.boat, SURGE, "speeds of runs", text, expected)
+    placed = e.speeds and e.has_position and ratio > math.log(SAME)  # else a lost thruster may make the difference
+    if known or placed:
+        yield Finding(e.boat, SURGE, "speeds of runs", text, expected, severity=WARNING if placed else NOTE)
 
 
 def _odd(runs: list[Evidence], sizes: list[float], *others: list[float]) -> tuple[Any, ...]:

@@ -150,7 +150,7 @@ class Candidate:
         """Whether it is constant for long, and jumps or rises evenly in between, as setpoints do and no boat.
 
         >>> time = np.arange(0.0, 200.0)
-        >>> for value in (np.cos(time // 20), np.clip(np.cumsum(np.cos(time // 10) > 0.9), 0, 9), np.cos(time / 20)):
+        >>> for value in (np.cos(time // 20), np.clip(time % 50, 10, 20), np.cos(time / 20)):
         ...     Candidate("a", None, "", "", time, value).is_set
         True
         True
@@ -165,7 +165,7 @@ class Candidate:
         if long.sum() < 3 or lasts[long].sum() < lasts[moves].sum() / 2:
             return False
         even = bool(np.quantile(steps, 0.25) > 0.8 * np.quantile(steps, 0.75)) and np.median(np.diff(first)) == 1
-        return even or bool(len(first) < 3 * long.sum() and np.median(steps) > 5 * some)
+        return bool(even or (len(first) < 3 * long.sum() and np.median(steps) > 5 * some))
 
     @cached_property
     def evidence(self) -> tuple[np.ndarray, np.ndarray]:
