@@ -10,6 +10,8 @@ from certify.networks.recurrent import of_torch
 from certify.networks.shallow import arrays_of
 from certify.networks.vector import activation, from_tensors
 
+TORCH = "torch.nn.modules.rnn"
+
 
 class Certified(NamedTuple):
     """The verdict on one recurrent network."""
@@ -30,7 +32,10 @@ def judge(module: Any, nonlinearity: str | None, seconds: float, full: bool) -> 
     found = of_torch(tensors, kind)
     if len(found) != 1:
         raise CertifyError(f"{kind}: found {len(found)} networks of torch.nn.RNN or RNNCell in it, expected one")
-    stated = getattr(module.get_submodule(found[0].prefix), "nonlinearity", nonlinearity)
+    own = module.get_submodule(found[0].prefix)
+    if not {f"{each.__module__}.{each.__name__}" for each in type(own).__mro__} & {f"{TORCH}.RNN", f"{TORCH}.RNNCell"}:
+        raise CertifyError(f"{kind}: found {type(own).__name__}, expected a torch.nn.RNN or RNNCell")
+    stated = getattr(own, "nonlinearity", nonlinearity)
     if stated is None or nonlinearity not in (None, stated):
         raise CertifyError(
             f"nonlinearity: found {quoted(nonlinearity)}, and the module has {quoted(stated)}: give the module's"

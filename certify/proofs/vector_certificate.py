@@ -15,7 +15,15 @@ from fractions import Fraction
 from typing import Any
 
 from certify.errors import CertifyError, shortened
-from certify.networks.vector import Activation, VectorNetwork, VectorWeights, check, digest, is_recurrent
+from certify.networks.vector import (
+    MOST_STATES,
+    Activation,
+    VectorNetwork,
+    VectorWeights,
+    check,
+    digest,
+    is_recurrent,
+)
 from certify.proofs import vector_exact
 from certify.proofs.certificate import (
     DIGITS,
@@ -28,7 +36,7 @@ from certify.proofs.certificate import (
     signed,
 )
 from certify.proofs.exact import lemma_is_long
-from certify.proofs.rational import Matrix, identity
+from certify.proofs.rational import Matrix, diagonal, identity
 from certify.proofs.rounding import above, below, float_below
 from certify.proofs.steps import stepped
 from certify.proofs.vector_exact import NORMS, Proof
@@ -165,7 +173,8 @@ def _refusal(content: dict[str, Any], network: VectorNetwork) -> str | None:
         found = Proof(_matrix(proof["metric"]), _matrix(proof["multipliers"]))
         if condition != "quadratic" and (phi.name != "relu" or (condition == "gershgorin" and weights.V is not None)):
             return f"its condition {condition} is about another kind of network"
-        long = condition == "gershgorin" and lemma_is_long(weights.W)
+        long = condition != "quadratic" and len(weights.R) > MOST_STATES
+        long = long or (condition == "gershgorin" and lemma_is_long(weights.W))
         if long or vector_exact.effort(weights) > vector_exact.WORK:
             return f"the network is too large: the check would take longer than {LONGEST_CHECK}"
         most = phi.most if condition == "quadratic" else Fraction(2)
@@ -178,9 +187,10 @@ def _refusal(content: dict[str, Any], network: VectorNetwork) -> str | None:
     q = len(weights.R)
     if proof["norm"] not in NORMS or len(scaling) != q or any(len(row) != q for row in scaling):
         return "its norm or its T is of another kind"
-    if vector_exact.effort(weights, scaling, proof["norm"]) > vector_exact.WORK:
-        return f"its T is too long, or the network too large: the check would take longer than {LONGEST_CHECK}"
     step = _number(proof["step"])
+    many = q > MOST_STATES and (step != 1 or diagonal(scaling) is None)  # else T needs no signs and no inverse
+    if many or vector_exact.effort(weights, scaling, proof["norm"]) > vector_exact.WORK:
+        return f"its T is too long, or the network too large: the check would take longer than {LONGEST_CHECK}"
     if not step > 0 or not _below(_exact_rate(weights, phi, proof["norm"], scaling, step), kappa):
         return "the exact rate in its norm is not below its rate"
     return None

@@ -90,7 +90,7 @@ def balanced(W: np.ndarray) -> np.ndarray:
                 return best
             share = (sizes / sizes[0]) ** (2 * order)
             d = d * ((share @ right**2 + FAINT) / (left**2 @ share + FAINT)) ** (0.25 / math.sqrt(order))
-            d /= np.exp(np.log(d).mean())
+            d = np.exp(np.clip(np.log(d) - np.log(d).mean(), -20, 20))  # a nilpotent W has no best d
     return best
 
 

@@ -205,6 +205,16 @@ def test_a_certificate_is_about_its_weights_alone(n):
         assert not vector_certificate.verify(forged, net).valid
 
 
+def test_steps_of_many_states_are_refused_before_their_signs_are_tried():
+    net = network(0.01 * random(40))
+    exact = vector_certificate.make(net, "exact", norm="one", scaling=diagonal_scaling(net.weights.W))
+    proof = exact["proof"] | {"step": "1/2"}
+    claims = {key: exact[key] for key in exact.keys() - {"proof", "path", "versions", "sha256"}}
+    claims |= vector_certificate._claims(net.weights, net.activation, "exact", Fraction(exact["rate"]), proof)
+    found = vector_certificate.verify(described(claims, proof, ""), net)
+    assert not found.valid and "too large" in found.reason
+
+
 @pytest.mark.parametrize("part", ["metric", "scaling"])
 def test_forged_numbers_do_not_make_verification_slow(part):
     n, rng = 60, np.random.default_rng(0)

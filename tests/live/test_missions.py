@@ -11,11 +11,13 @@ import pytest
 
 from tests.support.commands import python
 from tests.support.live import PLAIN, boat, messages, ready
+from usvlearn.cli import refit as refitting
 from usvlearn.cli.refit import refit
 from usvlearn.core import checkpoint
 from usvlearn.core.events import LOSS, Event
+from usvlearn.core.lock import Lock
 from usvlearn.errors import ConfigError
-from usvlearn.live import missions
+from usvlearn.live import message_buffer, missions
 from usvlearn.live.missions import read_refit, settings_of
 from usvlearn.live.session import Session
 from usvlearn.live.start import Options, channel_options
@@ -163,6 +165,26 @@ def test_a_result_that_is_damaged_ends_nothing(tmp_path, text):
     (tmp_path / "fit" / "refit.json").write_text(text)
     found = read_refit(tmp_path)
     assert not found.use and not found.quantities and found.sentence
+
+
+def test_a_fit_that_is_killed_or_runs_already_leaves_the_result_before_it(tmp_path, start, process, monkeypatch):
+    with ready(tmp_path, start, refit=True) as session:
+        told(tmp_path, session.setup)
+    before = (tmp_path / "fit" / "refit.json").read_bytes()
+    with Lock(tmp_path / "fit", "x"), pytest.raises(ConfigError, match="is writing there"):
+        refit(tmp_path)
+    monkeypatch.setattr(refitting, "_read", lambda paths: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        refit(tmp_path)
+    assert (tmp_path / "fit" / "refit.json").read_bytes() == before
+
+
+def test_without_a_speed_the_messages_are_bounded(tmp_path, start, process, monkeypatch):
+    monkeypatch.setattr(message_buffer, "MOST", 100)
+    with ready(tmp_path, start, refit=True) as session:
+        sail(session, [each for each in MINUTE if each[0] != "surge"])
+        session.tick()
+        assert not session._recent.full
 
 
 def test_a_fit_that_fails_is_a_warning_and_is_not_tried_again_before_the_next_mission(tmp_path, start, process):

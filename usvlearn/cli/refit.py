@@ -10,6 +10,7 @@ import numpy as np
 
 from usvlearn.cli.fit import last_of, write
 from usvlearn.core import checkpoint
+from usvlearn.core.lock import Lock
 from usvlearn.display.json_values import finite
 from usvlearn.errors import CheckpointError, ConfigError, UsvlearnError, complain
 from usvlearn.live.message_buffer import recording_of
@@ -27,6 +28,11 @@ def refit(folder: Path) -> str:
     Raises:
         UsvlearnError: no mission can be read, or they are too little for a fit; the node is told this, too.
     """
+    with Lock(folder / FIT, "folder of a node"):
+        return _refit(folder)
+
+
+def _refit(folder: Path) -> str:
     paths = checkpoint.checkpoints(folder / MISSIONS)
     seen = {path.name: path.stat().st_size for path in paths}
     told: dict[str, Any] = {"seen": seen, "use": False, "missions": 0, "quantities": {}}
@@ -46,13 +52,17 @@ def refit(folder: Path) -> str:
             "quantities": {k: x for k in found.quantities if np.isfinite((x := found.found.displayed(k))[:3]).all()},
             "sentence": f"use those learned online, not {many}: {against}" if against else f"use those of {many}",
         }  # fmt: skip
-        return str(told["sentence"])
     except UsvlearnError as error:
         told["sentence"] = f"use those learned online: {error}"
+        _tell(folder, told)
         raise
-    finally:
-        (folder / FIT).mkdir(exist_ok=True)
-        checkpoint.write_atomically(folder / FIT / RESULT, json.dumps(finite(told), indent=1).encode())
+    _tell(folder, told)
+    return str(told["sentence"])
+
+
+def _tell(folder: Path, told: dict[str, Any]) -> None:
+    """Write what a fit says; one that was killed says nothing, and the result before it stays."""
+    checkpoint.write_atomically(folder / FIT / RESULT, json.dumps(finite(told), indent=1).encode())
 
 
 def _read(paths: list[Path]) -> tuple[str, Setup, list[Recording]]:

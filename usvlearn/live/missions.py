@@ -93,10 +93,10 @@ class Missions:
         long = SURGE in columns and np.ptp(columns[SURGE][0]) > SHORTEST
         if long and moves and self._options.refit and not self._lost:
             self._background.submit(f"mission{' end' * ended}", self._write, self._path, columns)
-        if anew or (ended and SURGE in columns):
+        if anew or (ended and (SURGE in columns or self._recent.full)):
             self._recent.clear(keep_held=not anew)
             if self._lost:
-                self._path.unlink(missing_ok=True)
+                self._background.submit(f"drop {self._path.stem}", self._path.unlink, True)  # behind its last writing
             self._path, self._lost = self._path.with_stem(f"{int(self._path.stem) + 1:08d}"), False
             self._due = True
 

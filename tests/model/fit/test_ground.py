@@ -27,7 +27,7 @@ def plain() -> FittedBoat:
 
 def drifting(seed: int, course: float | None = None, offset: float = OFFSET) -> np.ndarray:
     """A mission with its velocity over ground, measured beside a compass that shows too much."""
-    rows, rng = sailed(seed), np.random.default_rng(seed)
+    rows, rng = sailed(seed, 4500), np.random.default_rng(seed)
     psi = rows[:, HEADING] if course is None else np.full(len(rows), course)
     c, s, w = np.cos(psi), np.sin(psi), rows[:, SURGE]
     north, east = np.stack([w * c, w * s], 0) + CURRENT[:, None] + 0.04 * rng.standard_normal((2, len(rows)))
@@ -48,7 +48,8 @@ def test_offset_and_current_are_found_with_intervals_that_hold(plain):
 
 
 def test_without_ground_or_on_one_course_nothing_is_told(plain):
-    for rows, said in ((sailed(), NO_GROUND), (sailed()[:, :ROW], NO_GROUND), (drifting(0, 0.4), FEW_COURSES)):
+    for rows, said in ((sailed(), NO_GROUND), (sailed()[:, :ROW], NO_GROUND), (drifting(0, 0.4), FEW_COURSES),
+                       (drifting(0)[:3000], FEW_COURSES)):  # fmt: skip
         found = with_ground(plain, {"1": rows})
         assert np.isnan([found[name].value for name in ("compass_offset", "current")]).all() and found.lacks[-1] == said
     straight = drifting(1)

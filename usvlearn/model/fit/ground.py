@@ -30,7 +30,8 @@ from usvlearn.model.fit.pieces import SECONDS
 FEW = 8.0  # variances are larger by this over the number of pieces
 OWN_ERROR = {"compass_offset": 0.02, "current": 0.001}  # deg, m/s
 NO_GROUND = "Neither course nor position was measured: compass_offset and current are not known. Log one of them."
-FEW_COURSES = "The boat kept one course, or its opposite: compass_offset and current are not known. Let it turn."
+LEAST_PIECES = 3  # of a mission whose current is told: fewer have no scatter
+FEW_COURSES = "No log of 7 min or more has several courses: compass_offset and current are not known. Let it turn."
 
 
 def with_ground(boat: FittedBoat, missions: Mapping[str, np.ndarray]) -> FittedBoat:
@@ -40,8 +41,9 @@ def with_ground(boat: FittedBoat, missions: Mapping[str, np.ndarray]) -> FittedB
         use = (rows[:, MODE] == LEARN) & np.isfinite(rows[:, ACROSS])
         along, r, s, c, y = rows[use][:, [ALONG, YAW_RATE, SIN, COS, ACROSS]].T
         X, at = np.column_stack([-along, along * r, r, -s, c]), [0, 1, 2, 3 + 2 * k, 4 + 2 * k]
-        turned[k] = use.any() and np.linalg.eigvalsh(X[:, 3:].T @ X[:, 3:])[0] > TURNS * len(X)
-        for part in np.array_split(np.arange(len(X)), max(round(len(X) * DT / SECONDS), 1)) if use.any() else []:
+        pieces = max(round(len(X) * DT / SECONDS), 1)
+        turned[k] = pieces >= LEAST_PIECES and np.linalg.eigvalsh(X[:, 3:].T @ X[:, 3:])[0] > TURNS * len(X)
+        for part in np.array_split(np.arange(len(X)), pieces) if use.any() else []:
             parts.append((at, X[part], y[part]))
     found, n = {name: Quantity(math.nan, math.nan, math.nan, OF_FIT[name]) for name in OWN_ERROR}, len(parts)
     if not turned.any():
