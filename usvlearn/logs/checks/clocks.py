@@ -58,6 +58,5 @@ def clocks(e: Evidence) -> Iterator[Finding]:
     channels = ", ".join(e.places if e.has_position else e.speeds)
     side = "later" if lag > 0 else "earlier"
     text = f"a heading that fits the course over ground {abs(lag):.0f} s {side} (dispersion × {less:.2f})"
-    yield Finding(
-        e.boat, f"heading, {channels}", "clocks", text, f"less than {LATE if lag > 0 else LEAST:g} s: {CLOCKS}"
-    )
+    expected = f"less than {LATE if lag > 0 else LEAST:g} s: {CLOCKS}"
+    yield Finding(e.boat, f"heading, {channels}", "clocks", text, expected)

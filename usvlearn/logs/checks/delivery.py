@@ -23,7 +23,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from usvlearn.logs.channels.bins import cleaned
+from usvlearn.logs.channels.bins import HUGE, cleaned
 from usvlearn.logs.channels.channel import AUTO, CHANNELS, COMMANDS, EPSILON, LEAST_WINDOW, METRES, MOST_WINDOW, SURGE
 from usvlearn.logs.channels.repeated_values import find_period
 from usvlearn.logs.checks.evidence import MOVING, NONE, Evidence
@@ -35,7 +35,6 @@ JUMPING, STEPS, OUTAGE = 0.1, 50, 5.0  # share of impossible changes, of so many
 STALE, UNUSED = 0.1, 0.5  # of the steps; of the speeds
 UNSORTED, SORT = 0.01, "sort the rows of the log by their stamps"  # share of the stamps
 DATED, SHARED, OVERLAP = 3e8, 10.0, 0.05  # s since 1970, of a clock that was set; s; share of a run
-LATEST = 1e12  # s, beyond which `usvlearn.logs.alignment.align` takes no stamp
 HARMLESS = ("duplicate", "repeated", "copied", "stale", "lost", "outage", "alone", EMPTY)
 LIMITS = {SURGE: "surge_max", "yaw_rate": "yaw_rate_max", **dict.fromkeys(COMMANDS, "command_max")}
 
@@ -66,8 +65,8 @@ def rejected(e: Evidence) -> Iterator[Finding]:
 
 def _expected(e: Evidence, name: str, cause: str) -> str:
     rows = {"backwards": SORT, "ahead": "leave out rows whose stamps lie in the future"}
-    if any((np.abs(each.time) > LATEST).any() for each in e.logs(name)):
-        rows["not_a_number"] = f"leave out rows whose stamps are more than {LATEST:g} s after the first one"
+    if any((np.abs(each.time) > HUGE).any() for each in e.logs(name)):
+        rows["not_a_number"] = f"leave out rows whose stamps are more than {HUGE:g} s after the first one"
     return "; ".join(filter(None, [f"at most {MANY:.0%}", rows.get(cause)]))
 
 

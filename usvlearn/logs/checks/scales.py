@@ -120,6 +120,8 @@ def sign(e: Evidence) -> Iterator[Finding]:
 
 def runs(e: Evidence) -> Iterator[Finding]:
     """Logs whose commands, or whose speeds, are in another unit than those of the others."""
+    if len(e.recordings) < 2:
+        return
     alone = [replace(e, recordings=[one]) for one in e.recordings]
     moved = [own for own in alone if own.fastest > RESTING and own.has_position == e.has_position]
     fastest = [own.fastest for own in moved]

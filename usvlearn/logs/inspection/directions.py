@@ -318,9 +318,8 @@ def tell_heading(best: Heading, headings: Sequence[Heading], channels: dict, ser
     if best.span != 1:
         decisions.append(Decision("heading", "span", f"{best.span:g}", best.certainty, best.reason))
     if best.zero:
-        decisions.append(
-            Decision("heading", "zero", f"{best.zero:g}", least(PROBABLE, best.certainty), best.why_zero, ("0",))
-        )
+        sure = least(PROBABLE, best.certainty)
+        decisions.append(Decision("heading", "zero", f"{best.zero:g}", sure, best.why_zero, ("0",)))
     return decisions
 
 
