@@ -45,7 +45,7 @@ def _refit(folder: Path) -> str:
         missions = missions_of(align_fleet(recordings, **fine(setup.align)), boat)
         found = fit_boat(boat, missions, setup.mass, setup.surge_max, online=None if last is None else last.online)
         write(folder / FIT, found, last, float(setup.align["dt"]))
-        against = " ".join(filter(None, [found.found.unphysical, *found.doubts]))
+        against = " ".join(found.against)
         many = f"the fit of {found.missions.number} mission{'s' * (found.missions.number != 1)}"
         told |= {
             "use": not against, "missions": found.missions.number,

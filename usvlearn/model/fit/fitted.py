@@ -61,12 +61,18 @@ class Fitted:
     @cached_property
     def diagnostics(self) -> dict[str, Any]:
         """As of `usvlearn.model.fit.diagnostics`."""
-        return diagnostics(self.missions, self.fit, self.found.mass, [self.fits[name] for name in self.alike])
+        rivals = [self.fits[name] for name in alike(self.scores, self.chosen)]
+        return diagnostics(self.missions, self.fit, self.found.mass, rivals)
 
     @cached_property
     def doubts(self) -> tuple[str, ...]:
         """What speaks against the use of its values, one sentence each."""
         return doubts(self.fit, self.found, self.diagnostics["cross_correlation"], self.online, self.lag)
+
+    @property
+    def against(self) -> tuple[str, ...]:
+        """Why those learned online are to be used, and not its values: it is unphysical, or doubted."""
+        return (*filter(None, [self.found.unphysical]), *self.doubts)
 
     @property
     def fit(self) -> Fit:
@@ -77,11 +83,6 @@ class Fitted:
     def quantities(self) -> dict[str, Quantity]:
         """Of the chosen set, with 90 % intervals."""
         return self.found.quantities
-
-    @property
-    def alike(self) -> list[str]:
-        """Other sets that do about as well as the chosen one on missions which they have not learned."""
-        return alike(self.scores, self.chosen)
 
     def __repr__(self) -> str:
         return repr(self.found)
@@ -121,9 +122,8 @@ class Fitted:
 def check_terms(terms: str | None) -> None:
     """Raise a ConfigError if this is no set of terms; None is one that is chosen later."""
     if terms is not None and terms.removesuffix(WEAR) not in SETS:
-        raise ConfigError(
-            f"--terms: found {terms!r}, expected one of {', '.join(map(repr, SETS))}{did_you_mean(terms, SETS)}"
-        )
+        known = ", ".join(map(repr, SETS)) + did_you_mean(terms, SETS)
+        raise ConfigError(f"--terms: found {terms!r}, expected one of {known}")
 
 
 def fit_boat(
