@@ -25,10 +25,10 @@ class Room(NamedTuple):
 
 
 PRODUCT = {
-    "logs": Room(15_064, 12_600, ("usvlearn/logs/",)),
+    "logs": Room(15_063, 12_600, ("usvlearn/logs/",)),
     "estimators": Room(12_012, 9_600, ("usvlearn/estimators/",)),
     "certify": Room(6_468, 6_500, ("certify/",)),
-    "live": Room(6_660, 5_900, ("usvlearn/live/",)),
+    "live": Room(6_657, 5_900, ("usvlearn/live/",)),
     "model": Room(6_271, 5_300, ("usvlearn/model/",)),
     "report": Room(4_165, 3_500, ("usvlearn/report/",)),
     "engine": Room(3_908, 3_200, ("usvlearn/engine/",)),

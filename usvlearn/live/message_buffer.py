@@ -14,6 +14,7 @@ from usvlearn.logs.setup import Setup
 
 MOST = 20_000  # messages of a channel, at most: half an hour at 10 Hz
 LIVE_KNOWS = ("stale",)  # kinds of findings that the health of a node tells itself
+Columns = dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]  # channel -> time, value and place of its messages
 LEAST = 300  # of each channel; with fewer nothing is checked
 
 
@@ -44,19 +45,14 @@ class Recent:
         held = {name for name, each in self._setup.aligned.items() if each.held and keep_held}
         self._columns = {k: (x[0][-1:], x[1][-1:], x[2][-1:]) for k, x in self._columns.items() if k in held}
 
-    def copy(self) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    def copy(self) -> Columns:
         """Time, value and place of the messages of each channel."""
         return {
             name: (np.array(columns[0]), np.array(columns[1]), np.array(columns[2]))
             for name, columns in self._columns.items()
         }
 
-    def findings(
-        self,
-        columns: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]],
-        boat: str,
-        horizons: Sequence[float] = (),
-    ) -> list[str]:
+    def findings(self, columns: Columns, boat: str, horizons: Sequence[float] = ()) -> list[str]:
         """What the data check says of `copy`: sentences, warnings only."""
         from usvlearn.logs.checks.data_check import check_data
         from usvlearn.logs.checks.finding import WARNING

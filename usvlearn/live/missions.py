@@ -25,7 +25,7 @@ from usvlearn.errors import CheckpointError, printable
 from usvlearn.estimators.axis.turning_quantities import QUANTITIES as TURNING
 from usvlearn.live.background import Background
 from usvlearn.live.health import Refit
-from usvlearn.live.message_buffer import Recent
+from usvlearn.live.message_buffer import Columns, Recent
 from usvlearn.live.node_folder import status_of
 from usvlearn.live.start import Options
 from usvlearn.logs.channels.channel import COMMANDS, SURGE
@@ -88,7 +88,7 @@ class Missions:
 
     def keep(self, ended: bool, anew: bool = False) -> None:
         """Have this mission written, unless it is short or lay still; another begins if it has ended, or the clock."""
-        columns = {name: np.stack(each).astype(float) for name, each in self._recent.copy().items()}
+        columns = self._recent.copy()
         moves = any(np.abs(columns[name][1]).max() > MOVES for name in COMMANDS if name in columns)
         long = SURGE in columns and np.ptp(columns[SURGE][0]) > SHORTEST
         if long and moves and self._options.refit and not self._lost:
@@ -105,8 +105,9 @@ class Missions:
         fitted = self.told.quantities if self.told is not None and self.told.use else {}
         return {name: each for name, each in fitted.items() if name in TURNING and name in known}
 
-    def _write(self, path: Path, columns: dict[str, np.ndarray]) -> None:
-        checkpoint.save(path, columns, boat=self._options.boat, **{KEY: self._setup.json()})
+    def _write(self, path: Path, columns: Columns) -> None:
+        leaves = {name: np.stack(each) for name, each in columns.items()}
+        checkpoint.save(path, leaves, boat=self._options.boat, **{KEY: self._setup.json()})
         kept = checkpoint.checkpoints(self._folder)
         while sum(each.stat().st_size for each in kept) > MOST:
             kept.pop(0).unlink()
