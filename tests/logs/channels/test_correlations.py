@@ -7,7 +7,7 @@ import pytest
 
 from tests.support import REAL_LOGS, RECORDED, over
 from usvlearn.cli.composition import recordings_of
-from usvlearn.logs.channels import correlations
+from usvlearn.logs.channels import correlations, position_rates
 from usvlearn.simulate.autopilot import Autopilot
 from usvlearn.simulate.fleet import fleet
 
@@ -97,7 +97,7 @@ def test_the_slope_of_a_speed_over_positions_is_its_unit(factor, boats):
         passed = np.diff(time, prepend=time[0])
         north = np.cumsum(passed * speed * np.cos(heading)) + rng.normal(0, 0.5, len(time))
         east = np.cumsum(passed * speed * np.sin(heading)) + rng.normal(0, 0.5, len(time))
-        found = correlations.speed_on_positions((time, north), (time, east), (time, factor * speed))
+        found = position_rates.speed_on_positions((time, north), (time, east), (time, factor * speed))
         assert found.slope == pytest.approx(factor, rel=0.1) and found.correlation > 0.8, name
 
 
@@ -149,7 +149,7 @@ def test_too_little_evidence_is_no_relation():
             correlations.side_sign(series, series, long),
             correlations.speed_on_thrust(series, series, long),
             correlations.speed_on_thrust(long, long, series),
-            correlations.speed_on_positions(series, series, long),
+            position_rates.speed_on_positions(series, series, long),
             each_side(series, long, long)[0],
         ):
             assert math.isnan(found.correlation) or series is flat, found

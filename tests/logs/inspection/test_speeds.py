@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.strangers import driven, sail, tell, told
-from usvlearn.logs.channels.correlations import speed_on_positions
+from usvlearn.logs.channels.position_rates import speed_on_positions
 
 
 def placed(boat, noise=0.0):

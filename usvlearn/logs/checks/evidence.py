@@ -25,17 +25,9 @@ from usvlearn.logs.channels.channel import (
     Recording,
     Source,
 )
-from usvlearn.logs.channels.correlations import (
-    Motion,
-    Offset,
-    Relation,
-    angle_offset,
-    in_series,
-    position_on_velocity,
-    relate,
-    relate_sides,
-)
+from usvlearn.logs.channels.correlations import Offset, Relation, angle_offset, in_series, relate, relate_sides
 from usvlearn.logs.channels.derived_surge import pair_of
+from usvlearn.logs.channels.position_rates import Motion, position_on_velocity
 from usvlearn.logs.channels.positions import in_metres
 from usvlearn.logs.checks.finding import override
 

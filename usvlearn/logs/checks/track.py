@@ -1,7 +1,7 @@
 """Positions, from which tracks are judged, against the measured velocity; and the sway against both.
 
 The rate of a position over 5 s, as a complex number north + i east, is compared with the velocity
-(u + i v) exp(i ψ) of surge u, sway v and heading ψ, both less their means (`usvlearn.logs.channels.correlations`):
+(u + i v) exp(i ψ) of surge u, sway v and heading ψ, both less their means (`usvlearn.logs.channels.position_rates`):
 
     mistake                                correlation with    with its mirror image, and its angle
     none                                   1                   below 1
@@ -32,7 +32,8 @@ import numpy as np
 
 from usvlearn.logs.channels.bins import HUGE, bin_edges, bin_means
 from usvlearn.logs.channels.channel import DEGREES, METRES, SWAY, UNITS, VELOCITIES
-from usvlearn.logs.channels.correlations import angle_offset, rate_slope, speed_on_positions, sway_on_positions
+from usvlearn.logs.channels.correlations import angle_offset, rate_slope
+from usvlearn.logs.channels.position_rates import speed_on_positions, sway_on_positions
 from usvlearn.logs.checks.evidence import LEG, MOVING, NONE, Evidence, angular, mirrored, without
 from usvlearn.logs.checks.finding import Finding, override, see
 

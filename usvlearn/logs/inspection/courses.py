@@ -13,7 +13,7 @@ import numpy as np
 
 from usvlearn.logs.channels.bins import cleaned
 from usvlearn.logs.channels.channel import AUTO, COURSES
-from usvlearn.logs.channels.correlations import sway_on_positions
+from usvlearn.logs.channels.position_rates import sway_on_positions
 from usvlearn.logs.inspection.candidate import Candidate
 from usvlearn.logs.inspection.decision import CERTAIN, ORDER, PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.directions import Heading, read_any_turn

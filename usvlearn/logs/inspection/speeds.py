@@ -14,7 +14,8 @@ import numpy as np
 
 from usvlearn.logs.channels.bins import cleaned
 from usvlearn.logs.channels.channel import AUTO, RARE, SPEEDS, UNITS, Channel
-from usvlearn.logs.channels.correlations import Relation, speed_on_positions, speed_on_thrust
+from usvlearn.logs.channels.correlations import Relation, speed_on_thrust
+from usvlearn.logs.channels.position_rates import speed_on_positions
 from usvlearn.logs.channels.repeated_values import find_period
 from usvlearn.logs.inspection.candidate import Candidate
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least

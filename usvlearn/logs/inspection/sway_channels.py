@@ -12,7 +12,8 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from usvlearn.logs.channels.channel import AUTO, SPEEDS, SWAY, UNITS
-from usvlearn.logs.channels.correlations import NOTHING, Relation, sway_on_positions
+from usvlearn.logs.channels.correlations import NOTHING, Relation
+from usvlearn.logs.channels.position_rates import sway_on_positions
 from usvlearn.logs.inspection.candidate import Candidate
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.directions import Heading

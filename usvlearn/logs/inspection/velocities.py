@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from usvlearn.logs.channels.channel import AUTO
-from usvlearn.logs.channels.correlations import speed_on_positions
+from usvlearn.logs.channels.position_rates import speed_on_positions
 from usvlearn.logs.inspection.candidate import Candidate
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision
 from usvlearn.logs.inspection.directions import agreement

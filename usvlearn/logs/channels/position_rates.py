@@ -1,0 +1,148 @@
+"""A position against the velocity, the speed or the sway, by relations of `usvlearn.logs.channels.correlations`."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from usvlearn.logs.channels.bins import Series, bin_edges, bin_means, bin_rates, cleaned, clipped
+from usvlearn.logs.channels.correlations import FEWEST, NO_LAG, Relation, relate, residual
+
+STRAIGHT = 0.9, 0.7  # share of the way by which a boat that turns comes on, at least, where its speed is compared
+OFTEN = 0.3  # share of the bins from which the first of them is taken
+FAST = 0.3  # share of the greatest speed from which a ratio of speeds is taken
+MINUTE, IMAGE, BETTER = 60.0, 0.9, 5.0  # s, correlation and ratio of squares of a mirror image
+
+
+class Motion(NamedTuple):
+    """How the rate of a position follows a measured velocity, both as complex numbers, north + i east.
+
+    NaN where there is too little evidence. Values of `along` and `against` are correlation coefficients: their size is
+    at most 1, and their angle is that by which the rate is turned from the velocity, or from its mirror image.
+    """
+
+    along: complex  # with the velocity
+    against: complex  # with its complex conjugate: one axis is reversed, or both are interchanged
+    scale: float  # standard deviation of the rate over that of the velocity
+    spread: float  # m/s, standard deviation of the velocity
+    seconds: float
+
+    @property
+    def is_mirrored(self) -> bool:
+        """Whether the mirror image fits, and leaves a fifth of the squares that the velocity itself leaves, or less."""
+        rest, of_image = 1 - abs(self.along) ** 2, 1 - abs(self.against) ** 2
+        return self.seconds >= MINUTE and abs(self.against) > IMAGE and rest > BETTER * of_image
+
+
+def speed_on_positions(
+    north: Series, east: Series, speed: Series, heading: Series | None = None, step: float = 5.0
+) -> Relation:
+    """The size of the speed against the rate of position; the slope is the median of their ratio.
+
+    1.94 is a speed in knots read as m/s, 3.6 one in km/h, 0.514 one in m/s read as knots. Both are changes between the
+    means of neighbouring bins, in which noise averages out. A boat that turns goes farther than its place moves: with a
+    heading, rad, of any zero and sense, the rate is that along its way, if the speed follows this one better. Bins in
+    which it hardly turns are preferred: in a current its way does not turn as its bow does.
+
+    >>> time = np.arange(0, 600, 0.2)
+    >>> true, heading = 1 + 0.5 * np.sin(0.05 * time), 0.2 * time
+    >>> place = [(time, np.cumsum(true * each(heading)) * 0.2) for each in (np.cos, np.sin)]
+    >>> knots = time, true / 0.5144
+    >>> [round(speed_on_positions(*place, knots, each).slope, 2) for each in (None, (time, -heading))]
+    [2.11, 1.94]
+    """
+    edges = bin_edges(step, north, east, speed)[:-1]  # the last bin may end later than a series
+    time, value = cleaned(speed)
+    rates = [np.abs(_moved(north, edges) + 1j * _moved(east, edges))]
+    size = clipped(np.abs(_moved(_sum((time, np.abs(value))), edges)))
+    if heading is not None:
+        stamps, angle = cleaned(heading)
+        straight = np.abs(_moved(_sum((stamps, np.exp(1j * angle))), edges))
+        least = STRAIGHT[0] if (straight > STRAIGHT[0]).sum() > OFTEN * len(straight) else STRAIGHT[1]
+        rates.append(rates[0] / np.where(straight > least, straight, np.nan))
+    found = [_ratio(clipped(each), size, step) for each in rates]
+    return max(found, key=lambda each: np.nan_to_num(each.correlation, nan=-1.0))
+
+
+def _sum(series: Series) -> Series:
+    """The integral of a series from its first stamp on."""
+    time, value = series
+    return time, np.append(0.0, np.cumsum(np.diff(time) * (value[:-1] + value[1:]) / 2))[: len(time)]
+
+
+def _moved(series: Series, edges: np.ndarray) -> np.ndarray:
+    """The rate of change from the mean of one bin to that of the next one, `(bins - 1,)`."""
+    return np.diff(bin_means(series, edges)) / np.diff(edges[:-1])
+
+
+def _ratio(rate: np.ndarray, size: np.ndarray, step: float) -> Relation:
+    """The relation, with the median of the ratios as its slope; noise across the way makes a rate greater."""
+    found = relate(rate, size, step, NO_LAG)
+    known = np.isfinite(rate) & np.isfinite(size)
+    if not found.seconds or not (fast := known & (rate > FAST * np.max(rate[known], initial=0.0))).any():
+        return found
+    rate, size = rate[fast], size[fast]
+    noise = 1.48 * np.median(np.abs(rate - size / max(np.median(size / rate), 1e-9)))  # m/s
+    return found._replace(slope=float(np.median(size / np.maximum(rate - noise**2 / rate / 2, rate / 2))))
+
+
+def position_on_velocity(position: tuple[Series, Series], velocity: tuple[Series, Series], step: float = 5.0) -> Motion:
+    """The rate of a position against a velocity over ground, each north and east.
+
+    >>> time = np.arange(0, 600, 0.2)
+    >>> north, east = np.cos(0.02 * time), np.sin(0.03 * time)
+    >>> way = [np.cumsum(each) * 0.2 / 0.3048 for each in (north, east)]
+    >>> feet = position_on_velocity(((time, way[0]), (time, way[1])), ((time, north), (time, east)))
+    >>> round(abs(feet.along), 2), round(feet.scale, 2)
+    (1.0, 3.28)
+    >>> swapped = position_on_velocity(((time, way[1]), (time, way[0])), ((time, north), (time, east)))
+    >>> round(abs(swapped.against), 2), round(math.degrees(np.angle(swapped.against)))
+    (1.0, 90)
+    >>> swapped.is_mirrored, feet.is_mirrored
+    (True, False)
+    """
+    edges = bin_edges(step, *position, *velocity)
+    rate = _plane([bin_rates(series, edges) for series in position])
+    speed = _plane([bin_means(series, edges) for series in velocity])
+    known = np.isfinite(rate) & np.isfinite(speed)
+    count = int(known.sum())
+    if count < FEWEST:
+        return Motion(math.nan, math.nan, math.nan, math.nan, 0.0)
+    rate, speed = (each[known] - each[known].mean() for each in (rate, speed))
+    of_rate, of_speed = (math.sqrt(float(np.mean(np.abs(each) ** 2))) for each in (rate, speed))
+    both = max(of_rate * of_speed, 1e-12)
+    along, against = (complex(np.mean(rate * each)) / both for each in (speed.conj(), speed))
+    return Motion(along, against, of_rate / max(of_speed, 1e-12), of_speed, step * count)
+
+
+def sway_on_positions(north: Series, east: Series, heading: Series, sway: Series, step: float = 2.0) -> Relation:
+    """The sway against the rate of position across the hull, to starboard, at an equal rate along the hull.
+
+    The slope is 1 where the sway is right, -1 where it counts to port. What a compass error adds to the rate across is
+    a part of the rate along, and left out.
+
+    >>> time = np.arange(0, 900, 0.2)
+    >>> heading, sway = 0.1 * time, 0.2 * np.sin(0.06 * time)
+    >>> north, east = (np.cumsum(each) * 0.2 for each in (-sway * np.sin(heading), sway * np.cos(heading)))
+    >>> found = sway_on_positions((time, north), (time, east), (time, heading), (time, -sway))
+    >>> round(found.slope), round(found.correlation, 1)
+    (-1, -1.0)
+    """
+    edges = bin_edges(step, north, east, heading, sway)
+    time, angle = cleaned(heading)
+    along = bin_means((time, np.cos(angle)), edges) + 1j * bin_means((time, np.sin(angle)), edges)
+    with np.errstate(invalid="ignore"):
+        along /= np.abs(along)
+    rate = _plane([bin_rates(north, edges), bin_rates(east, edges)]) * along.conj()
+    across, own = (residual(each, rate.real) for each in (rate.imag, clipped(bin_means(sway, edges))))
+    return relate(across, own, step, NO_LAG)
+
+
+def _plane(parts: list[np.ndarray]) -> np.ndarray:
+    """Two components as complex numbers whose size is at most its `EXTREME` quantile."""
+    size = np.hypot(*parts)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.where(size > 0, clipped(size) / size, 1.0)
+    return share * (parts[0] + 1j * parts[1])
