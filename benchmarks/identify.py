@@ -35,7 +35,6 @@ from usvlearn.engine.rollouts import rollout, tensors  # noqa: E402
 from usvlearn.estimators.joint.periodic_estimates import Identified, identify  # noqa: E402
 from usvlearn.estimators.joint.quantities import Ahead, sums  # noqa: E402
 from usvlearn.estimators.joint.state import NORTH, THETA  # noqa: E402
-from usvlearn.evaluation.members import unwrapped  # noqa: E402
 from usvlearn.simulate.truth import true_parameters, true_quantities  # noqa: E402
 
 HOURS, LATER, N = 3.0, 1.0, 3
@@ -67,9 +66,9 @@ def members(plant: str) -> dict[str, Any]:
     """The estimators by name, as `train.py` makes them for a plant."""
     mass, top = NOMINAL[plant]
     with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
-        given = [f"vehicle.mass={mass}", f"vehicle.surge_max={top}", "+estimator@estimators.steady_rls=steady_rls"]
+        given = [f"vehicle.mass={mass}", f"vehicle.surge_max={top}"]
         cfg = compose("train", given)
-        return {name: instantiate(cfg.estimators[name]) for name in ("joint_averaged", "aid", "steady_rls")}
+        return {name: instantiate(cfg.estimators[name]) for name in ("joint_averaged", "aid")}
 
 
 def ahead(theta: np.ndarray) -> dict[str, float]:
@@ -104,9 +103,7 @@ def study(
     seed: int, plants=PLANTS
 ) -> tuple[dict[str, list[Found]], list[tuple[dict[int, Identified], dict[str, float]]]]:
     """Every method on every boat; of each boat what was identified after some missions, and the truth at the end."""
-    found: dict[str, list[Found]] = {
-        name: [] for name in ("output error, batch", "joint_averaged", "aid", "steady_rls")
-    }
+    found: dict[str, list[Found]] = {name: [] for name in ("output error, batch", "joint_averaged", "aid")}
     intervals = []
     for plant in plants:
         mass, top = NOMINAL[plant]
@@ -124,10 +121,9 @@ def study(
             theta = noted[AT[-1]].theta
             flow = np.mean([state.mean[NORTH:THETA].numpy() for state in states], 0)
             found["joint_averaged"].append(judged(ahead(theta), float(theta[-1]), flow, boat))
-            for name in ("aid", "steady_rls"):
-                inner, state = unwrapped(every[name], learned(every[name], boat.learned)[0][-1])
-                per_mass = dict(zip(inner.model.names, (state.theta / mass).tolist(), strict=True))
-                found[name].append(judged(per_mass, 0.0, np.zeros(2), boat))
+            state = learned(every["aid"], boat.learned)[0][-1]
+            per_mass = dict(zip(every["aid"].model.names, (state.theta / mass).tolist(), strict=True))
+            found["aid"].append(judged(per_mass, 0.0, np.zeros(2), boat))
             print(boat.name, *(f"{name} {each[-1].free:.3f}" for name, each in found.items()), flush=True)
     return found, intervals
 

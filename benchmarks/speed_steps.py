@@ -18,12 +18,10 @@ from usvlearn import (
     Inputs,
     JointEKF,
     Online,
-    Robust,
     Sample,
     SIFtRLS,
     SurgeDynamics,
     SwayEKF,
-    WithMemory,
     YawEKF,
     rollout,
 )
@@ -41,19 +39,14 @@ WAYS = {"C": "C", "streamed": "streamed", "call": "called from Python", "torch":
 def estimators() -> dict[str, Estimator]:
     """One of each kind, as the configuration has them, and the default ensemble."""
     ensemble = accuracy.ensemble(())
-    names = ("dynamic_rls", "steady_rls", "memory_rls")
-    of = accuracy.ensemble([f"+estimator@estimators.{name}={name}" for name in names]).members
+    of = accuracy.ensemble(["+estimator@estimators.dynamic_rls=dynamic_rls"]).members
     mass = float(of["aid"].model.mass)
-    ambient = Robust(WithMemory(SIFtRLS(SurgeDynamics(mass, memory=True, ambient=True), memory=4.0)))
     return {
         "persistence": of["persistence"],
         "aid": of["aid"],
         "rls, exponential": RLS(),
         "sift": of["dynamic_rls"].estimator,
         "robust sift": of["dynamic_rls"],
-        "projected sift": of["steady_rls"],
-        "memory sift, p = 12": of["memory_rls"],
-        "ambient sift, p = 15": ambient,
         "arx, p = 27": ARX(),
         "joint, n = 23": of["joint"],
         "rnn, n = 20": of["rnn"],

@@ -238,7 +238,7 @@ def test_steps_are_pure(name, batch):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(
-    "name", few([*FAMILIES, "joint_trial", "rnn_penalty"], {"robust_memory", "rnn_replay", "joint", "boa"})
+    "name", few([*FAMILIES, "joint_trial", "rnn_penalty"], {"robust_sift", "rnn_replay", "joint", "boa"})
 )
 def test_compiles_without_graph_breaks(name):
     estimator, samples = ESTIMATORS[name](), random_samples(1, 3)

@@ -32,10 +32,9 @@ def sets(tmp_path_factory) -> Path:
     """A folder of checkpoints."""
     if RUN:
         return next((Path(RUN) / "checkpoints").iterdir())
-    from usvlearn import AID, BOA, RNN, Bank, Ensemble, Robust, SIFtRLS, SurgeDynamics, WithMemory
+    from usvlearn import AID, BOA, RNN, Ensemble, Robust, SIFtRLS, SurgeDynamics
 
-    memory = WithMemory(SIFtRLS(SurgeDynamics(28.0, memory=True), memory=[4.0, 20.0]))
-    members = {"aid": AID(28.0), "rnn": RNN(), "memory": Bank(Robust(memory), ["short", "long"])}
+    members = {"aid": AID(28.0), "rnn": RNN(), "sift": Robust(SIFtRLS(SurgeDynamics(28.0)))}
     folder = tmp_path_factory.mktemp("sets")
     Online(Ensemble(members, {"ensemble": BOA()})).save(folder / "00000_0000000.safetensors", boat="heron")
     return folder

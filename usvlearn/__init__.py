@@ -28,7 +28,6 @@ if TYPE_CHECKING:  # what type checkers and editors see; a test compares it with
     from usvlearn.estimators.arx.layer import ARX as ARX
     from usvlearn.estimators.axis.layer import SwayEKF as SwayEKF
     from usvlearn.estimators.axis.layer import YawEKF as YawEKF
-    from usvlearn.estimators.baselines.acceleration.layer import Acceleration as Acceleration
     from usvlearn.estimators.baselines.persistence.layer import Persistence as Persistence
     from usvlearn.estimators.ensemble.combiners.layer import BOA as BOA
     from usvlearn.estimators.ensemble.combiners.layer import Average as Average
@@ -39,15 +38,12 @@ if TYPE_CHECKING:  # what type checkers and editors see; a test compares it with
     from usvlearn.estimators.ensemble.layer import Ensemble as Ensemble
     from usvlearn.estimators.joint.change_detection import Trial as Trial
     from usvlearn.estimators.joint.layer import JointEKF as JointEKF
-    from usvlearn.estimators.least_squares.projected import Projected as Projected
     from usvlearn.estimators.least_squares.rls import RLS as RLS
     from usvlearn.estimators.least_squares.sift import SIFtRLS as SIFtRLS
     from usvlearn.estimators.planar.layer import Planar as Planar
     from usvlearn.estimators.regressors.layer import QuasiStatic as QuasiStatic
     from usvlearn.estimators.regressors.layer import SurgeDynamics as SurgeDynamics
     from usvlearn.estimators.rnn.layer import RNN as RNN
-    from usvlearn.estimators.wrappers.bank import Bank as Bank
-    from usvlearn.estimators.wrappers.memory.layer import WithMemory as WithMemory
     from usvlearn.estimators.wrappers.robust.layer import Robust as Robust
     from usvlearn.logs.alignment.align import Aligner as Aligner
 
@@ -69,12 +65,9 @@ _HOME = {
     "ARX": "estimators.arx.layer",
     "RLS": "estimators.least_squares.rls",
     "SIFtRLS": "estimators.least_squares.sift",
-    "WithMemory": "estimators.wrappers.memory.layer",
     "Robust": "estimators.wrappers.robust.layer",
-    "Projected": "estimators.least_squares.projected",
     "RNN": "estimators.rnn.layer",
     "Persistence": "estimators.baselines.persistence.layer",
-    "Acceleration": "estimators.baselines.acceleration.layer",
     "JointEKF": "estimators.joint.layer",
     "YawEKF": "estimators.axis.layer",
     "SwayEKF": "estimators.axis.layer",
@@ -82,7 +75,6 @@ _HOME = {
     "Trial": "estimators.joint.change_detection",
     "Ensemble": "estimators.ensemble.layer",
     "ForecastSettings": "estimators.ensemble.forecasts.layer",
-    "Bank": "estimators.wrappers.bank",
     "Average": "estimators.ensemble.combiners.layer",
     "FixedWeights": "estimators.ensemble.combiners.layer",
     "RecursiveWeights": "estimators.ensemble.combiners.layer",

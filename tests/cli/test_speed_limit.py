@@ -17,7 +17,7 @@ def limits(node) -> list[float]:
 
 @pytest.mark.parametrize("top, limit", [(2.74, 10.0), (7.7, 10.0), (10.0, 12.5), (14, 17.5)])
 def test_one_limit_holds_everywhere(top, limit):
-    more = ["+estimator@estimators.memory_aid=memory_aid", "+estimator@estimators.ambient_rls=ambient_rls"]
+    more = ["+estimator@estimators.dynamic_rls=dynamic_rls"]
     settings = plain(compose_train(more, {"vehicle": {"surge_max": top}}))
     assert settings["align"]["surge_max"] == limit and settings["vehicle"]["surge_max"] == top
     assert {*limits(settings["estimators"]), *limits(settings["combiners"])} == {limit, top}  # of members that scale

@@ -26,8 +26,8 @@ EVERY = ESTIMATORS | VARIANTS
 every_setting = pytest.mark.parametrize("name", EVERY)
 every_family = pytest.mark.parametrize("name", FAMILIES)
 each_batch = pytest.mark.parametrize("batch", [(2, 3), pytest.param((), marks=pytest.mark.thorough)], ids=str)
-IN_CI = ("rls", "projected", "robust", "rnn")  # in the thorough tests; all others are slow
-AMPLIFYING = ("ensemble",)  # its bank's covariances are inflated: torch, started one rounding away, ends 4e-7 away
+IN_CI = ("rls", "sift", "robust", "rnn")  # in the thorough tests; all others are slow
+AMPLIFYING = ("ensemble",)  # the covariance of a member is inflated: torch, started one rounding away, ends 4e-7 away
 
 
 @pytest.fixture(autouse=True)
@@ -134,7 +134,7 @@ def test_free_runs(name):
 
 @pytest.mark.parametrize("run", [rollout, simulate], ids=lambda run: run.__name__)
 @each_batch
-@pytest.mark.parametrize("name", ["boa", "robust_memory"])
+@pytest.mark.parametrize("name", ["boa", "robust_sift"])
 def test_records(name, batch, run):
     """By names of leaves, or by a function; over more steps than are held at a time."""
     estimator, samples = ESTIMATORS[name](), mission(300 if batch == () else 30, *batch)

@@ -19,7 +19,6 @@ from usvlearn import (
     AID,
     RLS,
     Average,
-    Bank,
     Ensemble,
     ForecastSettings,
     Inputs,
@@ -29,7 +28,6 @@ from usvlearn import (
     Sample,
     SIFtRLS,
     SurgeDynamics,
-    WithMemory,
     rollout,
 )
 from usvlearn.core import checkpoint as store
@@ -80,10 +78,9 @@ NO_KERNEL = "OBSTACLE, or a part of it, has no compiled kernel"
 OBSTACLES = {
     "subclass": (lambda: OwnAID(), NO_KERNEL.replace("OBSTACLE", "OwnAID")),
     "model": (lambda: RLS(OwnModel()), NO_KERNEL.replace("OBSTACLE", "RLS")),
-    "inner": (lambda: Robust(WithMemory(OwnAID())), NO_KERNEL.replace("OBSTACLE", "Robust")),
+    "inner": (lambda: Robust(OwnAID()), NO_KERNEL.replace("OBSTACLE", "Robust")),
     "twice": (lambda: Robust(Robust(AID())), NO_KERNEL.replace("OBSTACLE", "Robust")),
     "member": (lambda: Ensemble({"a": AID(), "b": OwnAID()}), NO_KERNEL.replace("OBSTACLE", "Ensemble")),
-    "bank": (lambda: Ensemble({"a": Bank(OwnAID(gain=[1.0, 2.0]), ["a", "b"])}), "Ensemble, or a part"),
     "nested": (lambda: Ensemble({"a": Ensemble({"b": AID()})}), NO_KERNEL.replace("OBSTACLE", "Ensemble")),
     "rule": (lambda: Ensemble({"a": AID()}, {"own": OwnRule()}), NO_KERNEL.replace("OBSTACLE", "Ensemble")),
 }
@@ -275,7 +272,7 @@ def test_results_and_samples_are_tensors_like_any():
         assert torch.equal(rollout(aid, aid.init((3,)), samples._replace(surge=negated))[1], expected)
 
 
-@over("name", ["robust_memory", "joint", "boa"])
+@over("name", ["robust_sift", "joint", "boa"])
 def test_one_number_fits_every_batch_by_either(name):
     one = Sample(Inputs(0.5, 0.4, 0.1, 0.0, 0.4), 1.0, True, True)
     elements = Sample(Inputs(*(np.full(3, x) for x in one.inputs)), np.ones(3), np.ones(3, bool), np.ones(3, bool))

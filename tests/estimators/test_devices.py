@@ -41,8 +41,8 @@ def small() -> Ensemble:
 
 
 CASES = ESTIMATORS | {"default": lambda: default_ensemble(torch.float64), "small": small}
-KINDS = ("robust_memory", "aid", "projected", "rnn_replay", "joint", "arx", "weighted", "small", "sift", "rnn",
-         "persistence", "acceleration")  # fmt: skip
+KINDS = ("robust_sift", "aid", "rnn_replay", "joint", "arx", "weighted", "small", "sift", "rnn",
+         "persistence")  # fmt: skip
 some_cases = pytest.mark.parametrize(  # one by default, the rest of KINDS thorough, all others slow
     "name", [*few(KINDS, KINDS[:1], "thorough"), *few([name for name in CASES if name not in KINDS], ())]
 )

@@ -10,22 +10,15 @@ from usvlearn import (
     AID,
     BOA,
     RLS,
-    RNN,
     Average,
-    Bank,
     Ensemble,
     Estimator,
     ExponentialWeights,
     FixedWeights,
     Inputs,
-    JointEKF,
     Online,
     Persistence,
     RecursiveWeights,
-    Robust,
-    SIFtRLS,
-    SurgeDynamics,
-    WithMemory,
     rollout,
 )
 from usvlearn.core.samples import tree_map
@@ -74,62 +67,25 @@ def test_ensembles_of_ensembles():
     torch.testing.assert_close(surge, expected)
 
 
-BANKS = {
-    "aid": lambda gain: AID(28.0, gain=gain),
-    "memory": lambda gain: WithMemory(AID(28.0, gain=gain, model=SurgeDynamics(28.0, memory=True))),
-    "robust": lambda gain: Robust(SIFtRLS(SurgeDynamics(28.0), memory=gain, covariance=gain)),
-    "rnn": lambda gain: RNN(4, rate=gain),
-    "joint": lambda gain: JointEKF(2.0, disturbance=gain),
-}
-
-
-@pytest.mark.parametrize("name", BANKS)
-@pytest.mark.parametrize("batch", [(), (2, 3)], ids=str)
-def test_columns_of_a_bank_are_what_its_settings_predict_alone(name, batch):
-    """Also where they coast, and where a segment starts."""
-    settings, samples = [0.03, 0.1, 0.3], random_samples(15, *batch)
-    samples.measured[4:7], samples.inputs.dt[8] = False, 0.0
-    bank = Bank(BANKS[name](settings), ["low", "middle", "high"])
-    ensemble = Ensemble({"persistence": Persistence(), name: bank})
-    assert ensemble.columns == ("persistence", f"{name}_low", f"{name}_middle", f"{name}_high")
-    end, _, found = rollout(ensemble, ensemble.init(batch), samples, record=published)
-    shown = ensemble.monitor(end)
-    for k, setting in enumerate(settings):
-        alone = BANKS[name](setting)
-        state, expected, _ = rollout(alone, alone.init(batch), samples)
-        made = expected.isfinite()
-        torch.testing.assert_close(found[..., 1 + k][made], expected[made], rtol=1e-12, atol=1e-12)
-        numbers = alone.monitor(state)
-        column = ensemble.columns[1 + k]
-        assert {key.split("/")[1] for key in shown if key.startswith(f"{column}/")} == set(numbers)
-        for key, value in numbers.items():
-            torch.testing.assert_close(shown[f"{column}/{key}"], value, rtol=1e-9, atol=1e-9)
-
-
-def test_rules_name_banks_or_their_columns_in_any_order():
-    """A rule sees its members in the order in which it names them; the name of a bank stands for all its columns."""
-    bank = {"aid": Bank(AID(28.0, gain=[0.3, 3.0]), ["slow", "fast"])}
+def test_rules_name_members_in_any_order():
+    """A rule sees its members in the order in which it names them."""
     rules = {
         "all": Average(),
-        "fixed": FixedWeights({"rls": 0.5, "aid_fast": 0.3, "persistence": 0.2}),
-        "bank": Average("aid"),
-        "mixed": BOA(["persistence", "aid"], share=0.0, prior={"aid_fast": 2.0}),
+        "fixed": FixedWeights({"rls": 0.5, "aid": 0.3, "persistence": 0.2}),
+        "mixed": BOA(["persistence", "aid"], share=0.0, prior={"aid": 2.0}),
     }
-    ensemble, samples = Ensemble({**bank, **members() | {"aid": bank["aid"]}}, rules, "bank"), random_samples(12, 2)
-    assert ensemble.names == ("aid_slow", "aid_fast", "rls", "persistence", "all", "fixed", "bank", "mixed")
-    assert ensemble.combiners["mixed"].names == ("persistence", "aid_slow", "aid_fast")
+    ensemble, samples = Ensemble(members(), rules, "fixed"), random_samples(12, 2)
+    assert ensemble.names == ("aid", "rls", "persistence", "all", "fixed", "mixed")
+    assert ensemble.combiners["mixed"].names == ("persistence", "aid")
     end, surge, found = rollout(ensemble, ensemble.init((2,)), samples, record=published)
-    slow, fast, rls, persistence, everybody, fixed, both, mixed = found.unbind(-1)
-    torch.testing.assert_close(everybody, (slow + fast + rls + persistence) / 4)
-    torch.testing.assert_close(fixed, 0.5 * rls + 0.3 * fast + 0.2 * persistence)
-    torch.testing.assert_close(both, (slow + fast) / 2)
-    assert torch.equal(surge, both)
-    torch.testing.assert_close(mixed[0], (0.25 * persistence + 0.25 * slow + 0.5 * fast)[0])
+    aid, rls, persistence, everybody, fixed, mixed = found.unbind(-1)
+    torch.testing.assert_close(everybody, (aid + rls + persistence) / 3)
+    torch.testing.assert_close(fixed, 0.5 * rls + 0.3 * aid + 0.2 * persistence)
+    assert torch.equal(surge, fixed)
+    torch.testing.assert_close(mixed[0], (persistence / 3 + aid * 2 / 3)[0])
     shown = ensemble.monitor(end)
-    assert [k for k in shown if k.startswith("mixed/")] == [
-        "mixed/weight_persistence", "mixed/weight_aid_slow", "mixed/weight_aid_fast"
-    ]  # fmt: skip
-    torch.testing.assert_close(shown["mixed/weight_aid_fast"], end.combiners["mixed"].weights[..., 2])
+    assert [k for k in shown if k.startswith("mixed/")] == ["mixed/weight_persistence", "mixed/weight_aid"]
+    torch.testing.assert_close(shown["mixed/weight_aid"], end.combiners["mixed"].weights[..., 1])
 
 
 def test_intervals_belong_to_the_predictions_beside_them():

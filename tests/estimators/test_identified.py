@@ -298,7 +298,7 @@ def test_online_identifies_with_and_without_torch_and_says_where_it_cannot(tmp_p
     assert len(batch) == 2 and batch[0].quantities == batch[1].quantities
     with pytest.raises(ConfigError, match="no joint EKF with read_every"):
         Online(Ensemble({"aid": AID(MASS), "joint": JointEKF(TOP)})).identified()
-    with pytest.raises(ConfigError, match=r"not inside a Bank or Robust: add JointEKF\(..., read_every=600.0\)"):
+    with pytest.raises(ConfigError, match=r"not inside Robust: add JointEKF\(..., read_every=600.0\)"):
         Online(AID(MASS)).identified()
 
 

@@ -13,20 +13,15 @@ from usvlearn import (
     RLS,
     RNN,
     Average,
-    Bank,
     Ensemble,
     ExponentialWeights,
-    FixedWeights,
-    ForecastSettings,
     JointEKF,
     Persistence,
-    Projected,
     QuasiStatic,
     Robust,
     SIFtRLS,
     SurgeDynamics,
     Trial,
-    WithMemory,
 )
 from usvlearn.errors import ConfigError
 
@@ -41,12 +36,9 @@ ONE_BY_ONE = (  # what makes an estimator, and arguments that are refused by the
     (lambda **given: SurgeDynamics(**given), {"mass": [0.0, -1.0, NAN, "heavy", [28.0, 0.0]]}),
     (RLS, {"forgetting": [1.0], "covariance": [0.0], "feedback": ["both"], "surge_max": [-1.0]}),
     (SIFtRLS, {"memory": [0.0], "covariance": [-1.0], "floor": [-1e-4], "feedback": ["both"]}),
-    (lambda **given: Projected(SIFtRLS(), **given),
-     {"signs": [[1, 1], [2] * 9], "iterations": [0, 1001]}),
     (lambda **given: Robust(AID(28.0), **given),
      {"threshold": [0.0], "patience": [0, 1.5], "inflation": [0.5], "scale": [0.0], "memory": [0.5],
       "scale_min": [0.0]}),
-    (lambda **given: WithMemory(AID(28.0), **given), {"surge_dot_max": [0.0, -1.0, INF]}),
     (RNN, {"unroll": [3], "neurons": [0, 1], "rate": [0.0], "surge_max": [0.0], "decay": [0], "momentum": [1.0, -0.1],
            "clip": [0.0], "initial": ["zero"], "rate_ratio": [[1.0] * 4, [-1.0] * 5], "stability": ["hope"],
            "condition": ["loose"], "contraction_rate": [1.5], "gauge": ["x"], "replay_size": [-1, 1.0, True, 10**6],
@@ -72,7 +64,6 @@ def test_an_argument_is_refused_by_its_name(case):
 
 
 BETWEEN = r"trial.leads: found .* expected a number between trial.dropped"  # and trial.confirmed, strictly
-TWO = {"a": Bank(AID(gain=[1.0, 2.0]), ["b", "c"])}
 SENTENCES = {  # what is made, and what is said
     "trial below": (lambda: Trial(leads=-2.0), BETWEEN),
     "trial above": (lambda: Trial(leads=150.0), BETWEEN),
@@ -80,24 +71,17 @@ SENTENCES = {  # what is made, and what is said
     "trial that is dropped first": (lambda: Trial(dropped=6.0), BETWEEN),
     "trial without threshold": (lambda: Trial(threshold=0.0), "trial.threshold: found 0.0, expected a positive number"),
     "trial without steps": (lambda: Trial(steps=0), "trial.steps: found 0, expected a whole number"),
-    "projected AID": (lambda: Projected(AID(28.0)), "AID"),
-    "projected memory": (lambda: Projected(WithMemory(SIFtRLS(SurgeDynamics(28.0, memory=True)))), "WithMemory"),
     "nobody": (lambda: Ensemble({}), "at least one"),
     "no estimator": (lambda: _ensemble(members={"aid": None}), "expected an estimator"),
     "dotted": (lambda: _ensemble(members={"a.b": AID()}), "plain name"),
     "keys": (lambda: _ensemble(members={"keys": AID()}), "plain name"),
     "rule and member": (lambda: _ensemble(combiners={"aid": Average()}), "names two members, or a member and a combin"),
-    "column and member": (lambda: _ensemble(members=TWO | {"a_b": AID()}), "a_b names two members"),
     "unknown member": (lambda: _ensemble(combiners={"average": Average(["aid", "rnn"])}), "rnn"),
     "output": (lambda: _ensemble(output="boa"), "boa"),
     "coverage": (lambda: _ensemble(coverage=1.0), "coverage"),
     "surge_max": (lambda: _ensemble(surge_max=0.0), "surge_max"),
-    "prior": (lambda: _ensemble(combiners={"boa": BOA(prior={"aid_fast": 2.0})}), "prior: found aid_fast, expected so"),
+    "prior": (lambda: _ensemble(combiners={"boa": BOA(prior={"rls": 2.0})}), "prior: found rls, expected so"),
     "no prior": (lambda: BOA(prior={"a": 0.0}), "prior.a"),
-    "weights of a bank": (
-        lambda: _ensemble(members=TWO, combiners={"f": FixedWeights({"a": 1.0})}), "one for each of a_b, a_c"),
-    "forecasts of a bank": (
-        lambda: Ensemble(TWO | {"aid": AID()}, forecasts=ForecastSettings()), "found a_b, expected some of aid"),
     "too many forecasts": (lambda: ensemble(overlap=1000.0), "overlap: found 1000.0, expected less: .* of 512 at most"),
 }  # fmt: skip
 

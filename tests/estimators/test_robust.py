@@ -8,7 +8,7 @@ import torch
 from scipy import integrate, stats
 
 from tests.support import at, leaves, random_samples
-from usvlearn import AID, RLS, QuasiStatic, Robust, SIFtRLS, SurgeDynamics, WithMemory, rollout
+from usvlearn import AID, RLS, QuasiStatic, Robust, SIFtRLS, SurgeDynamics, rollout
 from usvlearn.estimators.wrappers.robust.layer import clipped_moment, finite
 
 
@@ -43,7 +43,7 @@ def test_what_is_clean_is_learned_to_the_bit(inner):
 @pytest.mark.parametrize("run", [0.0, 5.0])
 def test_what_is_not_finite_changes_nothing_but_the_count(value, run):
     """Given straight to `update`, also where the next sample would be believed whole; 1e300 overflows its square."""
-    robust = Robust(WithMemory(SIFtRLS(SurgeDynamics(28.0, memory=True))))
+    robust = Robust(SIFtRLS(SurgeDynamics(28.0)))
     samples = random_samples(10, 2)
     state, _, _ = rollout(robust, robust.init((2,)), samples)
     state = state._replace(run=torch.full((2,), run, dtype=torch.float64))

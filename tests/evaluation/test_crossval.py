@@ -10,7 +10,7 @@ import torch
 
 from tests.support import few, random_samples
 from tests.support.seasons import boats, numpied
-from usvlearn import AID, BOA, RLS, RNN, Average, Bank, Ensemble, Inputs, Persistence, RecursiveWeights, Sample
+from usvlearn import AID, BOA, RLS, RNN, Average, Ensemble, Inputs, Persistence, RecursiveWeights, Sample
 from usvlearn.core.samples import tree_map
 from usvlearn.engine.rollouts import rollout, simulate
 from usvlearn.errors import ShapeError
@@ -33,7 +33,7 @@ def spoilt(steps: int, seed: int) -> Sample:
 @pytest.fixture(scope="module")
 def ensemble() -> Ensemble:
     members = {
-        "aid": Bank(AID(gain=[0.5, 5.0]), ["slow", "fast"]),
+        "aid": AID(gain=5.0),
         "rls": RLS(SurgeDynamics(28.0)),
         "rnn": RNN(neurons=5),
         "persistence": Persistence(),

@@ -8,7 +8,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
-from usvlearn import AID, Bank, Ensemble, Online, Robust
+from usvlearn import AID, Ensemble, Online, Robust
 from usvlearn.core import checkpoint
 from usvlearn.errors import CheckpointError
 
@@ -20,7 +20,7 @@ DTYPES = ("F64", "F32", "F16", "BF16", "F8_E4M3", "I64", "U8", "BOOL", "C64", "X
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory) -> bytes:
     """A checkpoint as it was saved."""
-    ensemble = Ensemble({"aid": AID(28.0), "bank": Bank(Robust(AID(28.0, gain=[0.3, 3.0])), ["slow", "fast"])})
+    ensemble = Ensemble({"aid": AID(28.0), "robust": Robust(AID(28.0, gain=3.0))})
     path = Online(ensemble, backend="torch").save(tmp_path_factory.mktemp("set") / "a.safetensors", boat="heron")
     return path.read_bytes()
 

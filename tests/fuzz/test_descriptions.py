@@ -68,7 +68,6 @@ def wrapped(rng, value: dict) -> dict:
     return one_of(rng, [
         {"kind": "robust", "inner": value, "numbers": robust},
         {"kind": "memory", "inner": value, "numbers": {"surge_dot_max": 2.0}},
-        {"kind": "bank", "inner": value, "count": 2},
     ])  # fmt: skip
 
 

@@ -9,7 +9,7 @@ from tests.support import made_once
 from tests.support.commands import SMALL, run
 from usvlearn.report.page import _drawing
 
-LEAST_SQUARES = "+estimator@estimators.steady_rls=steady_rls"  # whose parameters have a band
+LEAST_SQUARES = "+estimator@estimators.dynamic_rls=dynamic_rls"  # whose parameters have a band
 
 
 @pytest.fixture(autouse=True)

@@ -325,7 +325,7 @@ def test_no_band_of_parameters_stands_without_its_caveat(saved):
         assert len(section.figures) == 2
         for drawn in section.figures:  # also where it is a file of its own
             labels = {text.get_text() for text in drawn.figure.legends[0].get_texts()}
-            assert labels == {"aid", "steady_rls", "steady_rls, 90 % of noise alone", *(["truth"] if known else [])}
+            assert labels == {"aid", "dynamic_rls", "dynamic_rls, 90 % of noise alone", *(["truth"] if known else [])}
         (result_table,) = section.sheets
         assert [head for head in result_table.columns if "±" in head] == ["±, of the noise alone (90 %)"]
         if known:

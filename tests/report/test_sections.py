@@ -90,7 +90,6 @@ def test_intervals_of_sums_are_those_of_the_covariance():
         {
             "map": RLS(),
             "dynamic": Robust(rls),
-            "memory": SIFtRLS(SurgeDynamics(memory=True)),
             "cubic": RLS(SurgeDynamics(cubic=True)),
             "joint": JointEKF(3.0),
             "arx": ARX(),

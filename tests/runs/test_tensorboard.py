@@ -11,7 +11,7 @@ from tests.support.commands import hparams
 from tests.support.configured import short_season
 from tests.support.recordings import recording
 from tests.support.runs import model
-from usvlearn import AID, Bank, Ensemble, Persistence
+from usvlearn import AID, Ensemble, Persistence
 from usvlearn.cli.settings import ensemble_of, instantiate
 from usvlearn.core.samples import PLAUSIBLE, masks
 from usvlearn.display.figures import KNOWN, SEVEN
@@ -229,18 +229,13 @@ def test_a_boat_without_measured_speed_is_drawn_without_errors(tmp_path, fleet):
 
 @pytest.mark.thorough
 def test_awkward_names_have_folders_of_their_own(tmp_path):
-    """A boat that is called like the means of the fleet, and members of a bank."""
+    """A boat that is called like the means of the fleet."""
     boats = align_fleet([recording(name, "one", 30.0) for name in ("fleet", "a:b", "a?b")])
-    members = {"aid": Bank(AID(28.0, gain=[0.1, 3.0]), ["slow /..", "fast"]), "persistence": Persistence()}
+    members = {"aid": AID(28.0), "persistence": Persistence()}
     log(tmp_path, boats, Ensemble(members))
     read = boards(tmp_path / "tensorboard")
     assert {run.partition("/")[0] for run in read} == {"fleet", "fleet_", "a_b", "a_b_", "results"}
-    assert {run.partition("/")[2] for run in read if run.startswith("a_b_/")} == {
-        "aid_slow _",
-        "aid_fast",
-        "persistence",
-        "average",
-    }
+    assert {run.partition("/")[2] for run in read if run.startswith("a_b_/")} == {"aid", "persistence", "average"}
 
 
 def test_a_run_is_named_after_how_it_learns_not_after_its_data():

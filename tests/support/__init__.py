@@ -19,16 +19,13 @@ from usvlearn import (
     BOA,
     RLS,
     RNN,
-    Acceleration,
     Average,
-    Bank,
     Ensemble,
     ExponentialWeights,
     FixedWeights,
     Inputs,
     JointEKF,
     Persistence,
-    Projected,
     QuasiStatic,
     RecursiveWeights,
     Robust,
@@ -37,7 +34,6 @@ from usvlearn import (
     SurgeDynamics,
     SwayEKF,
     Trial,
-    WithMemory,
     YawEKF,
 )
 from usvlearn.core.lock import Lock
@@ -53,10 +49,7 @@ def _members() -> dict:
 
 FAMILIES = {  # an estimator of each family
     "aid_estimate": lambda: AID(28.0, feedback="estimate", dead_zone=0.01),
-    "projected": lambda: Projected(SIFtRLS(SurgeDynamics(28.0), memory=5.0)),
-    "robust_memory": lambda: Robust(
-        WithMemory(SIFtRLS(SurgeDynamics(28.0, memory=True, ambient=True), memory=5.0)), threshold=1.345, scale=0.6
-    ),
+    "robust_sift": lambda: Robust(SIFtRLS(SurgeDynamics(28.0), memory=5.0), threshold=1.345, scale=0.6),
     "rnn_replay": lambda: RNN(6, unroll=2, replay_size=7, replay_steps=3),
     "joint": lambda: JointEKF(2.5, 28.0),
     "yaw": lambda: YawEKF(2.5),
@@ -65,7 +58,7 @@ FAMILIES = {  # an estimator of each family
         _members(), {"average": Average(["aid", "rls"]), "weighted": RecursiveWeights(forgetting=0.98)}
     ),
     "boa": lambda: Ensemble(
-        {"aid": Bank(AID(28.0, gain=[0.3, 3.0]), ["slow", "fast"]), "rls": RLS(), "persistence": Persistence()},
+        {"aid": AID(28.0, gain=3.0), "rls": RLS(), "persistence": Persistence()},
         {"boa": BOA(prior={"rls": 0.5})},
     ),
 }
@@ -77,15 +70,13 @@ ESTIMATORS = FAMILIES | {  # and other settings of them
     "dynamic_rls_estimate": lambda: RLS(SurgeDynamics(28.0), forgetting=0.98, feedback="estimate"),
     "sift": lambda: SIFtRLS(QuasiStatic(), memory=5.0),
     "dynamic_sift": lambda: SIFtRLS(SurgeDynamics(28.0), memory=5.0),
-    "dynamic_sift_estimate": lambda: SIFtRLS(SurgeDynamics(28.0, ambient=True), memory=5.0, feedback="estimate"),
+    "dynamic_sift_estimate": lambda: SIFtRLS(SurgeDynamics(28.0), memory=5.0, feedback="estimate"),
     "exponential_sift": lambda: SIFtRLS(SurgeDynamics(28.0, cubic=True, exponential=True), memory=5.0),
     "robust_aid": lambda: Robust(AID(28.0), threshold=1.345),
-    "memory_aid": lambda: WithMemory(AID(model=SurgeDynamics(28.0, memory=True))),
     "rnn": lambda: RNN(6),
     "rnn_penalty": lambda: RNN(6, stability="penalty", penalty=1e-3, unroll=2, decay=None),
     "rnn_estimate": lambda: RNN(6, condition="interval", unroll=2, feedback="estimate"),
     "persistence": Persistence,
-    "acceleration": Acceleration,
     "joint_odd": lambda: JointEKF(2.5, 28.0, disturbance=5.0, even=None, lag=0.3, outlier=8.0, read_every=2.0),
     "joint_trial": lambda: JointEKF(2.5, 28.0, read_every=2.0, trial=Trial(threshold=4.0, leads=1.0, steps=9)),
     "sway": lambda: SwayEKF(2.5),

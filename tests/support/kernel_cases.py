@@ -11,9 +11,7 @@ from usvlearn import (
     BOA,
     RLS,
     RNN,
-    Acceleration,
     Average,
-    Bank,
     Ensemble,
     ExponentialWeights,
     FixedWeights,
@@ -21,7 +19,6 @@ from usvlearn import (
     Inputs,
     JointEKF,
     Persistence,
-    Projected,
     QuasiStatic,
     RecursiveWeights,
     Robust,
@@ -29,17 +26,14 @@ from usvlearn import (
     SIFtRLS,
     SurgeDynamics,
     Trial,
-    WithMemory,
     YawEKF,
 )
 from usvlearn.core.samples import named_leaves, tree_map
 
 PRIOR = [-3.0, -6.0, -4.0, 20.0, 15.0, -3.0, 16.0, 18.0, -2.0]
 STIFF = [-9e3, -9e3, 0, 500, 500, -200, 500, 500, -200]  # dt Ĵ far below −20
+ALL = {"cubic": True, "exponential": True}
 CONDITIONS = ("simple", "gershgorin", "lmi", "exact", "interval")
-SIGNS = [-1, 1, -1, 1, -1, 1, -1, 1, -1]  # most of them wrong, so that the projection acts
-FULL = {"memory": True, "ambient": True}
-ALL = {**FULL, "cubic": True, "exponential": True}
 
 
 def mission(steps: int, *batch: int, seed: int = 0, faults: bool = True, dtype=torch.float64) -> Sample:
@@ -122,13 +116,12 @@ def _three() -> dict:
     return {"aid": AID(28.0), "rls": RLS(), "rnn": RNN(6)}
 
 
-def _bank() -> Bank:
-    inner = WithMemory(SIFtRLS(SurgeDynamics(28.0, **FULL), memory=[4.0, 20.0]))
-    return Bank(Robust(inner, threshold=2.0, patience=1, inflation=2.0), ["short", "long"])
+def _clipped() -> Robust:
+    return Robust(SIFtRLS(SurgeDynamics(28.0), memory=20.0), threshold=2.0, patience=1, inflation=2.0)
 
 
 def _crew() -> dict:
-    return {"aid": AID(28.0), "bank": _bank(), "rnn": RNN(6, unroll=2), "persistence": Persistence()}
+    return {"aid": AID(28.0), "long": _clipped(), "rnn": RNN(6, unroll=2), "persistence": Persistence()}
 
 
 def _boxed(**options) -> RNN:
@@ -145,45 +138,26 @@ VARIANTS = {
     "aid_leaks": lambda: AID(28.0, sigma=5.0, bound=0.3, theta0=PRIOR),
     "aid_never_leaks": lambda: AID(28.0, sigma=0.0, gain=30.0),
     "aid_estimate_leaks": lambda: AID(28.0, feedback="estimate", leak=0.3, bound=0.5, surge_max=2.0),
-    "aid_ambient": lambda: AID(model=SurgeDynamics(20.0, ambient=True), gain=2.0),
     "aid_quasi_static": lambda: AID(model=QuasiStatic(), gain=0.5),
-    "aid_full": lambda: WithMemory(AID(model=SurgeDynamics(28.0, **FULL)), surge_dot_max=0.5),
-    "aid_all_terms": lambda: WithMemory(AID(model=SurgeDynamics(28.0, **ALL), feedback="estimate")),
+    "aid_all_terms": lambda: AID(model=SurgeDynamics(28.0, **ALL), feedback="estimate"),
     "aid_stiff": lambda: AID(28.0, theta0=STIFF, model=SurgeDynamics(28.0, exponential=True)),
-    "rls_all_terms": lambda: WithMemory(RLS(SurgeDynamics(28.0, **ALL), forgetting=0.97, covariance=0.1)),
+    "rls_all_terms": lambda: RLS(SurgeDynamics(28.0, **ALL), forgetting=0.97, covariance=0.1),
     "rls_exponential": lambda: RLS(SurgeDynamics(28.0, exponential=True), forgetting=0.95),
     "sift_cubic": lambda: SIFtRLS(SurgeDynamics(28.0, cubic=True), memory=5.0),
-    "projected_all_terms": lambda: WithMemory(Projected(SIFtRLS(SurgeDynamics(28.0, **ALL), memory=5.0))),
-    "rls_surge_max": lambda: RLS(SurgeDynamics(28.0, ambient=True), forgetting=0.9, surge_max=1.2),
+    "rls_surge_max": lambda: RLS(SurgeDynamics(28.0), forgetting=0.9, surge_max=1.2),
     "rls_trace": lambda: RLS(SurgeDynamics(28.0), forgetting=0.8, trace_growth=1e-3, feedback="estimate"),
-    "rls_memory": lambda: WithMemory(RLS(SurgeDynamics(28.0, **FULL), forgetting=0.97, covariance=0.1)),
     "sift_floor": lambda: SIFtRLS(SurgeDynamics(28.0), memory=2.0, floor=0.3, surge_max=1.5),
     "sift_no_floor": lambda: SIFtRLS(memory=0.5, floor=0.0, covariance=100.0),
-    "sift_long": lambda: SIFtRLS(SurgeDynamics(5.0, ambient=True), memory=1e4, feedback="estimate"),
-    "projected_rls": lambda: Projected(RLS(SurgeDynamics(28.0), forgetting=0.95)),
-    "projected_signs": lambda: Projected(SIFtRLS(SurgeDynamics(28.0), memory=5.0), signs=SIGNS, iterations=2),
-    "projected_once": lambda: Projected(RLS(SurgeDynamics(28.0), forgetting=0.95), signs=SIGNS, iterations=1),
-    "projected_map": lambda: Projected(SIFtRLS(memory=5.0), signs=[1] * 9, iterations=8),
-    "projected_free": lambda: Projected(SIFtRLS(memory=5.0)),
-    "projected_memory": lambda: WithMemory(Projected(SIFtRLS(SurgeDynamics(28.0, **FULL), memory=5.0))),
+    "sift_long": lambda: SIFtRLS(SurgeDynamics(5.0), memory=1e4, feedback="estimate"),
     "robust_sift": lambda: Robust(SIFtRLS(SurgeDynamics(28.0)), threshold=0.5, patience=1, inflation=200.0),
     "robust_rls": lambda: Robust(RLS(forgetting=0.97), threshold=1.0, patience=3, scale=0.01, memory=5.0),
     "robust_loose": lambda: Robust(
         RLS(SurgeDynamics(28.0), forgetting=0.7, trace_growth=1e5), threshold=1.0, patience=1, inflation=1e4
     ),
-    "robust_projected": lambda: Robust(Projected(RLS(SurgeDynamics(28.0))), threshold=1.0, patience=1, scale=1.0),
     "robust_rnn": lambda: Robust(RNN(6, rate=5e-3), threshold=1.0, patience=1, scale_min=0.05),
     "robust_rnn_blows_up": lambda: Robust(RNN(6, rate=1e200, stability="none", clip=None), threshold=100.0),
     "robust_rnn_refuses": lambda: Robust(RNN(6, rate=1e308, stability="none"), threshold=100.0),
-    "memory_around_refusal": lambda: WithMemory(Robust(RNN(6, rate=1e308, stability="none"), threshold=100.0)),
-    "refusal_around_memory": lambda: Robust(WithMemory(RNN(6, rate=1e308, stability="none")), threshold=100.0),
     "robust_persistence": lambda: Robust(Persistence(), threshold=1.0, patience=1, memory=20.0),
-    "robust_acceleration": lambda: Robust(Acceleration(), threshold=1.0, patience=2, memory=20.0),
-    "robust_around_memory": lambda: Robust(WithMemory(RLS(SurgeDynamics(28.0, **FULL))), threshold=1.0, patience=1),
-    "memory_around_robust": lambda: WithMemory(Robust(RLS(SurgeDynamics(28.0, **FULL)), threshold=1.0, patience=1)),
-    "memory_around_robust_aid": lambda: WithMemory(Robust(AID(model=SurgeDynamics(28.0, memory=True)), threshold=0.7)),
-    "memory_around_nothing": lambda: WithMemory(Persistence()),
-    "acceleration_limited": lambda: Acceleration(surge_dot_max=0.1, surge_max=1.0),
     "arx_no_lags": lambda: ARX(lags=0, even=False, thrust_speed=True, surge_max=1.0),
     "arx_long": lambda: ARX(lags=8, turning=True, scale=3.0, walk=0.1, degrees=1.0),
     "robust_arx": lambda: Robust(ARX(lags=1), threshold=1.0, patience=1, inflation=200.0),
@@ -218,10 +192,10 @@ VARIANTS = {
     "robust_rnn_replay": lambda: Robust(RNN(6, unroll=2, replay_size=30), threshold=1.0, patience=1),
     "rnn_estimate_lmi": lambda: RNN(9, condition="lmi", feedback="estimate", rate=0.02, decay=None, surge_max=0.5),
     "all_average": lambda: Ensemble(_crew(), watched=False, coverage=0.5),
-    "all_fixed": lambda: Ensemble(_crew(), {"fixed": FixedWeights({"aid": -0.5, "bank_long": 1.2, "rnn": 0.3})}),
+    "all_fixed": lambda: Ensemble(_crew(), {"fixed": FixedWeights({"aid": -0.5, "long": 1.2, "rnn": 0.3})}),
     "recursive": lambda: Ensemble(
         _crew(), {"all": RecursiveWeights(forgetting=0.9, trace_max=2.0, surge_max=1.0),
-                  "some": RecursiveWeights(["rnn", "bank"], covariance=1e-3)}, output="all",
+                  "some": RecursiveWeights(["rnn", "long"], covariance=1e-3)}, output="all",
     ),
     "every_rule": lambda: Ensemble(
         _crew(),
@@ -229,24 +203,24 @@ VARIANTS = {
             "average": Average("rnn"), "fixed": FixedWeights({"rnn": 0.0, "aid": 0.0}),
             "exponential": ExponentialWeights(rate=3.0, memory=5.0, loss="square", prior={"aid": 3.0}),
             "exponential_all": ExponentialWeights(["aid", "rnn"], memory=None, rate=0.1),
-            "boa": BOA(memory=None, share=0.0), "boa_square": BOA(["bank", "rnn"], 3.0, "square", 0.1, 0.2),
+            "boa": BOA(memory=None, share=0.0), "boa_square": BOA(["long", "rnn"], 3.0, "square", 0.1, 0.2),
             "one": BOA(["rnn"]), "weighted": RecursiveWeights(),
         },
         output="boa_square", coverage=0.99,
     ),
     "sleepers": lambda: Ensemble(
-        _three() | {"acceleration": Acceleration(), "projected": Projected(SIFtRLS(SurgeDynamics(28.0)))},
+        _three() | {"still": Persistence(), "sift": SIFtRLS(SurgeDynamics(28.0))},
         {"average": Average(["aid", "rls"]), "fixed": FixedWeights({"rls": 0.5, "rnn": 0.0}), "we": RecursiveWeights(),
          "alone": RecursiveWeights(["aid"]),
          "exponential": ExponentialWeights(), "boa": BOA(), "square": BOA(loss="square", prior={"rnn": 9.0})},
         surge_max=1.0, output="we",
     ),
     "robust_members": lambda: Ensemble(
-        {"a": Robust(RNN(6), threshold=1.0), "b": Robust(AID(28.0), threshold=1.0), "c": WithMemory(Persistence())},
+        {"a": Robust(RNN(6), threshold=1.0), "b": Robust(AID(28.0), threshold=1.0), "c": Persistence()},
         {"boa": BOA(memory=1.0)},
     ),
     "forecasts": lambda: Ensemble(
-        _three() | {"joint": JointEKF(2.0, 28.0), "arx": ARX(), "still": Persistence(), "bank": _bank()},
+        _three() | {"joint": JointEKF(2.0, 28.0), "arx": ARX(), "still": Persistence(), "long": _clipped()},
         {"average": Average(), "boa": BOA(["joint", "still"])},
         forecasts=ForecastSettings((0.4, 1.2, 4.0), ["joint", "rnn", "arx", "still"], memory=3.0, share=0.1),
     ),
@@ -256,13 +230,11 @@ VARIANTS = {
     ),
     "forecasts_wrapped": lambda: Ensemble(
         {
-            "memory": WithMemory(Robust(RLS(SurgeDynamics(28.0, **FULL)))), "aid": AID(28.0), "fast": Acceleration(),
-            "robust": Robust(WithMemory(SIFtRLS(SurgeDynamics(28.0, **FULL)), surge_dot_max=0.5), threshold=1.0),
-            "projected": Projected(SIFtRLS(SurgeDynamics(28.0))), "wild": RNN(6, rate=5.0, stability="none", clip=None),
+            "robust": Robust(RLS(SurgeDynamics(28.0, **ALL)), threshold=1.0), "aid": AID(28.0), "still": Persistence(),
+            "sift": SIFtRLS(SurgeDynamics(28.0)), "wild": RNN(6, rate=5.0, stability="none", clip=None),
         },
         surge_max=1.2, forecasts=ForecastSettings((2.0,), overlap=2.5),
     ),
-    "bank_of_aid": lambda: Ensemble({"aid": Bank(AID([20.0, 28.0, 40.0], gain=[0.3, 1.0, 3.0]), ["a", "b", "c"])}),
 }  # fmt: skip
 
 _some = torch.tensor([0.3, 1.0, 2.0, 5.0], dtype=torch.float64)
@@ -270,12 +242,10 @@ LONG = {  # one of every family; four batch elements, which are settings where h
     "aid": lambda: AID(28.0 * _some, gain=_some, bound=1.5, dead_zone=0.01),
     "aid_estimate": lambda: AID(28.0, gain=_some, feedback="estimate", leak=_some),
     "rls": lambda: RLS(SurgeDynamics(28.0 * _some), forgetting=1 - 0.01 * _some, covariance=_some),
-    "sift": lambda: SIFtRLS(SurgeDynamics(28.0, ambient=True), memory=5 * _some, covariance=_some),
-    "projected": lambda: Projected(RLS(SurgeDynamics(28.0 * _some), forgetting=1 - 0.01 * _some), SIGNS),
+    "sift": lambda: SIFtRLS(SurgeDynamics(28.0), memory=5 * _some, covariance=_some),
     "robust": lambda: Robust(
-        WithMemory(SIFtRLS(SurgeDynamics(28.0, **FULL), memory=5 * _some)), 2.0, 1, inflation=1 + _some, scale=_some
+        SIFtRLS(SurgeDynamics(28.0, **ALL), memory=5 * _some), 2.0, 1, inflation=1 + _some, scale=_some
     ),
-    "memory_robust": lambda: WithMemory(Robust(AID(model=SurgeDynamics(28.0, **FULL), gain=_some), 2.0)),
     "rnn": lambda: RNN(6, rate=1e-3 * _some, contraction_rate=1 - 0.1 * _some),
     "rnn_interval": lambda: RNN(6, condition="interval", gauge="best", rate=1e-3 * _some, unroll=2),
     "rnn_penalty": lambda: RNN(6, stability="penalty", penalty=1e-3 * _some, momentum=0.9),
@@ -285,10 +255,9 @@ LONG = {  # one of every family; four batch elements, which are settings where h
         1 + _some, 28.0 * _some, disturbance=_some, even=0.1 * _some, outlier=3 + _some, read_every=60.0
     ),
     "yaw": lambda: YawEKF(1 + _some, turn_max=_some, disturbance=_some, drift_time=100 * _some, outlier=3 + _some),
-    "acceleration": lambda: Robust(Acceleration(), 2.0, scale=_some),
     "arx": lambda: ARX(scale=0.3 * _some, walk=1e-4 * _some, degrees=5 * _some),
     "pair": lambda: Ensemble(
-        {"aid": Bank(AID(28.0, gain=[0.3, 3.0]), ["slow", "fast"]), "still": Robust(Acceleration(), scale=_some)},
+        {"aid": AID(28.0, gain=3.0), "still": Robust(Persistence(), scale=_some)},
         {"we": RecursiveWeights(), "boa": BOA()},
     ),
     "forecasts": lambda: Ensemble(
@@ -296,7 +265,7 @@ LONG = {  # one of every family; four batch elements, which are settings where h
         {"boa": BOA()}, forecasts=ForecastSettings((0.4, 2.0, 5.2), overlap=3),
     ),
     "ensemble": lambda: Ensemble(
-        {"rls": RLS(forgetting=1 - 0.01 * _some), "bank": _bank(), "rnn": RNN(6), "persistence": Persistence()},
+        {"rls": RLS(forgetting=1 - 0.01 * _some), "long": _clipped(), "rnn": RNN(6), "persistence": Persistence()},
         {"average": Average(), "we": RecursiveWeights(), "ewa": ExponentialWeights(rate=5 * _some), "boa": BOA()},
     ),
 }  # fmt: skip

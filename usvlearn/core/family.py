@@ -98,12 +98,10 @@ class Row(IntEnum):
     NUMBERS = 3  # place of the first number
     BEGIN = 4  # place of the estimator's state, which `Robust` restores where it refuses a sample,
     END = 5  # and the place behind it
-    MEMORY = 6  # the row of the wrapper; −1 without
-    ROBUST = 7
-    OUTER = 8  # whether `Robust` is around `WithMemory`
+    ROBUST = 6  # the row of the wrapper; −1 without
 
 
-CHOICES, VECTORS, LEAVES, WIDTH = 9, 16, 24, 60  # where each begins in a row, and the row's length
+CHOICES, VECTORS, LEAVES, WIDTH = 7, 14, 22, 58  # where each begins in a row, and the row's length
 FEEDBACK = ("measured", "estimate")  # the speed from which the next step departs
 ESTIMATE = FEEDBACK.index("estimate")
 
@@ -176,18 +174,10 @@ class ParameterVectors(Named):
         return member
 
 
-@dataclass(frozen=True)
-class Each:
-    """One choice for each parameter; the choices are stored among the numbers."""
-
-    allowed: tuple[Any, ...]
-
-
 class Options(Named):
-    """Named choices with what is allowed: some values, the whole numbers of a `Range`, or `Each`.
+    """Named choices with what is allowed: some values, or the whole numbers of a `Range`.
 
-    A value is the place in a row that holds the choice: the index of the chosen value, or the whole number itself,
-    or, for `Each`, the place of the first.
+    A value is the place in a row that holds the choice: the index of the chosen value, or the whole number itself.
     """
 
     allowed: tuple[Any, ...]
@@ -201,11 +191,6 @@ class Options(Named):
     def whole(self) -> Range | None:
         """The range of the whole numbers that are allowed, or None."""
         return self.allowed[0] if isinstance(self.allowed[0], Range) else None
-
-    @property
-    def each(self) -> tuple[Any, ...] | None:
-        """The values that are allowed for each of an `Each`, or None."""
-        return self.allowed[0].allowed if isinstance(self.allowed[0], Each) else None
 
 
 @dataclass(frozen=True)
@@ -223,7 +208,6 @@ class Family(Generic[S]):
         lengths: choices, whole numbers, that also size the state; one that a description lacks counts as 0.
         work: from the size, the length of the work array that its kernel needs.
         heading: from its entries, whether it needs the heading.
-        remembers: from its entries, whether it needs the inputs that `WithMemory` adds.
         frozen: the leaves, by dotted name, that an open-loop simulation needs: those that `free_step` reads or changes;
             None: all.
         instead: of some of these, the leaf that is taken in its place while another leaf, a flag, is 1.
@@ -245,7 +229,6 @@ class Family(Generic[S]):
     lengths: tuple[Options, ...] = ()
     work: Callable[[int], int] = lambda size: 0
     heading: Callable[[Mapping[str, Any]], bool] = lambda own: False
-    remembers: Callable[[Mapping[str, Any]], bool] = lambda own: False
     frozen: tuple[str, ...] | None = None
     instead: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 

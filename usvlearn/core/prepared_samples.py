@@ -13,9 +13,6 @@ from usvlearn.core.samples import PLAUSIBLE_INPUTS
 LEFT, RIGHT, SIN, COS, YAW_RATE, DT, SURGE, MODE = range(8)
 ROW = 8
 HOLD, START, PREDICT, LEARN = range(4)
-# Places of the inputs that `WithMemory` adds; they take the places of the speed and the mode.
-SURGE_DOT, LEFT_BEFORE, RIGHT_BEFORE = range(SURGE, SURGE + 3)
-INPUTS = RIGHT_BEFORE + 1
 
 ABSURD_COMMAND, _, ABSURD_HEADING, ABSURD_YAW_RATE, ABSURD_DT = PLAUSIBLE_INPUTS
 

@@ -170,9 +170,9 @@ class Estimator(nn.Module, abc.ABC):
         Returns:
             Its kind, size, choices and numbers, as JSON stores them; None where there is no compiled code.
 
-        >>> from usvlearn import Acceleration
-        >>> Acceleration().description()["numbers"]
-        {'surge_dot_max': 2.0, 'surge_max': 10.0}
+        >>> from usvlearn import Persistence
+        >>> Persistence().description()
+        {'kind': 'persistence', 'size': 0, 'numbers': {}}
         """
         return None
 
@@ -299,8 +299,8 @@ def numbers_of(declared: Iterable[Parameters | ParameterVectors], part: Any, **o
     """The declared numbers as JSON values, from attributes of a part or from `own`.
 
     >>> from usvlearn import AID
-    >>> from usvlearn.estimators.wrappers.memory.state import Number
-    >>> numbers_of(Number, AID(), surge_dot_max=2)
-    {'surge_dot_max': 2.0}
+    >>> from usvlearn.estimators.ensemble.state import Number
+    >>> numbers_of(Number, AID(), surge_max=2)
+    {'surge_max': 2.0}
     """
     return numbers(**{each.key: own[each.key] if each.key in own else getattr(part, each.key) for each in declared})

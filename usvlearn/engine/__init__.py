@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 
-def select_element(description: Any, elements: int, element: int, depth: int = 0) -> Any:
+def select_element(description: Any, elements: int, element: int) -> Any:
     """The description of one batch element: where a number differs by batch element, that of this batch element.
 
     >>> many = {"kind": "aid", "numbers": {"gain": [1.0, 2.0], "scale": 28.0}, "vectors": {"spread": [[1.0], [3.0]]}}
@@ -37,15 +37,13 @@ def select_element(description: Any, elements: int, element: int, depth: int = 0
     own = {}
     for key, value in description.items():
         if key in ("numbers", "vectors"):
-            axes = depth + (
-                key == "vectors"
-            )  # behind that of the batch elements: a bank's settings, a vector's entries
+            axes = int(key == "vectors")  # behind that of the batch elements: a vector's entries
             own[key] = {
                 name: x if np.ndim(x) <= axes else (x[element] if len(x) == elements else x[0])
                 for name, x in value.items()
             }
         elif key == "inner":
-            own[key] = select_element(value, elements, element, depth + (description["kind"] == "bank"))
+            own[key] = select_element(value, elements, element)
         elif key in ("members", "rules"):
             own[key] = {name: select_element(x, elements, element) for name, x in value.items()}
         else:

@@ -12,7 +12,7 @@ import numpy as np
 from usvlearn.core.arrays import copy
 from usvlearn.core.family import CHOICES, Row
 from usvlearn.core.jit import jit
-from usvlearn.core.prepared_samples import DT, HOLD, INPUTS, LEARN, MODE, PREDICT, ROW, START, SURGE, prepare
+from usvlearn.core.prepared_samples import DT, HOLD, LEARN, MODE, PREDICT, ROW, START, SURGE, prepare
 from usvlearn.core.samples import PLAUSIBLE
 from usvlearn.engine.dispatch_tables import ALONE, INFLATES, coast, inflate_covariance, learn, predict, run_alone
 from usvlearn.engine.dispatch_tables import start as start_estimator
@@ -25,8 +25,6 @@ from usvlearn.estimators.ensemble.forecasts.state import AT as FORECAST
 from usvlearn.estimators.ensemble.monitors.kernel import observe_innovations, observe_thrusters
 from usvlearn.estimators.ensemble.state import AT, Number
 from usvlearn.estimators.planar.state import NUMBER, PROGRAM, STATE
-from usvlearn.estimators.wrappers.memory.kernel import recall, remember
-from usvlearn.estimators.wrappers.memory.kernel import start as start_memory
 from usvlearn.estimators.wrappers.robust.kernel import inflation, update_scale, within
 from usvlearn.estimators.wrappers.robust.kernel import start as start_robust
 
@@ -53,8 +51,6 @@ class Whole(IntEnum):
 def start(program, node, s, q, surge):
     """`Estimator.start`, wrappers included."""
     start_estimator(node, s, q, surge)
-    if node[Row.MEMORY] >= 0:
-        start_memory(program[node[Row.MEMORY]], s, surge)
     if node[Row.ROBUST] >= 0:
         start_robust(program[node[Row.ROBUST]], s)
 
@@ -62,21 +58,12 @@ def start(program, node, s, q, surge):
 @jit
 def advance(program, node, s, q, row, learns, work, kept):
     """One estimator, one step on, its wrappers included; returns what it predicted, m/s."""
-    x, rest, remembers, robust = row, work[INPUTS:], node[Row.MEMORY] >= 0, node[Row.ROBUST] >= 0
-    memory = program[max(node[Row.MEMORY], 0)]
-    if remembers:
-        x = work[:INPUTS]
-        recall(memory, s, row, x)
-    predicted, estimate = predict(node, s, q, x, rest)
+    predicted, estimate = predict(node, s, q, row, work)
     if not learns:
-        coast(node, s, q, x, predicted, rest)
-        if remembers:
-            remember(memory, s, q, x, predicted, False)
+        coast(node, s, q, row, predicted, work)
         return predicted
-    if not robust:
-        learn(node, s, q, x, estimate, row[SURGE], rest)
-        if remembers:
-            remember(memory, s, q, x, row[SURGE], True)
+    if node[Row.ROBUST] < 0:
+        learn(node, s, q, row, estimate, row[SURGE], work)
         return predicted
     wrapper, state = program[node[Row.ROBUST]], s[node[Row.BEGIN] : node[Row.END]]
     before = kept[: len(state)]
@@ -84,9 +71,7 @@ def advance(program, node, s, q, row, learns, work, kept):
     target, beyond, clips, first = within(wrapper, s, q, row[SURGE], predicted)
     if first and INFLATES >> node[Row.FAMILY] & 1:
         inflate_covariance(node, s, q, inflation(wrapper, q))
-    learn(node, s, q, x, estimate, target, rest)
-    if remembers:
-        remember(memory, s, q, x, target if node[Row.OUTER] else row[SURGE], True)
+    learn(node, s, q, row, estimate, target, work)
     update_scale(wrapper, s, q, row[SURGE] - predicted, beyond, clips, first, state, before)
     return predicted
 
@@ -219,8 +204,7 @@ def run(program, head, states, q, rows, poses, columns, free, picked, prediction
         work: array of length `Plan.work`.
     """
     node = program[1]
-    wrapped = node[Row.MEMORY] >= 0 or node[Row.ROBUST] >= 0
-    bare = program[0, Whole.RULES] == 0 and not wrapped and ALONE >> node[Row.FAMILY] & 1
+    bare = program[0, Whole.RULES] == 0 and node[Row.ROBUST] < 0 and ALONE >> node[Row.FAMILY] & 1
     planar = len(head) > 1
     for element in range(first, last):
         s, numbers = states[element], q[element if len(q) > 1 else 0]

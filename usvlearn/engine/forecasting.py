@@ -10,7 +10,7 @@ import numpy as np
 from usvlearn.core.arrays import copy, fill, whole
 from usvlearn.core.family import CHOICES, WIDTH, Row
 from usvlearn.core.jit import jit
-from usvlearn.core.prepared_samples import DT, INPUTS, LEFT, RIGHT, ROW, SURGE, prepare
+from usvlearn.core.prepared_samples import DT, LEFT, RIGHT, ROW, SURGE, prepare
 from usvlearn.engine.dispatch_tables import free_step
 from usvlearn.estimators.ensemble.forecasts.kernel import (
     begin_again,
@@ -26,7 +26,6 @@ from usvlearn.estimators.ensemble.forecasts.state import AT, EMPTY, Choice, Vect
 from usvlearn.estimators.ensemble.manoeuvre_intervals.kernel import extend_path
 from usvlearn.estimators.ensemble.manoeuvre_intervals.state import AT as KNOWN
 from usvlearn.estimators.ensemble.manoeuvre_intervals.state import DUE, PATH
-from usvlearn.estimators.wrappers.memory.kernel import recall, remember
 
 PLACE = CHOICES + 8  # in the first row of the table: there stands the index of the forecasts' row, −1 without
 KNOWN_PLACE = CHOICES + 9  # and of the row of what their intervals know of the manoeuvre, −1 without
@@ -49,14 +48,7 @@ def freeze(node, s, slot):
 def step_frozen(program, node, slot, q, row, limit, x, work):
     """One step of all members of a slot; writes their predictions, NaN where one is inactive."""
     for m in range(node[Choice.MEMBERS]):
-        member = program[node[WIDTH + 1 + m]]
-        if member[Row.MEMORY] >= 0:
-            memory, inputs = program[member[Row.MEMORY]], work[:INPUTS]
-            recall(memory, slot, row, inputs)
-            predicted = free_step(member, slot, q, inputs, work[INPUTS:])
-            remember(memory, slot, q, inputs, predicted, False)
-        else:
-            predicted = free_step(member, slot, q, row, work)
+        predicted = free_step(program[node[WIDTH + 1 + m]], slot, q, row, work)
         x[m] = predicted if abs(predicted) < limit else np.nan
 
 

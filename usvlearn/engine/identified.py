@@ -37,7 +37,7 @@ def reader_leaves(
     if name is None:
         raise ConfigError(
             "identified: found no joint EKF with read_every among the estimators, expected one that is itself a "
-            "member, not inside a Bank or Robust: add JointEKF(..., read_every=600.0), or "
+            "member, not inside Robust: add JointEKF(..., read_every=600.0), or "
             "+estimator@estimators.joint_averaged=joint_averaged on the command line, and learn anew"
         )
     prefix, description = f"members.{name}." if name else "", members[name]

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.core.family import Field
-from usvlearn.engine.registry import KINDS, WRAPPERS
+from usvlearn.engine.registry import KINDS
 from usvlearn.errors import ShapeError
 from usvlearn.estimators.ensemble import state as ensemble
 from usvlearn.estimators.ensemble.accommodation import state as accommodation
@@ -21,6 +21,7 @@ from usvlearn.estimators.ensemble.manoeuvre_intervals import state as conditiona
 from usvlearn.estimators.ensemble.monitors import state as monitors
 from usvlearn.estimators.planar import state as track
 from usvlearn.estimators.planar.state import AXES
+from usvlearn.estimators.wrappers.robust.state import FAMILY as ROBUST
 
 Description = Mapping[str, Any]
 MEMBER = re.compile(r"(\w+\.)?members\.\w+\.")  # prefix of the leaves of one
@@ -28,24 +29,22 @@ KNOWN = "forecasts.conditional."  # prefix of what the intervals of forecasts kn
 
 
 class Part(NamedTuple):
-    """One estimator of a description, and its wrappers."""
+    """One estimator of a description, and what is around it."""
 
-    own: Description  # without its wrappers
+    own: Description
     prefix: str  # of its leaves
-    wrappers: dict[str, tuple[Description, str]]  # by kind, from the outside in, each with the prefix of its leaves
+    robust: Description | None  # of the `Robust` around it
 
 
 def unwrapped(description: Description, prefix: str = "") -> Part:
-    """An estimator apart from its wrappers; `prefix` is that of the leaves of the whole.
+    """An estimator apart from the `Robust` around it; `prefix` is that of the leaves of the whole.
 
     >>> unwrapped({"kind": "robust", "inner": {"kind": "persistence"}}).prefix
     'inner.'
     """
-    wrappers: dict[str, tuple[Description, str]] = {}
-    while description["kind"] in WRAPPERS:
-        wrappers[description["kind"]] = description, prefix
-        description, prefix = description["inner"], f"{prefix}inner."
-    return Part(description, prefix, wrappers)
+    if description["kind"] == "robust":
+        return Part(description["inner"], f"{prefix}inner.", description)
+    return Part(description, prefix, None)
 
 
 def leaves_of(description: Description) -> dict[str, Field]:
@@ -81,11 +80,8 @@ def frozen(description: Description) -> dict[str, Field]:
     """
     part = unwrapped(description)
     family, every = KINDS[part.own["kind"]], _member(description, "")
-    names = list(family.frozen or family.leaves(part.own["size"], own=part.own))
-    found = [part.prefix + name for name in names]
-    if "memory" in part.wrappers:
-        found += [part.wrappers["memory"][1] + name for name in WRAPPERS["memory"].frozen or ()]
-    return {name: every[name] for name in found}
+    names = family.frozen or family.leaves(part.own["size"], own=part.own)
+    return {part.prefix + name: every[part.prefix + name] for name in names}
 
 
 def forecast_size(made: Description) -> tuple[int, int, int]:
@@ -161,13 +157,7 @@ def batch_of(fields: Mapping[str, Field], leaves: Mapping[str, np.ndarray]) -> t
 
 
 def _member(description: Description, prefix: str) -> dict[str, Field]:
-    """The leaves of one estimator, or of a bank's settings."""
-    if description["kind"] == "bank":
-        inner, count = _member(description["inner"], prefix), description["count"]
-        return {name: replace(each, shape=(count, *each.shape)) for name, each in inner.items()}
+    """The leaves of one estimator, and of the `Robust` around it."""
     part = unwrapped(description, prefix)
     found = KINDS[part.own["kind"]].leaves(part.own["size"], part.prefix, part.own)
-    for kind in ("memory", "robust"):
-        if kind in part.wrappers:
-            found |= WRAPPERS[kind].leaves(0, part.wrappers[kind][1])
-    return found
+    return found if part.robust is None else found | ROBUST.leaves(0, prefix)

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from usvlearn.core.family import LEAVES, WIDTH, Family, Field, Row
-from usvlearn.core.prepared_samples import INPUTS, ROW
+from usvlearn.core.prepared_samples import ROW
 from usvlearn.engine.dispatch import Whole
 from usvlearn.engine.leaves import KNOWN, Description, Part, forecast_size, frozen, unwrapped
-from usvlearn.engine.registry import ESTIMATORS, KINDS, WRAPPERS
+from usvlearn.engine.registry import ESTIMATORS, KINDS
 from usvlearn.errors import ShapeError
 from usvlearn.estimators.ensemble import state as ensemble
 from usvlearn.estimators.ensemble.accommodation import state as accommodation
@@ -27,11 +27,10 @@ from usvlearn.estimators.ensemble.forecasts import state as forecasts
 from usvlearn.estimators.ensemble.manoeuvre_intervals import state as conditional
 from usvlearn.estimators.ensemble.monitors import state as monitors
 from usvlearn.estimators.planar.state import PLACES
+from usvlearn.estimators.wrappers.robust.state import FAMILY as ROBUST
 
 if TYPE_CHECKING:
     from numpy.typing import DTypeLike
-
-Setting = tuple[int, int] | None  # index of a bank's setting, and how many it has
 
 
 class Leaf(NamedTuple):
@@ -162,8 +161,7 @@ class Program:
                 estimators.append(self._others[made[k]])
                 made[k] += first
         for row in estimators:
-            for wrapper in (Row.MEMORY, Row.ROBUST):
-                row[wrapper] += first if row[wrapper] >= 0 else 0
+            row[Row.ROBUST] += first if row[Row.ROBUST] >= 0 else 0
         for part in (Whole.CONFORMAL, Whole.MONITORS, Whole.FORECASTS, Whole.KNOWN, Whole.ACCOMMODATION):
             whole[part] += first if whole[part] >= 0 else 0
         table = np.full((len(rows), max(map(len, rows))), -1, np.int64)
@@ -171,9 +169,7 @@ class Program:
             place[: len(row)] = row
         return table
 
-    def _part(
-        self, family: Family[Any], own: Description, size: Any, prefix: str, name: str, setting: Setting = None
-    ) -> list[int]:
+    def _part(self, family: Family[Any], own: Description, size: Any, prefix: str, name: str) -> list[int]:
         """Add the leaves, numbers and choices of one part with the entries `own`; returns its row."""
         row = [-1] * WIDTH
         row[Row.SIZE], row[Row.BEGIN], row[Row.NUMBERS] = size, self.size, len(self._columns)
@@ -182,17 +178,14 @@ class Program:
         row[Row.END] = self.size
         for number in family.numbered(own):
             value = np.asarray(own["numbers"][number.key], float)[..., None]
-            self._vector(value, 1, f"{name}: {number.key}", setting)
+            self._vector(value, 1, f"{name}: {number.key}")
         for vector in family.vectors:
             value = own["vectors"][vector.key]
-            row[vector] = self._vector(value, vector.length(size), f"{name}: {vector.key}", setting)
+            row[vector] = self._vector(value, vector.length(size), f"{name}: {vector.key}")
         for choice in family.chosen(own):
             value = own[choice.key]
-            if choice.each is not None:
-                row[choice] = self._vector(value, size, f"{name}: {choice.key}", setting)
-            else:
-                row[choice] = value if choice.whole else choice.allowed.index(value)
-        self._largest = max(self._largest, INPUTS + family.work(size))
+            row[choice] = value if choice.whole else choice.allowed.index(value)
+        self._largest = max(self._largest, family.work(size))
         return row
 
     def _place(self, name: str, field: Field) -> int:
@@ -203,20 +196,20 @@ class Program:
         self.size += int(np.prod(shape, dtype=int))
         return first
 
-    def _vector(self, value: Any, length: int, name: str, setting: Setting = None) -> int:
+    def _vector(self, value: Any, length: int, name: str) -> int:
         """Add a vector, `(*batch, length)`; returns the place of its first number."""
-        first, bank = len(self._columns), () if setting is None else (setting[1],)
+        first = len(self._columns)
         try:
-            array = np.broadcast_to(np.asarray(value, float), (*self.batch, *bank, length))
+            array = np.broadcast_to(np.asarray(value, float), (*self.batch, length))
         except ValueError as error:
             raise ShapeError(f"{name}: found the shape {np.shape(value)}, expected one for {self.batch}") from error
-        array = (array if setting is None else array[..., setting[0], :]).reshape(self.elements, length)
+        array = array.reshape(self.elements, length)
         self._columns += list((array[:1] if (array == array[:1]).all() else array).T)
         return first
 
     def _alone(self, description: Description) -> list[int]:
         """Add one estimator; returns the row of the whole."""
-        heads = self._member(description, "")
+        heads = self._estimator(description, "")
         return self._whole([-1] * WIDTH, names=0, heads=heads)
 
     def _whole(self, row: list[int], names: int, heads: bool) -> list[int]:
@@ -224,38 +217,22 @@ class Program:
         row[Whole.NAMES], row[Whole.HEADS] = names, int(heads)
         return row
 
-    def _member(self, description: Description, prefix: str) -> bool:
-        """Add one estimator, or a bank's settings; returns whether it needs the heading."""
-        if description["kind"] != "bank":
-            return self._estimator(description, prefix, None)
-        count, begin, others, self.leaves = description["count"], self.size, self.leaves, {}
-        heads = [self._estimator(description["inner"], prefix, (k, count)) for k in range(count)]
-        block = (self.size - begin) // count
-        for name, (place, shape, strides, flag) in self.leaves.items():  # of the last setting
-            others[name] = Leaf(place - (count - 1) * block, (count, *shape), (block, *strides), flag)
-        self.leaves = others
-        return any(heads)
-
-    def _estimator(self, description: Description, prefix: str, setting: Setting) -> bool:
-        own, prefix, wrappers = unwrapped(description, prefix)
+    def _estimator(self, description: Description, outer: str) -> bool:
+        """Add one estimator, and the `Robust` around it; returns whether it needs the heading."""
+        own, prefix, robust = unwrapped(description, outer)
         kind, family = own["kind"], KINDS[own["kind"]]
-        row = self._part(family, own, own["size"], prefix, prefix.rstrip(".") or kind, setting)
+        row = self._part(family, own, own["size"], prefix, prefix.rstrip(".") or kind)
         row[Row.FAMILY], row[Row.KIND] = ESTIMATORS.index(family), family.kinds.index(kind)
-        row[Row.OUTER] = int(next(iter(wrappers), None) == "robust")
-        for name, place in (("memory", Row.MEMORY), ("robust", Row.ROBUST)):
-            if name in wrappers:
-                wrapper, before = wrappers[name]
-                row[place] = len(self._others)
-                self._others.append(self._part(WRAPPERS[name], wrapper, 0, before, before, setting))
-                if name == "memory" and row[Row.OUTER]:
-                    row[Row.END] = self.size
+        if robust is not None:
+            row[Row.ROBUST] = len(self._others)
+            self._others.append(self._part(ROBUST, robust, 0, outer, outer))
         self._estimators.append(row)
         self._kept = max(self._kept, row[Row.END] - row[Row.BEGIN])
         return family.heading(own)
 
     def _ensemble(self, description: Description) -> list[int]:
         """Add members, combiners, intervals and monitors; returns the row of the whole."""
-        heads = [self._member(member, f"members.{name}.") for name, member in description["members"].items()]
+        heads = [self._estimator(member, f"members.{name}.") for name, member in description["members"].items()]
         count, rules = len(self._estimators), description["rules"]
         names = count + len(rules)
         for name, rule in rules.items():
@@ -326,17 +303,12 @@ class Program:
             copies += [source.place, block, length, *self._instead(part, f"members.{name}.", leaf)]
             block += length
 
-        def at(row: list[int], family: Family[Any], size: int, prefix: str) -> int:
-            """Add a copy of a row, with the places of the leaves in the slot."""
-            leaves = [places.get(leaf, -1) for leaf in family.leaves(size, prefix, part.own)]
-            self._others.append([*row[:LEAVES], *leaves, *row[LEAVES + len(leaves) :]])
-            return len(self._others) - 1
-
-        own, memory = list(member), member[Row.MEMORY]
-        own[Row.ROBUST] = -1
-        if memory >= 0:
-            own[Row.MEMORY] = at(self._others[memory], WRAPPERS["memory"], 0, part.wrappers["memory"][1])
-        return at(own, KINDS[part.own["kind"]], part.own["size"], part.prefix), block
+        family = KINDS[part.own["kind"]]
+        leaves = [places.get(leaf, -1) for leaf in family.leaves(part.own["size"], part.prefix, part.own)]
+        row = [*member[:LEAVES], *leaves, *member[LEAVES + len(leaves) :]]
+        row[Row.ROBUST] = -1
+        self._others.append(row)
+        return len(self._others) - 1, block
 
     def _rule(self, rule: Description, name: str, count: int) -> list[int]:
         """Add a combiner of an ensemble of `count` columns; returns its row, followed by the columns of its members."""

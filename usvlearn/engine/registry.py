@@ -1,4 +1,4 @@
-"""The kinds of a description: estimators that have a kernel, and their wrappers."""
+"""The kinds of a description: estimators that have a kernel."""
 
 from __future__ import annotations
 
@@ -8,12 +8,9 @@ from typing import Any
 
 from usvlearn.core.family import Family
 from usvlearn.estimators import COMPILED
-from usvlearn.estimators.wrappers.memory.state import FAMILY as MEMORY
-from usvlearn.estimators.wrappers.robust.state import FAMILY as ROBUST
 
 ESTIMATORS: list[Family[Any]] = [import_module(f"usvlearn.estimators.{name}.state").FAMILY for name in COMPILED]
 KINDS = {kind: family for family in ESTIMATORS for kind in family.kinds}
-WRAPPERS: dict[str, Family[Any]] = {"memory": MEMORY, "robust": ROBUST}
 
 
 def compilable(description: Mapping[str, Any] | None) -> bool:
@@ -24,14 +21,7 @@ def compilable(description: Mapping[str, Any] | None) -> bool:
     """
     if description is None:
         return False
-    own: Mapping[str, Any] = description
-    if own["kind"] == "ensemble":
-        members = own["members"].values()
-        return all(compilable(x["inner"] if x["kind"] == "bank" else x) and x["kind"] != "ensemble" for x in members)
-    wrappers = []
-    while own["kind"] in WRAPPERS:
-        wrappers.append(own["kind"])
-        own = own["inner"]
-    if len(set(wrappers)) < len(wrappers) or own["kind"] not in KINDS:
-        return False
-    return "memory" in wrappers or not KINDS[own["kind"]].remembers(own)
+    if description["kind"] == "ensemble":
+        return all(compilable(member) and member["kind"] != "ensemble" for member in description["members"].values())
+    inner: Mapping[str, Any] = description["inner"] if description["kind"] == "robust" else description
+    return inner["kind"] in KINDS

@@ -19,7 +19,7 @@ from usvlearn.core.checkpoint import QUOTED, as_array, newest, restore
 from usvlearn.core.family import WIDTH, Field, Options, Parameters, Range
 from usvlearn.core.samples import named_leaves
 from usvlearn.engine.leaves import batch_of, leaves_of
-from usvlearn.engine.registry import KINDS, WRAPPERS
+from usvlearn.engine.registry import KINDS
 from usvlearn.errors import CheckpointError, ShapeError
 from usvlearn.estimators.ensemble import state as ensemble
 from usvlearn.estimators.ensemble.accommodation import state as accommodation
@@ -29,10 +29,10 @@ from usvlearn.estimators.ensemble.forecasts import state as forecasts
 from usvlearn.estimators.ensemble.monitors import state as monitors
 from usvlearn.estimators.planar import state as track
 from usvlearn.estimators.planar.state import AXES, MOST_OVERLAP, filter_of
+from usvlearn.estimators.wrappers.robust.state import FAMILY as ROBUST
 
 LARGEST = 2**20  # numbers of a batch element: its state, its parameters, its table
 CELLS = 3 * WIDTH  # of the table, for each estimator or combiner with its wrappers, without a combiner's members
-SETTINGS = Range(1, LARGEST)  # of a bank
 HORIZONS = Range(1, forecasts.MOST_HORIZONS)  # of forecasts, and of tracks
 DTYPES = (np.dtype(np.float64), np.dtype(np.float32))
 
@@ -43,7 +43,7 @@ class Entries(NamedTuple):
     entry: str
     value: Any
     legal: Range
-    own: tuple[int, ...] = ()  # their shape without the batch: settings of a bank, length of a vector
+    own: tuple[int, ...] = ()  # their shape without the batch: the length of a vector
     vector: bool = False  # whether the last axis is a vector's, which must have its full length
 
 
@@ -133,11 +133,6 @@ def _check_numbers(numbers: Entries, batch: tuple[int, ...], dtype: np.dtype) ->
         raise CheckpointError(f"{entry}: found {illegal[0]}, expected {legal}")
 
 
-def _owners(description: Any) -> list[str]:
-    """The name of the member that makes each column."""
-    return [name for name, each in description["members"].items() for _ in range(each.get("count", 1))]
-
-
 class _Reading:
     """Reads a description entry by entry; raises a CheckpointError where one is not legal.
 
@@ -177,7 +172,7 @@ class _Reading:
     def whole(self, description: Any) -> None:
         """Check an estimator or an ensemble."""
         if _kind("kernel", description) != "ensemble":
-            self._wrapped("kernel", description, ())
+            self._estimator("kernel", description)
             return
         keys = ("kind", "members", "output", "columns", "rules", "numbers", "conformal", "monitors")
         made = ("forecasts",) if "forecasts" in description else ()
@@ -185,15 +180,14 @@ class _Reading:
         _keys("kernel", description, (*keys, *made, *others))
         if "conditional" in others:
             _number("kernel.conditional", description["conditional"], Range(0, 1))
-        count, rules = 0, _some("kernel.rules", description["rules"])
-        for name, member in _some("kernel.members", description["members"]).items():
+        rules, members = _some("kernel.rules", description["rules"]), _some("kernel.members", description["members"])
+        for name, member in members.items():
             if not name.isidentifier():  # it becomes a part of the names of leaves
                 raise wrong("kernel.members", name, "names of letters, digits and _")
-            count += self._member(f"kernel.members.{name}", member)
-        columns = _list("kernel.columns", description["columns"], Range(count, count))
-        for k, name in enumerate(columns):
-            if not isinstance(name, str):
-                raise wrong(f"kernel.columns[{k}]", name, "a name")
+            self._estimator(f"kernel.members.{name}", member)
+        count, columns = len(members), description["columns"]
+        if columns != list(members):
+            raise wrong("kernel.columns", columns, "the names of the members, in their order")
         widest = max(self._rule(f"kernel.rules.{name}", name, rule, count) for name, rule in rules.items())
         self.cells = (count + len(rules)) * (CELLS + widest)
         _choose("kernel.output", description["output"], list(rules))
@@ -202,7 +196,7 @@ class _Reading:
         if description["monitors"] is not None:
             self._parameters("kernel.monitors", description["monitors"], monitors.Number)
         if made:
-            self._forecasts("kernel.forecasts", description["forecasts"], description, columns)
+            self._forecasts("kernel.forecasts", description["forecasts"], columns)
         if "accommodation" in others:
             self._accommodation("kernel.accommodation", description["accommodation"], description)
 
@@ -211,28 +205,23 @@ class _Reading:
         _keys(entry, given, ("members", "numbers"))
         if description["monitors"] is None:
             raise CheckpointError(f"{entry}: found no monitors, expected them where filters are accommodated")
-        columns, known, singles = description["columns"], description["members"], _owners(description)
+        columns, known = description["columns"], description["members"]
         members = _list(f"{entry}.members", given["members"], Range(1, len(columns)))
         for k, column in enumerate(members):
             _number(f"{entry}.members[{k}]", column, Range(0, len(columns) - 1))
-            own = known[singles[column]]
-            if columns[column] != singles[column] or own["kind"] != "joint" or "trial_steps" not in own:
+            own = known[columns[column]]
+            if own["kind"] != "joint" or "trial_steps" not in own:
                 raise wrong(f"{entry}.members[{k}]", column, "the column of a joint EKF with trials")
         if len(set(members)) < len(members):
             raise wrong(f"{entry}.members", members, "each once")
         self._parameters(f"{entry}.numbers", given["numbers"], accommodation.Number)
 
-    def _forecasts(self, entry: str, made: Any, description: Any, columns: list[Any]) -> None:
+    def _forecasts(self, entry: str, made: Any, columns: list[Any]) -> None:
         """Check forecasts of an ensemble."""
         _keys(entry, made, ("members", "slots", "numbers", "vectors"))
         members = _list(f"{entry}.members", made["members"], Range(1, len(columns)))
         for k, column in enumerate(members):
             _number(f"{entry}.members[{k}]", column, Range(0, len(columns) - 1))
-            if columns[column] not in description["members"]:
-                raise wrong(f"{entry}.members[{k}]", columns[column], "a member that is no bank")
-        singles = _owners(description)
-        if [columns[column] for column in members] != [singles[column] for column in members]:
-            raise wrong("kernel.columns", columns, "the names of the members, in their order")
         if len(set(members)) < len(members):
             raise wrong(f"{entry}.members", members, "each once")
         slots = _number(f"{entry}.slots", made["slots"], Range(1, forecasts.MOST_SLOTS))
@@ -247,24 +236,14 @@ class _Reading:
         self._parameters(f"{entry}.numbers", made["numbers"], forecasts.Number)
         self.cells += (2 * len(members) + 1) * 2 * CELLS + 3 * 16 * len(members)
 
-    def _member(self, entry: str, member: Any) -> int:
-        """Check a member of an ensemble; returns how many columns it has."""
-        if _kind(entry, member) != "bank":
-            self._wrapped(entry, member, ())
-            return 1
-        _keys(entry, member, ("kind", "inner", "count"))
-        count = _number(f"{entry}.count", member["count"], SETTINGS)
-        self._wrapped(f"{entry}.inner", member["inner"], (count,))
-        return count
-
-    def _wrapped(self, entry: str, member: Any, settings: tuple[int, ...]) -> None:
-        """Check an estimator and its wrappers."""
-        left = dict(WRAPPERS)
-        while (kind := _kind(entry, member)) in left:
+    def _estimator(self, entry: str, member: Any) -> None:
+        """Check an estimator, and the `Robust` around it."""
+        kinds = [*KINDS, "robust"]
+        if _kind(entry, member) == "robust":
             _keys(entry, member, ("kind", "inner", "numbers"))
-            self._parameters(f"{entry}.numbers", member["numbers"], left.pop(kind).numbers, settings)
-            entry, member = f"{entry}.inner", member["inner"]
-        family = KINDS[_choose(f"{entry}.kind", kind, [*KINDS, *left])]
+            self._parameters(f"{entry}.numbers", member["numbers"], ROBUST.numbers)
+            entry, member, kinds = f"{entry}.inner", member["inner"], [*KINDS]
+        family = KINDS[_choose(f"{entry}.kind", _kind(entry, member), kinds)]
         chosen = family.chosen(member)
         vectors = ("vectors",) if len(family.vectors) else ()
         for key, fact in family.facts.items():
@@ -272,25 +251,18 @@ class _Reading:
         facts = member.keys() & family.facts.keys()
         _keys(entry, member, ("kind", "size", "numbers", *facts, *(choice.key for choice in chosen), *vectors))
         for choice in chosen:
-            if choice.each is None:
-                self._choice(entry, choice, member[choice.key])
-        if "memory" in left and family.remembers(member):
-            raise CheckpointError(f"{entry}: found memory terms without 'memory' around it, expected terms without")
+            self._choice(entry, choice, member[choice.key])
         if isinstance(family.size, Range):
             size = _number(f"{entry}.size", member["size"], family.size)
         else:
             size = family.size(member)
             _number(f"{entry}.size", member["size"], Range(size, size))
-        self._parameters(f"{entry}.numbers", member["numbers"], family.numbered(member), settings)
+        self._parameters(f"{entry}.numbers", member["numbers"], family.numbered(member))
         if vectors:
             _keys(f"{entry}.vectors", member["vectors"], [vector.key for vector in family.vectors])
         for vector in family.vectors:
-            own, value = (*settings, vector.length(size)), member["vectors"][vector.key]
+            own, value = (vector.length(size),), member["vectors"][vector.key]
             self.numbers.append(Entries(f"{entry}.vectors.{vector.key}", value, vector.legal, own, True))
-        for choice in chosen:
-            if choice.each is not None:
-                for k, one in enumerate(_list(f"{entry}.{choice.key}", member[choice.key], Range(size, size))):
-                    _choose(f"{entry}.{choice.key}[{k}]", one, choice.each)
 
     def _choice(self, entry: str, choice: Options, found: Any) -> None:
         """Check a choice: a whole number, or one of several values."""
@@ -324,11 +296,11 @@ class _Reading:
             begin += length
         return len(columns)
 
-    def _parameters(self, entry: str, values: Any, legal: Iterable[Parameters], settings: tuple[int, ...] = ()) -> None:
+    def _parameters(self, entry: str, values: Any, legal: Iterable[Parameters]) -> None:
         """Check numbers by name."""
         legal = list(legal)
         _keys(entry, values, [each.key for each in legal])
-        self.numbers += [Entries(f"{entry}.{each.key}", values[each.key], each.legal, settings) for each in legal]
+        self.numbers += [Entries(f"{entry}.{each.key}", values[each.key], each.legal) for each in legal]
 
 
 def wrong(entry: str, found: Any, expected: str) -> CheckpointError:

@@ -7,7 +7,6 @@ COMPILED = (
     "rnn",
     "joint",
     "baselines.persistence",
-    "baselines.acceleration",
     "arx",
     "axis",
 )

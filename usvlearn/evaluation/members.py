@@ -7,7 +7,6 @@ from typing import Any
 from usvlearn.estimators.ensemble.combiners.layer import Average
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.regressors.layer import QuasiStatic, SurgeDynamics
-from usvlearn.estimators.wrappers.bank import Bank
 from usvlearn.evaluation.metrics import PERSISTENCE
 
 
@@ -23,8 +22,7 @@ def physical_members(ensemble: Ensemble) -> list[str]:
     found = []
     for name, member in ensemble.members.items():
         model = getattr(unwrapped(member)[0], "model", None)
-        plain = isinstance(model, SurgeDynamics) and not (model.memory or model.ambient or model.cubic)
-        if plain and not isinstance(member, Bank):
+        if isinstance(model, SurgeDynamics) and not model.cubic:
             found.append(name)
     return found
 
@@ -37,8 +35,7 @@ def remarks(ensemble: Ensemble) -> dict[str, str]:
     {'persistence': 'baseline', 'map': 'quasi-static map', 'average': 'with map'}
     """
     found = {PERSISTENCE: "baseline"} if PERSISTENCE in ensemble.names else {}
-    for name in _maps(ensemble):
-        found |= dict.fromkeys(ensemble.columns_of(name), "quasi-static map")
+    found |= dict.fromkeys(_maps(ensemble), "quasi-static map")
     return found | {rule: f"with {', '.join(maps)}" for rule, maps in _averages(ensemble).items()}
 
 
@@ -65,5 +62,5 @@ def _averages(ensemble: Ensemble) -> dict[str, list[str]]:
     for name, rule in ensemble.combiners.items():
         if isinstance(rule, Average):
             chosen = set(ensemble.members if rule.members is None else rule.members)
-            found[name] = [each for each in _maps(ensemble) if chosen & {each, *ensemble.columns_of(each)}]
+            found[name] = [each for each in _maps(ensemble) if each in chosen]
     return {name: maps for name, maps in found.items() if maps}

@@ -13,7 +13,7 @@ from hydra.utils import instantiate
 
 from tests.support import ROOT, over
 from tests.support.commands import results, run
-from tests.support.configured import TWO_BOATS, added, configured, replayed, request
+from tests.support.configured import TWO_BOATS, configured, replayed, request
 from usvlearn import Estimator, Persistence, Positive, UnitInterval, UsvlearnError
 from usvlearn.errors import ConfigError
 from usvlearn.logs.recordings import align_fleet
@@ -201,7 +201,6 @@ BAD_INPUT = {
     "too many rounds": (["grid=aid", "tuning.evaluations=2", "tuning.rounds=3"], ["tuning.rounds", "3"]),
     "two ways": (["grid=aid", "learn=aid"], ["grid and learn", "one"]),
     "persistence": (["learn=persistence"], ["persistence", "no hyperparameter"]),
-    "a bank": (["search=ambient_rls", *added("ambient_rls")], ["ambient_rls", "bank"]),
     "no ranges": (["grid=aid", "~tuning.ranges.aid"], ["tuning.ranges.aid", "gain"]),
     "initial weights": (["grid=rnn", "+tuning.ranges.rnn.initial=[-1,1]"], ["initial", "rate"]),
     "several values": (["grid=aid", "estimators.aid.gain=[[1],[2]]"], ["gain", "2 values"]),

@@ -110,7 +110,6 @@ FAMILY = Family(
     size=terms.parameters,
     work=lambda p: 2 * p,
     heading=terms.heading,
-    remembers=terms.remembers,
     frozen=("theta", "surge"),
 )
 AT = FAMILY.at

@@ -24,7 +24,6 @@ from usvlearn.estimators.ensemble.conformal.layer import (
 from usvlearn.estimators.ensemble.forecasts.layer import ForecastSettings
 from usvlearn.estimators.ensemble.monitors import layer as monitors
 from usvlearn.estimators.ensemble.state import EnsembleState, Number
-from usvlearn.estimators.wrappers.bank import Bank
 
 
 class Ensemble(Estimator):
@@ -36,7 +35,7 @@ class Ensemble(Estimator):
     derived in `docs/theory/ensemble.md`.
 
     Args:
-        members: estimators, or banks of them, by name.
+        members: estimators by name.
         combiners: combiners by name, `{"average": Average()}` by default.
         output: the combiner whose prediction is the ensemble's own; the last by default.
         coverage: share of the measurements that the intervals are to cover, 0 … 1.
@@ -47,7 +46,7 @@ class Ensemble(Estimator):
         conditional: whether half-widths know the manoeuvre (`conditional`), of one step and of forecasts.
 
     Attributes:
-        columns: names of the members' predictions; a bank has several.
+        columns: the names of the members.
         names: those and the combiners'.
         averaged: name of the first averaged joint EKF (`read_every`), or None.
         accommodated: names of the members that are given what the monitor of the thrusters finds.
@@ -61,12 +60,12 @@ class Ensemble(Estimator):
     ('aid', 'persistence', 'average')
     """
 
-    members: Mapping[str, Estimator | Bank]
+    members: Mapping[str, Estimator]
     combiners: Mapping[str, Combiner]
 
     def __init__(
         self,
-        members: Mapping[str, Estimator | Bank],
+        members: Mapping[str, Estimator],
         combiners: Mapping[str, Combiner] | None = None,
         output: str | None = None,
         coverage: float = 0.9,
@@ -79,16 +78,14 @@ class Ensemble(Estimator):
         rules: Mapping[str, Combiner] = {"average": Average()} if combiners is None else dict(combiners)
         if not members or not rules:
             raise ConfigError(f"ensemble: found {len(members)} members, expected at least one, and one combiner")
-        self._columns: dict[str, list[str]] = {}  # member -> its columns
         for name, member in members.items():
-            if not isinstance(member, Estimator | Bank):
+            if not isinstance(member, Estimator):
                 raise ConfigError(f"estimators.{name}: found {member!r}, expected an estimator")
             if not name.isidentifier() or hasattr(nn.ModuleDict, name):
                 raise ConfigError(
                     f"estimators: found the name {name!r}, expected a plain name of letters, digits and _"
                 )
-            self._columns[name] = [f"{name}_{x}" for x in member.labels] if isinstance(member, Bank) else [name]
-        self.columns = tuple(column for columns in self._columns.values() for column in columns)
+        self.columns = tuple(members)
         self.names = (*self.columns, *rules)
         if twice := sorted({name for name in self.names if self.names.count(name) > 1}):
             raise ConfigError(f"ensemble: {', '.join(twice)} names two members, or a member and a combiner")
@@ -104,7 +101,7 @@ class Ensemble(Estimator):
         self.averaged = next(reads, None)
         self.accommodated = accommodation.accommodated(members) if watched else ()
         # A `ModuleDict` behaves as a mapping of what is in it, but its type forgets of what.
-        self.members = cast("Mapping[str, Estimator | Bank]", nn.ModuleDict(members))
+        self.members = cast("Mapping[str, Estimator]", nn.ModuleDict(members))
         self.combiners = cast("Mapping[str, Combiner]", nn.ModuleDict(rules))
         self._places: dict[str, list[int]] = {}  # combiner -> places of its members
         for name, combiner in rules.items():
@@ -118,39 +115,23 @@ class Ensemble(Estimator):
             forecasts.bind(chosen, members, coverage, self.surge_max, self.conditional)
 
     def _named(self, members: Sequence[str] | None, combiner: str) -> list[str]:
-        """The columns that a combiner means; the name of a bank stands for all of its own."""
-        known = {column: [column] for column in self.columns} | self._columns
-        chosen = list(self._columns) if members is None else list(members)
-        if not chosen or (unknown := sorted(set(chosen) - set(known))):
-            hint = chosen and (did_you_mean(unknown[0], known) or f": correct the members of {combiner}")
+        """The members that a combiner means."""
+        chosen = list(self.columns if members is None else members)
+        if not chosen or (unknown := sorted(set(chosen) - set(self.columns))):
+            hint = chosen and (did_you_mean(unknown[0], self.columns) or f": correct the members of {combiner}")
             raise ConfigError(
                 f"combiners.{combiner}.members: found {', '.join(chosen) or 'none'}, "
-                f"expected some of {', '.join(known)}" + (f" (unknown: {', '.join(unknown)}){hint}" if chosen else "")
+                f"expected some of {', '.join(self.columns)}"
+                + (f" (unknown: {', '.join(unknown)}){hint}" if chosen else "")
             )
-        columns = [column for name in chosen for column in known[name]]
-        if len(set(columns)) < len(columns):
+        if len(set(chosen)) < len(chosen):
             raise ConfigError(f"combiners.{combiner}.members: found {', '.join(chosen)}, expected each member once")
-        return columns
+        return chosen
 
     @property
     def weighed(self) -> list[str]:
         """The names of the members' predictions that the output is made of."""
         return [self.columns[k] for k in self._places[self.output]]
-
-    def columns_of(self, member: str) -> list[str]:
-        """The names of a member's predictions.
-
-        Args:
-            member: its name.
-
-        Returns:
-            The names of its columns: its own name, or one for each setting of a bank.
-
-        >>> from usvlearn import AID
-        >>> Ensemble({"aid": AID()}).columns_of("aid")
-        ['aid']
-        """
-        return list(self._columns[member])
 
     def init(self, batch: Sequence[int] = ()) -> EnsembleState:
         batch = tuple(batch)
@@ -268,10 +249,7 @@ class Ensemble(Estimator):
         shown: dict[str, Tensor] = {}
         for name, member in self.members.items():
             for key, value in member.monitor(state.members[name]).items():
-                elements = value.unbind(-1) if isinstance(member, Bank) else [value]
-                shown |= {
-                    f"{column}/{key}": element for column, element in zip(self._columns[name], elements, strict=True)
-                }
+                shown[f"{name}/{key}"] = value
         for name, combiner in self.combiners.items():
             shown |= {f"{name}/{key}": value for key, value in combiner.monitor(state.combiners[name]).items()}
         if self.watched:
@@ -330,8 +308,7 @@ class Ensemble(Estimator):
         self, state: EnsembleState, surges: Mapping[str, Tensor], dt: Tensor
     ) -> tuple[Tensor, dict[str, Tensor], Tensor]:
         """All predictions, `(*batch, names)`; the predictions that each combiner sees; the ensemble's own."""
-        parts = [s if isinstance(self.members[name], Bank) else s[..., None] for name, s in surges.items()]
-        single = torch.cat(parts, -1)
+        single = torch.stack(list(surges.values()), -1)
         seen = self.seen(single)
         combined = self.combine(state.combiners, seen)
         if self.forecasts is not None:  # after steps without measured speed it is a forecast

@@ -1,4 +1,4 @@
-"""Recursive least squares, SIFt-RLS and the projection onto signs: the steps of `rls`, `sift` and `projected`.
+"""Recursive least squares and SIFt-RLS: the steps of `rls` and `sift`.
 
 S is lower triangular. S T, T as in equation (2) of `state`, is made in place along each row from its end: with the sums
 w = Σ_{k>j} S_ik x_k that the row has passed, S_ij ← S_ij T_jj + y_j w. What stands at its beginning is (S x)_i.
@@ -6,7 +6,7 @@ w = Σ_{k>j} S_ik x_k that the row has passed, S_ij ← S_ij T_jj + y_j w. What 
 
 import numpy as np
 
-from usvlearn.core.arrays import clamp, copy, dot, fill
+from usvlearn.core.arrays import clamp, dot, fill
 from usvlearn.core.family import ESTIMATE, Row
 from usvlearn.core.jit import jit
 from usvlearn.core.prepared_samples import DT
@@ -49,7 +49,7 @@ def free_step(node, s, q, x, work):
 
 @jit
 def learn(node, s, q, x, estimate, target, work):
-    """The state after `LeastSquares.learn`, or `Projected.learn`."""
+    """The state after `LeastSquares.learn`."""
     p, numbers = node[Row.SIZE], q[node[Row.NUMBERS] :]
     theta, S = s[node[AT.theta] : node[AT.theta] + p], s[node[AT.factor] : node[AT.factor] + p * p].reshape(p, p)
     phi, f, rest = work[:p], work[p : 2 * p], work[2 * p :]
@@ -73,8 +73,6 @@ def learn(node, s, q, x, estimate, target, work):
     s[node[AT.surge]] = departs
     s[node[AT.noise]] = numbers[Number.NOISE_LEAST] if learned < numbers[Number.NOISE_LEAST] else learned
     s[node[AT.deviation]] = np.sqrt(noise * spread)
-    if node[Choice.ITERATIONS] > 0:
-        project_signs(theta, S, q[node[Choice.SIGNS] : node[Choice.SIGNS] + p], node[Choice.ITERATIONS], work)
 
 
 @jit
@@ -170,91 +168,3 @@ def sift(theta, S, phi, f, innovation, lam, x, opens, opens_below, diagonal, bel
             S[i, j] = opened * diagonal[j] + below[j] * v
             v += opened * f[j]
         theta[i] += gain * v
-
-
-@jit
-def solve(A, b, n):
-    """b ← A⁻¹ b of the leading n × n block, by elimination with pivots; A is destroyed."""
-    for k in range(n):
-        pivot = k
-        for i in range(k + 1, n):
-            if abs(A[i, k]) > abs(A[pivot, k]):
-                pivot = i
-        for j in range(k, n):
-            A[k, j], A[pivot, j] = A[pivot, j], A[k, j]
-        b[k], b[pivot] = b[pivot], b[k]
-        for i in range(k + 1, n):
-            share = A[i, k] / A[k, k]
-            for j in range(k + 1, n):
-                A[i, j] -= share * A[k, j]
-            b[i] -= share * b[k]
-    for k in range(n - 1, -1, -1):
-        for j in range(k + 1, n):
-            b[k] -= A[k, j] * b[j]
-        b[k] /= A[k, k]
-
-
-@jit
-def active_sets(Q, z, iterations, t, mu, A, b, active):
-    """Rounds of (2) of `projected`: μ and t; returns whether they settled on the solution."""
-    k, largest = len(z), 0.0
-    for a in range(k):
-        t[a], mu[a] = z[a], 0.0
-        largest = max(largest, abs(z[a]))
-    for _ in range(iterations):
-        n = 0
-        for a in range(k):
-            if mu[a] > t[a] / Q[a, a]:
-                active[n] = a
-                n += 1
-        for a in range(n):
-            b[a] = -z[int(active[a])]
-            for c in range(n):
-                A[a, c] = Q[int(active[a]), int(active[c])]
-        solve(A, b, n)
-        fill(mu, 0.0)
-        for a in range(n):
-            mu[int(active[a])] = b[a]
-        for a in range(k):
-            t[a] = z[a] + dot(Q[a], mu)
-        for a in range(n):
-            t[int(active[a])] = 0.0
-    solved = True
-    for a in range(k):
-        solved = solved and t[a] >= -1e-6 * largest and mu[a] * Q[a, a] >= -1e-6 * largest
-    return solved
-
-
-@jit
-def project_signs(theta, S, signs, iterations, work):
-    """`projected.project_signs`: θ becomes the nearest with these signs in the metric of P."""
-    p, k, inside = len(theta), 0, True
-    place, z = work[:p], work[p : 2 * p]
-    for i in range(p):
-        if signs[i] != 0:
-            place[k], z[k] = i, signs[i] * theta[i]
-            inside = inside and z[k] >= 0
-            k += 1
-    if inside:
-        return
-    z, t, mu, b = z[:k], work[2 * p : 2 * p + k], work[3 * p : 3 * p + k], work[4 * p : 4 * p + k]
-    active, pull, squares = work[5 * p : 5 * p + k], work[6 * p : 7 * p], work[7 * p :]
-    Q, A = squares[: k * k].reshape(k, k), squares[k * k : 2 * k * k].reshape(k, k)
-    for a in range(k):
-        for c in range(a + 1):
-            i, j = int(place[a]), int(place[c])
-            Q[a, c] = Q[c, a] = signs[i] * signs[j] * dot(S[i], S[j])
-    if active_sets(Q, z, iterations, t, mu, A, b, active):
-        fill(pull, 0.0)
-        for a in range(k):
-            i = int(place[a])
-            for j in range(i + 1):
-                pull[j] += S[i, j] * (signs[i] * mu[a])
-        for i in range(p):
-            for j in range(i + 1):
-                theta[i] += S[i, j] * pull[j]
-    else:
-        copy(t, z)
-    for a in range(k):
-        i = int(place[a])
-        theta[i] = signs[i] * (0.0 if t[a] < 0 else t[a])

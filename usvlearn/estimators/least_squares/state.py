@@ -32,7 +32,6 @@ from usvlearn.core.family import (
     POSITIVE,
     TRIANGLE,
     UNIT,
-    Each,
     Family,
     Options,
     Parameters,
@@ -49,7 +48,6 @@ LOOSEST = 100.0  # times P₀'s trace
 NOISE_SHARE = 0.02  # of a new innovation in σ²
 NOISE_LEAST = 1e-3  # m/s; exact predictions at rest for hours must not make σ so small that it cannot recover
 LONGEST = 20.0  # memories: a longer step forgets no more, lest 1/λ overflow
-ROUNDS = 1000  # of the projection onto signs at most; as a rule two or three are enough
 
 
 class RLSState(NamedTuple):
@@ -84,12 +82,10 @@ class Number(Parameters):
 
 
 class Choice(Options):
-    """Choices; the last two are those of `Projected`."""
+    """Choices."""
 
     FEEDBACK = FEEDBACK
     TERMS = terms.TERMS
-    SIGNS = Each((-1, 0, 1))
-    ITERATIONS = Range(0, ROUNDS)
 
 
 FAMILY = Family(
@@ -104,10 +100,8 @@ FAMILY = Family(
     Number,
     Choice,
     size=terms.parameters,
-    optional=(Choice.SIGNS, Choice.ITERATIONS),
-    work=lambda p: 12 * p + 2 * p * p,
+    work=lambda p: 8 * p,
     heading=terms.heading,
-    remembers=terms.remembers,
     frozen=("theta", "surge"),
 )
 AT, RLS = FAMILY.at, FAMILY.kinds.index("rls")

@@ -3,14 +3,13 @@
 import numpy as np
 
 from usvlearn.core.jit import jit
-from usvlearn.core.prepared_samples import COS, DT, LEFT, LEFT_BEFORE, RIGHT, RIGHT_BEFORE, SIN, SURGE_DOT, YAW_RATE
+from usvlearn.core.prepared_samples import COS, DT, LEFT, RIGHT, SIN, YAW_RATE
 from usvlearn.estimators.regressors.terms import LEAST, MOST, NEAR, SERIES, TERMS
 
 QUASI_STATIC, PLAIN = TERMS.index([]), TERMS.index(["dynamics"])
 # Sets of places in TERMS, as bits.
-CUBIC, MEMORY, AMBIENT, EXPONENTIAL = (
-    sum(1 << place for place, terms in enumerate(TERMS) if name in terms)
-    for name in ("cubic", "memory", "ambient", "exponential")
+CUBIC, EXPONENTIAL = (
+    sum(1 << place for place, terms in enumerate(TERMS) if name in terms) for name in ("cubic", "exponential")
 )
 
 
@@ -57,12 +56,6 @@ def regressor(terms, surge, x, scale, theta, phi):
     if CUBIC >> terms & 1:
         phi[9], phi[10] = step * (left * left * left), step * (right * right * right)
         place = 11
-    if MEMORY >> terms & 1:
-        phi[place], phi[place + 1], phi[place + 2] = step * x[SURGE_DOT], step * x[LEFT_BEFORE], step * x[RIGHT_BEFORE]
-        place += 3
-    if AMBIENT >> terms & 1:
-        phi[place], phi[place + 1], phi[place + 2] = step, step * x[SIN], step * x[COS]
-        place += 3
     if EXPONENTIAL >> terms & 1:
         share = mean_decay(step, surge, x, theta)
         for i in range(place):

@@ -3,10 +3,8 @@
 Commands and speeds are signed, so that boats may back up: ξ|ξ| stands for ξ² and ξ|v| for ξv. Where ξ ≥ 0 and
 v ≥ 0 these are the paper's own terms.
 
-The surge dynamics may have three groups of terms that the paper leaves out. *Memory*, the last acceleration and the
-commands one step before, describes thrusters that lag and the added water that moves with the hull. *Ambient*, a force
-that is constant in the earth's frame and a bias, describes wind and current. *Cubic*, κ ξ³ of each side, follows thrust
-curves that a parabola cannot: a dead band, saturation.
+The surge dynamics may have terms that the paper leaves out: *cubic*, κ ξ³ of each side, follows thrust curves that a
+parabola cannot, as with a dead band or saturation.
 
 The step is Euler's, v⁺ = v + h f with h = dt and f = Wᵀθ/m, or exponential (Rosenbrock–Euler; Hochbruck & Ostermann
 2010), which is of second order and stays stable however strong the drag is:
@@ -22,7 +20,7 @@ The derivation is in `docs/theory/model.md#surge-model`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import torch
 from torch import Tensor, nn
@@ -63,20 +61,7 @@ def linearised(model: LinearModel, surge: Tensor, inputs: Inputs, theta: Tensor)
     return model(surge, inputs)
 
 
-class MemoryInputs(NamedTuple):
-    """`Inputs`, and what `WithMemory` remembers of the step before. Leaves are `(*batch,)`."""
-
-    command_left: Tensor
-    command_right: Tensor
-    heading: Tensor
-    yaw_rate: Tensor
-    dt: Tensor
-    surge_dot: Tensor  # m/s², over the last step
-    command_left_before: Tensor
-    command_right_before: Tensor
-
-
-def surge_regressor(surge: Tensor, inputs: Inputs | MemoryInputs) -> Tensor:
+def surge_regressor(surge: Tensor, inputs: Inputs) -> Tensor:
     """W of m·surge_dot = Wᵀθ: [|v|v, v, |r|v, ξ_L, ξ_L|ξ_L|, ξ_L|v|, ξ_R, ξ_R|ξ_R|, ξ_R|v|], shape `(*batch, 9)`.
 
     The paper's |r v| is written |r|v, so that a turn also slows a boat that backs up.
@@ -88,8 +73,8 @@ def surge_regressor(surge: Tensor, inputs: Inputs | MemoryInputs) -> Tensor:
     return torch.cat([drag, thrust.flatten(-2)], -1)
 
 
-def force_slope(surge: Tensor, inputs: Inputs | MemoryInputs, theta: Tensor) -> Tensor:
-    """∂(Wᵀθ)/∂v, kg/s, `(*batch,)`, with sgn 0 = 0; cubic, memory and ambient terms do not depend on v."""
+def force_slope(surge: Tensor, inputs: Inputs, theta: Tensor) -> Tensor:
+    """∂(Wᵀθ)/∂v, kg/s, `(*batch,)`, with sgn 0 = 0; the cubic term does not depend on v."""
     q, linear, cross, _, _, left, _, _, right = theta[..., :9].unbind(-1)
     pull = inputs.command_left * left + inputs.command_right * right
     return 2 * surge.abs() * q + linear + inputs.yaw_rate.abs() * cross + surge.sign() * pull
@@ -130,8 +115,6 @@ class SurgeDynamics(nn.Module):
 
     Args:
         mass: m, kg, added mass included; broadcasts against the batch.
-        memory: adds the last acceleration and the last commands; the estimator then needs `WithMemory` around it.
-        ambient: adds a force from a compass direction, N, and a bias.
         cubic: adds thrust κ ξ³ of each side, N.
         exponential: makes the step (1) in place of Euler's; AID and least squares take its φ1 as known.
 
@@ -142,24 +125,16 @@ class SurgeDynamics(nn.Module):
     Raises:
         ConfigError: a mass that is not a positive number.
 
-    >>> model = SurgeDynamics(28.0, ambient=True)
-    >>> [name for name in model.names if "ambient" in name]
-    ['ambient_bias', 'ambient_sin', 'ambient_cos']
+    >>> [name for name in SurgeDynamics(28.0, cubic=True).names if "cubic" in name]
+    ['thrust_cubic_left', 'thrust_cubic_right']
     """
 
     mass: Tensor  # kg, () or as given
 
-    def __init__(
-        self,
-        mass: Hyper = 36.0,
-        memory: bool = False,
-        ambient: bool = False,
-        cubic: bool = False,
-        exponential: bool = False,
-    ):
+    def __init__(self, mass: Hyper = 36.0, cubic: bool = False, exponential: bool = False):
         super().__init__()
-        self.memory, self.ambient, self.cubic, self.exponential = memory, ambient, cubic, exponential
-        options = {"cubic": cubic, "memory": memory, "ambient": ambient, "exponential": exponential}
+        self.cubic, self.exponential = cubic, exponential
+        options = {"cubic": cubic, "exponential": exponential}
         self.terms = ["dynamics", *(name for name, chosen in options.items() if chosen)]
         parts = signs_of(self.terms)
         self.names, self.signs = tuple(parts), tuple(parts.values())
@@ -184,24 +159,11 @@ class SurgeDynamics(nn.Module):
         """The size of the parameters, kg: they are proportional to the mass."""
         return self.mass
 
-    def forward(
-        self, surge: Tensor, inputs: Inputs | MemoryInputs, theta: Tensor | None = None
-    ) -> tuple[Tensor, Tensor]:
+    def forward(self, surge: Tensor, inputs: Inputs, theta: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """The base of the prediction, m/s, `(*batch,)`, and φ, `(*batch, p)`; `exponential` needs θ, `(*batch, p)`."""
         W = surge_regressor(surge, inputs)
-        extra = [inputs.command_left**3, inputs.command_right**3] if self.cubic else []
-        if self.memory:
-            if not isinstance(inputs, MemoryInputs):
-                raise ShapeError(
-                    "SurgeDynamics(memory=True): the inputs have no last acceleration and commands: wrap the "
-                    "estimator, as in WithMemory(AID(model=SurgeDynamics(memory=True)))"
-                )
-            extra = [*extra, inputs.surge_dot, inputs.command_left_before, inputs.command_right_before]
-        if self.ambient:
-            heading = inputs.heading
-            extra = [*extra, torch.ones_like(heading), heading.sin(), heading.cos()]
-        if extra:
-            W = torch.cat([W, torch.stack(extra, -1)], -1)
+        if self.cubic:
+            W = torch.cat([W, torch.stack([inputs.command_left**3, inputs.command_right**3], -1)], -1)
         step = inputs.dt / self.mass
         if self.exponential:
             if theta is None:

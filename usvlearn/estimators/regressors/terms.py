@@ -27,8 +27,6 @@ SURGE = {
     "thrust_speed_right": -1,
 }
 CUBIC = {"thrust_cubic_left": 0, "thrust_cubic_right": 0}  # κ_L, κ_R, N: bends a thrust curve either way
-MEMORY = {"memory_surge_dot": 0, "memory_left": 0, "memory_right": 0}  # kg, N, N
-AMBIENT = {"ambient_bias": 0, "ambient_sin": 0, "ambient_cos": 0}  # N
 EVEN = {  # e of the joint EKF: what does not change its sign with the speed and the commands
     "drag_even": "kg/m",
     **{f"thrust_even_{kind}_{side}": unit for side in ("left", "right")
@@ -39,20 +37,13 @@ UNITS = {
     "drag_quadratic": "kg/m", "drag_linear": "kg/s", "drag_cross": "kg/rad",
     **{f"thrust_{kind}_{side}": unit for side in ("left", "right")
        for kind, unit in {"linear": "N", "quadratic": "N", "speed": "N s/m", "cubic": "N"}.items()},
-    "memory_surge_dot": "kg", **dict.fromkeys(("memory_left", "memory_right", *AMBIENT), "N"),
     **EVEN, LAG: "share of a step", DISTURBANCE: "N", **dict.fromkeys(CURRENT, "m/s"),
 }  # fmt: skip
 
 # What a model may have. "exponential" is not a term but the step that is made with the others.
 TERMS: tuple[list[str], ...] = (
     [],
-    *(
-        ["dynamics", *cubic, *memory, *ambient, *step]
-        for step in ([], ["exponential"])
-        for cubic in ([], ["cubic"])
-        for ambient in ([], ["ambient"])
-        for memory in ([], ["memory"])
-    ),
+    *(["dynamics", *cubic, *step] for step in ([], ["exponential"]) for cubic in ([], ["cubic"])),
 )
 
 LEAST, MOST = -20.0, 1.0  # of dt Ĵ in the exponential step: identified parameters may be far off
@@ -63,13 +54,12 @@ SERIES = tuple((k + 1) / factorial(k + 2) for k in range(9, -1, -1))  # of the d
 def signs_of(terms: Collection[str]) -> dict[str, int]:
     """The parameters of a model with these terms, in their order, each with its sign.
 
-    >>> len(signs_of(["dynamics", "memory", "ambient"]))
-    15
+    >>> len(signs_of(["dynamics", "cubic"]))
+    11
     """
     if "dynamics" not in terms:
         return QUASI_STATIC
-    groups = {"cubic": CUBIC, "memory": MEMORY, "ambient": AMBIENT}
-    return SURGE | {name: sign for group, parts in groups.items() if group in terms for name, sign in parts.items()}
+    return SURGE | CUBIC if "cubic" in terms else SURGE
 
 
 def parameters(own: Mapping[str, Any]) -> int:
@@ -79,9 +69,4 @@ def parameters(own: Mapping[str, Any]) -> int:
 
 def heading(own: Mapping[str, Any]) -> bool:
     """Whether its regressor asks for the heading."""
-    return "dynamics" not in own["terms"] or "ambient" in own["terms"]
-
-
-def remembers(own: Mapping[str, Any]) -> bool:
-    """Whether its regressor needs the inputs that `WithMemory` adds."""
-    return "memory" in own["terms"]
+    return "dynamics" not in own["terms"]

@@ -19,7 +19,6 @@ from usvlearn.estimators.joint.layer import JointEKF
 from usvlearn.estimators.least_squares.rls import RLS
 from usvlearn.estimators.least_squares.sift import SIFtRLS
 from usvlearn.estimators.rnn.layer import RNN
-from usvlearn.estimators.wrappers.bank import Bank
 from usvlearn.evaluation.members import unwrapped
 from usvlearn.report.sections.section import Section
 
@@ -46,11 +45,8 @@ def cost_section(ensemble: Ensemble) -> Section:
     for name, member in ensemble.members.items():
         inner, core = unwrapped(member, member.init(()))
         orders = next((found for kind, found in ORDERS.items() if isinstance(inner, kind)), ("1", "1"))
-        elements = len(member.labels) if isinstance(member, Bank) else 1
-        kind = f"{type(inner).__name__}, {elements} settings" if elements > 1 else type(inner).__name__
-        alone = member if isinstance(member, Estimator) else Ensemble({name: member}, watched=False)
         total += (count := _parameters(core))
-        rows.append((name, kind, count, *(f"O({o})" for o in orders), *_times(alone, sample)))
+        rows.append((name, type(inner).__name__, count, *(f"O({o})" for o in orders), *_times(member, sample)))
     rows.append(("all together", "Ensemble", total, "–", "–", *_times(ensemble, sample)))
     columns = "method", "kind", "parameters", "to predict", "to learn", "predict, µs", "predict and learn, µs"
     machine = f"{platform.machine()}, Python {platform.python_version()}, one thread"

@@ -42,7 +42,7 @@ TOO_SMALL = (
     "Least squares finds forces too small where a current acts that its model does not have, and "
     "where its model makes Euler's step; noise of the speed adds little."
 )
-SHOWN = ("aid", "steady_rls", "dynamic_rls")  # if there are many members, the first two of these are shown
+SHOWN = ("aid", "dynamic_rls")  # if there are many members, the first two of these are shown
 Truth = Mapping[str, Mapping[str, np.ndarray]]  # boat -> parameter -> value on each mission
 
 

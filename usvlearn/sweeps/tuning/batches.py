@@ -24,7 +24,6 @@ from usvlearn.errors import ConfigError
 from usvlearn.estimators.ensemble.combiners.layer import Average
 from usvlearn.estimators.ensemble.forecasts.layer import ForecastSettings
 from usvlearn.estimators.ensemble.layer import Ensemble
-from usvlearn.estimators.wrappers.bank import Bank
 from usvlearn.evaluation.free_simulation import middle
 from usvlearn.evaluation.measure import FORECAST, FREE, Measure
 
@@ -144,8 +143,6 @@ def hyperparameters(estimator: Estimator) -> dict[str, Positive | UnitInterval]:
 
 def check_one_estimator(name: str, value: Any) -> Estimator:
     """Return `value` if it is an estimator that can be tuned, else raise a ConfigError."""
-    if isinstance(value, Bank):
-        raise ConfigError(f"{name}: is a bank of settings already, expected one estimator: tune one of its kind, alone")
     return check_estimator(name, value)
 
 

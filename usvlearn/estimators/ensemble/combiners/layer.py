@@ -111,14 +111,6 @@ class FixedWeights(Combiner):
         super().__init__(tuple(weights))
         self.register_buffer("weights", as_tensor(list(weights.values())))
 
-    def bind(self, names: Sequence[str]) -> None:
-        if len(names) != len(self.weights):
-            raise ConfigError(
-                f"weights: found {len(self.weights)} of them, expected one for each of {', '.join(names)}: name the "
-                "columns of a bank, not the bank"
-            )
-        super().bind(names)
-
     def combine(self, state: Any, predictions: Tensor) -> Tensor:
         return (self.weights * fill_inactive(predictions, self.weights.abs())).sum(-1)
 

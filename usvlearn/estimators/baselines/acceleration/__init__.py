@@ -1,1 +1,0 @@
-"""Constant acceleration: the next increment is the last one."""

@@ -1,1 +1,0 @@
-"""Memory: the step before, for a model that uses it."""
