@@ -1,26 +1,8 @@
 """The mass and the physical parameters from what surge data alone identify (Harris, Mao, Paine & Whitcomb).
 
-m·surge_dot = Wᵀθ says that [m, θ] is orthogonal to every [surge_dot, −W]: surge data alone identify the direction of
-that null vector and nothing else, so
-
-    η = θ/m,    [m, θ] = m [1, η]                                                        (1)
-
-- Identifiable: η, along the directions that the data excite. A boat (2m, 2θ) moves exactly as the boat (m, θ).
-- Never identifiable: m. Scale-free relations do not help: a free decay, as in the paper's m ≈ 8 |c_q|, is the statement
-  η = −1/8 per metre about one entry of η, a good prior `theta0` but no measure of m.
-- Identifiable only with excitation: left apart from right needs commands that differ; c_q apart from c_l, and the
-  thrust that falls with speed from both, needs several speeds; linear from quadratic thrust needs several commands.
-
-A quantity in newtons or kilograms fixes the scale: the pull at the bollard at full command, known = α + β, or
-the drag of a towed hull. With d the known values, A their rows of coefficients, r = (A η)/d and C the covariance of r:
-
-    r = (1/m) 1 + noise                                                                  (2)
-    w = C⁻¹1 / (1ᵀC⁻¹1),   1/m̂ = wᵀr = gᵀη,   θ̂ = m̂ η                                    (3)
-    var m̂ = m̂⁴ gᵀPg,   cov θ̂ = J P Jᵀ,   J = m̂ (I − θ̂ gᵀ)                                 (4)
-
-with P the covariance of η. Where none is given C = I: every known quantity counts equally, whatever its unit.
-
-The derivation is in `docs/theory/identification.md#mass`.
+Surge data identify η = θ/m, and never m: a boat (2m, 2θ) moves exactly as the boat (m, θ). A quantity in newtons or
+kilograms fixes the scale: the pull at the bollard at full command, or the drag of a towed hull. Equations (1) to (4):
+`docs/theory/identification.md#mass`.
 """
 
 from __future__ import annotations

@@ -1,45 +1,8 @@
 """The ARX filter: a Kalman filter over the weights of a linear model of the speed's increment.
 
-ARX: autoregressive with exogenous inputs. The increment of a step depends on the last L increments and on the commands
-of this step and of the L before. With h = dt/(0.4 s), and everything per step of 0.4 s:
-
-    v⁺ = v + h fᵀθ + noise,   f = [1, v, v|v|, |r|v,  a_1 … a_L,  g(u_k), g(u_{k−1}) … g(u_{k−L}), further groups]   (1)
-    g(u) = [u_L + u_R, u_L − u_R, u_L|u_L|, u_R|u_R|],   a_j = (v_{k−j+1} − v_{k−j})/h_{k−j}
-
-Further groups, each an option: *even*, for boats that differ forwards and backwards, |u_L| + |u_R|, u_L² + u_R², v² and
-(u_L + u_R)v; *turning*, r and its change since the step before; *thrust_speed*, u_L|v| and u_R|v|. In f the speed is
-limited to ±`surge_max`, each a_j to ±`surge_max`, and h to 25 (a step of 10 s).
-
-Measurement update with e = v_meas − v − hfᵀθ, φ = hf and the covariance P in units of σ². The noise has Student's t
-distribution of ν degrees; its weight w is small for outliers (West 1981):
-
-    S = 1 + φᵀPφ,   w = (ν + 1)/(ν + e²/(S σ²)),   θ⁺ = θ + Pφ e/(1/w + φᵀPφ),   P⁺ = P − PφφᵀP/(1/w + φᵀPφ)         (2)
-    σ² ← σ² + 0.02 (w e²/S − σ²),   at least (1 mm/s)²                                                              (3)
-
-w is 1 for all e where ν is infinite. With `project` drag slows the boat: the weights of v, and of v|v| plus and minus
-that of the even v², are not positive: in turn, each is projected in the metric of P, (3) of
-`usvlearn.estimators.ud_factorization`. Without it a model may grow without bound beyond the speeds that it has seen.
-
-Before the first sample P is diagonal, with the deviations `scale` × (1 for the bias and the fore-aft asymmetry terms,
-30/j for a_j, 10 for all others): as multiples of the noise.
-
-Weights walk at random: of variance `walk` P₀ per step of 0.4 s. The factored covariance takes one of the p weights per
-update step, in turn, with p times its share; its variance grows up to the prior's and no further:
-
-    P_ii ← P_ii + min(p h walk P₀_ii, P₀_ii − P_ii)                                                                 (4)
-
-so that no idle hour lets P grow without bound. While no speed is measured no noise is added. A boat rests where
-u_L² + u_R² + v² < 0.01. After 60 s of rest nothing is learned, and no noise is added, until it moves: at rest the best
-prediction of a noisy speed is 0, which is wrong for a boat that moves, and hours would teach nothing else.
-
-A segment starts with a speed alone. The increments before it count as 0, the commands before its first step as equal
-to those of this step, and the yaw rate as unchanged. A step without a measured speed departs from the prediction before
-it, and its increment is the predicted one.
-
-The covariance is kept as P = U D Uᵀ (`usvlearn.estimators.ud_factorization`), with H = φ and α_0 = 1/w in (2). The
-first σ, and the share and the least of (3), are those of least squares.
-
-The derivation is in `docs/theory/estimators.md#arx`.
+ARX: autoregressive with exogenous inputs. Equations (1) to (4): `docs/theory/estimators.md#arx`. The covariance is kept
+in the factors of `usvlearn.estimators.ud_factorization`. A step without a measured speed departs from the prediction
+before it, and its increment is the predicted one.
 """
 
 from __future__ import annotations

@@ -1,30 +1,11 @@
 """The axis EKF: an extended Kalman filter over the yaw rate or the sway, a disturbance and the parameters.
 
-It is to the other two axes what the joint EKF is to the surge. y is the yaw rate r, rad/s, or the sway v through the
-water, m/s; o is the other one of them; u is the surge through the water. u and o come from other estimators and are
-taken as known. State, per unit mass or inertia (n = 22 for the yaw rate, 14 for the sway):
-
-    x = [y, b, θ, μ],   θ = [bias, linear, quadratic, cross, coupling, other, surge, left's terms, right's]   (1)
-
-With the commands ξ_k, and h the length of the step:
-
-    ξ = (1−μ) ξ_k + μ ξ_{k−1}
-    f = θ·[1, y, y|y|, |u| y, u o, o, u, side terms] + b                                                (2)
-    side terms of the yaw rate   ξ, ξ|ξ|, ξ|u|, ξ³, |ξ|, ξ²
-    side terms of the sway       ξ, ξ|ξ|
-    J = ∂f/∂y,   z = min(hJ, 1),   y⁺ = y + h φ₁(z) f,   b⁺ = e^(−h/τ_b) b                              (3)
-    measured: y + noise of variance σ²                                                                  (4)
-
-(3) is the step of the joint EKF. With g = ∂y⁺/∂x the covariance P goes to F P Fᵀ + Q, where F has the row g, the decay
-of b, and ones; Q is (h/0.4 s) times: 0.05 σ² for y, q_b σ² for b, and for each parameter its prior variance over
-T_θ/0.4 s, up to that variance. The measurement, the noise and the limits of the signs are (5) to (7) of
-`usvlearn.estimators.joint.state`, with θ_linear, θ_quadratic, θ_cross ≤ 0. At rest nothing is learned of the parameters
-and σ². A segment starts at a measured y: there P loses all that joins y and b to others, and b becomes 0.
+Equations (1) to (4): `docs/theory/identification.md#yaw-rate-and-sway`. It is to the other two axes what the joint EKF
+is to the surge. y is the yaw rate r, rad/s, or the sway v through the water, m/s; o is the other one of them; u is the
+surge through the water. u and o come from other estimators and are taken as known.
 
 *Inputs.* These estimators see `Inputs` whose `heading` holds o and whose `yaw_rate` holds u (`axis_inputs`), and a
 `Sample` whose `surge` holds the measured y.
-
-The derivation is in `docs/theory/identification.md#yaw-rate-and-sway`.
 """
 
 from __future__ import annotations

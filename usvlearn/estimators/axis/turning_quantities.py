@@ -1,26 +1,8 @@
 """Physical quantities of turning, from the parameters of the filters of surge, sway and yaw rate. Imports no torch.
 
-θ of the yaw rate is per unit inertia and θ of the sway per unit mass, in the order of `state.names`; that of the surge
-is of a joint EKF, seen ahead (`usvlearn.estimators.joint.quantities.Ahead`). Disturbances are zero. Three balances have
-the form
-
-    a y|y| + l y + p = 0,   a ≤ 0,   l < 0                                                              (1)
-
-*On the spot*, at u = v = 0 with one side full ahead and the other one full astern, y is the yaw rate, a and l are
-θ_quadratic and θ_linear, and p is θ·[1, side terms].
-
-*A steady turn* has the outer side at the command ξ and the inner one at ξ/2. The surge u and the sway v follow from the
-yaw rate r, with c the cross drag, T the sum of the thrusts at standstill, and Γ the sum of γ ξ:
-
-    q u|u| + (l + c |r| + Γ) u + T = 0                                                                  (2)
-    θ·[1, v, v|v|, |u| v, u r, r, u, side terms] = 0   of the sway; v = 0 where it is not measured      (3)
-    r_dot(r, u, v) = 0, by bisection between 0 and 20 rad/s;   radius √(u² + v²)/|r|                    (4)
-
-Each is the mean of a turn to starboard and one to port.
-
-    time constant   −1/(θ_linear + θ_cross u),   straight ahead at the steady speed u of half command, and at rest  (5)
-
-The derivation is in `docs/theory/identification.md#turning`.
+Equations (1) to (5): `docs/theory/identification.md#turning`. θ of the yaw rate is per unit inertia and θ of the sway
+per unit mass, in the order of `state.names`; that of the surge is of a joint EKF, seen ahead
+(`usvlearn.estimators.joint.quantities.Ahead`).
 """
 
 from __future__ import annotations

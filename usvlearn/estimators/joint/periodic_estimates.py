@@ -1,29 +1,7 @@
 """What a joint EKF has identified: every physical quantity with a 90 % interval. Imports no torch.
 
-θ̄ is the mean of n periodic estimates and C their covariance (`state`), P the filter's own covariance of the
-parameters. With the gradient ∇g of a quantity g the interval is
-
-    g(θ̄) ± 1.645 √(∇gᵀ (λ²P + ν²C) ∇g),   λ² = 1 + 8/n,   ν² = 1 + 2/n                                (1)
-
-Before the first periodic estimate that counts, θ̄ is the filter's present mean, C = 0, and after t s of update steps
-
-    λ = √5 (1 + 600/(t + 300))                                                                         (2)
-
-λ and ν were chosen on simulated boats (`docs/benchmarks/identify.md`); of many periodic estimates P + C is left.
-Positive quantities have their intervals on the log scale. An interval always contains the filter's present estimate, so
-that a boat that has changed is not missed.
-
-A log that lacks something must not give a narrow interval. What it lacks is seen in P. The least share of its prior
-variance that is left in any combination of some parameters is small as soon as the log informs about one combination,
-and about 1 where it informs about none:
-
-    s(A) = least eigenvalue of (A P Aᵀ)(A P₀ Aᵀ)⁻¹                                                     (3)
-
-Where it is large for the drag or for the thrust of both sides together (of the other side, where one was never used),
-the interval contains the prior's, too. Where the steady speed is far from the prior's top speed, the variance is
-multiplied by their ratio.
-
-The derivation is in `docs/theory/identification.md#periodic-estimates`.
+Equations (1) to (3): `docs/theory/identification.md#periodic-estimates`. λ and ν were chosen on simulated boats
+(`docs/benchmarks/identify.md`).
 """
 
 from __future__ import annotations

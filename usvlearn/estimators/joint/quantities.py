@@ -1,21 +1,7 @@
 """Physical quantities of a boat that moves ahead, from the parameters of a joint EKF. Imports no torch.
 
-All parameters are per unit mass, in the order of `state.names`. Ahead (w > 0, ξ > 0) a fore-aft asymmetry term adds to
-the odd one beside it, q + e₀, α + e₁, β + e₂, γ + e₃. The paper's two terms of thrust are the least-squares fit of all
-three over commands from 0 to 1, as `usvlearn.simulate.truth` fits a thrust table:
-
-    ξ³ ≈ −0.4 ξ + 1.33 ξ²,   α' = α − 0.4 κ,   β' = β + 1.33 κ                                         (1)
-
-With q, l, γ and the thrust at standstill T(ξ) = Σ (α ξ + β ξ² + κ ξ³) of motion straight ahead, Γ = Σ γ:
-
-    steady speed at ξ     q v² + (l + Γ ξ) v + T(ξ) = 0                                                 (2)
-    drag at half speed    −m (q v + l) v,   v = V/2,   V the steady speed at full command               (3)
-    time constant         −1/(2 q v + l + Γ/2)   at v = V/2 and half command                            (4)
-    stopping distance     ∫ dv/(−(q v + l)) from V/10 to V = ln((q V + l)/(q V/10 + l))/−q              (5)
-
-(5) is the way from V with both thrusters off until a tenth of V is left. With quadratic drag alone a boat never rests.
-
-The derivation is in `docs/theory/identification.md#quantities`.
+Equations (1) to (5): `docs/theory/identification.md#quantities`. All parameters are per unit mass, in the order of
+`state.names`.
 """
 
 from __future__ import annotations

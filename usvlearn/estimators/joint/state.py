@@ -1,67 +1,9 @@
 """The joint EKF: an extended Kalman filter over the speed, a disturbance, the current and the parameters.
 
-State, all per unit mass (n = 16, or 23 with fore-aft asymmetry terms):
-
-    x = [w, b, c_N, c_E, θ (9), κ_L, κ_R, (e (7),) μ]                                                  (1)
-
-w is the speed through the water, m/s; b a slow disturbance, m/s²; c the current, m/s; θ the nine parameters of the
-surge dynamics; κ the cubic thrust; e terms that are even in speed and command; μ the share of a step by which a
-command acts late. With the commands u, the sum over both sides, and h the length of the step:
-
-    ξ = (1−μ) u_k + μ u_{k−1}
-    f = θ_q w|w| + θ_l w + θ_c |r| w + Σ (α ξ + β ξ|ξ| + γ ξ|w| + κ ξ³) + e₀ w² + Σ (e₁|ξ| + e₂ ξ² + e₃ ξ w) + b   (2)
-    J = ∂f/∂w,   z = hJ,   φ₁(z) = (e^z − 1)/z
-    w⁺ = w + h φ₁(z) f,   b⁺ = e^(−h/τ_b) b,   c⁺ = e^(−h/τ_c) c                                        (3)
-    y = w + c_N cos ψ + c_E sin ψ + noise of variance σ²                                                (4)
-
-(3) is the exponential Rosenbrock–Euler step (Hochbruck & Ostermann 2010): exact where f is linear in w, of second
-order elsewhere, and stable however stiff the drag. With g = ∂w⁺/∂x the covariance P goes to F P Fᵀ + Q, where F has the
-row g, the decays of b and c, and ones; Q is (h/0.4 s) times: 0.05 σ² for w, q_b σ² for b, and for each parameter its
-prior variance over T_θ/0.4 s, up to that variance; and σ_c² (1 − e^(−2h/τ_c)) for c.
-
-At rest nothing is learned of the parameters and σ²: they do not walk, g is 0 for them, and σ² stays as it is. There the
-speed is all noise, to which a drag fits that grows without end; and a sensor that reports 0 would make σ² vanish.
-
-Measurement with the innovation e, S its variance:
-
-    K = P H/S,   x ← x + K e,   P ← P − K HᵀP;   where e² > k² S an outlier: S becomes e²/k²               (5)
-    σ² ← σ² (1 + max(0.005, 1/(count + 20)) (min(e²/S, 9) − 1))                                         (6)
-    θ_q, θ_l, θ_c ≤ 0 and θ_q ± e₀ ≤ 0, by projection in turn                                            (7)
-
-P = U D Uᵀ is kept in factors, whose measurement, with α_0 = S − HᵀPH in (5), and projection are those of
-`usvlearn.estimators.ud_factorization`. As w is the first state, F U is triangular but for scales, and a time update
-needs no orthogonalisation. Each step adds noise to w, b and c; at every fourth step one parameter, in turn, gets the
-random-walk noise of all the steps between.
-
-A segment starts at a measured speed. Its first step knows the heading: there P loses all that joins w and b to others,
-b becomes 0, P_ww 4 m²/s², each variance of c grows by 0.05² m²/s², and the speed is measured. A step of more than 10 s
-is predicted; its speed starts a segment. A speed beyond ±20 m/s is that limit, with P_ww = 400 m²/s².
-
-*Periodic estimates.* After each `read_every` s of update steps, without those at rest, the parameters are read; the
-first three periodic estimates are dropped. With weights 0.9^age, θ̄ is their mean and C their covariance; `reading`
-makes intervals of them.
-
-*The trial*, an option, answers a change of the boat within seconds. With z = e/√S of (5), z₋ that of the step before,
-m = min(|z|, |z₋|)² (25 at most), and ū the running mean (share 0.005) of min(m, 4) where z z₋ > 0, of 0 elsewhere,
-
-    g ← max(0, g ± m − ½ − 2ū),   + where z z₋ > 0, − elsewhere                                         (8)
-
-is Page's sum (Page 1954) of innovations that keep their sign. A second filter holds the state before the step while
-g ≤ 2. From there on it runs beside the first, with the covariance that a change leaves:
-
-    P ← P + Σ_side s² d dᵀ + Σ_i (r x_i)² e_i e_iᵀ,   d = (α, β, γ, κ, e₁, e₂, e₃) of the side as they are   (9)
-
-where each variance grows to four times its prior at most, and μ's does not. The evidence for it is
-
-    D ← D + ℓ_second − ℓ_first,   ℓ = −½ min(e²/S, 25) − ½ log S                                        (10)
-
-Where g exceeds its threshold within 20 steps, the trial begins. While D > `leads` the second filter predicts the next
-speed. Its parameters are uncertain, and open-loop simulations depart from it at D > 100 only. At
-D > `confirmed` it replaces the first, and the periodic estimates begin anew. It is dropped at D < `dropped`, where D
-falls by `fallen` below its greatest value, and after `trial_steps`. The filter that predicts lies in `mean`, `factor`,
-`noise` and `updates`; the other one lies in `trial`.
-
-The derivation is in `docs/theory/estimators.md#joint-ekf`.
+Equations (1) to (10) and their sources: `docs/theory/estimators.md#joint-ekf`; all quantities are per unit mass. The
+covariance is kept in the factors of `usvlearn.estimators.ud_factorization`. The filter that predicts lies in `mean`,
+`factor`, `noise` and `updates`; during a trial the other one lies in `trial`. The periodic estimates in `reading`
+become intervals by `periodic_estimates`.
 """
 
 from __future__ import annotations

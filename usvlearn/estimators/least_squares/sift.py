@@ -1,23 +1,6 @@
 """Recursive least squares that forgets only what it learns anew: SIFt-RLS (Lai & Bernstein 2024, arXiv 2404.10844).
 
-A sample informs one direction, φ. With the information R = P⁻¹ and λ = exp(−dt/τ), forgetting takes from R along that
-direction alone, and the sample gives it back (algorithm 1 there, for one output):
-
-    R̄ = R − (1−λ) R φφᵀ R / (φᵀRφ),   R⁺ = R̄ + φφᵀ,   θ⁺ = θ + R⁺⁻¹ φ (y − φᵀθ)        (1)
-
-so that a boat that idles or cruises keeps what it knows of everything else, and P stays bounded without any limit. A
-sample with |φ|² < ε, in units of the model's scale, informs nothing: it is predicted, not learned from.
-
-With the Cholesky factor S of P = S Sᵀ both steps have rank one. With x = S⁻¹φ, q = xᵀx = φᵀRφ and c = (1−λ)/(λ q),
-
-    P̄ = P + c φφᵀ = S (I + c xxᵀ) Sᵀ,   S̄ = S T,                                        (2)
-    t_j = 1 + c Σ_{i≤j} x_i²,   T_jj = √(t_j/t_{j−1}),   T_ij = c x_i x_j/√(t_{j−1} t_j)  for i > j
-
-then the measurement update of S̄ with noise 1 (see `rls`): p² operations in all, without a loop over parameters.
-
-λ is per direction: where n directions are excited in turn, a memory τ is like the memory n τ of exponential forgetting.
-
-The derivation is in `docs/theory/estimators.md#sift`.
+Equations (1) and (2): `docs/theory/estimators.md#sift`. p² operations in all, without a loop over parameters.
 """
 
 from __future__ import annotations

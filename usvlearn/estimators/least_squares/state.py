@@ -1,23 +1,7 @@
-"""Recursive least squares, for any model that is linear in its parameters; here with exponential forgetting.
+"""Recursive least squares, for any model that is linear in its parameters.
 
-With y the part of the speed that φᵀθ explains, and λ the forgetting factor (Plackett 1950; paper, section IV-D):
-
-    s = λ + φᵀPφ,   K = Pφ/s,   θ⁺ = θ + K (y − φᵀθ),   P⁺ = (P − Pφ φᵀP/s)/λ        (1)
-
-which minimises Σ λ^(k−j) (y_j − φ_jᵀθ)² + λ^k θᵀP₀⁻¹θ. Computed with the Cholesky factor S of P = S Sᵀ, lower
-triangular (Carlson 1973): with f = Sᵀφ, P⁺ = S (I − f fᵀ/s) Sᵀ/λ, and the matrix between has a factor T in closed form,
-
-    α_j = λ + Σ_{i>j} f_i²,   T_jj = √(α_j/α_{j−1}),   T_ij = −f_i f_j/√(α_{j−1} α_j)  for i > j,   S⁺ = S T/√λ     (2)
-
-in which nothing cancels, and which costs p² operations where one goes along the rows of S from their ends. The
-textbook's P − K (φᵀP) multiplies its rounding asymmetry by 1/λ at every step and diverges within minutes; S Sᵀ is
-symmetric and positive by construction. Where data stop informing a direction, P grows there without bound: forgetting
-pauses wherever it would lift the trace of P over a limit. `SIFtRLS` (see `sift`) needs no such limit.
-
-P is in units of the noise's variance σ², which is estimated from the innovations. The variance of a prediction is
-σ² (1 + φᵀPφ)   (3).
-
-The derivation is in `docs/theory/estimators.md#rls`.
+Equations (1) to (3) and their sources: `docs/theory/estimators.md#rls`. In the code S is the Cholesky factor of the
+covariance, P = S Sᵀ, lower triangular, and T the factor of its update.
 """
 
 from __future__ import annotations

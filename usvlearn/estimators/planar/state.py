@@ -1,41 +1,7 @@
 """Tracks: where the boat will be, from the ensembles of surge, sway and yaw rate, with ellipses that learn.
 
-Three ensembles make each step, one after the other: the surge u over ground, as without tracks; the sway v through the
-water; the yaw rate r. w, the surge through the water, and the current c are those of the surge's joint EKF. The sway's
-ensemble sees r and w at the beginning of the step, that of the yaw rate v and w. The measured sway over ground becomes
-
-    v = sway + c_N sin ψ − c_E cos ψ                                                                   (1)
-
-Until the sway has been measured 20 times, v counts as 0, and the lateral current is left out.
-
-*A track* begins at an origin, with members that are frozen as those of a forecast (`ensemble.forecasts`). Each of its
-steps of length h has one command for each side:
-
-    r⁺ from (v, w),   ψ⁺ = ψ + h (r + r⁺)/2,   v⁺ from (r, w),   u⁺ from (ψ + ψ⁺)/2 and (r + r⁺)/2
-    p⁺ = p + h/2 [R(ψ)(u, l) + R(ψ⁺)(u⁺, l⁺)],   l = v − c_N sin ψ + c_E cos ψ                         (2)
-
-where each axis combines its members by the weights of its own forecasts at the origin.
-
-*Ellipses.* At an origin of the horizon H the track goes on with the commands that come. When H s have passed, its error
-e in the frame of the origin's heading is known. C is the running covariance of these errors,
-
-    C ← C + max(1/(k+1), 1/100) (e eᵀ − C),   C' = C + 5/(k+5) tr(C)/2 I,   S = C'/√det C',   ρ = √(eᵀ S⁻¹ e)   (3)
-
-and the radius v that holds 90 % of the ρ, m, is learned as the half-width of a forecast: by (2), (3) of
-`ensemble.forecasts` and (1) to (6) of `ensemble.conditional`, where *spread* is the distance run since the origin, and
-*far* and *group* are those of the commands. The ellipse is pᵀ S⁻¹ p = v². Between horizons S and v are interpolated,
-before the first one v falls to 0 with the time, and beyond the last one it is infinite. An error of more than six
-radii is learned as one of six, and a position that no boat reaches (20 m/s, and 10 m) is none.
-
-*Surprise.* After a change of the boat, such as a lost thruster, errors over seconds come late, but the innovations z of
-the filters of surge and yaw rate, in units of their standard deviations, grow at once. With running means of
-min(z², 25) over 3 s and over 300 s, ν and ν̄,
-
-    v ← v min(√max(1, max_axis ν/(2 ν̄)), 4)                                                            (4)
-
-of every radius that is stated from then on.
-
-The derivation is in `docs/theory/ensemble.md#tracks`.
+Equations (1) to (4): `docs/theory/ensemble.md#tracks`. In the code the sway through the water is v and the surge over
+ground u.
 """
 
 from __future__ import annotations

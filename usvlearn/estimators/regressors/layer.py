@@ -1,20 +1,8 @@
 """Models that are linear in their parameters: v⁺ = base + φᵀθ (paper, sections IV-A, IV-C, IV-D).
 
-Commands and speeds are signed, so that boats may back up: ξ|ξ| stands for ξ² and ξ|v| for ξv. Where ξ ≥ 0 and
-v ≥ 0 these are the paper's own terms.
-
-The surge dynamics may have terms that the paper leaves out: *cubic*, κ ξ³ of each side, follows thrust curves that a
-parabola cannot, as with a dead band or saturation.
-
-The step is Euler's, v⁺ = v + h f with h = dt and f = Wᵀθ/m, or exponential (Rosenbrock–Euler; Hochbruck & Ostermann
-2010), which is of second order and stays stable however strong the drag is:
-
-    v⁺ = v + h φ1(z) f,   z = h ∂f/∂v,   φ1(z) = (e^z − 1)/z                                (2)
-
-Its φ is h φ1(z) W/m. z comes from the present parameters and is held within −20 … 1. An estimator that learns takes
-φ1(z) as known: it leaves out ∂z/∂θ, so that the model stays linear in θ.
-
-The derivation is in `docs/theory/model.md#surge-model`.
+Commands and speeds are signed, so that boats may back up: ξ|ξ| stands for ξ² and ξ|v| for ξv. Where ξ ≥ 0 and v ≥ 0
+these are the paper's own terms. The terms beyond the paper's and the exponential step, equation (2):
+`docs/theory/model.md#surge-model`.
 """
 
 from __future__ import annotations

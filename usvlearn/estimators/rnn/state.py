@@ -1,46 +1,8 @@
 """A shallow ReLU recurrent network with one state, learned online by Adam (paper, section IV-B).
 
-With x = h v, h = 1/(2 v_max), and u = [½ + ½ sin θ, ½ + ½ cos θ, ξ_L, ξ_R]:
-
-    z = w₁ x + W₂ u + b,   x⁺ = aᵀ relu(z)                                        (1)
-    L = ½ (x⁺ − x_meas)² + η/2 Σ ψ_i (a_i² + w_{1i}²),                            (2)
-    ψ_i = 1 where |a_i| + |w_{1i}|/(n+1) > 1/(n+1), else 0
-
-The penalty shrinks the weights that break the paper's contraction condition; it guarantees nothing. Projection does:
-after every update, whatever the learning rate and the sample, the weights go to the nearest that hold a condition of
-`certify.training.conditions` at the rate κ. Two trajectories with equal inputs and the same sequence of weights then
-approach each other by the factor κ at every step. With `feedback: estimate` the weights follow the state, and two
-starts learn different weights. For differences Δ_k of x and Δθ_k of the weights (`docs/certification.md`)
-
-    |Δ_k| ≤ κᵏ |Δ_0| + L_θ sup_{j<k} ‖Δθ_j‖/(1 − κ),   L_θ² = Σ relu(z_i)² + (1 + x² + |u|²) Σ a_i²,
-
-with L_θ² at its largest, for all states, inputs and weights that occur and the weights between.
-
-The gradient is written out. With `unroll` 2 the loss is taken two steps on, x̂ = f(f(x₋, u₋), u), and the gradient runs
-through both: with d = [z > 0], s = Σ a_i d_i w_{1i} and e = x̂ − x_meas,
-
-    ∂L/∂a = e (relu(z) + s relu(z₋)),   ∂L/∂z = e a d,   ∂L/∂z₋ = e s a d₋         (3)
-
-Speeds change little from step to step, so the network starts as persistence at the rate κ, and learns the rest:
-
-    x⁺ = κ/2 relu(2x + 1) − κ/2 relu(1) = κ x   where x > −½, that is v > −v_max               (4)
-
-with a = 0 in all other neurons, whose kinks lie where boats run. Adam goes without its running mean of the gradient
-(β₁ = 0): along a run the errors of successive steps are alike, and a mean over ten of them overshoots. A gradient is
-clipped (Pascanu, Mikolov & Bengio 2013), smoothly, so that no outlier fills the mean of g² for a thousand steps.
-
-With `replay_size` M > 0 the last M learned samples are kept (experience replay, Lin 1992). After each new one,
-`replay_steps` B of them are learned again: one more step of Adam by the mean of their clipped gradients, and one more
-projection. A kept sample is all that its gradient needs: u, and the speeds of x and x_meas, so that none joins two
-segments. A counter c alone says which are learned. Of f kept samples, B times,
-
-    place = ⌊c f/2²⁰⌋,   c ← (c + 648055) mod 2²⁰                                              (5)
-
-648055/2²⁰ is the golden section, and odd. So all places come up equally often, and successive ones lie far apart (Knuth
-1998, section 6.4). With `unroll` 2 the step before is the sample one place earlier, if it led to this one and is still
-kept.
-
-The derivation is in `docs/theory/estimators.md#rnn`; its contraction is in `docs/certification.md`.
+Equations (1) to (5) and their sources: `docs/theory/estimators.md#rnn`. After every update the weights go to the
+nearest that hold a condition of `certify.training.conditions` at the rate κ (`docs/certification.md`): two trajectories
+with equal inputs and the same sequence of weights then approach each other by the factor κ at every step.
 """
 
 from __future__ import annotations

@@ -1,23 +1,8 @@
 """Combiners that combine the predictions of an ensemble's members, x_k, into one, ŷ = Σ w_k x_k.
 
 A member whose prediction is NaN is inactive: the others share its weight, and its loss is that of their weighted mean.
-Where all are inactive, the prediction is NaN, and nothing is learned from the step.
-
-BOA (Bernstein online aggregation; Wintenberger 2017, Machine Learning 106, with the gradient trick of its section 2.3)
-has, where it forgets nothing (κ = 1), a regret bound of second order against the best fixed mixture, and no step size
-to choose. With a loss ℓ, its slope g = ℓ'(ŷ − y), priors w0, and per member the linearised loss l, its range E and its
-learning rate η:
-
-    l_k = g (x_k − ŷ),   E_k ← max(κ E_k, E₀, |l_k|)                                           (1)
-    L_k ← κ L_k + ½ [ l_k (1 + η_k l_k) + E_k 1(η_k l_k > ½) ]                                  (2)
-    V_k ← κ V_k + l_k²,   η_k ← min( 1/E_k, √(log(1/w0_k)/V_k) )                                (3)
-    w_k ∝ w0_k η_k exp(−η_k L_k)                                                              (4)
-
-κ = exp(−dt/memory) forgets, and the bound with it: the best member in calm water is not the best in a turn, and one
-outlier would hold the rates down for ever. The page names what differs from the published rule where κ = 1. A small
-share of the weight is distributed by the priors.
-
-The derivation is in `docs/theory/ensemble.md#combiners`.
+Where all are inactive, the prediction is NaN, and nothing is learned from the step. Equations (1) to (4) of BOA, and
+what differs from the published rule: `docs/theory/ensemble.md#combiners`.
 """
 
 from __future__ import annotations

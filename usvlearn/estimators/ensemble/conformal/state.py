@@ -1,18 +1,8 @@
 """Adaptive prediction intervals with a given coverage.
 
-The half-width q of the interval ŷ ± q is a quantile of |y − ŷ|, tracked by stochastic approximation of its logarithm,
-as adaptive conformal inference does (Gibbs & Candès 2021; Angelopoulos, Candès & Tibshirani 2023). With the miscoverage
-α and miss = 1 where |y − ŷ| > q:
-
-    log q ← log q + (η + η₀/k) (miss − α)                                                  (1)
-
-Bounded errors suffice: the sum of (1) over K steps gives |misses/K − α| ≤ |log(q_K/q_0)|/(η K) where
-η₀ = 0 and q has not met its least value. The second term finds the scale during the first samples. Before ten
-innovations q is no quantile of anything yet, and the published half-width is infinite.
-
-By choice the published half-width knows the manoeuvre (`conditional.state`); q goes on beside it.
-
-The derivation is in `docs/theory/ensemble.md#intervals`.
+Equation (1), its bound and sources: `docs/theory/ensemble.md#intervals`. Before ten innovations q is no quantile of
+anything yet, and the published half-width is infinite. By choice the published half-width knows the manoeuvre
+(`manoeuvre_intervals.state`); q goes on beside it.
 """
 
 from __future__ import annotations

@@ -1,38 +1,9 @@
 """Forecasts over several horizons, with weights and intervals for each.
 
-At an origin the members are frozen: their leaves that an open-loop simulation needs are copied. From then on each copy
-takes one step with every step of the boat, with the commands that come, and learns nothing. After h s it is member m's
-forecast x_m of the speed over the horizon h, made at the origin and given only the commands between. Every step with a
-measured speed is an origin of the shortest horizon; it goes on to the horizon h if the last one that did was h/n s ago,
-n being `overlap`. The ensemble's forecast has the weights w of that horizon as they were at the origin:
-
-    ŷ = Σ w_m x_m,     ŷ ± q s                                                                          (1)
-
-Where the speed y is then measured, the weights of the horizon learn by BOA (`combiners.state`) from x and y, and its
-interval by conformal inference: s is the running mean of |y − ŷ|, and q its multiple that covers the share 1 − α,
-
-    s ← s + max(1/k, 1/200) (|y − ŷ| − s)                                                               (2)
-    log q ← log q + (miss − α)/(9 + n),    q in 0.3 … 12,    miss = 1 where |y − ŷ| > q s, else 0        (3)
-
-with k the number of errors so far. Errors come late: n further forecasts are under way before the first error is known,
-and (3) learns the more slowly. The interval is infinite until k = 10, and ± 5 mm/s at least. BOA forgets over
-`memory` + `growth` h.
-
-Losses of a long horizon are larger. The predictions and y are divided by √(h/0.4 s) before BOA, so that its least range
-of the losses grows like those of a random walk.
-
-By choice the half-width knows the manoeuvre, too (`conditional.state`); (2) and (3) go on beside it.
-
-*A horizon with fewer than ten errors* has the weights of the next shorter one that has as many, or of the shortest.
-
-*Between horizons* weights and half-widths are interpolated linearly in time; before the first horizon they are the
-first's; beyond the last one the weights are the last's, and the interval is infinite. Time counts from the last
-measured speed.
-
-*After steps without measured speed* the ensemble's own prediction has the weights of the time since the last measured
-speed, because it is a forecast over that time. So has an open-loop simulation.
-
-The derivation is in `docs/theory/ensemble.md#forecasts`.
+At an origin the members are frozen: their leaves that an open-loop simulation needs are copied to a slot. From then on
+each copy takes one step with every step of the boat, with the commands that come, and learns nothing. Equations (1) to
+(3): `docs/theory/ensemble.md#forecasts`. By choice the half-width knows the manoeuvre, too
+(`manoeuvre_intervals.state`); (2) and (3) go on beside it.
 """
 
 from __future__ import annotations

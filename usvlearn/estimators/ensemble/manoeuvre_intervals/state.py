@@ -1,39 +1,8 @@
 """Interval widths as a function of the manoeuvre, for the next step and for forecasts over each horizon.
 
-One number for each horizon covers 90 % on average, and hardly half of the speeds where the commands change much. Here
-the half-width depends on what is known before the speed is measured:
-
-    spread = √Σ w_m (x_m − ŷ)²    of the members' predictions x_m about the prediction ŷ, with the weights w of the
-                                  origin; of one step with equal weights. An inactive member counts as ŷ
-    far                           the most that either command differs from that at the origin, until the due time
-    group                         by the range of the mean command within this time: < .05, ≤ .25, or more
-
-With ℓ, the running mean of the last errors, s is the error that is to be expected:
-
-    s = max(c₀ ℓ + c₁ spread + c₂ far, .4 ℓ, 1 mm),    c ≥ 0                                               (1)
-    half = w^(1 − a) v^a,    v = max(r_group s, 5 mm)                                                       (2)
-
-w is the half-width that does not know the manoeuvre, which goes on to learn as before. The share a is 1 from 300 errors
-on. Before, it follows the interval scores W of v and W₀ of w (Winkler 1972: 2 v + (2/α) (|e| − v)₊), running means of
-those of the errors after the tenth, k′ = k − 10:
-
-    a = ρ + (1 − ρ)/(1 + exp(2 − 2 √k′ (W₀ − W)/W₀)),    ρ = (k − 100)/200 within 0 … 1                    (3)
-
-Where an error e has become known, with α the share that may miss, n the forecasts that are under way at the same time
-(0 of one step), and miss = 1 where |e| > v, v of (2) with what is known now:
-
-    log r_j ← log r_j + (1/(2 (9 + n)) + .05 [j = group]) (miss − α),    r within .1 … 30                  (4)
-    ℓ ← ℓ + max(1/k, 1/50) (|e| − ℓ)                                                                       (5)
-    A ← .999 A + f fᵀ/s²,    b ← .999 b + f min(|e|, 6 s)/s²,    f = (ℓ, spread, far), ℓ before (5)        (6)
-
-and c minimizes cᵀA c/2 − bᵀc over c ≥ 0, approached by a sweep of coordinate descent after each error. These are least
-squares with weights 1/s², because errors scatter in proportion to s. A and b begin as if c = (1, 0, 0) had been seen
-ten times, with a ridge of 1.
-
-A forecast keeps what (1) to (3) need as they were at its origin: errors that become known later do not enter. A plan
-knows its commands, and its half-width is that of the present state.
-
-The derivation is in `docs/theory/ensemble.md#conditional-intervals`.
+Equations (1) to (6): `docs/theory/ensemble.md#conditional-intervals`. A forecast keeps what (1) to (3) need as they
+were at its origin: errors that become known later do not enter. A plan knows its commands, and its half-width is that
+of the present state.
 """
 
 from __future__ import annotations

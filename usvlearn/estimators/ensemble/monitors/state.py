@@ -1,46 +1,7 @@
 """Monitors: which parameters the data inform, whether innovations are white, whether a thruster has failed.
 
-**Excitation.** With P₀ the covariance before the first sample and P = S Sᵀ that of now, 1 − P_ii/P₀_ii is the share of
-a parameter's first variance that the data have removed. The least informed direction is the eigenvector of
-P₀^(−½) P P₀^(−½) with the largest eigenvalue.
-
-**Whiteness.** If a predictor has learned all that can be learned, its innovations e_k are white: their lag-1
-autocorrelation lies within ±1.96/√n for 95 % of the sequences of n (Box & Jenkins 1970). All means forget
-exponentially, with
-
-    n = (Σ w)²/Σ w² = ω (2 − α)/(α (2 − ω)),   ω = 1 − (1 − α)^steps                                      (1)
-
-independent samples in them; e is clipped at three robust standard deviations, s (Huber 1981):
-
-    s² ← s² + b (min(e², (c s)²)/κ − s²),   c = 1.345,   κ = E min(z², c²) = 0.71016                      (2)
-
-**A thruster that fails.** The yaw rate answers a one-sided loss at once, and unlike the surge it does not feel a steady
-current. A regression with a long memory predicts it from the commands; R is a ridge, w the weight of a sample:
-
-    r_k = xᵀϑ + e,   x = [1, r_{k−1}, r_{k−2}, ξ_i, ξ_i|ξ_i|, ξ_i³ of both sides],                        (3)
-    ϑ = (Σ w x xᵀ + R)⁻¹ Σ w x r,   ℓ = xᵀ (Σ w x xᵀ + R)⁻¹ x                                              (4)
-
-Where a thruster keeps the share 1 − d of its effect f_i, the part of xᵀϑ that side i makes, e has the mean −d f_i.
-Page's CUSUM (1954) of the log-likelihood ratio of a loss d against none, and what the samples since its last zero tell:
-
-    σ² = (1 + N ℓ) s² + (η F)²,   g_i ← max(0, g_i − d f_i e/σ² − ½ (d f_i/σ)²)                            (5)
-    effectiveness_i = 1 + Σ f_i e/σ² / Σ (f_i/σ)²                                                          (6)
-    variance of it = 1/Σ (f_i/σ)² + (1 − effectiveness_i)² (2 s_F/F_i)²,   s_F² = s² hᵀ (Σ w x xᵀ + R)⁻¹ h
-
-N ℓ s² is the error of ϑ, which stays the same over some N steps; η F an error of the model (3), where F is the effect
-of full command, hᵀϑ. The error of F scales the loss that is found. A g_i above the threshold raises the alarm. While g
-is high, little is learned, so that a fault is not absorbed. Where both commands have always been equal, nothing tells
-the sides apart, and the g_i stay.
-
-The sums M = Σ w x xᵀ are rounded at each of the n = Σ w steps that they remember, by at most some n ε √(M_ii M_jj) in
-all (ε the machine's). In float32, at constant commands, that makes M indefinite. A ridge above that bound keeps M + R
-positive definite, since nine such errors add up to less than it; in float64 it is ρ alone:
-
-    R_jj = max(ρ, 16 n ε M_jj)                                                                            (7)
-
-Where the factorisation breaks down nevertheless, the model says nothing in that step: ϑ = 0, ℓ = 0.
-
-The derivation is in `docs/theory/ensemble.md#monitors`.
+Equations (1) to (7) and their sources: `docs/theory/ensemble.md#monitors`. Where the factorisation of (4) breaks down
+in spite of the ridge (7), the model says nothing in that step: ϑ = 0.
 """
 
 from __future__ import annotations

@@ -1,21 +1,6 @@
 """Robust learning around any estimator: clip outliers, refuse samples that are not finite, accept real changes.
 
-With the innovation e = y − ŷ, its robust scale s and a threshold c, the estimator learns from y' in place of the
-measurement y (Huber 1964):
-
-    y' = ŷ + w e,   w = min(1, c s/|e|)                                                    (1)
-    s² ← (1−b) s² + (b/β) min(e², c² s²),   β = E min(z², c²) of a standard normal z          (2)
-
-so that s estimates the standard deviation of the innovations without outliers. The next step also departs from y',
-because an outlier of the speed would otherwise spoil two increments.
-
-*Escape.* After an outlier ordinary samples follow; after a change of the boat they do not. After `patience` samples in
-a row beyond the bound, the next are not clipped until one lies within it, and the covariance is inflated once. The
-scale still follows (2): an innovation that is not clipped there would open the bound to later outliers.
-
-*Gate.* A sample that would make a finite state not finite leaves the estimator's state unchanged, bit for bit.
-
-The derivation is in `docs/theory/estimators.md#robust`.
+Equations (1) and (2), the escape and the gate: `docs/theory/estimators.md#robust`.
 """
 
 from __future__ import annotations
