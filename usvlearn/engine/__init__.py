@@ -26,12 +26,7 @@ import numpy as np
 
 
 def select_element(description: Any, elements: int, element: int) -> Any:
-    """The description of one batch element: where a number differs by batch element, that of this batch element.
-
-    >>> many = {"kind": "aid", "numbers": {"gain": [1.0, 2.0], "scale": 28.0}, "vectors": {"spread": [[1.0], [3.0]]}}
-    >>> select_element(many, 2, 1)
-    {'kind': 'aid', 'numbers': {'gain': 2.0, 'scale': 28.0}, 'vectors': {'spread': [3.0]}}
-    """
+    """The description of one batch element: where a number differs by batch element, that of this batch element."""
     if not isinstance(description, Mapping):
         return description
     own = {}

@@ -73,15 +73,6 @@ def identified_planar(description: Mapping[str, Any], leaves: Mapping[str, np.nd
 
     Raises:
         ConfigError: none of the members of the surge is an averaged joint EKF.
-
-    >>> from usvlearn import Ensemble, ForecastSettings, JointEKF
-    >>> from usvlearn.core.samples import named_leaves
-    >>> from usvlearn.estimators.planar.layer import Planar
-    >>> joint = JointEKF(surge_max=2.7, read_every=600.0)
-    >>> planar = Planar(Ensemble({"joint": joint}, forecasts=ForecastSettings()), surge_max=2.7)
-    >>> leaves = {name: leaf.detach().numpy() for name, leaf in named_leaves(planar.init((1,)))}
-    >>> identified_planar(planar.description(), leaves)[0].lacks[-1]
-    'Neither heading nor yaw rate was measured under way: nothing is known of turning.'
     """
     surge = {name.removeprefix("surge."): leaf for name, leaf in leaves.items() if name.startswith("surge.")}
     members = members_of(description["surge"])
@@ -106,11 +97,7 @@ def _filter(
 
 
 def sentences(found: Mapping[str, Identified]) -> list[str]:
-    """What is said of each boat: once where it is true of all of them, else with the names of the boats.
-
-    >>> sentences({})
-    []
-    """
+    """What is said of each boat: once where it is true of all of them, else with the names of the boats."""
     said: dict[str, list[str]] = {}
     for boat, each in found.items():
         for sentence in filter(None, (each.basis, each.scale, *each.lacks)):

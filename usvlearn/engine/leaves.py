@@ -37,22 +37,14 @@ class Part(NamedTuple):
 
 
 def unwrapped(description: Description, prefix: str = "") -> Part:
-    """An estimator apart from the `Robust` around it; `prefix` is that of the leaves of the whole.
-
-    >>> unwrapped({"kind": "robust", "inner": {"kind": "persistence"}}).prefix
-    'inner.'
-    """
+    """An estimator apart from the `Robust` around it; `prefix` is that of the leaves of the whole."""
     if description["kind"] == "robust":
         return Part(description["inner"], f"{prefix}inner.", description)
     return Part(description, prefix, None)
 
 
 def leaves_of(description: Description) -> dict[str, Field]:
-    """The leaves of the state of an estimator with this description.
-
-    >>> list(leaves_of({"kind": "robust", "inner": {"kind": "persistence", "size": 0}}))
-    ['inner.surge', 'variance', 'run', 'clipped', 'rejected', 'escaped']
-    """
+    """The leaves of the state of an estimator with this description."""
     if description["kind"] == "planar":
         axes = {f"{axis}.{name}": each for axis in AXES for name, each in leaves_of(description[axis]).items()}
         return axes | track.FAMILY.leaves(track_size(description), "track.")
@@ -73,11 +65,7 @@ def leaves_of(description: Description) -> dict[str, Field]:
 
 
 def frozen(description: Description) -> dict[str, Field]:
-    """The leaves of an estimator that its open-loop simulation needs, by name.
-
-    >>> list(frozen({"kind": "robust", "inner": {"kind": "persistence", "size": 0}}))
-    ['inner.surge']
-    """
+    """The leaves of an estimator that its open-loop simulation needs, by name."""
     part = unwrapped(description)
     family, every = KINDS[part.own["kind"]], _member(description, "")
     names = family.frozen or family.leaves(part.own["size"], own=part.own)
@@ -124,10 +112,6 @@ def afresh(
     """The leaves, where a member whose state is not finite begins again in its vehicle; and a sentence about it, or "".
 
     `leaves` are of an ensemble or of a boat in the plane, `(*batch, …)`; `first` makes those of the beginning.
-
-    >>> leaves = {"predictions": np.ones((2, 1)), "members.a.theta": np.array([1.0, np.nan])}
-    >>> afresh(leaves, lambda: {"members.a.theta": np.zeros(2)})[1]
-    'the state of a is not finite in 1 of 2 vehicles: it begins again there'
     """
     wrong = [name for name, leaf in leaves.items() if leaf.dtype != bool and not np.isfinite(leaf).all()]
     members = sorted({found[0] for name in wrong if (found := MEMBER.match(name))})
@@ -144,11 +128,7 @@ def afresh(
 
 
 def batch_of(fields: Mapping[str, Field], leaves: Mapping[str, np.ndarray]) -> tuple[int, ...]:
-    """The batch of a state, from the shape of its first leaf; a ShapeError where that leaf is missing.
-
-    >>> batch_of({"surge": Field(())}, {"surge": np.zeros((2, 3))})
-    (2, 3)
-    """
+    """The batch of a state, from the shape of its first leaf; a ShapeError where that leaf is missing."""
     name, field = next(iter(fields.items()))
     if name not in leaves or leaves[name].ndim < len(field.shape):
         found = f"found the shape {leaves[name].shape}" if name in leaves else "found no such leaf"

@@ -76,10 +76,6 @@ class Program:
 
     Raises:
         ShapeError: a hyperparameter does not broadcast against the batch.
-
-    >>> one = Program({"kind": "persistence", "size": 0, "numbers": {}})
-    >>> one.unpack(np.ones((1, one.size)))["surge"]
-    array(1.)
     """
 
     def __init__(self, description: Description, batch: Sequence[int] = (), dtype: DTypeLike = np.float64):

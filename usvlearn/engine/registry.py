@@ -14,11 +14,7 @@ KINDS = {kind: family for family in ESTIMATORS for kind in family.kinds}
 
 
 def compilable(description: Mapping[str, Any] | None) -> bool:
-    """Whether the kernels can make the steps of an estimator with this description (`Estimator.description`).
-
-    >>> compilable({"kind": "robust", "inner": {"kind": "persistence"}}), compilable(None)
-    (True, False)
-    """
+    """Whether the kernels can make the steps of an estimator with this description (`Estimator.description`)."""
     if description is None:
         return False
     if description["kind"] == "ensemble":

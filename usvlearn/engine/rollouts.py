@@ -282,9 +282,5 @@ def run(
 
 
 def stack(trees: Sequence[Any]) -> Any:
-    """Trees of tensors as one, with a first axis that counts them.
-
-    >>> stack([{"theta": torch.zeros(2)}, {"theta": torch.ones(2)}])["theta"].shape
-    torch.Size([2, 2])
-    """
+    """Trees of tensors as one, with a first axis that counts them."""
     return tree_map(lambda *leaves: torch.stack(leaves), *trees)

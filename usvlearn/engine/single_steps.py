@@ -35,12 +35,6 @@ class CompiledStepper:
 
     Raises:
         ShapeError: the leaves are not those of such an estimator.
-
-    >>> live = CompiledStepper({"kind": "persistence", "size": 0, "numbers": {}}, {"surge": np.array(1.5)})
-    >>> live.step(Sample(Inputs(0.0, 0.0, 0.0, 0.0, 0.4), surge=1.6, fresh=True, measured=True))
-    1.5
-    >>> float(live.leaves["surge"])
-    1.6
     """
 
     def __init__(self, description: Description, leaves: Mapping[str, np.ndarray]):

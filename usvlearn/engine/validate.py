@@ -53,11 +53,6 @@ def check(description: Any, leaves: Mapping[str, np.ndarray]) -> None:
     Args:
         description: of an estimator, as `Estimator.description` gives it, from JSON.
         leaves: of its state, `(*batch, …)`, by dotted name.
-
-    >>> check({"kind": "persistence", "size": 0, "numbers": {}}, {"surge": np.array(1.5)})
-    >>> check({"kind": "persistence", "size": 1, "numbers": {}}, {"surge": np.array(1.5)})
-    Traceback (most recent call last):
-    usvlearn.errors.CheckpointError: kernel.size: found 1, expected 0
     """
     reading = _Reading()
     if _kind("kernel", description) == "planar":

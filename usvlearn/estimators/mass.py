@@ -35,9 +35,6 @@ def known_rows(known: Mapping[str, float], names: Sequence[str]) -> tuple[list[l
 
     Raises:
         ConfigError: nothing is known, a name is no parameter's, or a value is zero, infinite or no number.
-
-    >>> known_rows({"a": 2.0, "a + b": 5.0}, ("a", "b"))
-    ([[1.0, 0.0], [1.0, 1.0]], [2.0, 5.0])
     """
     if not isinstance(known, Mapping):
         raise ConfigError(f"known: found {known!r}, expected {{name: value}}")
@@ -74,10 +71,6 @@ def recover_mass(
 
     Returns:
         NaN where the known quantities do not determine a result: no thrust seen yet, or thrust of the wrong sign.
-
-    >>> per_mass = torch.tensor([-0.1, -0.5, -0.2, 0.5, 0.7, 0.0, 0.5, 0.7, 0.0])
-    >>> round(float(recover_mass(per_mass, {"thrust_linear_left + thrust_quadratic_left": 33.6}).mass), 3)
-    28.0
     """
     rows, values = known_rows(known, names)
     d = per_mass.new_tensor(values)

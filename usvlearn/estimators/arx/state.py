@@ -41,13 +41,7 @@ THRUST_SPEED = ("thrust_speed_left", "thrust_speed_right")
 
 
 def deviations(lags: int, even: bool, turning: bool, thrust_speed: bool) -> dict[str, float]:
-    """The features in their order, each with the prior deviation of its weight over `scale`.
-
-    >>> list(deviations(1, False, False, False))[:6]
-    ['bias', 'speed', 'speed_square', 'turning_speed', 'increment_1', 'sum_0']
-    >>> len(deviations(3, True, True, True))
-    31
-    """
+    """The features in their order, each with the prior deviation of its weight over `scale`."""
     return {
         "bias": 1.0,
         **dict.fromkeys(("speed", "speed_square", "turning_speed"), 10.0),

@@ -29,11 +29,7 @@ SIDE = THETA + len(BODY)  # place of the left side's first term
 
 
 def names(kind: str) -> tuple[str, ...]:
-    """The names of the parameters, in the order of x.
-
-    >>> len(names("yaw")), names("sway")[-3:]
-    (20, ('linear_right', 'quadratic_right', 'command_lag'))
-    """
+    """The names of the parameters, in the order of x."""
     return (*BODY, *(f"{term}_{side}" for side in ("left", "right") for term in THRUST[kind]), LAG)
 
 
@@ -48,9 +44,6 @@ def axis_inputs(command_left: Any, command_right: Any, other: Any, surge: Any, d
         other: sway, m/s, for the yaw rate; yaw rate, rad/s, for the sway.
         surge: through the water, m/s.
         dt: s.
-
-    >>> axis_inputs(0.5, 0.4, 0.1, 1.5, 0.4).yaw_rate
-    1.5
     """
     return Inputs(command_left, command_right, heading=other, yaw_rate=surge, dt=dt)
 

@@ -45,15 +45,7 @@ class Theta(NamedTuple):
 
 
 def quantities(theta: Theta) -> dict[str, np.ndarray]:
-    """All quantities of `QUANTITIES`, `(...)` by name; NaN where the parameters determine none.
-
-    >>> yaw = np.zeros(20)
-    >>> yaw[[1, 7, 13]] = -2.0, 1.0, -1.0  # linear drag, and thrust proportional to the commands
-    >>> surge = np.array([0.0, -0.5, 0.0, 0.5, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0])
-    >>> found = quantities(Theta(surge, yaw))
-    >>> {name: round(float(each), 3) for name, each in found.items() if "full" in name}
-    {'yaw_rate_full_difference': 1.0, 'yaw_rate_full': 0.25, 'turning_radius_full': 6.0}
-    """
+    """All quantities of `QUANTITIES`, `(...)` by name; NaN where the parameters determine none."""
     yaw = theta.yaw
     linear, quadratic, cross = (yaw[..., place - THETA] for place in (LINEAR, QUADRATIC, CROSS))
     spot = [balance(quadratic, linear, acceleration("yaw", yaw, 0.0, 0.0, 0.0, x, -x)) for x in (1.0, -1.0)]
@@ -106,11 +98,7 @@ def steady_turns(theta: Theta) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def balance(quadratic, linear, push):
-    """y of (1); infinite without drag, NaN where no y balances.
-
-    >>> float(balance(-1.0, -1.0, 6.0)), float(balance(-1.0, -1.0, -6.0))
-    (2.0, -2.0)
-    """
+    """y of (1); infinite without drag, NaN where no y balances."""
     with np.errstate(divide="ignore", invalid="ignore"):
         whole = -linear + np.sqrt(linear * linear - 4 * quadratic * np.abs(push))
         return np.where(whole >= 0, 2 * push / whole, np.nan)
@@ -125,9 +113,6 @@ def acceleration(kind: str, theta: np.ndarray, y, other, surge, left, right) -> 
         y, other: yaw rate, rad/s, and sway, m/s; of the sway the other way round.
         surge: through the water, m/s.
         left, right: commands.
-
-    >>> float(acceleration("yaw", np.eye(20)[4], 0.5, 0.2, 2.0, 0.0, 0.0))  # the coupling u v
-    0.4
     """
     along = np.abs(surge)
     terms = [1.0, y, y * np.abs(y), along * y, surge * other, other, surge]

@@ -164,13 +164,7 @@ def misstated(speed: float, low: float, high: float, variance: np.ndarray) -> li
 
 
 def unphysical(found: Mapping[str, Quantity]) -> str:
-    """A sentence about quantities that are surely negative, and cannot be so; "" if there is none.
-
-    >>> unphysical({"steady_speed_full": Quantity(-0.4, -1.9, 1.1, "m/s")})  # not known
-    ''
-    >>> unphysical({"steady_speed_full": Quantity(-1.6, -1.9, -1.3, "m/s")})[:80]
-    'The identified boat is not physical: it has a steady speed at full command of -1'
-    """
+    """A sentence about quantities that are surely negative, and cannot be so; "" if there is none."""
     wrong = [
         f"{words} of {found[name].value:.3g} {found[name].unit}"
         for name, words in POSITIVE_OF_BOATS.items()

@@ -193,11 +193,7 @@ class Identified(Mapping[str, Quantity]):
 
 
 def shown(value: float) -> str:
-    """A number with three significant digits; a dash for NaN.
-
-    >>> shown(33.6123), shown(-0.01234), shown(1234.5), shown(-0.00001), shown(math.nan)
-    ('33.6', '-0.0123', '1234', '0.0000', '–')
-    """
+    """A number with three significant digits; a dash for NaN."""
     if not math.isfinite(value):
         return "–" if math.isnan(value) else f"{value:g}"
     if abs(value) >= 1e5:
@@ -207,11 +203,7 @@ def shown(value: float) -> str:
 
 
 def tells_sides(name: str) -> bool:
-    """Whether a quantity tells left from right, which nothing does where both have one command.
-
-    >>> tells_sides("thrust_full_left"), tells_sides("time_constant")
-    (True, False)
-    """
+    """Whether a quantity tells left from right, which nothing does where both have one command."""
     return name.endswith(("left", "right")) or name == "thrust_ratio"
 
 
@@ -235,14 +227,6 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
     Args:
         description: of a joint EKF, of one batch element (`JointEKF.description`).
         leaves: of its state, by name, without batch axes.
-
-    >>> from usvlearn import JointEKF
-    >>> from usvlearn.core.samples import named_leaves
-    >>> joint = JointEKF(surge_max=2.7, mass=28.0, read_every=600.0)
-    >>> leaves = {name: leaf.detach().numpy() for name, leaf in named_leaves(joint.init())}
-    >>> found = identify(joint.description(), leaves)
-    >>> found["steady_speed_full"].unit, found["thrust_full_left"].low < 0 < found["thrust_full_left"].high
-    ('m/s', True)
     """
     numbers, vectors = description["numbers"], description["vectors"]
     state = {name: np.asarray(leaf, dtype=np.float64) for name, leaf in leaves.items()}

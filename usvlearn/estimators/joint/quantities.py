@@ -45,9 +45,6 @@ def sums(even: bool) -> dict[str, np.ndarray]:
 
     Returns:
         `(m,)` by name.
-
-    >>> sums(even=False)["thrust_full_left"]
-    array([0., 0., 0., 1., 1., 0., 0., 0., 0., 1., 0., 0.])
     """
     of = dict(zip(names(even), np.eye(len(names(even))), strict=True))
     found = {name: of[name] + (of[EVEN_BESIDE[name]] if even and name in EVEN_BESIDE else 0.0) for name in SURGE}
@@ -68,9 +65,6 @@ class Ahead:
 
     Args:
         theta: per unit mass, `(..., m)`.
-
-    >>> float(Ahead(np.array([0.0, -0.5, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0])).steady_speed(0.5))
-    2.0
     """
 
     def __init__(self, theta: np.ndarray):

@@ -96,11 +96,7 @@ class JointState(NamedTuple):
 
 
 def names(even: bool) -> tuple[str, ...]:
-    """The names of the parameters, in the order of x.
-
-    >>> len(names(True)), names(False)[-1]
-    (19, 'command_lag')
-    """
+    """The names of the parameters, in the order of x."""
     return (*SURGE, *CUBIC, *(EVEN if even else ()), LAG)
 
 

@@ -25,13 +25,7 @@ def sift_step(
     forgetting: Tensor,  # (*batch,) λ
     informs: Tensor | bool = True,  # (*batch,) bool: nothing changes where it is False
 ) -> tuple[Tensor, Tensor]:
-    """One measurement update of (θ, S), equations (1) and (2).
-
-    >>> theta, factor = torch.zeros(2), torch.eye(2)
-    >>> theta, factor = sift_step(theta, factor, torch.tensor([1.0, 0.0]), torch.tensor(1.0), torch.tensor(0.5))
-    >>> (factor @ factor.mT).diag()  # the second direction: nothing learned, nothing forgotten
-    tensor([0.6667, 1.0000])
-    """
+    """One measurement update of (θ, S), equations (1) and (2)."""
     informs = (informs if isinstance(informs, Tensor) else torch.full_like(innovation, informs, dtype=torch.bool))[
         ..., None
     ]

@@ -108,10 +108,6 @@ def filter_of(axis: str, description: Mapping[str, Any]) -> str | None:
 
 
 def slots_of(horizons: tuple[float, ...], overlap: float) -> int:
-    """How many tracks are under way at the same time.
-
-    >>> slots_of(HORIZONS, OVERLAP)
-    8
-    """
+    """How many tracks are under way at the same time."""
     begins = (0.0, *horizons[:-1])
     return sum(int(overlap * (1 - a / b) + 1e-9) + 1 for a, b in zip(begins, horizons, strict=True))

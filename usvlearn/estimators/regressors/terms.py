@@ -52,11 +52,7 @@ SERIES = tuple((k + 1) / factorial(k + 2) for k in range(9, -1, -1))  # of the d
 
 
 def signs_of(terms: Collection[str]) -> dict[str, int]:
-    """The parameters of a model with these terms, in their order, each with its sign.
-
-    >>> len(signs_of(["dynamics", "cubic"]))
-    11
-    """
+    """The parameters of a model with these terms, in their order, each with its sign."""
     if "dynamics" not in terms:
         return QUASI_STATIC
     return SURGE | CUBIC if "cubic" in terms else SURGE

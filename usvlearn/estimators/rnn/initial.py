@@ -16,12 +16,7 @@ from usvlearn.errors import ConfigError
 
 
 def initial_weights(n: int, initial: str, ratio: Sequence[float], generator: torch.Generator) -> ShallowWeights:
-    """Random weights, or persistence, equation (4) of `state` at κ = 1, and kinks within 0 ≤ x ≤ ½, 0 ≤ u ≤ 1.
-
-    >>> weights = initial_weights(3, "persistence", (1.0,) * 5, torch.Generator().manual_seed(0))
-    >>> weights.a, weights.w1[:2]
-    (tensor([ 0.5000, -0.5000,  0.0000], dtype=torch.float64), tensor([2., 0.], dtype=torch.float64))
-    """
+    """Random weights, or persistence, equation (4) of `state` at κ = 1, and kinks within 0 ≤ x ≤ ½, 0 ≤ u ≤ 1."""
 
     def uniform(*shape: int) -> Tensor:
         return torch.rand(shape, generator=generator, dtype=torch.float64)

@@ -50,12 +50,7 @@ def network_inputs(inputs: Inputs) -> Tensor:
 
 
 def network(weights: ShallowWeights, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-    """x⁺ of (1), `(*batch,)`, and z, `(*batch, n)`.
-
-    >>> one = torch.ones(1)
-    >>> network(ShallowWeights(one, one, torch.zeros(1, 4), one), torch.tensor(0.25), torch.zeros(4))[0]
-    tensor(1.2500)
-    """
+    """x⁺ of (1), `(*batch,)`, and z, `(*batch, n)`."""
     a, w1, W2, b = weights
     z = w1 * x[..., None] + (W2 * u[..., None, :]).sum(-1) + b
     return (a * z.relu()).sum(-1), z
@@ -100,10 +95,6 @@ def gradient(
 def clipped(grad: Tensor, c: float) -> Tensor:
     """Each batch element's gradient g, `(*batch, 7n)`, as g/√(1 + ‖g‖²/c²): no longer than c, and hardly changed where
     short.
-
-    >>> clipped(torch.tensor([[3.0, 4.0], [0.03, 0.04]]), 1.0)
-    tensor([[0.5883, 0.7845],
-            [0.0300, 0.0400]])
     """
     grad = grad.clamp(-1e15, 1e15)  # so that no square overflows, not even in float32
     return grad * (1 + (grad * grad).sum(-1, keepdim=True) / c**2).rsqrt()

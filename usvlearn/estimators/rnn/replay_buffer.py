@@ -27,11 +27,6 @@ def due(replay: Replay, count: int) -> tuple[Replay, Tensor, Tensor, Tensor]:
     """The next turn, and the kept samples whose turn it is, (5), `(*batch, count, 7)`.
 
     After them the samples one place earlier, and whether their steps led to these, `(*batch, count)`.
-
-    >>> samples = torch.arange(14.0).reshape(2, 7)
-    >>> replay, again, before, unbroken = due(Replay(samples, torch.tensor(2.0), torch.tensor(600000.0)), 2)
-    >>> again[:, 0], before[:, 0], unbroken, replay.turn
-    (tensor([7., 0.]), tensor([0., 7.]), tensor([ True, False]), tensor(847534.))
     """
     size = replay.samples.shape[-2]
     learned = whole(replay.learned, 2 * size)[..., None]

@@ -11,12 +11,7 @@ from torch.nn.functional import pad
 
 
 def unpacked(factor: Tensor) -> tuple[Tensor, Tensor]:
-    """U and D from the leaf `factor`, `(*batch, n, n)`.
-
-    >>> unpacked(torch.tensor([[2.0, 0.0], [0.5, 3.0]]))
-    (tensor([[1.0000, 0.5000],
-            [0.0000, 1.0000]]), tensor([2., 3.]))
-    """
+    """U and D from the leaf `factor`, `(*batch, n, n)`."""
     return unit(factor.mT), factor.diagonal(dim1=-2, dim2=-1)
 
 
@@ -31,20 +26,12 @@ def unit(U: Tensor) -> Tensor:
 
 
 def variances(U: Tensor, D: Tensor) -> Tensor:
-    """The diagonal of P, `(*batch, n)`.
-
-    >>> variances(torch.tensor([[1.0, 0.5], [0.0, 1.0]]), torch.tensor([2.0, 4.0]))
-    tensor([3., 4.])
-    """
+    """The diagonal of P, `(*batch, n)`."""
     return (U * U * D[..., None, :]).sum(-1)
 
 
 def rotated(U: Tensor, H: Tensor) -> Tensor:
-    """f = UᵀH, `(*batch, n)`.
-
-    >>> rotated(torch.tensor([[1.0, 0.5], [0.0, 1.0]]), torch.tensor([1.0, 1.0]))
-    tensor([1.0000, 1.5000])
-    """
+    """f = UᵀH, `(*batch, n)`."""
     return (U * H[..., None]).sum(-2)
 
 
@@ -55,10 +42,6 @@ def added(U: Tensor, D: Tensor, a: Tensor, c: Tensor) -> tuple[Tensor, Tensor]:
         U, D: of P.
         a: `(*batch, n)` or `(n,)`.
         c: `(*batch,)`, 0 or more.
-
-    >>> added(torch.eye(2), torch.ones(2), torch.tensor([1.0, 1.0]), torch.tensor(1.0))
-    (tensor([[1.0000, 0.5000],
-            [0.0000, 1.0000]]), tensor([1.5000, 2.0000]))
     """
     a = a.expand(D.shape)
     v = torch.linalg.solve_triangular(U, a[..., None], upper=True, unitriangular=True).squeeze(-1)
@@ -76,10 +59,6 @@ def measured(U: Tensor, D: Tensor, f: Tensor, alpha: Tensor) -> tuple[Tensor, Te
         U, D: of P.
         f: UᵀH, `(*batch, n)`.
         alpha: the variance of the measurement, `(*batch,)`.
-
-    >>> U, D, PH, S = measured(torch.eye(1), torch.ones(1), torch.ones(1), torch.tensor(1.0))
-    >>> D, PH, S
-    (tensor([0.5000]), tensor([1.]), tensor(2.))
     """
     G = D * f
     after = alpha[..., None] + (f * G).cumsum(-1)
@@ -90,11 +69,7 @@ def measured(U: Tensor, D: Tensor, f: Tensor, alpha: Tensor) -> tuple[Tensor, Te
 
 
 def projected(x: Tensor, U: Tensor, D: Tensor, d: Tensor) -> Tensor:
-    """x after (3) where dᵀx > 0, `(*batch, n)`; the d of shape `(n,)`.
-
-    >>> projected(torch.tensor([1.0, 2.0]), torch.eye(2), torch.ones(2), torch.tensor([1.0, 0.0]))
-    tensor([0., 2.])
-    """
+    """x after (3) where dᵀx > 0, `(*batch, n)`; the d of shape `(n,)`."""
     value, f = (x * d).sum(-1), rotated(U, d)
     G = D * f
     step = torch.where(value > 0, value / (f * G).sum(-1), 0.0)

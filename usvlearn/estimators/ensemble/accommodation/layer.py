@@ -25,32 +25,19 @@ from usvlearn.estimators.joint.layer import JointEKF
 
 
 def accommodated(members: Mapping[str, Any]) -> tuple[str, ...]:
-    """The names of the members that get what the monitor finds: joint EKFs with trials, without a wrapper.
-
-    >>> from usvlearn import JointEKF, Persistence, Trial
-    >>> accommodated({"joint": JointEKF(2.7, trial=Trial()), "persistence": Persistence()})
-    ('joint',)
-    """
+    """The names of the members that get what the monitor finds: joint EKFs with trials, without a wrapper."""
     return tuple(name for name, member in members.items() if isinstance(member, JointEKF) and member.trial is not None)
 
 
 def description() -> dict[str, float]:
-    """The numbers of `accommodate`, for its kernel.
-
-    >>> description()["after"]
-    10.0
-    """
+    """The numbers of `accommodate`, for its kernel."""
     return {
         "wait": WAIT, "after": AFTER, "loose": LOOSE, "scale": SCALE, "floor": FLOOR, "monitor": MONITOR,
     }  # fmt: skip
 
 
 def init(batch: Sequence[int], like: Tensor) -> AccommodationState:
-    """Before the first sample, of the dtype and device of `like`.
-
-    >>> init((8,), torch.zeros(())).share.shape
-    torch.Size([8, 2])
-    """
+    """Before the first sample, of the dtype and device of `like`."""
     zero = like.new_zeros(tuple(batch))
     two = like.new_zeros((*batch, 2))
     return AccommodationState(zero, two, two + 1, two)
@@ -117,12 +104,7 @@ def thrust_remaining(thrusters: ThrusterState, given: Any) -> tuple[Tensor, Tens
 
 
 def fused(sources: Sequence[tuple[Tensor, Tensor]]) -> tuple[Tensor, Tensor]:
-    """(3) from values and standard deviations; what is not finite counts as unknown. 1 ± 1 where all is unknown.
-
-    >>> source = torch.tensor(0.4), torch.tensor(0.1)
-    >>> [round(x.item(), 3) for x in fused([source, source])]
-    [0.4, 0.071]
-    """
+    """(3) from values and standard deviations; what is not finite counts as unknown. 1 ± 1 where all is unknown."""
     total = moment = torch.zeros_like(sources[0][0])
     for value, deviation in sources:
         known = value.isfinite() & deviation.isfinite() & (deviation > 0)

@@ -17,11 +17,7 @@ from usvlearn.estimators.least_squares.rls import rls_step
 
 
 def fill_inactive(predictions: Tensor, weights: Tensor) -> Tensor:
-    """Replace each NaN (a member that is inactive) by the weighted mean of the other members, `(*batch, members)`.
-
-    >>> fill_inactive(torch.tensor([1.0, 2.0, torch.nan]), torch.tensor([0.5, 0.25, 0.25]))
-    tensor([1.0000, 2.0000, 1.3333])
-    """
+    """Replace each NaN (a member that is inactive) by the weighted mean of the other members, `(*batch, members)`."""
     active = ~predictions.isnan()
     present = torch.where(active, predictions, 0.0)
     shares = active * (weights + TINY)

@@ -21,11 +21,7 @@ def conformal_start(batch: Sequence[int], k: int, like: Tensor, knows: bool = Fa
 
 
 def published(state: ConformalState) -> Tensor:
-    """The half-widths that do not know the manoeuvre, m/s, `(*batch, k)`: infinite before FEW innovations.
-
-    >>> published(conformal_start((), 2, torch.zeros(())))
-    tensor([inf, inf])
-    """
+    """The half-widths that do not know the manoeuvre, m/s, `(*batch, k)`: infinite before FEW innovations."""
     return torch.where(state.count < FEW, torch.inf, state.halfwidth)
 
 
@@ -73,21 +69,12 @@ def intervals_after(step: Step, innovation: Tensor, coverage: float, inputs: Inp
 
 
 def conformal_numbers(coverage: float) -> dict[str, float]:
-    """The numbers of `conformal_step`, for its kernel.
-
-    >>> conformal_numbers(0.9)["coverage"]
-    0.9
-    """
+    """The numbers of `conformal_step`, for its kernel."""
     return {"coverage": coverage, "rate": RATE, "boost": BOOST, "least": LEAST}
 
 
 def conformal_step(state: ConformalState, innovation: Tensor, coverage: float) -> ConformalState:
-    """The intervals after innovations, m/s, `(*batch, k)`: equation (1). A column that is not finite stays.
-
-    >>> state = conformal_start((), 2, torch.zeros(()))
-    >>> conformal_step(state, torch.tensor([0.01, 1.0]), coverage=0.9).halfwidth  # narrower, wider
-    tensor([0.0443, 0.1472])
-    """
+    """The intervals after innovations, m/s, `(*batch, k)`: equation (1). A column that is not finite stays."""
     known = innovation.isfinite()
     count = state.count + known
     miss = (innovation.abs() > state.halfwidth).to(state.halfwidth.dtype)

@@ -17,11 +17,7 @@ from usvlearn.estimators.ensemble.manoeuvre_intervals.state import HorizonState,
 
 
 def init(batch: Sequence[int], k: int, like: Tensor) -> LearnedState:
-    """What is known of k half-widths before the first error.
-
-    >>> init((), 2, torch.zeros(())).factors.shape
-    torch.Size([2, 3])
-    """
+    """What is known of k half-widths before the first error."""
     shape = (*batch, k)
     first = torch.eye(at.FEATURES, dtype=like.dtype, device=like.device)[0]
     ridge = torch.diag(at.RIDGE + (at.PRIOR - at.RIDGE) * first)
@@ -59,11 +55,7 @@ def opened(state: HorizonState, opens: Tensor, left: Tensor, right: Tensor, coun
 
 
 def begin_path(left: Tensor, right: Tensor) -> Tensor:
-    """A path that begins at these commands, `(…, 5)`.
-
-    >>> begin_path(torch.tensor(0.2), torch.tensor(0.6))
-    tensor([0.2000, 0.6000, 0.4000, 0.4000, 0.0000])
-    """
+    """A path that begins at these commands, `(…, 5)`."""
     mean = (left + right) / 2
     return torch.stack([left, right, mean, mean, torch.zeros_like(mean)], -1)
 
@@ -82,12 +74,7 @@ def far_of(path: Tensor) -> Tensor:
 
 
 def group_of(path: Tensor) -> Tensor:
-    """0, 1 or 2 by the range of the mean command, as numbers of the path's dtype.
-
-    >>> path = begin_path(torch.zeros(()), torch.zeros(()))
-    >>> group_of(extend_path(path, torch.tensor(0.2), torch.tensor(0.4)))
-    tensor(2.)
-    """
+    """0, 1 or 2 by the range of the mean command, as numbers of the path's dtype."""
     moved = path[..., at.HIGH] - path[..., at.LOW]
     return (moved >= at.LITTLE).to(path.dtype) + (moved > at.MUCH).to(path.dtype)
 

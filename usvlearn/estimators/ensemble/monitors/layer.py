@@ -59,9 +59,6 @@ def excitation(factor: Tensor, prior: Tensor | float) -> Tensor:
     Args:
         factor: S, a square root of the covariance, `(*batch, p, p)`.
         prior: diagonal of P₀, broadcasts against `(*batch, p)`.
-
-    >>> excitation(torch.diag(torch.tensor([1.0, 10.0])), 100.0)
-    tensor([0.9900, 0.0000])
     """
     return (1 - (factor * factor).sum(-1) / prior).clamp(0, 1)
 
@@ -70,10 +67,6 @@ def least_informed(factor: Tensor, prior: Tensor | float) -> tuple[Tensor, Tenso
     """The direction that the data inform least, and the share of its first variance that they have removed.
 
     The direction is of unit length in parameters over √P₀, `(*batch, p)`, its largest entry positive.
-
-    >>> direction, share = least_informed(torch.diag(torch.tensor([1.0, 10.0])), 100.0)
-    >>> direction.tolist(), share.item()
-    ([0.0, 1.0], 0.0)
     """
     root = torch.as_tensor(prior, dtype=factor.dtype, device=factor.device).sqrt()
     vectors, values, _ = torch.linalg.svd(factor / root[..., None])
@@ -83,22 +76,14 @@ def least_informed(factor: Tensor, prior: Tensor | float) -> tuple[Tensor, Tenso
 
 
 def excitation_report(names: Sequence[str], factor: Tensor, prior: Tensor | float) -> dict[str, Tensor]:
-    """`excitation_<parameter>` and `least_informed_<parameter>`, the entries of both, `(*batch,)` each.
-
-    >>> sorted(excitation_report(["a"], torch.eye(1), 4.0).items())
-    [('excitation_a', tensor(0.7500)), ('least_informed_a', tensor(1.))]
-    """
+    """`excitation_<parameter>` and `least_informed_<parameter>`, the entries of both, `(*batch,)` each."""
     share, direction = excitation(factor, prior).unbind(-1), least_informed(factor, prior)[0].unbind(-1)
     informed = {f"excitation_{name}": x for name, x in zip(names, share, strict=True)}
     return informed | {f"least_informed_{name}": x for name, x in zip(names, direction, strict=True)}
 
 
 def description(threshold: float = THRESHOLD, memory: float = 500.0) -> dict[str, float]:
-    """The numbers of `observe`, for its kernel.
-
-    >>> description()["threshold"]
-    20.0
-    """
+    """The numbers of `observe`, for its kernel."""
     innovations = {"huber": HUBER, "huber_mean": HUBER_MEAN, "huber_rate": HUBER_RATE, "least_scale": LEAST_SCALE**2}
     return innovations | {
         "innovation_memory": memory, "yaw_memory": YAW_MEMORY, "yaw_ridge": YAW_RIDGE, "yaw_floor": YAW_FLOOR**2,
@@ -109,11 +94,7 @@ def description(threshold: float = THRESHOLD, memory: float = 500.0) -> dict[str
 
 
 def init(batch: Sequence[int], columns: int, like: Tensor) -> MonitorState:
-    """The monitors before the first sample, of the dtype and device of `like`; `columns` innovation sequences.
-
-    >>> init((8,), 3, torch.zeros(())).innovations.moments.shape
-    torch.Size([8, 3, 4])
-    """
+    """The monitors before the first sample, of the dtype and device of `like`; `columns` innovation sequences."""
     b, k, zero = tuple(batch), columns, like.new_zeros
     innovations = InnovationState(zero((*b, k, 4)), zero((*b, k)) + FIRST_SCALE**2, zero((*b, k)))
     two = zero((*b, 2))
@@ -131,23 +112,13 @@ def observe(
         inputs: of that step, finite, leaves `(*batch,)`.
         threshold: of the evidence, above which an alarm is raised.
         memory: of the innovations, steps.
-
-    >>> one = torch.ones(())
-    >>> state = observe(init((), 1, one), 0.1 * one[None], Inputs(one, one, one, 0 * one, 0.4 * one))
-    >>> state.thrusters.raised.tolist()
-    [0.0, 0.0]
     """
     innovations = observe_innovations(state.innovations, innovation, memory)
     return MonitorState(innovations, observe_thrusters(state.thrusters, inputs, threshold))
 
 
 def observe_innovations(state: InnovationState, innovation: Tensor, memory: float = 500.0) -> InnovationState:
-    """The statistics with one more innovation per column, m/s, `(*batch, k)`; NaN leaves a column as it was.
-
-    >>> zero = init((), 2, torch.zeros(())).innovations
-    >>> observe_innovations(zero, torch.tensor([0.01, torch.nan])).last
-    tensor([0.0100, 0.0000])
-    """
+    """The statistics with one more innovation per column, m/s, `(*batch, k)`; NaN leaves a column as it was."""
     known = innovation.isfinite()
     e = innovation.where(known, state.last)
     limit = 3 * state.scale.sqrt()
@@ -161,11 +132,7 @@ def observe_innovations(state: InnovationState, innovation: Tensor, memory: floa
 
 
 def whiteness(state: InnovationState, memory: float = 500.0) -> Whiteness:
-    """Lag-1 autocorrelation, its 95 % band and the samples that count; 0, 1.96 and 0 before the first.
-
-    >>> whiteness(init((), 1, torch.zeros(())).innovations).correlation
-    tensor([0.])
-    """
+    """Lag-1 autocorrelation, its 95 % band and the samples that count; 0, 1.96 and 0 before the first."""
     weight, *sums = state.moments.unbind(-1)
     mean, square, lagged = (x / weight.clamp(min=torch.finfo(weight.dtype).tiny) for x in sums)
     variance = square - mean * mean
@@ -216,11 +183,7 @@ def observe_thrusters(state: ThrusterState, inputs: Inputs, threshold: float = T
 
 
 def solve_model(moments: Tensor, columns: Tensor) -> Tensor:
-    """ϑ of (4), and (Σ w x xᵀ + R)⁻¹ times columns, `(*batch, 9, 1 + n)`; 0 where there is no solution.
-
-    >>> solve_model(torch.eye(10).double(), torch.eye(9)[:, :1].double())[0].round(decimals=3).tolist()
-    [0.0, 0.99]
-    """
+    """ϑ of (4), and (Σ w x xᵀ + R)⁻¹ times columns, `(*batch, 9, 1 + n)`; 0 where there is no solution."""
     information = moments[..., 1:, 1:]
     share = ROUNDING * torch.finfo(moments.dtype).eps * information[..., :1, 0]
     ridge = (share * information.diagonal(dim1=-2, dim2=-1)).clamp(min=YAW_RIDGE)  # (7)
@@ -236,12 +199,7 @@ def cusum(
     error: Tensor,  # (*batch, 1) e/σ
     highest: float,  # at which g stops, so that a healed thruster soon ends an alarm
 ) -> tuple[Tensor, Tensor]:
-    """The next g and sums of (5) and (6).
-
-    >>> g, _ = cusum(torch.zeros(2), torch.zeros(2, 2), torch.tensor([2.0, -2.0]), torch.tensor([-1.0]), 36.0)
-    >>> g.tolist()
-    [0.5, 0.0]
-    """
+    """The next g and sums of (5) and (6)."""
     effect = effect.clamp(-EFFECT, EFFECT)
     terms = torch.stack([effect * error.clamp(-CLIP, CLIP), effect * effect], -1)
     moment, weight = terms.unbind(-1)
@@ -253,10 +211,6 @@ def effectiveness(state: ThrusterState) -> tuple[Tensor, Tensor]:
     """The share of each thruster's thrust that remains, by (6), and its standard deviation, `(*batch, 2)` each.
 
     It is 1 without an alarm where the evidence is below SIGNIFICANT: healthy thrusters show some evidence, too.
-
-    >>> state = init((), 1, torch.zeros(())).thrusters._replace(sums=torch.tensor([[-50.0, 90.0], [0.0, 0.0]]))
-    >>> effectiveness(state._replace(evidence=torch.tensor([12.0, 0.0])))[0].tolist()
-    [0.5, 1.0]
     """
     moment, weight = state.sums.unbind(-1)
     weight = weight + DOUBT
@@ -272,11 +226,7 @@ def effectiveness(state: ThrusterState) -> tuple[Tensor, Tensor]:
 
 
 def monitor_report(state: MonitorState, members: Sequence[str], memory: float = 500.0) -> dict[str, Tensor]:
-    """Diagnostics by name, `(*batch,)` each; `members` names the columns.
-
-    >>> sorted(monitor_report(init((), 1, torch.zeros(())), ["aid"]))[:3]
-    ['alarm', 'alarms', 'effectiveness_left']
-    """
+    """Diagnostics by name, `(*batch,)` each; `members` names the columns."""
     white, thrusters = whiteness(state.innovations, memory), state.thrusters
     numbers = {
         "alarm": thrusters.raised.amax(-1),
