@@ -59,17 +59,6 @@ def read_recordings(
     Raises:
         ConfigError: the path finds no log, or the channels are not declared as expected.
         LogFormatError: no log can be read as declared; the message is that of the first log.
-
-    >>> from tempfile import TemporaryDirectory
-    >>> from usvlearn.logs.formats.csv.table import Table
-    >>> channels = {"command_left": {"name": "L"}, "command_right": {"name": "R"}, "surge": {"name": "v"},
-    ...             "heading": {"name": "psi", "unit": "deg"}}
-    >>> with TemporaryDirectory() as folder:
-    ...     for run in ("run_10", "run_2"):
-    ...         _ = Path(folder, f"{run}.csv").write_text("t,L,R,v,psi\\n0,0.5,0.5,1.0,90\\n")
-    ...     recordings = read_recordings(folder, Table("t"), channels, boat="heron")
-    >>> [(recording.boat, recording.run) for recording in recordings]
-    [('heron', 'run_2'), ('heron', 'run_10')]
     """
     if not hasattr(reader, "read"):
         raise ConfigError(f"data.reader: found {reader!r}, expected a reader such as Table or Rosbag")

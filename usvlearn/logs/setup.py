@@ -35,11 +35,6 @@ class Setup:
         surge_max: top speed, m/s, by which the data check judges speeds; None if it is not known.
         reader: the class that reads logs of this boat, which says what the names of the channels are.
         unconfirmed: the open questions of its configuration, as of `usvlearn.core.unconfirmed`.
-
-    >>> names = {"command_left": "L", "command_right": "R", "heading": "psi", "surge": "v"}
-    >>> setup = Setup({name: Source(each) for name, each in names.items()}, {"dt": 0.2})
-    >>> Setup.of(setup.json()) == setup
-    True
     """
 
     channels: Mapping[str, Source | Mix]
@@ -164,10 +159,6 @@ def setups_of(settings: Mapping[str, Any], recordings: Iterable[Recording]) -> d
     Args:
         settings: the whole configuration, plain; a simulated boat has no channels in it.
         recordings: what was read, in which periods have been found.
-
-    >>> from usvlearn.simulate.fleet import fleet
-    >>> setups_of({"align": {"dt": 0.4}}, fleet(n=1, hours=0.01))["heron"].channels["surge"].name
-    'surge'
     """
     data, vehicle = settings.get("data") or {}, settings.get("vehicle") or {}
     declared = sources_of(data["channels"]) if data.get("channels") else {}

@@ -18,11 +18,6 @@ def without_sign(left: np.ndarray, right: np.ndarray, speed: np.ndarray) -> np.n
     Args:
         left, right: commands, share of full scale, `(n,)`, in the order of time; NaN where unknown.
         speed: m/s, likewise.
-
-    >>> push = np.repeat([0.8, -0.8, 0.8, -0.8, 0.8], 8)
-    >>> true = np.convolve(np.append(np.zeros(7), push), np.full(8, 0.25), "valid")
-    >>> int(without_sign(push, push, np.abs(true)).sum()), int(without_sign(push, push, true).sum())
-    (10, 0)
     """
     none, known = np.zeros(len(speed), bool), speed[np.isfinite(speed)]
     if not len(known) or (fastest := float(np.quantile(np.abs(known), 0.995))) <= 0:

@@ -159,11 +159,7 @@ class Recording(NamedTuple):
 
 
 def degrees(ddmm: np.ndarray) -> np.ndarray:
-    """Degrees and minutes in one number as degrees, shape unchanged.
-
-    >>> degrees(np.array([4218.0, -7106.0])).round(4)
-    array([ 42.3, -71.1])
-    """
+    """Degrees and minutes in one number as degrees, shape unchanged."""
     whole = np.trunc(ddmm / 100)
     return whole + (ddmm - 100 * whole) / 60
 
@@ -173,9 +169,6 @@ def match_name(pattern: str, available: Iterable[str], where: str) -> str:
 
     Raises:
         LogFormatError: none or several match; the message names what the log has.
-
-    >>> match_name("*left_thruster", ["/left_thruster", "/right_thruster"], "a.bag")
-    '/left_thruster'
     """
     names = sorted(set(available))
     found = matching(pattern, names)
@@ -193,11 +186,7 @@ def match_name(pattern: str, available: Iterable[str], where: str) -> str:
 
 
 def matching(pattern: str, names: Iterable[str]) -> list[str]:
-    """The names that a pattern chooses: those equal to it but for a leading slash, else those that it matches.
-
-    >>> matching("*/odom", ["/a/odom", "/b/odom", "/odometry"])
-    ['/a/odom', '/b/odom']
-    """
+    """The names that a pattern chooses: those equal to it but for a leading slash, else those that it matches."""
     names = list(names)
     exact = [name for name in names if name.lstrip("/") == pattern.lstrip("/")]
     return exact or [name for name in names if fnmatch.fnmatchcase(name, pattern)]
@@ -209,11 +198,7 @@ def _listing(names: Sequence[str]) -> str:
 
 
 def parse_numbers(cells: Sequence[str]) -> np.ndarray:
-    """Cells of text as float64, NaN where a cell is not a number.
-
-    >>> parse_numbers(["1.5", "", "nan", "off", "1_000"])
-    array([1.5, nan, nan, nan, nan])
-    """
+    """Cells of text as float64, NaN where a cell is not a number."""
     try:
         if "_" not in "".join(cells):
             return np.array(cells, dtype=np.float64)
@@ -245,13 +230,6 @@ def build_channel(
 
     Raises:
         LogFormatError: no usable value is left.
-
-    >>> cells, stamps = ["50", "", "x"], np.array([0.0, 0.1, 0.2])
-    >>> raw = parse_numbers(cells)
-    >>> empty = np.array([not cell for cell in cells])
-    >>> channel, dropped = build_channel("a.csv", Source("L", span=100), stamps, raw, np.arange(2, 5), empty, cells[0])
-    >>> channel.value, dropped
-    (array([0.5]), {'empty': 1, 'not_a_number': 1})
     """
     raw = np.where(np.isin(raw, source.missing), math.nan, raw) if source.missing else raw
     usable = np.isfinite(time) & np.isfinite(raw)

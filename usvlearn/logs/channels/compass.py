@@ -25,15 +25,7 @@ OFF, SURE, EXACT = math.radians(6), 4.0, math.radians(2.5)  # errors that are to
 
 
 def compass_error(north: Series, east: Series, heading: Series, speed: Series) -> tuple[float, float] | None:
-    """What has to be added to a heading, and its standard error, rad; None unless it is surely more than `OFF`.
-
-    >>> time = np.arange(0, 600, 0.5)
-    >>> heading = 0.02 * time + np.sin(time / 9)
-    >>> north, east = (np.cumsum(0.5 * (2 * each(heading) + 0.4)) for each in (np.cos, np.sin))
-    >>> found = compass_error((time, north), (time, east), (time, heading - 0.2), (time, 2 + 0 * time))
-    >>> round(found[0], 2), compass_error((time, north), (time, east), (time, heading), (time, 2 + 0 * time))
-    (0.2, None)
-    """
+    """What has to be added to a heading, and its standard error, rad; None unless it is surely more than `OFF`."""
     edges = bin_edges(STEP, north, east, heading, speed)
     along = bin_directions(heading, edges)
     over_ground = bin_rates(north, edges) + 1j * bin_rates(east, edges)

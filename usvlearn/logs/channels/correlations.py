@@ -59,13 +59,7 @@ NOTHING = Relation(math.nan, math.nan, math.nan, math.nan, 0.0)
 
 
 def in_series(runs: Iterable[Mapping[str, Series]]) -> dict[str, Series]:
-    """Runs one behind the other, each channel as one series; `OUTAGE` seconds lie between two runs.
-
-    >>> one = {"surge": (np.array([5.0, 6.0]), np.array([1.0, 2.0]))}
-    >>> time, value = in_series([one, one])["surge"]
-    >>> time.tolist(), value.tolist()
-    ([0.0, 1.0, 31.0, 32.0], [1.0, 2.0, 1.0, 2.0])
-    """
+    """Runs one behind the other, each channel as one series; `OUTAGE` seconds lie between two runs."""
     parts: dict[str, list[Series]] = {}
     end = 0.0
     for run in runs:
@@ -83,10 +77,6 @@ def heading_rate(heading: Series) -> Series:
 
     A jump by more than half the range of all headings is taken as a wrap and left out. The unit of the heading need
     not be known for that.
-
-    >>> time, rate = heading_rate((np.arange(5.0), np.array([6.0, 6.2, 0.1, 0.3, 0.5])))
-    >>> rate.round(2).tolist()
-    [0.2, 0.2, 0.2]
     """
     time, angle = cleaned(heading)
     turned, passed = np.diff(angle), np.diff(time)
@@ -100,12 +90,6 @@ def rate_slope(
     """The yaw rate against the derivative of the heading: 1 where both have the same unit and sense.
 
     A slope of 57 means rad/s read where the heading is in degrees, or the reverse; a negative one a reversed sense.
-
-    >>> time = np.arange(0, 300, 0.2)
-    >>> rate = 0.3 * np.sin(0.2 * time) + 0.1 * np.sin(0.05 * time)
-    >>> found = rate_slope((time, np.cumsum(rate) * 0.2 % 6.2832), (time, np.degrees(-rate)))
-    >>> round(found.slope), round(found.correlation, 2)
-    (-57, -1.0)
     """
     edges = bin_edges(step, heading, yaw_rate)
     rate, turned = clipped(bin_means(yaw_rate, edges)), clipped(bin_rates(heading, edges, wraps=True))
@@ -119,11 +103,6 @@ def side_sign(
 
     A stronger left thruster turns the bow to starboard, which is a positive yaw rate. A negative correlation means that
     the sides are swapped, or that both are reversed. Values of commands are held until the next one.
-
-    >>> time = np.arange(0, 300, 0.25)
-    >>> turn = np.random.default_rng(0).normal(0, 0.2, 60).repeat(20)
-    >>> bool(side_sign((time, 0.5 - turn), (time, 0.5 + turn), (time, 0.4 * turn)).certainty < -4)
-    True
     """
     edges = bin_edges(step, yaw_rate)
     return relate(
@@ -137,14 +116,7 @@ def side_sign(
 def speed_on_thrust(
     left: Series, right: Series, speed: Series, lags: tuple[float, float] = (0.0, 20.0), step: float = 0.5
 ) -> Relation:
-    """The speed against the mean of both commands, and the lag that fits best: delays and the boat's inertia.
-
-    >>> time = np.arange(0, 900, 0.25)
-    >>> thrust = np.random.default_rng(0).uniform(0, 1, 45).repeat(80)
-    >>> found = speed_on_thrust((time, thrust), (time, thrust), (time + 100, thrust), lags=(-150, 150))
-    >>> round(found.lag)
-    100
-    """
+    """The speed against the mean of both commands, and the lag that fits best: delays and the boat's inertia."""
     edges = bin_edges(step, speed)
     both = bin_means(left, edges, held=True) + bin_means(right, edges, held=True)
     return relate(both / 2, clipped(bin_means(speed, edges)), step, lags)
@@ -154,11 +126,6 @@ def angle_offset(one: Series, other: Series, step: float = 1.0) -> Offset:
     """By how much a heading differs from another one, or from the course over ground, rad.
 
     Both are compared where they are known; give the course only where the boat moves.
-
-    >>> time = np.arange(0.0, 100.0)
-    >>> found = angle_offset((time, np.pi / 2 - 0.1 * time), (time, 0.1 * time))
-    >>> round(found.offset, 2), round(found.concentration, 2), found.sign
-    (1.57, 1.0, -1.0)
     """
     edges = bin_edges(step, one, other)
     first, second = (bin_means((time, np.exp(1j * angle)), edges) for time, angle in map(cleaned, (one, other)))

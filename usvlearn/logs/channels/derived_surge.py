@@ -35,11 +35,7 @@ TOGETHER = 0.02  # s, between the stamps of the two numbers of a pair, at most
 
 
 def pair_of(channels: Container[str]) -> tuple[str, str] | None:
-    """The pair from which the surge is computed; None if there is none.
-
-    >>> pair_of({"latitude", "longitude", "course"})
-    ('latitude', 'longitude')
-    """
+    """The pair from which the surge is computed; None if there is none."""
     return next((pair for pair in PAIRS if all(name in channels for name in pair)), None)
 
 
@@ -52,13 +48,6 @@ def derived_surge(where: str, channels: Mapping[str, Channel]) -> tuple[Channel,
 
     Raises:
         LogFormatError: the numbers of the pair are never logged together, or there is no heading beside them.
-
-    >>> t = np.arange(0, 5, 0.2)
-    >>> heading = Channel(t, np.full(25, np.pi / 2), np.arange(25))
-    >>> north, east = Channel(t, 0 * t, np.arange(25)), Channel(t, 1.5 * t, np.arange(25))
-    >>> surge, _ = derived_surge("a.csv", {"heading": heading, "north": north, "east": east})
-    >>> float(surge.value[-1].round(6))
-    1.5
     """
     pair = pair_of(channels)
     assert pair is not None
@@ -129,12 +118,6 @@ class LiveSurge:
     Args:
         pair: the names of both channels, of `LIVE_PAIRS`.
         held: whether an old heading stays in force.
-
-    >>> live = LiveSurge(VELOCITIES, held=False)
-    >>> live.push("heading", 0.0, np.pi / 2), live.push("velocity_north", 0.1, 0.0)
-    (None, None)
-    >>> live.push("velocity_east", 0.1, 1.5)
-    1.5
     """
 
     def __init__(self, pair: tuple[str, str], held: bool):

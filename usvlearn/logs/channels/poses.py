@@ -61,13 +61,6 @@ def poses(
 
     Returns:
         `(n, 5)`, NaN where nothing fresh is known.
-
-    >>> from usvlearn.core.samples import Inputs
-    >>> at, zero = np.arange(0.0, 3.0), np.zeros(3)
-    >>> heading = Channel(at, np.array([0.0, 0.1, 0.2]), np.arange(3), window=0.5)
-    >>> samples = Sample(Inputs(zero, zero, zero, zero, zero + 1), zero + 2, zero < 1, zero < 1)
-    >>> poses({"heading": heading}, at, samples)[1:].round(2).tolist()
-    [[0.1, 0.1, nan, 2.0, 0.1], [0.2, 0.1, nan, 3.97, 0.4]]
     """
     came = np.full(len(time), np.inf) if came is None else came
     found, begins = np.empty((len(time), 5)), [0, *(np.flatnonzero(np.diff(time) < 0) + 1), len(time)]
@@ -147,11 +140,7 @@ def slope(turned: np.ndarray, step: np.ndarray) -> np.ndarray:
 
 
 def is_stuck(turn: np.ndarray) -> np.ndarray:
-    """Where a gyro said the same number after this step and the two before it, `(n,)`.
-
-    >>> is_stuck(np.array([0.1, 0.2, 0.2, 0.2, 0.3])).tolist()
-    [False, False, False, True, False]
-    """
+    """Where a gyro said the same number after this step and the two before it, `(n,)`."""
     same = np.append(False, np.diff(turn) == 0)
     return same & np.append(False, same[:-1])
 

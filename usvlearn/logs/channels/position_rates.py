@@ -45,13 +45,6 @@ def speed_on_positions(
     means of neighbouring bins, in which noise averages out. A boat that turns goes farther than its place moves: with a
     heading, rad, of any zero and sense, the rate is that along its way, if the speed follows this one better. Bins in
     which it hardly turns are preferred: in a current its way does not turn as its bow does.
-
-    >>> time = np.arange(0, 600, 0.2)
-    >>> true, heading = 1 + 0.5 * np.sin(0.05 * time), 0.2 * time
-    >>> place = [(time, np.cumsum(true * each(heading)) * 0.2) for each in (np.cos, np.sin)]
-    >>> knots = time, true / 0.5144
-    >>> [round(speed_on_positions(*place, knots, each).slope, 2) for each in (None, (time, -heading))]
-    [2.11, 1.94]
     """
     edges = bin_edges(step, north, east, speed)[:-1]  # the last bin may end later than a series
     time, value = cleaned(speed)
@@ -89,20 +82,7 @@ def _ratio(rate: np.ndarray, size: np.ndarray, step: float) -> Relation:
 
 
 def position_on_velocity(position: tuple[Series, Series], velocity: tuple[Series, Series], step: float = 5.0) -> Motion:
-    """The rate of a position against a velocity over ground, each north and east.
-
-    >>> time = np.arange(0, 600, 0.2)
-    >>> north, east = np.cos(0.02 * time), np.sin(0.03 * time)
-    >>> way = [np.cumsum(each) * 0.2 / 0.3048 for each in (north, east)]
-    >>> feet = position_on_velocity(((time, way[0]), (time, way[1])), ((time, north), (time, east)))
-    >>> round(abs(feet.along), 2), round(feet.scale, 2)
-    (1.0, 3.28)
-    >>> swapped = position_on_velocity(((time, way[1]), (time, way[0])), ((time, north), (time, east)))
-    >>> round(abs(swapped.against), 2), round(math.degrees(np.angle(swapped.against)))
-    (1.0, 90)
-    >>> swapped.is_mirrored, feet.is_mirrored
-    (True, False)
-    """
+    """The rate of a position against a velocity over ground, each north and east."""
     edges = bin_edges(step, *position, *velocity)
     rate = _plane([bin_rates(series, edges) for series in position])
     speed = _plane([bin_means(series, edges) for series in velocity])
@@ -122,13 +102,6 @@ def sway_on_positions(north: Series, east: Series, heading: Series, sway: Series
 
     The slope is 1 where the sway is right, -1 where it counts to port. What a compass error adds to the rate across is
     a part of the rate along, and left out.
-
-    >>> time = np.arange(0, 900, 0.2)
-    >>> heading, sway = 0.1 * time, 0.2 * np.sin(0.06 * time)
-    >>> north, east = (np.cumsum(each) * 0.2 for each in (-sway * np.sin(heading), sway * np.cos(heading)))
-    >>> found = sway_on_positions((time, north), (time, east), (time, heading), (time, -sway))
-    >>> round(found.slope), round(found.correlation, 1)
-    (-1, -1.0)
     """
     edges = bin_edges(step, north, east, heading, sway)
     time, angle = cleaned(heading)

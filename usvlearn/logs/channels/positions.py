@@ -18,9 +18,6 @@ def local(latitude: np.ndarray, longitude: np.ndarray) -> tuple[np.ndarray, np.n
 
     Args:
         latitude, longitude: `(n,)`, rad.
-
-    >>> [x.round(1).tolist() for x in local(np.radians([60.0, 60.001]), np.radians([179.9995, -179.9995]))]
-    [[0.0, 111.4], [0.0, 55.8]]
     """
     squared = FLATTENING * (2 - FLATTENING)
     bent = 1 - squared * math.sin(latitude[0]) ** 2
@@ -51,11 +48,6 @@ def track(channels: Mapping[str, Channel], time: np.ndarray) -> np.ndarray | Non
 
     Returns:
         `(n, 2)`, relative to the first position; NaN before it, after the last one and in gaps of more than `GAP`.
-
-    >>> at = np.array([0.0, 1.0])
-    >>> north, east = Channel(at, np.array([5.0, 6.0]), np.arange(2)), Channel(at, np.array([0.0, 2.0]), np.arange(2))
-    >>> track({"north": north, "east": east}, np.array([0.5, 9.0])).tolist()
-    [[0.5, 1.0], [nan, nan]]
     """
     pair = next((pair for pair in (DEGREES, METRES) if all(name in channels for name in pair)), None)
     if pair is None:

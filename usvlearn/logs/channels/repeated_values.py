@@ -60,13 +60,7 @@ def settle_period(boat: str, recordings: list[Recording]) -> list[Recording]:
 
 
 def find_period(logs: Sequence[Channel]) -> tuple[float, float]:
-    """The time between two measurements, s, rounded to two digits, and the share of copies; zeros if there are none.
-
-    >>> measured = np.random.default_rng(0).normal(1.0, 0.1, 200)
-    >>> logged = np.arange(0, 40, 0.11)  # a sensor of 5 Hz, logged at 9 Hz
-    >>> find_period([Channel(logged, measured[(logged / 0.2).astype(int)], np.arange(len(logged)))])
-    (0.2, 0.44999999999999996)
-    """
+    """The time between two measurements, s, rounded to two digits, and the share of copies; zeros if there are none."""
     with np.errstate(over="ignore"):  # of numbers that are no speeds, and are rejected later
         lengths, changes = (np.concatenate(parts) for parts in zip(*map(_repeats, logs), strict=True))
         if len(lengths) < LEAST:

@@ -26,11 +26,6 @@ def segments(series: Collection[T]) -> tuple[list[list[T]], list[tuple[int, floa
     """The series between the jumps of their clock, and each jump: its place in the log, and how far back it goes, s.
 
     If there are jumps, times count from the first stamp of each part.
-
-    >>> time = np.array([60.0, 61, 62, 63, 5, 6, 7, 8])
-    >>> parts, jumps = segments([Series("a", None, time, time, np.arange(8))])
-    >>> [part[0].time.tolist() for part in parts], jumps
-    ([[0.0, 1.0, 2.0, 3.0], [0.0, 1.0, 2.0, 3.0]], [(4, 58.0)])
     """
     jumps: list[tuple[int, float]] = _jumps(series)
     parts: list[list[T]] = [] if jumps else [list(series)]

@@ -53,9 +53,6 @@ def check_level(level: Any) -> str:
 
     Raises:
         ConfigError: it is none of them.
-
-    >>> check_level(None), check_level(False)
-    ('warn', 'off')
     """
     return check_choice("check", "warn" if level is None else "off" if level is False else level, LEVELS)
 
@@ -77,15 +74,6 @@ def check_data(
         surge_max: the boats' top speed, m/s; infinite where it is not known.
         channels: `data.channels` of the configuration, for the overrides that are proposed.
         horizons: of the forecasts, s.
-
-    >>> from usvlearn.simulate.fleet import fleet
-    >>> log = fleet(n=1, hours=0.2)[0]
-    >>> check_data([log], None, {}, surge_max=2.74)
-    []
-    >>> heading = log.channels["heading"]
-    >>> wrong = log._replace(channels={**log.channels, "heading": heading._replace(value=heading.value / 57.3)})
-    >>> [(each.kind, each.key) for each in check_data([wrong], None, {}, 2.74, {"heading": {"unit": "deg"}})]
-    [('heading unit', 'data.channels.heading.unit=rad')]
     """
     boats: dict[str, list[Recording]] = {}
     for one in recordings:

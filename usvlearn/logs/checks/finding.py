@@ -21,30 +21,18 @@ class Finding(NamedTuple):
     severity: str = WARNING
 
     def sentence(self) -> str:
-        """The finding in one sentence, as an error says it.
-
-        >>> Finding("heron", "surge", "at rest", "0 m/s", "a boat that moves", "data.path=FILE").sentence()
-        'heron, surge: found 0 m/s, expected a boat that moves: set data.path=FILE'
-        """
+        """The finding in one sentence, as an error says it."""
         fix = f": set {self.key}" if self.key else ""
         return f"{self.boat}, {self.about}: found {self.found}, expected {self.expected}{fix}"
 
 
 def see(expected: str, *channels: str) -> str:
-    """What was expected, and the channels whose name may be wrong, where the right one cannot be known.
-
-    >>> see("a boat that moves", "surge")
-    'a boat that moves (see data.channels.surge.name)'
-    """
+    """What was expected, and the channels whose name may be wrong, where the right one cannot be known."""
     return f"{expected} (see {' and '.join(f'data.channels.{each}.name' for each in channels)})"
 
 
 def override(channel: str, options: Mapping[str, Any]) -> str:
-    """The overrides of the command line that change a channel's options.
-
-    >>> override("command_left", {"name": "*left", "span": -400.0, "field": None})
-    "'data.channels.command_left.name=*left' data.channels.command_left.span=-400 data.channels.command_left.field=null"
-    """
+    """The overrides of the command line that change a channel's options."""
     return " ".join(shlex.quote(f"data.channels.{channel}.{key}={_text(value)}") for key, value in options.items())
 
 

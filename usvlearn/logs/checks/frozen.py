@@ -44,13 +44,7 @@ Witness = Callable[[Evidence, str, float, slice], str | None]
 
 
 def stretches(series: Series) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """First and last times of long stretches of equal values, s, and the values, `(stretches,)`.
-
-    >>> time = np.arange(0, 100, 0.1)
-    >>> first, last, value = stretches((time, np.where(time < 50, np.sin(time), 0.5)))
-    >>> first.round(1).tolist(), last.round(1).tolist(), value.tolist()
-    ([50.0], [99.9], [0.5])
-    """
+    """First and last times of long stretches of equal values, s, and the values, `(stretches,)`."""
     time, value = cleaned(series)
     if len(time) < MESSAGES:
         return np.empty(0), np.empty(0), np.empty(0)

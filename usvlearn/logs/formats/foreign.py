@@ -71,12 +71,6 @@ def foreign(path: Path, head: bytes = b"", surely: bool = False) -> str:
         path: the file.
         head: its first bytes, if they have been read.
         surely: whether to leave out what may be a table.
-
-    >>> from tempfile import TemporaryDirectory
-    >>> with TemporaryDirectory() as folder:
-    ...     _ = Path(folder, "a.csv").write_text("<!DOCTYPE html><html><head>")
-    ...     foreign(Path(folder, "a.csv"))
-    'found a web page: download the file itself (Raw on GitHub)'
     """
     if not path.is_file():
         return ""

@@ -110,12 +110,7 @@ class Layout(NamedTuple):
 
 
 def _layout(fmt: bytes) -> Layout:
-    """The layout that the payload of an FMT message describes; with an empty name if it has no legal one.
-
-    >>> layout = _layout(bytes([64, 8]) + b"EV\\0\\0" + b"IB".ljust(16, b"\\0") + b"TimeMS,Id".ljust(64, b"\\0"))
-    >>> layout.name, layout.size, layout.fields["Id"], layout.stamp
-    ('EV', 5, Field(offset=4, dtype='u1', divisor=1, unit=''), 'TimeMS')
-    """
+    """The layout that the payload of an FMT message describes; with an empty name if it has no legal one."""
     name, letters, columns = (_text(fmt[start:end]) for start, end in ((2, 6), (6, 22), (22, 86)))
     fields, offset = {}, 0
     for letter, column in zip(letters, columns.split(","), strict=False):
@@ -187,11 +182,7 @@ def _instance(layout: Layout, units: bytes) -> str | None:
 
 
 def _unit(label: str, factor: float) -> str:
-    """A unit with the prefix of its factor.
-
-    >>> _unit("m/s", 0.01), _unit("A", 3600.0), _unit("degheading", 0.0)
-    ('cm/s', '3600 A', 'deg')
-    """
+    """A unit with the prefix of its factor."""
     label, factor = PLAIN.get(label, label), float(f"{factor:.6g}")  # the log's doubles were computed as floats
     if not label or factor in (0.0, 1.0):
         return label

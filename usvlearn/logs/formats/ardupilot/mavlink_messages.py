@@ -85,12 +85,7 @@ class Message(NamedTuple):
 
 
 def _parse(line: str) -> tuple[int, Message]:
-    """The id and the message of a declaration.
-
-    >>> number, message = _parse("168 WIND: float direction[deg] speed[m/s] speed_z[m/s]")
-    >>> number, message.extra, message.fields["speed"]
-    (168, 1, Field(offset=4, dtype='<f4', divisor=1.0, unit='m/s'))
-    """
+    """The id and the message of a declaration."""
     head, _, body = line.partition(":")
     number, name = head.split()
     crc, base, kind, offset, instance = _checksum(f"{name} "), True, "", 0, None

@@ -36,11 +36,7 @@ class Limits(NamedTuple):
     reversed: bool = False
 
     def share(self, pwm: np.ndarray) -> np.ndarray:
-        """Pulse widths as shares of full scale.
-
-        >>> Limits(1100, 1500, 2000, reversed=True).share(np.array([1100.0, 1500.0, 1750.0, 0.0]))
-        array([ 1. , -0. , -0.5,  0. ])
-        """
+        """Pulse widths as shares of full scale."""
         offset = pwm - self.trim
         span = np.where(offset > 0, self.high - self.trim, self.trim - self.low)
         found = np.divide(offset, span, out=np.zeros_like(offset), where=span > 0)
@@ -54,11 +50,6 @@ class Servos:
     Args:
         outputs: the messages that hold them.
         columns: pattern of the field of servo `{n}`.
-
-    >>> parameters = {"SERVO1_FUNCTION": 74.0, "SERVO3_FUNCTION": 73.0}
-    >>> servos = Servos(("RCOU",), "C(?:h|han)?{n}")
-    >>> servos.find("throttle_left", parameters, "a.BIN"), servos.column(3, ["TimeUS", "C1", "C3"])
-    (3, 'C3')
     """
 
     outputs: tuple[str, ...]

@@ -123,11 +123,7 @@ def _timed(data: np.ndarray, sent: dict[int, Messages]) -> dict[int, Messages]:
 
 
 def _boots(delay: np.ndarray) -> np.ndarray:
-    """Where the offset of a clock changes: at a boot, or when it has drifted far.
-
-    >>> _boots(np.array([2.0, 2.1, 90.0, 90.3]))
-    array([0, 2])
-    """
+    """Where the offset of a clock changes: at a boot, or when it has drifted far."""
     found, least = [0], float(delay[0])
     for k, each in enumerate(delay.tolist()):
         if abs(each - least) > CLOCK_LIMIT:

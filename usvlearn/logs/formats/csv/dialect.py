@@ -80,13 +80,7 @@ class Dialect(NamedTuple):
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """The name of a column without its unit, and the unit, in the words of `UNITS` where it is one of them.
-
-    >>> [split_unit(name) for name in ("Speed (km/h)", "yaw [°]", "heading_deg", "yaw_rate_rad_s", "thr_left")]
-    [('Speed', 'km/h'), ('yaw', 'deg'), ('heading', 'deg'), ('yaw_rate', 'rad/s'), ('thr_left', '')]
-    >>> split_unit("snelheid km/u"), split_unit("fart knop")
-    (('snelheid', 'km/h'), ('fart knop', ''))
-    """
+    """The name of a column without its unit, and the unit, in the words of `UNITS` where it is one of them."""
     if found := BRACKETED.fullmatch(name):
         unit = (found[2] or found[3] or "").strip()
         return found[1], UNIT_OF.get(unit.lower(), unit)
@@ -187,11 +181,7 @@ def errors_of(encoding: str) -> str:
 
 
 def find_decimal(cells: Iterator[str] | Sequence[str]) -> tuple[str, str]:
-    """The decimal sign of the numbers among cells, and a doubt, or "".
-
-    >>> find_decimal(["0,5", "1.234,5"]), find_decimal(["1,234.5", "1"]), find_decimal(["1,234"])[1]
-    ((',', ''), ('.', ''), "'1,234', which may be 1.234 or 1234")
-    """
+    """The decimal sign of the numbers among cells, and a doubt, or ""."""
     comma = point = either = grouped = ""
     for cell in cells:
         if EITHER.fullmatch(cell):
@@ -282,11 +272,7 @@ def _cells(line: str, delimiter: str) -> list[str]:
 
 
 def is_value(cell: str) -> bool:
-    """Whether a cell holds a number or a stamp.
-
-    >>> [cell for cell in ("-0,5", "1e-3", "24.07.2025 17:18", "17:18:48.2", "m/s", "") if is_value(cell)]
-    ['-0,5', '1e-3', '24.07.2025 17:18', '17:18:48.2']
-    """
+    """Whether a cell holds a number or a stamp."""
     cell = cell.strip()
     return bool(NUMBER.fullmatch(cell) or STAMP.fullmatch(cell))
 

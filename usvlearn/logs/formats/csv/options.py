@@ -57,14 +57,6 @@ def table_of(path: Path, boat: str | None = None, beside: Sequence[Path] = ()) -
 
     Raises:
         LogFormatError: the file is no table with a header, or no column can be one of stamps in the order of time.
-
-    >>> from tempfile import TemporaryDirectory
-    >>> with TemporaryDirectory() as folder:
-    ...     path = Path(folder) / "a.csv"
-    ...     _ = path.write_text("Zeit;Speed (kn)\\n" + "".join(f"24.07.2025 17:18:4{k},5;{k},2\\n" for k in range(9)))
-    ...     table, unsure = table_of(path)
-    >>> table.time, table.delimiter, table.decimal, table.dates, unsure
-    ('Zeit', ';', ',', 'day_first', [])
     """
     if path.is_dir():
         return _table_of_topics(path)

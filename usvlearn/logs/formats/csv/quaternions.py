@@ -31,14 +31,7 @@ class Yaw(NamedTuple):
 
 
 def quaternions(names: Sequence[str]) -> dict[str, Quaternion]:
-    """Name of an orientation -> its columns. `q[0]` … `q[3]`, as PX4 writes them, begin with w.
-
-    >>> quaternions(["t", "pose.orientation.x", "pose.orientation.y", "pose.orientation.z", "pose.orientation.w"])
-    {'pose.orientation': Quaternion(columns=('pose.orientation.x', 'pose.orientation.y', 'pose.orientation.z', \
-'pose.orientation.w'), unit='enu_rad')}
-    >>> list(quaternions(["qx", "qy", "qz", "qw", "x", "y"])), quaternions([f"q[{k}]" for k in range(4)])["q"].unit
-    (['q'], 'rad')
-    """
+    """Name of an orientation -> its columns. `q[0]` … `q[3]`, as PX4 writes them, begin with w."""
     groups: dict[tuple[str, str], dict[str, str]] = {}
     for name in names:
         if found := NUMBERED.fullmatch(name):

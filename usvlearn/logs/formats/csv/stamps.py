@@ -47,22 +47,12 @@ WRAPS = (2.0**32, 2.0**32 / 1e3, 2.0**32 / 1e6, 604800.0, 604800e3, DAY, DAY * 1
 
 
 def parse_cells(cells: Sequence[str], decimal: str) -> np.ndarray:
-    """Cells as float64, NaN where a cell is not a number with this decimal sign.
-
-    >>> parse_cells(["1,5", "1.5", "1.234,5"], ",")
-    array([1.5, nan, nan])
-    """
+    """Cells as float64, NaN where a cell is not a number with this decimal sign."""
     return parse_numbers(cells if decimal == "." else [cell.translate(SWAPPED) for cell in cells])
 
 
 class Stamps:
-    """Takes the cells of the stamps block by block, and converts them when all are known.
-
-    >>> stamps = Stamps()
-    >>> stamps.add(["24.07.2025 17:18:48,2", "24.07.2025 17:18:48,7", "?"])
-    >>> stamps.seconds("auto")
-    (array([0. , 0.5, nan]), 'day_first', '')
-    """
+    """Takes the cells of the stamps block by block, and converts them when all are known."""
 
     def __init__(self) -> None:
         self._kinds: list[np.ndarray] = []
@@ -114,11 +104,6 @@ class Stamps:
         """Whether the stamps are times of a day written as a number, HHMMSS or HHMMSS.s.
 
         They never have 60 to 99 as minutes or seconds, and a minute goes on by 41 after its 59th second.
-
-        >>> stamps = Stamps()
-        >>> stamps.add([f"{minute:04d}{second:02d}" for minute in (959, 1000) for second in range(60)])
-        >>> stamps.clock_numbers()
-        True
         """
         kinds, values = np.concatenate(self._kinds), np.concatenate(self._values)
         values = values[(kinds == NUMBER) & np.isfinite(values)]
@@ -198,9 +183,6 @@ def spread(time: np.ndarray, origin: float) -> tuple[np.ndarray, float]:
 
     Returns:
         the stamps, and the mean number of rows of a second, or 0 where nothing was changed.
-
-    >>> spread(np.array([0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 2.0]), 5.0)
-    (array([0.  , 0.5 , 1.  , 1.25, 1.5 , 1.75, 2.  ]), 2.3333333333333335)
     """
     readable = np.flatnonzero(np.isfinite(time))
     rate = rows_a_second(time[readable] + origin)
@@ -261,11 +243,7 @@ def _named(cell: str) -> float:
 
 @np.errstate(all="ignore")
 def unwrapped(stamps: np.ndarray) -> np.ndarray:
-    """Numbers of a counter that begins anew, such as one of 32 bits, as if it went on.
-
-    >>> unwrapped(np.array([4294967000.0, 4294967200.0, 104.0]))
-    array([4.2949670e+09, 4.2949672e+09, 4.2949674e+09])
-    """
+    """Numbers of a counter that begins anew, such as one of 32 bits, as if it went on."""
     steps = np.diff(stamps)
     if not (steps < 0).any() or not (steps > 0).any():
         return stamps
@@ -276,11 +254,7 @@ def unwrapped(stamps: np.ndarray) -> np.ndarray:
 
 
 def part_of(name: str, before: Container[str | int | None] = ()) -> tuple[str | int | None, tuple[str, ...]]:
-    """Which of `PARTS` the name of a column tells, if any, and its other words.
-
-    >>> part_of("header.stamp.nsecs"), part_of("UTC_Year"), part_of("speed")
-    ((9, ('header', 'stamp')), ('year', ('utc',)), (None, ('speed',)))
-    """
+    """Which of `PARTS` the name of a column tells, if any, and its other words."""
     words = tuple(WORD.findall(re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()))
     for place, word in reversed([*enumerate(words)]):
         if part := PART_OF.get(word) or PART_OF.get(word[:-1] if word[-1] in "sn" else ""):
@@ -290,11 +264,7 @@ def part_of(name: str, before: Container[str | int | None] = ()) -> tuple[str | 
 
 
 def joined(names: Sequence[str], cells: Iterable[Sequence[str]]) -> list[str]:
-    """The cells of several columns, row by row, as stamps.
-
-    >>> joined(["secs", "nsecs"], [("12", "5000000")]), joined(["Date", "hour", "mm", "s", "ms"], ["A9876"])
-    (['12.005000000'], ['A 09:08:07.006'])
-    """
+    """The cells of several columns, row by row, as stamps."""
     parts: list[str | int | None] = []
     for name in names:
         parts.append(part_of(name, parts)[0])

@@ -56,11 +56,7 @@ def are_topics(table: Table, files: Sequence[Path], names: Sequence[str]) -> boo
 
 
 def several_kinds(columns: Sequence[Sequence[str]]) -> bool:
-    """Whether tables with these columns are topics, and not runs: by rule 2 of this module.
-
-    >>> several_kinds([["L", "R"], ["psi", "v"]]), several_kinds([["L", "R", "v"], ["L", "R", "v", "psi"]])
-    (True, False)
-    """
+    """Whether tables with these columns are topics, and not runs: by rule 2 of this module."""
     sets = [set(each) for each in columns]
     if len(sets) < 2:
         return False

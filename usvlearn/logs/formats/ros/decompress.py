@@ -36,13 +36,6 @@ def unpack(path: Path, data: bytes, compression: str, limit: int, announced: int
     Raises:
         LogFormatError: the chunk, or the size in its header, is larger than the limit.
         ValueError: an unknown compression.
-
-    >>> unpack(Path("a.bag"), bz2.compress(bytes(1000)), "bz2", limit=5000, announced=1000) == (bytes(1000), True)
-    True
-    >>> unpack(Path("a.bag"), bz2.compress(bytes(10**7)), "bz2", limit=MB)
-    Traceback (most recent call last):
-    usvlearn.errors.LogFormatError: a.bag: found a chunk that unpacks to more than 1 MB: leave this log out, or raise \
-data.reader.chunk_limit if you know where it is from
     """
     if compression == "none":
         return data, True

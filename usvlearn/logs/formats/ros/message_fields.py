@@ -41,9 +41,6 @@ def default_field(kind: str, part: str) -> str:
     Args:
         kind: type of the message, such as `nav_msgs/msg/Odometry`.
         part: a channel, or one of several sources of a command, such as `command_left[0]`.
-
-    >>> default_field("nav_msgs/msg/Odometry", "surge"), default_field("std_msgs/msg/Float64", "command_left[0]")
-    ('twist.twist.linear.x', 'data')
     """
     return FIELDS.get(kind, {}).get(part.partition("[")[0], "data")
 
@@ -57,11 +54,6 @@ def stamp_of(message: Any, received: int, clock: str = "header", limit: float = 
         clock: one of `CLOCKS`. With `header`, a message without a stamp has the time of its receipt, and so has one
             whose stamp is 0, or further than `limit` from it.
         limit: s.
-
-    >>> from types import SimpleNamespace as Message
-    >>> message = Message(header=Message(stamp=Message(sec=3, nanosec=500_000_000)))
-    >>> stamp_of(message, 4 * 10**9), stamp_of(message, 9 * 10**9), stamp_of(message, 4 * 10**9, clock="receive")
-    (3500000000, 9000000000, 4000000000)
     """
     stamp: Any = getattr(getattr(message, "header", None), "stamp", None)
     if clock == "receive" or not hasattr(stamp, "nanosec"):
@@ -119,9 +111,6 @@ def yaw(x: float, y: float, z: float, w: float) -> float:
     """Yaw of a quaternion of any length, rad, counter-clockwise about z; NaN for the zero quaternion.
 
     psi = atan2(2 (w z + x y), w^2 + x^2 - y^2 - z^2)
-
-    >>> round(yaw(0.0, 0.0, 2.0, 2.0), 6)
-    1.570796
     """
     if not (x or y or z or w):
         return math.nan
@@ -132,12 +121,6 @@ def numbers(message: Any, prefix: str = "", depth: int = 0) -> Iterator[tuple[st
     """The dotted path and the value of each number in a message; a quaternion gives its yaw, too.
 
     Headers, stamps, text, and arrays of more than `ELEMENTS` elements are left out.
-
-    >>> from dataclasses import make_dataclass
-    >>> vector = make_dataclass("Vector", ["x", "y"])(1.0, 2.0)
-    >>> message = make_dataclass("Message", ["linear", "name", "thrust"])(vector, "a", np.array([0.5, 0.25]))
-    >>> list(numbers(message))
-    [('linear.x', 1.0), ('linear.y', 2.0), ('thrust.0', 0.5), ('thrust.1', 0.25)]
     """
     inner: list[tuple[Any, Any]] = []
     if hasattr(message, "__dataclass_fields__"):

@@ -209,11 +209,7 @@ def _read(stream: BinaryIO, size: int, length: int) -> bytes:
 
 
 def _fields(header: bytes) -> dict[str, bytes]:
-    """The fields of a header, each its length and `name=value`.
-
-    >>> _fields(b"\\4\\0\\0\\0op=2\\x07\\0\\0\\0topic=/")
-    {'op': b'2', 'topic': b'/'}
-    """
+    """The fields of a header, each its length and `name=value`."""
     fields, place = {}, 0
     while place < len(header):
         end = place + 4 + _uint32(header[place : place + 4])
