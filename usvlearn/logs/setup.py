@@ -49,11 +49,7 @@ class Setup:
 
     @classmethod
     def of(cls, given: Any) -> Setup:
-        """From what `json` returns.
-
-        Raises:
-            ConfigError: it is something else, or a value is outside its legal range.
-        """
+        """From what `json` returns; a ConfigError if it is something else, or a value is outside its legal range."""
         if not isinstance(given, Mapping) or not isinstance(given.get("channels"), Mapping):
             raise ConfigError(f"{KEY}: found {type(given).__name__}, expected channels and the options of an alignment")
         channels = {name: each for name, each in given["channels"].items()}
@@ -112,10 +108,7 @@ class Setup:
         return {name: found[name] for name in CHANNELS if name in found}
 
     def aligner(self, **options: Any) -> Aligner:
-        """An aligner of live messages.
-
-        Args:
-            **options: in place of those of the setup.
+        """An aligner of live messages, with options in place of those of the setup.
 
         Raises:
             ConfigError: an option is not legal, or the surge would have to be computed from positions.

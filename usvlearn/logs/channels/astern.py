@@ -13,11 +13,9 @@ ENOUGH, MOSTLY = 2, 0.5  # stretches; share of the time, from which rather the s
 
 
 def without_sign(left: np.ndarray, right: np.ndarray, speed: np.ndarray) -> np.ndarray:
-    """Where a speed is known to lack its sign, `(n,)` bool.
+    """Where a speed, m/s, is known to lack its sign, `(n,)` bool.
 
-    Args:
-        left, right: commands, share of full scale, `(n,)`, in the order of time; NaN where unknown.
-        speed: m/s, likewise.
+    Speed and commands, shares of full scale, are in the order of time; NaN where unknown.
     """
     none, known = np.zeros(len(speed), bool), speed[np.isfinite(speed)]
     if not len(known) or (fastest := float(np.quantile(np.abs(known), 0.995))) <= 0:

@@ -88,11 +88,7 @@ def bin_directions(series: Series, edges: np.ndarray) -> np.ndarray:
 def bin_rates(series: Series, edges: np.ndarray, wraps: bool = False) -> np.ndarray:
     """Mean rates of change over bins, `(bins,)`, NaN in a gap.
 
-    Args:
-        series: time and value.
-        edges: `(bins + 1,)`, s.
-        wraps: whether a jump by more than half the range of all values is a wrap, as of a heading; it counts as no
-            change, so that the unit of the heading need not be known.
+    If it `wraps`, as a heading, a jump by more than half the range of all values counts as no change.
     """
     time, value = cleaned(series)
     if len(edges) < 2 or len(time) < 2:

@@ -5,9 +5,8 @@ current c; in a turn r the hull drifts outwards:
 
     w = u (a + b r) exp(i ψ) + c,    δ = arg a
 
-a, b and c are complex, and fitted by least squares over bins in which the boat moves ahead. A current is the same on
-all courses, and an error of the compass turns with the boat: so the boat must have gone on several courses. The error
-of δ is that of a jackknife over blocks of the log, so that a current that changes makes δ uncertain.
+a, b and c are complex, and fitted by least squares over bins in which the boat moves ahead, on several courses. The
+error of δ is that of a jackknife over blocks of the log, so that a current that changes makes δ uncertain.
 """
 
 from __future__ import annotations

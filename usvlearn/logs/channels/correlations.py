@@ -1,17 +1,8 @@
 """How two channels of a log hang together: slope, correlation and lag, each with its certainty.
 
-A series is a pair (time, value), s and SI units, in any order, with gaps, NaN and stamps of its own. Two series x and y
-are compared by their means over bins of equal length; a bin in which one of them has a gap is left out. At a lag of k
-bins, over the n bins in which both are known,
-
-    r(k) = Σ x_i y_(i+k) / √(Σ x_i² Σ y_(i+k)²),    both less their means                                 (1)
-    slope = sign(r) √(Σ y² / Σ x²)                                                                         (2)
-    error = √(Σ_k ρ_x(k) ρ_y(k) / n)                                                                       (3)
-
-(2) is the geometric mean of the slopes of y on x and of x on y, since both are noisy; with errors in one of them alone
-the true slope is within a factor of |r|. (3) is the standard deviation of r between two unrelated series of
-autocorrelations ρ (Bartlett 1946): neighbouring values depend on each other, so that an hour may be few samples.
-`Relation.certainty` is r/error.
+A series is a pair (time, value), s and SI units, in any order, with gaps, NaN and stamps of its own. Two series are
+compared by their means over bins of equal length; a bin in which one of them has a gap is left out. The equations (1)
+to (3) are those of `docs/theory/model.md#two-channels`.
 """
 
 from __future__ import annotations
@@ -73,10 +64,9 @@ def in_series(runs: Iterable[Mapping[str, Series]]) -> dict[str, Series]:
 
 
 def heading_rate(heading: Series) -> Series:
-    """The rate of turn between two headings, rad/s, at the time between them.
+    """The rate of turn between two headings, rad/s, at the time between them; that of a wrap is left out.
 
-    A jump by more than half the range of all headings is taken as a wrap and left out. The unit of the heading need
-    not be known for that.
+    A jump by more than half the range of all headings is a wrap. Their unit need not be known for that.
     """
     time, angle = cleaned(heading)
     turned, passed = np.diff(angle), np.diff(time)
@@ -99,10 +89,9 @@ def rate_slope(
 def side_sign(
     left: Series, right: Series, yaw_rate: Series, lags: tuple[float, float] = (0.0, 5.0), step: float = 0.5
 ) -> Relation:
-    """The yaw rate against the difference of the commands, left − right.
+    """The yaw rate against the difference of the commands, left − right, which are held until the next one.
 
-    A stronger left thruster turns the bow to starboard, which is a positive yaw rate. A negative correlation means that
-    the sides are swapped, or that both are reversed. Values of commands are held until the next one.
+    A stronger left thruster turns the bow to starboard, which is a positive yaw rate.
     """
     edges = bin_edges(step, yaw_rate)
     return relate(
@@ -123,10 +112,7 @@ def speed_on_thrust(
 
 
 def angle_offset(one: Series, other: Series, step: float = 1.0) -> Offset:
-    """By how much a heading differs from another one, or from the course over ground, rad.
-
-    Both are compared where they are known; give the course only where the boat moves.
-    """
+    """By how much a heading differs from another one, or from the course over ground where the boat moves, rad."""
     edges = bin_edges(step, one, other)
     first, second = (bin_means((time, np.exp(1j * angle)), edges) for time, angle in map(cleaned, (one, other)))
     with np.errstate(invalid="ignore"):
@@ -164,12 +150,9 @@ def _fit(left: np.ndarray, right: np.ndarray, response: np.ndarray, lag: float, 
 
 
 def relate(x: np.ndarray, y: np.ndarray, step: float, lags: tuple[float, float]) -> Relation:
-    """Equations (1) to (3) for means over the same bins, at the lag within `lags`, s, where |r| is greatest.
+    """Equations (1) to (3) for means over the same bins of `step` s, at the lag in `lags`, s, where |r| is greatest.
 
-    Args:
-        x, y: `(bins,)`, NaN where unknown.
-        step: length of a bin, s.
-        lags: least and greatest, s.
+    `x` and `y` are `(bins,)`, NaN where unknown.
     """
     known_x, known_y = np.isfinite(x), np.isfinite(y)
     if min(known_x.sum(), known_y.sum()) < FEWEST:
@@ -197,15 +180,10 @@ def relate(x: np.ndarray, y: np.ndarray, step: float, lags: tuple[float, float])
 def relate_sides(
     left: np.ndarray, right: np.ndarray, response: np.ndarray, step: float, lags: tuple[float, float]
 ) -> tuple[Relation, Relation]:
-    """The yaw rate, or the speed, against the command of each side, at an equal command of the other one.
+    """The response, a yaw rate or a speed, against the command of each side, at an equal command of the other one.
 
     The relation is that of what is left of both after regression on the other side (partial correlation). A yaw rate
-    rises with the left command and falls with the right one; a speed rises with both.
-
-    Args:
-        left, right, response: means over the same bins, `(bins,)`, NaN where unknown.
-        step: of the bins, s.
-        lags: the least and the most, s.
+    rises with the left command and falls with the right one; a speed rises with both. All are as of `relate`.
     """
     found = [relate(side, response, step, lags) for side in (left, right)]
     best = max(
@@ -226,9 +204,7 @@ def relate_sides(
 def _sums(of_x: np.ndarray, of_y: np.ndarray, low: int, high: int) -> np.ndarray:
     """Sums over the bins known in both, at each lag: their number, x, x², y, y² and xy, `(6, lags)`.
 
-    Args:
-        of_x, of_y: what is known (0 or 1), the values, 0 where unknown, and their squares, `(3, bins)`.
-        low, high: lags, bins.
+    Of x and of y there are what is known (0 or 1), the values, 0 where unknown, and their squares, `(3, bins)`.
     """
     bins = of_x.shape[1]
     if high - low < FEW_LAGS:

@@ -1,19 +1,8 @@
-"""The surge of a log that has no forward speed, from what it has, the first of these pairs:
+"""The surge of a log that has no forward speed, from the first pair of channels that it has: see `PAIRS`.
 
-    velocity_north, velocity_east     v = v_n cos ψ + v_e sin ψ                       (the filter of an autopilot)
-    ground_speed, course              v = V cos(χ − ψ)                                (a GPS receiver)
-    latitude, longitude               v_n, v_e by a Kalman filter from the positions, then as above
-    north, east                       likewise
-
-ψ is the last heading that was logged before. The filter uses past positions only. For each axis it has the state
-x = (p, ṗ), driven by white acceleration of density q over the time h between two positions:
-
-    p ← p + ṗ h,   P ← F P Fᵀ + q [h³/3  h²/2; h²/2  h],   F = [1  h; 0  1]
-    x ← x + P Hᵀ (z − p)/(P_pp + r),                        H = (1  0)
-
-The variance r of a position is a running mean of squared differences between a position and the parabola through the
-three before it, divided by the sum of the squared weights; for equal steps the weights are 1, −3, 3, −1. Such a speed
-lags behind by some tenths of a second. It is over ground, as a GPS's is. See `docs/theory/model.md#derived-speed`.
+The heading is the last one that was logged before. From positions, velocities come by a Kalman filter, which uses past
+ones only. Such a speed lags behind by some tenths of a second, and is over ground, as a GPS's is. The equations are
+those of `docs/theory/model.md#derived-speed`.
 """
 
 from __future__ import annotations
@@ -42,9 +31,7 @@ def pair_of(channels: Container[str]) -> tuple[str, str] | None:
 def derived_surge(where: str, channels: Mapping[str, Channel]) -> tuple[Channel, dict[str, int]]:
     """The surge from the first pair that is logged, and the counts of what could not be used, by cause.
 
-    Args:
-        where: of the log, for the error.
-        channels: the heading and a pair, in SI units; the surge has the window and period of the pair's first channel.
+    The surge has the window and the period of the pair's first channel; `where` is the log, for the error.
 
     Raises:
         LogFormatError: the numbers of the pair are never logged together, or there is no heading beside them.
@@ -99,11 +86,7 @@ def _heading_at(order: np.ndarray, time: np.ndarray, heading: Channel) -> tuple[
 
 
 def filtered(time: np.ndarray, north: np.ndarray, east: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Velocities north and east, m/s, `(n,)`, from positions in m; NaN where they are not sure yet, and at copies.
-
-    Args:
-        time, north, east: `(n,)`, in the order of the log.
-    """
+    """Velocities, m/s, from positions, m, in the order of the log; NaN where they are not sure, and at copies."""
     from usvlearn.logs.channels.position_kernel import velocities  # numba takes a moment to import
 
     found = velocities(*(np.ascontiguousarray(x, dtype=np.float64) for x in (time, north, east)))
@@ -113,11 +96,8 @@ def filtered(time: np.ndarray, north: np.ndarray, east: np.ndarray) -> tuple[np.
 class LiveSurge:
     """The surge from messages that come one by one: velocities, or ground speed and course, and the last heading.
 
-    Two values belong together if their stamps are at most `TOGETHER` apart.
-
-    Args:
-        pair: the names of both channels, of `LIVE_PAIRS`.
-        held: whether an old heading stays in force.
+    Two values of a pair of `LIVE_PAIRS` belong together if their stamps are at most `TOGETHER` apart. A heading that is
+    held stays in force, however old.
     """
 
     def __init__(self, pair: tuple[str, str], held: bool):
@@ -125,12 +105,7 @@ class LiveSurge:
         self._last: dict[str, tuple[float, float]] = {}
 
     def push(self, channel: str, time: float, value: float) -> float | None:
-        """The surge after a message, m/s; None if it does not complete a pair, or if no recent heading is known.
-
-        Args:
-            channel: "heading", or one of the pair.
-            time, value: s and SI units, finite.
-        """
+        """The surge after a message (s, SI units), m/s; None if it completes no pair, or no recent heading is known."""
         self._last[channel] = time, value
         if channel not in self.pair or len(self._last) < 3:
             return None

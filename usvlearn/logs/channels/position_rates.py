@@ -41,10 +41,9 @@ def speed_on_positions(
 ) -> Relation:
     """The size of the speed against the rate of position; the slope is the median of their ratio.
 
-    1.94 is a speed in knots read as m/s, 3.6 one in km/h, 0.514 one in m/s read as knots. Both are changes between the
-    means of neighbouring bins, in which noise averages out. A boat that turns goes farther than its place moves: with a
-    heading, rad, of any zero and sense, the rate is that along its way, if the speed follows this one better. Bins in
-    which it hardly turns are preferred: in a current its way does not turn as its bow does.
+    Both are changes between the means of neighbouring bins, in which noise averages out. A boat that turns goes farther
+    than its place moves: with a heading, rad, of any zero and sense, the rate is that along its way, if the speed
+    follows this one better. Bins in which it hardly turns are preferred: in a current its way does not turn as its bow.
     """
     edges = bin_edges(step, north, east, speed)[:-1]  # the last bin may end later than a series
     time, value = cleaned(speed)

@@ -14,11 +14,7 @@ GAP = 5.0  # s between two positions, over which none is interpolated
 
 
 def local(latitude: np.ndarray, longitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Metres north and east of the first position, on the tangent plane of the ellipsoid there.
-
-    Args:
-        latitude, longitude: `(n,)`, rad.
-    """
+    """Metres north and east of the first position, rad, `(n,)`, on the tangent plane of the ellipsoid there."""
     squared = FLATTENING * (2 - FLATTENING)
     bent = 1 - squared * math.sin(latitude[0]) ** 2
     meridian, normal = EQUATOR * (1 - squared) / bent**1.5, EQUATOR / math.sqrt(bent)
@@ -31,8 +27,7 @@ def in_metres(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The times of the latitudes, s, and metres north and east of the first position, `(n,)`, as of `local`.
 
-    Args:
-        latitude, longitude: times and values, s and rad; the longitudes are interpolated at the times of the others.
+    Given are times and values, s and rad; the longitudes are interpolated at the times of the latitudes.
     """
     time, value = latitude
     others, turned = longitude
@@ -40,14 +35,9 @@ def in_metres(
 
 
 def track(channels: Mapping[str, Channel], time: np.ndarray) -> np.ndarray | None:
-    """Positions at some times, interpolated between those of the log, m north and east; None if it has none.
+    """Positions at some times, m north and east of the first one, `(n, 2)`; None if a recording has none.
 
-    Args:
-        channels: of a recording, in SI units.
-        time: `(n,)`, s since the log's start.
-
-    Returns:
-        `(n, 2)`, relative to the first position; NaN before it, after the last one and in gaps of more than `GAP`.
+    They are interpolated; NaN before the first, after the last one and in gaps of more than `GAP`.
     """
     pair = next((pair for pair in (DEGREES, METRES) if all(name in channels for name in pair)), None)
     if pair is None:

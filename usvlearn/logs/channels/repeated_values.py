@@ -1,17 +1,10 @@
 """Copies of a measured speed: a sensor that is logged faster than it measures.
 
-A GPS that measures at 5 Hz and is logged at 9 Hz fills 45 % of the rows with its last speed. Such a copy is no new
-measurement, and a command that is logged beside it was computed from the speed that is to be predicted. A measured
-speed may repeat, too: a coarse sensor at steady speed, or a boat at rest. Speeds other than 0 are taken as copies if
-
-1. at least a quarter of them repeat the one before;
-2. a value comes a regular number of times: the variance of that number is below m(m − 1)/2, m being its mean. Repeats
-   by chance give a geometric distribution, whose variance is m(m − 1); a sensor of r messages a measurement gives
-   the two whole numbers next to r;
-3. the sensor is fine: no single size of change makes up a quarter of all changes. With a smooth distribution of the
-   changes, an unchanged speed is then about as rare.
-
-Copies of a coarse sensor are not found. Declare its `period`, where it is known.
+A copy is no new measurement, and a command that is logged beside it was computed from the speed that is to be
+predicted. A measured speed may repeat, too: a coarse sensor at steady speed, or a boat at rest. Speeds other than 0 are
+taken as copies if enough of them repeat the one before; a value comes a regular number m of times, where repeats by
+chance give a geometric distribution, whose variance is m(m − 1); and the sensor is fine: no single size of change is
+common. Copies of a coarse sensor are not found. Declare its `period`, where it is known.
 """
 
 from __future__ import annotations
@@ -31,10 +24,7 @@ RESOLUTION = 6  # decimals of m/s, to which sizes of change are compared
 
 
 def settle_period(boat: str, recordings: list[Recording]) -> list[Recording]:
-    """The recordings of one boat, with the period of its speed sensor in place of "auto"; warns if copies are found.
-
-    With a period of 0 the copies are kept, and the warning says how to drop them.
-    """
+    """The recordings of one boat, with a period in place of "auto"; warns of copies, which 0 keeps."""
     surges = [recording.channels["surge"] for recording in recordings]
     given = surges[0].period
     if given not in (AUTO, 0):

@@ -1,11 +1,8 @@
 """The check of the data before a run: is what was read likely to be what the configuration says that it is?
 
 Wrong units, reversed sides and delays do not stop a run: it prints plausible numbers. Each check compares channels with
-each other and with physics, on all runs of a boat together (`usvlearn.logs.channels.correlations`). It yields a finding
-with the setting that corrects it. The thresholds stand beside the checks: `scales`, `track`, `thrusters`, `response`,
-`frozen` and `delivery` of `usvlearn.logs.checks`.
-
-A check that lacks its evidence is silent: a boat that never turns has no sides to be compared.
+each other and with physics, on all runs of a boat together, and yields findings with the setting that corrects them. A
+check that lacks its evidence is silent. The page `docs/troubleshooting.md#the-data-check` lists the thresholds.
 """
 
 from __future__ import annotations
@@ -17,14 +14,14 @@ from typing import Any
 from usvlearn.core.samples import Fleet
 from usvlearn.errors import LogFormatError, check_choice
 from usvlearn.logs.channels.channel import Recording
-from usvlearn.logs.checks import clocks, delivery, frozen, response, scales, thrusters, track
+from usvlearn.logs.checks import delivery, frozen, response, scales, thrusters, track
 from usvlearn.logs.checks.evidence import Evidence
 from usvlearn.logs.checks.finding import WARNING, Finding
 
 CHECKS: tuple[Callable[[Evidence], Iterator[Finding]], ...] = (
     scales.zeros, scales.rest, scales.speed_scale, scales.sign, scales.command_scale, scales.heading_unit,
     scales.heading_sense, scales.yaw_rate, track.degrees, track.axes, track.follows, track.sway,
-    thrusters.sides, response.delay, thrusters.excitation, clocks.clocks, frozen.frozen,
+    thrusters.sides, response.delay, thrusters.excitation, response.clocks, frozen.frozen,
     delivery.rejected, delivery.stale, delivery.copies, delivery.clock, delivery.horizons, delivery.together,
     delivery.jumps, scales.runs,
 )  # fmt: skip
@@ -47,13 +44,7 @@ LEVELS = ("warn", "strict", "off")
 
 
 def check_level(level: Any) -> str:
-    """What is done with findings: "warn" (by default), "strict" or "off".
-
-    YAML reads a bare `off` as false.
-
-    Raises:
-        ConfigError: it is none of them.
-    """
+    """What is done with findings: "warn" (by default), "strict" or "off", which YAML reads as false."""
     return check_choice("check", "warn" if level is None else "off" if level is False else level, LEVELS)
 
 
@@ -68,8 +59,7 @@ def check_data(
     """All findings about some recordings, warnings first.
 
     Args:
-        recordings: of one or several boats.
-        fleet: the same, aligned; None if they could not be aligned.
+        recordings, fleet: of one or several boats, and aligned; the fleet is None if they could not be aligned.
         align: options of `usvlearn.logs.alignment.align.Aligner`.
         surge_max: the boats' top speed, m/s; infinite where it is not known.
         channels: `data.channels` of the configuration, for the overrides that are proposed.

@@ -1,17 +1,8 @@
 """What alignment made of the messages: rejected, stale and copied ones, clocks that jump, horizons without a step;
 and runs of the same minutes.
 
-Thresholds, and why:
-
-- Rejected: more than 5 % of a channel's messages by one cause. Simulated boats lose 1 to 2 %, real ones 0 to 1 %.
-  Copies of a speed are not counted, nor duplicates: they are dropped by design.
-- Stale: more than 10 % of the steps lack a recent input. Outages of a few seconds make 1 to 3 %.
-- A speed may come less often than the steps. It is used less than it could be if the measured steps are below half of
-  what the intervals of the speeds allow.
-- A clock jumps if a stamp lies more than `align.outage` before an earlier one of its channel.
-- A series jumps to and fro if 10 % of its changes are impossible: of a speed 2 m/s² beyond 0.3 of the top speed, of the
-  heading of a boat that moves 1 rad/s beyond 1 rad, of a position twice the top speed beyond 5 m. Real logs have 1 %.
-- Two runs are of the same minutes if they share 10 s, and 5 % of the shorter: parts of one log overlap by less.
+Simulated boats lose 1 to 2 % of the messages, real ones 0 to 1 %; outages of a few seconds make 1 to 3 % of the steps
+stale, and 1 % of the changes of a real log are impossible. Parts of one log overlap by less than two boats' logs.
 """
 
 from __future__ import annotations

@@ -1,20 +1,9 @@
 """A channel that stays the same number while the others show that it should change: a sensor that froze.
 
-A stretch is a series of equal values without a gap. It counts if it lasts more than 10 s, 20 messages, and 20 times the
-median stretch of its channel: a coarse number, a copy and a command that is held repeat themselves, too. A stretch is a
-finding only with a witness, all of them in its own time:
-
-- Speed: the change that the commands demand (the range of their mean over 5 s, times the slope of the speed on them),
-  or the change of the rate of position, is more than a quarter of the top speed. Zeros need positions: the thrusters
-  of a boat at rest may be off.
-- Heading of a moving boat: the turn that the difference of the commands demands (the integral of the difference less
-  its mean, times the slope of the turn on it), or the integral of the yaw rate likewise, reaches over 30°; or the
-  course over ground is no one direction.
-- A command while the other one changes: the turn is not that which the difference of the commands makes elsewhere,
-  but is described twice as well by no turn. At the end of its range a command is no witness: an autopilot that steers
-  against a dead thruster stays there. Nor is it in less than 20 s: one gust or wake turns a boat as long.
-- Yaw rate: the heading turns.
-- A coordinate: by speed and heading the boat moved by more than 10 m along that axis, at a quarter of its top speed.
+A stretch of equal values is a finding only with a witness in its own time, since coarse numbers, copies and held
+commands repeat themselves, too. The thrusters of a boat at rest may be off, so zeros of a speed need positions. At the
+end of its range a command is no witness: an autopilot that steers against a dead thruster stays there. Nor is it in
+less than 20 s: one gust or wake turns a boat as long.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The delay between commands and speed, or turn: one equation of motion for each delay, and which of them fits best.
+"""The delay between commands and motion, and between heading and course: one fit for each delay, and which is best.
 
 A correlation cannot tell a delay from inertia. The equation of motion can, since it contains the speed itself:
 
@@ -7,24 +7,13 @@ A correlation cannot tell a delay from inertia. The equation of motion can, sinc
 with means over h = 2 s, the turn r, and the commands τ at their time less the delay. The coefficients are fitted for
 each delay by least squares, on the same bins. The turn r has the same equation with r in place of v.
 
-Thresholds, and why:
+Simulated boats without a delay give -2 to 1 s: filters delay a speed, and an autopilot that follows the speed makes
+later commands tell of it. 2 s fit best at times where a thruster dies on the way. With a clear fit, 1 s before the
+commands is told, too, as no boat does that, and a turn that is 3 s late. Where speed and turn are off by the same, the
+stamps of the commands are.
 
-- Simulated boats without a delay give -2 to 1 s: filters delay a speed, and an autopilot that follows the speed makes
-  later commands tell of it. The best of these is compared with the best of all.
-- Delay and inertia together stay below 20 s for boats of some tons. A delay is called implausible beyond 25 s, or
-  before the command by more than 5 s, if the correlation there is 0.6 or more and exceeds that at plausible lags by
-  0.2.
-- A speed that is correlated with the commands by less than 0.2 over five minutes at any lag does not follow them.
-- A delay is told from 3 s on: 2 s fit best at times where a thruster dies on the way. A speed before its commands by
-  3 s or more is told only where a delay is configured, which then is the cause; by 5 s or more always.
-- The squares of residuals have to be less than at a usual delay by 15 % in all and by 4 standard errors of the means
-  of blocks of 20 s (neighbouring residuals depend on each other), or by 30 % and 2.4: a few changes of speed make most
-  of the squares of a log of ten minutes.
-- The equation has to explain 30 % of the changes of speed, over nine minutes or more: in six minutes of a boat with a
-  dead thruster, a delay of 2 s fits better at times. In shorter logs, from 2.5 minutes on, 5 s or more are told where
-  the squares halve and the equation explains 60 %: clocks that differ, such as GPS time and UTC.
-- With such a fit, 1 s before the commands is told, too, as no boat does that, and a turn that is 3 s late: no boat of
-  42 simulated ones halves the squares so. Where speed and turn are off by the same, the stamps of the commands are.
+A heading that is early is told from 5 s on, since filters of positions and receivers are late by up to 3 s, and drift
+in a turn makes the course late, too. Nothing makes a heading late, so that one is told from the first bin on.
 """
 
 from __future__ import annotations
@@ -35,9 +24,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from usvlearn.logs.channels.bins import bin_edges, bin_means, bin_rates, clipped
+from usvlearn.logs.channels.bins import bin_directions, bin_edges, bin_means, bin_rates, clipped
 from usvlearn.logs.channels.channel import COMMANDS, SURGE
-from usvlearn.logs.checks.evidence import Evidence, spread, without
+from usvlearn.logs.checks.evidence import MOVING, Evidence, spread, without
 from usvlearn.logs.checks.finding import Finding, override, see
 
 STEP, OVER = 0.5, 4  # s, of the bins; bins of h
@@ -55,6 +44,10 @@ BLOCK, ENOUGH, SHORT = 40, 1080, 300  # bins: 20 s, 9 min, 2.5 min
 FAR, CLEAR = 5, (0.5, 0.6)  # s; ratio of squares and share explained: of clocks that differ, in a short log
 SURE = ((4.0, 0.85), (2.4, 0.7))  # standard errors, and the ratio of squares
 EXPLAINED = 0.3
+COURSE_STEP, FARTHEST = 2.0, 25  # s, of bins of the course; bins of lag that are tried
+EARLIER, LATER = 5.0, 2.0  # s, of a heading that is early, and of one that is late
+FITS, CLOSE = ((4.0, 0.5), (2.4, 0.25)), 0.3  # standard errors, and of the dispersion that is left; dispersion
+COURSE_BLOCK, FEWEST = 10, 3  # bins: 20 s; blocks
 
 
 class Fit(NamedTuple):
@@ -175,3 +168,41 @@ def _restamped(shift: float, late: str) -> str:
 def _moves(e: Evidence) -> bool:
     """Whether thrust and speed change enough to be compared."""
     return spread(e.thrust) > 0.03 and spread(e.speed) > STEADY * min(e.surge_max, e.fastest)
+
+
+def clocks(e: Evidence) -> Iterator[Finding]:
+    """A heading whose stamps are of another clock than those of the position or of the velocity over ground.
+
+    For each lag, the dispersion of twice the angle between course and heading is compared where the boat moves: so one
+    that goes astern counts like one that goes ahead, and a constant error of the compass changes nothing.
+    """
+    edges = e.moving_edges(COURSE_STEP, e.series["heading"])
+    if len(edges) <= COURSE_BLOCK * FEWEST + 2 * FARTHEST:
+        return
+    heading = np.exp(2j * np.angle(bin_directions(e.series["heading"], edges)))
+    north, east = e.velocity(edges)
+    velocity = north + 1j * east
+    velocity[np.abs(velocity) < MOVING * min(e.surge_max, e.fastest)] = np.nan
+    course = np.exp(2j * np.angle(velocity))[FARTHEST:-FARTHEST]
+    lags = range(-FARTHEST, FARTHEST + 1)
+    angles = np.stack([course * heading[FARTHEST + lag : len(heading) - FARTHEST + lag].conj() for lag in lags])
+    angles = angles[:, np.isfinite(angles).all(0)]
+    blocks = angles[:, : angles.shape[1] // COURSE_BLOCK * COURSE_BLOCK].reshape(len(angles), -1, COURSE_BLOCK)
+    if blocks.shape[1] < FEWEST:
+        return
+    means = blocks.mean((1, 2))
+    dispersion = 1 - np.abs(means)
+    best, none = int(dispersion.argmin()), FARTHEST
+    lag = (best - none) * COURSE_STEP
+    aligned = (blocks * (means.conj() / np.abs(means))[:, None, None]).real.mean(2)  # (lags, blocks)
+    gain = aligned[best] - aligned[none]
+    certain = float(gain.mean()) / max(float(gain.std(ddof=1)) / math.sqrt(len(gain)), 1e-12)
+    less = dispersion[best] / max(dispersion[none], 1e-12)
+    sure = any(certain > errors and less < left for errors, left in FITS)
+    if -EARLIER < lag < LATER or abs(best - none) == FARTHEST or dispersion[best] > CLOSE or not sure:
+        return
+    channels = ", ".join(e.places if e.has_position else e.speeds)
+    side = "later" if lag > 0 else "earlier"
+    text = f"a heading that fits the course over ground {abs(lag):.0f} s {side} (dispersion × {less:.2f})"
+    expected = f"less than {LATER if lag > 0 else EARLIER:g} s: {CLOCKS}"
+    yield Finding(e.boat, f"heading, {channels}", "clocks", text, expected)

@@ -1,20 +1,8 @@
 """Units and scales: speeds, commands, headings and yaw rates against each other and against physics.
 
-Thresholds, and why:
-
-- A speed is compared with positions where they are logged. A ratio is that of a unit from 1.39 or below 1/1.39 on,
-  midway between 1 and the ratio of knots, 1.94: a current and the noise of positions change it, too.
-- Without positions, the only measure of a speed is `vehicle.surge_max`. Thrust that is 30 % greater makes up to 30 %
-  more speed, and a current some 0.5 m/s over ground: a warning begins at 1.3 of the top speed and 0.5 m/s. A slow boat
-  whose speed in knots stays below that cannot be told: nothing else in the data fixes the scale of a speed.
-- No boat of this kind goes faster than 15 m/s.
-- Headings in radians that are read as degrees lie within 2π degrees. They are taken for that if the commands turned
-  the boat, but at less than 0.03 rad/s for a full difference of the sides (real and simulated boats: 0.2 to 1.5), or
-  if they jump by their whole range, as at a wrap.
-- Yaw rate and heading have one unit if their slope lies within 1/3 and 3; a wrong unit gives 57 or 1/57.
-- A command that never reaches 0.05 of full scale, or goes beyond 1.2, has another scale.
-- Commands of a log are of another unit if they differ by more than 8, or by 2.55, as 255 from 100, and the speeds by
-  less than the root: a gentle run is slow, too. Without positions, the speeds at like commands must differ as units do.
+A ratio of two speeds is that of a unit from 1.39 on, midway between 1 and that of knots: currents and noise of
+positions change it, too. Thrust that is 30 % greater makes up to 30 % more speed, and a current some 0.5 m/s over
+ground. Commands turn a boat at 0.2 to 1.5 rad/s for a full difference of the sides; a gentle run is slow, too.
 """
 
 from __future__ import annotations
@@ -180,10 +168,7 @@ def _ceil(speed: float) -> str:
 def _in_units(e: Evidence, ratio: float, most: float | None = None) -> str:
     """The override that divides a speed by about `ratio`: a unit where one fits, else a span; "" if it is not logged.
 
-    Args:
-        e: of the boat.
-        ratio: of the speed to the right one.
-        most: up to this a ratio would do, if the right one is a bound; then the unit of the least factor is taken.
+    If the right speed is a bound, up to `most` a ratio would do, and the unit of the least factor is taken.
     """
     if not e.speeds:
         return ""

@@ -1,26 +1,9 @@
 """Positions, from which tracks are judged, against the measured velocity; and the sway against both.
 
-The rate of a position over 5 s, as a complex number north + i east, is compared with the velocity
-(u + i v) exp(i ψ) of surge u, sway v and heading ψ, both less their means (`usvlearn.logs.channels.position_rates`):
-
-    mistake                                correlation with    with its mirror image, and its angle
-    none                                   1                   below 1
-    north and east interchanged            below 1             1, +90°
-    north reversed, east reversed          below 1             1, 180°, 0°
-    another boat's position                near 0              near 0
-
-A heading that counts counter-clockwise makes the mirror image, too. The position is named where the boat turns as its
-thrusters demand, and no gyro contradicts. Where nothing tells which of the two is wrong, both keys are given.
-
-Thresholds, and why:
-
-- A mirror image is believed from a correlation of 0.9 on, if it leaves a fifth of the squares that the velocity itself
-  leaves; on straight tracks both fit. Real and simulated boats have 0.9 to 1 with the velocity itself.
-- A position does not follow if both correlations, and that of the two sizes, are below 0.4 over two minutes, in which
-  the velocity changes by 0.2 of the greatest speed and 0.15 m/s (standard deviation). Below, currents and noise rule.
-- A position has another unit if it differs by 1.39 from the speed, as in `scales`, and the ratio is within 15 % of
-  that of a unit of length, while the speed is plausible as it is, or is in no unit of a speed.
-- A sway is reversed from a correlation of −0.5 and 5 standard errors on, and has another unit from 1.6 times on.
+The rate of a position over 5 s is compared with the velocity of surge, sway and heading, as complex numbers north +
+i east (`usvlearn.logs.channels.position_rates`). North and east interchanged, or one of them reversed, make a mirror
+image, whose angle is +90°, 180° or 0°. So does a heading that counts counter-clockwise. The position is named where the
+boat turns as its thrusters demand, and no gyro contradicts. Where nothing tells which is wrong, both keys are given.
 """
 
 from __future__ import annotations
@@ -116,13 +99,7 @@ def heading_is_right(e: Evidence) -> bool:
 
 
 def mirror_fix(e: Evidence, angle: float, names: tuple[str, str]) -> str:
-    """The overrides that turn the mirror image of a track into the track; "" where there are none.
-
-    Args:
-        e: of the boat.
-        angle: of `Motion.against`, rad.
-        names: the channels that are changed, north and east.
-    """
+    """The overrides that turn a mirror image by an angle, rad, into the track; "" where there are none."""
     if not (e.channels and e.has_position):
         return ""
     turns = round(angle / QUARTER)
@@ -161,9 +138,8 @@ def position_unit(e: Evidence, slope: float, plausible: tuple[float, float], fit
 
     Args:
         e: of the boat.
-        slope: the speed over the rate of position.
+        slope: the speed over the rate of position; `fits`: whether another unit of the speed would explain it.
         plausible: least and greatest of plausible top speeds, m/s.
-        fits: whether another unit of the speed would explain the ratio.
     """
     fix = _length(e, slope)
     if not fix or not e.channels or next(degrees(e), None):

@@ -44,9 +44,7 @@ FALLING = 0.5  # share of the stamps that are earlier than the one before, at mo
 def arrays_among(given: Any, settings: MutableMapping[str, Any]) -> dict[str, Any] | None:
     """The arrays among the arguments of `usvlearn.read`, by name; None if it was given a path, or nothing.
 
-    Args:
-        given: the first argument: a path, boat -> path, a dictionary of arrays, or a table with columns.
-        settings: the keywords; those that are arrays are taken out.
+    The settings are the keywords; those that are arrays are taken out.
     """
     found = {name: settings.pop(name) for name in NAMES if name in settings}
     if isinstance(given, str | os.PathLike):
@@ -86,10 +84,7 @@ def channels_of_arrays(
 ) -> tuple[Arrays, dict[str, dict[str, Any]]]:
     """Arrays as a log, and the description of its channels, as of `usvlearn.logs.read.read_recordings`.
 
-    Args:
-        columns: name -> values; `time` among them.
-        channels: channel -> keys of `Source`, where they differ from its own name, SI units and automatic windows.
-        units: channel, or `time` -> unit.
+    The keys of channels count where they differ from its own name, SI units and automatic windows.
 
     Raises:
         ConfigError: an array is missing, of another length, or holds something else than numbers.

@@ -65,13 +65,7 @@ WEAK = (  # they may stand above a table, too, and only tell why it could not be
 
 
 def foreign(path: Path, head: bytes = b"", surely: bool = False) -> str:
-    """What a file is, and the way out, if it is of a known kind that is not read; else "".
-
-    Args:
-        path: the file.
-        head: its first bytes, if they have been read.
-        surely: whether to leave out what may be a table.
-    """
+    """What a file is, and the way out, if it is of a kind that is not read; else "". `surely` leaves out tables."""
     if not path.is_file():
         return ""
     if not head:

@@ -100,15 +100,7 @@ class Vehicle(NamedTuple):
 class MessageLog:
     """A log whose messages have been found.
 
-    Args:
-        path: the log.
-        data: its bytes.
-        messages: all of them, those of one key in one or several layouts.
-        servos: the names of the servos' outputs.
-        vehicles: sender -> what is known about it.
-        preferred: the senders that a name without one means, where they send it.
-        unknown: messages of types that are not known.
-        start: s since 1970, if it tells.
+    `preferred` are the senders that a name without one means, where they send it; `start` is s since 1970, if it tells.
     """
 
     path: Path
@@ -289,14 +281,10 @@ class MessageReader(Reader):
 
 
 def warn_of_damage(path: Path, data: np.ndarray, skipped: np.ndarray, what: str) -> None:
-    """Warn if a log holds bytes that belong to no message.
+    """Warn if a log holds bytes that belong to no message of a format called `what`.
 
-    The last message, which was being written when the power went, does not count, nor does an end of equal bytes.
-
-    Args:
-        path, data: the log.
-        skipped: bytes between messages, number of such gaps, end of the last message; see `binary_kernel`.
-        what: the name of the format.
+    `skipped` is that of `binary_kernel`. The last message, which was being written when the power went, does not count,
+    nor does an end of equal bytes.
     """
     count, gaps, end = (int(each) for each in skipped[:3])
     tail = data[end + SHORT :]

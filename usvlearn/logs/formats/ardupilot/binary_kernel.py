@@ -22,10 +22,7 @@ IDS = 1 << 16  # MAVLink's ids below this can be known
 def gather(data, starts, lengths, offset, size):
     """The same bytes of many messages, `(messages, size)` uint8; zeros beyond a message's end, as MAVLink 2 cuts them.
 
-    Args:
-        data: the file, `(bytes,)` uint8.
-        starts, lengths: of the messages, in bytes, `(messages,)`; each must lie within the file.
-        offset, size: of the part that is copied, from each start, in bytes.
+    The starts and lengths of the messages must lie within the file; `offset` and `size` are of the copied part, bytes.
     """
     found = np.zeros((len(starts), size), dtype=np.uint8)
     for k in range(len(starts)):
@@ -38,11 +35,8 @@ def gather(data, starts, lengths, offset, size):
 def scan_dataflash(data, sizes):
     """All messages of a DataFlash log: places, layouts, descriptions, and what was skipped.
 
-    A message counts if its type has been described, and another message or the end of the file follows it.
-
-    Args:
-        data: the file, `(bytes,)` uint8.
-        sizes: bytes of each format letter, `(256,)`; 0 for what is no letter.
+    A message counts if its type has been described, and another message or the end of the file follows it. `sizes` are
+    the bytes of each format letter, `(256,)`; 0 for what is no letter.
 
     Returns:
         places: of each message, `(messages,)`, bytes from the start of the file.
@@ -109,15 +103,10 @@ def _is_sound(data, place, sizes):
 
 @jit(entry=True, memory=True)
 def dataflash_stamps(data, places, layouts, offsets, widths, factors):
-    """When each message was logged, `(messages,)` int64, us since boot.
+    """When each message was logged, `(messages,)` int64, us since boot; see `scan_dataflash`.
 
-    A message without a stamp has that of the one before it, and those at the log's start have the first one.
-
-    Args:
-        data, places, layouts: see `scan_dataflash`.
-        offsets: of the stamp in each layout, `(layouts,)`, bytes from the message's start; -1 where it has none.
-        widths: bytes of the stamp, 4 or 8, `(layouts,)`.
-        factors: us in its unit, `(layouts,)`.
+    A message without a stamp has that of the one before it, and those at the log's start have the first one. For each
+    layout there are the offset of its stamp from the message's start, or -1, its bytes, 4 or 8, and the us in its unit.
     """
     stamps, last, stamped = np.zeros(len(places), np.int64), 0, False
     for k in range(len(places)):
@@ -144,18 +133,14 @@ def scan_tlog(data, extras):
     """All MAVLink frames of known messages in a telemetry log, and what was skipped.
 
     A frame of a known message counts if its checksum is right. One of an unknown message, which cannot be checked, is
-    passed over if the frame before it was right, and another frame or the end of the file follows it.
-
-    Args:
-        data: the file, `(bytes,)` uint8.
-        extras: the byte that a message adds to its checksum, `(IDS,)` int16; -1 for unknown messages.
+    passed over if the frame before it was right, and another frame or the end of the file follows it. `extras` are
+    the bytes that messages add to their checksums, `(IDS,)` int16; -1 for unknown ones.
 
     Returns:
         starts, lengths: of each payload, `(frames,)`, bytes.
         ids, senders: of each frame, `(frames,)`; a sender is 256 * system + component.
         stamps: before each frame, `(frames,)` int64, us since 1970.
-        skipped: bytes between frames that belong to none; the number of such gaps; the end of the last frame; frames
-            of unknown messages.
+        skipped: as of `scan_dataflash`; and the number of frames of unknown messages.
     """
     starts, stamps, count = np.empty(1024, np.int64), np.empty(1024, np.int64), 0
     lengths, ids, senders = np.empty(1024, np.uint8), np.empty(1024, np.int32), np.empty(1024, np.int32)

@@ -45,20 +45,13 @@ class Limits(NamedTuple):
 
 @dataclass(frozen=True)
 class Servos:
-    """How a format names the pulse widths.
-
-    Args:
-        outputs: the messages that hold them.
-        columns: pattern of the field of servo `{n}`.
-    """
+    """How a format names the pulse widths: the messages of outputs, and the pattern of the field of servo `{n}`."""
 
     outputs: tuple[str, ...]
     columns: str
 
     def find(self, name: str, parameters: Mapping[str, float], where: str) -> int:
-        """The number of the servo that drives `throttle_left` or another of `FUNCTIONS`.
-
-        ArduPilot gives the same command to all servos of one function, so that the first of them stands for all.
+        """The number of the servo that drives `throttle_left` or another of `FUNCTIONS`: the first of several.
 
         Raises:
             LogFormatError: there is none; the message says which functions there are.

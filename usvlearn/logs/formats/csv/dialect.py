@@ -96,12 +96,7 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 def find_dialect(path: Path, time: str, encoding: str, delimiter: str, comment: str | None, decimal: str) -> Dialect:
-    """How a file is written; every option is as given, or found if it is "auto".
-
-    Args:
-        path: the file.
-        time: name of a column that the header has, or "auto".
-        encoding, delimiter, comment, decimal: as those of `usvlearn.logs.formats.csv.table.Table`.
+    """How a file is written; an option is as given, or found if it is "auto"; `time` may name a column of the header.
 
     Raises:
         LogFormatError: the file holds binary data.

@@ -49,11 +49,8 @@ class _Candidate(NamedTuple):
 def table_of(path: Path, boat: str | None = None, beside: Sequence[Path] = ()) -> tuple[Table, list[str]]:
     """A reader for one table, with its options as found, and a sentence for each unsure one that begins with its key.
 
-    The option `comment` stays "auto". Of a folder of topics, an option that differs between its tables does, too.
-
-    Args:
-        path: the table, or a folder whose tables are topics of one run.
-        boat, beside: whose rows are read, where those of this and other tables are of several boats.
+    The option `comment` stays "auto". Of a folder of topics, an option that differs between its tables does, too. Where
+    this and the tables beside it hold rows of several boats, those of one are read.
 
     Raises:
         LogFormatError: the file is no table with a header, or no column can be one of stamps in the order of time.

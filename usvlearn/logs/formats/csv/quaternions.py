@@ -47,13 +47,9 @@ def quaternions(names: Sequence[str]) -> dict[str, Quaternion]:
 
 
 def yaw_of(parts: Sequence[np.ndarray], empty: Sequence[np.ndarray]) -> Yaw:
-    """Yaw of quaternions, counter-clockwise about z.
+    """Yaw of quaternions, x, y, z and w, `(rows,)` each, counter-clockwise about z.
 
     psi = atan2(2 (w z + x y), w^2 + x^2 - y^2 - z^2)
-
-    Args:
-        parts: x, y, z and w, `(rows,)` each.
-        empty: likewise, whether a cell is empty.
     """
     x, y, z, w = parts
     missing = np.logical_and.reduce(empty)

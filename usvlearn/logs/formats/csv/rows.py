@@ -54,19 +54,14 @@ class Rows:
     """All complete rows of a file.
 
     Args:
-        path: the file.
-        dialect: how it is written.
-        stamps: the columns of the stamps, one or two.
-        columns: the columns of numbers.
+        path, dialect: the file, and how it is written.
+        stamps, columns: the columns of the stamps, one or more, and those of numbers.
         only: the place of a column and its text, if only rows with it are wanted.
         texts: whether the cells of the stamps are kept as they are.
 
     Attributes:
-        stamps: their cells.
-        columns: name -> numbers.
         order: lines of the complete rows, `(rows,)` int64.
         torn: number of incomplete rows.
-        first_stamp: its text.
     """
 
     def __init__(

@@ -117,12 +117,8 @@ class Stamps:
     def seconds(self, order: str, clock: bool = False) -> tuple[np.ndarray | None, str, str]:
         """Stamps as seconds since the first readable one; numbers in their unit; None if none is readable.
 
-        Args:
-            order: of a date, one of `ORDERS` or "auto".
-            clock: whether numbers are times of a day, HHMMSS.
-
-        Returns:
-            the stamps, the kind ("number", "time" or one of `ORDERS`), and a doubt about the order, or "".
+        Dates have an order of `ORDERS`, or "auto"; with `clock`, numbers are times of a day, HHMMSS. The second value is
+        the kind ("number", "time" or one of `ORDERS`), the third a doubt about the order, or "".
         """
         kinds, values = np.concatenate(self._kinds), np.concatenate(self._values)
         values = np.where(np.isfinite(values), values, np.nan)
@@ -175,14 +171,8 @@ def spread(time: np.ndarray, origin: float) -> tuple[np.ndarray, float]:
     """Stamps of whole seconds that repeat, spread: row k of the n rows of a second is k/n s later.
 
     The rate of rows is taken as even within each second, so a row may be up to a second off. It needs all rows of a
-    second, as only a log has them.
-
-    Args:
-        time: (n,) s, NaN where it is unreadable.
-        origin: s, of the time 0.
-
-    Returns:
-        the stamps, and the mean number of rows of a second, or 0 where nothing was changed.
+    second, as only a log has them. `origin` is that of the time 0, s. The second value is the mean number of rows
+    of a second, or 0 where nothing was changed.
     """
     readable = np.flatnonzero(np.isfinite(time))
     rate = rows_a_second(time[readable] + origin)

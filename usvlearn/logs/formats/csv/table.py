@@ -238,15 +238,7 @@ class Table(Reader):
 
 @dataclass(frozen=True)
 class Opened:
-    """A table whose header was read.
-
-    Attributes:
-        path: the file.
-        table: its reader.
-        dialect: how it is written.
-        stamps: the columns of its stamps.
-        only: the column and the text of the rows that are read.
-    """
+    """A table whose header was read; `only` is the place and the text of the column by which rows are chosen."""
 
     path: Path
     table: Table
@@ -355,10 +347,7 @@ def channels_of(
 ) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
     """The channels, and the counts of unusable cells, from tables whose times count from one start.
 
-    Args:
-        tables: the columns of each file.
-        orders: the places of their rows in the log.
-        places: channel -> where it is.
+    Of each file, the columns and the places of its rows in the log; of each channel, where it is.
     """
     channels, dropped = {}, {}
     for channel, (path, name, source) in places.items():

@@ -200,12 +200,7 @@ def _parsed(file: BinaryIO, size: int, keep: Callable[[str], bool]) -> Any:
 
 
 class _Bounded:
-    """A file that is read a bounded number of times: pyulog steps back in a damaged one, and may never come to its end.
-
-    Args:
-        file: an open file.
-        size: of the file, bytes.
-    """
+    """A file that is read a bounded number of times: pyulog steps back in a damaged one, perhaps without end."""
 
     def __init__(self, file: BinaryIO, size: int):
         self.tell, self.close = file.tell, file.close

@@ -26,15 +26,10 @@ _PATCHED = threading.Lock()  # all threads share the functions with which rosbag
 def unpack(path: Path, data: bytes, compression: str, limit: int, announced: int = 0) -> tuple[bytes, bool]:
     """A chunk's data as far as it can be read, and whether it is complete.
 
-    Args:
-        path: of the bag, for the error.
-        data: the compressed chunk.
-        compression: none, bz2, lz4 or zstd.
-        limit: of the unpacked chunk, bytes.
-        announced: size that the chunk's header gives, bytes; 0 if it gives none. Data beyond it count as damage.
+    The chunk's header may announce a size, else 0. Data beyond it count as damage.
 
     Raises:
-        LogFormatError: the chunk, or the size in its header, is larger than the limit.
+        LogFormatError: the chunk, or the size in its header, is larger than the limit, bytes.
         ValueError: an unknown compression.
     """
     if compression == "none":
@@ -70,12 +65,7 @@ def _opened(compression: str, file: BinaryIO) -> Any:
 
 
 class Total:
-    """Counts the unpacked data of one bag, and limits them to `MOST` times the size of the file.
-
-    Args:
-        path: of the bag.
-        limit: of one unpacked chunk, bytes.
-    """
+    """Counts the unpacked data of one bag, and limits them to `MOST` times its size, and one chunk of `limit` bytes."""
 
     def __init__(self, path: Path, limit: int):
         files = path.iterdir() if path.is_dir() else [path]
@@ -112,12 +102,7 @@ def _whole(path: Path, data: bytes, compression: str, limit: int, announced: int
 
 @contextmanager
 def limited(path: Path, limit: int) -> Iterator[None]:
-    """A context in which rosbags unpacks the chunks or rows of a ROS 2 bag up to a limit only.
-
-    Args:
-        path: of the bag.
-        limit: of one unpacked chunk or row, bytes.
-    """
+    """A context in which rosbags unpacks the chunks or rows of a ROS 2 bag up to a limit only, bytes."""
     import apsw
     from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
 
@@ -143,13 +128,7 @@ def limited(path: Path, limit: int) -> Iterator[None]:
 
 
 def limit_chunks(path: Path, reader: Any, limit: int) -> None:
-    """Make a reader of a ROS 1 bag unpack chunks up to a limit only, and up to the size that the chunk announces.
-
-    Args:
-        path: of the bag.
-        reader: a `rosbags.rosbag1.Reader` that is open.
-        limit: of one unpacked chunk, bytes.
-    """
+    """Make an open `rosbags.rosbag1.Reader` unpack chunks up to a limit only, bytes, and to the size they announce."""
     from rosbags.rosbag1.reader import Header
 
     def unpacked(place: int, data: bytes) -> bytes:

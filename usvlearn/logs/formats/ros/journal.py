@@ -22,8 +22,7 @@ JOURNALS = "-wal", "-journal"  # a rollback journal takes back what was half wri
 def joined_journals(files: list[Path]) -> Iterator[list[Path]]:
     """The files, with a joined copy in place of each database that has a journal, as a context.
 
-    Raises:
-        LogFormatError: a database and its journal cannot be copied or joined.
+    A database and its journal that cannot be copied or joined are a LogFormatError.
     """
     beside = {file: [file.with_name(file.name + end) for end in JOURNALS] for file in files if file.suffix == ".db3"}
     left = {file: [each for each in some if each.is_file() and each.stat().st_size] for file, some in beside.items()}

@@ -38,9 +38,7 @@ FIELDS: dict[str, dict[str, str]] = {  # type of message -> channel -> its field
 def default_field(kind: str, part: str) -> str:
     """The field of a channel in a type of message, where the configuration names none; `data` of a type not known.
 
-    Args:
-        kind: type of the message, such as `nav_msgs/msg/Odometry`.
-        part: a channel, or one of several sources of a command, such as `command_left[0]`.
+    Instead of a channel, it may be of one of several sources of a command, such as `command_left[0]`.
     """
     return FIELDS.get(kind, {}).get(part.partition("[")[0], "data")
 
@@ -48,12 +46,8 @@ def default_field(kind: str, part: str) -> str:
 def stamp_of(message: Any, received: int, clock: str = "header", limit: float = CLOCK_LIMIT) -> int:
     """The time of a message, ns: the stamp of its header, or its receipt.
 
-    Args:
-        message: of any type.
-        received: time of its receipt, ns.
-        clock: one of `CLOCKS`. With `header`, a message without a stamp has the time of its receipt, and so has one
-            whose stamp is 0, or further than `limit` from it.
-        limit: s.
+    With the clock `header`, a message without a stamp has the time of its receipt, and so has one whose stamp is 0, or
+    further than `limit`, s, from it.
     """
     stamp: Any = getattr(getattr(message, "header", None), "stamp", None)
     if clock == "receive" or not hasattr(stamp, "nanosec"):

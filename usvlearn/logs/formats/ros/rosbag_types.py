@@ -17,10 +17,7 @@ NOTHING = "structure_needs_at_least_one_member"  # as rosbags calls the field of
 def check_type(path: Path, msgtype: str, definitions: Mapping[str, Any]) -> None:
     """Raise a LogFormatError if a type is not defined, or its messages can have many more fields than bytes.
 
-    Args:
-        path: of the bag, for the error.
-        msgtype: of the messages that are to be read.
-        definitions: `fielddefs` of a `rosbags.typesys.store.Typestore`.
+    The definitions are the `fielddefs` of a `rosbags.typesys.store.Typestore`.
     """
     from rosbags.interfaces import Nodetype
 
