@@ -15,7 +15,7 @@ from usvlearn.logs.checks.evidence import spread
 from usvlearn.logs.checks.finding import Finding, override, see
 from usvlearn.logs.checks.frozen import stretches
 from usvlearn.logs.formats.ardupilot import dataflash, servos, tlog
-from usvlearn.logs.formats.csv import dialect, quaternions, stamps, topics
+from usvlearn.logs.formats.csv import dialect, rows, stamps, topics
 from usvlearn.logs.formats.ros import decompress, message_fields
 
 TIME, EIGHT = np.arange(0, 600, 0.5), np.array([60.0, 61, 62, 63, 5, 6, 7, 8])
@@ -96,8 +96,8 @@ def test_numbers(found, expected):
     (lambda: stamps.joined(["Date", "hour", "mm", "s", "ms"], ["A9876"]), ["A 09:08:07.006"]),
     (lambda: [*map(stamps.part_of, ["header.stamp.nsecs", "UTC_Year", "speed"])],
      [(9, ("header", "stamp")), ("year", ("utc",)), (None, ("speed",))]),
-    (lambda: quaternions.quaternions(["qx", "qy", "qz", "qw", "x", "y"]), {"q": (("qx", "qy", "qz", "qw"), "enu_rad")}),
-    (lambda: quaternions.quaternions([f"q[{k}]" for k in range(4)])["q"], (("q[1]", "q[2]", "q[3]", "q[0]"), "rad")),
+    (lambda: rows.quaternions(["qx", "qy", "qz", "qw", "x", "y"]), {"q": (("qx", "qy", "qz", "qw"), "enu_rad")}),
+    (lambda: rows.quaternions([f"q[{k}]" for k in range(4)])["q"], (("q[1]", "q[2]", "q[3]", "q[0]"), "rad")),
     (lambda: [dataflash._unit("m/s", 0.01), dataflash._unit("A", 3600.0), dataflash._unit("degheading", 0.0)],
      ["cm/s", "3600 A", "deg"]),
     (lambda: tlog._boots(np.array([2.0, 2.1, 90.0, 90.3])).tolist(), [0, 2]),

@@ -31,8 +31,7 @@ from usvlearn.logs.channels.channel import (
 from usvlearn.logs.channels.derived_surge import PAIRS_TOLD, pair_of
 from usvlearn.logs.channels.repeated_values import settle_period
 from usvlearn.logs.channels.series import Series
-from usvlearn.logs.formats.csv.stamps import spread, unwrapped
-from usvlearn.logs.formats.csv.table import TIME_UNITS
+from usvlearn.logs.formats.csv.stamps import TIME_UNITS, spread, unwrapped
 from usvlearn.logs.read import recordings_of, sources_of
 
 TIME, BOAT = "time", "boat"

@@ -57,8 +57,8 @@ class Format:
 
     def open(self, path: Path, boat: str | None, beside: Sequence[Path]) -> tuple[Any, list[str]]:
         """The reader, with the options that this file needs, and what is unsure about them."""
-        found = getattr(importlib.import_module(self.module), self.reader)
-        return found(path, boat, beside) if self.reader == "table_of" else (found(), [])
+        reader = getattr(importlib.import_module(self.module), self.reader)
+        return reader.found(path, boat, beside) if hasattr(reader, "found") else (reader(), [])
 
 
 def _is_moos(head: bytes, suffix: str) -> bool:
@@ -83,7 +83,7 @@ def _is_telemetry(head: bytes, suffix: str) -> bool:
 
 
 TABLES = (".csv", ".txt", ".tsv", ".slog", *PACKED)
-TABLE = Format("tables", "usvlearn.logs.formats.csv.options", "table_of", TABLES, looks=_is_text)
+TABLE = Format("tables", "usvlearn.logs.formats.csv.table", "Table", TABLES, looks=_is_text)
 FORMATS = (
     Format("ROS 1", "usvlearn.logs.formats.ros.rosbag", "Rosbag", (".bag", ".active"), (b"#ROSBAG V2.0",)),
     Format("ROS 2 (MCAP)", "usvlearn.logs.formats.ros.rosbag", "Rosbag", (".mcap",), (b"\x89MCAP",)),

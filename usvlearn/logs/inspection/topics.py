@@ -11,8 +11,7 @@ from pathlib import Path
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.formats.csv.dialect import AUTO, find_dialect, split_unit
 from usvlearn.logs.formats.csv.options import NAMED
-from usvlearn.logs.formats.csv.quaternions import quaternions
-from usvlearn.logs.formats.csv.table import Table
+from usvlearn.logs.formats.csv.rows import quaternions
 from usvlearn.logs.formats.csv.topics import several_kinds, tables_of
 from usvlearn.logs.inspection.vocabulary import fit, names_side_alone, side
 
@@ -42,7 +41,7 @@ def joined_tables(files: Sequence[Path]) -> tuple[list[Path], str]:
             why = f"{whole.name} has all channels" if whole and differ else "they have the same columns"
             sentence = sentence or f"Each file is a run: {why}."
             continue
-        rest = [each for each in tables_of(Table(AUTO), folder) if each not in inside and each.stat().st_size]
+        rest = [each for each in tables_of(folder) if each not in inside and each.stat().st_size]
         if others := ", ".join(each.name for each in rest[:SHOWN]):
             told = f"{folder}: expected all tables of a run, whose columns differ, found {len(inside)} given and "
             raise LogFormatError(f"{told}{others} not: give the folder, or move these tables to one of their own")

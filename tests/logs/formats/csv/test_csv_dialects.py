@@ -8,7 +8,6 @@ import pytest
 
 from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.logs.channels.channel import Source
-from usvlearn.logs.formats.csv.options import table_of
 from usvlearn.logs.formats.csv.table import Table
 
 TIME = 0.25 * np.arange(40)
@@ -76,7 +75,7 @@ def test_a_table_is_read_alike_however_it_is_written(tmp_path, name):
     text, encoding, delimiter, decimal = SHAPES[name]
     path = tmp_path / "a.csv"
     path.write_bytes(text.encode(encoding))
-    table, unsure = table_of(path)
+    table, unsure = Table.found(path)
     assert (table.delimiter, table.decimal, table.time_unit, unsure) == (delimiter, decimal, "s", [])
     explicit = Table("time", delimiter=delimiter, decimal=decimal)
     for reader in (Table("time"), table, explicit):
@@ -125,7 +124,7 @@ def test_a_date_and_a_time_in_two_columns_and_past_midnight(tmp_path):
     path = tmp_path / "a.csv"
     stamps = ["31.12.2025;23:59:59,5", "31.12.2025;23:59:59,9", "01.01.2026;00:00:00,3"]
     path.write_text("Date;Time;v\n" + "".join(f"{stamp};{k}\n" for k, stamp in enumerate(stamps)))
-    table, unsure = table_of(path)
+    table, unsure = Table.found(path)
     assert (table.time, table.dates, unsure) == ("Date+Time", "day_first", [])
     for reader in (table, Table("Time")):
         channels, _ = reader.read(path, {"surge": Source("v")})
@@ -145,19 +144,19 @@ def test_the_order_of_a_date_is_found_from_the_whole_column_or_asked_for(tmp_pat
         Table("t").read(path, {"surge": Source("v")})
     channels, _ = Table("t", dates=order).read(path, {"surge": Source("v")})
     np.testing.assert_array_equal(channels["surge"].time, 86400 * np.arange(3))
-    assert any(each.startswith("dates: ") for each in table_of(path)[1])
+    assert any(each.startswith("dates: ") for each in Table.found(path)[1])
 
 
 @pytest.mark.parametrize("form", ["06/03/2025 09:0{} AM", "6/3/25 9:0{}:00 p.m.", "06-03-2025, 09:0{}:00.5 pm"])
 def test_an_ambiguous_date_with_am_or_pm_is_asked_for(tmp_path, form):
     path = tmp_path / "a.csv"
     path.write_text("t;v\n" + "".join(f"{form.format(minute)};{minute}\n" for minute in range(9)))
-    table, unsure = table_of(path)
+    table, unsure = Table.found(path)
     assert table.dates == "month_first" and [each[:7] for each in unsure] == ["dates: "]
     with pytest.raises(LogFormatError, match=r"set data.reader.dates to one of"):
         Table("t").read(path, {"surge": Source("v")})
     path.write_text(path.read_text().replace("06/03", "13/03").replace("6/3", "13/3").replace("06-03", "13-03"))
-    assert (table_of(path)[0].dates, table_of(path)[1]) == ("day_first", [])
+    assert (Table.found(path)[0].dates, Table.found(path)[1]) == ("day_first", [])
 
 
 @pytest.mark.parametrize(
@@ -167,7 +166,7 @@ def test_an_ambiguous_date_with_am_or_pm_is_asked_for(tmp_path, form):
 def test_a_time_that_may_number_the_rows_is_asked_for(tmp_path, stamps, asked):
     path = tmp_path / "a.csv"
     path.write_text("time,v\n" + "".join(f"{stamp},{k % 7}\n" for k, stamp in enumerate(stamps)))
-    assert [each[:10] for each in table_of(path)[1]] == ["time_unit:"] * asked
+    assert [each[:10] for each in Table.found(path)[1]] == ["time_unit:"] * asked
 
 
 def test_separators_of_thousands_are_counted_or_refused(tmp_path):
@@ -213,7 +212,7 @@ def test_options_that_are_given_win(tmp_path):
 def test_the_unit_of_stamps(tmp_path, values, unit, sure):
     path = tmp_path / "a.csv"
     path.write_text("index,time,v\n" + "".join(f"{k},{value},{math.pi}\n" for k, value in enumerate(values)))
-    table, unsure = table_of(path)
+    table, unsure = Table.found(path)
     assert (table.time, table.time_unit, not unsure) == ("time", unit, sure)
 
 
@@ -222,7 +221,7 @@ def test_a_table_without_stamps_or_without_a_header_is_refused(tmp_path):
     for text in ("v,w\n1,2\n0,3\n", "0,1,2\n1,2,3\n", "", "some text\nand more\n"):
         path.write_text(text)
         with pytest.raises(LogFormatError, match=r"column of stamps|none above the first numbers '0,1,2'"):
-            table_of(path)
+            Table.found(path)
 
 
 def test_times_of_a_day_as_numbers(tmp_path):
@@ -230,7 +229,7 @@ def test_times_of_a_day_as_numbers(tmp_path):
     rows = "".join(f"{h:02d}{m:02d}{s:02d}.5,{s}\n" for h, m in ((9, 58), (9, 59), (10, 0)) for s in range(60))
     path = tmp_path / "a.csv"
     path.write_text("time,speed\n" + rows)
-    table, unsure = table_of(path)
+    table, unsure = Table.found(path)
     assert (table.time_unit, unsure) == ("hhmmss", [])
     assert table.read(path, {"surge": Source("speed")})[0]["surge"].time.tolist() == list(range(180))
     with pytest.warns(UserWarning, match="set data.reader.time_unit=hhmmss"):
@@ -240,7 +239,7 @@ def test_times_of_a_day_as_numbers(tmp_path):
 def test_a_column_that_rises_evenly_may_be_that_of_the_stamps(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("speed,ticks\n" + "".join(f"{k % 7},{100 * k}\n" for k in range(50)))
-    table, unsure = table_of(path)
+    table, unsure = Table.found(path)
     assert (table.time, table.time_unit) == ("ticks", "ms")
     assert unsure[0] == "time: found no column that is called so; 'ticks' is the first one that rises evenly"
 
@@ -248,7 +247,7 @@ def test_a_column_that_rises_evenly_may_be_that_of_the_stamps(tmp_path):
 def test_repeated_whole_seconds_are_spread(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("time,speed\n" + "".join(f"2025-07-24T17:18:{k // 10:02d},{k % 7}\n" for k in range(300)))
-    table, unsure = table_of(path)
+    table, unsure = Table.found(path)
     assert (table.time, unsure) == ("time", [])
     with pytest.warns(UserWarning, match="whole seconds, with 10 rows each: the rows of a second are spread evenly"):
         channels, dropped = table.read(path, {"surge": Source("speed")})
@@ -268,4 +267,4 @@ def test_a_table_of_too_few_rows_is_told(tmp_path, rows, found):
     path = tmp_path / "a.csv"
     path.write_text("time,speed\n" + rows)
     with pytest.raises(LogFormatError, match=f"two rows or more, found {found}"):
-        table_of(path)
+        Table.found(path)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,9 +13,19 @@ from usvlearn.logs.channels.channel import QUOTED
 from usvlearn.logs.channels.series import OtherBoats
 from usvlearn.logs.formats.csv.boats import kinds_of, refused
 from usvlearn.logs.formats.csv.dialect import AUTO, UNIT_NAMES, Dialect, find_dialect, no_header, not_sorted, split_unit
-from usvlearn.logs.formats.csv.stamps import OFTEN, WORD, Stamps, joined, part_of, rows_a_second
-from usvlearn.logs.formats.csv.table import CLOCK, TIME_UNITS, TOPICS, Table
-from usvlearn.logs.formats.csv.topics import tables_of
+from usvlearn.logs.formats.csv.rows import Rows
+from usvlearn.logs.formats.csv.stamps import (
+    HHMMSS,
+    OFTEN,
+    ORDERS,
+    TIME_UNITS,
+    WORD,
+    Stamps,
+    joined,
+    part_of,
+    rows_a_second,
+)
+from usvlearn.logs.formats.csv.topics import TOPICS, tables_of
 
 NAMED = {
     "time", "timestamp", "t", "stamp", "datetime", "date_time", "date time", "date/time", "utc", "zeit", "zeitstempel",
@@ -46,8 +55,8 @@ class _Candidate(NamedTuple):
     first: float  # number
 
 
-def table_of(path: Path, boat: str | None = None, beside: Sequence[Path] = ()) -> tuple[Table, list[str]]:
-    """A reader for one table, with its options as found, and a sentence for each unsure one that begins with its key.
+def find_options(path: Path, boat: str | None, beside: Sequence[Path]) -> tuple[dict[str, str], list[str]]:
+    """The options of `Table` for one table, as found, and a sentence for each unsure one that begins with its key.
 
     The option `comment` stays "auto". Of a folder of topics, an option that differs between its tables does, too. Where
     this and the tables beside it hold rows of several boats, those of one are read.
@@ -56,7 +65,7 @@ def table_of(path: Path, boat: str | None = None, beside: Sequence[Path] = ()) -
         LogFormatError: the file is no table with a header, or no column can be one of stamps in the order of time.
     """
     if path.is_dir():
-        return _table_of_topics(path)
+        return _of_topics(path)
     dialect = find_dialect(path, AUTO, AUTO, AUTO, AUTO, AUTO)
     if not dialect.names and dialect.sample:
         raise no_header(path, dialect)
@@ -67,12 +76,11 @@ def table_of(path: Path, boat: str | None = None, beside: Sequence[Path] = ()) -
             f"{path}: expected a table with a header, a column of stamps and two rows or more, found {found}: "
             "leave it out"
         )
-    rows = "all"
     if kinds := kinds_of(path, dialect, beside):
         own = next((each for each in kinds.values if boat is not None and each.strip("/") == boat), None)
         if kinds.number or own is None:
             raise refused(path.parent if len(beside) > 1 else path, dialect, kinds)
-        rows, place = f"{kinds.column}={own}", dialect.names.index(kinds.column)
+        place = dialect.names.index(kinds.column)
         dialect = dialect._replace(sample=[row for row in dialect.sample if row[place].strip() == own])
         if not dialect.sample:
             raise OtherBoats(f"{path}: found no row with {own!r} among the first ones: leave it out")
@@ -97,37 +105,62 @@ def table_of(path: Path, boat: str | None = None, beside: Sequence[Path] = ()) -
     if rivals:
         unsure.append(f"time: found {best.name!r}, but the stamps may also be {' or '.join(map(repr, rivals[:3]))}")
     unit, unclear = _time_unit(best)
-    table = Table(best.name, unit, dialect.delimiter, dialect.decimal, dialect.encoding, rows=rows)
-    kind, doubt = table.stamp_kind(path)
-    table = table if kinds else replace(table, rows=AUTO)
+    options = {"time": best.name, **{name: getattr(dialect, name) for name in ("delimiter", "decimal", "encoding")}}
+    again = find_dialect(path, best.name, dialect.encoding, dialect.delimiter, AUTO, dialect.decimal)
+    only = None
+    if kinds and own is not None:
+        only, options["rows"] = (again.names.index(kinds.column), own), f"{kinds.column}={own}"
+    stamps = Rows(path, again, stamp_columns(path, best.name, again), [], only).stamps
+    _, kind, doubt = stamps.seconds(AUTO)
     if doubt:
         unsure.append(f"dates: found {doubt}; {kind} is assumed")
-    if kind == CLOCK:
-        return replace(table, time_unit=CLOCK), unsure
+    if kind == "number" and stamps.clock_numbers():
+        return {**options, "time_unit": HHMMSS}, unsure
     if unclear:
         unsure.append(f"time_unit: {unclear}")
-    return (table if kind in ("number", "time") else replace(table, dates=kind)), unsure
+    return {**options, "time_unit": unit} | ({"dates": kind} if kind in ORDERS else {}), unsure
 
 
-def _table_of_topics(folder: Path) -> tuple[Table, list[str]]:
-    found: list[Table] = []
+def stamp_columns(path: Path, time: str, dialect: Dialect) -> list[str]:
+    """The columns of the stamps, one or more, by their names with or without a unit."""
+    names = [name for name in dialect.names if name]
+    parts = [time] if time in names else [part.strip() for part in time.split("+")]
+    bare = [split_unit(name)[0] for name in names]
+    for place, part in enumerate(parts):
+        if part not in names and bare.count(part) == 1:
+            parts[place] = names[bare.index(part)]
+        elif part not in names:
+            raise LogFormatError(_no_time_column(path, part, names, dialect.delimiter))
+    return parts
+
+
+def _no_time_column(path: Path, time: str, names: list[str], delimiter: str) -> str:
+    listing = ", ".join(repr(name[:QUOTED]) for name in names[:40]) + (", ..." if len(names) > 40 else "")
+    message = f"{path}: expected a time column {time!r}, found the columns {listing or '(none)'}: "
+    if len(names) < 2:
+        return message + f"set data.reader.delimiter if {delimiter!r} does not separate its cells"
+    return message + "name one of them in data.reader.time"
+
+
+def _of_topics(folder: Path) -> tuple[dict[str, str], list[str]]:
+    found: list[dict[str, str]] = []
     unsure: dict[str, None] = {}
     failed: LogFormatError | None = None
-    for file in tables_of(Table(AUTO), folder):
+    for file in tables_of(folder):
         try:
-            table, doubts = table_of(file)
+            options, doubts = find_options(file, None, ())
         except LogFormatError as error:
             failed = failed or error
             continue
-        found.append(table)
+        found.append({"dates": AUTO, **options})
         unsure |= dict.fromkeys(doubts)
     if not found:
         raise failed or LogFormatError(f"{folder}: expected tables, found none: give another folder")
-    options = {name: {getattr(each, name) for each in found} for name in ("delimiter", "decimal", "encoding", "dates")}
-    same = {name: values.pop() for name, values in options.items() if len(values) == 1}
-    stamps = {(each.time, each.time_unit) for each in found}
+    same = {name: found[0][name] for name in ("delimiter", "decimal", "encoding", "dates")
+            if len({each[name] for each in found}) == 1}  # fmt: skip
+    stamps = {(each["time"], each["time_unit"]) for each in found}
     time, unit = stamps.pop() if len(stamps) == 1 else (AUTO, "s")
-    return Table(time, unit, files=TOPICS, **same), list(unsure)
+    return {"time": time, "time_unit": unit, "files": TOPICS, **same}, list(unsure)
 
 
 def _candidates(path: Path, dialect: Dialect) -> tuple[list[_Candidate], list[str]]:

@@ -1,18 +1,23 @@
-"""The rows of a table below its header: stamps, and numbers of some columns, parsed block by block."""
+"""The rows of a table below its header: stamps, and numbers of some columns, parsed block by block; and its channels.
+
+Four columns of a quaternion are one more column, the yaw.
+"""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from io import TextIOWrapper
 from itertools import chain, compress, islice
 from operator import itemgetter
 from pathlib import Path
-from typing import TextIO
+from typing import NamedTuple, TextIO
 
 import numpy as np
 
 from usvlearn.errors import LogFormatError
+from usvlearn.logs.channels.channel import Channel, Source, build_channel
 from usvlearn.logs.channels.series import OtherBoats
 from usvlearn.logs.formats.csv.dialect import Dialect, errors_of, not_text
 from usvlearn.logs.formats.csv.packed import open_table
@@ -20,15 +25,19 @@ from usvlearn.logs.formats.csv.stamps import Stamps, joined, parse_cells
 
 BLOCK = 200  # rows that are parsed at a time; so many fit the processor's cache
 PART = 1 << 16  # characters that are read at a time
+NORM = 0.1  # by which the length of a quaternion may differ from 1
+LETTERED = re.compile(r"(.*?)([._/ ]?)(x|y|z|w|X|Y|Z|W)")
+NUMBERED = re.compile(r"(.*\bq|.*_q|q)(?:\[([0-3])\]|[._]0?([0-3])|([0-3]))", re.IGNORECASE)
+ENU, NED = "enu_rad", "rad"  # by REP 103 of ROS, and of PX4
 
 
 class Column:
-    """The numbers of a column, block by block."""
+    """The numbers of a column, block by block, or at once; of a yaw, `bad` rows are no rotation."""
 
-    def __init__(self) -> None:
-        self._values: list[np.ndarray] = []
-        self._empty: list[np.ndarray] = []
-        self.first = ""  # cell
+    def __init__(self, values: np.ndarray | None = None, empty: np.ndarray | None = None, bad: int = 0) -> None:
+        self._values = [] if values is None else [values]
+        self._empty = [] if empty is None else [empty]
+        self.first, self.bad = "", bad  # cell; rows
 
     def add(self, cells: Sequence[str], decimal: str) -> None:
         self.first = self.first if self._values else cells[0]
@@ -159,3 +168,79 @@ def _ends(rows: list[list[str]], lines: int) -> np.ndarray:
     if lines == len(rows):
         return np.arange(1, lines + 1)
     return np.cumsum([1 + sum(len(cell.splitlines()) - 1 for cell in row if "\n" in cell) for row in rows])
+
+
+class Quaternion(NamedTuple):
+    """The columns x, y, z and w of a quaternion, and the unit of its yaw by convention."""
+
+    columns: tuple[str, str, str, str]
+    unit: str
+
+
+def quaternions(names: Sequence[str]) -> dict[str, Quaternion]:
+    """Name of an orientation -> its columns. `q[0]` … `q[3]`, as PX4 writes them, begin with w."""
+    groups: dict[tuple[str, str], dict[str, str]] = {}
+    for name in names:
+        if found := NUMBERED.fullmatch(name):
+            number = next(each for each in found.groups()[1:] if each)
+            groups.setdefault((found[1], NED), {})["wxyz"[int(number)]] = name
+        elif (found := LETTERED.fullmatch(name)) and found[1]:
+            groups.setdefault((found[1], ENU), {})[found[3].lower()] = name
+    return {
+        stem: Quaternion((axes["x"], axes["y"], axes["z"], axes["w"]), unit)
+        for (stem, unit), axes in groups.items()
+        if len(axes) == 4 and stem not in names
+    }
+
+
+def yaw_of(parts: Sequence[Column]) -> Column:
+    """Yaw of quaternions from the columns x, y, z and w, rad, counter-clockwise about z; NaN of what is no rotation.
+
+    psi = atan2(2 (w z + x y), w^2 + x^2 - y^2 - z^2)
+    """
+    x, y, z, w = (part.values for part in parts)
+    missing = np.logical_and.reduce([part.empty for part in parts])
+    with np.errstate(over="ignore", invalid="ignore"):
+        size = np.sqrt(x * x + y * y + z * z + w * w)
+        values = np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
+        rotation = np.abs(size - 1) <= NORM
+    return Column(np.where(rotation, values, np.nan), missing, int((~rotation & ~missing).sum()))
+
+
+class Columns(NamedTuple):
+    """The numbers of some columns of a table."""
+
+    time: np.ndarray  # (rows,) float64, s since the first readable stamp, NaN where it is unreadable
+    origin: float  # that stamp, s since 1970, midnight or a start
+    order: np.ndarray  # (rows,) int64, lines
+    found: dict[str, Column]
+    torn: int  # incomplete rows
+
+
+class Place(NamedTuple):
+    """Where a channel is, in one of several tables."""
+
+    path: Path
+    name: str  # of the column
+    source: Source
+
+
+def channels_of(
+    tables: Mapping[Path, Columns], orders: Mapping[Path, np.ndarray], places: Mapping[str, Place]
+) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
+    """The channels, and the counts of unusable cells, from tables whose times count from one start.
+
+    Of each file, the columns and the places of its rows in the log; of each channel, where it is.
+    """
+    channels, dropped = {}, {}
+    for channel, (path, name, source) in places.items():
+        table, column = tables[path], tables[path].found[name]
+        channels[channel], causes = build_channel(
+            f"{path}: {channel}", source, table.time, column.values, orders[path], column.empty, column.first or None,
+            table.origin,
+        )  # fmt: skip
+        if column.bad:
+            others = causes.pop("not_a_number", 0) - column.bad
+            causes = {**causes, "no_rotation": column.bad} | ({"not_a_number": others} if others > 0 else {})
+        dropped[channel] = {**causes, "torn_row": table.torn} if table.torn else causes
+    return channels, dropped

@@ -15,6 +15,8 @@ from usvlearn.logs.channels.channel import parse_numbers
 
 ORDERS = ("year_first", "day_first", "month_first")
 NUMBER, YEAR_FIRST, OTHER_DATE, CLOCK, UNREADABLE = range(5)
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "days": 86400.0}
+HHMMSS = "hhmmss"  # in place of a unit: times of a day as numbers
 SWAPPED = str.maketrans(",.", ".,")
 DAY = 86400.0  # s
 MIDNIGHT = datetime(1970, 1, 1)
@@ -117,8 +119,8 @@ class Stamps:
     def seconds(self, order: str, clock: bool = False) -> tuple[np.ndarray | None, str, str]:
         """Stamps as seconds since the first readable one; numbers in their unit; None if none is readable.
 
-        Dates have an order of `ORDERS`, or "auto"; with `clock`, numbers are times of a day, HHMMSS. The second value is
-        the kind ("number", "time" or one of `ORDERS`), the third a doubt about the order, or "".
+        Dates have an order of `ORDERS`, or "auto"; with `clock`, numbers are times of a day, HHMMSS. Then come the kind
+        ("number", "time" or one of `ORDERS`), and a doubt about the order, or "".
         """
         kinds, values = np.concatenate(self._kinds), np.concatenate(self._values)
         values = np.where(np.isfinite(values), values, np.nan)

@@ -5,28 +5,35 @@ from __future__ import annotations
 import re
 import warnings
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 
 from usvlearn.errors import ConfigError, LogFormatError, check_choice
-from usvlearn.logs.channels.channel import QUOTED, Channel, Source, build_channel, match_name, matching
+from usvlearn.logs.channels.channel import QUOTED, Channel, Source, match_name, matching
 from usvlearn.logs.channels.series import Reader, Series
 from usvlearn.logs.formats.csv.boats import doubt_of, kinds_of, labels_of, refused
 from usvlearn.logs.formats.csv.dialect import AUTO, Dialect, find_dialect, no_header, not_sorted, split_unit
-from usvlearn.logs.formats.csv.quaternions import Quaternion, Yaw, quaternions, yaw_of
-from usvlearn.logs.formats.csv.rows import Column, Rows
-from usvlearn.logs.formats.csv.stamps import ORDERS, spread
+from usvlearn.logs.formats.csv.options import find_options, stamp_columns
+from usvlearn.logs.formats.csv.rows import Columns, Place, Quaternion, Rows, channels_of, quaternions, yaw_of
+from usvlearn.logs.formats.csv.stamps import HHMMSS, ORDERS, TIME_UNITS, spread
+from usvlearn.logs.formats.csv.topics import (
+    RUNS,
+    SUFFIXES,
+    TOPICS,
+    read_topics,
+    several_kinds,
+    survey_topics,
+    tables_of,
+)
 
 HEMISPHERES = ("N", "S", "E", "W")  # cells of a column beside a latitude or a longitude
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "days": 86400.0}
 GRAIN = 0.864  # s, of days with five decimals, as a spreadsheet writes them
-CLOCK = "hhmmss"  # in place of a unit: times of a day as numbers
-RUNS, TOPICS = "runs", "topics"  # what the tables of a folder are
 ROTATION, ROS = "quaternion", "geometry_msgs"  # kinds of series
 ROS_COLUMN = re.compile(r"(^|[./])(linear|angular|angular_velocity|linear_acceleration)[./][xyz]$")
 
@@ -82,10 +89,10 @@ class Table(Reader):
     rows: str = AUTO
     files: str = AUTO
 
-    suffixes: ClassVar[tuple[str, ...]] = (".csv", ".tsv", ".slog", ".csv.gz", ".tsv.gz")
+    suffixes: ClassVar[tuple[str, ...]] = SUFFIXES
 
     def __post_init__(self):
-        check_choice("data.reader.time_unit", self.time_unit, (*TIME_UNITS, CLOCK))
+        check_choice("data.reader.time_unit", self.time_unit, (*TIME_UNITS, HHMMSS))
         if self.delimiter != AUTO and (len(self.delimiter) != 1 or self.delimiter in '\r\n"'):
             raise ConfigError(f"data.reader.delimiter: found {self.delimiter!r}, expected one character, or {AUTO}")
         check_choice("data.reader.decimal", self.decimal, (".", ",", AUTO))
@@ -99,11 +106,15 @@ class Table(Reader):
                 f"data.reader.encoding: found {self.encoding!r}, expected one such as utf-8, cp1252, or {AUTO}"
             ) from None
 
+    @classmethod
+    def found(cls, path: Path, boat: str | None = None, beside: Sequence[Path] = ()) -> tuple[Table, list[str]]:
+        """A reader with the options that are found, and what is unsure: see `options.find_options`."""
+        options, unsure = find_options(path, boat, beside)
+        return cls(**options), unsure
+
     def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
         if path.is_dir():
-            from usvlearn.logs.formats.csv.topics import read_topics
-
-            return read_topics(self, path, sources)
+            return read_topics(path, self._topics(path), sources)
         opened = self.open(path)
         places = {}
         for channel, source in sources.items():
@@ -113,26 +124,54 @@ class Table(Reader):
         return channels_of({path: columns}, {path: columns.order}, places)
 
     def survey(self, path: Path) -> list[Series]:
-        if path.is_dir():
-            from usvlearn.logs.formats.csv.topics import survey_topics
-
-            return survey_topics(self, path)
-        return self.open(path).survey()[0]
+        return survey_topics(path, self._topics(path)) if path.is_dir() else self.open(path).survey()[0]
 
     def is_log(self, folder: Path, files: Sequence[Path], names: Sequence[str]) -> bool:
-        """Whether the tables of a folder are one log, in which there are columns of these names."""
-        from usvlearn.logs.formats.csv.topics import are_topics
+        """Whether the tables of a folder are topics of one run in which there are columns of these names."""
+        if self.files != AUTO or len(files) < 2:
+            return self.files == TOPICS
+        columns = []
+        for file in files:
+            with suppress(LogFormatError):
+                opened = self._topic(file)
+                if all(opened.find(name) for name in names):
+                    return False
+                columns.append(opened.names)
+        return several_kinds(columns)
 
-        return are_topics(self, files, names)
+    def _topics(self, folder: Path) -> dict[str, Opened]:
+        """Name of a topic, which is that of its file -> its table. Files that are no tables are left out."""
+        files = tables_of(folder)
+        stems = [file.stem for file in files]
+        found, unread = {}, []
+        for file, stem in zip(files, stems, strict=True):
+            try:
+                found[stem if stems.count(stem) == 1 else file.name] = self._topic(file)
+            except LogFormatError as error:
+                unread.append(error)
+        if not found:
+            raise unread[0] if unread else LogFormatError(f"{folder}: expected tables, found none: give another folder")
+        for each in unread:
+            warnings.warn(f"table left out: {each}", stacklevel=6)
+        return found
+
+    def _topic(self, file: Path) -> Opened:
+        """One of several tables; without the column that `time` names its stamps are found."""
+        if file.stat().st_size == 0:
+            raise LogFormatError(f"{file}: expected a table, found an empty file: remove it")
+        try:
+            return self.open(file)
+        except LogFormatError:
+            if self.time == AUTO:
+                raise
+            return replace(self, time=AUTO).open(file)
 
     def open(self, path: Path) -> Opened:
         """A file whose columns are known."""
         if self.time == AUTO:
-            from usvlearn.logs.formats.csv.options import table_of
-
-            return replace(table_of(path)[0], files=self.files).open(path)
+            return replace(self.found(path)[0], files=self.files).open(path)
         dialect = self._dialect(path)
-        return Opened(path, self, dialect, self._stamp_columns(path, dialect), self._only(path, dialect))
+        return Opened(path, self, dialect, stamp_columns(path, self.time, dialect), self._only(path, dialect))
 
     def boats(self, path: Path, column: str) -> dict[str, Table]:
         """Boat -> a reader of its rows, by the texts of a column."""
@@ -158,13 +197,6 @@ class Table(Reader):
         column, _, text = self.rows.rpartition("=")
         return dialect.names.index(match_name(column, dialect.names, f"{path}: data.reader.rows")), text
 
-    def stamp_kind(self, path: Path) -> tuple[str, str]:
-        """What the stamps are (number, hhmmss, time or one of `ORDERS`), and a doubt about it, or ""."""
-        dialect = self._dialect(path)
-        rows = Rows(path, dialect, self._stamp_columns(path, dialect), [], self._only(path, dialect))
-        _, kind, doubt = rows.stamps.seconds(self.dates)
-        return CLOCK if kind == "number" and rows.stamps.clock_numbers() else kind or "number", doubt
-
     def _dialect(self, path: Path) -> Dialect:
         """How a file is written, by the options given and by what is found."""
         found = find_dialect(path, self.time, self.encoding, self.delimiter, self.comment, self.decimal)
@@ -176,64 +208,6 @@ class Table(Reader):
         if not found.names and found.sample:
             raise no_header(path, found)
         return found
-
-    def _stamp_columns(self, path: Path, dialect: Dialect) -> list[str]:
-        """The columns of the stamps, one or more."""
-        names = [name for name in dialect.names if name]
-        parts = [self.time] if self.time in names else [part.strip() for part in self.time.split("+")]
-        bare = [split_unit(name)[0] for name in names]
-        for place, part in enumerate(parts):
-            if part not in names and bare.count(part) == 1:
-                parts[place] = names[bare.index(part)]
-            elif part not in names:
-                raise LogFormatError(_no_time_column(path, part, names, dialect.delimiter))
-        return parts
-
-    def seconds(self, path: Path, dialect: Dialect, stamps: list[str], rows: Rows) -> tuple[np.ndarray, float]:
-        """Stamps as seconds since the first readable one, and that one, s since 1970, midnight or a start."""
-        time, origin = self._as_written(path, dialect, stamps, rows)
-        if error := not_sorted(path, dialect, stamps, time):
-            raise error
-        grain = GRAIN if self.time_unit == "days" else 1.0
-        even, rate = spread(time, origin) if grain == 1 else spread(np.round(time / grain, 3), 0.0)
-        if not rate:
-            return time, origin
-        kind = "whole seconds" if grain == 1 else "rounded"
-        found = f"{path}: the stamps {self.time!r} are {kind}, with {rate:.3g} rows"
-        if np.nanmedian(np.diff(np.unique(time))) >= 30:
-            raise LogFormatError(f"{found} of each minute, expected seconds: write stamps with seconds")
-        warnings.warn(f"{found} each: the rows of a second are spread evenly within it", stacklevel=5)
-        return even * grain, origin
-
-    def _as_written(self, path: Path, dialect: Dialect, stamps: list[str], rows: Rows) -> tuple[np.ndarray, float]:
-        time, kind, doubt = rows.stamps.seconds(self.dates, self.time_unit == CLOCK)
-        if time is None:
-            raise LogFormatError(
-                f"{path}, line {rows.order[0]}: expected a number or a date-time in the time column "
-                f"{self.time!r}, found {rows.first_stamp[:QUOTED]!r}: name the column of the stamps in data.reader.time"
-            )
-        if doubt:
-            raise LogFormatError(
-                f"{path}: expected to find the order of day, month and year from the column {self.time!r}, found "
-                f"{doubt}: set data.reader.dates to one of {', '.join(ORDERS)}"
-            )
-        if kind != "number":
-            return time, rows.stamps.origin
-        if self.time_unit == "s" and rows.stamps.clock_numbers():
-            warnings.warn(
-                f"{path}: the numbers of {self.time!r} are times of a day, such as {rows.first_stamp[:QUOTED]!r}, but "
-                f"they are read as seconds: set data.reader.time_unit={CLOCK}",
-                stacklevel=6,
-            )
-        declared = dialect.units[dialect.names.index(stamps[0])]
-        if declared in TIME_UNITS and declared != self.time_unit:
-            warnings.warn(
-                f"{path}: the header declares {stamps[0][:QUOTED]!r} in {declared}, but it is read in {self.time_unit}"
-                f": set data.reader.time_unit={declared}",
-                stacklevel=6,
-            )
-        factor = TIME_UNITS[self.time_unit]
-        return time * factor, rows.stamps.origin * factor
 
 
 @dataclass(frozen=True)
@@ -283,12 +257,55 @@ class Opened:
                 f"{self.path}: has several columns {twice[0][:QUOTED]!r}, expected one: rename all but one"
             )
         rows = Rows(self.path, self.dialect, self.stamps, wanted, self.only)
-        time, origin = self.table.seconds(self.path, self.dialect, self.stamps, rows)
-        found: dict[str, Column | Yaw] = dict(rows.columns)
-        for name, each in rotations.items():
-            parts = [rows.columns[part] for part in each.columns]
-            found[name] = yaw_of([part.values for part in parts], [part.empty for part in parts])
-        return Columns(time, origin, rows.order, found, rows.torn)
+        time, origin = self._seconds(rows)
+        yaws = {name: yaw_of([rows.columns[part] for part in each.columns]) for name, each in rotations.items()}
+        return Columns(time, origin, rows.order, rows.columns | yaws, rows.torn)
+
+    def _seconds(self, rows: Rows) -> tuple[np.ndarray, float]:
+        """Stamps as seconds since the first readable one, and that one, s since 1970, midnight or a start."""
+        time, origin = self._as_written(rows)
+        if error := not_sorted(self.path, self.dialect, self.stamps, time):
+            raise error
+        grain = GRAIN if self.table.time_unit == "days" else 1.0
+        even, rate = spread(time, origin) if grain == 1 else spread(np.round(time / grain, 3), 0.0)
+        if not rate:
+            return time, origin
+        kind = "whole seconds" if grain == 1 else "rounded"
+        found = f"{self.path}: the stamps {self.table.time!r} are {kind}, with {rate:.3g} rows"
+        if np.nanmedian(np.diff(np.unique(time))) >= 30:
+            raise LogFormatError(f"{found} of each minute, expected seconds: write stamps with seconds")
+        warnings.warn(f"{found} each: the rows of a second are spread evenly within it", stacklevel=5)
+        return even * grain, origin
+
+    def _as_written(self, rows: Rows) -> tuple[np.ndarray, float]:
+        stamps, unit, first = self.table.time, self.table.time_unit, rows.first_stamp[:QUOTED]
+        time, kind, doubt = rows.stamps.seconds(self.table.dates, unit == HHMMSS)
+        if time is None:
+            raise LogFormatError(
+                f"{self.path}, line {rows.order[0]}: expected a number or a date-time in the time column {stamps!r}, "
+                f"found {first!r}: name the column of the stamps in data.reader.time"
+            )
+        if doubt:
+            raise LogFormatError(
+                f"{self.path}: expected to find the order of day, month and year from the column {stamps!r}, found "
+                f"{doubt}: set data.reader.dates to one of {', '.join(ORDERS)}"
+            )
+        if kind != "number":
+            return time, rows.stamps.origin
+        if unit == "s" and rows.stamps.clock_numbers():
+            warnings.warn(
+                f"{self.path}: the numbers of {stamps!r} are times of a day, such as {first!r}, but they are read as "
+                f"seconds: set data.reader.time_unit={HHMMSS}",
+                stacklevel=6,
+            )
+        declared = self.dialect.units[self.dialect.names.index(self.stamps[0])]
+        if declared in TIME_UNITS and declared != unit:
+            warnings.warn(
+                f"{self.path}: the header declares {self.stamps[0][:QUOTED]!r} in {declared}, but it is read in {unit}"
+                f": set data.reader.time_unit={declared}",
+                stacklevel=6,
+            )
+        return time * TIME_UNITS[unit], rows.stamps.origin * TIME_UNITS[unit]
 
     def survey(self) -> tuple[list[Series], float]:
         """All series of numbers, quaternions by their yaw alone; and the first stamp, as of `Columns.origin`."""
@@ -322,50 +339,3 @@ class Opened:
             plain = "where there are none, write them without units and signs of thousands"
             warnings.warn(f"{told}: name one in data.channels to read its numbers; {plain}", stacklevel=3)
         return series, columns.origin
-
-
-class Columns(NamedTuple):
-    """The numbers of some columns of a table."""
-
-    time: np.ndarray  # (rows,) float64, s since the first readable stamp, NaN where it is unreadable
-    origin: float  # that stamp, s since 1970, midnight or a start
-    order: np.ndarray  # (rows,) int64, lines
-    found: dict[str, Column | Yaw]
-    torn: int  # incomplete rows
-
-
-class Place(NamedTuple):
-    """Where a channel is, in one of several tables."""
-
-    path: Path
-    name: str  # of the column
-    source: Source
-
-
-def channels_of(
-    tables: Mapping[Path, Columns], orders: Mapping[Path, np.ndarray], places: Mapping[str, Place]
-) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
-    """The channels, and the counts of unusable cells, from tables whose times count from one start.
-
-    Of each file, the columns and the places of its rows in the log; of each channel, where it is.
-    """
-    channels, dropped = {}, {}
-    for channel, (path, name, source) in places.items():
-        table, column = tables[path], tables[path].found[name]
-        channels[channel], causes = build_channel(
-            f"{path}: {channel}", source, table.time, column.values, orders[path], column.empty, column.first or None,
-            table.origin,
-        )  # fmt: skip
-        if isinstance(column, Yaw) and column.bad:
-            others = causes.pop("not_a_number", 0) - column.bad
-            causes = {**causes, "no_rotation": column.bad} | ({"not_a_number": others} if others > 0 else {})
-        dropped[channel] = {**causes, "torn_row": table.torn} if table.torn else causes
-    return channels, dropped
-
-
-def _no_time_column(path: Path, time: str, names: list[str], delimiter: str) -> str:
-    listing = ", ".join(repr(name[:QUOTED]) for name in names[:40]) + (", ..." if len(names) > 40 else "")
-    message = f"{path}: expected a time column {time!r}, found the columns {listing or '(none)'}: "
-    if len(names) < 2:
-        return message + f"set data.reader.delimiter if {delimiter!r} does not separate its cells"
-    return message + "name one of them in data.reader.time"

@@ -14,8 +14,7 @@ A folder of tables may also hold one run each. These rules tell them apart, the 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -25,34 +24,16 @@ import numpy as np
 from usvlearn.errors import LogFormatError, printable
 from usvlearn.logs.channels.channel import Channel, Source, match_name
 from usvlearn.logs.channels.series import Series
-from usvlearn.logs.formats.csv.dialect import AUTO
+from usvlearn.logs.formats.csv.rows import Place, channels_of
 
 if TYPE_CHECKING:
-    from usvlearn.logs.formats.csv.table import Opened, Table
+    from usvlearn.logs.formats.csv.table import Opened
 
+RUNS, TOPICS = "runs", "topics"  # what the tables of a folder are
+SUFFIXES = ".csv", ".tsv", ".slog", ".csv.gz", ".tsv.gz"
 ALIKE = 0.5  # share of all columns that two files have both, from which they are of one kind
 FEWEST = 3  # columns of a run: a command, a heading and a speed
 MISSING = 3e8  # s, above which a stamp is a date
-
-
-def are_topics(table: Table, files: Sequence[Path], names: Sequence[str]) -> bool:
-    """Whether the tables of a folder are topics of one run in which there are columns of these names."""
-    from usvlearn.logs.formats.csv.table import TOPICS
-
-    if table.files != AUTO:
-        return table.files == TOPICS
-    if len(files) < 2:
-        return False
-    columns = []
-    for file in files:
-        try:
-            opened = _opened(table, file)
-        except LogFormatError:
-            continue
-        if all(opened.find(name) for name in names):
-            return False
-        columns.append(opened.names)
-    return several_kinds(columns)
 
 
 def several_kinds(columns: Sequence[Sequence[str]]) -> bool:
@@ -64,56 +45,19 @@ def several_kinds(columns: Sequence[Sequence[str]]) -> bool:
     return len(largest) < FEWEST or any(len(each & largest) < ALIKE * len(each | largest) for each in sets)
 
 
-def tables_of(table: Table, folder: Path) -> list[Path]:
+def tables_of(folder: Path) -> list[Path]:
     """The tables that lie in a folder."""
-    return sorted(each for each in folder.iterdir() if each.name.lower().endswith(table.suffixes) and each.is_file())
-
-
-def open_topics(table: Table, folder: Path) -> dict[str, Opened]:
-    """Name of a topic, which is that of its file -> its table. Files that are no tables are left out.
-
-    A file without the column that `time` names has its stamps found.
-
-    Raises:
-        LogFormatError: no file can be read; the message is that of the first.
-    """
-    files = tables_of(table, folder)
-    stems = [file.stem for file in files]
-    found, unread = {}, []
-    for file, stem in zip(files, stems, strict=True):
-        try:
-            found[stem if stems.count(stem) == 1 else file.name] = _opened(table, file)
-        except LogFormatError as error:
-            unread.append(error)
-    if not found:
-        raise unread[0] if unread else LogFormatError(f"{folder}: expected tables, found none: give another folder")
-    for each in unread:
-        warnings.warn(f"table left out: {each}", stacklevel=6)
-    return found
-
-
-def _opened(table: Table, file: Path) -> Opened:
-    if file.stat().st_size == 0:
-        raise LogFormatError(f"{file}: expected a table, found an empty file: remove it")
-    try:
-        return table.open(file)
-    except LogFormatError:
-        if table.time == AUTO:
-            raise
-        return replace(table, time=AUTO).open(file)
+    return sorted(each for each in folder.iterdir() if each.name.lower().endswith(SUFFIXES) and each.is_file())
 
 
 def read_topics(
-    table: Table, folder: Path, sources: dict[str, Source]
+    folder: Path, topics: Mapping[str, Opened], sources: dict[str, Source]
 ) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
     """The channels of a run whose topics are tables; as `usvlearn.logs.formats.csv.table.Table.read`.
 
     Raises:
         LogFormatError: a column is in no table or in several, or the stamps of two tables do not overlap.
     """
-    from usvlearn.logs.formats.csv.table import Place, channels_of
-
-    topics = open_topics(table, folder)
     places = {}
     for channel, source in sources.items():
         topic, column = locate(source.name, topics, f"{folder}: data.channels.{channel}.name")
@@ -132,10 +76,10 @@ def read_topics(
     return channels_of(joined, orders, {channel: place for channel, (_, place) in places.items()})
 
 
-def survey_topics(table: Table, folder: Path) -> list[Series]:
+def survey_topics(folder: Path, topics: Mapping[str, Opened]) -> list[Series]:
     """All series of a run whose topics are tables, as FILE.COLUMN; those of another time or clock are left out."""
     surveyed: dict[str, tuple[list[Series], float]] = {}
-    for topic, opened in open_topics(table, folder).items():
+    for topic, opened in topics.items():
         try:
             series, origin = opened.survey()
         except LogFormatError as error:
@@ -202,7 +146,7 @@ def apart(folder: Path, spans: dict[str, Span]) -> LogFormatError:
     )
 
 
-def locate(pattern: str, topics: dict[str, Opened], where: str) -> tuple[str, str]:
+def locate(pattern: str, topics: Mapping[str, Opened], where: str) -> tuple[str, str]:
     """The topic and the column that a `Source` names.
 
     Raises:
