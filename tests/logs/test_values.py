@@ -7,7 +7,7 @@ from types import SimpleNamespace as Message
 import numpy as np
 import pytest
 
-from usvlearn.logs.channels import astern, compass, correlations, position_rates, positions, restarts
+from usvlearn.logs.channels import correlations, position_rates, positions, restarts
 from usvlearn.logs.channels.channel import degrees, matching, parse_numbers
 from usvlearn.logs.channels.derived_surge import LiveSurge, pair_of
 from usvlearn.logs.channels.series import Series
@@ -16,7 +16,7 @@ from usvlearn.logs.checks.finding import Finding, override, see
 from usvlearn.logs.checks.frozen import stretches
 from usvlearn.logs.formats.ardupilot import dataflash, servos, tlog
 from usvlearn.logs.formats.csv import dialect, rows, stamps, topics
-from usvlearn.logs.formats.ros import decompress, message_fields
+from usvlearn.logs.formats.ros import limits, message_fields
 
 TIME, EIGHT = np.arange(0, 600, 0.5), np.array([60.0, 61, 62, 63, 5, 6, 7, 8])
 HEADING = 0.02 * TIME + np.sin(TIME / 9)
@@ -68,17 +68,17 @@ def frozen() -> list[float]:
      ([0, 111.4125], [0, 55.7997])),
     (lambda: correlations.heading_rate((np.arange(5.0), np.array([6.0, 6.2, 0.1, 0.3, 0.5])))[1], [0.2, 0.2, 0.2]),
     (lambda: correlations.angle_offset((TIME, np.pi / 2 - 0.1 * TIME), (TIME, 0.1 * TIME))[:3], [np.pi / 2, 1, -1]),
-    (lambda: compass.compass_error(*WAY, (TIME, HEADING - 0.2), EQUAL)[0], 0.2),
+    (lambda: position_rates.compass_error(*WAY, (TIME, HEADING - 0.2), EQUAL)[0], 0.2),
     (lambda: position_rates.sway_on_positions(*ACROSS, (TIME, HEADING), (TIME, -np.sin(TIME / 17))).slope, -1.0),
     (lambda: [moved(1 / 0.3048, False).scale, np.angle(moved(1.0, True).against)], [1 / 0.3048, np.pi / 2]),
-    (lambda: [astern.without_sign(PUSH, PUSH, each).sum() for each in (np.abs(TRUE), TRUE)], [10, 0]),
+    (lambda: [correlations.without_sign(PUSH, PUSH, each).sum() for each in (np.abs(TRUE), TRUE)], [10, 0]),
 ])  # fmt: skip
 def test_numbers(found, expected):
     np.testing.assert_allclose(found(), expected, rtol=0.01, atol=0.01)
 
 
 @pytest.mark.parametrize(("found", "expected"), [
-    (lambda: compass.compass_error(*WAY, (TIME, HEADING), EQUAL), None),
+    (lambda: position_rates.compass_error(*WAY, (TIME, HEADING), EQUAL), None),
     (lambda: [moved(1.0, swap).is_mirrored for swap in (True, False)], [True, False]),
     (live, [None, None, 1.5]),
     (parts, ([[0.0, 1.0, 2.0, 3.0]] * 2, [(4, 58.0)])),
@@ -104,7 +104,7 @@ def test_numbers(found, expected):
     (lambda: [message_fields.stamp_of(STAMPED, received * 10**9, clock) // 10**8
               for received, clock in ((4, "header"), (9, "header"), (4, "receive"))], [35, 90, 40]),
     (lambda: message_fields.default_field("std_msgs/msg/Float64", "command_left[0]"), "data"),
-    (lambda: decompress.unpack(Path("a.bag"), bz2.compress(bytes(1000)), "bz2", 5000, 1000), (bytes(1000), True)),
+    (lambda: limits.unpack(Path("a.bag"), bz2.compress(bytes(1000)), "bz2", 5000, 1000), (bytes(1000), True)),
     (lambda: override("surge", {"name": "*left", "span": -400.0, "field": None}),
      "'data.channels.surge.name=*left' data.channels.surge.span=-400 data.channels.surge.field=null"),
     (lambda: Finding("heron", "surge", "at rest", "0 m/s", see("a boat that moves", "surge"), "a=1").sentence(),

@@ -19,6 +19,8 @@ FEWEST = 12  # bins, below which nothing is concluded
 FEW_LAGS = 64  # that are summed one by one; more by Fourier transforms
 REACH = 60.0  # s, lags of an autocorrelation that are summed
 NO_LAG = (0.0, 0.0)
+PUSHES, SIGNED, RISES = -0.1, 0.03, 0.15  # of full scale; of the greatest speed
+ENOUGH, MOSTLY = 2, 0.5  # stretches; share of the time, from which rather the sign of the commands is wrong
 
 
 class Relation(NamedTuple):
@@ -230,3 +232,28 @@ def _dependence(x: np.ndarray, y: np.ndarray, step: float) -> float:
     auto_x, auto_y = np.fft.irfft(np.abs(np.fft.rfft(np.stack([x, y]), size)) ** 2, size)[:, :reach]
     rho = auto_x / auto_x[0] * (auto_y / auto_y[0])
     return max(1.0, float(2 * rho.sum() - rho[0]))
+
+
+def without_sign(left: np.ndarray, right: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """Where a speed, m/s, lacks its sign while a boat goes astern, as a speed over ground does, `(n,)` bool.
+
+    A speed with a sign falls below zero while both commands push astern for long. One without a sign falls to zero and
+    rises again. That of a boat that only brakes falls all the time. Speed and commands, shares of full scale, are in
+    the order of time; NaN where unknown.
+    """
+    none, known = np.zeros(len(speed), bool), speed[np.isfinite(speed)]
+    if not len(known) or (fastest := float(np.quantile(np.abs(known), 0.995))) <= 0:
+        return none
+    back = (left < PUSHES) & (right < PUSHES)
+    if float(np.quantile(known, 0.005)) < -SIGNED * fastest or back.mean() > MOSTLY:
+        return none
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], back, [False]]).astype(np.int8)))
+    found, stretches = none.copy(), 0
+    for first, last in edges.reshape(-1, 2):
+        part = speed[first:last]
+        if not np.isfinite(part).any():
+            continue
+        low = int(np.nanargmin(part))
+        if np.nanmax(part[low:]) - part[low] > RISES * fastest and part[low] < 0.5 * fastest:
+            found[first + low : last], stretches = True, stretches + 1
+    return found if stretches >= ENOUGH else none

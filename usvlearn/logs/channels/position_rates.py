@@ -1,4 +1,4 @@
-"""A position against the velocity, the speed or the sway, by relations of `usvlearn.logs.channels.correlations`."""
+"""A position against the velocity, the speed, the sway or the heading, by relations of `channels.correlations`."""
 
 from __future__ import annotations
 
@@ -7,12 +7,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from usvlearn.logs.channels.bins import Series, bin_edges, bin_means, bin_rates, cleaned, clipped
+from usvlearn.logs.channels.bins import Series, bin_directions, bin_edges, bin_means, bin_rates, cleaned, clipped
 from usvlearn.logs.channels.correlations import FEWEST, NO_LAG, Relation, relate, residual
 
 STRAIGHT = 0.9, 0.7  # share of the way by which a boat that turns comes on, at least, where its speed is compared
 OFTEN = 0.3  # share of the bins from which the first of them is taken
 FAST = 0.3  # share of the greatest speed from which a ratio of speeds is taken
+LEG, BLOCKS, AHEAD = 2.0, 6, 40  # s, of the bins of a compass; blocks; bins
+ALIKE, ASTERN = 0.6, math.cos(math.radians(165))  # of the mean direction of the course from the heading, if it is known
+MOVES, ONE_WAY = 0.3, 0.9  # of the greatest speed; length of the mean heading, beyond which there is one course alone
+OFF, SURE, EXACT = math.radians(6), 4.0, math.radians(2.5)  # errors that are told; in, and of standard errors
 MINUTE, IMAGE, BETTER = 60.0, 0.9, 5.0  # s, correlation and ratio of squares of a mirror image
 
 
@@ -118,3 +122,36 @@ def _plane(parts: list[np.ndarray]) -> np.ndarray:
     with np.errstate(invalid="ignore", divide="ignore"):
         share = np.where(size > 0, clipped(size) / size, 1.0)
     return share * (parts[0] + 1j * parts[1])
+
+
+def compass_error(north: Series, east: Series, heading: Series, speed: Series) -> tuple[float, float] | None:
+    """What has to be added to a heading, and its standard error, rad; None unless it is surely more than `OFF`.
+
+    The velocity over ground w, north + i east, is that through the water, turned by the error δ of the heading ψ, and a
+    current c; in a turn r the hull drifts outwards:
+
+        w = u (a + b r) exp(i ψ) + c,    δ = arg a
+
+    a, b and c are complex, and fitted by least squares over bins in which the boat moves ahead, on several courses. The
+    error of δ is that of a jackknife over blocks of the log, so that a current that changes makes δ uncertain.
+    """
+    edges = bin_edges(LEG, north, east, heading, speed)
+    along = bin_directions(heading, edges)
+    over_ground = bin_rates(north, edges) + 1j * bin_rates(east, edges)
+    ahead, turn = bin_means(speed, edges), bin_rates(heading, edges, wraps=True)
+    fastest = np.nanquantile(np.abs(ahead), 0.98) if np.isfinite(ahead).any() else 0.0
+    with np.errstate(invalid="ignore"):
+        fast = (ahead > MOVES * fastest) & np.isfinite(over_ground * along * turn)
+        off = np.mean((over_ground * along.conj() / np.abs(over_ground))[fast]) if fast.any() else 0.0
+    whole = float(np.angle(off)) if abs(off) > ALIKE and off.real > ASTERN * abs(off) else 0.0
+    for _ in range(3):  # each leaves out bins of a boat that goes astern, by the error that is known so far
+        known = fast & ((over_ground * along.conj() * np.exp(-1j * whole)).real > 0)
+        if known.sum() < AHEAD or abs(np.mean(along[known])) > ONE_WAY:
+            return None
+        push, goal = ahead[known] * along[known], over_ground[known]
+        rows = np.stack([push, push * turn[known], np.ones(len(push))], 1)
+        whole = float(np.angle(np.linalg.lstsq(rows, goal)[0][0]))
+    block = np.arange(len(push)) * BLOCKS // len(push)
+    parts = [np.angle(np.linalg.lstsq(rows[block != k], goal[block != k])[0][0]) for k in range(BLOCKS)]
+    error = math.sqrt((BLOCKS - 1) / BLOCKS * float(np.sum(np.square(np.array(parts) - np.mean(parts)))))
+    return (whole, error) if abs(whole) > max(OFF, SURE * error) and error < EXACT else None

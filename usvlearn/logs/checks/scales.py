@@ -14,12 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from usvlearn.logs.channels.astern import without_sign
 from usvlearn.logs.channels.bins import HUGE
 from usvlearn.logs.channels.channel import COMMANDS, METRES, SPEEDS, SURGE, UNITS
-from usvlearn.logs.channels.compass import compass_error
-from usvlearn.logs.channels.correlations import rate_slope
-from usvlearn.logs.channels.position_rates import speed_on_positions
+from usvlearn.logs.channels.correlations import rate_slope, without_sign
+from usvlearn.logs.channels.position_rates import compass_error, speed_on_positions
 from usvlearn.logs.checks.evidence import STEP, Evidence, angular, mirrored, spread, without
 from usvlearn.logs.checks.finding import NOTE, WARNING, Finding, override, see
 from usvlearn.logs.checks.track import half_turn_fix, heading_is_right, mirror_fix, position_unit

@@ -12,9 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from usvlearn.logs.channels.astern import without_sign
 from usvlearn.logs.channels.bins import bin_edges, bin_means
-from usvlearn.logs.channels.correlations import NOTHING, Relation, side_sign, speed_on_thrust
+from usvlearn.logs.channels.correlations import NOTHING, Relation, side_sign, speed_on_thrust, without_sign
 from usvlearn.logs.inspection.candidate import Candidate, held_at
 from usvlearn.logs.inspection.command_scaling import PWM, Level, find_level, sharing
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, least

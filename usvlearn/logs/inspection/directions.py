@@ -14,8 +14,8 @@ import numpy as np
 
 from usvlearn.logs.channels.bins import cleaned
 from usvlearn.logs.channels.channel import AUTO, UNITS
-from usvlearn.logs.channels.compass import compass_error
 from usvlearn.logs.channels.correlations import rate_slope
+from usvlearn.logs.channels.position_rates import compass_error
 from usvlearn.logs.inspection.candidate import ANGLES, Candidate
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.known import rank

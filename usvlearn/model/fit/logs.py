@@ -18,7 +18,7 @@ from usvlearn.core.events import LOSS, RECOVERY
 from usvlearn.core.prepared_samples import COS, HOLD, LEFT, MODE, PREDICT, RIGHT, ROW, SIN, SURGE, YAW_RATE
 from usvlearn.core.samples import Fleet, Sample, tree_map
 from usvlearn.errors import ConfigError, complain
-from usvlearn.logs.channels.astern import without_sign
+from usvlearn.logs.channels.correlations import without_sign
 from usvlearn.logs.channels.poses import reckoned, slope
 from usvlearn.model.fit.gauss_newton import rows_of, scored
 

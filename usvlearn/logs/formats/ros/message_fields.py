@@ -16,7 +16,7 @@ import numpy as np
 
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.channels.series import ELEMENTS, Series
-from usvlearn.logs.formats.ros.rosbag_types import NOTHING
+from usvlearn.logs.formats.ros.limits import NOTHING
 
 PATHS = 256  # of one topic, at most
 DEEPEST = 10  # messages within each other

@@ -15,11 +15,9 @@ from usvlearn.errors import LogFormatError, MissingExtraError, check_choice, che
 from usvlearn.logs.channels.channel import Channel, Source, build_channel, match_name, matching
 from usvlearn.logs.channels.series import ELEMENTS, Reader, Series
 from usvlearn.logs.formats.ros.clock import CLOCK, Heard, find_clock, has_stamp
-from usvlearn.logs.formats.ros.decompress import MB, Total, limit_chunks, limited
-from usvlearn.logs.formats.ros.journal import joined_journals
+from usvlearn.logs.formats.ros.limits import MB, Total, check_type, limit_chunks, limited
 from usvlearn.logs.formats.ros.message_fields import CLOCKS, Collected, default_field, read_field
-from usvlearn.logs.formats.ros.rosbag_scan import Scan
-from usvlearn.logs.formats.ros.rosbag_types import check_type
+from usvlearn.logs.formats.ros.rosbag_scan import Scan, joined_journals
 
 LARGE = 1 << 16  # bytes of a message that a survey looks into
 OF_ROS = "rosout", "rosout_agg", "parameter_events"  # topics that nobody misses

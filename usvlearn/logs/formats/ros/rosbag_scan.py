@@ -1,7 +1,9 @@
-"""ROS 1 bags and MCAPs whose index is missing or damaged, read record by record up to the first damaged one.
+"""Bags that their recorder has not closed, or that are damaged, read as far as they are whole.
 
-The records are those of https://wiki.ros.org/Bags/Format/2.0 and of https://mcap.dev/spec. An MCAP may hold messages of
-ROS 1, too.
+ROS 1 bags and MCAPs without an index are read record by record up to the first damaged one. The records are those of
+https://wiki.ros.org/Bags/Format/2.0 and of https://mcap.dev/spec. An MCAP may hold messages of ROS 1, too. Of an SQLite
+bag, `X.db3-wal` may hold messages that are not in `X.db3` yet, which the package rosbags reads alone. Here both are
+copied and joined; the files of the bag stay as they are.
 """
 
 from __future__ import annotations
@@ -9,17 +11,22 @@ from __future__ import annotations
 import io
 import itertools
 import os
+import shutil
+import sqlite3
 import struct
+import warnings
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing, contextmanager, nullcontext
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import BinaryIO, NamedTuple
 
 from usvlearn.errors import LogFormatError
-from usvlearn.logs.formats.ros.decompress import Total, unpack
-from usvlearn.logs.formats.ros.rosbag_types import check_type
+from usvlearn.logs.formats.ros.limits import Total, check_type, unpack
 
 MAGIC, MCAP = b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n"
 MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)  # the field "op" of a record's header
+JOURNALS = "-wal", "-journal"  # a rollback journal takes back what was half written
 MCAP_HEADER, FOOTER, SCHEMA, CHANNEL, MCAP_MESSAGE, MCAP_CHUNK = range(1, 7)  # the first byte of a record of an MCAP
 
 
@@ -216,3 +223,33 @@ def _fields(header: bytes) -> dict[str, bytes]:
         fields[name.decode()] = value
         place = end
     return fields
+
+
+@contextmanager
+def joined_journals(files: list[Path]) -> Iterator[list[Path]]:
+    """The files, with a joined copy in place of each database that has a journal, as a context.
+
+    A database and its journal that cannot be copied or joined are a LogFormatError.
+    """
+    beside = {file: [file.with_name(file.name + end) for end in JOURNALS] for file in files if file.suffix == ".db3"}
+    left = {file: [each for each in some if each.is_file() and each.stat().st_size] for file, some in beside.items()}
+    with TemporaryDirectory() if any(left.values()) else nullcontext("") as folder:
+        yield [_join(file, left[file], Path(folder)) if left.get(file) else file for file in files]
+
+
+def _join(file: Path, journals: list[Path], folder: Path) -> Path:
+    """A copy of a database, joined with its journals."""
+    name = journals[0].name
+    try:
+        for each in (file, *journals):
+            shutil.copyfile(each, folder / each.name)
+        with closing(sqlite3.connect(folder / file.name)) as base:
+            base.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
+            base.execute("SELECT count(*) FROM sqlite_master").fetchall()  # this takes back what a -journal holds
+    except (OSError, sqlite3.Error) as error:
+        raise LogFormatError(
+            f"{file}: found {name} beside it, which holds messages that are not in the bag, and could not join them "
+            f"({error}): run `sqlite3 {file.name} 'PRAGMA wal_checkpoint'` on a copy of both"
+        ) from error
+    warnings.warn(f"{file}: its recorder has not closed it: read together with {name}, from a copy", stacklevel=7)
+    return folder / file.name

@@ -16,7 +16,7 @@ from tests.support import few
 from tests.support.bags import NS, SOURCES, START, unindexed, write_bag
 from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.logs.channels.channel import Source
-from usvlearn.logs.formats.ros.decompress import MB, MOST, Total, unpack
+from usvlearn.logs.formats.ros.limits import MB, MOST, Total, unpack
 from usvlearn.logs.formats.ros.rosbag import Rosbag
 
 rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="needs the package rosbags")
