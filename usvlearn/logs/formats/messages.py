@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import ClassVar, NamedTuple
@@ -109,7 +109,7 @@ class MessageLog:
     servos: Servos
     vehicles: dict[str, Vehicle] = field(default_factory=dict)
     preferred: Sequence[str] = ("",)
-    unknown: int = 0
+    skipped: Sequence[int] = (0, 0, 0, 0)  # see `binary_kernel.scan_tlog`
     start: float = math.nan
 
     def channels(self, sources: dict[str, Source], keep_disarmed: bool):
@@ -235,8 +235,8 @@ class MessageLog:
     def survey(self, left_out: Iterable[str]) -> list[Series]:
         """All numbers, except those of some messages; see `usvlearn.logs.channels.series`."""
         found = []
-        if self.unknown:
-            warnings.warn(f"{self.path}: skipped {self.unknown} messages of types that are not known", stacklevel=3)
+        if unknown := sum(self.skipped[3:]):
+            warnings.warn(f"{self.path}: skipped {unknown} messages of types that are not known", stacklevel=3)
         for key in sorted(self.messages, key=lambda key: min(part.order[0] for part in self.messages[key])):
             if key.name in left_out:
                 continue
@@ -265,34 +265,45 @@ class MessageReader(Reader):
 
     disarmed: str = "drop"
 
+    what: ClassVar[str]  # the name of the format
     left_out: ClassVar[tuple[str, ...]] = ()  # messages that hold no series
 
     def __post_init__(self):
         check_choice("data.reader.disarmed", self.disarmed, DISARMED)
 
-    def _log(self, path: Path) -> MessageLog:
+    def _messages(self, path: Path, data: np.ndarray) -> MessageLog:
+        """The messages in the bytes of a log."""
         raise NotImplementedError
 
     def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
-        return self._log(path).channels(sources, keep_disarmed=self.disarmed == "keep")
+        return self.open(path).channels(sources, keep_disarmed=self.disarmed == "keep")
 
     def survey(self, path: Path) -> list[Series]:
-        return self._log(path).survey(self.left_out)
+        return self.open(path).survey(self.left_out)
+
+    def open(self, path: Path) -> MessageLog:
+        """A log whose messages have been found; warns if it holds bytes that belong to none.
+
+        The last message, which was being written when the power went, does not count, nor does an end of equal bytes.
+        """
+        log = _found(self, path, path.stat().st_mtime_ns, path.stat().st_size)
+        count, gaps, end = (int(each) for each in log.skipped[:3])
+        tail = log.data[end + SHORT :]
+        if (tail != tail[:1]).any():
+            count, gaps = count + len(log.data) - end, gaps + 1
+        if gaps:
+            warnings.warn(
+                f"{printable(str(path))}: the log is damaged: skipped {count} of {len(log.data)} bytes, in {gaps} "
+                f"places, which are no {self.what} message",
+                stacklevel=4,
+            )
+        return log
 
 
-def warn_of_damage(path: Path, data: np.ndarray, skipped: np.ndarray, what: str) -> None:
-    """Warn if a log holds bytes that belong to no message of a format called `what`.
+@lru_cache(maxsize=1)  # a log is opened several times: to find its channels, its vehicle, its numbers
+def _found(reader: MessageReader, path: Path, *state: int) -> MessageLog:
+    from usvlearn.core.jit import announced
+    from usvlearn.logs.formats.ardupilot import binary_kernel
 
-    `skipped` is that of `binary_kernel`. The last message, which was being written when the power went, does not count,
-    nor does an end of equal bytes.
-    """
-    count, gaps, end = (int(each) for each in skipped[:3])
-    tail = data[end + SHORT :]
-    if (tail != tail[:1]).any():
-        count, gaps = count + len(data) - end, gaps + 1
-    if gaps:
-        warnings.warn(
-            f"{printable(str(path))}: the log is damaged: skipped {count} of {len(data)} bytes, in {gaps} places, "
-            f"which are no {what} message",
-            stacklevel=4,
-        )
+    with announced(str(binary_kernel.__file__), "readers of binary logs"):
+        return reader._messages(path, np.fromfile(path, dtype=np.uint8))

@@ -17,7 +17,7 @@ import numpy as np
 
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.formats.ardupilot.servos import OUTPUTS, Servos
-from usvlearn.logs.formats.messages import Field, Key, MessageLog, MessageReader, Messages, Vehicle, warn_of_damage
+from usvlearn.logs.formats.messages import Field, Key, MessageLog, MessageReader, Messages, Vehicle
 
 LETTERS = {  # of a format: the type, and what it is divided by
     "b": ("i1", 1), "B": ("u1", 1), "h": ("<i2", 1), "H": ("<u2", 1), "i": ("<i4", 1), "I": ("<u4", 1),
@@ -64,25 +64,22 @@ class DataFlash(MessageReader):
     usvlearn.errors.ConfigError: data.reader.disarmed: found 'zero', expected one of drop, keep
     """
 
+    what: ClassVar[str] = "DataFlash"
     suffixes: ClassVar[tuple[str, ...]] = (".bin",)
     left_out: ClassVar[tuple[str, ...]] = ("FMT", "FMTU", "UNIT", "MULT", "PARM")
 
-    def _log(self, path: Path) -> MessageLog:
-        from usvlearn.core.jit import announced
+    def _messages(self, path: Path, data: np.ndarray) -> MessageLog:
         from usvlearn.logs.formats.ardupilot import binary_kernel as compiled
 
-        data = np.fromfile(path, dtype=np.uint8)
         sizes = np.zeros(256, dtype=np.int64)
         for letter, (kind, _) in LETTERS.items():
             sizes[ord(letter)] = np.dtype(kind).itemsize
-        with announced(str(compiled.__file__), "readers of binary logs"):
-            places, kinds, described, skipped = compiled.scan_dataflash(data, sizes)
+        places, kinds, described, skipped = compiled.scan_dataflash(data, sizes)
         if not kinds.any():
             raise LogFormatError(
                 f"{path}: expected an ArduPilot DataFlash log, found no message that an FMT message describes: choose "
                 "the data option that fits this file"
             )
-        warn_of_damage(path, data, skipped, "DataFlash")
         texts = (data[place + 3 : place + 3 + len(FMT)].tobytes() for place in described[1:])
         layouts = [_layout(FMT), *map(_layout, texts)]
         time = compiled.dataflash_stamps(data, places, kinds, *_stamps(layouts))
@@ -96,7 +93,7 @@ class DataFlash(MessageReader):
         fixes = [each for each in _rows(data, found, "GPS", "TimeUS", "GWk", "GMS") if each[1]]
         starts = [GPS_EPOCH + WEEK * week + ms / 1e3 - (us - int(time[0])) * 1e-6 for us, week, ms in fixes]
         start = float(np.median(starts)) if starts else math.nan
-        return MessageLog(path, data, _by_key(data, found), SERVOS, {"": _vehicle(data, found)}, start=start)
+        return MessageLog(path, data, _by_key(data, found), SERVOS, {"": _vehicle(data, found)}, ("",), skipped, start)
 
 
 class Layout(NamedTuple):

@@ -15,7 +15,7 @@ import numpy as np
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.formats.ardupilot.mavlink_messages import MESSAGES
 from usvlearn.logs.formats.ardupilot.servos import OUTPUTS, Servos
-from usvlearn.logs.formats.messages import Key, MessageLog, MessageReader, Messages, Vehicle, warn_of_damage
+from usvlearn.logs.formats.messages import Key, MessageLog, MessageReader, Messages, Vehicle
 
 CLOCK_LIMIT = 5.0  # s; a vehicle's stamp further from the receipt belongs to another boot, or to no clock
 WRAP = 2**32 * 1e-6  # s, after which a stamp of 32 bits in us begins anew
@@ -50,25 +50,22 @@ class Tlog(MessageReader):
     ('.tlog',)
     """
 
+    what: ClassVar[str] = "MAVLink"
     suffixes: ClassVar[tuple[str, ...]] = (".tlog",)
     left_out: ClassVar[tuple[str, ...]] = ("PARAM_VALUE",)
 
-    def _log(self, path: Path) -> MessageLog:
-        from usvlearn.core.jit import announced
+    def _messages(self, path: Path, data: np.ndarray) -> MessageLog:
         from usvlearn.logs.formats.ardupilot import binary_kernel as compiled
 
-        data = np.fromfile(path, dtype=np.uint8)
         extras = np.full(compiled.IDS, -1, dtype=np.int16)
         for number, message in MESSAGES.items():
             extras[number] = message.extra
-        with announced(str(compiled.__file__), "readers of binary logs"):
-            starts, lengths, ids, senders, stamps, skipped = compiled.scan_tlog(data, extras)
+        starts, lengths, ids, senders, stamps, skipped = compiled.scan_tlog(data, extras)
         if not len(starts):
             raise LogFormatError(
                 f"{path}: expected a MAVLink telemetry log, found no time of receipt that a known message follows: "
                 "choose the data option that fits this file"
             )
-        warn_of_damage(path, data, skipped, "MAVLink")
         received = (stamps - stamps[0]) * 1e-6
         groups = senders.astype(np.int64) * compiled.IDS + ids
         kinds, counts = np.unique(groups, return_counts=True)
@@ -88,7 +85,7 @@ class Tlog(MessageReader):
                     messages[Key(message.name, instance, sender)] = [part._replace(fields=shown)]
         vehicles = {sender: _vehicle(data, each) for sender, each in sent.items()}
         pilots = [each for each in sent if _is_autopilot(data, sent[each])]
-        return MessageLog(path, data, messages, SERVOS, vehicles, pilots, int(skipped[3]), stamps[0] * 1e-6)
+        return MessageLog(path, data, messages, SERVOS, vehicles, pilots, skipped, stamps[0] * 1e-6)
 
 
 def _timed(data: np.ndarray, sent: dict[int, Messages]) -> dict[int, Messages]:
