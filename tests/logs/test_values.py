@@ -7,10 +7,9 @@ from types import SimpleNamespace as Message
 import numpy as np
 import pytest
 
-from usvlearn.logs.channels import correlations, position_rates, positions, restarts
+from usvlearn.logs.channels import correlations, position_rates, positions, series
 from usvlearn.logs.channels.channel import degrees, matching, parse_numbers
 from usvlearn.logs.channels.derived_surge import LiveSurge, pair_of
-from usvlearn.logs.channels.series import Series
 from usvlearn.logs.checks.evidence import spread
 from usvlearn.logs.checks.finding import Finding, override, see
 from usvlearn.logs.checks.frozen import stretches
@@ -46,7 +45,7 @@ def live() -> list[float | None]:
 
 
 def parts() -> tuple[list[list[float]], list[tuple[int, float]]]:
-    found, jumps = restarts.segments([Series("a", None, EIGHT, EIGHT, np.arange(8))])
+    found, jumps = series.segments([series.Series("a", None, EIGHT, EIGHT, np.arange(8))])
     return [part[0].time.tolist() for part in found], jumps
 
 

@@ -30,8 +30,7 @@ from usvlearn.logs.channels.channel import (
 )
 from usvlearn.logs.channels.derived_surge import PAIRS_TOLD, derived_surge, pair_of
 from usvlearn.logs.channels.repeated_values import settle_period
-from usvlearn.logs.channels.restarts import segments
-from usvlearn.logs.channels.series import OtherBoats, Reader
+from usvlearn.logs.channels.series import OtherBoats, Reader, segments
 from usvlearn.logs.formats.foreign import explained
 
 

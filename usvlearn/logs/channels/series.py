@@ -1,10 +1,12 @@
-"""What readers of logs do, and all numbers of a log, before anybody has said what they mean: for `usvlearn inspect`."""
+"""What readers of logs do; all numbers of a log, before anybody has said what they mean; and jumps of a log's clock."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Sequence
+from itertools import pairwise
 from pathlib import Path
-from typing import ClassVar, NamedTuple, Protocol
+from typing import ClassVar, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -30,6 +32,11 @@ class Series(NamedTuple):
 
 
 ELEMENTS = 16  # of an array, at most
+JUMP, AHEAD = 5.0, 1e6  # s, that a clock is set back, or ahead, at least
+AROUND = 5  # stamps at each side of a jump
+MOST = 50  # jumps, beyond which the rows are in no order of time
+
+T = TypeVar("T", Channel, Series)
 
 
 class OtherBoats(LogFormatError):
@@ -86,3 +93,50 @@ class Reader(Protocol):
             LogFormatError, MissingExtraError: as `read`.
         """
         ...
+
+
+def segments(series: Collection[T]) -> tuple[list[list[T]], list[tuple[int, float]]]:
+    """The series between the jumps of their clock, and each jump: its place in the log, and how far back it goes, s.
+
+    A jump for good counts, as where a logger starts anew or its clock is set: the median of the five stamps after it is
+    more than `JUMP` before, or `AHEAD` after, that of the five before it, in most series of the log. No single wrong
+    stamp, and no clock of one sensor alone, divides a log. Then times count from the first stamp of each part.
+    """
+    jumps: list[tuple[int, float]] = _jumps(series)
+    parts: list[list[T]] = [] if jumps else [list(series)]
+    for begin, end in pairwise([-np.inf, *(place for place, _ in jumps), np.inf]) if jumps else ():
+        rows = [(each.order >= begin) & (each.order < end) for each in series]
+        start = min(each.time[inside].min() for each, inside in zip(series, rows, strict=True) if inside.any())
+        cut = zip(series, rows, strict=True)
+        moved = [x._replace(time=x.time[k] - start, value=x.value[k], order=x.order[k]) for x, k in cut]
+        parts.append([x._replace(start=x.start + start) for x in moved])
+    return parts, jumps
+
+
+@np.errstate(all="ignore")
+def _jumps(series: Collection[T]) -> list[tuple[int, float]]:
+    spans: list[tuple[int, int, float]] = []  # places in the log between which a series jumps, and how far
+    for each in series:
+        steps = np.diff(each.time)
+        places = np.flatnonzero((steps < -JUMP) | (steps > AHEAD))
+        for k in places.tolist() if len(places) <= AROUND * MOST else ():
+            before, after = each.time[max(0, k + 1 - AROUND) : k + 1], each.time[k + 1 : k + 1 + AROUND]
+            ahead = np.median(after) - np.median(before)
+            if min(len(before), len(after)) > 2 and (ahead < -JUMP or ahead > AHEAD):
+                spans.append((int(each.order[k]), int(each.order[k + 1]), float(each.time[k] - each.time[k + 1])))
+    found: list[tuple[int, float]] = []
+    while spans:  # the fewest places that divide all jumps
+        end = min(spans, key=lambda span: span[1])
+        together = [span for span in spans if span[0] < end[1] <= span[1]]
+        if 2 * len(together) > sum(len(each.order) > 0 and each.order[0] < end[1] <= each.order[-1] for each in series):
+            found.append((end[1], end[2]))
+        spans = [span for span in spans if span[0] >= end[1]]
+    return found if len(found) <= MOST else []
+
+
+def interleaved(times: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """The places in a log of the messages of several topics: by time, and each topic in its own order."""
+    latest = [np.maximum.accumulate(np.where(np.isfinite(time), time, -np.inf)) for time in times]
+    order = np.empty(sum(map(len, times)), np.int64)
+    order[np.argsort(np.concatenate([*latest, np.empty(0)]), kind="stable")] = np.arange(len(order))
+    return np.split(order, np.cumsum([len(time) for time in times])[:-1])[: len(times)]

@@ -18,8 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.errors import ConfigError, LogFormatError, reading
-from usvlearn.logs.channels.restarts import segments
-from usvlearn.logs.channels.series import Series
+from usvlearn.logs.channels.series import Series, segments
 from usvlearn.logs.formats.csv.boats import PHASES, VEHICLES, words_of
 from usvlearn.logs.formats.csv.packed import PACKED
 from usvlearn.logs.formats.foreign import HEAD, explained, foreign
@@ -41,6 +40,7 @@ class Format:
         name: for a person.
         module, reader: of the reader.
         suffixes: by which a folder is searched.
+        example: the name of the configuration in configs/data that reads such logs.
         begins: bytes at the start of such a file.
         looks: whether the first bytes of a file look like it, where no fixed bytes begin it.
     """
@@ -49,6 +49,7 @@ class Format:
     module: str
     reader: str
     suffixes: tuple[str, ...]
+    example: str
     begins: tuple[bytes, ...] = ()
     looks: Callable[[bytes, str], bool] = lambda head, suffix: False
 
@@ -83,17 +84,20 @@ def _is_telemetry(head: bytes, suffix: str) -> bool:
 
 
 TABLES = (".csv", ".txt", ".tsv", ".slog", *PACKED)
-TABLE = Format("tables", "usvlearn.logs.formats.csv.table", "Table", TABLES, looks=_is_text)
+TABLE = Format("tables", "usvlearn.logs.formats.csv.table", "Table", TABLES, "csv", looks=_is_text)
 FORMATS = (
-    Format("ROS 1", "usvlearn.logs.formats.ros.rosbag", "Rosbag", (".bag", ".active"), (b"#ROSBAG V2.0",)),
-    Format("ROS 2 (MCAP)", "usvlearn.logs.formats.ros.rosbag", "Rosbag", (".mcap",), (b"\x89MCAP",)),
-    Format("ROS 2 (SQLite)", "usvlearn.logs.formats.ros.rosbag", "Rosbag", (".db3",), (b"SQLite format 3\0",)),
-    Format("PX4 ULog", "usvlearn.logs.formats.px4.ulog", "Ulog", (".ulg",), (b"ULog\x01\x12\x35",)),
-    Format("ArduPilot DataFlash", "usvlearn.logs.formats.ardupilot.dataflash", "DataFlash", (".bin",), (b"\xa3\x95",)),
-    Format("MAVLink telemetry", "usvlearn.logs.formats.ardupilot.tlog", "Tlog", (".tlog",), looks=_is_telemetry),
-    Format("MOOS", "usvlearn.logs.formats.moos.alog", "Alog", (".alog",), looks=_is_moos),
+    Format("ROS 1", "usvlearn.logs.formats.ros.rosbag", "Rosbag", (".bag", ".active"), "rosbag", (b"#ROSBAG V2.0",)),
+    Format("ROS 2 (MCAP)", "usvlearn.logs.formats.ros.rosbag", "Rosbag", (".mcap",), "rosbag", (b"\x89MCAP",)),
+    Format("ROS 2 (SQLite)", "usvlearn.logs.formats.ros.rosbag", "Rosbag", (".db3",), "rosbag",
+           (b"SQLite format 3\0",)),
+    Format("PX4 ULog", "usvlearn.logs.formats.px4.ulog", "Ulog", (".ulg",), "ulog", (b"ULog\x01\x12\x35",)),
+    Format("ArduPilot DataFlash", "usvlearn.logs.formats.ardupilot.dataflash", "DataFlash", (".bin",), "ardupilot",
+           (b"\xa3\x95",)),
+    Format("MAVLink telemetry", "usvlearn.logs.formats.ardupilot.tlog", "Tlog", (".tlog",), "tlog",
+           looks=_is_telemetry),
+    Format("MOOS", "usvlearn.logs.formats.moos.alog", "Alog", (".alog",), "alog", looks=_is_moos),
     TABLE,
-)
+)  # fmt: skip
 ZSTD = ".zstd"  # after the suffix of a file that ROS 2 compressed
 BAGS = (".db3", ".mcap", ZSTD)  # of ROS 2, in a folder with metadata.yaml
 SHOWN = 3  # files that are left out, each with its reason

@@ -23,7 +23,7 @@ import numpy as np
 
 from usvlearn.errors import LogFormatError, printable
 from usvlearn.logs.channels.channel import Channel, Source, match_name
-from usvlearn.logs.channels.series import Series
+from usvlearn.logs.channels.series import Series, interleaved
 from usvlearn.logs.formats.csv.rows import Place, channels_of
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def read_topics(
     start = min(each.begin for each in spans.values())
     columns = {k: x._replace(time=x.time + (x.origin - start), origin=start) for k, x in columns.items()}
     joined = {used[topic].path: each for topic, each in columns.items()}
-    orders = dict(zip(joined, _interleaved([each.time for each in joined.values()]), strict=True))
+    orders = dict(zip(joined, interleaved([each.time for each in joined.values()]), strict=True))
     return channels_of(joined, orders, {channel: place for channel, (_, place) in places.items()})
 
 
@@ -99,7 +99,7 @@ def survey_topics(folder: Path, topics: Mapping[str, Opened]) -> list[Series]:
     runs = {topic: each for topic, each in surveyed.items() if topic in together}
     times = [series[0].time + (origin - start) for series, origin in runs.values()]
     found = []
-    for (topic, (series, _)), time, order in zip(runs.items(), times, _interleaved(times), strict=True):
+    for (topic, (series, _)), time, order in zip(runs.items(), times, interleaved(times), strict=True):
         found += [each._replace(name=f"{topic}.{each.name}", time=time, order=order) for each in series]
     return found
 
@@ -165,12 +165,3 @@ def locate(pattern: str, topics: Mapping[str, Opened], where: str) -> tuple[str,
         )
     every = {f"{topic}.{name}": (topic, name) for topic, opened in topics.items() for name in opened.names}
     return every[match_name(pattern, every, where)]
-
-
-def _interleaved(times: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """The places in the log of the rows of several tables: by time, and each table in its own order."""
-    keys = [np.maximum.accumulate(np.where(np.isfinite(time), time, -np.inf)) for time in times]
-    table = np.repeat(np.arange(len(times)), [len(time) for time in times])
-    order = np.empty(len(table), np.int64)
-    order[np.lexsort((np.arange(len(table)), table, np.concatenate(keys)))] = np.arange(1, len(table) + 1)
-    return np.split(order, np.cumsum([len(time) for time in times])[:-1])

@@ -18,7 +18,7 @@ import numpy as np
 
 from usvlearn.errors import LogFormatError, MissingExtraError, printable
 from usvlearn.logs.channels.channel import QUOTED, Channel, Source, build_channel, match_name
-from usvlearn.logs.channels.series import ELEMENTS, Reader, Series
+from usvlearn.logs.channels.series import ELEMENTS, Reader, Series, interleaved
 from usvlearn.logs.formats.ros.message_fields import yaw
 
 FIELDS = 50_000  # of all subscriptions of a log; a log of PX4 has some thousands
@@ -86,7 +86,7 @@ class Ulog(Reader):
                 raise LogFormatError(
                     f"{where}.name: the log holds no message of {matched[channel][:QUOTED]!r}: name another topic"
                 )
-        order = dict(zip(topics, _orders([topic.time for topic in topics.values()]), strict=True))
+        order = dict(zip(topics, interleaved([topic.time for topic in topics.values()]), strict=True))
         channels, dropped, start = {}, {}, _start(topics)
         for channel, source in sources.items():
             topic = topics[matched[channel]]
@@ -99,7 +99,7 @@ class Ulog(Reader):
     def survey(self, path: Path) -> list[Series]:
         topics = _topics(path, lambda name: True)
         series = []
-        for topic, order in zip(topics, _orders([topic.time for topic in topics]), strict=True):
+        for topic, order in zip(topics, interleaved([topic.time for topic in topics]), strict=True):
             arrays = Counter(found[1] for name in topic.fields if (found := ELEMENT.fullmatch(name)))
             kind = topic.name.partition("[")[0]
             for name, numbers in topic.fields.items():
@@ -160,16 +160,6 @@ def _topics(path: Path, keep: Callable[[str], bool]) -> list[_Topic]:
         }
         topics.append(_Topic(name, (stamps - np.uint64(log.start_timestamp).astype(np.int64)) * 1e-6, fields))
     return topics
-
-
-def _orders(times: list[np.ndarray]) -> list[np.ndarray]:
-    """The places of messages in the log: pyulog does not tell them, so topics interleave by their latest stamp."""
-    if not times:
-        return []
-    latest = np.concatenate([np.maximum.accumulate(time) for time in times])
-    places = np.empty(len(latest), np.int64)
-    places[np.argsort(latest, kind="stable")] = np.arange(len(latest))
-    return np.split(places, np.cumsum([len(time) for time in times])[:-1])
 
 
 def _parsed(file: BinaryIO, size: int, keep: Callable[[str], bool]) -> Any:
