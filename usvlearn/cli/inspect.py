@@ -18,14 +18,6 @@ USAGE = (
     "usage: usvlearn inspect LOG…\n       [--output my_boat.yaml] [--name BOAT] [--plot] [--force] [--all]\n"
     "       [--any-vehicle]\n       usvlearn inspect --confirm KEY[,KEY …] my_boat.yaml"
 )
-EXAMPLES = {  # reader -> a configuration of its logs
-    "Alog": "alog.yaml",
-    "DataFlash": "ardupilot.yaml",
-    "Rosbag": "rosbag.yaml",
-    "Table": "csv.yaml",
-    "Tlog": "tlog.yaml",
-    "Ulog": "ulog.yaml",
-}
 
 
 def parser() -> argparse.ArgumentParser:
@@ -107,12 +99,12 @@ def _what_to_do(found: Inspected) -> str:
     from usvlearn.cli.configs import configs_folder
 
     reader, files = found.logs.reader, found.logs.files
-    name = "topics.yaml" if files[0].is_dir() and hasattr(reader, "files") else EXAMPLES[type(reader).__name__]
+    name = "topics" if files[0].is_dir() and hasattr(reader, "files") else found.logs.format.example
     others = len(files) == 1 and files[0].suffix.lower() == ".csv" and len(list(files[0].parent.glob("*.csv"))) > 1
     first = "if another table of its folder has them, give the folder; else " if others else ""
     return (
-        f"{first}copy {configs_folder() / 'data' / name} to my_boat.yaml, set its data.path, and name the series in "
-        "it (usvlearn inspect --all lists them)"
+        f"{first}copy {configs_folder() / 'data' / name}.yaml to my_boat.yaml, set its data.path, and name the series "
+        "in it (usvlearn inspect --all lists them)"
     )
 
 
