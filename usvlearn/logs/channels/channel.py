@@ -111,7 +111,14 @@ class Source:
             raise ConfigError(f"period: found {self.period!r}, expected a time of 0 to {SLOWEST:g} s, or {AUTO}")
 
     def convert(self, raw: np.ndarray) -> np.ndarray:
-        """Raw values, as logged in `unit`, to SI units. What is too large for a number becomes infinite."""
+        """Raw values to SI units. What is too large for a number becomes infinite.
+
+        Args:
+            raw: as logged, an array of any shape, in `unit`, such as N or °.
+
+        Returns:
+            In SI units; shape unchanged.
+        """
         factor, offset = UNITS[self.unit]
         if self.unit == "ddmm":
             raw = degrees(raw)

@@ -276,12 +276,12 @@ class MessageReader(Reader):
         raise NotImplementedError
 
     def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
-        return self.open(path).channels(sources, keep_disarmed=self.disarmed == "keep")
+        return self._log(path).channels(sources, keep_disarmed=self.disarmed == "keep")
 
     def survey(self, path: Path) -> list[Series]:
-        return self.open(path).survey(self.left_out)
+        return self._log(path).survey(self.left_out)
 
-    def open(self, path: Path) -> MessageLog:
+    def _log(self, path: Path) -> MessageLog:
         """A log whose messages have been found; warns if it holds bytes that belong to none.
 
         The last message, which was being written when the power went, does not count, nor does an end of equal bytes.

@@ -82,7 +82,7 @@ def check_boat(files: Sequence[Path], found: Sequence[Candidate], convention: st
     """
     kinds = {round(float(each.value[-1])) for each in found if TYPE.fullmatch(each.label)}
     other = next((OTHERS[kind] for kind in kinds if kind in OTHERS and not kinds & {GROUND, BOAT}), "")
-    log = DataFlash().open(files[0]) if convention == "ArduPilot DataFlash" else None
+    log = DataFlash()._log(files[0]) if convention == "ArduPilot DataFlash" else None
     parameters = log.vehicles[""].parameters if log else {}
     servos = {value for name, value in parameters.items() if FUNCTION.fullmatch(name)}
     if servos & WINGS or (servos & MOTORS and not servos & OF_BOATS):
