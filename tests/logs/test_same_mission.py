@@ -1,86 +1,62 @@
-"""One mission in every format gives the same samples, to the resolution of the format."""
+"""One mission in every format, and by each configuration that needs nothing else, gives the same samples and poses."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
-from tests.support.ardupilot import PARAMETERS, frame, header, logged
-from tests.support.ulogs import boat
-from usvlearn.logs.channels.channel import Channel, Recording
-from usvlearn.logs.formats.ardupilot.dataflash import DataFlash
-from usvlearn.logs.formats.ardupilot.tlog import Tlog
+from tests.support import ROOT
+from tests.support.ardupilot import PARAMETERS, frame, logged
+from tests.support.ardupilot import header as dataflash_header
+from tests.support.exported import DEG, KNOTS, write_alog, write_table
+from tests.support.ulogs import header, message, subscribe
+from tests.support.voyages import EARTH, START
+from usvlearn.errors import ConfigError
+from usvlearn.logs.channels.channel import Channel, Recording, Source
 from usvlearn.logs.formats.csv.table import Table
 from usvlearn.logs.formats.moos.alog import Alog
-from usvlearn.logs.formats.px4.ulog import Ulog
 from usvlearn.logs.formats.ros.rosbag import Rosbag
 from usvlearn.logs.read import read_recordings
 from usvlearn.logs.recordings import align_fleet
 
-NAMES = ("left", "right", "psi", "speed")
-PLAIN = {
-    "command_left": {"name": "left"},
-    "command_right": {"name": "right"},
-    "heading": {"name": "psi", "unit": "deg"},
-    "surge": {"name": "speed"},
-}
+TIME = np.arange(600) / 10
+V, R = 0.2 + 0 * TIME, np.radians(2.0) + 0 * TIME  # m/s to starboard; rad/s
+LEFT, RIGHT, U = 0.5 * np.sin(TIME / 9) + 0.1, 0.5 * np.sin(TIME / 9), 1.2 * np.sin(TIME / 9 - 0.4)  # and astern
+PSI = np.radians(340.0) + R * TIME  # through north
+VN, VE = U * np.cos(PSI) - V * np.sin(PSI), U * np.sin(PSI) + V * np.cos(PSI)
+NORTH, EAST = (np.append(0.0, np.cumsum(each[1:] + each[:-1]) / 20) for each in (VN, VE))
+YAW = np.remainder(PSI + math.pi, 2 * math.pi) - math.pi
+TRUE = {"command_left": LEFT, "command_right": RIGHT, "heading": PSI, "yaw_rate": R, "surge": U, "sway": V,
+        "north": NORTH, "east": EAST}  # fmt: skip
 PWM = 400.0  # us of full scale
 SERVOS = PARAMETERS | {f"SERVO{n}_{key}": 1500 + each * PWM for n in (1, 3) for key, each in
                        {"MIN": -1, "TRIM": 0, "MAX": 1}.items()} | {"SERVO3_REVERSED": 0.0}  # fmt: skip
+PULSES = [[round(1500 + PWM * x) for x in each] for each in zip(LEFT, RIGHT, strict=True)]
 
 
-def rows() -> Iterator[tuple[float, float, float, float, float]]:
-    """Time, s, both commands, heading in deg, speed in m/s: ahead, on a turn through north, and astern."""
-    for k in range(600):
-        t = k / 10
-        yield t, 0.5 * math.sin(t / 9) + 0.1, 0.5 * math.sin(t / 9), (340 + 2 * t) % 360, 1.2 * math.sin(t / 9 - 0.4)
+def table(path: Path, **how) -> None:
+    write_table(path, {
+        "t": TIME, "L": LEFT, "R": RIGHT, "psi": DEG * PSI % 360, "r": DEG * R, "u": U, "v": 100 * V,
+        "sog": KNOTS * np.hypot(U, V), "cog": DEG * np.arctan2(VE, VN) % 360, "lat": START[0] + DEG * NORTH / EARTH,
+        "lon": START[1] + DEG * EAST / EARTH / math.cos(math.radians(START[0])),
+    }, **how)  # fmt: skip
 
 
-def text(line: Callable[..., str], head: str) -> Callable[[Path], None]:
-    return lambda path: path.write_text(head + "".join(line(*row) for row in rows()))  # type: ignore[func-returns-value]
+def german(path: Path) -> None:
+    table(path, delimiter=";", comma=True)
 
 
-def german(*row: float) -> str:
-    return ";".join(f"{x:.4f}" for x in row).replace(".", ",") + "\n"
-
-
-def posts(t: float, *values: float) -> str:
-    return "".join(f"{t:.3f} {name} pApp {x:.6f}\n" for name, x in zip(NAMES, values, strict=True))
-
-
-def velocities(psi: float, speed: float) -> tuple[float, float]:
-    return speed * math.cos(math.radians(psi)), speed * math.sin(math.radians(psi))
-
-
-def widths(*commands: float) -> list[int]:
-    return [round(1500 + PWM * each) for each in commands]
-
-
-def dataflash(path: Path) -> None:
-    found = header() + b"".join(logged("PARM", 0, name, value, 0.0) for name, value in SERVOS.items())
-    for t, left, right, psi, speed in rows():
-        us, pwm = round(1e6 * (t + 5)), widths(left, right)
-        found += logged("RCOU", us, pwm[0], 0, pwm[1], 0) + logged("ATT", us, 0, psi)
-        found += logged("XKF1", us, 0, *velocities(psi, speed), 0.0, 0.0)
-    path.write_bytes(found + logged("MSG", us, "end"))
-
-
-def tlog(path: Path) -> None:
-    found = b"".join(frame("PARAM_VALUE", 0.0, param_id=name.encode(), param_value=x) for name, x in SERVOS.items())
-    found += frame("HEARTBEAT", 0.0, type=11, autopilot=3, base_mode=128)
-    for t, left, right, psi, speed in rows():
-        ms, pwm, (north, east) = round(1000 * (t + 5)), widths(left, right), velocities(psi, speed)
-        yaw = math.remainder(math.radians(psi), 2 * math.pi)
-        found += frame("SERVO_OUTPUT_RAW", t, time_usec=1000 * ms, servo1_raw=pwm[0], servo3_raw=pwm[1])
-        found += frame("ATTITUDE", t, time_boot_ms=ms, yaw=yaw)
-        found += frame("LOCAL_POSITION_NED", t, time_boot_ms=ms, vx=north, vy=east)
-    path.write_bytes(found)
+def alog(path: Path) -> None:
+    named = {"THRUST_L": LEFT, "THRUST_R": RIGHT, "NAV_HEADING": DEG * PSI % 360, "NAV_YAW_RATE": R, "NAV_SPEED": U,
+             "NAV_SWAY": V, "NAV_X": EAST, "NAV_Y": NORTH}  # fmt: skip
+    write_alog(path, {name: (TIME, value) for name, value in named.items()})
 
 
 def bag(kind: str) -> Callable[[Path], None]:
+    """In the axes of ROS: x ahead, y to port, angles from east, counter-clockwise."""
+
     def write(path: Path) -> None:
         from rosbags.rosbag1 import Writer as Writer1
         from rosbags.rosbag2 import StoragePlugin
@@ -88,84 +64,130 @@ def bag(kind: str) -> Callable[[Path], None]:
         from rosbags.typesys import Stores, get_typestore
 
         store = get_typestore(Stores.ROS1_NOETIC if kind == "ROS1" else Stores.ROS2_HUMBLE)
-        name, folder = "std_msgs/msg/Float64", path.with_suffix("")
-        one: Any = Writer1(path) if kind == "ROS1" else Writer2(folder, version=9, storage_plugin=StoragePlugin[kind])
+        vector, pose = (store.types[f"geometry_msgs/msg/{name}"] for name in ("Vector3", "Pose2D"))
+        made = {
+            "/thrust": lambda k: vector(x=LEFT[k], y=RIGHT[k], z=0.0),
+            "/pose": lambda k: pose(x=EAST[k], y=NORTH[k], theta=math.pi / 2 - PSI[k]),
+            "/twist": lambda k: vector(x=U[k], y=-V[k], z=-R[k]),
+        }
+        folder = path.with_suffix("")
         pack = store.serialize_ros1 if kind == "ROS1" else store.serialize_cdr
-        with one as written:
-            connections = [written.add_connection(f"/{each}", name, typestore=store) for each in NAMES]
-            for t, *values in rows():
-                for connection, value in zip(connections, values, strict=True):
-                    written.write(connection, round(1e9 * (1.7e9 + t)), pack(store.types[name](data=value), name))
+        plugin = None if kind == "ROS1" else StoragePlugin[kind]
+        with Writer1(path) if plugin is None else Writer2(folder, version=9, storage_plugin=plugin) as bag:
+            kinds = {topic: make(0).__msgtype__ for topic, make in made.items()}
+            opened = {topic: bag.add_connection(topic, kind, typestore=store) for topic, kind in kinds.items()}
+            for k, t in enumerate(TIME):
+                for topic, make in made.items():
+                    bag.write(opened[topic], round(1e9 * (1.7e9 + t)), pack(make(k), kinds[topic]))
         if kind != "ROS1":
             next(folder.glob(f"*{path.suffix}")).rename(path)
 
     return write
 
 
-class Format(NamedTuple):
-    write: Callable[[Path], object]
-    suffix: str
-    reader: Any
-    channels: dict[str, dict]
-    tolerance: tuple[float, float, float] = (1e-6, 1e-6, 1e-6)  # of commands, heading (rad), speed (m/s)
+def dataflash(path: Path) -> None:
+    found = dataflash_header() + b"".join(logged("PARM", 0, name, value, 0.0) for name, value in SERVOS.items())
+    for k, t in enumerate(TIME):
+        us = round(1e6 * (t + 5))
+        found += logged("RCOU", us, PULSES[k][0], 0, PULSES[k][1], 0) + logged("ATT", us, 0, float(DEG * PSI[k] % 360))
+        found += logged("IMU", us, 0, R[k], 0) + logged("XKF1", us, 0, VN[k], VE[k], NORTH[k], EAST[k])
+    path.write_bytes(found + logged("MSG", us, "end"))
 
 
-EKF = {"velocity_north": {"name": "XKF1", "field": "VN"}, "velocity_east": {"name": "XKF1", "field": "VE"}}
-NED = {f"velocity_{axis}": {"name": "LOCAL_POSITION_NED", "field": f"v{x}"} for axis, x in zip(("north", "east"), "xy",
-                                                                                          strict=True)}  # fmt: skip
-FLOAT = 1e-5  # what 32 bits resolve of 360 deg, in rad
-FORMATS = {
-    "table": Format(text(lambda *row: ",".join(f"{x:.7f}" for x in row) + "\n", "t,left,right,psi,speed\n"), ".csv",
-                    Table("t"), PLAIN),
-    "table with decimal commas": Format(text(german, "t;left;right;psi;speed\n"), ".csv", Table("t"), PLAIN,
-                                        (1e-4, 1e-4, 1e-4)),
-    "MOOS": Format(text(posts, "%% LOGSTART 1.5e9\n"), ".alog", Alog(), PLAIN),
-    "ROS 1": Format(bag("ROS1"), ".bag", Rosbag(), PLAIN),
-    "ROS 2, mcap": Format(bag("MCAP"), ".mcap", Rosbag(), PLAIN),
-    "ROS 2, db3": Format(bag("SQLITE3"), ".db3", Rosbag(), PLAIN),
-    "ULog": Format(lambda path: path.write_bytes(boat(rows())), ".ulg", Ulog(), {
-        "command_left": {"name": "motors", "field": "control[0]"},
-        "command_right": {"name": "motors", "field": "control[1]"},
-        "heading": {"name": "motion", "field": "psi", "unit": "deg"},
-        "surge": {"name": "motion", "field": "v"},
-    }, (1e-6, FLOAT, 1e-6)),
-    "ArduPilot": Format(dataflash, ".BIN", DataFlash(), {
-        "command_left": {"name": "RCOU", "field": "throttle_left"},
-        "command_right": {"name": "RCOU", "field": "throttle_right"},
-        "heading": {"name": "ATT", "field": "Yaw", "unit": "deg"},
-        **EKF,
-    }, (0.5 / PWM + 1e-6, FLOAT, 1e-5)),
-    "MAVLink": Format(tlog, ".tlog", Tlog(), {
-        "command_left": {"name": "SERVO_OUTPUT_RAW", "field": "throttle_left"},
-        "command_right": {"name": "SERVO_OUTPUT_RAW", "field": "throttle_right"},
-        "heading": {"name": "ATTITUDE", "field": "yaw"},
-        **NED,
-    }, (0.5 / PWM + 1e-6, FLOAT, 1e-5)),
+def tlog(path: Path) -> None:
+    found = b"".join(frame("PARAM_VALUE", 0.0, param_id=name.encode(), param_value=x) for name, x in SERVOS.items())
+    found += frame("HEARTBEAT", 0.0, type=11, autopilot=3, base_mode=128)
+    for k, t in enumerate(TIME):
+        ms = round(1000 * (t + 5))
+        found += frame("SERVO_OUTPUT_RAW", t, time_usec=1000 * ms, servo1_raw=PULSES[k][0], servo3_raw=PULSES[k][1])
+        found += frame("ATTITUDE", t, time_boot_ms=ms, yaw=YAW[k], yawspeed=R[k])
+        found += frame("LOCAL_POSITION_NED", t, time_boot_ms=ms, vx=VN[k], vy=VE[k], x=NORTH[k], y=EAST[k])
+    path.write_bytes(found)
+
+
+def ulog(path: Path) -> None:
+    formats = {
+        "actuator_motors": "uint64_t timestamp;float[2] control;",
+        "vehicle_attitude": "uint64_t timestamp;float[4] q;",
+        "vehicle_angular_velocity": "uint64_t timestamp;float[3] xyz;",
+        "vehicle_local_position": "uint64_t timestamp;float x;float y;float vx;float vy;",
+    }
+    data = header(formats) + b"".join(subscribe(k, name) for k, name in enumerate(formats))
+    for k, t in enumerate(TIME):
+        us, half = round(1e6 * t), PSI[k] / 2
+        data += message(0, us, "2f", LEFT[k], RIGHT[k]) + message(1, us, "4f", math.cos(half), 0, 0, math.sin(half))
+        data += message(2, us, "3f", 0.0, 0.0, R[k]) + message(3, us, "4f", NORTH[k], EAST[k], VN[k], VE[k])
+    path.write_bytes(data)
+
+
+def of(name: str, fields: dict[str, str]) -> dict[str, Source]:
+    return {channel: Source(name, field) for channel, field in fields.items()}
+
+
+SIDES = {"command_left": Source("L"), "command_right": Source("R"), "heading": Source("psi", unit="deg"),
+         "yaw_rate": Source("r", unit="deg/s")}  # fmt: skip
+PLACED = SIDES | {"latitude": Source("lat", unit="deg"), "longitude": Source("lon", unit="deg")}
+SWAY = PLACED | {"surge": Source("u"), "sway": Source("v", unit="cm/s")}
+COURSE = PLACED | {"ground_speed": Source("sog", unit="knots"), "course": Source("cog", unit="deg")}
+MOOS = {
+    "command_left": Source("THRUST_L"), "command_right": Source("THRUST_R"),
+    "heading": Source("NAV_HEADING", unit="deg"), "yaw_rate": Source("NAV_YAW_RATE"),
+    "surge": Source("NAV_SPEED"), "sway": Source("NAV_SWAY"),
+    "north": Source("NAV_Y"), "east": Source("NAV_X"),
 }  # fmt: skip
+ROS = of("/thrust", {"command_left": "x", "command_right": "y"}) | of("/pose", {"north": "y", "east": "x"}) | {
+    "heading": Source("/pose", "theta", "enu_rad"), "yaw_rate": Source("/twist", "z", "enu_rad/s"),
+    "surge": Source("/twist", "x"), "sway": Source("/twist", "y", span=-1)}  # fmt: skip
+LOGS = {  # what writes it, suffix, reader and channels, or the name of a configuration; steps of a command
+    "csv, sway": (table, ".csv", (Table("t"), SWAY), 0.0),
+    "csv, course": (table, ".csv", (Table("t"), COURSE), 0.0),
+    "csv with decimal commas": (german, ".csv", (Table("t"), SWAY), 0.0),
+    "moos": (alog, ".alog", (Alog(), MOOS), 0.0),
+    "ros 1": (bag("ROS1"), ".bag", (Rosbag(), ROS), 0.0),
+    "ros 2, mcap": (bag("MCAP"), ".mcap", (Rosbag(), ROS), 0.0),
+    "ros 2, db3": (bag("SQLITE3"), ".db3", (Rosbag(), ROS), 0.0),
+    "dataflash": (dataflash, ".BIN", "ardupilot", 0.5 / PWM),
+    "tlog": (tlog, ".tlog", "tlog", 0.5 / PWM),
+    "ulog": (ulog, ".ulg", "ulog", 0.0),
+}
+NEEDS = {"ros": "rosbags", "ulo": "pyulog", "dat": "hydra.utils", "tlo": "hydra.utils"}
 
 
-@pytest.mark.filterwarnings("ignore:.*no speed is configured")
-@pytest.mark.parametrize("name", FORMATS)
-def test_the_samples_are_those_of_the_mission(tmp_path, name):
-    if name.startswith("ROS"):
-        pytest.importorskip("rosbags", reason="needs the package rosbags")
-    if name == "ULog":
-        pytest.importorskip("pyulog", reason="needs the package pyulog")
-    one = FORMATS[name]
-    one.write(path := tmp_path / f"mission{one.suffix}")
-    made = align_fleet(read_recordings(path, one.reader, one.channels)).runs[0]
-    time, *values = np.array(list(rows())).T
-    values[2] = np.radians(values[2])
-    channels = {key: Channel(time, x, 4 * np.arange(len(time)) + k) for k, (key, x) in
-                enumerate(zip(PLAIN, values, strict=True))}  # fmt: skip
-    true = align_fleet([Recording("mission", "1", channels, {})]).runs[0]
+@pytest.mark.parametrize("name", LOGS)
+@pytest.mark.filterwarnings("ignore:.*computed from")
+def test_the_samples_and_poses_are_those_of_the_mission(tmp_path, name):
+    if name[:3] in NEEDS:
+        pytest.importorskip(NEEDS[name[:3]])
+    write, suffix, how, step = LOGS[name]
+    write(path := tmp_path / f"mission{suffix}")
+    if isinstance(how, str):
+        hydra, omegaconf = pytest.importorskip("hydra.utils"), pytest.importorskip("omegaconf")
+        config = omegaconf.OmegaConf.load(ROOT / "configs" / "data" / f"{how}.yaml").data
+        config.path = str(path)
+        (recording,) = hydra.instantiate(config)
+    else:
+        (recording,) = read_recordings(path, *how)
+    channels = {key: Channel(TIME, x, len(TRUE) * np.arange(len(TIME)) + k) for k, (key, x) in enumerate(TRUE.items())}
+    (made,), (true,) = (align_fleet([each]).runs for each in (recording, Recording("mission", "1", channels, {})))
     np.testing.assert_allclose(made.time, true.time, atol=1e-5)
     np.testing.assert_array_equal(made.samples.measured, true.samples.measured)
     own, expected = made.samples, true.samples
-    command, heading, speed = one.tolerance
-    np.testing.assert_allclose(own.inputs.command_left, expected.inputs.command_left, atol=command)
-    np.testing.assert_allclose(own.inputs.command_right, expected.inputs.command_right, atol=command)
-    turned = np.remainder(own.inputs.heading - expected.inputs.heading + math.pi, 2 * math.pi) - math.pi
-    np.testing.assert_allclose(turned, 0, atol=heading)
-    np.testing.assert_allclose(own.surge, expected.surge, atol=speed)
+    for side in ("command_left", "command_right"):
+        np.testing.assert_allclose(getattr(own.inputs, side), getattr(expected.inputs, side), atol=step + 1e-5)
+    turned = np.exp(1j * (own.inputs.heading - expected.inputs.heading))
+    np.testing.assert_allclose(np.angle(turned), 0, atol=1e-5)  # what 32 bits resolve of 360 deg
+    np.testing.assert_allclose(own.surge, expected.surge, atol=1e-5)
     assert made.samples.measured.mean() > 0.99 and np.nanmin(own.surge) < -1
+    heading, rate, sway, *place = np.moveaxis(made.poses[1:, 0], -1, 0)
+    heading_, rate_, sway_, *place_ = np.moveaxis(true.poses[1:, 0], -1, 0)
+    np.testing.assert_allclose(np.angle(np.exp(1j * (heading - heading_))), 0, atol=0.01)
+    np.testing.assert_allclose((rate, sway), (rate_, sway_), atol=1e-5)
+    for found, other in zip(place, place_, strict=True):
+        np.testing.assert_allclose(found - found[0], other - other[0], atol=0.2)  # of a fix of 0.1 s before
+
+
+@pytest.mark.parametrize(("channel", "unit"), [("sway", "deg/s"), ("north", "deg"), ("yaw_rate", "m/s")])
+def test_a_unit_that_a_channel_cannot_have_is_refused(tmp_path, channel, unit):
+    table(path := tmp_path / "a.csv")
+    with pytest.raises(ConfigError, match=rf"{channel}.*{unit}"):
+        read_recordings(path, Table("t"), SWAY | {channel: Source("v", unit=unit)}, "boat")

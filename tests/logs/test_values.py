@@ -106,6 +106,9 @@ def test_numbers(found, expected):
     (lambda: limits.unpack(Path("a.bag"), bz2.compress(bytes(1000)), "bz2", 5000, 1000), (bytes(1000), True)),
     (lambda: override("surge", {"name": "*left", "span": -400.0, "field": None}),
      "'data.channels.surge.name=*left' data.channels.surge.span=-400 data.channels.surge.field=null"),
+    (lambda: override("surge", {"name": "Speed (m/s)", "held": True}),
+     "'data.channels.surge.name=\"Speed (m/s)\"' data.channels.surge.held=true"),
+    (lambda: override("command_left", {"span": [-400, 400.5]}), "'data.channels.command_left.span=[-400,400.5]'"),
     (lambda: Finding("heron", "surge", "at rest", "0 m/s", see("a boat that moves", "surge"), "a=1").sentence(),
      "heron, surge: found 0 m/s, expected a boat that moves (see data.channels.surge.name): set a=1"),
 ])  # fmt: skip

@@ -6,7 +6,6 @@ import re
 import numpy as np
 import pytest
 
-import usvlearn
 from tests.support import REAL_LOGS, RECORDED, cases, few
 from tests.support.mistakes import (
     ALIGN,
@@ -26,7 +25,7 @@ from usvlearn.cli.composition import recordings_of
 from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.logs.channels.channel import AUXILIARY, COMMANDS, SURGE, Channel, Recording
 from usvlearn.logs.checks.data_check import check_data, check_level, refuse
-from usvlearn.logs.checks.finding import NOTE, WARNING, Finding, override
+from usvlearn.logs.checks.finding import NOTE, WARNING, Finding
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.simulate.autopilot import Autopilot
 from usvlearn.simulate.fleet import fleet
@@ -91,76 +90,6 @@ def test_real_boats_as_configured(name):
         ]
         told = check_data(sides, None, settings["align"], surge_max, settings["data"]["channels"])
         assert [(each.kind, each.severity) for each in told] == [("sides swapped", WARNING)]
-
-
-def written(tmp_path, recordings) -> str:
-    """The channels as a table, each at its latest value."""
-    rows = ["time,left,right,heading,speed"]
-    for one in recordings:
-        at = np.arange(1.0, max(one.channels[SURGE].time) - 1, 0.1)
-        columns = []
-        for name in (*COMMANDS, "heading", SURGE):
-            place = np.argsort(one.channels[name].time, kind="stable")
-            time, value = one.channels[name].time[place], one.channels[name].value[place]
-            columns.append(value[np.maximum(np.searchsorted(time, at) - 1, 0)])
-        rows += [",".join(f"{x:.6f}" for x in row) for row in zip(at, *columns, strict=True)]
-    path = tmp_path / "heron.csv"
-    path.write_text("\n".join(rows))
-    return str(path)
-
-
-def settings_of(key: str) -> dict:
-    """The channels that overrides name."""
-    channels: dict = {}
-    for each in key.split():
-        path, _, value = each.partition("=")
-        _, _, channel, option = path.split(".")
-        number = value.lstrip("-").replace(".", "", 1).isdigit()
-        channels.setdefault(channel, {})[option] = float(value) if number else value
-    return channels
-
-
-@pytest.fixture(scope="module")
-def table():
-    """A boat whose log is written as a table."""
-    return fleet(n=1, hours=0.1, mission_minutes=6.0, missions=["patrol"], seed=5, aborted_share=0.0)
-
-
-CORRECTED = {
-    "knots": times(3600 / 1852, SURGE),
-    "right reversed": times(-1, "command_right"),
-    "percent": times(100, *COMMANDS),
-    "degrees": lambda log: {"heading": log["heading"]._replace(value=np.degrees(log["heading"].value))},
-    "km/h": times(3.6, SURGE),
-    "both reversed": times(-1, *COMMANDS),
-    "hundredths": times(0.01, *COMMANDS),
-}
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("name", few(CORRECTED, list(CORRECTED)[:3], "thorough"))
-def test_the_named_key_corrects_the_mistake(name, table, tmp_path):
-    """Findings of a table are applied until none is left, as a user would."""
-    path = written(tmp_path, changed(table, CORRECTED[name]))
-    channels = {
-        "command_left": {"name": "left"}, "command_right": {"name": "right"}, "surge": {"name": "speed"},
-        "heading": {"name": "heading", "unit": "rad"},
-    }  # fmt: skip
-    told = []
-    for _ in range(4):
-        try:
-            logs = usvlearn.read(path, "csv", channels=channels, surge_max=2.74)
-        except LogFormatError as error:  # nothing could be aligned; the error has the keys
-            keys = [part.split(": set ")[1] for part in str(error).split("data check: ")[1].split("; ")]
-        else:
-            keys = [each.key for each in logs.findings]
-        if not keys:
-            break
-        told += keys
-        for key in keys:
-            for name, options in settings_of(key.split(" or ")[0]).items():
-                channels[name] = {**channels[name], **options}
-    assert told and not keys, (told, keys)
 
 
 def test_findings_say_the_number_and_the_key(logs):
@@ -321,23 +250,10 @@ def test_strict_lists_all_warnings_and_no_note():
 
 
 def test_levels():
-    assert [check_level(each) for each in (None, "warn", "strict", "off", False)] == [
-        "warn",
-        "warn",
-        "strict",
-        "off",
-        "off",
-    ]
+    assert [*map(check_level, (None, "warn", "strict", "off", False))] == ["warn", "warn", "strict", "off", "off"]
     for wrong in ("of", True, 3):
         with pytest.raises(ConfigError, match=r"check: found .*, expected one of warn, strict, off"):
             check_level(wrong)
-
-
-def test_overrides_are_quoted_for_the_shell():
-    assert override("surge", {"name": "Speed (m/s)"}) == "'data.channels.surge.name=\"Speed (m/s)\"'"
-    assert override("command_left", {"span": [-400, 400.5], "held": True}) == (
-        "'data.channels.command_left.span=[-400,400.5]' data.channels.command_left.held=true"
-    )
 
 
 def values(rng, n):

@@ -53,11 +53,11 @@ def sides(e: Evidence) -> Iterator[Finding]:
     )
     about, expected = ", ".join(COMMANDS), "turn + left, − right; speed + on both"
     turned = [name for name in COMMANDS if wrong in (name, "unknown", *BOTH)]
-    reverse = _swap_reversed(e) if wrong == BOTH[1] else _reverse(e, turned)
+    reverse = _changed(e, COMMANDS, swap=True, reverse=True) if wrong == BOTH[1] else _changed(e, turned, reverse=True)
     if wrong in ("swapped", "unknown"):
         if e.sense == -1:  # the heading is wrong: see `scales.heading_sense`
             return
-        fixes = [" ".join(override(name, each) for name, each in _swapped(e).items())]
+        fixes = [_changed(e, COMMANDS, swap=True)]
         if e.sense is None:
             fixes.append(override("heading", {"unit": mirrored(angular(e, "heading"))}))
         kind = "sides or heading" if e.sense is None or turned else "sides swapped"
@@ -81,20 +81,22 @@ def _backward(e: Evidence, turns: Sides) -> Finding:
     """Commands that are below zero while the boat moves ahead; the turn tells whether the sides are swapped, too."""
     text = f"commands of {float(np.nanmean(e.thrust)):+.2f} on average while the boat moves ahead"
     known = [_sign(each, TURN, CLEAR_TURN) for each in turns]
-    both, swapped = _reverse(e, COMMANDS), _swap_reversed(e)
+    both, swapped = (_changed(e, COMMANDS, swap, reverse=True) for swap in (False, True))
     fix = both if known == [-1, 1] else swapped if known == [1, -1] and e.sense == 1 else f"{both} or {swapped}"
     return Finding(e.boat, ", ".join(COMMANDS), "side reversed", text, "some above zero: zero or span is wrong", fix)
 
 
-def _reverse(e: Evidence, names: Sequence[str]) -> str:
-    return " ".join(override(name, {"span": _negative(e.settings(name)["span"])}) for name in names)
-
-
-def _swap_reversed(e: Evidence) -> str:
-    """The overrides that swap both commands, and reverse both."""
-    spans = [e.settings(name)["span"] for name in COMMANDS[::-1]]
-    changed = zip(_swapped(e).items(), spans, strict=True)
-    return " ".join(override(name, {**options, "span": _negative(span)}) for (name, options), span in changed)
+def _changed(e: Evidence, names: Sequence[str], swap: bool = False, reverse: bool = False) -> str:
+    """The overrides that swap commands, reverse them, or both."""
+    changes = []
+    for name, other in zip(names, names[::-1] if swap else names, strict=True):
+        own, given = e.settings(name), e.settings(other)
+        options = {key: given.get(key) for key in SHARED if own.get(key) != given.get(key)}
+        if reverse:
+            span = given["span"]
+            options["span"] = -span if isinstance(span, int | float) else [-each for each in span]
+        changes.append(override(name, options))
+    return " ".join(changes)
 
 
 def _mistake(turns: Sides, moves: Sides, half: bool = False) -> str | None:
@@ -121,17 +123,6 @@ def _sign(relation: Relation, sure: float, clear: float) -> int:
     """1 or -1 where the sign of a relation is sure, else 0."""
     known = abs(relation.certainty) > sure and abs(relation.correlation) > clear
     return int(np.sign(relation.correlation)) if known else 0
-
-
-def _swapped(e: Evidence) -> dict[str, dict]:
-    """The options of each command that become those of the other one."""
-    left, right = (e.settings(name) for name in COMMANDS)
-    differ = [key for key in SHARED if left.get(key) != right.get(key)]
-    return {COMMANDS[0]: {key: right.get(key) for key in differ}, COMMANDS[1]: {key: left.get(key) for key in differ}}
-
-
-def _negative(span):
-    return -span if isinstance(span, int | float) else [-each for each in span]
 
 
 def excitation(e: Evidence) -> Iterator[Finding]:

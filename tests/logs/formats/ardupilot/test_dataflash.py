@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support import ROOT, few
+from tests.support import few
 from tests.support.ardupilot import (
     LAYOUTS,
     PACKED,
@@ -321,18 +321,3 @@ def test_real_logs_equal_pymavlink_in_every_column(real_logs, name):
         "TimeMS",
         "I",
     }  # the stamp, the sensor's number
-
-
-def test_the_configuration_needs_nothing_else(tmp_path):
-    hydra = pytest.importorskip("hydra.utils", reason="needs the package hydra-core")
-    omegaconf = pytest.importorskip("omegaconf", reason="needs the package omegaconf")
-    config = omegaconf.OmegaConf.load(ROOT / "configs" / "data" / "ardupilot.yaml").data
-    config.path = str(write(tmp_path, dataflash()))
-    with pytest.warns(UserWarning, match="the surge is computed from velocity_north and velocity_east"):
-        (recording,) = hydra.instantiate(config)
-    values = {name: channel.value for name, channel in recording.channels.items()}
-    np.testing.assert_allclose(values["surge"], 1.5, rtol=1e-6)
-    np.testing.assert_allclose(values["heading"], np.radians(10.0) + 0.02 * STEPS, rtol=1e-6)
-    np.testing.assert_allclose(values["yaw_rate"], 0.2, rtol=1e-6)
-    np.testing.assert_allclose(values["command_right"], 4 * STEPS / 500, rtol=1e-15)
-    np.testing.assert_array_equal(values["east"], 2 * STEPS)

@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support import ROOT
 from tests.support.ardupilot import PARAMETERS, frame, packet, tlog
-from usvlearn.errors import ConfigError, LogFormatError
+from usvlearn.errors import LogFormatError
 from usvlearn.logs.channels.channel import Source
 from usvlearn.logs.formats.ardupilot.mavlink_messages import MESSAGES
 from usvlearn.logs.formats.ardupilot.tlog import Tlog
@@ -188,11 +187,6 @@ def test_what_is_no_log_is_refused(tmp_path, content):
     assert "expected a MAVLink telemetry log, found no time of receipt" in refused(write(tmp_path, content))
 
 
-def test_an_unknown_choice_is_refused():
-    with pytest.raises(ConfigError, match=r"data\.reader\.disarmed: found 'no', expected one of drop, keep"):
-        Tlog(disarmed="no")
-
-
 # ---------------------------------------------------------------- pymavlink
 
 
@@ -259,18 +253,3 @@ def _drawn(message, field: str, rng):
     kind = float if "float" in message.fieldtypes[message.fieldnames.index(field)] else int
     values = [kind(x) for x in rng.integers(1, 100, max(1, count))]
     return values if count else values[0]
-
-
-def test_the_configuration_needs_nothing_else(tmp_path):
-    hydra = pytest.importorskip("hydra.utils", reason="needs the package hydra-core")
-    omegaconf = pytest.importorskip("omegaconf", reason="needs the package omegaconf")
-    config = omegaconf.OmegaConf.load(ROOT / "configs" / "data" / "tlog.yaml").data
-    config.path = str(write(tmp_path, tlog()))
-    with pytest.warns(UserWarning, match="the surge is computed from velocity_north and velocity_east"):
-        (recording,) = hydra.instantiate(config)
-    values = {name: channel.value for name, channel in recording.channels.items()}
-    np.testing.assert_allclose(values["surge"], 1.5, rtol=1e-6)
-    np.testing.assert_allclose(values["heading"], np.radians(10.0) + 0.02 * STEPS, rtol=1e-6)
-    np.testing.assert_allclose(values["yaw_rate"], 0.2, rtol=1e-6)
-    np.testing.assert_allclose(values["command_left"], 5 * STEPS / 400, rtol=1e-15)
-    np.testing.assert_array_equal(values["east"], 2 * STEPS)

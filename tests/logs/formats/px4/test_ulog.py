@@ -161,35 +161,6 @@ def test_types_with_millions_of_fields_are_refused(tmp_path, pyulog, formats):
         Ulog().survey(path)
 
 
-def test_the_config_reads_a_rover_of_px4(tmp_path, pyulog):
-    hydra = pytest.importorskip("hydra.utils", reason="needs the package hydra-core")
-    omegaconf = pytest.importorskip("omegaconf", reason="needs the package omegaconf")
-    formats = {
-        "actuator_motors": "uint64_t timestamp;float[12] control;",
-        "vehicle_attitude": "uint64_t timestamp;float[4] q;",
-        "vehicle_angular_velocity": "uint64_t timestamp;float[3] xyz;",
-        "vehicle_local_position": "uint64_t timestamp;float x;float y;float vx;float vy;",
-    }
-    data = [header(formats), *(subscribe(k, name) for k, name in enumerate(formats))]
-    half = math.radians(45)  # east
-    for k in range(30):
-        t = 100_000 * k
-        data += [
-            message(0, t, "12f", 0.5, -0.25, *[math.nan] * 10),
-            message(1, t, "4f", math.cos(half), 0, 0, math.sin(half)),
-            message(2, t, "3f", 0, 0, 0.125),
-            message(3, t, "4f", 0, 0.15 * k, 0, 1.5),
-        ]
-    (tmp_path / "a.ulg").write_bytes(b"".join(data))
-    config = omegaconf.OmegaConf.load(ROOT / "configs" / "data" / "ulog.yaml").data
-    config.path = str(tmp_path / "a.ulg")
-    with pytest.warns(UserWarning, match="the surge is computed from velocity_north and velocity_east"):
-        (recording,) = hydra.instantiate(config)
-    values = {name: channel.value[5] for name, channel in recording.channels.items()}
-    expected = {"command_left": 0.5, "command_right": -0.25, "heading": math.pi / 2, "yaw_rate": 0.125, "surge": 1.5}
-    assert {name: values[name] for name in expected} == pytest.approx(expected, abs=1e-6)
-
-
 def test_without_pyulog_the_extra_is_named(tmp_path, monkeypatch):
     (tmp_path / "a.ulg").write_bytes(boat([]))
     monkeypatch.setitem(sys.modules, "pyulog", None)

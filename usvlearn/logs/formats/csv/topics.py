@@ -1,14 +1,7 @@
 """Tables of one folder that are the topics of one run: each file has some of its channels, and time joins them.
 
-`rostopic echo -p`, `ulog2csv` and other programs write a table for each topic. A column is then FILE.COLUMN:
-`odom.field.twist.twist.linear.x` is the column `field.twist.twist.linear.x` of `odom.csv`. The column alone is enough
-where only one file has it. All stamps must be of one clock.
-
-A folder of tables may also hold one run each. These rules tell them apart, the first that applies:
-
-1. If one file has all channels, each file is a run.
-2. If all files have the same columns, each is a run, unless they have fewer than three: that is too few for a run.
-3. Else the files are topics of one run.
+A column is then FILE.COLUMN: `odom.field.twist.twist.linear.x` is the column `field.twist.twist.linear.x` of
+`odom.csv`. All stamps must be of one clock. The rules of `docs/formats.md` tell such tables from those of one run each.
 """
 
 from __future__ import annotations
@@ -37,7 +30,7 @@ MISSING = 3e8  # s, above which a stamp is a date
 
 
 def several_kinds(columns: Sequence[Sequence[str]]) -> bool:
-    """Whether tables with these columns are topics, and not runs: by rule 2 of this module."""
+    """Whether tables with these columns are topics, and not runs: these have the same columns, and enough of them."""
     sets = [set(each) for each in columns]
     if len(sets) < 2:
         return False
