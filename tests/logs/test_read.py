@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.support import REAL_LOGS, ROOT, few
+from tests.support.files import refused, write
 from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.logs.channels.channel import AUXILIARY, Source
 from usvlearn.logs.formats.csv.table import Table
@@ -27,21 +28,6 @@ CHANNELS = {
     "surge": {"name": "v"},
 }
 HEADER = "t,L,R,psi,v\n"
-
-
-def write(path: Path, text: str) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text)
-    return path
-
-
-def refused(error, function, *args) -> str:
-    """The one-line message with which a call fails."""
-    with pytest.raises(error) as caught:
-        function(*args)
-    message = str(caught.value)
-    assert "\n" not in message and len(message) < 600
-    return message
 
 
 def test_runs_are_found_below_a_folder_in_natural_order(tmp_path):
@@ -181,14 +167,6 @@ def test_generic_configs_list_every_option_of_every_channel(name, count):
             continue
         measured = name == "surge" or name in AUXILIARY
         assert set(source) - {"weight"} == options - {"delay" if measured else "period"}, name
-
-
-def test_csv_config_reads_a_plain_table(tmp_path):
-    path = write(tmp_path / "a.csv", "time,command_left,command_right,heading,surge\n5,0.1,-0.2,180,1.5\n")
-    (recording,) = configured("csv", path)
-    assert recording.boat == recording.run == "a"
-    values = {name: channel.value.tolist() for name, channel in recording.channels.items()}
-    assert values == {"command_left": [0.1], "command_right": [-0.2], "heading": [math.pi], "surge": [1.5]}
 
 
 def test_alog_config_holds_commands_that_are_posted_on_change(tmp_path):

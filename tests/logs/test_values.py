@@ -85,6 +85,8 @@ def test_numbers(found, expected):
     (lambda: matching("*/odom", ["/a/odom", "/b/odom", "/odometry"]), ["/a/odom", "/b/odom"]),
     (lambda: [*map(dialect.split_unit, ["Speed (km/h)", "yaw [°]", "yaw_rate_rad_s", "left", "v km/u", "fart knop"])],
      [("Speed", "km/h"), ("yaw", "deg"), ("yaw_rate", "rad/s"), ("left", ""), ("v", "km/h"), ("fart knop", "")]),
+    (lambda: [*map(dialect.split_unit, ["v, over ground (kn)", "thrust_pct", "x (furlong)", "e_m", "zero_"])],
+     [("v, over ground", "knots"), ("thrust", "percent"), ("x", "furlong"), ("e", "m"), ("zero_", "")]),
     (lambda: [*map(dialect.is_value, ["-0,5", "1e-3", "24.07.2025 17:18", "17:18:48.2", "m/s", ""])],
      [True] * 4 + [False] * 2),
     (lambda: [*map(dialect.find_decimal, [["0,5", "1.234,5"], ["1,234.5", "1"], ["1,234"]])],

@@ -194,13 +194,6 @@ def test_what_is_masked_is_no_value(kind):
     assert same(expected, found) and found.rejected["boat"]["surge"]["empty"] == HOLES.sum()
 
 
-@pytest.mark.thorough
-def test_masked_stamps_are_no_stamps():
-    stamps = np.ma.masked_array(np.where(HOLES, 1e6, T), HOLES)
-    plain = usvlearn.read(**ALL | {"time": np.where(HOLES, np.nan, T)})
-    assert same(plain, usvlearn.read(**ALL | {"time": stamps}))
-
-
 @pytest.mark.parametrize("values", [SI["surge"] > 1, SI["surge"].astype(str)], ids=["booleans", "text"])
 def test_a_column_of_a_table_is_refused_as_its_array_is(values):
     """Only a column of objects may hold numbers beside what is missing."""

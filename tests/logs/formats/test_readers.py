@@ -171,21 +171,6 @@ def test_binary_data_that_look_like_rows_of_an_alog_are_none(tmp_path):
     assert "no row of the form" in refused(LogFormatError, one, Alog(), path, name="NAV_SPEED")
 
 
-@pytest.mark.thorough
-def test_alog_of_260k_lines(tmp_path):
-    lines = [
-        f"{k / 1000:.3f} {('NAV_SPEED', 'APPCAST', 'NAV_X', 'NAV_HEADING')[k % 4]:20} pApp {k % 7} \n"
-        for k in range(260_000)
-    ]
-    path = write(tmp_path / "a.alog", "%% LOGSTART 1\n" + "".join(lines))
-    channels, dropped = Alog().read(path, {"surge": Source("NAV_SPEED"), "heading": Source("NAV_HEADING")})
-    place = np.arange(0, 260_000, 4)
-    np.testing.assert_array_equal(channels["surge"].value, place % 7)
-    np.testing.assert_array_equal(channels["surge"].order, place + 2)
-    np.testing.assert_allclose(channels["heading"].time, (place + 3) / 1000, rtol=1e-15)
-    assert dropped == {"surge": {}, "heading": {}}
-
-
 # ---------------------------------------------------------------- ROS
 
 

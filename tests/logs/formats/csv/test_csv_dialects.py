@@ -93,20 +93,6 @@ def test_a_table_is_read_alike_however_it_is_written(tmp_path, name):
     assert (table.dates != "auto") == (name.startswith(("ISO", "day", "month", "short")))
 
 
-@pytest.mark.parametrize(
-    ("header", "units"),
-    [
-        ("time,Speed (m/s),Course [°],yaw_rate_deg_s,left", ["m/s", "deg", "deg/s", ""]),
-        ('time,"Speed, over ground (km/h)",heading_rad,r (rad/s),thrust_pct', ["km/h", "rad", "rad/s", "percent"]),
-        ("time,speed_kn,x (furlong),e_m,zero_", ["knots", "furlong", "m", ""]),
-    ],
-)
-def test_units_of_headers(tmp_path, header, units):
-    path = tmp_path / "a.csv"
-    path.write_text(header + "\n" + "".join(f"{k},1.5,2,3,4\n" for k in range(3)))
-    assert [each.unit for each in Table("time").survey(path)] == units
-
-
 def test_a_column_is_named_with_its_unit_or_without_where_that_is_unambiguous(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("Time (ms),Speed (m/s),Speed (kn),yaw_deg,Heading [deg]\n0,1,2,3,4\n100,1,2,3,5\n")
@@ -159,16 +145,6 @@ def test_an_ambiguous_date_with_am_or_pm_is_asked_for(tmp_path, form):
     assert (Table.found(path)[0].dates, Table.found(path)[1]) == ("day_first", [])
 
 
-@pytest.mark.parametrize(
-    ("stamps", "asked"),
-    [(range(30), True), (range(1, 31), True), (np.arange(30) / 2, False), (range(1_760_000_000, 1_760_000_030), False)],
-)
-def test_a_time_that_may_number_the_rows_is_asked_for(tmp_path, stamps, asked):
-    path = tmp_path / "a.csv"
-    path.write_text("time,v\n" + "".join(f"{stamp},{k % 7}\n" for k, stamp in enumerate(stamps)))
-    assert [each[:10] for each in Table.found(path)[1]] == ["time_unit:"] * asked
-
-
 def test_separators_of_thousands_are_counted_or_refused(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text('t,v\n0,"1,234.5"\n1,"1,234"\n2,7.5\n')
@@ -198,22 +174,38 @@ def test_options_that_are_given_win(tmp_path):
             Table("t", **{option: value})
 
 
-@pytest.mark.parametrize(
-    ("values", "unit", "sure"),
-    [
-        ([0, 100, 200], "ms", True),
-        ([0, 0.1, 0.2], "s", True),
-        ([1721841528, 1721841529, 1721841530], "s", True),
-        ([1721841528000, 1721841528100, 1721841528200], "ms", True),
-        ([0, 20000, 40000], "us", True),
-        ([0, 5, 10], "s", False),
-    ],
-)
-def test_the_unit_of_stamps(tmp_path, values, unit, sure):
+EPOCH = 1_760_000_000
+STAMPS = [  # header, stamps -> unit, beginnings of the doubts
+    ("index,time", [0, 100, 200], "ms", []),
+    ("index,time", [0, 0.1, 0.2], "s", []),
+    ("index,time", [EPOCH, EPOCH + 1, EPOCH + 2], "s", []),
+    ("index,time", [1000 * EPOCH, 1000 * EPOCH + 100, 1000 * EPOCH + 200], "ms", []),
+    ("index,time", [0, 20000, 40000], "us", []),
+    ("index,time", [0, 5, 10], "s", ["time_unit: found steps of 5"]),
+    ("x,time", range(30), "s", ["time_unit: found 0, 1, …: seconds, or rows"]),  # may number the rows
+    ("x,time", range(1, 31), "s", ["time_unit: found 1, 2, …"]),
+    ("x,time", np.arange(30) / 2, "s", []),
+    ("x,time", range(EPOCH, EPOCH + 30), "s", []),
+    ("x,ticks", range(0, 5000, 100), "ms",
+     ["time: found no column that is called so; 'ticks' is the first one that rises evenly"]),
+    ("x,time", [f"{h:02d}{m:02d}{s:02d}.5" for h, m in ((9, 58), (9, 59), (10, 0)) for s in range(60)], "hhmmss", []),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("header", "values", "unit", "doubts"), STAMPS)
+def test_the_column_of_stamps_and_its_unit(tmp_path, header, values, unit, doubts):
+    first = range(len(values)) if "index" in header else [k % 7 for k in range(len(values))]
     path = tmp_path / "a.csv"
-    path.write_text("index,time,v\n" + "".join(f"{k},{value},{math.pi}\n" for k, value in enumerate(values)))
+    path.write_text(
+        f"{header},v\n" + "".join(f"{k},{value},{math.pi}\n" for k, value in zip(first, values, strict=True))
+    )
     table, unsure = Table.found(path)
-    assert (table.time, table.time_unit, not unsure) == ("time", unit, sure)
+    assert (table.time, table.time_unit) == (header.split(",")[1], unit) and len(unsure) == len(doubts)
+    assert all(each.startswith(doubt) for each, doubt in zip(unsure, doubts, strict=True))
+    if unit == "hhmmss":  # past a minute and an hour; read as seconds they would jump by 40 and 4040
+        assert table.read(path, {"surge": Source("v")})[0]["surge"].time.tolist() == list(range(180))
+        with pytest.warns(UserWarning, match="set data.reader.time_unit=hhmmss"):
+            Table("time").read(path, {"surge": Source("v")})
 
 
 def test_a_table_without_stamps_or_without_a_header_is_refused(tmp_path):
@@ -222,26 +214,6 @@ def test_a_table_without_stamps_or_without_a_header_is_refused(tmp_path):
         path.write_text(text)
         with pytest.raises(LogFormatError, match=r"column of stamps|none above the first numbers '0,1,2'"):
             Table.found(path)
-
-
-def test_times_of_a_day_as_numbers(tmp_path):
-    """Past a minute and an hour; read as seconds they would jump by 40 and 4040."""
-    rows = "".join(f"{h:02d}{m:02d}{s:02d}.5,{s}\n" for h, m in ((9, 58), (9, 59), (10, 0)) for s in range(60))
-    path = tmp_path / "a.csv"
-    path.write_text("time,speed\n" + rows)
-    table, unsure = Table.found(path)
-    assert (table.time_unit, unsure) == ("hhmmss", [])
-    assert table.read(path, {"surge": Source("speed")})[0]["surge"].time.tolist() == list(range(180))
-    with pytest.warns(UserWarning, match="set data.reader.time_unit=hhmmss"):
-        Table("time").read(path, {"surge": Source("speed")})
-
-
-def test_a_column_that_rises_evenly_may_be_that_of_the_stamps(tmp_path):
-    path = tmp_path / "a.csv"
-    path.write_text("speed,ticks\n" + "".join(f"{k % 7},{100 * k}\n" for k in range(50)))
-    table, unsure = Table.found(path)
-    assert (table.time, table.time_unit) == ("ticks", "ms")
-    assert unsure[0] == "time: found no column that is called so; 'ticks' is the first one that rises evenly"
 
 
 def test_repeated_whole_seconds_are_spread(tmp_path):
