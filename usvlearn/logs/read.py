@@ -50,8 +50,7 @@ def read_recordings(
         path: a log; a folder, with all logs below it; a pattern such as `logs/*/run_?.csv`; or boat -> path.
         reader: reads one log.
         channels: channel -> a Source or its arguments; None, or a name of None, means not logged. A command may have
-            several names (`usvlearn.logs.alignment.mixing`). Without a surge, it is computed from other channels
-            (`usvlearn.logs.ground_speed`).
+            several names (`usvlearn.logs.alignment.mixing`). Without a surge, it is computed from other channels.
         boat: the boat's name; default the name of the log or folder, without suffix.
         boat_column: of tables, the column that tells which boat a row is of; then `boat` chooses one of these boats.
 

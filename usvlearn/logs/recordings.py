@@ -23,12 +23,8 @@ SHORTEST = 3  # least number of samples in a run
 def align_fleet(recordings: Iterable[Recording], **options) -> Fleet:
     """Align recordings and set the boats side by side; the k-th run of every boat shares the k-th batch.
 
-    Args:
-        recordings: of one or several boats, each boat's in the order in which they are replayed.
-        **options: of `usvlearn.logs.alignment.align.Aligner`.
-
-    Raises:
-        LogFormatError: no run has three samples. A shorter run beside longer ones is left out with a warning.
+    Each boat's recordings come in the order in which they are replayed; the options are those of `Aligner`. A run of
+    less than three samples is left out with a warning, or a LogFormatError if there is no other.
     """
     boats: dict[str, list[BoatRun]] = {}
     rejected: dict[str, dict[str, dict[str, int]]] = {}

@@ -26,23 +26,14 @@ LEAST_STEP, MOST_STEP = 0.01, 2.0  # s, of a live step, as of the plans of `Onli
 
 @dataclass(frozen=True)
 class Setup:
-    """The setup of one boat.
+    """The setup of one boat."""
 
-    Attributes:
-        channels: the logged channels, as `usvlearn.logs.read.read_recordings` takes them.
-        align: options of `Aligner`; its step `dt` is always among them.
-        mass: kg, added mass included; None if it is not known.
-        surge_max: top speed, m/s, by which the data check judges speeds; None if it is not known.
-        reader: the class that reads logs of this boat, which says what the names of the channels are.
-        unconfirmed: the open questions of its configuration, as of `usvlearn.core.unconfirmed`.
-    """
-
-    channels: Mapping[str, Source | Mix]
-    align: Mapping[str, Any] = field(default_factory=dict)
-    mass: float | None = None
-    surge_max: float | None = None
-    reader: str | None = None
-    unconfirmed: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    channels: Mapping[str, Source | Mix]  # that are logged, as `usvlearn.logs.read.read_recordings` takes them
+    align: Mapping[str, Any] = field(default_factory=dict)  # options of `Aligner`; its step `dt` is always among them
+    mass: float | None = None  # kg, added mass included, if it is known
+    surge_max: float | None = None  # top speed, m/s, by which the data check judges speeds, if it is known
+    reader: str | None = None  # the class that reads logs of this boat, which says what the names of channels are
+    unconfirmed: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # see `usvlearn.core.unconfirmed`
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "align", {"dt": _defaults()["dt"], **self.align})
@@ -108,11 +99,7 @@ class Setup:
         return {name: found[name] for name in CHANNELS if name in found}
 
     def aligner(self, **options: Any) -> Aligner:
-        """An aligner of live messages, with options in place of those of the setup.
-
-        Raises:
-            ConfigError: an option is not legal, or the surge would have to be computed from positions.
-        """
+        """An aligner of live messages, with options in place of those of the setup; ConfigError if one is illegal."""
         self.check_live()
         with under("align", self.align):
             return Aligner(self.aligned, **{**self.align, **options})
@@ -147,12 +134,7 @@ def _defaults() -> dict[str, Any]:
 
 
 def setups_of(settings: Mapping[str, Any], recordings: Iterable[Recording]) -> dict[str, Setup]:
-    """The setup of each boat whose logs were read.
-
-    Args:
-        settings: the whole configuration, plain; a simulated boat has no channels in it.
-        recordings: what was read, in which periods have been found.
-    """
+    """The setup of each boat whose logs were read, in which periods have been found, by the whole configuration."""
     data, vehicle = settings.get("data") or {}, settings.get("vehicle") or {}
     declared = sources_of(data["channels"]) if data.get("channels") else {}
     reader = (data.get("reader") or {}).get("_target_") if isinstance(data.get("reader"), Mapping) else None

@@ -165,11 +165,7 @@ def degrees(ddmm: np.ndarray) -> np.ndarray:
 
 
 def match_name(pattern: str, available: Iterable[str], where: str) -> str:
-    """The only name in `available` that matches `pattern`; a leading slash does not matter.
-
-    Raises:
-        LogFormatError: none or several match; the message names what the log has.
-    """
+    """The only name in `available` that matches `pattern`, but for a leading slash; else a LogFormatError."""
     names = sorted(set(available))
     found = matching(pattern, names)
     if len(found) == 1:
@@ -226,11 +222,7 @@ def build_channel(
     first: str | None = None,  # the first value as logged, to quote in an error
     start: float = math.nan,  # of the log; see `Channel`
 ) -> tuple[Channel, dict[str, int]]:
-    """A channel in SI units from the values of a reader, and the counts of dropped values, by cause.
-
-    Raises:
-        LogFormatError: no usable value is left.
-    """
+    """A channel in SI units, and the counts of dropped values, by cause; a LogFormatError if none is left."""
     raw = np.where(np.isin(raw, source.missing), math.nan, raw) if source.missing else raw
     usable = np.isfinite(time) & np.isfinite(raw)
     bare = np.zeros(len(raw), bool) if empty is None else empty & ~usable

@@ -31,10 +31,8 @@ def pair_of(channels: Container[str]) -> tuple[str, str] | None:
 def derived_surge(where: str, channels: Mapping[str, Channel]) -> tuple[Channel, dict[str, int]]:
     """The surge from the first pair that is logged, and the counts of what could not be used, by cause.
 
-    The surge has the window and the period of the pair's first channel; `where` is the log, for the error.
-
-    Raises:
-        LogFormatError: the numbers of the pair are never logged together, or there is no heading beside them.
+    It has the window and the period of the pair's first channel. A LogFormatError if the numbers of the pair are never
+    logged together, or there is no heading beside them; `where` is the log.
     """
     pair = pair_of(channels)
     assert pair is not None

@@ -53,14 +53,8 @@ def poses(
 ) -> np.ndarray:
     """Heading, rad, yaw rate, rad/s, sway over ground, m/s, and position, m north and east, at the end of each step.
 
-    Args:
-        channels: of a recording, in SI units.
-        time: `(n,)`, s since the log's start, the ends of the steps.
-        samples: of the steps, leaves `(n,)`.
-        came: `(n,)`, the place in the log of the message with which each step was made; None: all messages had come.
-
-    Returns:
-        `(n, 5)`, NaN where nothing fresh is known.
+    The time, `(n,)`, is that of the ends of the steps, s since the log's start; `came` is the place in the log of the
+    message with which each step was made; None: all had come. Returns `(n, 5)`, NaN where nothing fresh is known.
     """
     came = np.full(len(time), np.inf) if came is None else came
     found, begins = np.empty((len(time), 5)), [0, *(np.flatnonzero(np.diff(time) < 0) + 1), len(time)]

@@ -56,14 +56,11 @@ def check_data(
     channels: Mapping[str, Any] | None = None,
     horizons: Sequence[float] = (),
 ) -> list[Finding]:
-    """All findings about some recordings, warnings first.
+    """All findings about recordings of one or several boats, warnings first.
 
-    Args:
-        recordings, fleet: of one or several boats, and aligned; the fleet is None if they could not be aligned.
-        align: options of `usvlearn.logs.alignment.align.Aligner`.
-        surge_max: the boats' top speed, m/s; infinite where it is not known.
-        channels: `data.channels` of the configuration, for the overrides that are proposed.
-        horizons: of the forecasts, s.
+    The fleet is None if they could not be aligned by these options of `Aligner`; `surge_max` is the boats' top speed,
+    m/s, infinite where it is not known; `channels` are those of the configuration, for the overrides that are proposed;
+    the horizons are those of the forecasts, s.
     """
     boats: dict[str, list[Recording]] = {}
     for one in recordings:

@@ -134,12 +134,9 @@ def follows(e: Evidence) -> Iterator[Finding]:
 
 
 def position_unit(e: Evidence, slope: float, plausible: tuple[float, float], fits: bool) -> Finding | None:
-    """The position in another unit, if rather it than the speed is the reason for their ratio.
+    """The position in another unit, if rather it than the speed is the reason for their ratio, `slope`.
 
-    Args:
-        e: of the boat.
-        slope: the speed over the rate of position; `fits`: whether another unit of the speed would explain it.
-        plausible: least and greatest of plausible top speeds, m/s.
+    Plausible are top speeds between two, m/s; `fits`: whether another unit of the speed would explain the ratio.
     """
     fix = _length(e, slope)
     if not fix or not e.channels or next(degrees(e), None):

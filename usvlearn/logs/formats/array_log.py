@@ -83,10 +83,8 @@ def channels_of_arrays(
 ) -> tuple[Arrays, dict[str, dict[str, Any]]]:
     """Arrays as a log, and the description of its channels, as of `usvlearn.logs.read.read_recordings`.
 
-    The keys of channels count where they differ from its own name, SI units and automatic windows.
-
-    Raises:
-        ConfigError: an array is missing, of another length, or holds something else than numbers.
+    Keys of channels count where they differ from its own name, SI units and automatic windows. A ConfigError if an
+    array is missing, of another length, or holds something else than numbers.
     """
     units, own = dict(units or {}), {name: dict(keys or {}) for name, keys in (channels or {}).items()}
     for name in units:
@@ -136,8 +134,7 @@ class Arrays:
     def of(cls, given: Mapping[str, Any], unit: float, needed: Container[str] = NAMES) -> Arrays:
         """From what a person gives; `unit` of a number of `time`, s. Other columns of other than numbers are left out.
 
-        Raises:
-            ConfigError: there is no time, or an array that is `needed` is not one of numbers of its length.
+        A ConfigError if there is no time, or an array that is `needed` is not one of numbers of its length.
         """
         if TIME not in given:
             raise ConfigError(f"time: found no such array among {', '.join(list(given)[:20])}, expected stamps, s")

@@ -151,11 +151,7 @@ class MessageLog:
         return vehicle.armed[np.searchsorted(vehicle.changes, order, side="right") - 1]
 
     def find(self, name: str, where: str) -> Key:
-        """The messages that a `Source.name` means.
-
-        Raises:
-            LogFormatError: none, or those of several senders.
-        """
+        """The messages that a `Source.name` means; a LogFormatError if there are none, or those of several senders."""
         parts = NAME.fullmatch(name)
         plain, number, sender = parts.groups() if parts else (name, None, None)
         plain = match_name(plain, {key.name for key in self.messages}, where)
@@ -178,11 +174,7 @@ class MessageLog:
         return [each for each in found if each in self.preferred] or found
 
     def values(self, key: Key, name: str | None, where: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Times in s, values and places in the log of a `Source.field`, each `(n,)`.
-
-        Raises:
-            LogFormatError: there is no such field, or no servo of that function.
-        """
+        """Times in s, values and places in the log of a `Source.field`, `(n,)`; a LogFormatError if there is none."""
         if key.name in self.servos.outputs and name in FUNCTIONS:
             parameters = self.vehicles.get(key.sender, Vehicle()).parameters
             number = self.servos.find(name, parameters, where)
@@ -257,11 +249,7 @@ class MessageLog:
 
 @dataclass(frozen=True)
 class MessageReader(Reader):
-    """What the readers of an autopilot's logs have in common.
-
-    Args:
-        disarmed: as of `usvlearn.logs.formats.ardupilot.dataflash.DataFlash`.
-    """
+    """What the readers of an autopilot's logs have in common; `disarmed` is explained there."""
 
     disarmed: str = "drop"
 

@@ -51,11 +51,7 @@ class Servos:
     columns: str
 
     def find(self, name: str, parameters: Mapping[str, float], where: str) -> int:
-        """The number of the servo that drives `throttle_left` or another of `FUNCTIONS`: the first of several.
-
-        Raises:
-            LogFormatError: there is none; the message says which functions there are.
-        """
+        """The number of the first servo that drives one of `FUNCTIONS`; a LogFormatError says which there are."""
         found: dict[int, list[int]] = {}  # function -> servos
         for parameter, value in parameters.items():
             if (match := FUNCTION.fullmatch(parameter)) and math.isfinite(value):
@@ -74,11 +70,7 @@ class Servos:
         return next((field for field in fields if pattern.fullmatch(field)), None)
 
     def limits(self, number: int, parameters: Mapping[str, float], where: str) -> Limits:
-        """The pulse widths of a servo; ArduPilot's defaults, with a warning, for what the log does not hold.
-
-        Raises:
-            LogFormatError: they are no limits.
-        """
+        """The pulse widths of a servo, ArduPilot's defaults, with a warning, for what is not there; else a LogFormatError."""
         names = {each: f"SERVO{number}_{each}" for each in DEFAULTS}
         if missing := [name for each, name in names.items() if name not in parameters]:
             assumed = ", ".join(f"{name} {DEFAULTS[name.split('_')[1]]:g}" for name in missing)

@@ -96,11 +96,7 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 def find_dialect(path: Path, time: str, encoding: str, delimiter: str, comment: str | None, decimal: str) -> Dialect:
-    """How a file is written; an option is as given, or found if it is "auto"; `time` may name a column of the header.
-
-    Raises:
-        LogFormatError: the file holds binary data.
-    """
+    """How a file is written; an option, also the name of a column of stamps, is as given, or found if it is "auto"."""
     with open_table(path) as file:
         start = file.read(HEAD)
     if encoding == AUTO:

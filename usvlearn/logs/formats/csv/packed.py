@@ -21,11 +21,7 @@ ELEMENTS = 16  # columns of a matrix, at most
 
 
 def open_table(path: Path) -> BinaryIO:
-    """The text of a table, as bytes.
-
-    Raises:
-        LogFormatError: the file is damaged, or a package that reads it is missing.
-    """
+    """The text of a table, as bytes; a LogFormatError if it is damaged, or a package that reads it is missing."""
     if not path.name.lower().endswith(PACKED):
         return path.open("rb")
     return io.BytesIO(_unpacked(path, path.stat().st_mtime_ns, path.stat().st_size))

@@ -60,17 +60,10 @@ class Column:
 
 
 class Rows:
-    """All complete rows of a file.
+    """All complete rows of a file: stamps of one column or more, and columns of numbers.
 
-    Args:
-        path, dialect: the file, and how it is written.
-        stamps, columns: the columns of the stamps, one or more, and those of numbers.
-        only: the place of a column and its text, if only rows with it are wanted.
-        texts: whether the cells of the stamps are kept as they are.
-
-    Attributes:
-        order: lines of the complete rows, `(rows,)` int64.
-        torn: number of incomplete rows.
+    `only` is the place of a column and its text, if only rows with it are wanted; `texts`: whether the cells of the
+    stamps are kept as they are. `order` are the lines of the rows, `(rows,)` int64, and `torn` counts incomplete rows.
     """
 
     def __init__(
@@ -194,10 +187,7 @@ def quaternions(names: Sequence[str]) -> dict[str, Quaternion]:
 
 
 def yaw_of(parts: Sequence[Column]) -> Column:
-    """Yaw of quaternions from the columns x, y, z and w, rad, counter-clockwise about z; NaN of what is no rotation.
-
-    psi = atan2(2 (w z + x y), w^2 + x^2 - y^2 - z^2)
-    """
+    """Yaw of quaternions from the columns x, y, z and w, rad, counter-clockwise about z; NaN of what is no rotation."""
     x, y, z, w = (part.values for part in parts)
     missing = np.logical_and.reduce([part.empty for part in parts])
     with np.errstate(over="ignore", invalid="ignore"):

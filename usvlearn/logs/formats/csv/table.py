@@ -238,11 +238,7 @@ class Opened:
         return matching(pattern, dict.fromkeys(self.names))
 
     def match(self, pattern: str, where: str) -> str:
-        """The column that a `Source` names.
-
-        Raises:
-            LogFormatError: there is none, or there are several.
-        """
+        """The column that a `Source` names; a LogFormatError where there is none, or several."""
         found = self.find(pattern)
         return found[0] if len(found) == 1 else match_name(pattern, self.names, where)
 

@@ -46,11 +46,7 @@ def tables_of(folder: Path) -> list[Path]:
 def read_topics(
     folder: Path, topics: Mapping[str, Opened], sources: dict[str, Source]
 ) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
-    """The channels of a run whose topics are tables; as `usvlearn.logs.formats.csv.table.Table.read`.
-
-    Raises:
-        LogFormatError: a column is in no table or in several, or the stamps of two tables do not overlap.
-    """
+    """The channels of a run whose topics are tables; a LogFormatError where their stamps do not overlap."""
     places = {}
     for channel, source in sources.items():
         topic, column = locate(source.name, topics, f"{folder}: data.channels.{channel}.name")
@@ -140,11 +136,7 @@ def apart(folder: Path, spans: dict[str, Span]) -> LogFormatError:
 
 
 def locate(pattern: str, topics: Mapping[str, Opened], where: str) -> tuple[str, str]:
-    """The topic and the column that a `Source` names.
-
-    Raises:
-        LogFormatError: there is none, or there are several.
-    """
+    """The topic and the column that a `Source` names; a LogFormatError where there is none, or several."""
     for topic, opened in topics.items():
         if pattern.startswith(f"{topic}.") and len(found := opened.find(pattern[len(topic) + 1 :])) == 1:
             return topic, found[0]

@@ -41,17 +41,9 @@ class Connection(NamedTuple):
 class Scan:
     """The records of a bag, or a folder of MCAPs, with the attributes of `rosbags.highlevel.AnyReader`.
 
-    It is read once, from its start. The first thing that cannot be parsed ends the scan.
-
-    Args:
-        path: the bag.
-        keep: tells which topics and types are wanted: only their messages are held in memory and deserialised.
-        limit: bytes that a compressed chunk may unpack to; a larger one is a LogFormatError.
-
-    Attributes:
-        start_time, end_time: ns since 1970, of the earliest message of any topic and after the latest.
-        count: messages of any topic.
-        end: byte at which the first unreadable record of the last file begins; its size if there is none.
+    It is read once, from its start. The first thing that cannot be parsed ends the scan, at the byte `end` of the last
+    file. Only messages of topics and types that `keep` tells are held in memory and deserialised, but `start_time` and
+    `end_time`, ns since 1970, and `count` are those of all. A chunk that unpacks to more than `limit` bytes is refused.
     """
 
     def __init__(self, path: Path, keep: Callable[[str, str], bool], limit: int):
