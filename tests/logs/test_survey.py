@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support.bags import NS, START, unindexed, write_bag
+from tests.support.bags import NS, START, ros2_types, unindexed, write_bag, write_ros2
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.channels.channel import Source
 from usvlearn.logs.channels.series import Series
@@ -67,11 +67,8 @@ def test_a_bag_gives_every_number_of_every_topic(tmp_path, whole):
 
 
 def test_ros_2_gives_yaw_arrays_that_grow_and_no_image_nor_constant(tmp_path):
-    rosbag2 = pytest.importorskip("rosbags.rosbag2", reason="needs the package rosbags")
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    made = {name.rpartition("/")[2]: kind for name, kind in store.types.items()}
+    pytest.importorskip("rosbags.rosbag2", reason="needs the package rosbags")
+    made = ros2_types()
     stamp = made["Time"](sec=START // NS, nanosec=NS // 2)
     header = made["Header"](stamp=stamp, frame_id="")
 
@@ -84,16 +81,9 @@ def test_ros_2_gives_yaw_arrays_that_grow_and_no_image_nor_constant(tmp_path):
         yield "/status", status
         yield "/large", made["ByteMultiArray"](layout=layout, data=np.zeros(LARGE, np.uint8))
 
-    with rosbag2.Writer(tmp_path / "run", version=9, storage_plugin=rosbag2.StoragePlugin.MCAP) as bag:
-        connections = {}
-        for k in range(3):
-            for topic, message in messages(k):
-                kind = message.__msgtype__
-                if topic not in connections:
-                    connections[topic] = bag.add_connection(topic, kind, typestore=store)
-                bag.write(connections[topic], START + k * NS // 4, store.serialize_cdr(message, kind))
+    path = write_ros2(tmp_path / "run", ((k * NS // 4, *post) for k in range(3) for post in messages(k)))
     with pytest.warns(UserWarning, match=r"/large \(.*ByteMultiArray\) is skipped, since a message has 65552 b"):
-        series = {(each.name, each.field): each for each in Rosbag().survey(tmp_path / "run" / "run.mcap")}
+        series = {(each.name, each.field): each for each in Rosbag().survey(path)}
     fields = [*(f"quaternion{part}" for part in ("", ".x", ".y", ".z", ".w"))]
     assert list(series) == [
         *(("/attitude", field) for field in fields),
@@ -113,18 +103,12 @@ def test_ros_2_gives_yaw_arrays_that_grow_and_no_image_nor_constant(tmp_path):
 @pytest.mark.parametrize("plugin", ["MCAP", "SQLITE3"])
 def test_a_folder_of_ros_2_is_one_bag_and_none_of_its_messages_is_lost(tmp_path, plugin):
     """Not even where its metadata names another policy than its files do, as older versions wrote it."""
-    rosbag2 = pytest.importorskip("rosbags.rosbag2", reason="needs the package rosbags")
+    pytest.importorskip("rosbags.rosbag2", reason="needs the package rosbags")
     from rosbags.highlevel import AnyReader
-    from rosbags.typesys import Stores, get_typestore
 
-    store, kind = get_typestore(Stores.ROS2_HUMBLE), "std_msgs/msg/Float64"
-    folder = tmp_path / "logs" / "run.1"
-    with rosbag2.Writer(folder, version=9, storage_plugin=rosbag2.StoragePlugin[plugin]) as bag:
-        connections = [bag.add_connection(f"/{name}", kind, typestore=store) for name in ("l", "r", "psi", "v")]
-        for k in range(30):
-            for connection in connections:
-                message = store.types[kind](data=0.1 * k)
-                bag.write(connection, START + k * NS // 10, store.serialize_cdr(message, kind))
+    folder, number = tmp_path / "logs" / "run.1", ros2_types()["Float64"]
+    posts = ((k * NS // 10, f"/{name}", number(data=0.1 * k)) for k in range(30) for name in ("l", "r", "psi", "v"))
+    write_ros2(folder, posts, plugin)
     channels = {"command_left": "l", "command_right": "r", "heading": "psi", "surge": "v"}
     sources = {channel: {"name": name} for channel, name in channels.items()}
     for path, boat, run in ((folder, "run.1", "run.1"), (folder.parent, "logs", "run.1")):

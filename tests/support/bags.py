@@ -1,19 +1,15 @@
-"""Bags of ROS 1, whole and without their index."""
+"""Bags of ROS 1, whole and without their index, and of ROS 2."""
 
 import struct
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 from usvlearn.logs.channels.channel import Source
 
 NS = 10**9
-
-
 START = 1_700_000_000 * NS
-
-
 STEPS = 40
-
-
 SOURCES = {
     "command_left": Source("*left_thruster", span=36.5),
     "command_right": Source("usv/right_thruster"),
@@ -58,3 +54,24 @@ def unindexed(whole: bytes, index: int = 0) -> bytes:
     """The bag as it is before its index is written, or with a wrong place of its index."""
     place = whole.index(b"index_pos=") + len("index_pos=")
     return whole[:place] + struct.pack("<Q", index) + whole[place + 8 :]
+
+
+def ros2_types() -> dict[str, Any]:
+    """Name of a type without its package -> its class."""
+    from rosbags.typesys import Stores, get_typestore
+
+    return {name.rpartition("/")[2]: kind for name, kind in get_typestore(Stores.ROS2_HUMBLE).types.items()}
+
+
+def write_ros2(folder: Path, posts: Iterable[tuple[int, str, Any]], plugin: str = "MCAP") -> Path:
+    """A bag of (ns from `START` to the receipt, topic, message), and its file."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store, opened = get_typestore(Stores.ROS2_HUMBLE), dict[str, Any]()
+    with Writer(folder, version=9, storage_plugin=StoragePlugin[plugin]) as bag:
+        for received, topic, message in posts:
+            kind = message.__msgtype__
+            opened[topic] = opened.get(topic) or bag.add_connection(topic, kind, typestore=store)
+            bag.write(opened[topic], START + received, store.serialize_cdr(message, kind))
+    return next(folder.glob("*.[dm][bc]*"))

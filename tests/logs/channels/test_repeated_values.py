@@ -149,10 +149,7 @@ def test_reading_finds_copies_says_so_and_settles_what_is_done(tmp_path):
     with pytest.warns(UserWarning, match=found + f"set {KEY}=0.2 to drop"):
         assert read(copied).period == 0.0
     assert read(copied, period=0.25).period == 0.25  # as declared, without a word
-
-
-def test_reading_says_nothing_of_a_log_without_copies(tmp_path):
-    plain = table(tmp_path, polled(60, 9, 9, jitter=0.0))
+    plain = table(tmp_path, polled(60, 9, 9, jitter=0.0))  # has no copies
     assert read(plain, period="auto").period == read(plain).period == 0.0
 
 

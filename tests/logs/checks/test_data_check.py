@@ -190,17 +190,6 @@ def test_a_configured_delay_that_is_too_long_is_told():
     assert finding.key.split()[0] in ("data.channels.command_left.delay=0", "data.channels.command_left.delay=1")
 
 
-@pytest.mark.parametrize("parts", [10, 100])
-def test_parts_of_a_degree_are_told_with_the_span(parts, logs):
-    wrong = changed(logs["heron"], times(parts, "heading"))
-    (finding,) = [each for each in check_data(wrong, None, ALIGN, TOP["heron"], CONFIGURED) if "unit" in each.kind]
-    assert finding.key == f"data.channels.heading.span={parts}"
-    radians = {**CONFIGURED, "heading": {"name": "heading", "unit": "rad"}}
-    wrong = changed(logs["heron"], times(parts * 180 / np.pi, "heading"))
-    (finding,) = [each for each in check_data(wrong, None, ALIGN, TOP["heron"], radians) if "unit" in each.kind]
-    assert finding.key == f"data.channels.heading.unit=deg data.channels.heading.span={parts}"
-
-
 def test_several_boats_are_checked_apart(logs):
     wrong = [one._replace(boat="other") for one in changed(logs["heron"], times(-1, "command_left"))]
     found = check_data([*logs["heron"], *wrong], None, ALIGN, TOP["heron"])

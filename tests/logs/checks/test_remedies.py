@@ -107,6 +107,10 @@ WRONG = {  # what is wrong -> the log, options of its channels, the kind of the 
     "percent": (times(100, *COMMANDS), {}, "command scale", "span=100"),
     "hundredths": (times(0.01, *COMMANDS), {}, "command scale", "span=0.0"),
     "degrees": (times(math.degrees(1), "heading"), {}, "heading unit", "heading.unit=deg"),
+    "tenths of a degree": (times(10 * math.degrees(1), "heading"), {}, "heading unit",
+                           "heading.unit=deg data.channels.heading.span=10"),
+    "hundredths as degrees": (times(100 * math.degrees(1), "heading"), {"heading": {"unit": "deg"}}, "heading unit",
+                              "heading.span=100"),
     "a yaw rate that froze": (
         then(with_yaw_rate, shaped("yaw_rate", froze)), {}, "frozen", "yaw_rate.name=null"),
     "a speed that froze, beside a position": (

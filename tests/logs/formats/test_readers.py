@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.support import ROOT
+from tests.support.bags import NS, START, ros2_types, write_ros2
 from tests.support.files import refused, write
 from usvlearn.errors import ConfigError, LogFormatError, MissingExtraError
 from usvlearn.logs.channels.channel import Source
@@ -203,10 +204,6 @@ def write_bag(path: Path, topics: dict[str, tuple[str, list]]):
     return path
 
 
-NS = 10**9
-START = 1_700_000_000 * NS
-
-
 def floats(*pairs):
     return "std_msgs/msg/Float64", [(START + int(t * NS), None, {"data": value}) for t, value in pairs]
 
@@ -275,17 +272,12 @@ def test_rosbag_config_reads_a_heron(tmp_path):
 
 
 def test_rosbag_reads_ros2_and_elements_of_arrays(tmp_path):
-    rosbag2 = pytest.importorskip("rosbags.rosbag2", reason="needs the package rosbags")
-    from rosbags.typesys import Stores, get_typestore
-
-    kind, store = "std_msgs/msg/Float64MultiArray", get_typestore(Stores.ROS2_HUMBLE)
-    layout = store.types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
-    with rosbag2.Writer(tmp_path / "run", version=9, storage_plugin=rosbag2.StoragePlugin.MCAP) as bag:
-        connection = bag.add_connection("/thrust", kind, typestore=store)
-        for k in range(3):
-            message = store.types[kind](layout=layout, data=np.array([k, -2.0 * k]))
-            bag.write(connection, START + k * NS, store.serialize_cdr(message, kind))
-    channel, _ = one(Rosbag(), tmp_path / "run" / "run.mcap", name="thrust", field="data.1")
+    pytest.importorskip("rosbags.rosbag2", reason="needs the package rosbags")
+    made = ros2_types()
+    layout = made["MultiArrayLayout"](dim=[], data_offset=0)
+    arrays = (made["Float64MultiArray"](layout=layout, data=np.array([k, -2.0 * k])) for k in range(3))
+    path = write_ros2(tmp_path / "run", ((k * NS, "/thrust", each) for k, each in enumerate(arrays)))
+    channel, _ = one(Rosbag(), path, name="thrust", field="data.1")
     np.testing.assert_array_equal(channel.value, [0, -2, -4])
     np.testing.assert_allclose(channel.time, [0, 1, 2], atol=1e-9)
 

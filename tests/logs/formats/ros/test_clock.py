@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.support.bags import NS, START
+from tests.support.bags import NS, START, ros2_types, write_ros2
 from usvlearn.logs.channels.channel import Source
 from usvlearn.logs.formats.ros.clock import CLOCK, Heard, find_clock
 from usvlearn.logs.formats.ros.rosbag import Rosbag
@@ -83,11 +83,8 @@ def test_stamps_of_ros_1_and_of_another_byte_order():
 
 @pytest.mark.parametrize(("plugin", "with_clock"), [("MCAP", True), ("SQLITE3", False)])
 def test_a_bag_of_a_slow_simulation_is_in_its_time(tmp_path, plugin, with_clock):
-    rosbag2 = pytest.importorskip("rosbags.rosbag2", reason="needs the package rosbags")
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    made = {name.rpartition("/")[2]: kind for name, kind in store.types.items()}
+    pytest.importorskip("rosbags.rosbag2", reason="needs the package rosbags")
+    made = ros2_types()
     zero = made["Vector3"](x=0.0, y=0.0, z=0.0)
 
     def messages(k: int):
@@ -98,15 +95,8 @@ def test_a_bag_of_a_slow_simulation_is_in_its_time(tmp_path, plugin, with_clock)
         twist = made["Twist"](linear=made["Vector3"](x=0.2 * k, y=0.0, z=0.0), angular=zero)
         yield "/twist", 2, made["TwistStamped"](header=made["Header"](stamp=stamp, frame_id=""), twist=twist)
 
-    with rosbag2.Writer(tmp_path / "run", version=9, storage_plugin=rosbag2.StoragePlugin[plugin]) as bag:
-        connections = {}
-        for k in range(40):
-            for topic, late, message in messages(k):
-                kind = message.__msgtype__
-                if topic not in connections:
-                    connections[topic] = bag.add_connection(topic, kind, typestore=store)
-                data = store.serialize_cdr(message, kind)
-                bag.write(connections[topic], START + k * NS // 5 + late * 10**6, data)
+    posts = ((k * NS // 5 + late * 10**6, topic, message) for k in range(40) for topic, late, message in messages(k))
+    write_ros2(tmp_path / "run", posts, plugin)
     sources = {"command_left": Source("thrust"), "surge": Source("twist")}
     with pytest.warns(
         UserWarning, match=r"advance by 0\.5 s in each second of receipt, as simulated time does"

@@ -48,19 +48,12 @@ def write(folder: Path, plugin: str = "MCAP", compression: str = "", own: bool =
     return next(folder.glob("*.[dm][bc]*"))
 
 
-def surveyed(path: Path):
-    """The series of a bag, and the notes about it."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        return Rosbag().survey(path), [str(each.message) for each in caught]
-
-
 def noted(path: Path, sources=SOURCES):
-    """The channels of a bag, and the notes about it."""
+    """The channels of a bag, or its series, and the notes about it."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        channels, _ = Rosbag().read(path, sources)
-    return channels, [str(each.message) for each in caught]
+        found = Rosbag().read(path, sources)[0] if sources else Rosbag().survey(path)
+    return found, [str(each.message) for each in caught]
 
 
 @pytest.mark.parametrize("compression", ["", "ZSTD"])
@@ -119,7 +112,7 @@ def test_messages_of_ros_1_in_an_mcap_are_read_and_others_are_named(tmp_path):
     channels, (note,) = noted(rewrite(path, mcap("ros1", schema, "ros1", struct.pack("<d", 1.5))), surge)
     assert channels["surge"].value.tolist() == [1.5] * 3 and "recovered 3 messages of 2 s" in note
     rewrite(path, mcap("", text("foxglove.Log", "jsonschema", "{}"), "json", b"{}"))
-    series, notes = surveyed(path)
+    series, notes = noted(path, None)
     assert not series and "/v (foxglove.Log) is skipped, since 'foxglove.Log' is no type of ROS" in notes[1]
     with pytest.warns(UserWarning, match="recovered 3"), pytest.raises(LogFormatError, match="no type of ROS"):
         Rosbag().read(path, surge)
@@ -159,7 +152,7 @@ def test_topics_without_a_definition_are_named(tmp_path, lost):
     with sqlite3.connect(path) as base:
         base.execute("DELETE FROM message_definitions WHERE topic_type LIKE ?", (lost or "%",))
     base.close()
-    series, (note,) = surveyed(path)
+    series, (note,) = noted(path, None)
     assert {each.name for each in series} == {"left", "right"}
     assert f"/thrust ({THRUST}) is skipped, since the definition of {THRUST} is missing" in note
     assert "where usv_msgs is installed" in note and "`ros2 bag convert`" in note

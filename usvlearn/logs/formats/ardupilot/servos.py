@@ -70,7 +70,7 @@ class Servos:
         return next((field for field in fields if pattern.fullmatch(field)), None)
 
     def limits(self, number: int, parameters: Mapping[str, float], where: str) -> Limits:
-        """The pulse widths of a servo, ArduPilot's defaults, with a warning, for what is not there; else a LogFormatError."""
+        """The pulse widths of a servo, by default ArduPilot's, with a warning; a LogFormatError if they do not rise."""
         names = {each: f"SERVO{number}_{each}" for each in DEFAULTS}
         if missing := [name for each, name in names.items() if name not in parameters]:
             assumed = ", ".join(f"{name} {DEFAULTS[name.split('_')[1]]:g}" for name in missing)
