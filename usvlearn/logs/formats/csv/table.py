@@ -17,20 +17,12 @@ import numpy as np
 from usvlearn.errors import ConfigError, LogFormatError, check_choice
 from usvlearn.logs.channels.channel import QUOTED, Channel, Source, match_name, matching
 from usvlearn.logs.channels.series import Reader, Series
+from usvlearn.logs.formats.csv import topics
 from usvlearn.logs.formats.csv.boats import doubt_of, kinds_of, labels_of, refused
 from usvlearn.logs.formats.csv.dialect import AUTO, Dialect, find_dialect, no_header, not_sorted, split_unit
 from usvlearn.logs.formats.csv.options import find_options, stamp_columns
 from usvlearn.logs.formats.csv.rows import Columns, Place, Quaternion, Rows, channels_of, quaternions, yaw_of
 from usvlearn.logs.formats.csv.stamps import HHMMSS, ORDERS, TIME_UNITS, spread
-from usvlearn.logs.formats.csv.topics import (
-    RUNS,
-    SUFFIXES,
-    TOPICS,
-    read_topics,
-    several_kinds,
-    survey_topics,
-    tables_of,
-)
 
 HEMISPHERES = ("N", "S", "E", "W")  # cells of a column beside a latitude or a longitude
 GRAIN = 0.864  # s, of days with five decimals, as a spreadsheet writes them
@@ -89,7 +81,7 @@ class Table(Reader):
     rows: str = AUTO
     files: str = AUTO
 
-    suffixes: ClassVar[tuple[str, ...]] = SUFFIXES
+    suffixes: ClassVar[tuple[str, ...]] = topics.SUFFIXES
 
     def __post_init__(self):
         check_choice("data.reader.time_unit", self.time_unit, (*TIME_UNITS, HHMMSS))
@@ -97,7 +89,7 @@ class Table(Reader):
             raise ConfigError(f"data.reader.delimiter: found {self.delimiter!r}, expected one character, or {AUTO}")
         check_choice("data.reader.decimal", self.decimal, (".", ",", AUTO))
         check_choice("data.reader.dates", self.dates, (*ORDERS, AUTO))
-        check_choice("data.reader.files", self.files, (RUNS, TOPICS, AUTO))
+        check_choice("data.reader.files", self.files, (topics.RUNS, topics.TOPICS, AUTO))
         try:
             if self.encoding != AUTO:
                 "".encode(self.encoding)
@@ -114,7 +106,7 @@ class Table(Reader):
 
     def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
         if path.is_dir():
-            return read_topics(path, self._topics(path), sources)
+            return topics.read_topics(path, self._topics(path), sources)
         opened = self.open(path)
         places = {}
         for channel, source in sources.items():
@@ -124,12 +116,12 @@ class Table(Reader):
         return channels_of({path: columns}, {path: columns.order}, places)
 
     def survey(self, path: Path) -> list[Series]:
-        return survey_topics(path, self._topics(path)) if path.is_dir() else self.open(path).survey()[0]
+        return topics.survey_topics(path, self._topics(path)) if path.is_dir() else self.open(path).survey()[0]
 
     def is_log(self, folder: Path, files: Sequence[Path], names: Sequence[str]) -> bool:
         """Whether the tables of a folder are topics of one run in which there are columns of these names."""
         if self.files != AUTO or len(files) < 2:
-            return self.files == TOPICS
+            return self.files == topics.TOPICS
         columns = []
         for file in files:
             with suppress(LogFormatError):
@@ -137,11 +129,11 @@ class Table(Reader):
                 if all(opened.find(name) for name in names):
                     return False
                 columns.append(opened.names)
-        return several_kinds(columns)
+        return topics.several_kinds(columns)
 
     def _topics(self, folder: Path) -> dict[str, Opened]:
         """Name of a topic, which is that of its file -> its table. Files that are no tables are left out."""
-        files = tables_of(folder)
+        files = topics.tables_of(folder)
         stems = [file.stem for file in files]
         found, unread = {}, []
         for file, stem in zip(files, stems, strict=True):

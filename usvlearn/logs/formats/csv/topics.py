@@ -7,7 +7,7 @@ A column is then FILE.COLUMN: `odom.field.twist.twist.linear.x` is the column `f
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -82,8 +82,9 @@ def survey_topics(folder: Path, topics: Mapping[str, Opened]) -> list[Series]:
     together = _largest(spans)
     if len(spans) > 1 and len(together) < 2:
         raise apart(folder, spans)
+    longest = max(sorted(together), key=lambda topic: spans[topic].end - spans[topic].begin)
     for topic in sorted(spans.keys() - together):
-        warnings.warn(f"table left out: {apart(folder, {topic: spans[topic], **_one(spans, together)})}", stacklevel=4)
+        warnings.warn(f"table left out: {apart(folder, {k: spans[k] for k in (topic, longest)})}", stacklevel=4)
     start = min(spans[topic].begin for topic in together)
     runs = {topic: each for topic, each in surveyed.items() if topic in together}
     times = [series[0].time + (origin - start) for series, origin in runs.values()]
@@ -117,12 +118,6 @@ def _largest(spans: dict[str, Span]) -> set[str]:
         for topic, own in spans.items()
     }
     return max(near.items(), key=lambda item: (len(item[1]), spans[item[0]].end - spans[item[0]].begin))[1]
-
-
-def _one(spans: dict[str, Span], names: Iterable[str]) -> dict[str, Span]:
-    """The longest of some tables."""
-    longest = max(sorted(names), key=lambda name: spans[name].end - spans[name].begin)
-    return {longest: spans[longest]}
 
 
 def apart(folder: Path, spans: dict[str, Span]) -> LogFormatError:

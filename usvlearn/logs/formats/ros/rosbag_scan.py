@@ -99,7 +99,11 @@ class Scan:
         header = _fields(_read(stream, size, _uint32(stream.read(4))))
         op, length = header["op"][0], _uint32(stream.read(4))
         if op == CHUNK:
-            self._chunk(stream, size - stream.tell(), length, header)
+            compression, announced = header["compression"].decode(), _uint32(header.get("size", bytes(4)))
+            left = size - stream.tell()
+            if length == 0 and compression != "none":
+                length = left  # the length is written when a chunk is closed, and this chunk was not closed
+            self._inner(stream.read(min(length, left)), length > left, compression, announced, self._record)
             return
         data = _read(stream, size, length)
         if op == CONNECTION:
@@ -109,12 +113,6 @@ class Scan:
             self._take(self._connections[_uint32(header["conn"])], seconds * 10**9 + nanoseconds, data)
         elif op not in (BAG_HEADER, INDEX, CHUNK_INFO):
             raise ValueError(op)
-
-    def _chunk(self, stream: BinaryIO, left: int, length: int, header: dict[str, bytes]) -> None:
-        compression, announced = header["compression"].decode(), _uint32(header.get("size", bytes(4)))
-        if length == 0 and compression != "none":
-            length = left  # the length is written when a chunk is closed, and this chunk was not closed
-        self._inner(stream.read(min(length, left)), length > left, compression, announced, self._record)
 
     def _inner(self, packed: bytes, cut: bool, compression: str, announced: int, record: Callable):
         """Read the records of a chunk as far as they are whole; raise an exception if they are not."""
