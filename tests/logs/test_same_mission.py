@@ -13,7 +13,6 @@ from tests.support.ardupilot import header as dataflash_header
 from tests.support.exported import DEG, KNOTS, write_alog, write_table
 from tests.support.ulogs import header, message, subscribe
 from tests.support.voyages import EARTH, START
-from usvlearn.errors import ConfigError
 from usvlearn.logs.channels.channel import Channel, Recording, Source
 from usvlearn.logs.formats.csv.table import Table
 from usvlearn.logs.formats.moos.alog import Alog
@@ -184,10 +183,3 @@ def test_the_samples_and_poses_are_those_of_the_mission(tmp_path, name):
     np.testing.assert_allclose((rate, sway), (rate_, sway_), atol=1e-5)
     for found, other in zip(place, place_, strict=True):
         np.testing.assert_allclose(found - found[0], other - other[0], atol=0.2)  # of a fix of 0.1 s before
-
-
-@pytest.mark.parametrize(("channel", "unit"), [("sway", "deg/s"), ("north", "deg"), ("yaw_rate", "m/s")])
-def test_a_unit_that_a_channel_cannot_have_is_refused(tmp_path, channel, unit):
-    table(path := tmp_path / "a.csv")
-    with pytest.raises(ConfigError, match=rf"{channel}.*{unit}"):
-        read_recordings(path, Table("t"), SWAY | {channel: Source("v", unit=unit)}, "boat")

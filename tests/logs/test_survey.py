@@ -1,28 +1,14 @@
 """A survey gives each series of a log under a name and a field with which `read` finds the same numbers."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from tests.support.bags import NS, START, ros2_types, unindexed, write_bag, write_ros2
+from tests.support.files import assert_same_as_read
 from usvlearn.errors import LogFormatError
-from usvlearn.logs.channels.channel import Source
-from usvlearn.logs.channels.series import Series
 from usvlearn.logs.formats.moos.alog import Alog
 from usvlearn.logs.formats.ros.rosbag import LARGE, Rosbag
 from usvlearn.logs.read import read_recordings
-
-
-def assert_same_as_read(reader, path: Path, series: list[Series]) -> None:
-    """Every series is that channel which its name and field declare."""
-    assert series
-    for each in series:
-        channels, _ = reader.read(path, {"surge": Source(each.name, field=each.field)})
-        usable = np.isfinite(each.value)
-        assert each.time.dtype == each.value.dtype == np.float64 and each.order.dtype == np.int64
-        np.testing.assert_array_equal(channels["surge"].value, each.value[usable])
-        np.testing.assert_array_equal(channels["surge"].time, each.time[usable])
 
 
 def test_an_alog_gives_its_numeric_variables_and_their_apps(tmp_path):

@@ -9,20 +9,13 @@ import pytest
 
 from tests.support import ROOT
 from tests.support.bags import NS, START, ros2_types, write_ros2
-from tests.support.files import refused, write
+from tests.support.files import one, refused, write
 from usvlearn.errors import ConfigError, LogFormatError, MissingExtraError
 from usvlearn.logs.channels.channel import Source
 from usvlearn.logs.formats.csv.table import Table
 from usvlearn.logs.formats.moos.alog import Alog
 from usvlearn.logs.formats.ros.message_fields import yaw
 from usvlearn.logs.formats.ros.rosbag import Rosbag
-
-
-def one(reader, path, **source):
-    """The channel `surge` of a log, and what was dropped of it."""
-    channels, dropped = reader.read(path, {"surge": Source(**source)})
-    return channels["surge"], dropped["surge"]
-
 
 # ---------------------------------------------------------------- CSV
 

@@ -3,12 +3,13 @@
 import struct
 import warnings
 from collections import defaultdict
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.support import few
+from tests.support import few, files
 from tests.support.ardupilot import (
     LAYOUTS,
     PACKED,
@@ -20,7 +21,6 @@ from tests.support.ardupilot import (
     logged,
 )
 from usvlearn.errors import ConfigError, LogFormatError
-from usvlearn.logs.channels.channel import Source
 from usvlearn.logs.formats import messages
 from usvlearn.logs.formats.ardupilot.dataflash import PLAIN, DataFlash
 
@@ -34,16 +34,12 @@ def write(tmp_path, content: bytes) -> Path:
     return path
 
 
-def one(path, name, field, reader=DataFlash(), **how):  # noqa: B008  # a reader does not change
-    channels, dropped = reader.read(path, {"surge": Source(name, field, **how)})
-    return channels["surge"], dropped["surge"]
+one = partial(files.one, DataFlash())
 
 
 def refused(path, name="RCOU", field="throttle_left", **how) -> str:
-    with pytest.raises(LogFormatError) as caught:
-        one(path, name, field, **how)
-    message = str(caught.value)
-    assert message.startswith(str(path)) and message.isprintable() and len(message) < 800
+    message = files.refused(LogFormatError, one, path, name, field, **how)
+    assert message.startswith(str(path)) and message.isprintable()
     return message
 
 
@@ -90,11 +86,7 @@ def test_a_survey_gives_all_numbers_with_names_that_find_them(tmp_path):
         **{(f"IMU[{n}]", field): unit for n in (0, 1) for field, unit in (("GyrZ", "rad/s"), ("Temp", "mV"))},
         **{("XKF1[0]", field): "m/s" if field[0] == "V" else "m" for field in ("VN", "VE", "PN", "PE")},
     }
-    for series in found:
-        channel, _ = one(path, series.name, series.field)
-        np.testing.assert_array_equal(channel.value, series.value)
-        np.testing.assert_array_equal(channel.time, series.time)
-        np.testing.assert_array_equal(channel.order, series.order)
+    files.assert_same_as_read(DataFlash(), path, found, ("time", "value", "order"))
 
 
 def test_old_logs_are_stamped_in_milliseconds_and_their_gps_apart(tmp_path):
@@ -184,7 +176,7 @@ def test_servo_outputs_count_while_the_vehicle_is_armed(tmp_path, events):
     np.testing.assert_allclose(channel.value, 5 * STEPS[20:40] / 500, rtol=1e-15)
     assert dropped == {"disarmed": 40}
     assert len(one(path, "RCOU", "C1")[0].value) == 20 and len(one(path, "ATT", "Yaw")[0].value) == 60
-    channel, dropped = one(path, "RCOU", "throttle_left", DataFlash(disarmed="keep"))
+    channel, dropped = files.one(DataFlash(disarmed="keep"), path, "RCOU", "throttle_left")
     assert len(channel.value) == 60 and dropped == {}
     assert "held: found true, expected false" in refused(path, held=True)
 

@@ -1,14 +1,15 @@
 """A telemetry log gives the numbers that pymavlink gives, with the vehicle's own stamps, and only of intact frames."""
 
 from collections import defaultdict
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.support import files
 from tests.support.ardupilot import PARAMETERS, frame, packet, tlog
 from usvlearn.errors import LogFormatError
-from usvlearn.logs.channels.channel import Source
 from usvlearn.logs.formats.ardupilot.mavlink_messages import MESSAGES
 from usvlearn.logs.formats.ardupilot.tlog import Tlog
 
@@ -21,16 +22,12 @@ def write(tmp_path, content: bytes) -> Path:
     return path
 
 
-def one(path, name, field, reader=Tlog(), **how):  # noqa: B008  # a reader does not change
-    channels, dropped = reader.read(path, {"surge": Source(name, field, **how)})
-    return channels["surge"], dropped["surge"]
+one, KEEP = partial(files.one, Tlog()), Tlog(disarmed="keep")
 
 
 def refused(path, name="ATTITUDE", field="yaw") -> str:
-    with pytest.raises(LogFormatError) as caught:
-        one(path, name, field)
-    message = str(caught.value)
-    assert message.startswith(str(path)) and message.isprintable() and len(message) < 800
+    message = files.refused(LogFormatError, one, path, name, field)
+    assert message.startswith(str(path)) and message.isprintable()
     return message
 
 
@@ -83,16 +80,13 @@ def test_names_of_senders_ports_and_arrays(tmp_path):
 
 def test_a_survey_gives_all_numbers_with_names_that_find_them(tmp_path):
     path = write(tmp_path, tlog())
-    found = Tlog(disarmed="keep").survey(path)
+    found = KEEP.survey(path)
     units = {(series.name, series.field): series.unit for series in found}
     assert units["ATTITUDE", "yawspeed"] == "rad/s" and units["LOCAL_POSITION_NED", "vx"] == "m/s"
     assert units["SERVO_OUTPUT_RAW[0]", "throttle_right"] == "1" and units["SERVO_OUTPUT_RAW[0]", "servo1_raw"] == "us"
     assert ("HEARTBEAT@255.190", "base_mode") in units and ("HEARTBEAT", "base_mode") in units
     assert not {field for _, field in units} & {"time_boot_ms", "time_usec", "port", "param_value"}
-    for series in found:
-        channel, _ = one(path, series.name, series.field, Tlog(disarmed="keep"))
-        np.testing.assert_array_equal(channel.value, series.value)
-        np.testing.assert_array_equal(channel.time, series.time)
+    files.assert_same_as_read(KEEP, path, found)
 
 
 # ---------------------------------------------------------------- time
@@ -139,7 +133,7 @@ def test_commands_count_while_the_vehicle_is_armed(tmp_path):
     channel, dropped = one(path, "SERVO_OUTPUT_RAW", "throttle_left")
     np.testing.assert_allclose(channel.value, 5 * STEPS[20:] / 500, rtol=1e-15)
     assert dropped == {"disarmed": 20}
-    channel, dropped = one(path, "SERVO_OUTPUT_RAW", "throttle_right", Tlog(disarmed="keep"))
+    channel, dropped = files.one(KEEP, path, "SERVO_OUTPUT_RAW", "throttle_right")
     np.testing.assert_allclose(channel.value, 4 * STEPS / 500, rtol=1e-15)
     assert dropped == {} and len(one(path, "ATTITUDE", "yaw")[0].value) == 60
     message = refused(write(tmp_path, tlog(armed_from=99)), "SERVO_OUTPUT_RAW", "servo1_raw")
@@ -232,7 +226,7 @@ def test_frames_of_pymavlink_equal_pymavlink_in_every_field(tmp_path, dialect, v
             for k, each in enumerate(value) if isinstance(value, list) else [(None, value)]:
                 expected[message.get_type(), field if k is None else f"{field}.{k}"].append(each)
     log.close()
-    found = Tlog(disarmed="keep").survey(path)
+    found = KEEP.survey(path)
     names = {series.name.partition("[")[0] for series in found}
     assert names | {"PARAM_VALUE"} == {name for name, _ in expected}
     compared = 0

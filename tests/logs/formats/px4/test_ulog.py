@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.support import ROOT
+from tests.support.files import assert_same_as_read
 from tests.support.ulogs import block, boat, header, message, subscribe
 from usvlearn.errors import LogFormatError, MissingExtraError
 from usvlearn.logs.channels.channel import Source
@@ -61,10 +62,7 @@ def test_topics_instances_arrays_norms_and_yaw(tmp_path, pyulog):
         *(("attitude", field) for field in quaternion), *((name, f) for name in ("speed", "speed[1]") for f in speed)
     ]  # fmt: skip
     assert series["attitude", "q"].unit == "rad" and series["speed[1]", "vx"].kind == "speed"
-    for (name, field), each in series.items():
-        found = Ulog().read(path, {"surge": Source(name, field=field)})[0]["surge"]
-        np.testing.assert_array_equal(found.value, each.value)
-        np.testing.assert_array_equal(found.time, each.time)
+    assert_same_as_read(Ulog(), path, [*series.values()])
 
 
 @pytest.mark.parametrize("name", ["sample_log_small.ulg", "sample_appended_multiple.ulg"])
