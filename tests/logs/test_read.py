@@ -93,8 +93,16 @@ def test_a_path_without_logs_is_refused(tmp_path, monkeypatch, path, expected):
         ({"surge": {"name": "v", "span": "wide"}}, ["data.channels.surge.span", "'wide'"]),
         ({"surge": {"name": "v", "held": "yes"}}, ["data.channels.surge.held", "'yes'"]),
         ({"surge": {"name": "v", "unit": "Mach"}}, ["'Mach'", "knots"]),
+        *(({"surge": {"name": "v", "period": each}}, ["data.channels.surge.period: found ", told])
+          for each, told in (("fast", "a time in s, or auto"), (-1.0, "a time of 0 to 10 s, or auto"),
+                             (50, "a time of 0 to 10 s, or auto"), (math.nan, "or auto"), (True, "in s, or auto"))),
+        *(({name: {"name": "v", "unit": unit}}, [f"data.channels.{name}.unit: found {unit!r}, expected one of {told}"])
+          for name, unit, told in (("surge", "deg", "1, m/s"), ("surge", "kn", "1, m/s"), ("sway", "deg/s", "1, m/s"),
+                                   ("heading", "m/s", "1, rad, deg"), ("command_left", "rad", "1, percent"),
+                                   ("yaw_rate", "deg", "1, rad/s"), ("latitude", "m", "1, deg"),
+                                   ("north", "deg", "1, m"))),
     ],
-)
+)  # fmt: skip
 def test_badly_declared_channels_are_refused(tmp_path, change, expected):
     path = write(tmp_path / "a.csv", HEADER + "0,0,0,0,1\n")
     message = refused(ConfigError, read_recordings, path, Table("t"), {**CHANNELS, **change})

@@ -89,6 +89,17 @@ def with_yaw_rate(log: Log) -> Log:
     return {"yaw_rate": Channel(rate[0], smooth + rng.normal(0, 0.01, len(smooth)), order)}
 
 
+def frozen(name: str, first: float, last: float, value: float | None = None) -> Callable[[Log], Log]:
+    """A channel that stays at its value between two times, s."""
+
+    def change(log: Log) -> Log:
+        within = (log[name].time > first) & (log[name].time < last)
+        stays = log[name].value[within][0] if value is None else value
+        return {name: log[name]._replace(value=np.where(within, stays, log[name].value))}
+
+    return change
+
+
 def then(*changes: Callable[[Log], Log]) -> Callable[[Log], Log]:
     """One change after the other."""
 

@@ -111,19 +111,6 @@ def test_a_pair_without_a_heading_beside_it_is_told(tmp_path):
     assert "found no speed in north and east (9 no_heading)" in message
 
 
-@pytest.mark.parametrize(
-    ("channel", "unit", "expected"),
-    [("surge", "deg", "1, m/s"), ("surge", "kn", "1, m/s"), ("heading", "m/s", "1, rad, deg"),
-     ("command_left", "rad", "1, percent"), ("yaw_rate", "deg", "1, rad/s"), ("latitude", "m", "1, deg"),
-     ("sway", "deg/s", "1, m/s"), ("north", "deg", "1, m")],
-)  # fmt: skip
-def test_a_unit_belongs_to_its_channel(channel, unit, expected):
-    channels = {name: {"name": "a"} for name in ("command_left", "command_right", "heading", "surge", "latitude")}
-    channels[channel] = {"name": "a", "unit": unit}
-    message = refused(ConfigError, read_recordings, ".", Table("t"), channels)
-    assert message.startswith(f"data.channels.{channel}.unit: found {unit!r}, expected one of {expected}")
-
-
 def test_runs_have_the_position_of_each_step(tmp_path):
     _, rows = voyage()
     pair = {"latitude": {"name": "lat", "unit": "deg"}, "longitude": {"name": "lon", "unit": "deg"}}

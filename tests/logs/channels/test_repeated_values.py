@@ -153,21 +153,6 @@ def test_reading_finds_copies_says_so_and_settles_what_is_done(tmp_path):
     assert read(plain, period="auto").period == read(plain).period == 0.0
 
 
-@pytest.mark.parametrize(
-    ("period", "expected"),
-    [
-        ("fast", "expected a time in s, or auto"),
-        (-1.0, "a time of 0 to 10 s, or auto"),
-        (50, "a time of 0 to 10 s, or auto"),
-        (math.nan, "or auto"),
-        (True, "a time in s, or auto"),
-    ],
-)
-def test_an_illegal_period_is_refused_in_one_sentence(tmp_path, period, expected):
-    with pytest.raises(ConfigError, match=rf"{KEY}: found .*{expected}"):
-        read(table(tmp_path, polled(5, 9, 9)), period=period)
-
-
 def test_live_messages_need_a_period_and_only_the_speed_has_one():
     sources = {name: Source(name) for name in REQUIRED}
     with pytest.raises(ConfigError, match=rf"{KEY}: found auto, expected a time in s"):

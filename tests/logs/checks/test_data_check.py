@@ -15,6 +15,7 @@ from tests.support.mistakes import (
     TOP,
     boats,
     changed,
+    frozen,
     kinds,
     late,
     then,
@@ -98,18 +99,6 @@ def test_findings_say_the_number_and_the_key(logs):
     assert finding.about == "commands, surge" and finding.severity == WARNING
     assert "10" in finding.found and "behind the commands" in finding.found
     assert finding.key == "" and "s from the stamps of the speed" in finding.sentence()
-
-
-def frozen(name, first, last, value=None):
-    """A channel that stays at its value between two times, s."""
-
-    def change(log):
-        channel = log[name]
-        within = (channel.time >= first) & (channel.time < last)
-        stays = channel.value[within][0] if value is None else value
-        return {name: channel._replace(value=np.where(within, stays, channel.value))}
-
-    return change
 
 
 @pytest.fixture(scope="module")

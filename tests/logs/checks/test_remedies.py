@@ -8,7 +8,7 @@ import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from tests.support import few
-from tests.support.mistakes import TOP, boats, changed, then, times, with_positions, with_yaw_rate
+from tests.support.mistakes import TOP, boats, changed, frozen, then, times, with_positions, with_yaw_rate
 from usvlearn.logs.channels.channel import COMMANDS, METRES, SURGE, Channel
 from usvlearn.logs.channels.derived_surge import derived_surge
 from usvlearn.logs.checks.data_check import check_data
@@ -66,10 +66,6 @@ def with_overrides(channels, key):
     return found
 
 
-def shaped(name, change):
-    return lambda log: {name: log[name]._replace(value=change(log[name].value, log[name].time))}
-
-
 def esc(log):
     return {name: log[name]._replace(value=1000 + 1000 * np.clip(log[name].value, 0, 1)) for name in COMMANDS}
 
@@ -83,10 +79,6 @@ def degrees_and_minutes(log):
     places = (52 + log["north"].value / 111195, 10 + log["east"].value / 68458)
     found = {name: 100 * np.floor(x) + 60 * (x % 1) for name, x in zip(("latitude", "longitude"), places, strict=True)}
     return {name: log[METRES[0]]._replace(value=value) for name, value in found.items()}
-
-
-def froze(x, time):
-    return np.where((time > 300) & (time < 500), x[np.searchsorted(time, 300)], x)
 
 
 WRONG = {  # what is wrong -> the log, options of its channels, the kind of the finding, what it proposes
@@ -112,9 +104,9 @@ WRONG = {  # what is wrong -> the log, options of its channels, the kind of the 
     "hundredths as degrees": (times(100 * math.degrees(1), "heading"), {"heading": {"unit": "deg"}}, "heading unit",
                               "heading.span=100"),
     "a yaw rate that froze": (
-        then(with_yaw_rate, shaped("yaw_rate", froze)), {}, "frozen", "yaw_rate.name=null"),
+        then(with_yaw_rate, frozen("yaw_rate", 300, 500)), {}, "frozen", "yaw_rate.name=null"),
     "a speed that froze, beside a position": (
-        then(with_positions, shaped(SURGE, froze)), {}, "frozen", "surge.name=null"),
+        then(with_positions, frozen(SURGE, 300, 500)), {}, "frozen", "surge.name=null"),
     "a speed of zeros, beside a position": (
         then(with_positions, times(0, SURGE)), {}, "constant", "surge.name=null"),
 }  # fmt: skip

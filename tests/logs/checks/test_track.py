@@ -5,7 +5,18 @@ import math
 import numpy as np
 import pytest
 
-from tests.support.mistakes import ALIGN, TOP, boats, changed, counter_clockwise, swapped, then, times, with_positions
+from tests.support.mistakes import (
+    ALIGN,
+    TOP,
+    boats,
+    changed,
+    counter_clockwise,
+    frozen,
+    swapped,
+    then,
+    times,
+    with_positions,
+)
 from usvlearn.logs.channels.channel import COURSES, DEGREES, METRES, SURGE, SWAY, VELOCITIES
 from usvlearn.logs.channels.derived_surge import derived_surge
 from usvlearn.logs.checks.data_check import check_data
@@ -21,16 +32,6 @@ SIDEWAYS = {**BOTH, **GPS, "surge": {"name": "u"}, "sway": {"name": "v"}, "yaw_r
 
 def interchanged(one, other):
     return lambda log: {one: log[other], other: log[one]}
-
-
-def frozen(name, first, last):
-    """A channel that keeps its value between two times, s."""
-
-    def change(log):
-        within = (log[name].time > first) & (log[name].time < last)
-        return {name: log[name]._replace(value=np.where(within, log[name].value[within][0], log[name].value))}
-
-    return change
 
 
 def with_sway(log):
