@@ -6,6 +6,7 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 
+from tests.support.files import write
 from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.logs.channels.channel import Source
 from usvlearn.logs.formats.csv.table import Table
@@ -94,8 +95,7 @@ def test_a_table_is_read_alike_however_it_is_written(tmp_path, name):
 
 
 def test_a_column_is_named_with_its_unit_or_without_where_that_is_unambiguous(tmp_path):
-    path = tmp_path / "a.csv"
-    path.write_text("Time (ms),Speed (m/s),Speed (kn),yaw_deg,Heading [deg]\n0,1,2,3,4\n100,1,2,3,5\n")
+    path = write(tmp_path / "a.csv", "Time (ms),Speed (m/s),Speed (kn),yaw_deg,Heading [deg]\n0,1,2,3,4\n100,1,2,3,5\n")
     table = Table("Time", time_unit="ms")
     for name, value in {"Speed (kn)": 2, "yaw": 3, "yaw_deg": 3, "Heading": 4, "Heading [deg]": 4}.items():
         channels, _ = table.read(path, {"surge": Source(name)})
@@ -135,8 +135,7 @@ def test_the_order_of_a_date_is_found_from_the_whole_column_or_asked_for(tmp_pat
 
 @pytest.mark.parametrize("form", ["06/03/2025 09:0{} AM", "6/3/25 9:0{}:00 p.m.", "06-03-2025, 09:0{}:00.5 pm"])
 def test_an_ambiguous_date_with_am_or_pm_is_asked_for(tmp_path, form):
-    path = tmp_path / "a.csv"
-    path.write_text("t;v\n" + "".join(f"{form.format(minute)};{minute}\n" for minute in range(9)))
+    path = write(tmp_path / "a.csv", "t;v\n" + "".join(f"{form.format(minute)};{minute}\n" for minute in range(9)))
     table, unsure = Table.found(path)
     assert table.dates == "month_first" and [each[:7] for each in unsure] == ["dates: "]
     with pytest.raises(LogFormatError, match=r"set data.reader.dates to one of"):
@@ -146,8 +145,7 @@ def test_an_ambiguous_date_with_am_or_pm_is_asked_for(tmp_path, form):
 
 
 def test_separators_of_thousands_are_counted_or_refused(tmp_path):
-    path = tmp_path / "a.csv"
-    path.write_text('t,v\n0,"1,234.5"\n1,"1,234"\n2,7.5\n')
+    path = write(tmp_path / "a.csv", 't,v\n0,"1,234.5"\n1,"1,234"\n2,7.5\n')
     channels, dropped = Table("t").read(path, {"surge": Source("v")})
     assert channels["surge"].value.tolist() == [7.5] and dropped["surge"] == {"not_a_number": 2}
     path.write_text("t;v\n0;1.234,5\n1;1.234\n2;7,5\n")
@@ -195,9 +193,9 @@ STAMPS = [  # header, stamps -> unit, beginnings of the doubts
 @pytest.mark.parametrize(("header", "values", "unit", "doubts"), STAMPS)
 def test_the_column_of_stamps_and_its_unit(tmp_path, header, values, unit, doubts):
     first = range(len(values)) if "index" in header else [k % 7 for k in range(len(values))]
-    path = tmp_path / "a.csv"
-    path.write_text(
-        f"{header},v\n" + "".join(f"{k},{value},{math.pi}\n" for k, value in zip(first, values, strict=True))
+    path = write(
+        tmp_path / "a.csv",
+        f"{header},v\n" + "".join(f"{k},{value},{math.pi}\n" for k, value in zip(first, values, strict=True)),
     )
     table, unsure = Table.found(path)
     assert (table.time, table.time_unit) == (header.split(",")[1], unit) and len(unsure) == len(doubts)
@@ -217,8 +215,9 @@ def test_a_table_without_stamps_or_without_a_header_is_refused(tmp_path):
 
 
 def test_repeated_whole_seconds_are_spread(tmp_path):
-    path = tmp_path / "a.csv"
-    path.write_text("time,speed\n" + "".join(f"2025-07-24T17:18:{k // 10:02d},{k % 7}\n" for k in range(300)))
+    path = write(
+        tmp_path / "a.csv", "time,speed\n" + "".join(f"2025-07-24T17:18:{k // 10:02d},{k % 7}\n" for k in range(300))
+    )
     table, unsure = Table.found(path)
     assert (table.time, unsure) == ("time", [])
     with pytest.warns(UserWarning, match="whole seconds, with 10 rows each: the rows of a second are spread evenly"):
@@ -236,7 +235,6 @@ def test_whole_seconds_that_hardly_repeat_are_left_as_they_are(tmp_path):
 
 @pytest.mark.parametrize(("rows", "found"), [("", "a header and no rows"), ("1,2\n", "a header and a single row")])
 def test_a_table_of_too_few_rows_is_told(tmp_path, rows, found):
-    path = tmp_path / "a.csv"
-    path.write_text("time,speed\n" + rows)
+    path = write(tmp_path / "a.csv", "time,speed\n" + rows)
     with pytest.raises(LogFormatError, match=f"two rows or more, found {found}"):
         Table.found(path)

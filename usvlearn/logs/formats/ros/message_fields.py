@@ -102,10 +102,7 @@ def _fields_of(kind: type) -> tuple[str, ...]:
 
 
 def yaw(x: float, y: float, z: float, w: float) -> float:
-    """Yaw of a quaternion of any length, rad, counter-clockwise about z; NaN for the zero quaternion.
-
-    psi = atan2(2 (w z + x y), w^2 + x^2 - y^2 - z^2)
-    """
+    """Yaw of a quaternion of any length, rad, counter-clockwise about z; NaN for the zero quaternion."""
     if not (x or y or z or w):
         return math.nan
     return math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
