@@ -104,11 +104,6 @@ def test_table_with_another_delimiter_a_commented_header_and_a_lost_write(tmp_pa
     assert dropped == {"torn_row": 1}
 
 
-@pytest.mark.parametrize(("option", "value"), [("time_unit", "week"), ("delimiter", "")])
-def test_badly_declared_tables_are_refused(option, value):
-    assert f"data.reader.{option}" in refused(ConfigError, Table, "t", **{option: value})
-
-
 def test_a_source_whose_numbers_are_out_of_range_is_refused():
     for option, values in {
         "span": (0, math.nan, math.inf),

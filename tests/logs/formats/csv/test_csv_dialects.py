@@ -167,7 +167,13 @@ def test_options_that_are_given_win(tmp_path):
     assert channels["surge"].value.tolist() == [2] and dropped["surge"] == {"empty": 1, "no_time": 1}
     with pytest.raises(LogFormatError, match="'t'"):
         Table("t", delimiter=",").read(path, {"surge": Source("v")})
-    for option, value in {"encoding": "utf-5", "dates": "dd.mm", "decimal": ";", "delimiter": '"'}.items():
+    for option, value in {
+        "encoding": "utf-5",
+        "dates": "dd.mm",
+        "decimal": ";",
+        "delimiter": "",
+        "time_unit": "week",
+    }.items():
         with pytest.raises(ConfigError, match=f"data.reader.{option}"):
             Table("t", **{option: value})
 
