@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import ClassVar, NamedTuple
@@ -247,9 +247,12 @@ class MessageLog:
         return found
 
 
+_LAST: dict[str, MessageLog] = {}  # of each format: a log is read to find its channels, its vehicle, its numbers
+
+
 @dataclass(frozen=True)
 class MessageReader(Reader):
-    """What the readers of an autopilot's logs have in common; `disarmed` is explained there."""
+    """What the readers of an autopilot's logs have in common; `disarmed` is as of `DataFlash`."""
 
     disarmed: str = "drop"
 
@@ -274,7 +277,13 @@ class MessageReader(Reader):
 
         The last message, which was being written when the power went, does not count, nor does an end of equal bytes.
         """
-        log = _found(self, path, path.stat().st_mtime_ns, path.stat().st_size)
+        data, log = np.fromfile(path, dtype=np.uint8), _LAST.get(self.what)
+        if log is None or log.path != path or not np.array_equal(log.data, data):
+            from usvlearn.core.jit import announced
+            from usvlearn.logs.formats.ardupilot import binary_kernel
+
+            with announced(str(binary_kernel.__file__), "readers of binary logs"):
+                log = _LAST[self.what] = self._messages(path, data)
         count, gaps, end = (int(each) for each in log.skipped[:3])
         tail = log.data[end + SHORT :]
         if (tail != tail[:1]).any():
@@ -286,12 +295,3 @@ class MessageReader(Reader):
                 stacklevel=4,
             )
         return log
-
-
-@lru_cache(maxsize=1)  # a log is opened several times: to find its channels, its vehicle, its numbers
-def _found(reader: MessageReader, path: Path, *state: int) -> MessageLog:
-    from usvlearn.core.jit import announced
-    from usvlearn.logs.formats.ardupilot import binary_kernel
-
-    with announced(str(binary_kernel.__file__), "readers of binary logs"):
-        return reader._messages(path, np.fromfile(path, dtype=np.uint8))
