@@ -8,7 +8,7 @@ It is the command `usvlearn evaluate`, from a checkout.
 """
 
 if __name__ == "__main__":
-    from usvlearn.cli.commands import begin
+    from usvlearn.cli.main import begin
 
     begin("evaluate")  # first words, before what takes a second to import
     from usvlearn.cli.evaluate import main

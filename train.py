@@ -8,7 +8,7 @@ It is the command `usvlearn train`, from a checkout.
 """
 
 if __name__ == "__main__":
-    from usvlearn.cli.commands import begin
+    from usvlearn.cli.main import begin
 
     begin("train")  # first words, before what takes a second to import
     from usvlearn.cli.train import main

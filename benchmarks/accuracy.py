@@ -22,7 +22,7 @@ from hydra.utils import instantiate
 from pages import publish
 
 from usvlearn import Ensemble, Estimator, Persistence, SurgeDynamics, rollout
-from usvlearn.cli.settings import ensemble_of
+from usvlearn.composition.configuration import ensemble_of
 from usvlearn.core.samples import Fleet, Sample, masks, tree_map
 from usvlearn.engine.rollouts import simulate
 from usvlearn.estimators.baselines.persistence.layer import PersistenceState

@@ -39,8 +39,8 @@ from tests.support.vector_networks import draw_scaling
 from tests.support.voyages import voyage
 from usvlearn import Ensemble, Estimator, Inputs, Online, PlanarSample, Sample, forecast, rollout
 from usvlearn.cli.export import export
-from usvlearn.cli.settings import planar_of
 from usvlearn.cli.train import work
+from usvlearn.composition.configuration import planar_of
 from usvlearn.core import checkpoint
 from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.engine.planar_runs import planar_stretches, with_poses

@@ -42,7 +42,10 @@ def renamed(source: Path, into: Path) -> Path:
 def works(package: ModuleType, configs: Path) -> dict[str, Work]:
     """Steps of the default ensemble of a package: streamed through compiled code, and called one by one."""
     with initialize_config_dir(str(configs), version_base="1.3"):
-        ensemble = importlib.import_module(f"{package.__name__}.cli.settings").ensemble_of(compose("train"))
+        new = Path(package.__path__[0], "composition").is_dir()
+        place = "composition.configuration" if new else "cli.settings"  # of a source before it
+        configuration = importlib.import_module(f"{package.__name__}.{place}")
+        ensemble = configuration.ensemble_of(compose("train"))
     run, online = of_package(package, samples(STREAMED)), package.Online(ensemble)
     calls = [of_package(package, each) for each in as_numbers(samples(CALLED))]
     state = ensemble.init()

@@ -21,7 +21,7 @@ from accuracy import configuration, ensemble, fleet_of
 from pages import publish
 from timing import machine, table
 
-from usvlearn.cli.settings import planar_of
+from usvlearn.composition.configuration import planar_of
 from usvlearn.core.samples import Fleet
 from usvlearn.engine.planar_runs import planar_stretches, with_poses
 from usvlearn.engine.rollouts import chunked_rollout

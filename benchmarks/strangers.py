@@ -33,7 +33,7 @@ from peers.batch import cut, errors, targets
 from timing import table
 
 from usvlearn import learn, read, rollout
-from usvlearn.cli.settings import ensemble_of
+from usvlearn.composition.configuration import ensemble_of
 from usvlearn.core.samples import Sample, masks, tree_map
 from usvlearn.engine.rollouts import simulate, tensors
 from usvlearn.errors import UsvlearnError

@@ -8,8 +8,8 @@ import pytest
 import usvlearn
 from tests.support.commands import run
 from usvlearn.__main__ import main
-from usvlearn.cli.commands import COMMANDS
-from usvlearn.cli.resume_command import again
+from usvlearn.cli.main import COMMANDS
+from usvlearn.cli.sweep import again
 
 
 def test_the_version_is_the_packages(capsys):

@@ -171,7 +171,7 @@ def test_every_public_name_has_a_place_in_the_reference():
 
 
 def test_every_command_has_a_row_in_the_reference():
-    from usvlearn.cli.commands import COMMANDS
+    from usvlearn.cli.main import COMMANDS
 
     page = (ROOT / "docs" / "reference" / "index.md").read_text()
     rows = set(re.findall(r"^\| `usvlearn (\w+)", page, re.M))

@@ -1,4 +1,4 @@
-"""Who may import whom: the floors of the house, read from the sources."""
+"""Which package may import which, by layers, and that no two modules need each other, read from the sources."""
 
 import ast
 import functools
@@ -6,53 +6,24 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 from tests.support import ROOT
 
-# room -> the rooms of ours that it may import. Each of them stands above in the table, so there is no circle.
-BASE = {"usvlearn.errors", "usvlearn.core"}
-LEARNS = BASE | {"usvlearn.estimators", "usvlearn.engine"}
-OURS: dict[str, set[str]] = {
-    "certify.errors": set(),
-    "certify.networks": {"certify.errors"},
-    "certify.proofs": {"certify.errors", "certify.networks"},
-    "certify.search": {"certify.errors", "certify.networks", "certify.proofs"},
-    "certify.training": {"certify.errors", "certify.networks"},
-    "certify.analysis": {"certify.errors", "certify.networks", "certify.proofs", "certify.search", "certify.training"},
-    "certify.display": {"certify.errors", "certify.networks", "certify.proofs", "certify.analysis"},
-    "certify.command": {"certify.errors", "certify.networks", "certify.proofs", "certify.search", "certify.training",
-                        "certify.analysis", "certify.display"},
-    "certify": {"certify"},  # the command line
-    "usvlearn.errors": set(),
-    "usvlearn.core": {"usvlearn.errors"},
-    "usvlearn.display": BASE,
-    "usvlearn.logs": BASE | {"usvlearn.display"},
-    "usvlearn.simulate": BASE | {"usvlearn.logs"},
-    "usvlearn.estimators": BASE | {"certify.errors", "certify.networks", "certify.proofs", "certify.training"},
-    "usvlearn.engine": BASE | {"usvlearn.estimators"},
-    "usvlearn.evaluation": LEARNS | {"certify.networks", "certify.proofs"},
-    "usvlearn.live": LEARNS | {"usvlearn.display", "usvlearn.logs", "certify.networks", "certify.proofs"},
-    "usvlearn.runs": LEARNS | {"usvlearn.display", "usvlearn.evaluation"},
-    "usvlearn.model": LEARNS | {"usvlearn.display", "usvlearn.evaluation", "usvlearn.logs", "usvlearn.runs"},
-    "usvlearn.report": LEARNS | {"usvlearn.display", "usvlearn.evaluation", "usvlearn.runs", "certify.display",
-                                 "certify.proofs"},
-    "usvlearn.sweeps": LEARNS | {"usvlearn.display", "usvlearn.evaluation", "usvlearn.runs", "usvlearn.report",
-                                 "certify.proofs"},
-    "usvlearn.learned": LEARNS | {"usvlearn.display", "usvlearn.evaluation", "usvlearn.logs", "usvlearn.model",
-                                  "usvlearn.report", "usvlearn.runs"},
-    "usvlearn.cli": {"usvlearn"},  # everything
-    "usvlearn.api": {"usvlearn"},  # everything, and nothing imports it
-    "usvlearn.__main__": {"usvlearn.cli.commands", "usvlearn.errors"},
-}  # fmt: skip
+# Layers from the ground: a package imports only from its own and from those before it.
+LAYERS = (
+    "certify.errors", "certify.networks", "certify.proofs", "certify.search", "certify.training", "certify.analysis",
+    "certify.display", "certify.command", "certify.__main__",
+    "usvlearn.errors", "usvlearn.core", "usvlearn.display", "usvlearn.logs", "usvlearn.simulate", "usvlearn.estimators",
+    "usvlearn.engine", "usvlearn.evaluation", "usvlearn.live", "usvlearn.runs", "usvlearn.model", "usvlearn.report",
+    "usvlearn.sweeps", "usvlearn.learned", "usvlearn.composition", "usvlearn.cli", "usvlearn.api", "usvlearn.__main__",
+)  # fmt: skip
 # package -> the modules of certify that may import it, at their top or where they use it
 CERTIFY = {
-    "torch": {
-        "certify.training",
-        "certify.networks.shallow",
-    },
+    "torch": {"certify.training", "certify.networks.shallow"},
     "scipy": {"certify.search", "certify.command.compare"},
     "cvxpy": {"certify.search.vector_lmi"},
     "clarabel": {"certify.search.vector_lmi"},
@@ -61,13 +32,14 @@ CERTIFY = {
 }
 THIRD_PARTY = {"numpy", "safetensors", *CERTIFY}
 NO_TORCH = ("usvlearn.errors", "usvlearn.core", "usvlearn.display", "usvlearn.engine", "usvlearn.logs", "usvlearn.live",
-            "usvlearn.evaluation", "usvlearn.model", "usvlearn.cli", "usvlearn.api", "usvlearn.learned")  # fmt: skip
+            "usvlearn.evaluation", "usvlearn.model", "usvlearn.composition", "usvlearn.cli", "usvlearn.api",
+            "usvlearn.learned")  # fmt: skip
 TORCH = ("usvlearn.core.protocol", "usvlearn.core.hyperparameters", "usvlearn.engine.rollouts",
          "usvlearn.engine.backend", "usvlearn.engine.planar_runs", "usvlearn.engine.torch_steps",
          "usvlearn.evaluation.crossval")  # fmt: skip
-CONFIGURATION = {"hydra", "omegaconf"}
 BENCHMARKS = ROOT / "benchmarks"
 MODULES = sorted(p for folder in ("usvlearn", "certify") for p in (ROOT / folder).rglob("*.py"))
+ROOTS = {"usvlearn", "certify"}  # their own imports are lazy, and tested below
 
 
 def name_of(path: Path) -> str:
@@ -92,20 +64,13 @@ def within(name: str, allowed) -> bool:
 
 
 def refused(path: Path) -> Iterator[str]:
-    """What a module imports that its room may not."""
+    """What a module imports from a layer above its own, or from a package that its layer may not."""
     name = name_of(path)
-    if name == "usvlearn":
-        return  # its lazy imports are tested below
-    layer = max((prefix for prefix in OURS if within(name, [prefix])), key=len)
-    for found in imports(path):
-        package = found.split(".")[0]
-        if package in ("usvlearn", "certify"):
-            # "from usvlearn import checkpoint" names the package too
-            if found not in ("usvlearn", "certify") and not within(found, OURS[layer] | {layer}):
-                yield found
-            if found == "usvlearn.api":
-                yield found
-        elif package in CONFIGURATION and not within(name, ["usvlearn.cli"]):
+    own = next((place for place, layer in enumerate(LAYERS) if within(name, [layer])), -1)
+    for found in imports(path) - ROOTS if name not in ROOTS else ():
+        if within(found, ROOTS) and not within(found, LAYERS[: own + 1]):
+            yield found
+        elif within(found, ["hydra", "omegaconf"]) and not within(name, ["usvlearn.composition", "usvlearn.cli"]):
             yield found
     if within(name, NO_TORCH) and not within(name, TORCH):
         yield from (found for found in imports(path, top_level=True) if within(found, ["torch"]))
@@ -119,15 +84,16 @@ def refused_in_certify(path: Path) -> Iterator[str]:
     yield from {name.split(".")[0] for name in imports(path, top_level=True)} & (HEAVY - {"torch"})
 
 
-def test_no_room_imports_one_below_it_in_the_table():
-    above: set[str] = set()
-    for room, rooms in OURS.items():
-        assert rooms <= above or rooms in ({"usvlearn"}, {"certify"}) or room == "usvlearn.__main__", room
-        above.add(room)
-
-
-def test_modules_import_only_what_their_layer_may():
+def test_packages_import_only_from_layers_below():
     assert [f"{name_of(path)} imports {found}" for path in MODULES for found in refused(path)] == []
+
+
+def test_no_circle_among_modules():
+    """Not even of imports within functions, or for types alone."""
+    paths = {name: path for path in MODULES if (name := name_of(path)) not in ROOTS}
+    needs = {name: imports(path) & paths.keys() - {name} for name, path in paths.items()}
+    needs["usvlearn.logs.formats.csv.table"] -= {f"usvlearn.logs.formats.csv.{name}" for name in ("options", "topics")}
+    assert len(tuple(TopologicalSorter(needs).static_order())) == len(paths)
 
 
 def test_certify_is_a_leaf_of_few_packages():
@@ -170,12 +136,6 @@ def test_tests_lie_where_the_package_has_their_module():
     own = {".", "fuzz", "benchmarks"}
     assert [folder for folder in folders - own
             if not ((ROOT / "usvlearn" / folder).is_dir() or (ROOT / folder).is_dir())] == []  # fmt: skip
-
-
-def test_every_module_has_a_room():
-    for path in MODULES:
-        name = name_of(path)
-        assert name == "usvlearn" or any(within(name, [prefix]) for prefix in OURS), name
 
 
 def loaded(code: str) -> set[str]:

@@ -98,8 +98,8 @@ def read(
     >>> read(time=time, **same, heading=0 * time + 90.0, units={"heading": "deg"}).rejected
     {'boat': {}}
     """
-    from usvlearn.cli.checked_alignment import CheckedAlignment
-    from usvlearn.cli.composition import compose_train, plain, recordings_of
+    from usvlearn.composition.alignment import CheckedAlignment
+    from usvlearn.composition.configuration import compose_train, plain, recordings_of
     from usvlearn.logs.formats.array_log import NAMES, arrays_among, channels_of_arrays, described, read_arrays
     from usvlearn.logs.setup import setups_of
 
@@ -196,7 +196,7 @@ def _ensemble(logs: AlignedLogs, estimator: Estimator | None) -> Ensemble:
     from usvlearn.evaluation.metrics import PERSISTENCE
 
     if estimator is None:
-        from usvlearn.cli.settings import ensemble_of
+        from usvlearn.composition.configuration import ensemble_of
 
         return ensemble_of(logs.settings)
     check_estimator("estimator", estimator)

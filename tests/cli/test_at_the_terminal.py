@@ -18,7 +18,7 @@ from tests.support import ROOT, few
 from tests.support.commands import ENVIRONMENT, QUICK, run, sentence
 from usvlearn.__main__ import main
 from usvlearn.cli import evaluate, train
-from usvlearn.cli.commands import HELP
+from usvlearn.cli.main import HELP
 from usvlearn.core import jit
 
 USVLEARN, SCRIPT = [sys.executable, "-m", "usvlearn"], "usvlearn/__main__.py"

@@ -10,7 +10,7 @@ from tests.support import over
 from tests.support.commands import QUICK, results, run, sentence
 from tests.support.runs import session
 from usvlearn.cli import train
-from usvlearn.cli.checked_alignment import CheckedAlignment
+from usvlearn.composition.alignment import CheckedAlignment
 from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.logs.checks.data_check import CHECKS
 from usvlearn.logs.recordings import align_fleet

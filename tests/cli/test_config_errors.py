@@ -10,9 +10,9 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from tests.support import ROOT, few
 from tests.support.commands import GOOD, python, sentence
 from usvlearn.cli import evaluate, train
-from usvlearn.cli.command import parse
-from usvlearn.cli.config_errors import in_one_sentence
-from usvlearn.cli.settings import instantiate
+from usvlearn.cli.hydra_command import parse
+from usvlearn.composition.configuration import instantiate
+from usvlearn.composition.errors import in_one_sentence
 from usvlearn.errors import ConfigError
 
 MISTAKES = {

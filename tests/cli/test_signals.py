@@ -14,8 +14,9 @@ import pytest
 
 from tests.support import ROOT, few
 from tests.support.commands import ENVIRONMENT, QUICK, called, command, predictions, results, run
-from usvlearn.cli import checked_alignment, evaluate, train
+from usvlearn.cli import evaluate, train
 from usvlearn.cli.signals import Stopped, check_stopped, stoppable, stoppable_worker, until_stopped
+from usvlearn.composition import alignment
 from usvlearn.core import checkpoint
 from usvlearn.runs.saved import results as finished
 from usvlearn.runs.tensorboard import TensorBoardLogger
@@ -83,7 +84,7 @@ def test_a_replay_is_saved_and_goes_on_bit_for_bit(number, code, chunks, whole, 
 
 def test_before_the_replay_nothing_is_saved(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    signalled(monkeypatch, checked_alignment, "align_fleet", signal.SIGTERM)
+    signalled(monkeypatch, alignment, "align_fleet", signal.SIGTERM)
     code, error = called(train.main, RUN, monkeypatch, capsys)
     assert code == 143 and again(error) == RUN and len(error.splitlines()) == 1
     assert [path.name for path in (tmp_path / "run").iterdir()] == [".hydra"]

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from usvlearn import AID, learn, read
-from usvlearn.cli.composition import compose_train, plain
-from usvlearn.cli.settings import ensemble_of
+from usvlearn.composition.configuration import compose_train, ensemble_of, plain
 
 
 def limits(node) -> list[float]:

@@ -11,7 +11,7 @@ from omegaconf import OmegaConf
 
 import usvlearn
 from usvlearn import AID, Inputs, Online, Sample
-from usvlearn.cli.settings import check_settings
+from usvlearn.composition.configuration import check_settings
 from usvlearn.core import checkpoint, former_names
 from usvlearn.errors import CheckpointError
 from usvlearn.runs.saved import configuration

@@ -13,7 +13,6 @@ from usvlearn.engine import background_compile
 COMPILES = """
 import sys, time, pathlib
 folder = pathlib.Path({folder!r})
-print(0.25, flush=True)
 (folder / "started").touch()
 while not (folder / "go").exists():
     time.sleep(0.01)
@@ -40,15 +39,11 @@ def until(path: Path) -> None:
         time.sleep(0.01)
 
 
-def test_a_run_waits_for_the_process_and_sees_what_it_has_done(marks, capfd):
-    with background_compile.compiling("float32"):
-        (process,) = background_compile.running
+def test_a_run_waits_for_the_process(marks, capfd):
+    with background_compile.compiling("float32") as process:
         until(marks / "started")
-        assert background_compile.share() == 0.25
         (marks / "go").touch()
-    assert (marks / "kernels of single steps, float32").exists() and not background_compile.running
-    assert background_compile.share() == 0
-    assert process._process.returncode is not None
+    assert (marks / "kernels of single steps, float32").exists() and process.returncode is not None
     said = capfd.readouterr().err
     assert re.match("usvlearn: compiling the kernels of single steps, float32, only once … [0-9]+ s; kept", said), said
 
@@ -56,31 +51,29 @@ def test_a_run_waits_for_the_process_and_sees_what_it_has_done(marks, capfd):
 def test_what_is_compiled_starts_no_process(marks):
     for each in (background_compile.runs_of, background_compile.steps_of):
         (marks / each("float64")).touch()
-    with background_compile.compiling():
-        assert not background_compile.running
-    with background_compile.compiling(tracks=True):
-        assert background_compile.running
+    with background_compile.compiling() as process:
+        assert process is None
+    with background_compile.compiling(tracks=True) as process:
+        assert process
         (marks / "go").touch()
     (marks / background_compile.tracks_of("float64")).touch()
-    with background_compile.compiling(tracks=True):
-        assert not background_compile.running
+    with background_compile.compiling(tracks=True) as process:
+        assert process is None
 
 
 def test_a_process_that_fails_keeps_nobody_waiting(marks, monkeypatch, capfd):
     monkeypatch.setattr(background_compile, "CHILD", "raise SystemExit('no kernels today')")
-    with background_compile.compiling():
-        assert background_compile.running and background_compile.share() == 0
-        background_compile.running[0].wait()
+    with background_compile.compiling() as process:
+        process.wait()
     assert not (marks / "kernels of runs, float64").exists()
     assert "no kernels today" not in capfd.readouterr().err
 
 
 def test_an_error_ends_the_process(marks):
-    with pytest.raises(ValueError, match="of the job"), background_compile.compiling():
-        (process,) = background_compile.running
+    with pytest.raises(ValueError, match="of the job"), background_compile.compiling() as process:
         until(marks / "started")
         raise ValueError("of the job")
-    assert process._process.returncode is not None and not background_compile.running
+    assert process.returncode is not None
 
 
 @pytest.mark.parametrize("lacks", ["processors", "interpreter", "process"])
@@ -91,5 +84,5 @@ def test_without_another_process_nothing_is_different(marks, monkeypatch, lacks)
         monkeypatch.setattr(background_compile.sys, "executable", "")
     else:
         monkeypatch.setattr(background_compile.sys, "executable", os.devnull)
-    with background_compile.compiling():
-        assert not background_compile.running
+    with background_compile.compiling() as process:
+        assert process is None

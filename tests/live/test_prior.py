@@ -53,8 +53,7 @@ def test_the_boat_matters():
 
 @pytest.mark.thorough
 def test_online_starts_from_it_and_learns_as_with_torch():
-    from usvlearn.cli.composition import compose_train, plain
-    from usvlearn.cli.settings import ensemble_of
+    from usvlearn.composition.configuration import compose_train, ensemble_of, plain
 
     settings = plain(compose_train([], {"vehicle": {"mass": 20.0, "surge_max": 1.7}}))
     aboard, ashore = Online.of(*prior(20.0, 1.7)), Online(ensemble_of(settings))

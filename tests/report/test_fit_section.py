@@ -13,7 +13,7 @@ from tests.support import few
 from tests.support.pages import BAD, Page
 from tests.support.runs import tools
 from tests.support.saved_fits import facts
-from usvlearn.cli.fit_report import renew_report
+from usvlearn.cli.fit import renew_report
 from usvlearn.estimators.joint.excitation_warnings import Quantity
 from usvlearn.report.build import read
 from usvlearn.report.overview import MAIN, Overview

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from tests.support.runs import tools
-from usvlearn.cli.settings import instantiate
 from usvlearn.cli.sweep import load
+from usvlearn.composition.configuration import instantiate
 from usvlearn.core import checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.report.build import read

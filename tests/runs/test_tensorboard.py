@@ -12,7 +12,7 @@ from tests.support.configured import short_season
 from tests.support.recordings import recording
 from tests.support.runs import model
 from usvlearn import AID, Ensemble, Persistence
-from usvlearn.cli.settings import ensemble_of, instantiate
+from usvlearn.composition.configuration import ensemble_of, instantiate
 from usvlearn.core.samples import PLAUSIBLE, masks
 from usvlearn.display.figures import KNOWN, SEVEN
 from usvlearn.errors import ConfigError

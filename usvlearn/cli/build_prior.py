@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from usvlearn.cli.composition import compose_train, plain
-from usvlearn.cli.settings import ensemble_of
+from usvlearn.composition.configuration import compose_train, ensemble_of, plain
 from usvlearn.core import checkpoint
 from usvlearn.core.samples import named_leaves
 from usvlearn.errors import ConfigError, exit_on_user_error

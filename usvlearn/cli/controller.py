@@ -12,8 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from usvlearn.cli.path_arguments import without_key
-from usvlearn.cli.plain_command import out_folder, run_command
+from usvlearn.cli.plain_command import out_folder, without_key
 
 if TYPE_CHECKING:
     from usvlearn.model.controller.design import Controller
@@ -91,8 +90,3 @@ def _write(folder: Path, found: Controller) -> list[str]:
     for file, content in files.items():
         write_atomically(folder / file, content)
     return list(files)
-
-
-def main() -> int:
-    """The command; returns the exit code."""
-    return run_command(work, USAGE)

@@ -6,12 +6,11 @@ from pathlib import Path
 import hydra
 from omegaconf import DictConfig, OmegaConf
 
-from usvlearn.cli.checked_alignment import CheckedAlignment
-from usvlearn.cli.command import command
-from usvlearn.cli.composition import plain
 from usvlearn.cli.fit import fit_on_the_way
-from usvlearn.cli.settings import instantiate
+from usvlearn.cli.hydra_command import command
 from usvlearn.cli.sweep import load
+from usvlearn.composition.alignment import CheckedAlignment
+from usvlearn.composition.configuration import instantiate, plain
 from usvlearn.core.unconfirmed import open_questions, unconfirmed
 from usvlearn.display.activity_bar import Activity
 from usvlearn.display.terminal import console, show

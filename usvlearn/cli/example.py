@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from usvlearn.cli.plain_command import out_folder, run_command
+from usvlearn.cli.plain_command import out_folder
 from usvlearn.core.checkpoint import write_atomically
 from usvlearn.errors import ConfigError
 
@@ -53,8 +53,3 @@ def work(arguments: Sequence[str]) -> None:
         raise
     next_one = f"a simulated boat; next: usvlearn inspect {shlex.quote(given.folder)} --name heron"
     terminal.show(*map(str, written), next_one)
-
-
-def main() -> int:
-    """The command; returns its exit code."""
-    return run_command(work, USAGE)

@@ -9,8 +9,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-from usvlearn.cli.path_arguments import without_key
-from usvlearn.cli.plain_command import out_folder, run_command
+from usvlearn.cli.plain_command import out_folder, without_key
 from usvlearn.core.checkpoint import write_atomically
 from usvlearn.errors import ConfigError, UsvlearnError, complain, did_you_mean, printable
 from usvlearn.model.export.formats import FORMATS, Files, file_name
@@ -23,7 +22,7 @@ ALL = "all"
 PLANAR_TOO = "\n\n{} also write the planar model, BOAT_planar, of a run that learned sway and yaw rate".format(
     ", ".join(name for name, each in FORMATS.items() if each.planar is not None)
 )
-USAGE = "usvlearn export RUN --to FORMAT[,FORMAT …]\n       [--boat NAME] [--out FOLDER] [--force]"
+USAGE = "usage: usvlearn export RUN --to FORMAT[,FORMAT …]\n       [--boat NAME] [--out FOLDER] [--force]"
 
 
 def parser() -> argparse.ArgumentParser:
@@ -31,7 +30,7 @@ def parser() -> argparse.ArgumentParser:
     width = max(map(len, FORMATS))
     found = argparse.ArgumentParser(
         prog="usvlearn export",
-        usage=USAGE,
+        usage=USAGE.removeprefix("usage: "),
         description="Write what was learned of each boat, in the formats of other programs.",
         epilog="formats:\n"
         + "\n".join(f"  {name:{width}}  {each.what}" for name, each in FORMATS.items())
@@ -53,9 +52,6 @@ def formats_of(given: Sequence[str]) -> list[str]:
 
     Raises:
         ConfigError: there is no such format.
-
-    >>> formats_of(["json,c", "mat"])
-    ['json', 'c', 'mat']
     """
     names = [each.strip() for part in given for each in part.split(",") if each.strip()]
     for name in names or [""]:
@@ -144,8 +140,3 @@ def work(arguments: Sequence[str]) -> None:
     for boat in boats:
         for sentence in boat.lacks:
             complain(f"{printable(boat.name)}: {sentence}")
-
-
-def main() -> int:
-    """The command; returns the exit code."""
-    return run_command(work, f"usage: {USAGE}")

@@ -3,31 +3,29 @@
 from __future__ import annotations
 
 import argparse
-import json
 import signal
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
-from usvlearn.cli.path_arguments import without_key
-from usvlearn.cli.plain_command import out_folder, run_command
+from usvlearn.cli.plain_command import out_folder, without_key
 from usvlearn.cli.signals import Stopped, was_stopped
 from usvlearn.errors import CheckpointError, ConfigError, UsvlearnError, complain, did_you_mean
 
 if TYPE_CHECKING:
-    import numpy as np
     from rich.console import Console
 
     from usvlearn.core.samples import Fleet
-    from usvlearn.estimators.joint.periodic_estimates import Identified
     from usvlearn.model.fit.fitted import Fitted
+    from usvlearn.model.fit.hand_over import Last
     from usvlearn.model.fit.open_loop import FreeMode
 
 USAGE = (
     "usage: usvlearn fit RUN [--boat NAME] [--terms SET] [--out FOLDER] [data.KEY=VALUE …]; more: usvlearn fit --help"
 )
 SHOWN = 4  # names in a warning
+REPORT = "report"  # in a run's folder, as `usvlearn evaluate` names it
 
 
 def parser() -> argparse.ArgumentParser:
@@ -59,7 +57,6 @@ def work(arguments: Sequence[str], console: Console | None = None) -> None:
             raise ConfigError(f"{folder}: is the folder of a node, whose missions are fitted without options")
         print(f"{refit(folder)}\nvalues: usvlearn live status {folder}")
         return
-    from usvlearn.cli.fit_report import REPORT, renew_report
     from usvlearn.display import terminal
     from usvlearn.display.activity_bar import Activity
 
@@ -67,6 +64,7 @@ def work(arguments: Sequence[str], console: Console | None = None) -> None:
     with Activity(console, "loading"):
         from usvlearn.core.unconfirmed import open_questions, unconfirmed
         from usvlearn.model.fit.fitted import check_terms, fit_boat
+        from usvlearn.model.fit.hand_over import last_of, write
         from usvlearn.model.fit.logs import missions_of, without_losses
         from usvlearn.model.fit.shown import tables
         from usvlearn.model.fit.terms import SETS
@@ -151,32 +149,6 @@ def _check_run(folder: Path) -> None:
         raise ConfigError(f"{folder}: is the folder of a fit: give that of its run, {folder.parent}")
 
 
-class Last(NamedTuple):
-    """What a run has learned of a boat."""
-
-    leaves: dict[str, np.ndarray]
-    facts: dict[str, Any]
-    online: Identified | None  # None: it identifies nothing
-
-
-def last_of(folder: Path) -> Last | None:
-    """The newest readable checkpoint of a boat in a folder; None without one."""
-    from usvlearn.core.checkpoint import newest
-    from usvlearn.engine.identified import identified, members_of
-    from usvlearn.engine.online import read_checkpoint
-    from usvlearn.live.diagnostics import surge_alone
-
-    try:
-        leaves, facts = surge_alone(*newest(folder, read_checkpoint))
-    except CheckpointError:
-        return None
-    try:
-        (online,) = identified(members_of(facts["kernel"]), {name: leaf[None] for name, leaf in leaves.items()})
-    except ConfigError:
-        return Last(leaves, facts, None)
-    return Last(leaves, facts, online)
-
-
 def _changed_data(settings: Mapping[str, Any], changed: Sequence[str]) -> dict[str, Any]:
     """The settings of the logs, with what the user gives in their place."""
     import yaml
@@ -198,7 +170,7 @@ def _changed_data(settings: Mapping[str, Any], changed: Sequence[str]) -> dict[s
 
 def _logs(folder: Path, settings: Mapping[str, Any], data: Mapping[str, Any]) -> tuple[Fleet, Fleet]:
     """The run's logs, on its own grid and on that of the fit."""
-    from usvlearn.cli.settings import instantiate
+    from usvlearn.composition.configuration import instantiate
     from usvlearn.logs.recordings import align_fleet
     from usvlearn.model.fit.logs import fine
 
@@ -273,24 +245,6 @@ def _simulation(folder: Path, found: Fitted, fine: Fleet, coarse: Fleet) -> Free
     return decide(found.boat, found.chosen, found.fit.top, fine, coarse, middle(coarse.runs), ensemble)
 
 
-def write(folder: Path, found: Fitted, last: Last | None, dt: float) -> list[Path]:
-    """Write the files of a boat, whose checkpoint has steps of `dt`, s; returns their paths."""
-    from usvlearn.core import checkpoint
-    from usvlearn.model.fit.hand_over import handed_over
-    from usvlearn.runs.file_names import CHECKPOINTS
-
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{found.boat}.fit.json"
-    text = json.dumps(found.json(), indent=1, ensure_ascii=False, allow_nan=False)
-    checkpoint.write_atomically(path, f"{text}\n".encode())
-    if last is None:
-        return [path]
-    leaves, own = handed_over(last.leaves, last.facts["kernel"], found, dt)
-    facts = {key: value for key, value in last.facts.items() if key != "schema"} | own
-    file = folder / CHECKPOINTS / found.boat / f"fit{checkpoint.SUFFIX}"
-    return [path, checkpoint.save(file, leaves, **facts)]
-
-
 def _add_to_results(folder: Path, fitted: Sequence[Fitted]) -> None:
     """Say in `results.json` which terms were chosen, and which open-loop simulation to use."""
     from usvlearn.runs.file_names import RESULTS, save_results
@@ -303,6 +257,35 @@ def _add_to_results(folder: Path, fitted: Sequence[Fitted]) -> None:
     save_results(folder, known | {"fit": known.get("fit", {}) | new})
 
 
-def main() -> int:
-    """The command; returns the exit code."""
-    return run_command(work, USAGE)
+def renew_report(folder: Path, console: Console, data: Mapping[str, Any] | None = None) -> Path | None:
+    """Write `RUN/report`, with the section on the fit, as `usvlearn evaluate runs=RUN` does; returns its page.
+
+    Without a report, such as without matplotlib, there is a warning, and None is returned: the fit itself is saved.
+
+    Args:
+        folder: of the run, in which `fit/BOAT.fit.json` is.
+        console: shows how far it is.
+        data: the configuration of the run's logs, where they have moved.
+    """
+    from functools import partial
+
+    from usvlearn.composition.alignment import CheckedAlignment
+    from usvlearn.composition.configuration import instantiate
+    from usvlearn.logs.recordings import align_fleet
+    from usvlearn.report.build import Tools, evaluate
+    from usvlearn.runs.saved import configuration
+    from usvlearn.simulate.truth import truth_of
+    from usvlearn.sweeps.launchers import set_threads
+
+    set_threads(1)
+    try:
+        own = configuration(folder)["data"]
+
+        def made(node: Any, **options: Any) -> Any:
+            return instantiate(dict(data) if data is not None and node == own else node, **options)
+
+        checked = partial(CheckedAlignment, console=console)
+        return evaluate([folder], folder / REPORT, Tools(made, align_fleet, truth_of, console, None, checked))
+    except UsvlearnError as error:
+        complain(f"warning: no report was made: {error}")
+        return None

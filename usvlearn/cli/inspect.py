@@ -8,7 +8,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from usvlearn.cli.plain_command import run_command
 from usvlearn.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -96,7 +95,7 @@ def work(arguments: Sequence[str]) -> None:
 
 def _what_to_do(found: Inspected) -> str:
     """What a person can do where a required channel was not found."""
-    from usvlearn.cli.configs import configs_folder
+    from usvlearn.composition.configuration import configs_folder
 
     reader, files = found.logs.reader, found.logs.files
     name = "topics" if files[0].is_dir() and hasattr(reader, "files") else found.logs.format.example
@@ -117,8 +116,3 @@ def _end(found: Inspected, output: Path, plot: bool) -> Iterator[str]:
         yield f"Picture: {output.with_suffix('.png')}"
     yield f"Written: {output}. To use it:"
     yield f"    usvlearn train {shell_override(str(output))}"
-
-
-def main() -> int:
-    """The command; returns the exit code."""
-    return run_command(work, USAGE)

@@ -37,11 +37,13 @@ def out_folder(given: str, option: str = "--out") -> Path:
 
     Raises:
         ConfigError: it is empty, or a file.
-
-    >>> out_folder("gains").name
-    'gains'
     """
     folder = Path(os.path.expanduser(given))
     if not given or (folder.exists() and not folder.is_dir()):
         raise ConfigError(f"{option}: found {'the file ' * bool(given)}{given!r}, expected a folder")
     return folder
+
+
+def without_key(word: str) -> str:
+    """The folder of a run, also where a user writes `runs=FOLDER` or `run=FOLDER`, as for evaluate."""
+    return word.removeprefix("runs=").removeprefix("run=")

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from usvlearn.cli.path_arguments import without_key
-from usvlearn.cli.plain_command import out_folder, run_command
+from usvlearn.cli.plain_command import out_folder, without_key
 from usvlearn.errors import ConfigError, printable
 
 if TYPE_CHECKING:
@@ -220,8 +219,3 @@ def _written(boat: IdentifiedBoat, limits: Limits, plan: BestCourse, folder: Pat
 
 def _text(lines: Iterator[str]) -> str:
     return "\n".join(lines) + "\n"
-
-
-def main() -> int:
-    """The command; returns the exit code."""
-    return run_command(work, USAGE)

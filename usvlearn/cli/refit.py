@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from usvlearn.cli.fit import last_of, write
 from usvlearn.core import checkpoint
 from usvlearn.core.lock import Lock
 from usvlearn.display.json_values import finite
@@ -19,6 +18,7 @@ from usvlearn.logs.channels.channel import Recording
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.logs.setup import KEY, Setup
 from usvlearn.model.fit.fitted import fit_boat
+from usvlearn.model.fit.hand_over import last_of, write
 from usvlearn.model.fit.logs import fine, missions_of
 
 

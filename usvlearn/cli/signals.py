@@ -28,11 +28,7 @@ T = TypeVar("T")
 
 
 class Stopped(BaseException):
-    """A signal asked this process to end. It is not an Exception, so it is never recorded as a failure.
-
-    >>> Stopped(signal.SIGTERM).code, str(Stopped(signal.SIGINT))
-    (143, 'stopped by SIGINT')
-    """
+    """A signal asked this process to end. It is not an Exception, so it is never recorded as a failure."""
 
     def __init__(self, number: int):
         super().__init__(f"stopped by {signal.Signals(number).name}")
@@ -82,23 +78,14 @@ def _end(number: int) -> None:
 
 
 def check_stopped() -> None:
-    """Raise `Stopped` if a signal has arrived and nothing defers it.
-
-    >>> check_stopped()
-    """
+    """Raise `Stopped` if a signal has arrived and nothing defers it."""
     if _Process.received is not None and _Process.at_once:
         raise Stopped(_Process.received)
 
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """Let SIGINT and SIGTERM raise `Stopped` in this block; handlers that other code has set are kept.
-
-    >>> with stoppable():
-    ...     signal.raise_signal(signal.SIGTERM)
-    Traceback (most recent call last):
-    usvlearn.cli.signals.Stopped: stopped by SIGTERM
-    """
+    """Let SIGINT and SIGTERM raise `Stopped` in this block; handlers that other code has set are kept."""
     _Process.program, _Process.received, _Process.at_once = True, None, True
     before = _install(_receive)
     try:
@@ -159,11 +146,7 @@ def _install(on_terminate: Any, on_interrupt: Any = None) -> dict[int, Any]:
 
 
 def in_program() -> bool:
-    """Whether this is the process that the user started, not one of its workers.
-
-    >>> in_program()
-    False
-    """
+    """Whether this is the process that the user started, not one of its workers."""
     return _Process.program
 
 
@@ -197,9 +180,6 @@ def until_stopped(chunks: Iterable[T], save: Callable[[], object]) -> Iterator[T
     """Yield chunks; once a signal arrives, finish the chunk and its use, call `save`, and raise `Stopped`.
 
     Before the first chunk, code is compiled and nothing has been learned: a signal then raises at once.
-
-    >>> list(until_stopped([1, 2], print))
-    [1, 2]
     """
     chunks, before = iter(chunks), _Process.at_once
     try:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import shlex
 import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from functools import cache, partial
+from functools import cache, partial, wraps
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -13,24 +15,28 @@ import yaml
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.utils import JobReturn, JobStatus
 from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 import usvlearn
-from usvlearn.cli.config_errors import in_one_sentence
-from usvlearn.cli.resume_command import again
 from usvlearn.cli.signals import defer_signals, end_deferral
-from usvlearn.cli.slurm import wait_for_all
+from usvlearn.composition.errors import in_one_sentence
 from usvlearn.core.lock import Lock
 from usvlearn.core.safe_yaml import has_alias
 from usvlearn.errors import ConfigError, exit_on_user_error
 from usvlearn.evaluation.measure import measure_of
+from usvlearn.runs.file_names import JOURNAL, RUNS
 from usvlearn.runs.index import check_own
 from usvlearn.sweeps.jobs import SweepNote, check_sweep, note_sweep, noted_sweep, run_job
 from usvlearn.sweeps.launchers import check_launcher, prepare_workers
 from usvlearn.sweeps.leaderboard import check_own_board, leaderboard
 from usvlearn.sweeps.progress import Progress
+
+PERIOD = 60  # s between two questions to Slurm, at most; results are files, and are seen without a question
+QUEUE = ["squeue", "--noheader", "--array", "--format=%i"]  # the numbers of the jobs that have not ended
+NUMBER = 2  # the place of a job's number among the arguments of Hydra's launcher
 
 
 def load(path: Path) -> Any:
@@ -100,11 +106,7 @@ def check_objective(config: DictConfig, swept: Sequence[str]) -> None:
 
 
 def as_value(value: Any) -> str:
-    """A value as a command gives it.
-
-    >>> as_value(True), as_value(OmegaConf.create(["a", "b"])), as_value(0.5)
-    ('true', '[a,b]', '0.5')
-    """
+    """A value as a command gives it."""
     if OmegaConf.is_list(value):
         return f"[{','.join(map(as_value, value))}]"
     return str(value).lower() if isinstance(value, bool) else str(value)
@@ -205,3 +207,64 @@ def cut_short(error: BaseException) -> str | None:
     if type(error).__module__.startswith("submitit"):
         return f"hydra/launcher: {text[:300]}: see whether the cluster can be reached, and the jobs' logs"
     return None
+
+
+def again(sweep: Path | None, run: Path | None) -> str:
+    """The command that continues in the same folder, or starts anew if nothing was saved.
+
+    Args:
+        sweep: its folder, or None.
+        run: the folder of the run that was stopped, or None.
+    """
+    more = []
+    if sweep is not None:
+        more = [f"hydra.sweep.dir={sweep}"]
+    elif run is not None and (run / RUNS).exists():
+        more = [f"hydra.run.dir={run}", "resume=latest"]
+    elif run is not None and (run / JOURNAL).exists():
+        more = [f"hydra.run.dir={run}"]
+    keys, script, *arguments = [each.partition("=")[0] for each in more], *sys.argv
+    overrides = [each for each in arguments if each.startswith("~") or ("=" in each and not each.startswith("-"))]
+    flags = [each for each in arguments if each not in overrides]  # flags must not stand between overrides
+    kept = [each for each in overrides if each.partition("=")[0] not in keys]
+    program = ["python", script] if script.endswith(".py") else script.split(" ")  # else the command `usvlearn train`
+    return shlex.join([*program, *flags, *kept, *more])
+
+
+def wait_for_all(lost: list[int]) -> None:
+    """Let the launchers of submitit wait until every job has ended, on Slurm or here.
+
+    Submitit raises an error for the first job that left no result, while others still run. Here the job is noted, its
+    objective is NaN, and the others are waited for. Submitit asks `sacct` which jobs have ended. That needs a database,
+    which not every cluster has, and without it a killed job would be waited for without end. Here `squeue` is asked.
+
+    Args:
+        lost: receives the number of each job whose process ended without a result.
+    """
+    from submitit.core.core import Job
+    from submitit.core.utils import FailedJobError, UncompletedJobError
+    from submitit.slurm.slurm import SlurmInfoWatcher, SlurmJob
+
+    class Queue(SlurmInfoWatcher):
+        def _make_command(self) -> list[str] | None:
+            return [*QUEUE, f"--user={os.getuid()}"] if self._registered - self._finished else None
+
+        def read_info(self, string: bytes | str) -> dict[str, dict[str, str]]:
+            queued = (string if isinstance(string, str) else string.decode()).split()
+            return {job: {"State": "RUNNING" if job in queued else "ENDED"} for job in self._registered}
+
+    results = getattr(Job.results, "__wrapped__", Job.results)
+
+    @wraps(results)
+    def results_or_nan(job: Job) -> list[Any]:
+        try:
+            return results(job)
+        except (UncompletedJobError, FailedJobError):
+            number = job.submission().args[NUMBER]
+            lost.append(number)
+            print(f"error: job {number}: its process has ended before the job: see {job.paths.stderr}", file=sys.stderr)
+            return [JobReturn(status=JobStatus.COMPLETED, _return_value=float("nan"))]
+
+    job_class: Any = Job  # a type checker allows no other method in the place of one
+    job_class.results = results_or_nan
+    SlurmJob.watcher = Queue(PERIOD)

@@ -12,13 +12,12 @@ from pathlib import Path
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
-from usvlearn.cli.checked_alignment import CheckedAlignment
-from usvlearn.cli.command import command
-from usvlearn.cli.composition import plain
 from usvlearn.cli.fit import fit_on_the_way
-from usvlearn.cli.settings import as_written, check_settings, ensemble_of, instantiate, planar_of
+from usvlearn.cli.hydra_command import command
 from usvlearn.cli.signals import until_stopped
 from usvlearn.cli.sweep import do_job
+from usvlearn.composition.alignment import CheckedAlignment
+from usvlearn.composition.configuration import as_written, check_settings, ensemble_of, instantiate, plain, planar_of
 from usvlearn.core.unconfirmed import SECTION, open_questions, unconfirmed
 from usvlearn.display import terminal
 from usvlearn.display.activity_bar import Activity

@@ -280,13 +280,8 @@ def mark_of(source: str, what: str) -> Path:
     return folder(Path(source)) / what.replace(" ", "-")
 
 
-def compiled_parts() -> tuple[int, int]:
-    """How many of the functions that only compiled functions call are compiled, and how many there are."""
-    return (Part.lowered, Part.made) if Part is not None else (0, 0)
-
-
 @contextmanager
-def announced(source: str, what: str, progress: Callable[[], float] | None = None) -> Iterator[None]:
+def announced(source: str, what: str) -> Iterator[None]:
     """Report on stderr the first compilation of a source file's functions on this machine, and its duration.
 
     One process at a time compiles; another waits, and then finds the machine code.
@@ -294,13 +289,12 @@ def announced(source: str, what: str, progress: Callable[[], float] | None = Non
     Args:
         source: a file; its machine code and that of what it imports is compiled.
         what: is compiled, in words.
-        progress: tells the share that is done, 0 to 1, where another process compiles it.
     """
     mark = mark_of(source, what)
     if NUMBA.DISABLE_JIT or mark.exists():
         yield
         return
-    with counted(f"usvlearn: compiling the {what}, only once …", f"kept in {mark.parent}", progress), _alone_in(mark):
+    with counted(f"usvlearn: compiling the {what}, only once …", f"kept in {mark.parent}"), _alone_in(mark):
         with rare_collections():
             yield
         with suppress(OSError):
@@ -308,15 +302,14 @@ def announced(source: str, what: str, progress: Callable[[], float] | None = Non
 
 
 @contextmanager
-def counted(text: str, end: str, progress: Callable[[], float] | None = None) -> Iterator[None]:
-    """Print on stderr what is done, then how long it took; a terminal counts seconds, and shows the share, if known."""
+def counted(text: str, end: str) -> Iterator[None]:
+    """Print on stderr what is done, then how long it took; a terminal counts seconds."""
     print(text, end="", file=sys.stderr, flush=True)
-    began, ended, terminal, share = time.perf_counter(), threading.Event(), sys.stderr.isatty(), progress or of_parts()
+    began, ended, terminal = time.perf_counter(), threading.Event(), sys.stderr.isatty()
 
     def count() -> None:
         while not ended.wait(1.0):
-            done = f", {part:.0%}" if (part := share()) else ""
-            print(f"\r{text} {time.perf_counter() - began:.0f} s{done}", end="", file=sys.stderr, flush=True)
+            print(f"\r{text} {time.perf_counter() - began:.0f} s", end="", file=sys.stderr, flush=True)
 
     counter = threading.Thread(target=count, daemon=True)
     if terminal:
@@ -346,17 +339,6 @@ def _alone_in(mark: Path) -> AbstractContextManager[object]:
                 return Lock(mark.parent, "NUMBA_CACHE_DIR")
             time.sleep(PERIOD)
     return nullcontext()
-
-
-def of_parts() -> Callable[[], float]:
-    """Tells the share of a compilation that is done, of one that begins now; four fifths of it go into the parts."""
-    before, _ = compiled_parts()
-
-    def share() -> float:
-        done, made = compiled_parts()
-        return 0.8 * (done - before) / max(made - before, 1)
-
-    return share
 
 
 @contextmanager

@@ -97,14 +97,11 @@ class Part(CPUDispatcher):
         alone: compiles the function for Python.
     """
 
-    made, lowered = 0, 0  # in this process, and how many of them were compiled
-
     def __init__(self, function: Callable[..., Any], options: dict[str, Any], alone: Callable[..., Any]):
         super().__init__(
             function, targetoptions={"nopython": True, "no_cpython_wrapper": True, **options}, pipeline_class=_Compiler
         )
         self._alone = alone
-        Part.made += 1
 
     @cached_property
     def entry(self) -> Callable[..., Any]:
@@ -116,5 +113,4 @@ class Part(CPUDispatcher):
 
     def add_overload(self, cres: Any) -> None:
         """Store the code compiled for some types; Python's dispatcher does not learn of it."""
-        Part.lowered += not self.overloads
         self.overloads[tuple(cres.signature.args)] = cres

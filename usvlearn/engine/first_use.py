@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import sys
 import threading
+import time
 from functools import cache
 
 import numpy as np
@@ -11,10 +14,12 @@ from usvlearn.core.family import WIDTH
 from usvlearn.core.jit import NUMBA, announced
 from usvlearn.core.prepared_samples import ROW, prepare_all
 from usvlearn.engine import background_compile, dispatch, forecasting, planar
-from usvlearn.engine.program import Program, program_for
+from usvlearn.engine.planar_plan import program_for
+from usvlearn.engine.program import Program
 from usvlearn.estimators.planar.state import PLACES
 
 COMPILING = threading.RLock()  # a fork waits for it
+PERIOD = 0.2  # s between two looks whether the command still runs
 
 
 @cache
@@ -39,14 +44,7 @@ def compile_runs(dtype: np.dtype) -> None:
     plan, numbers, work = _smallest(dtype)
     samples, masks, column = np.zeros((1, 1), dtype), np.zeros((1, 1), bool), np.zeros(1, np.int64)
     rows, picks = np.zeros((1, 1, ROW), dtype), np.zeros((1, 1, 1), dtype)
-    with (
-        COMPILING,
-        announced(
-            dispatch.__file__,
-            background_compile.runs_of(dtype),
-            background_compile.share if background_compile.running else None,
-        ),
-    ):
+    with COMPILING, announced(dispatch.__file__, background_compile.runs_of(dtype)):
         limit = dispatch.surge_limit(plan.program, numbers[0])
         prepare_all(samples, samples, samples, samples, samples, samples, masks, masks, False, limit, rows)
         states = np.zeros((1, plan.size), dtype)
@@ -101,3 +99,19 @@ def compile_plans(dtype: np.dtype) -> None:
         forecasting.forecast_plan(
             program, numbers, numbers, none, none, none, none, none, False, 1.0, numbers, found, numbers
         )
+
+
+def compile_all() -> None:
+    """What the process of `background_compile` does, until the command that started it has ended."""
+    dtype, parent = np.dtype(sys.argv[1]), os.getppid()
+
+    def end_with_the_command() -> None:
+        while os.getppid() == parent:
+            time.sleep(PERIOD)
+        os._exit(1)
+
+    threading.Thread(target=end_with_the_command, daemon=True).start()
+    compile_runs(dtype)
+    compile_steps(dtype)
+    if "tracks" in sys.argv[2:]:
+        compile_planar(dtype)

@@ -1,20 +1,35 @@
-"""The plan of a boat in the plane: those of its three ensembles, one behind the other, and the tracks."""
+"""The program of a description; that of a boat in the plane is those of its three ensembles, and the tracks."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from usvlearn.core.prepared_samples import ROW
 from usvlearn.engine.leaves import Description, block_size, forecast_size, track_size
-from usvlearn.engine.program import Leaf, Program, program_for
+from usvlearn.engine.program import Leaf, Program
 from usvlearn.estimators.planar import state as at
 from usvlearn.estimators.planar.state import AXES, FAMILY, TrackState, filter_of
 
 if TYPE_CHECKING:
     from numpy.typing import DTypeLike
+
+
+def program_for(description: Description, batch: Sequence[int], dtype: np.dtype) -> Program:
+    """The `Program`, cached, because a replay needs the same one for every chunk."""
+    return _plan(json.dumps(description), tuple(batch), np.dtype(dtype))
+
+
+@lru_cache(maxsize=8)
+def _plan(description: str, batch: tuple[int, ...], dtype: np.dtype) -> Program:
+    found = json.loads(description)
+    if found["kind"] == "planar":
+        return PlanarProgram(found, batch, dtype)
+    return Program(found, batch, dtype)
 
 
 class PlanarProgram(Program):

@@ -6,9 +6,7 @@ A description (`Estimator.description`) has JSON values only: `kind`, `size`, `n
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -40,21 +38,6 @@ class Leaf(NamedTuple):
     shape: tuple[int, ...]
     strides: tuple[int, ...]  # in numbers
     flag: bool  # whether it is bool
-
-
-def program_for(description: Description, batch: Sequence[int], dtype: np.dtype) -> Program:
-    """The `Program`, cached, because a replay needs the same one for every chunk."""
-    return _plan(json.dumps(description), tuple(batch), np.dtype(dtype))
-
-
-@lru_cache(maxsize=8)
-def _plan(description: str, batch: tuple[int, ...], dtype: np.dtype) -> Program:
-    found = json.loads(description)
-    if found["kind"] == "planar":
-        from usvlearn.engine.planar_plan import PlanarProgram
-
-        return PlanarProgram(found, batch, dtype)
-    return Program(found, batch, dtype)
 
 
 class Program:

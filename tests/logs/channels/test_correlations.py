@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support import REAL_LOGS, RECORDED, over
-from usvlearn.cli.composition import recordings_of
+from usvlearn.composition.configuration import recordings_of
 from usvlearn.logs.channels import correlations, position_rates
 from usvlearn.simulate.autopilot import Autopilot
 from usvlearn.simulate.fleet import fleet

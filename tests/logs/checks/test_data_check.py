@@ -22,7 +22,7 @@ from tests.support.mistakes import (
     times,
     with_yaw_rate,
 )
-from usvlearn.cli.composition import recordings_of
+from usvlearn.composition.configuration import recordings_of
 from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.logs.channels.channel import AUXILIARY, COMMANDS, SURGE, Channel, Recording
 from usvlearn.logs.checks.data_check import check_data, check_level, refuse

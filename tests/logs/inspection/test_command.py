@@ -15,9 +15,9 @@ from tests.support.commands import complaints
 from tests.support.exported import write_alog, write_table
 from tests.support.shapes import SHAPES
 from tests.support.voyages import voyage
-from usvlearn.cli.composition import recordings_of
-from usvlearn.cli.data_configs import with_data_files
 from usvlearn.cli.inspect import main
+from usvlearn.composition.configuration import recordings_of
+from usvlearn.composition.data_files import with_data_files
 from usvlearn.logs.inspection.logfiles import boats_of
 
 MINUTES = 2.0  # of a voyage: enough to be read, for what is said and written

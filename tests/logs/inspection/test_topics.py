@@ -13,9 +13,8 @@ from tests.support.exported import write_table
 from tests.support.shapes import certainties, score
 from tests.support.topic_tables import TOPICS, ferry, numbers, rostopic, rotation
 from tests.support.voyages import voyage
-from usvlearn.cli.composition import recordings_of
-from usvlearn.cli.configs import configs_folder
 from usvlearn.cli.inspect import main
+from usvlearn.composition.configuration import configs_folder, recordings_of
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.inspection.inspected import inspect_logs
 

@@ -7,16 +7,22 @@ fit, too. The lag is a share of a step, and scales with the length of it.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.engine.identified import members_of
+from usvlearn.core import checkpoint
+from usvlearn.engine.identified import identified, members_of
+from usvlearn.engine.online import read_checkpoint
+from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.augmented_ekf.state import LAG_LEAST, LAG_MOST
-from usvlearn.estimators.joint.periodic_estimates import covariance_of
+from usvlearn.estimators.joint.periodic_estimates import Identified, covariance_of
 from usvlearn.estimators.joint.state import DROPPED, THETA, names
 from usvlearn.estimators.regressors.terms import LAG
+from usvlearn.live.diagnostics import surge_alone
 from usvlearn.model.fit.boat import FITTED
 from usvlearn.model.fit.choice import WEAR
 from usvlearn.model.fit.fitted import Fitted
@@ -24,8 +30,30 @@ from usvlearn.model.fit.intervals import spread
 from usvlearn.model.fit.logs import DT
 from usvlearn.model.fit.terms import AT
 from usvlearn.model.fit.wear import worn
+from usvlearn.runs.file_names import CHECKPOINTS
 
 POLYNOMIAL = ("even", "cubic", "nine")  # sets whose terms a joint EKF has, from the largest
+
+
+class Last(NamedTuple):
+    """What a run has learned of a boat."""
+
+    leaves: dict[str, np.ndarray]
+    facts: dict[str, Any]
+    online: Identified | None  # None: it identifies nothing
+
+
+def last_of(folder: Path) -> Last | None:
+    """The newest readable checkpoint of a boat in a folder; None without one."""
+    try:
+        leaves, facts = surge_alone(*checkpoint.newest(folder, read_checkpoint))
+    except CheckpointError:
+        return None
+    try:
+        (online,) = identified(members_of(facts["kernel"]), {name: leaf[None] for name, leaf in leaves.items()})
+    except ConfigError:
+        return Last(leaves, facts, None)
+    return Last(leaves, facts, online)
 
 
 def handed_over(
@@ -112,3 +140,17 @@ def factored(P: np.ndarray) -> np.ndarray:
             found[j, :j] = rest[:j, j] / found[j, j]
             rest[:j, :j] -= found[j, j] * np.outer(found[j, :j], found[j, :j])
     return found
+
+
+def write(folder: Path, found: Fitted, last: Last | None, dt: float) -> list[Path]:
+    """Write the files of a boat, whose checkpoint has steps of `dt`, s; returns their paths."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{found.boat}.fit.json"
+    text = json.dumps(found.json(), indent=1, ensure_ascii=False, allow_nan=False)
+    checkpoint.write_atomically(path, f"{text}\n".encode())
+    if last is None:
+        return [path]
+    leaves, own = handed_over(last.leaves, last.facts["kernel"], found, dt)
+    facts = {key: value for key, value in last.facts.items() if key != "schema"} | own
+    file = folder / CHECKPOINTS / found.boat / f"fit{checkpoint.SUFFIX}"
+    return [path, checkpoint.save(file, leaves, **facts)]

@@ -30,11 +30,6 @@ class CheckedAlignment:
 
     Attributes:
         findings: of all that was aligned; None if nothing was checked.
-
-    >>> from usvlearn.simulate.fleet import fleet
-    >>> align = CheckedAlignment({"vehicle": {"surge_max": 2.74}, "check": "strict"})
-    >>> align(fleet(n=1, hours=0.1), dt=0.4).boats, align.findings
-    (('heron',), [])
     """
 
     def __init__(self, settings: Mapping[str, Any], console: Console | None = None):

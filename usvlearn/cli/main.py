@@ -1,10 +1,16 @@
-"""The list of commands, their help, and what they print before anything slow is imported.
+"""The command `usvlearn`, its commands, and the first words and the help of those of Hydra."""
 
-It imports nothing of ours, so that its first words come at once.
-"""
+from __future__ import annotations
 
+import difflib
+import importlib
 import sys
+from collections.abc import Sequence
 
+import usvlearn
+from usvlearn.errors import complain, drop_output
+
+USAGE = "usage: usvlearn COMMAND ARGUMENTS, COMMAND --help or --version"
 COMMANDS = {  # name -> the module whose `main` does it, and what it does
     "train": ("usvlearn.cli.train", "replay logs through estimators online, save what they learn"),
     "evaluate": ("usvlearn.cli.evaluate", "judge saved runs, compare the jobs of a sweep, or make a study"),
@@ -82,3 +88,47 @@ def begin(name: str) -> None:
         and sys.stderr.isatty()
     ):
         print(f"usvlearn {name}: loading …", file=sys.stderr, flush=True)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Hand the arguments to a command; returns the exit code."""
+    try:
+        code = _main(sys.argv[1:] if arguments is None else arguments)
+        if sys.stdout is not None:
+            sys.stdout.flush()
+        return code
+    except BrokenPipeError:
+        drop_output()
+        return 0
+
+
+def _main(arguments: Sequence[str]) -> int:
+    name, *rest = arguments or ["--help"]
+    if name in ("-h", "--help"):
+        print(USAGE, "", *(f"  {each:12}{what}" for each, (_, what) in COMMANDS.items()), sep="\n")
+        return 0
+    if name == "--version":
+        print("usvlearn", usvlearn.__version__)
+        return 0
+    if name not in COMMANDS:
+        close = difflib.get_close_matches(name, COMMANDS, n=1)
+        hint = f"did you mean {close[0]}?" if close else "see usvlearn --help"
+        complain(f"error: found the command {name!r}, expected one of {', '.join(COMMANDS)}: {hint}")
+        return 2
+    sys.argv = [f"usvlearn {name}", *rest]
+    begin(name)
+    try:
+        module = importlib.import_module(COMMANDS[name][0])
+        if hasattr(module, "main"):
+            return module.main() or 0
+        from usvlearn.cli.plain_command import run_command
+
+        return run_command(module.work, module.USAGE)
+    except ModuleNotFoundError as error:
+        if (package := (error.name or "").partition(".")[0]) in ("", "usvlearn", "certify"):
+            raise
+        complain(
+            f"error: usvlearn {name} needs the package {package}, which is not installed (usvlearn-aboard leaves it "
+            "out): use an environment where all of usvlearn is installed, by `pip install .`"
+        )
+        return 2

@@ -23,7 +23,7 @@ from omegaconf.errors import (
     OmegaConfBaseException,
 )
 
-from usvlearn.cli.path_arguments import hint_of_data
+from usvlearn.composition.data_files import hint_of_data
 from usvlearn.core.unconfirmed import SECTION as UNCONFIRMED
 from usvlearn.errors import ConfigError, did_you_mean
 
@@ -36,11 +36,6 @@ def in_one_sentence(names: Callable[[str], Iterable[str]] = lambda wrong: []) ->
 
     Args:
         names: from a mistyped key to the existing keys and groups.
-
-    >>> with in_one_sentence():
-    ...     OmegaConf.to_container(OmegaConf.create({"a": "${b}", "b": "${a}"}), resolve=True)
-    Traceback (most recent call last):
-    usvlearn.errors.ConfigError: a: refers to itself: give it a value
     """
     try:
         yield
@@ -88,11 +83,7 @@ def _sentence(error: Exception, names: Callable[[str], Iterable[str]]) -> str:
 
 
 def _in_quotes(override: str) -> str:
-    """How to write an override whose value is a text with other signs than letters and digits, for a POSIX shell.
-
-    >>> print(_in_quotes("data.channels.surge.name=Speed (m/s)"))
-    , and a text with brackets or other signs in quotes: 'data.channels.surge.name="Speed (m/s)"'
-    """
+    """How to write an override whose value is a text with other signs than letters and digits, for a POSIX shell."""
     key, sign, value = override.partition("=")
     if not value or value[0] in "[{'\"":
         return ""
@@ -145,19 +136,15 @@ def known_names(
                 continue
             tree: Any = OmegaConf.to_container(cfg)
             tree.pop(UNCONFIRMED, None)
-            return [*cfg.hydra.runtime.choices, *dotted(tree)]
+            return [*cfg.hydra.runtime.choices, *_dotted(tree)]
         return []
 
     return find
 
 
-def dotted(tree: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
-    """The dotted keys of a tree.
-
-    >>> list(dotted({"align": {"dt": 0.4}}))
-    ['align', 'align.dt']
-    """
+def _dotted(tree: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+    """The dotted keys of a tree: align, align.dt, …"""
     for key, value in tree.items():
         yield f"{prefix}{key}"
         if isinstance(value, Mapping):
-            yield from dotted(value, f"{prefix}{key}.")
+            yield from _dotted(value, f"{prefix}{key}.")

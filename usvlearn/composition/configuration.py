@@ -1,24 +1,32 @@
-"""A composed configuration: checks before anything heavy is imported, and the objects that it describes."""
+"""The configurations that come with usvlearn: where they are, what they compose, its checks, the objects it describes.
+
+What is heavy is imported where it is used, so that a mistake is told at once. Constructors check their values.
+"""
 
 from __future__ import annotations
 
 import inspect
 import pydoc
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import hydra
+from hydra import compose, initialize_config_dir
 from hydra.errors import InstantiationException
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from usvlearn.cli.config_errors import in_one_sentence
+import usvlearn
+from usvlearn.composition.data_files import with_data_files
+from usvlearn.composition.errors import in_one_sentence, known_names
 from usvlearn.core.former_names import today
 from usvlearn.core.samples import LIMIT, speed_limit
 from usvlearn.errors import ConfigError, UsvlearnError, check_positive, did_you_mean, under
 from usvlearn.live.prior import with_limit
 from usvlearn.logs.alignment.align import Aligner
+from usvlearn.logs.channels.channel import Recording
 from usvlearn.logs.checks.data_check import check_level
 
 if TYPE_CHECKING:
@@ -28,11 +36,47 @@ if TYPE_CHECKING:
 SECTIONS = ("data", "estimators", "combiners", "align", "tuning")
 
 
-def check_settings(cfg: DictConfig) -> None:
-    """Raise a ConfigError if a section of train.yaml is missing, or a value refers to itself or to a missing key.
+def configs_folder() -> Path:
+    """The folder configs/: in an installed package inside it, in a checkout beside it."""
+    package = Path(usvlearn.__file__).resolve().parent
+    installed = package / "configs"
+    return installed if installed.is_dir() else package.parent / "configs"
 
-    It imports no torch, so that the answer is quick. Constructors check the values that they receive.
+
+def recordings_of(data: str, changes: Mapping[str, Any]) -> tuple[Iterable[Recording], dict[str, Any]]:
+    """The recordings that a data configuration describes, and all that train.py composes with it.
+
+    Args:
+        data: name of a file in configs/data, or the path of a file of one's own that ends in .yaml.
+        changes: values by key, mappings of them where keys are nested, which replace those of the files or are added.
     """
+    settings = compose_train([f"data={data}"], changes)
+    return instantiate(settings.data), plain(settings)
+
+
+def compose_train(overrides: Sequence[str], changes: Mapping[str, Any] | None = None) -> DictConfig:
+    """The configuration of train.py with overrides, as on its command line, and changes, as of `recordings_of`."""
+    configs = configs_folder()
+    overrides = with_data_files(overrides)
+    with in_one_sentence(known_names(configs, "train", overrides)):
+        with initialize_config_dir(str(configs), version_base="1.3"):
+            settings = compose("train", list(overrides))
+        if changes:
+            OmegaConf.set_struct(settings, False)
+            settings.merge_with(OmegaConf.create(dict(changes)))
+    check_settings(settings)
+    return settings
+
+
+def plain(cfg: Any) -> dict[str, Any]:
+    """A configuration as dictionaries, lists and scalars, with its references resolved."""
+    found = OmegaConf.to_container(cfg, resolve=True)
+    assert isinstance(found, dict)
+    return {str(key): value for key, value in found.items()}
+
+
+def check_settings(cfg: DictConfig) -> None:
+    """Raise a ConfigError if a section of train.yaml is missing, or a value refers to itself or to a missing key."""
     given: Any = OmegaConf.to_container(cfg)
     for name in SECTIONS:
         if not isinstance(given.get(name), dict):
@@ -56,12 +100,7 @@ def check_settings(cfg: DictConfig) -> None:
 
 
 def instantiate(node: Any, **options: Any) -> Any:
-    """Make the objects that a node describes, like Hydra; an error begins with the full path of its key.
-
-    >>> instantiate({"rls": {"_target_": "usvlearn.errors.check_positive", "name": "value", "value": -1}})
-    Traceback (most recent call last):
-    usvlearn.errors.ConfigError: rls.value: found -1, expected a positive number
-    """
+    """Make the objects that a node describes, like Hydra; an error begins with the full path of its key."""
     try:
         return hydra.utils.instantiate(node, **options)
     except InstantiationException as error:
@@ -70,13 +109,7 @@ def instantiate(node: Any, **options: Any) -> Any:
 
 @contextmanager
 def as_written(cfg: DictConfig) -> Iterator[None]:
-    """A context in which an error about a key that only refers to another one names that one: a user has set it.
-
-    >>> with as_written(OmegaConf.create({"vehicle": {"mass": -1}, "aid": {"mass": "${vehicle.mass}"}})):
-    ...     raise ConfigError("aid.mass: found -1, expected a positive number")
-    Traceback (most recent call last):
-    usvlearn.errors.ConfigError: vehicle.mass: found -1, expected a positive number
-    """
+    """A context in which an error about a key that only refers to another one names that one: a user has set it."""
     try:
         yield
     except UsvlearnError as error:

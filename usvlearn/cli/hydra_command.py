@@ -11,6 +11,7 @@ import functools
 import logging
 import os
 import re
+import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -22,13 +23,11 @@ from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from usvlearn.cli.config_errors import in_one_sentence, known_names
-from usvlearn.cli.configs import configs_folder
-from usvlearn.cli.data_configs import with_data_files
-from usvlearn.cli.path_arguments import with_keys
-from usvlearn.cli.resume_command import again
 from usvlearn.cli.signals import Stopped, in_program, stoppable, stoppable_worker, was_stopped
-from usvlearn.cli.sweep import Sweep, cut_short, end_progress, load
+from usvlearn.cli.sweep import Sweep, again, cut_short, end_progress, load
+from usvlearn.composition.configuration import configs_folder
+from usvlearn.composition.data_files import SUFFIXES, hint_of_data, with_data_files
+from usvlearn.composition.errors import in_one_sentence, known_names
 from usvlearn.errors import ConfigError, UsvlearnError, complain, did_you_mean, exit_on_user_error
 from usvlearn.sweeps.launchers import check_launcher
 from usvlearn.sweeps.leaderboard import leaderboard
@@ -142,10 +141,6 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
 
     Raises:
         ConfigError: a flag is unknown, or lacks its value.
-
-    >>> parse(["--multirnu"])
-    Traceback (most recent call last):
-    usvlearn.errors.ConfigError: unrecognized arguments: --multirnu: did you mean --multirun?
     """
     parser = get_args_parser()
     flags = re.findall(r"--[\w-]+", parser.format_usage())
@@ -159,12 +154,48 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
 
 
 def flags_first(arguments: Sequence[str]) -> list[str]:
-    """The arguments, flags before overrides: Hydra reads no flag between two overrides.
-
-    >>> flags_first(["align.dt=0.2,0.4", "-m", "seeds=5"])
-    ['-m', 'align.dt=0.2,0.4', 'seeds=5']
-    """
+    """The arguments, flags before overrides: Hydra reads no flag between two overrides."""
     overrides, flags = parse(arguments).overrides, list(arguments)
     for each in overrides:
         flags.remove(each)
     return [*flags, *overrides]
+
+
+def with_keys(name: str, arguments: Sequence[str], overrides: Sequence[str]) -> list[str]:
+    """The arguments of train or evaluate, in which a file or folder without a key has the key that it is meant for.
+
+    Args:
+        name: of the command.
+        arguments: all of them.
+        overrides: those that are no flags.
+
+    Raises:
+        ConfigError: a file or folder does not exist, or is not what the command takes.
+    """
+    meant = {each: _meant(name, each) for each in overrides if "=" not in each and not each.startswith("~")}
+    given = [each for each in meant.values() if each.startswith("runs=")]
+    if len(given) > 1:
+        raise ConfigError(f"runs: found {len(given)} folders, expected one: give one that holds all of them")
+    return [meant.get(each, each) for each in arguments]
+
+
+def _meant(name: str, word: str) -> str:
+    path = Path(word).expanduser()
+    if path.suffix in SUFFIXES:
+        if not path.is_file():
+            raise ConfigError(f"data: found {word!r}, but there is no such file{hint_of_data(word)}")
+        return f"data={shlex.quote(word) if set(word) & set(' ,') else word}"
+    if name == "evaluate":
+        if path.is_file():
+            raise ConfigError(f"runs: found the file {word!r}, expected a folder that `train` has written")
+        if not path.is_dir():
+            wanted = "name one that `train` has written"
+            raise ConfigError(f"runs: found {word!r}, but there is no such folder: {wanted}")
+        return f"runs={word}"
+    if path.exists():
+        raise ConfigError(f"data: found {word!r}{hint_of_data(word)}")
+    if "/" in word or path.suffix:
+        raise ConfigError(f"data: found {word!r}, but there is no such file: correct the path")
+    names = [f"data.{each.stem}" for each in (configs_folder() / "data").glob("*.yaml")]
+    hint = did_you_mean(word, names).replace("data.", "data=")
+    raise ConfigError(f"{word}: found no value, expected KEY=VALUE, or a file such as my_boat.yaml{hint}")

@@ -9,6 +9,7 @@ Such a file may come from anybody: it must be plain data that names only classes
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -25,10 +26,12 @@ from usvlearn.core.unconfirmed import SECTION as UNCONFIRMED
 from usvlearn.core.unconfirmed import questions_in
 from usvlearn.errors import CheckpointError, ConfigError, did_you_mean
 from usvlearn.logs.inspection.override import hydra_text
+from usvlearn.runs.file_names import CHECKPOINTS, RUNS
 from usvlearn.runs.trust import check_settings
 
 GROUP, SUFFIXES = "data", (".yaml", ".yml")
 SECTIONS = ("data", "vehicle", "align")  # of such a file
+OF_A_RUN = (".safetensors", ".json")  # the files in its folder
 
 
 def with_data_files(overrides: Iterable[str]) -> list[str]:
@@ -38,12 +41,6 @@ def with_data_files(overrides: Iterable[str]) -> list[str]:
 
     Raises:
         ConfigError: there is no such file, or it is no legal YAML.
-
-    >>> with_data_files(["data=csv", "align.dt=0.2"])
-    ['data=csv', 'align.dt=0.2']
-    >>> with_data_files(["data=nowhere/my_boat.yaml"])
-    Traceback (most recent call last):
-    usvlearn.errors.ConfigError: data: found 'nowhere/my_boat.yaml', but there is no such file: correct the path
     """
     return [_known(each) for each in overrides]
 
@@ -91,3 +88,18 @@ def _register(path: Path) -> None:
         raise ConfigError(f"{what}: if you trust it, put it into FOLDER/data and give --config-dir FOLDER") from error
     group = "/".join([GROUP, *path.parent.parts[1:]])
     ConfigStore.instance().store(group=group, name=path.name, node=node, package="_global_")
+
+
+def hint_of_data(word: str) -> str:
+    """What to do with a path that is no configuration of data: what it is, and the command for it."""
+    path, quoted = Path(word).expanduser(), shlex.quote(word)
+    if not path.exists():
+        return ": correct the path, or let usvlearn inspect LOGS write one"
+    if (path / RUNS).exists() or (path / CHECKPOINTS).exists():
+        return f", the folder of a run: to judge it: usvlearn evaluate {quoted}; to continue it: resume={quoted}"
+    if any(path.glob(f"*/{RUNS}")):
+        return f", a folder of runs: to judge them: usvlearn evaluate {quoted}"
+    if path.suffix in OF_A_RUN:
+        return ", a file of a run: expected the configuration of logs, such as my_boat.yaml"
+    inspect = f"first run usvlearn inspect {quoted}, which writes my_boat.yaml; then give my_boat.yaml"
+    return f", expected the configuration of logs: {inspect}"
