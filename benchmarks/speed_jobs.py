@@ -115,7 +115,7 @@ def logging(fleet: Fleet, effort: Effort) -> str:
         with (
             tempfile.TemporaryDirectory() as folder,
             TensorBoardLogger(folder, fleet, model) as watch,
-            RunFolder(folder, fleet, {}, model.names, model.forecasts, filters=model.accommodated) as archive,
+            RunFolder(folder, fleet, model, {}) as archive,
         ):
             start = archive.begin(model.init((len(fleet.boats),)), None)
             began, spent = time.perf_counter(), 0.0

@@ -17,11 +17,7 @@ DISK = (*NO_ROOM, errno.EROFS, errno.EIO)  # of a write, which names no file
 
 
 def printable(text: str) -> str:
-    r"""Text from a file, with characters that would control the terminal escaped.
-
-    >>> print(printable("found \x1b[2J, 3 °"))
-    found \x1b[2J, 3 °
-    """
+    r"""Text from a file, with characters that would control the terminal escaped."""
     return "".join(each if each.isprintable() else repr(each)[1:-1] for each in text)
 
 
@@ -31,11 +27,6 @@ def folded(text: str, columns: int | None) -> str:
     Args:
         text: of lines; what follows a label and two spaces continues below itself.
         columns: of the terminal; None, as of a file, breaks nothing.
-
-    >>> print(folded("files  run: results.json, errors.csv, predictions", 28))
-    files  run: results.json,
-           errors.csv,
-           predictions
     """
     if columns is None:
         return text
@@ -50,12 +41,7 @@ def folded(text: str, columns: int | None) -> str:
 
 
 def columns_of(stream: TextIO) -> int | None:
-    """The width of the terminal to which a stream writes; None if it is none, or does not tell.
-
-    >>> import io
-    >>> columns_of(io.StringIO()) is None
-    True
-    """
+    """The width of the terminal to which a stream writes; None if it is none, or does not tell."""
     try:
         return (os.get_terminal_size(stream.fileno()).columns or None) if stream.isatty() else None
     except (OSError, ValueError):
@@ -159,44 +145,28 @@ def _distribution(extra: str) -> str:
 
 
 def check_choice(name: str, value: str, choices: tuple[str, ...]) -> str:
-    """Return `value` if it is one of `choices`, else raise a ConfigError that lists them.
-
-    >>> check_choice("feedback", "measured", ("measured", "estimate"))
-    'measured'
-    """
+    """Return `value` if it is one of `choices`, else raise a ConfigError that lists them."""
     if value not in choices:
         raise ConfigError(f"{name}: found {value!r}, expected one of {', '.join(choices)}")
     return value
 
 
 def check_positive(name: str, value: float, unit: str = "") -> float:
-    """Return `value` if it is a positive, finite number, else raise a ConfigError.
-
-    >>> check_positive("dt", 0.4, "s")
-    0.4
-    """
+    """Return `value` if it is a positive, finite number, else raise a ConfigError."""
     if not (isinstance(value, int | float) and 0 < value < float("inf")):
         raise ConfigError(f"{name}: found {value!r}, expected a positive number {unit}".rstrip())
     return value
 
 
 def check_not_negative(name: str, value: float, unit: str = "") -> float:
-    """Return `value` if it is a finite number of 0 or more, else raise a ConfigError.
-
-    >>> check_not_negative("patience", 0.0, "of s")
-    0.0
-    """
+    """Return `value` if it is a finite number of 0 or more, else raise a ConfigError."""
     if not (isinstance(value, int | float) and 0 <= value < float("inf")):
         raise ConfigError(f"{name}: found {value!r}, expected a number of 0 or more {unit}".rstrip())
     return value
 
 
 def did_you_mean(word: str, names: Iterable[str]) -> str:
-    """A hint at the nearest names: keys that end in the word, or one that looks similar; else "".
-
-    >>> did_you_mean("gain", ["aid.gain", "align"]), did_you_mean("aid.gian", ["aid.gain"]), did_you_mean("x", ["aid"])
-    (': did you mean aid.gain?', ': did you mean aid.gain?', '')
-    """
+    """A hint at the nearest names: keys that end in the word, or one that looks similar; else ""."""
     names = list(names)
     ends = [name for name in names if name.endswith(f".{word}")]
     own = [name for name in ends if not name.startswith("hydra.")]
@@ -211,11 +181,6 @@ def under(key: str, names: Container[str] | None = None) -> Iterator[None]:
     Args:
         key: the path of the options.
         names: of the options; by default every error is assumed to be about one.
-
-    >>> with under("align", ["dt"]):
-    ...     check_positive("dt", 0)
-    Traceback (most recent call last):
-    usvlearn.errors.ConfigError: align.dt: found 0, expected a positive number
     """
     try:
         yield
@@ -247,13 +212,7 @@ def cause_of(error: Exception) -> str:
 
 
 def bad_input(error: BaseException) -> str | None:
-    """The sentence for the user if an error means bad input or a full disk; None if it is a bug.
-
-    >>> bad_input(ConfigError("dt: found 0, expected a positive number"))
-    'dt: found 0, expected a positive number'
-    >>> print(bad_input(RuntimeError("a bug")))
-    None
-    """
+    """The sentence for the user if an error means bad input or a full disk; None if it is a bug."""
     cause: BaseException | None = error
     while cause is not None and not isinstance(cause, UsvlearnError):
         cause = cause.__cause__
@@ -268,11 +227,7 @@ def bad_input(error: BaseException) -> str | None:
 
 @contextmanager
 def exit_on_user_error() -> Iterator[None]:
-    """A context in which bad input ends the program with one sentence and code 2, and a warning takes one line.
-
-    >>> with exit_on_user_error():
-    ...     dt = check_positive("dt", 0.4)
-    """
+    """A context in which bad input ends the program with one sentence and code 2, and a warning takes one line."""
     before = warnings.formatwarning
     warnings.formatwarning = lambda message, *_, **__: f"{folded(f'warning: {message}', columns_of(sys.stderr))}\n"
     try:

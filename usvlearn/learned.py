@@ -281,7 +281,7 @@ class Learned:
         import usvlearn
         from usvlearn.core import checkpoint
         from usvlearn.engine import select_element
-        from usvlearn.runs.file_names import ESTIMATOR
+        from usvlearn.runs.files import ESTIMATOR
 
         if boat is None and len(self.boats) > 1:
             raise ConfigError(f"boat: found none, expected one of {', '.join(self.boats)}")

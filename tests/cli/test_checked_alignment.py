@@ -1,7 +1,5 @@
 """The data check before a run: what the terminal and results.json say, strict, off, and in a sweep."""
 
-import json
-
 import numpy as np
 import pytest
 
@@ -124,7 +122,7 @@ def test_settings_of_older_runs_are_checked(settings):
 def test_a_run_without_a_check_says_nothing_of_it(tmp_path):
     aligned = align_fleet(fleet(n=2, hours=0.02), dt=0.4)
     folder = session(tmp_path / "run", aligned)
-    assert "data_check" not in json.loads(json.dumps(folder.metadata))
+    assert "data_check" not in folder.finish(0.0)
 
 
 def test_equal_findings_of_several_boats_are_one_row(capsys):

@@ -254,7 +254,7 @@ def test_twenty_samples_say_so_and_are_wider_than_the_prior():
 
 
 def test_a_filter_that_diverged_identifies_nothing_and_writes_null(tmp_path):
-    from usvlearn.runs.file_names import save_results
+    from usvlearn.runs.files import save_results
 
     joint = averaged()
     found = read(joint, mean=np.full(23, np.nan))

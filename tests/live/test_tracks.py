@@ -23,7 +23,7 @@ from usvlearn.live.status.operator_page import page
 from usvlearn.live.status.publications import KINDS, of_step
 from usvlearn.logs.channels.channel import AUXILIARY
 from usvlearn.logs.recordings import align_fleet
-from usvlearn.runs import file_names
+from usvlearn.runs import files
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +143,7 @@ def test_bad_input_is_survived(name):
 def test_of_a_run_the_checkpoint_that_makes_tracks_comes_first(tmp_path, run):
     found = begin(NodeFolder(tmp_path), Options(tmp_path, run), PLAIN)
     assert found.facts["kernel"]["kind"] == "planar" and "planar/checkpoints" in found.sentence
-    assert {"latitude", "velocity_east"} <= set(found.setup.channels) and file_names.PLANAR == "planar"
+    assert {"latitude", "velocity_east"} <= set(found.setup.channels) and files.PLANAR == "planar"
     plain = begin(NodeFolder(tmp_path), Options(tmp_path, run / "checkpoints" / "planar"), PLAIN)
     assert plain.facts["kernel"]["kind"] != "planar" and not set(AUXILIARY) & set(plain.setup.channels)
     moos = begin(NodeFolder(tmp_path), Options(tmp_path, run), MIDDLEWARE._replace(reader="another"))

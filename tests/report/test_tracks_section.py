@@ -51,12 +51,12 @@ def made(tmp_path_factory) -> Made:
         {"joint": JointEKF(surge_max=2.7), "persistence": Persistence()}, forecasts=ForecastSettings(horizons=[2.0])
     )
     planar = Planar(ensemble, surge_max=2.7, horizons=(2.0, 5.2, 30.0))
-    run = RunFolder(folder, fleet, SETTINGS, ensemble.names, ensemble.forecasts, planar=planar)
+    run = RunFolder(folder, fleet, ensemble, SETTINGS["configuration"], planar)
     start = run.begin(ensemble.init((1,)), None)
     with run:
         for chunk in replay(ensemble, fleet, start.state, start.position, planar=planar):
             run.save(chunk)
-        run.finish(ensemble, time.perf_counter())
+        run.finish(time.perf_counter())
     return Made(folder, ensemble, fleet, read_seasons([folder], ensemble, [fleet]))
 
 

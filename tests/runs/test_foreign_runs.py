@@ -15,7 +15,7 @@ from usvlearn.composition.configuration import instantiate
 from usvlearn.core import checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.report.build import read
-from usvlearn.runs.index import begun
+from usvlearn.runs.files import begun
 from usvlearn.runs.saved import results, run_folders
 from usvlearn.sweeps.jobs import jobs
 from usvlearn.sweeps.leaderboard import leaderboard

@@ -17,12 +17,12 @@ from usvlearn.runs.run_folder import RunFolder
 
 def session(path, fleet, resume=None) -> tuple[RunFolder, dict]:
     ensemble = Ensemble({"aid": AID(28.0), "persistence": Persistence()})
-    folder = RunFolder(path, fleet, {"configuration": {"estimators": 1}}, ensemble.names, filters=ensemble.accommodated)
+    folder = RunFolder(path, fleet, ensemble, {"estimators": 1})
     start = folder.begin(ensemble.init((len(fleet.boats),)), resume)
     with folder:
         for chunk in replay(ensemble, fleet, start.state, start.position, every=7, save_every=10):
             folder.save(chunk)
-        return folder, folder.finish(ensemble, 0.0)
+        return folder, folder.finish(0.0)
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +69,7 @@ def test_scores_do_not_depend_on_how_many_boats_are_judged_at_a_time(tmp_path, f
     read, published = [], folder.published
     read_one = published.read
     monkeypatch.setattr(published, "read", lambda *place: read.append(place) or read_one(*place))
-    assert metrics.fleet_scores(fleet, published, folder.names) == found["boats"]
+    assert metrics.fleet_scores(fleet, published, folder.ensemble.names) == found["boats"]
     assert len(read) == len(fleet.boats) * len(published.places())
 
 

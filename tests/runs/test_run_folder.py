@@ -125,8 +125,8 @@ def test_another_interval_of_saving_resumes_too(tmp_path, fleet):
 def test_runs_are_never_mixed(tmp_path, fleet):
     run = session(tmp_path / "run", fleet)
     other = align_fleet([recording("a", "one", 6.0, speed=0.5), recording("b", "one", 9.0)])
-    swapped = {"configuration": {"estimators": {"rls": 2, "aid": 1}, "combiners": {}}}
-    for wrong in ({"fleet": other}, {"fleet": fleet, "metadata": swapped}):
+    swapped = {"estimators": {"rls": 2, "aid": 1}, "combiners": {}}
+    for wrong in ({"fleet": other}, {"fleet": fleet, "configuration": swapped}):
         with pytest.raises(ConfigError, match=r"another hydra\.run\.dir"):
             session(run.path, resume="latest", **wrong)
     busy = session(tmp_path / "busy", other)
@@ -141,7 +141,7 @@ def test_runs_are_never_mixed(tmp_path, fleet):
 def test_a_new_season_starts_from_the_newest_parameters(tmp_path, fleet):
     run = session(tmp_path / "run", fleet)
     other = align_fleet([recording("a", "new", 6.0, speed=0.5), recording("b", "new", 9.0)])
-    folder = RunFolder(tmp_path / "next", other, SETTINGS, model().names)
+    folder = RunFolder(tmp_path / "next", other, model(), SETTINGS["configuration"])
     start = folder.begin(model().init((2,)), str(run.path))
     for element, boat in enumerate(("a", "b")):
         newest = checkpoint.load(checkpoint.checkpoints(run.path / "checkpoints" / boat)[-1])[0]
@@ -152,7 +152,7 @@ def test_a_new_season_starts_from_the_newest_parameters(tmp_path, fleet):
 def test_a_set_that_tells_nothing_of_its_boat_is_a_start(tmp_path, fleet):
     """As `Online` saves it."""
     path = checkpoint.save(tmp_path / "a.safetensors", model().init(), estimator="Ensemble")
-    folder = RunFolder(tmp_path / "next", fleet, SETTINGS, model().names)
+    folder = RunFolder(tmp_path / "next", fleet, model(), SETTINGS["configuration"])
     assert folder.begin(model().init((2,)), str(path)).note == f"starting from a checkpoint, {path}"
 
 
@@ -184,7 +184,7 @@ def test_the_latest_run_is_the_one_that_began_last_whatever_the_clock_says(tmp_p
     other = align_fleet([recording("a", "new", 6.0, speed=0.5), recording("b", "new", 9.0)])
     for k in range(5):
         shuffled(tmp_path, rng)
-        new = RunFolder(tmp_path / f"new{k}", other, SETTINGS, model().names)
+        new = RunFolder(tmp_path / f"new{k}", other, model(), SETTINGS["configuration"])
         assert new._resumption.latest() == tmp_path / ("b" if k == 0 else f"new{k - 1}")
         new.begin(model().init((2,)), "latest")
     assert [path.name for path in run_folders(tmp_path)] == [*"cab", "new0", "new1", "new2", "new3", "new4"]
@@ -196,7 +196,10 @@ def test_a_run_that_went_on_is_the_latest(tmp_path, fleet):
     session(tmp_path / "first", fleet, "latest")
     assert (began(tmp_path / "first"), began(tmp_path / "second")) == (3, 2)
     shuffled(tmp_path, np.random.default_rng(1))
-    assert RunFolder(tmp_path / "next", fleet, SETTINGS, model().names)._resumption.latest() == tmp_path / "first"
+    assert (
+        RunFolder(tmp_path / "next", fleet, model(), SETTINGS["configuration"])._resumption.latest()
+        == tmp_path / "first"
+    )
     elsewhere = session(tmp_path / "other" / "run", fleet, str(tmp_path / "first"))
     assert began(elsewhere.path) == 4  # later than what it goes on from, wherever that is
 
@@ -210,7 +213,7 @@ def test_runs_without_a_record_of_their_beginning(tmp_path, fleet):
         (folder / "runs.json").write_text(json.dumps(content))
         for path in folder.rglob("*.*"):
             os.utime(path, (1e9 - k, 1e9 - k))
-    latest = RunFolder(tmp_path / "next", fleet, SETTINGS, model().names)._resumption.latest
+    latest = RunFolder(tmp_path / "next", fleet, model(), SETTINGS["configuration"])._resumption.latest
     assert latest() == tmp_path / "old"
     for number in ("3", None, True, -1, 1e300, [1]):
         content["began"] = {"number": number}
@@ -231,4 +234,7 @@ def test_of_two_that_began_at_once_the_one_that_came_further_is_the_latest(tmp_p
         checkpoint.checkpoints(tmp_path / "z" / "checkpoints" / boat)[-1].unlink()
     for seed in range(10):
         shuffled(tmp_path, np.random.default_rng(seed))
-        assert RunFolder(tmp_path / "next", fleet, SETTINGS, model().names)._resumption.latest() == tmp_path / "a"
+        assert (
+            RunFolder(tmp_path / "next", fleet, model(), SETTINGS["configuration"])._resumption.latest()
+            == tmp_path / "a"
+        )

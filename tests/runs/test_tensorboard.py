@@ -31,14 +31,7 @@ HORIZONS = (2.0, 10.0)
 
 def log(folder, fleet, ensemble, stop=None, resume=None, **more):
     """Replay into a run's folder, up to so many chunks; returns the results, or None if it was stopped."""
-    run = RunFolder(
-        folder,
-        fleet,
-        {"configuration": short_season()},
-        ensemble.names,
-        ensemble.forecasts,
-        filters=ensemble.accommodated,
-    )
+    run = RunFolder(folder, fleet, ensemble, short_season())
     start = run.begin(ensemble.init((len(fleet.boats),)), resume)
     logger = TensorBoardLogger(folder / "tensorboard", fleet, ensemble, start.position, **more)
     with run, logger:
@@ -47,7 +40,7 @@ def log(folder, fleet, ensemble, stop=None, resume=None, **more):
                 return None
             run.save(chunk)
             logger.show(chunk)
-        found = run.finish(ensemble, time.perf_counter() - 60.0)
+        found = run.finish(time.perf_counter() - 60.0)
         logger.finish(short_season(), found, run.published, ["rnn: fine"])
     return found
 

@@ -29,11 +29,11 @@ def model() -> Ensemble:
     return Ensemble({"aid": AID(28.0), "rls": RLS(SurgeDynamics(28.0)), "persistence": Persistence()})
 
 
-def session(folder, fleet, resume=None, metadata=SETTINGS, save_every=10, planar=None) -> RunFolder:
+def session(
+    folder, fleet, resume=None, configuration=SETTINGS["configuration"], save_every=10, planar=None
+) -> RunFolder:
     ensemble = model() if planar is None else planar.surge
-    folder = RunFolder(
-        folder, fleet, metadata, ensemble.names, ensemble.forecasts, filters=ensemble.accommodated, planar=planar
-    )
+    folder = RunFolder(folder, fleet, ensemble, configuration, planar)
     start = folder.begin(ensemble.init((2,)), resume)
     with folder:
         beside = planar, folder.beside

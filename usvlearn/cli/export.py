@@ -15,7 +15,7 @@ from usvlearn.errors import ConfigError, UsvlearnError, complain, did_you_mean, 
 from usvlearn.model.export.formats import FORMATS, Files, file_name
 from usvlearn.model.export.planar_boat import PlanarBoat, read_planar
 from usvlearn.model.read_boats import IdentifiedBoat, read_boats
-from usvlearn.runs.file_names import CHECKPOINTS, PLANAR
+from usvlearn.runs.files import CHECKPOINTS, PLANAR
 
 ALL = "all"
 

@@ -68,7 +68,7 @@ def work(arguments: Sequence[str], console: Console | None = None) -> None:
         from usvlearn.model.fit.logs import missions_of, without_losses
         from usvlearn.model.fit.shown import tables
         from usvlearn.model.fit.terms import SETS
-        from usvlearn.runs.file_names import CHECKPOINTS
+        from usvlearn.runs.files import CHECKPOINTS
         from usvlearn.runs.saved import configuration, results
 
         check_terms(given.terms)
@@ -141,7 +141,7 @@ def fit_on_the_way(folder: Path, console: Console) -> None:
 
 def _check_run(folder: Path) -> None:
     """Raise a ConfigError if there is no folder, or that of a fit."""
-    from usvlearn.runs.file_names import RUNS
+    from usvlearn.runs.files import RUNS
 
     if not folder.is_dir():
         raise ConfigError(f"{folder}: there is no such folder: give that of a run, which train has written")
@@ -196,7 +196,7 @@ def _logs(folder: Path, settings: Mapping[str, Any], data: Mapping[str, Any]) ->
 
 def _runs(folder: Path) -> dict[str, Any]:
     """Name, length and digest of each run that was learned, by boat; {} without an index."""
-    from usvlearn.runs.index import runs_file
+    from usvlearn.runs.files import runs_file
 
     try:
         found: dict[str, Any] = runs_file(folder)["boats"]
@@ -207,7 +207,7 @@ def _runs(folder: Path) -> dict[str, Any]:
 
 def _changed(folder: Path, fleet: Fleet) -> dict[str, str]:
     """A sentence for each boat whose logs are not those of which the run has learned."""
-    from usvlearn.runs.index import digest
+    from usvlearn.runs.files import digest
 
     found = {}
     for boat, runs in _runs(folder).items():
@@ -231,7 +231,7 @@ def _simulation(folder: Path, found: Fitted, fine: Fleet, coarse: Fleet) -> Free
     from usvlearn.evaluation.by_run import FREE, from_csv
     from usvlearn.evaluation.free_simulation import middle
     from usvlearn.model.fit.open_loop import ENSEMBLE, NOTHING, decide
-    from usvlearn.runs.file_names import ERRORS
+    from usvlearn.runs.files import ERRORS
 
     try:
         errors = from_csv((folder / ERRORS).read_text())
@@ -247,7 +247,7 @@ def _simulation(folder: Path, found: Fitted, fine: Fleet, coarse: Fleet) -> Free
 
 def _add_to_results(folder: Path, fitted: Sequence[Fitted]) -> None:
     """Say in `results.json` which terms were chosen, and which open-loop simulation to use."""
-    from usvlearn.runs.file_names import RESULTS, save_results
+    from usvlearn.runs.files import RESULTS, save_results
     from usvlearn.runs.saved import results
 
     if not (folder / RESULTS).exists() or not (known := results(folder)):

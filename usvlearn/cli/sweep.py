@@ -27,8 +27,7 @@ from usvlearn.core.lock import Lock
 from usvlearn.core.safe_yaml import has_alias
 from usvlearn.errors import ConfigError, exit_on_user_error
 from usvlearn.evaluation.measure import measure_of
-from usvlearn.runs.file_names import JOURNAL, RUNS
-from usvlearn.runs.index import check_own
+from usvlearn.runs.files import JOURNAL, RUNS, check_own
 from usvlearn.sweeps.jobs import SweepNote, check_sweep, note_sweep, noted_sweep, run_job
 from usvlearn.sweeps.launchers import check_launcher, prepare_workers
 from usvlearn.sweeps.leaderboard import check_own_board, leaderboard

@@ -32,7 +32,7 @@ from usvlearn.report.tables import (
     summary_lines,
     track_table,
 )
-from usvlearn.runs.file_names import TENSORBOARD
+from usvlearn.runs.files import TENSORBOARD
 from usvlearn.sweeps.launchers import set_threads
 from usvlearn.sweeps.seeds import seeded
 from usvlearn.sweeps.tuning.methods import asked
@@ -86,11 +86,8 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
     if (rejected := rejection_table(fleet.rejected)) is not None:
         console.print(rejected)
     check_measure(measure_of(cfg.get("objective"), ensemble.output), ensemble, fleet)
-    run = RunFolder(
-        folder, fleet, {"configuration": settings, "kernel": ensemble.description()}, ensemble.names,
-        ensemble.forecasts, align.json, {boat: each.json() for boat, each in setups_of(settings, recordings).items()},
-        ensemble.accommodated, planar,
-    )  # fmt: skip
+    setups = {boat: each.json() for boat, each in setups_of(settings, recordings).items()}
+    run = RunFolder(folder, fleet, ensemble, settings, planar, align.json, setups)
     start = run.begin(ensemble.init((len(fleet.boats),)), resume)
     terminal.show(start.note, *filter(None, (without, start.anew)), to=console)
     truth, turns = quantities_of([settings["data"]], cfg.vehicle.mass), turning_of([settings["data"]])
@@ -101,13 +98,13 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
     with run, logger, Activity(console) as activity:
         activity.begin("replaying", total=fleet.steps)
         chunks = replay(ensemble, fleet, start.state, start.position, logger.every, save_every, planar, run.beside)
-        for chunk in until_stopped(chunks, lambda: run.stop(ensemble, began)):
+        for chunk in until_stopped(chunks, lambda: run.stop(began)):
             run.save(chunk)
             logger.show(chunk)
             activity.tell(f"replaying run {chunk.end.run + 1} of {len(fleet.runs)}")
             activity.completed(fleet.steps_before(*chunk.end))
         activity.begin("scoring")
-        found = run.finish(ensemble, began, truth | turns)
+        found = run.finish(began, truth | turns)
         networks = stability(ensemble, run.state, fleet.boats, found.get("free"))
         logger.finish(settings, found, run.published, networks)
     console.print(error_tables(found["boats"], remarks(ensemble), explained(ensemble), found.get("forecast")))

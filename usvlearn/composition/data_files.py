@@ -26,7 +26,7 @@ from usvlearn.core.unconfirmed import SECTION as UNCONFIRMED
 from usvlearn.core.unconfirmed import questions_in
 from usvlearn.errors import CheckpointError, ConfigError, did_you_mean
 from usvlearn.logs.inspection.override import hydra_text
-from usvlearn.runs.file_names import CHECKPOINTS, RUNS
+from usvlearn.runs.files import CHECKPOINTS, RUNS
 from usvlearn.runs.trust import check_settings
 
 GROUP, SUFFIXES = "data", (".yaml", ".yml")

@@ -53,13 +53,6 @@ def save(path: str | Path, state: Any, **metadata: Any) -> Path:
 
     Returns:
         The path.
-
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = save(folder + "/a.safetensors", {"theta": np.ones(2)}, boat="heron")
-    ...     state, metadata = load(path)
-    >>> state["theta"], metadata["boat"]
-    (array([1., 1.]), 'heron')
     """
     path = Path(path)
     leaves = {name: as_array(leaf) for name, leaf in named_leaves(state)}
@@ -237,11 +230,7 @@ def _runs_elsewhere(process: int) -> bool:
 
 
 def as_array(leaf: Any) -> np.ndarray:
-    """An array from an array or a tensor, contiguous.
-
-    >>> as_array(np.ones((2, 2)).T).flags.c_contiguous
-    True
-    """
+    """An array from an array or a tensor, contiguous."""
     array = leaf if isinstance(leaf, np.ndarray) else leaf.detach().cpu().numpy()
     return np.ascontiguousarray(array).reshape(array.shape)
 

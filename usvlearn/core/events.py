@@ -45,15 +45,7 @@ class Event(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """The event in words.
-
-        >>> Event(12.0, LOSS, "left", 0.41, 0.3, 0.52, 10.0, ("joint",)).sentence
-        'the left thruster gives 41 % of its thrust (30 ... 52 %); joint got this after 10 s'
-        >>> Event(80.0, RECOVERY, "left").sentence
-        'the left thruster gives its full thrust again'
-        >>> Event(30.0, CHANGE, filters=("joint", "joint_averaged")).sentence
-        'the boat has changed: joint and joint_averaged have learned other parameters'
-        """
+        """The event in words."""
         who = " and ".join(self.filters)
         if self.kind == CHANGE:
             return f"the boat has changed: {who} ha{'s' if len(self.filters) == 1 else 've'} learned other parameters"
@@ -71,12 +63,6 @@ class EventWatch:
 
     Args:
         filters: the names of those with trials, which get the effectiveness, in the order of the columns.
-
-    >>> watch = EventWatch(["joint"])
-    >>> watch.see(0.0, [1, 1, 0.3, 0.3, 0, 0, 0, 0, 0])
-    []
-    >>> [event.sentence for event in watch.see(0.4, [0.4, 1, 0.1, 0.3, 1, 0, 0, 0, 0])]
-    ['the left thruster gives 40 % of its thrust (24 ... 56 %)']
     """
 
     def __init__(self, filters: Sequence[str] = ()):
@@ -138,10 +124,6 @@ class EventWatch:
 
 
 def event_of(values: Mapping[str, Any]) -> Event:
-    """The event from its JSON values.
-
-    >>> event_of({"run": "7", "time": 1.0, "kind": "recovery", "side": "left"}).sentence
-    'the left thruster gives its full thrust again'
-    """
+    """The event from its JSON values."""
     known = {key: x for key, x in values.items() if key in Event._fields and x is not None}
     return Event(**{**known, "filters": tuple(known.get("filters", ()))})

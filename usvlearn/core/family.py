@@ -54,11 +54,7 @@ class Range:
     index: bool = False
 
     def wrong(self, array: np.ndarray) -> np.ndarray:
-        """The numbers that are not legal, `(count,)`.
-
-        >>> POSITIVE.wrong(np.array([1.0, 0.0, np.nan]))
-        array([ 0., nan])
-        """
+        """The numbers that are not legal, `(count,)`."""
         legal = (array >= self.least) & (array <= self.most)
         if self.diagonal > -inf:
             legal &= (array >= self.diagonal) | ~np.eye(array.shape[-1], dtype=bool)
@@ -116,11 +112,7 @@ class Field:
 
 
 def leaf(*shape: int, legal: Range = FINITE, flag: bool = False) -> Any:
-    """A `Field`, typed so that it can stand for a tensor in a state.
-
-    >>> leaf(3, legal=UNIT).shape
-    (3,)
-    """
+    """A `Field`, typed so that it can stand for a tensor in a state."""
     return Field(shape, legal, flag)
 
 
@@ -142,14 +134,7 @@ class Named(IntEnum):
 
 
 class Parameters(Named):
-    """Named numbers with their legal range; a value is an offset from the part's first number.
-
-    >>> class Number(Parameters):
-    ...     GAIN = POSITIVE
-    ...     SHARE = UNIT
-    >>> [(each.key, int(each), str(each.legal)) for each in Number]
-    [('gain', 0, '1e-30 … 1e+30'), ('share', 1, '0 … 1')]
-    """
+    """Named numbers with their legal range; a value is an offset from the part's first number."""
 
     legal: Range
 
@@ -211,10 +196,6 @@ class Family(Generic[S]):
         frozen: the leaves, by dotted name, that an open-loop simulation needs: those that `free_step` reads or changes;
             None: all.
         instead: of some of these, the leaf that is taken in its place while another leaf, a flag, is 1.
-
-    >>> from usvlearn.estimators.aid.state import FAMILY
-    >>> FAMILY.at.surge - FAMILY.at.theta, list(FAMILY.leaves(9))
-    (1, ['theta', 'surge'])
     """
 
     kinds: tuple[str, ...]

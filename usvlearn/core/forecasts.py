@@ -112,9 +112,6 @@ def plan_commands(commands: Any, dt: Any, batch: tuple[int, ...] = ()) -> tuple[
     """The commands of a plan without headings: left, right and lengths of the steps, `(time, *batch)`.
 
     Arguments and errors are those of `plan_inputs`.
-
-    >>> plan_commands([[0.5, 0.4]] * 3, 0.4)[2]
-    array([0.4, 0.4, 0.4])
     """
     inputs = plan_inputs(commands, 0.0, 0.0, dt, batch)
     return inputs.command_left, inputs.command_right, inputs.dt
@@ -133,12 +130,6 @@ def plan_inputs(commands: Any, headings: Any, yaw_rates: Any, dt: Any, batch: tu
     Raises:
         ShapeError: the arrays do not fit each other.
         ConfigError: a number is outside its legal range.
-
-    >>> plan_inputs([[0.5, 0.4]] * 3, 0.0, None, 0.4).command_left
-    array([0.5, 0.5, 0.5])
-    >>> plan_inputs([[0.5, 1.4]] * 3, 0.0, None, 0.4)
-    Traceback (most recent call last):
-    usvlearn.errors.ConfigError: commands: found 1.4 for the right side in step 1, expected -1 … 1, shares of full scale
     """
     h = _numbers("dt", dt)
     if h.ndim or not LEAST_DT <= h <= MOST_DT:

@@ -20,11 +20,7 @@ KEYS: dict[str, str] = {}  # keys of settings and of descriptions, and parts of 
 
 
 def today(found: Any, levels: int = 100) -> Any:
-    """Settings, a description or arrays with the names of today; nested deeper than `levels` they stay unchanged.
-
-    >>> today({"reader": {"_target_": "usvlearn.logs.alog.Alog"}})
-    {'reader': {'_target_': 'usvlearn.logs.formats.moos.alog.Alog'}}
-    """
+    """Settings, a description or arrays with the names of today; nested deeper than `levels` they stay unchanged."""
     if isinstance(found, list) and levels:
         return [today(each, levels - 1) for each in found]
     if not isinstance(found, Mapping) or not levels:

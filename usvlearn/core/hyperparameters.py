@@ -79,11 +79,7 @@ class UnitInterval(nn.Module):
 
 
 def numbers(**values: Any) -> dict[str, Any]:
-    """Hyperparameters and constants as numbers, or lists of numbers, that JSON can store.
-
-    >>> numbers(gain=Positive([1.0, 2.0]), bound=3)
-    {'gain': [1.0, 2.0], 'bound': 3.0}
-    """
+    """Hyperparameters and constants as numbers, or lists of numbers, that JSON can store."""
     found = {name: value() if isinstance(value, Positive | UnitInterval) else value for name, value in values.items()}
     return {
         name: value.detach().cpu().double().tolist() if isinstance(value, Tensor) else float(value)
@@ -92,10 +88,7 @@ def numbers(**values: Any) -> dict[str, Any]:
 
 
 def check_broadcast(module: nn.Module, batch: tuple[int, ...]) -> None:
-    """Raise a ShapeError unless every hyperparameter of an estimator broadcasts against the batch of its state.
-
-    >>> check_broadcast(Positive([[0.1], [1.0]], "gain"), (2, 8))
-    """
+    """Raise a ShapeError unless every hyperparameter of an estimator broadcasts against the batch of its state."""
     for path, part in module.named_modules():
         if isinstance(part, Positive | UnitInterval):
             shape = tuple(next(part.parameters()).shape)

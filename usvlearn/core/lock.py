@@ -37,14 +37,6 @@ class Lock:
 
     Raises:
         ConfigError: another process holds it, and `wait` is false.
-
-    >>> from tempfile import TemporaryDirectory
-    >>> with TemporaryDirectory() as folder:
-    ...     with Lock(Path(folder, "run"), "hydra.run.dir"):
-    ...         sorted(path.name for path in Path(folder, "run").iterdir())
-    ...     sorted(path.name for path in Path(folder, "run").iterdir())
-    ['.lock']
-    []
     """
 
     def __init__(self, folder: Path, other: str, shared: bool = False, wait: bool = False):

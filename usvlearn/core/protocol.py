@@ -263,12 +263,7 @@ def advance(estimator: Estimator, state: State, step: Step, some: Kinds) -> tupl
 
 
 def spec_of(part: Any) -> dict[str, Any] | None:
-    """The description of an estimator, or of a part of one; None where its class has none, or a method was replaced.
-
-    >>> from usvlearn import Persistence
-    >>> spec_of(Persistence())["kind"]
-    'persistence'
-    """
+    """The description of an estimator, or of a part of one; None where its class has none, or a method was replaced."""
     changed = vars(part).keys() & {"predict", "update", "learn", "start", "inflate_covariance", "combine", "forward"}
     return part.description() if "description" in vars(type(part)) and not changed else None
 
@@ -280,11 +275,6 @@ def describe(family: Family[Any], part: Any, **own: Any) -> dict[str, Any]:
         family: of the part.
         part: an estimator.
         own: values that are not attributes of the part, and `kind` and `size`.
-
-    >>> from usvlearn import Persistence
-    >>> from usvlearn.estimators.baselines.persistence.state import FAMILY
-    >>> describe(FAMILY, Persistence())
-    {'kind': 'persistence', 'size': 0, 'numbers': {}}
     """
     found = {"kind": own.get("kind", family.kinds[0]), "size": own.get("size", 0)}
     for choice in family.choices:
@@ -296,11 +286,5 @@ def describe(family: Family[Any], part: Any, **own: Any) -> dict[str, Any]:
 
 
 def numbers_of(declared: Iterable[Parameters | ParameterVectors], part: Any, **own: Any) -> dict[str, Any]:
-    """The declared numbers as JSON values, from attributes of a part or from `own`.
-
-    >>> from usvlearn import AID
-    >>> from usvlearn.estimators.ensemble.state import Number
-    >>> numbers_of(Number, AID(), surge_max=2)
-    {'surge_max': 2.0}
-    """
+    """The declared numbers as JSON values, from attributes of a part or from `own`."""
     return numbers(**{each.key: own[each.key] if each.key in own else getattr(part, each.key) for each in declared})

@@ -25,9 +25,6 @@ def has_alias(text: str) -> bool:
 
     Raises:
         RecursionError: it is nested too deeply to be read.
-
-    >>> has_alias("a: &x [1]\\nb: *x"), has_alias("a: [1]")
-    (True, False)
     """
     depth = 0
     for token in yaml.scan(text):
@@ -48,10 +45,6 @@ def read_yaml(key: str, path: Path) -> dict[Any, Any]:
 
     Raises:
         ConfigError: it cannot be read, or is no legal YAML.
-
-    >>> read_yaml("data", Path("nowhere.yaml"))
-    Traceback (most recent call last):
-    usvlearn.errors.ConfigError: data: nowhere.yaml cannot be read (No such file or directory): correct the path
     """
     try:
         if path.stat().st_size > LARGEST:

@@ -122,11 +122,6 @@ def masks(sample: Sample, surge_limit: float = PLAUSIBLE) -> Masks:
         surge_limit: m/s; `Estimator.surge_limit`.
 
     The compiled twin is `usvlearn.core.prepared_samples.prepare`.
-
-    >>> one, dt = np.ones(3), np.array([0.4, 0.4, 0.0])
-    >>> sample = Sample(Inputs(one, one, one, one, dt), np.array([1.0, 1e6, 1.0]), one > 0, one > 0)
-    >>> masks(sample).learns, masks(sample).starts
-    (array([ True, False, False]), array([False, False,  True]))
     """
     known, dt = abs(sample.surge) < surge_limit, sample.inputs.dt
     steps = sample.fresh & (dt > 0)
@@ -191,22 +186,13 @@ def check_inputs(inputs: Inputs, batch: tuple[int, ...] = ()) -> None:
     Raises:
         TypeError: a field is something else.
         ShapeError: a field has another shape; one number fits every batch, with any number of axes.
-
-    >>> check_inputs(Inputs(0.5, "0.5", 0.0, 0.0, 0.4))
-    Traceback (most recent call last):
-    TypeError: command_right: found '0.5', expected a number
     """
     for name, value in zip(Inputs._fields, inputs, strict=True):
         _check_field(name, value, "biuf", "a number", batch)
 
 
 def check_sample(sample: Sample, batch: tuple[int, ...] = ()) -> None:
-    """Check the inputs and the speed as `check_inputs` does, and that `fresh` and `measured` are bools or integers.
-
-    >>> check_sample(Sample(Inputs(0.5, 0.5, 0.0, 0.0, 0.4), 1.0, fresh="false", measured=True))
-    Traceback (most recent call last):
-    TypeError: fresh: found 'false', expected True or False
-    """
+    """Check the inputs and the speed as `check_inputs` does, and that `fresh` and `measured` are bools or integers."""
     check_inputs(sample.inputs, batch)
     _check_field("surge", sample.surge, "biuf", "a number (NaN where there is none)", batch)
     for name in ("fresh", "measured"):
@@ -251,20 +237,12 @@ def _kind(value: Any) -> str:
 
 
 def sort_of(dtype: Any) -> str:
-    """The name of a dtype of NumPy or torch without its size.
-
-    >>> sort_of(np.dtype(np.float32)), sort_of(np.dtype(bool))
-    ('float', 'bool')
-    """
+    """The name of a dtype of NumPy or torch without its size."""
     return str(dtype).removeprefix("torch.").rstrip("0123456789")
 
 
 def tree_map(f: Callable[..., Any], *trees: Any) -> Any:
-    """Apply `f` to corresponding leaves of equally structured trees.
-
-    >>> tree_map(lambda x, y: x + y, {"a": 1, "b": 2}, {"a": 10, "b": 20})
-    {'a': 11, 'b': 22}
-    """
+    """Apply `f` to corresponding leaves of equally structured trees."""
     first = trees[0]
     if isinstance(first, dict):
         return {key: tree_map(f, *(tree[key] for tree in trees)) for key in first}
@@ -274,11 +252,7 @@ def tree_map(f: Callable[..., Any], *trees: Any) -> Any:
 
 
 def named_leaves(tree: Any, name: str = "") -> Iterator[tuple[str, Array]]:
-    """Yield every leaf with its dotted path.
-
-    >>> dict(named_leaves({"aid": {"theta": 1}, "surge": 2}))
-    {'aid.theta': 1, 'surge': 2}
-    """
+    """Yield every leaf with its dotted path."""
     if isinstance(tree, dict):
         items: Iterable[tuple[str, Any]] = tree.items()
     elif isinstance(tree, tuple):
@@ -291,22 +265,13 @@ def named_leaves(tree: Any, name: str = "") -> Iterator[tuple[str, Array]]:
 
 
 def rebuild(template: Any, leaves: dict[str, Array], name: str = "") -> Any:
-    """The inverse of `named_leaves`: a tree shaped like `template` from leaves by dotted path.
-
-    >>> rebuild({"aid": {"theta": 0}, "surge": 0}, {"aid.theta": 1, "surge": 2})
-    {'aid': {'theta': 1}, 'surge': 2}
-    """
+    """The inverse of `named_leaves`: a tree shaped like `template` from leaves by dotted path."""
     names = iter([path for path, _ in named_leaves(template, name)])
     return tree_map(lambda _: leaves[next(names)], template)
 
 
 def where(mask: Array, new: Array, old: Array) -> Array:
-    """`new` where `mask`, else `old`; `mask` is `(*batch,)`, the others are `(*batch, ...)`.
-
-    >>> where(np.array([True, False]), np.ones((2, 3)), np.zeros((2, 3)))
-    array([[1., 1., 1.],
-           [0., 0., 0.]])
-    """
+    """`new` where `mask`, else `old`; `mask` is `(*batch,)`, the others are `(*batch, ...)`."""
     if new is old:
         return old
     mask = mask.reshape(mask.shape + (1,) * (new.ndim - mask.ndim))

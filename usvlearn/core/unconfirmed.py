@@ -27,9 +27,6 @@ def questions_of(section: Any, file: str = "") -> Questions:
 
     Raises:
         ConfigError: it is no mapping.
-
-    >>> questions_of({"delay": None}, "a.yaml")
-    {'delay': {'certainty': 'unsure', 'found': '', 'why': '', 'file': 'a.yaml', 'written': {}}}
     """
     if not isinstance(section, Mapping | None):
         raise ConfigError(f"{SECTION}: found {section!r:.60}, expected KEY: {{certainty: …}}, or no such section")
@@ -56,12 +53,7 @@ def questions_in(content: Mapping[str, Any], path: Path) -> Questions:
 
 
 def open_questions(settings: Mapping[str, Any], overrides: Sequence[str] = ()) -> Questions:
-    """The open questions of a whole configuration; an override decides a setting, or a section of settings.
-
-    >>> settings = {"vehicle": {"mass": 36.0}, "unconfirmed": {"mass": {"written": {"vehicle.mass": 36.0}}}}
-    >>> [list(open_questions(settings, given)) for given in ([], ["vehicle.mass=36"])]
-    [['mass'], []]
-    """
+    """The open questions of a whole configuration; an override decides a setting, or a section of settings."""
     given = tuple(f"{name}." for each in overrides if "." in (name := each.lstrip("+").partition("=")[0]))
 
     def stands(path: Any, value: Any) -> bool:
@@ -72,12 +64,7 @@ def open_questions(settings: Mapping[str, Any], overrides: Sequence[str] = ()) -
 
 
 def unconfirmed(questions: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """The sentence that everything says while questions are open; [] if none is.
-
-    >>> print(*unconfirmed({"sides": {"certainty": "probable"}, "delay": {"certainty": "unsure"}}))
-    2 guesses unconfirmed: delay (unsure), sides (probable). Correct my_boat.yaml, or confirm what is right: usvlearn \
-inspect --confirm KEY my_boat.yaml; then train again.
-    """
+    """The sentence that everything says while questions are open; [] if none is."""
     if not questions:
         return []
     by = {sure: [k for k, each in questions.items() if each["certainty"] == sure] for sure in (UNSURE, PROBABLE)}

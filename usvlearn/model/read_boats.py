@@ -20,7 +20,7 @@ from usvlearn.estimators.joint.periodic_estimates import Identified
 from usvlearn.logs.setup import Setup
 from usvlearn.model.fit.boat import FITTED, FittedBoat
 from usvlearn.model.surge import SurgeModel
-from usvlearn.runs.file_names import CHECKPOINTS
+from usvlearn.runs.files import CHECKPOINTS
 
 LONGEST = 100  # bytes of a boat's name in that of a file
 

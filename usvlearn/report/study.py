@@ -27,7 +27,7 @@ from usvlearn.display.result_table import ResultTable
 from usvlearn.errors import ConfigError
 from usvlearn.evaluation.metrics import by_error, mean_mae
 from usvlearn.report.sections.section import Section
-from usvlearn.runs.file_names import RESULTS, RUNS, TUNING
+from usvlearn.runs.files import RESULTS, RUNS, TUNING
 from usvlearn.runs.saved import results
 from usvlearn.runs.trust import check_setting
 

@@ -21,7 +21,8 @@ from usvlearn.estimators.regressors.terms import SURGE
 from usvlearn.evaluation.measure import measure_of
 from usvlearn.evaluation.metrics import PERSISTENCE, by_error, mean, mean_mae
 from usvlearn.runs.compared import label
-from usvlearn.runs.file_names import CHECKPOINTS, ERRORS, PREDICTIONS, RESULTS, TENSORBOARD
+from usvlearn.runs.files import CHECKPOINTS, ERRORS, RESULTS, TENSORBOARD
+from usvlearn.runs.prediction_files import PREDICTIONS
 
 TOGGLE = "Of several boats, the pages IMAGES and TEXT open empty: press TOGGLE ALL RUNS there."
 COVERED = {

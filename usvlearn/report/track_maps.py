@@ -15,8 +15,7 @@ from usvlearn.engine.online import Online, read_checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.planar.state import HEADING, NORTH, TURN
 from usvlearn.evaluation.season import Season, SeasonRun
-from usvlearn.runs.file_names import CHECKPOINTS, PLANAR
-from usvlearn.runs.index import digest, runs_file
+from usvlearn.runs.files import CHECKPOINTS, PLANAR, digest, runs_file
 from usvlearn.runs.prediction_files import position
 
 EVERY, MOST = 10.0, 240  # s between two tracks, at least; and how many, at most

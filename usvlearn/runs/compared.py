@@ -25,13 +25,7 @@ AHEAD, NEAR = 5, 10.0  # s: the horizon of the results, or else the longest belo
 
 
 def what_differs(overrides: Sequence[str]) -> dict[str, str]:
-    """The settings of a command line that say how it is learned, not from what; of a path its last part.
-
-    >>> what_differs(["data=csv", "data.path=logs/day1.csv", "vehicle.mass=20", "estimators.rnn.neurons=20"])
-    {'estimators.rnn.neurons': '20'}
-    >>> what_differs(["data.plant=otter", "estimators.rnn.start=runs/1", "forecasts.horizons=[1,2]"])
-    {'data.plant': 'otter', 'estimators.rnn.start': '1', 'forecasts.horizons': '[1,2]'}
-    """
+    """The settings of a command line that say how it is learned, not from what; of a path its last part."""
     found = (text.lstrip("+").partition("=") for text in overrides)
     return {
         key: value if value.startswith(("{", "[", "(", '"', "'")) else value.rstrip("/").rpartition("/")[2]
@@ -46,11 +40,7 @@ def _below(key: str, heads: Sequence[str]) -> bool:
 
 
 def label(settings: Mapping[str, str]) -> str:
-    """Settings as a short text.
-
-    >>> label({"estimators.rnn.neurons": "20", "~combiners.average": ""})
-    'rnn.neurons=20 ~combiners.average'
-    """
+    """Settings as a short text."""
     return " ".join(f"{'.'.join(key.split('.')[-2:])}{'=' * bool(value)}{value}" for key, value in settings.items())
 
 
@@ -60,9 +50,6 @@ def results_of(results: Mapping[str, Any], name: str) -> dict[str, float]:
     Args:
         results: of `results.json`.
         name: of the estimator or combiner; the combiner `output` has those that it lacks.
-
-    >>> results_of({"boats": {"heron": {"rnn": {"mae": 0.1, "skill": 0.5}}}, "seconds": 3.0}, "rnn")
-    {'MAE (m/s)': 0.1, 'skill': 0.5, 'seconds': 3.0}
     """
     output = str(results.get("output", name)).partition(".")[0]
 
@@ -93,11 +80,7 @@ def results_of(results: Mapping[str, Any], name: str) -> dict[str, float]:
 
 
 def result_tag(title: str) -> str:
-    """The tag of a result: its number is the same in all runs, so that they have one column.
-
-    >>> result_tag("skill"), result_tag("MAE 10 s ahead (m/s)")
-    ('8 results/2 skill', '8 results/5 MAE 10 s ahead (m/s)')
-    """
+    """The tag of a result: its number is the same in all runs, so that they have one column."""
     return f"8 results/{RESULT_NUMBERS.get(title, AHEAD)} {title}"
 
 
@@ -109,11 +92,7 @@ def _inside(tree: Any, *path: str) -> float | None:
 
 
 def number(text: Any) -> bool | float | str:
-    """A setting as a number where it is one.
-
-    >>> number("0.4"), number(2), number("mean"), number("nan")
-    (0.4, 2.0, 'mean', 'nan')
-    """
+    """A setting as a number where it is one."""
     if isinstance(text, bool):
         return text
     try:

@@ -267,12 +267,6 @@ def event_figure(
 
     Raises:
         MissingExtraError: matplotlib is not installed.
-
-    >>> t = np.arange(5.0)
-    >>> two = np.ones((5, 2))
-    >>> figure = event_figure(Course(t, two, t, {"aid": t}, t, two, 0.1 * two, 0 * two), 20.0, [(3.0, "loss")], 2.0)
-    >>> [axes.get_ylabel() for axes in figure.axes]
-    ['command', 'surge, m/s', 'yaw rate, rad/s', 'share of the thrust', 'evidence of a loss']
     """
     if marks:
         course = course.about(marks[0][0] - BEFORE, marks[0][0] + AFTER)

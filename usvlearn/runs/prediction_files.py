@@ -38,7 +38,7 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -46,8 +46,12 @@ from usvlearn.core import samples
 from usvlearn.core.samples import Run
 from usvlearn.errors import CheckpointError
 from usvlearn.estimators.planar.state import DUE
-from usvlearn.runs.file_names import PREDICTIONS
 
+if TYPE_CHECKING:
+    from usvlearn.estimators.ensemble.layer import Ensemble
+    from usvlearn.estimators.planar.layer import Planar
+
+PREDICTIONS = "predictions"  # the folder
 # what a damaged .npz raises
 DAMAGE = (OSError, ValueError, KeyError, IndexError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error)
 PUBLISHED = ("predictions", "halfwidths", "thrusters", "health", "forecasts", "forecast_halfwidths", "tracks")
@@ -131,20 +135,14 @@ class Published:
         return (self.read(*place, self._names) for place in self.places())
 
 
-def widths_of(
-    names: Sequence[str], forecasts: Any, filters: Sequence[str], horizons: Sequence[float] = ()
-) -> dict[str, int]:
-    """The widths of what an ensemble with these `names`, `forecasts` and `accommodated` filters publishes.
-
-    Args:
-        names, forecasts, filters: of the ensemble.
-        horizons: of tracks beside it, s.
-    """
-    found = {"predictions": len(names), "halfwidths": len(names), "thrusters": 5, "health": 6 + len(filters)}
-    if forecasts is not None:
+def widths_of(ensemble: Ensemble, planar: Planar | None = None) -> dict[str, int]:
+    """The widths of what an ensemble publishes, and what makes tracks beside it."""
+    count = len(ensemble.names)
+    found = {"predictions": count, "halfwidths": count, "thrusters": 5, "health": 6 + len(ensemble.accommodated)}
+    if (forecasts := ensemble.forecasts) is not None:
         count = len(forecasts.horizons)
         found |= {"forecasts": count * len(forecasts.columns), "forecast_halfwidths": count}
-    return found | ({"tracks": DUE * len(horizons)} if horizons else {})
+    return found if planar is None else found | {"tracks": DUE * len(planar.horizons)}
 
 
 def joined(parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
@@ -157,10 +155,8 @@ def packed(
     run: Run,
     end: int,
     boats: Sequence[str],
-    estimators: Sequence[str],
-    forecasts: Any = None,
-    filters: Sequence[str] = (),
-    horizons: Sequence[float] = (),
+    ensemble: Ensemble,
+    planar: Planar | None = None,
 ) -> bytes:
     """The content of a file: what was published of the last steps of a run before `end`, with their samples."""
     part = slice(end - len(published["predictions"]), end)
@@ -174,14 +170,14 @@ def packed(
         "measured": measured[part],
         "boats": np.array(boats, str),
         "runs": np.array(run.names, str),
-        "estimators": np.array(estimators, str),
+        "estimators": np.array(ensemble.names, str),
     }
-    if forecasts is not None:
+    if (forecasts := ensemble.forecasts) is not None:
         arrays |= {"horizons": forecasts.horizons.numpy(), "forecast_columns": np.array(forecasts.columns, str)}
-    if "tracks" in published:
-        arrays["track_horizons"] = np.array(horizons, float)
+    if planar is not None and "tracks" in published:
+        arrays["track_horizons"] = np.array(planar.horizons, float)
     if "health" in published:
-        arrays["filters"] = np.array(filters, str)
+        arrays["filters"] = np.array(ensemble.accommodated, str)
     arrays["units"] = np.array([(name, unit) for name, unit in UNITS.items() if name in arrays])
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:  # 6 takes 2.5 times as long

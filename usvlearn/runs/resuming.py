@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,11 +13,11 @@ from usvlearn.core.samples import Fleet, tree_map
 from usvlearn.engine.rollouts import stack
 from usvlearn.engine.validate import restored
 from usvlearn.errors import CheckpointError
+from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.state import EnsembleState
-from usvlearn.runs.file_names import CHECKPOINTS, ESTIMATOR, PLANAR, PREDICTIONS, RUNS
-from usvlearn.runs.index import begun
-from usvlearn.runs.planar_checkpoints import planar_path
-from usvlearn.runs.prediction_files import BEGIN, Position, Published, position, stem
+from usvlearn.estimators.planar.layer import Planar, PlanarState
+from usvlearn.runs.files import CHECKPOINTS, ESTIMATOR, ESTIMATOR_BESIDE, HYDRA, PLANAR, RUNS, begun
+from usvlearn.runs.prediction_files import BEGIN, PREDICTIONS, Position, Published, position, stem, widths_of
 
 
 class Start(NamedTuple):
@@ -35,13 +35,13 @@ class Resumption:
     Args:
         path: the run's folder.
         fleet: the runs that are replayed.
-        widths: as of `Published`.
-        kernel: how the ensemble is built.
-        planar: whether sway and yaw rate are learned, too.
+        ensemble: that is replayed.
+        planar: what learns sway and yaw rate beside it; None: nothing does.
     """
 
-    def __init__(self, path: Path, fleet: Fleet, widths: Mapping[str, int], kernel: Any, planar: bool):
-        self.path, self.fleet, self._widths, self._kernel, self._planar = path, fleet, widths, kernel, planar
+    def __init__(self, path: Path, fleet: Fleet, ensemble: Ensemble, planar: Planar | None):
+        self.path, self.fleet, self._planar, self._kernel = path, fleet, planar, ensemble.description()
+        self._widths = widths_of(ensemble, planar)
 
     def published(self, folder: Path) -> Published:
         """What the run of a folder has published, if it is over the same samples."""
@@ -98,9 +98,9 @@ class Resumption:
             readable.append(before)
         for place in reversed(readable):
             note = f"resuming after step {place.step} of run {place.run + 1} of {len(self.fleet.runs)}, from {source}"
-            beside = (planar_path(source, *each) for each in zip(self.fleet.boats, self.own(place), strict=True))
+            own = list(zip(self.fleet.boats, self.own(place), strict=True))
             try:
-                for path in beside if self._planar else ():
+                for path in [checkpoint_path(source / PLANAR, *each) for each in own] if self._planar else ():
                     if path.exists():  # else, as in older runs, sway and yaw rate are learned anew
                         load(path)
                 state = self._state(source, start, self.own(place))
@@ -118,8 +118,7 @@ class Resumption:
         """The boats' states at these places."""
         paths = map(checkpoint_path, [source] * len(places), self.fleet.boats, places)
         boats = (of_boat(start.state, element) for element in range(len(places)))
-        found = [restored(*each, ESTIMATOR, self._kernel)[0] for each in zip(paths, boats, strict=True)]
-        return stack(found)
+        return stack([restored(*each, ESTIMATOR, self._kernel)[0] for each in zip(paths, boats, strict=True)])
 
     def own(self, place: Position) -> list[Position]:
         """The boats' own places when the fleet is at `place`: their runs may be shorter, or fewer."""
@@ -128,6 +127,49 @@ class Resumption:
             run = next(k for k in range(place.run, -1, -1) if self.fleet.runs[k].lengths[element])
             length = self.fleet.runs[run].lengths[element]
             found.append(Position(run, min(length, place.step) if run == place.run else length))
+        return found
+
+    def planar(self, source: Path | None, place: Position, continued: bool) -> tuple[PlanarState | None, str]:
+        """The state from which sway and yaw rate go on, None for a fresh start; and what to say of it.
+
+        Args:
+            source: a folder, or a checkpoint of an ensemble; None: nothing is resumed.
+            place: from which the ensemble is replayed.
+            continued: whether the ensemble goes on from there.
+        """
+        if self._planar is None or source is None:
+            return None, ""
+        template = tree_map(lambda x: x[0], self._planar.init((1,)))
+        reason = ""
+        for beside, paths in self._planar_paths(source, place, continued):
+            found: list[Any] = []
+            for boat, newest_first in zip(self.fleet.boats, paths, strict=True):
+                reason = f"{beside}: has no checkpoint of {boat} at this place"
+                for path in newest_first:
+                    try:
+                        found.append(restored(path, template, ESTIMATOR_BESIDE, self._planar.description())[0])
+                        break
+                    except CheckpointError as error:
+                        reason = str(error)
+            if len(found) == len(self.fleet.boats):
+                return stack(found), ""
+        return None, f"tracks, sway and yaw rate are learned anew: {reason}"
+
+    def _planar_paths(self, source: Path, place: Position, continued: bool) -> list[tuple[Path, list[list[Path]]]]:
+        """The folders in which sway and yaw rate may be, and in each the checkpoints to try, of each boat."""
+        boats = self.fleet.boats
+        if source.is_file():  # that of all axes was saved with the ensemble's
+            boat = source.parent
+            folder = boat.parent.parent / PLANAR
+            return [(folder, [[folder / CHECKPOINTS / boat.name / source.name]] * len(boats))]
+        at_begin = [BEGIN if continued else None] * len(boats)
+        places = at_begin if place == BEGIN else self.own(place)
+        found = []
+        for folder in (self.path / PLANAR, source / PLANAR):
+            newest = [reversed(checkpoints(folder / CHECKPOINTS / boat)) for boat in boats]
+            wanted = [at and checkpoint_path(folder, boat, at) for boat, at in zip(boats, places, strict=True)]
+            pairs = zip(newest, wanted, strict=True)
+            found.append((folder, [[path for path in paths if own in (None, path)] for paths, own in pairs]))
         return found
 
     def _bring(self, source: Path, place: Position) -> None:
@@ -154,9 +196,6 @@ def from_checkpoints(
         state: of a fresh start, leaves `(boats, ...)`.
         paths: of each boat a checkpoint, or a folder of them, of which the newest readable one is taken.
         kernel: how the ensemble is built (`Ensemble.description`).
-
-    Raises:
-        CheckpointError: a checkpoint cannot be read, or belongs to another ensemble.
     """
     template = of_boat(state, 0)
     found = {path: restored(path, template, ESTIMATOR, kernel) for path in dict.fromkeys(paths)}
@@ -166,14 +205,14 @@ def from_checkpoints(
 
 def own_settings(source: Path) -> str:
     """How to continue a run with the settings that it was made with, if Hydra has saved them."""
-    settings = source / ".hydra"
+    settings = source / HYDRA
     if not (settings / "config.yaml").is_file():
         return ""
     return f"; its own settings are those of --config-dir {shlex.quote(str(settings))} --config-name config"
 
 
 def checkpoint_path(folder: Path, boat: str, place: Position) -> Path:
-    """The checkpoint of a boat at a place."""
+    """The checkpoint of a boat at a place, in the folder of a run, or in its part `planar`."""
     return folder / CHECKPOINTS / boat / f"{stem(place)}{SUFFIX}"
 
 

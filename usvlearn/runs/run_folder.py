@@ -1,4 +1,4 @@
-"""A run's folder: saves checkpoints and predictions during a replay, and resumes from them."""
+"""A run's folder: saves checkpoints and predictions during a replay, resumes from them, and is judged at its end."""
 
 from __future__ import annotations
 
@@ -24,15 +24,37 @@ from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.state import EnsembleState
 from usvlearn.estimators.planar.layer import Planar, PlanarState
 from usvlearn.estimators.planar.state import AXES
-from usvlearn.evaluation.identification import Truth
-from usvlearn.runs.file_names import CHECKPOINTS, ERRORS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, save_results
-from usvlearn.runs.index import check_own, digest, ensemble_digest, no_run, number, own_predictions, same_run
-from usvlearn.runs.planar_checkpoints import ESTIMATOR as ESTIMATOR_BESIDE
-from usvlearn.runs.planar_checkpoints import beside_of, forget, planar_path, started, started_from
-from usvlearn.runs.prediction_files import BEGIN, Position, Published, joined, packed, position, stem, widths_of
+from usvlearn.evaluation.by_run import as_csv, one_step_sums, run_errors
+from usvlearn.evaluation.events import events
+from usvlearn.evaluation.free_simulation import FreeErrors, free_errors, has_halves, middle
+from usvlearn.evaluation.horizons import ensemble_sums, horizon_scores
+from usvlearn.evaluation.identification import Truth, as_results, identified_boats, identified_planar_boats
+from usvlearn.evaluation.measure import measure_of
+from usvlearn.evaluation.metrics import fleet_scores
+from usvlearn.evaluation.networks import verdicts
+from usvlearn.evaluation.tracks import track_scores
+from usvlearn.runs.files import (
+    CHECKPOINTS,
+    ERRORS,
+    ESTIMATOR,
+    ESTIMATOR_BESIDE,
+    PLANAR,
+    RESULTS,
+    RUNS,
+    check_own,
+    digest,
+    ensemble_digest,
+    no_run,
+    number,
+    own_predictions,
+    same_run,
+    save_results,
+)
+from usvlearn.runs.prediction_files import BEGIN, PREDICTIONS, Position, Published, joined, packed, position, stem
 from usvlearn.runs.replay import Chunk
-from usvlearn.runs.results import judged
 from usvlearn.runs.resuming import Resumption, Start, checkpoint_path, of_boat, own_settings
+
+KEPT = 2  # checkpoints with sway and yaw rate, of each boat
 
 
 class Unsaved(NamedTuple):
@@ -49,33 +71,23 @@ class RunFolder:
     Args:
         path: the folder.
         fleet: the runs that are replayed.
-        metadata: JSON values that every checkpoint contains (configuration; `kernel`, how the ensemble is
-            built, of all boats).
-        names: of the estimators, as `Ensemble.names`.
-        forecasts: as `Ensemble.forecasts`.
-        filters: as `Ensemble.accommodated`.
+        ensemble: that learns.
+        configuration: JSON values that every checkpoint contains.
         planar: what learns sway and yaw rate beside it; None: nothing does.
         data_check: what the data check found, for `results.json`; None if nothing was checked.
         setups: boat -> `usvlearn.logs.setup.Setup.json`, which its checkpoints contain.
     """
 
     def __init__(
-        self, path: str | Path, fleet: Fleet, metadata: Mapping[str, Any], names: Sequence[str], forecasts: Any = None,
-        data_check: Sequence[Mapping[str, str]] | None = None, setups: Mapping[str, Any] | None = None,
-        filters: Sequence[str] = (), planar: Planar | None = None,
+        self, path: str | Path, fleet: Fleet, ensemble: Ensemble, configuration: Mapping[str, Any],
+        planar: Planar | None = None, data_check: Sequence[Mapping[str, str]] | None = None,
+        setups: Mapping[str, Any] | None = None,
     ):  # fmt: skip
-        self.path, self.fleet, self.names = Path(path), fleet, tuple(names)
-        self._forecasts, self._filters, self._planar = forecasts, tuple(filters), planar
-        self._horizons = () if planar is None else planar.horizons
-        self._resumption = Resumption(
-            self.path, fleet, widths_of(names, forecasts, filters, self._horizons), metadata.get("kernel"),
-            planar is not None,
-        )  # fmt: skip
-        self.beside: PlanarState | None = None  # the newest, from `begin` on; None: a fresh start
-        self._sources = [self.path]  # folders in which to look for it
+        self.path, self.fleet, self.ensemble, self.planar = Path(path), fleet, ensemble, planar
+        self._resumption = Resumption(self.path, fleet, ensemble, planar)
+        self.beside: PlanarState | None = None  # of sway and yaw rate, from `begin` on; None: a fresh start
         self._checked = {} if data_check is None else {"data_check": data_check}
-        self._setups = setups or {}
-        self.metadata = {"version": usvlearn.__version__, **metadata}
+        self._configuration, self._setups = configuration, setups or {}
         self._pending: list[dict[str, np.ndarray]] = []  # those since the last save
         self._saved = self._reached = BEGIN
         self._writer = ThreadPoolExecutor(1)
@@ -100,10 +112,9 @@ class RunFolder:
             CheckpointError: nothing readable is found to resume from, or it does not fit.
         """
         check_own(self.path)
-        start, continued = Start(state, BEGIN, "learning from the start"), False
+        start, continued, source = Start(state, BEGIN, "learning from the start"), False, None
         if resume is not None:
             source = self._resumption.latest() if resume == "latest" else Path(str(resume))
-            self._sources.append(source)
             if source.is_file():
                 start = self._resumption.from_file(source, start)
             elif source.is_dir():
@@ -116,7 +127,7 @@ class RunFolder:
                 start = start if continued else self._resumption.from_newest(source, start)
             else:
                 raise CheckpointError(f"resume: {source} does not exist: give a run's folder, a checkpoint or latest")
-        if _has_checkpoints(self.path) and not (continued and source.resolve() == self.path.resolve()):
+        if _has_checkpoints(self.path) and not (continued and source and source.resolve() == self.path.resolve()):
             raise ConfigError(
                 f"{self.path}: already holds the checkpoints of a run: continue from them with resume=latest, "
                 "or choose another hydra.run.dir"
@@ -124,32 +135,20 @@ class RunFolder:
         own = own_predictions(self.path)
         if foreign := [path for path in self._resumption.published(self.path).paths() if path not in own]:
             raise no_run(foreign[0])
-        if continued:
+        if continued and source:
             start = self._resumption.continued(source, start)
         self._saved = self._reached = start.position
         self.state = start.state
-        self.beside, anew = self._planar_start(start.position, continued)
-        if resume is not None and not continued:  # saved in case the run stops before its first checkpoint
+        self.beside, anew = self._resumption.planar(source, start.position, continued)
+        if source is not None and not continued:  # saved in case the run stops before its first checkpoint
             for first in self._due([BEGIN] * len(self.fleet.boats)):
                 save_checkpoint(first.path, first.state, **first.facts)
         self._forget(own, start.position)
-        others = [*self.path.parent.glob("*"), *([] if resume is None else [source])]
+        others = [*self.path.parent.glob("*"), *([] if source is None else [source])]
         began = 1 + max(map(number, others), default=0)
         noted = self._runs | {"began": {"number": began, "time": time.strftime("%FT%TZ", time.gmtime(time.time()))}}
         write_atomically(self.path / RUNS, json.dumps(noted, indent=2).encode())
         return start._replace(anew=anew)
-
-    def _planar_start(self, place: Position, continued: bool) -> tuple[PlanarState | None, str]:
-        """The state from which sway and yaw rate go on, None for a fresh start; and what to say of it."""
-        if self._planar is None or len(self._sources) < 2:
-            return None, ""
-        if self._sources[-1].is_file():
-            found, reason = started_from(self._planar, beside_of(self._sources[-1]), len(self.fleet.boats))
-        else:
-            at_begin = [BEGIN if continued else None] * len(self.fleet.boats)
-            places = at_begin if place == BEGIN else self._resumption.own(place)
-            found, reason = started(self._planar, self._sources, self.fleet, places)
-        return found, f"tracks, sway and yaw rate are learned anew: {reason}" if reason else ""
 
     def save(self, chunk: Chunk) -> None:
         """Write what is due after a chunk."""
@@ -179,14 +178,11 @@ class RunFolder:
         The predictions are last: a run resumes from the newest place that has them, where all files are whole then.
         """
         run = self.fleet.runs[place.run]
-        content = packed(
-            joined(published), run, place.step, self.fleet.boats, self.names, self._forecasts, self._filters,
-            self._horizons,
-        )  # fmt: skip
+        content = packed(joined(published), run, place.step, self.fleet.boats, self.ensemble, self.planar)
         for each in due:
             save_checkpoint(each.path, each.state, **each.facts)
-        if self._planar is not None:
-            forget(self.path, self.fleet.boats)
+        for boat in self.fleet.boats if self.planar is not None else ():
+            _forget_older(self.path / PLANAR / CHECKPOINTS / boat)
         folder = self.path / PREDICTIONS
         folder.mkdir(exist_ok=True)
         write_atomically(folder / f"{stem(place)}.npz", content)
@@ -203,37 +199,68 @@ class RunFolder:
     def __exit__(self, *_: object) -> None:
         self._wait()
 
-    def finish(self, ensemble: Ensemble, began: float, truth: Truth | None = None) -> dict[str, Any]:
+    def finish(self, began: float, truth: Truth | None = None) -> dict[str, Any]:
         """Score all predictions, and write `errors.csv` and `results.json`; returns the content of the latter.
 
         Args:
-            ensemble: that has learned.
             began: `time.perf_counter()` at the start of the run.
             truth: of simulated boats, to be written beside what was identified.
         """
-        found, errors = self._judged(ensemble, began, truth or {})
+        found, errors = self._judged(began, truth or {})
         write_atomically(self.path / ERRORS, errors.encode())
         save_results(self.path, found)
         return found
 
-    def stop(self, ensemble: Ensemble, began: float) -> None:
+    def stop(self, began: float) -> None:
         """Save a replay that ends early, so that it can resume; its results so far are marked as partial."""
         if self._pending:
             self._hand_on()
         steps = {"steps": self.fleet.steps_before(*self._reached), "of": self.fleet.steps}
-        save_results(self.path, {"partial": {**steps, **self._judged(ensemble, began, {})[0]}})
+        save_results(self.path, {"partial": {**steps, **self._judged(began, {})[0]}})
 
-    def _judged(self, ensemble: Ensemble, began: float, truth: Truth) -> tuple[dict[str, Any], str]:
+    def _judged(self, began: float, truth: Truth) -> tuple[dict[str, Any], str]:
         """The content of `results.json` and of `errors.csv`."""
-        self._wait()
-        settings = self.metadata.get("configuration", {})
-        objective, asked = settings.get("objective"), open_questions(settings).items()
-        found, errors = judged(
-            ensemble, self.fleet, self.state, self.published, self._after, truth, objective, self._horizons,
-            self._planar, self.beside,
-        )  # fmt: skip
-        own = {SECTION: [{"key": key, **each} for key, each in asked], "seconds": time.perf_counter() - began}
-        return found | self._checked | own, errors
+        ensemble, fleet, published = self.ensemble, self.fleet, self.published
+        names, limit = ensemble.names, ensemble.surge_limit
+        if self.planar is None or self.beside is None:
+            boats = identified_boats(ensemble, self.state, fleet.boats)
+        else:
+            boats = identified_planar_boats(self.planar, self.beside, fleet.boats)
+        found: dict[str, Any] = {
+            "boats": fleet_scores(fleet, published.only("predictions", "halfwidths"), names, limit),
+            "events": events(fleet, published.only("thrusters", "health"), ensemble.accommodated),
+            "rejected": fleet.rejected,
+            **as_results(boats, truth),
+        }
+        if (ahead := ensemble_sums(ensemble, fleet, published.only("forecasts", "forecast_halfwidths"))) is not None:
+            found["forecast"] = horizon_scores(ahead, fleet.boats)
+        if self.planar is not None:
+            stretches = (stretch.arrays for stretch in published.only("predictions", "tracks"))
+            parts = (arrays["tracks"] for arrays in stretches if "tracks" in arrays)
+            found["tracks"] = track_scores(parts, self.planar.horizons, fleet.boats)
+        if (free := self._free()) is not None:
+            found["free"] = free.mae(fleet.boats, names)
+            found["free_fit"] = free.fit(fleet.boats, names)
+        if networks := verdicts(ensemble, self.state, fleet.boats):
+            found["network"] = {
+                boat: {name: each.json() for name, each in members.items()} for boat, members in networks.items()
+            }
+        measure = measure_of(self._configuration.get("objective"), ensemble.output)
+        found |= {"output": ensemble.output, "measure": str(measure), "objective": measure.value(found)}
+        one_step = one_step_sums(fleet, published.only("predictions"), len(names), limit)
+        errors = as_csv(run_errors(fleet, names, one_step, ahead, free), names)
+        asked = [{"key": key, **each} for key, each in open_questions(self._configuration).items()]
+        return found | self._checked | {SECTION: asked, "seconds": time.perf_counter() - began}, errors
+
+    def _free(self) -> FreeErrors | None:
+        """Errors of open-loop simulations of the boats that have runs in both halves; None if there are none."""
+        first = middle(self.fleet.runs)
+        elements = [has_halves(self.fleet, element) for element in range(len(self.fleet.boats))]
+        if not any(elements) or (state := self._after(first)) is None:
+            return None
+        found = free_errors(self.ensemble, state, self.fleet, first)
+        found.steps[:, [not each for each in elements]] = 0
+        return found
 
     def _after(self, runs: int) -> EnsembleState | None:
         """The state of every boat after the first `runs` runs, from its checkpoints; None if they are not done.
@@ -255,36 +282,32 @@ class RunFolder:
 
     def _checkpoint(self, element: int, boat: str, place: Position) -> Unsaved:
         run = self.fleet.runs[place.run]
-        time = float(run.time[place.step - 1, element]) if place.step else 0.0
-        facts = {"estimator": ESTIMATOR, "boat": boat, "run": run.names[element], "step": place.step, "time": time}
-        copied = tree_map(lambda leaf: leaf[element].detach().numpy().copy(), self.state)
-        built = {"kernel": select_element(self.metadata.get("kernel"), len(self.fleet.boats), element)}
+        facts = {
+            "estimator": ESTIMATOR, "boat": boat, "run": run.names[element], "step": place.step,
+            "time": float(run.time[place.step - 1, element]) if place.step else 0.0,
+            "version": usvlearn.__version__, "configuration": self._configuration,
+            "kernel": select_element(self.ensemble.description(), len(self.fleet.boats), element),
+        }  # fmt: skip
         if boat in self._setups:
-            built["setup"] = self._setups[boat]
-        return Unsaved(checkpoint_path(self.path, boat, place), copied, facts | self.metadata | built)
+            facts["setup"] = self._setups[boat]
+        return Unsaved(checkpoint_path(self.path, boat, place), _copied(self.state, element), facts)
 
     def _planar_checkpoint(self, element: int, boat: str, place: Position) -> Unsaved:
         """As `_checkpoint`, of all axes and the tracks."""
-        assert self._planar is not None and self.beside is not None
-        own = self._checkpoint(element, boat, place)
-        copied = tree_map(lambda leaf: leaf[element].detach().numpy().copy(), self.beside)
-        built = {"estimator": ESTIMATOR_BESIDE, "kernel": self._planar_kernel(element)}
-        return Unsaved(planar_path(self.path, boat, place), copied, own.facts | built)
-
-    def _planar_kernel(self, element: int) -> dict[str, Any]:
-        assert self._planar is not None
-        found = self._planar.description()
-        return found | {axis: select_element(found[axis], len(self.fleet.boats), element) for axis in AXES}
+        assert self.planar is not None and self.beside is not None
+        kernel = self.planar.description()
+        kernel |= {axis: select_element(kernel[axis], len(self.fleet.boats), element) for axis in AXES}
+        facts = self._checkpoint(element, boat, place).facts | {"estimator": ESTIMATOR_BESIDE, "kernel": kernel}
+        return Unsaved(checkpoint_path(self.path / PLANAR, boat, place), _copied(self.beside, element), facts)
 
     @cached_property
     def _runs(self) -> dict[str, Any]:
-        """The identity of this run: per boat, name, length and digest of each run; and the digest of the ensemble."""
-        configuration = self.metadata.get("configuration", {})
+        """The content of this run's `runs.json`."""
         boats = {
             boat: [[run.names[element], run.lengths[element], digest(run, element)] for run in self.fleet.runs]
             for element, boat in enumerate(self.fleet.boats)
         }
-        return {"boats": boats, "ensemble": ensemble_digest(configuration)}
+        return {"boats": boats, "ensemble": ensemble_digest(self._configuration)}
 
     def _forget(self, own: Sequence[Path], place: Position) -> None:
         """Remove this run's results, and those of its own predictions after `place`, the last first."""
@@ -294,6 +317,23 @@ class RunFolder:
         for old in reversed(own):
             if (found := position(old)) is not None and found > place:
                 old.unlink()
+
+
+def _copied(state: Any, element: int) -> Any:
+    """The state of one boat, as arrays that the replay does not change."""
+    return tree_map(lambda leaf: leaf[element].detach().numpy().copy(), state)
+
+
+def _forget_older(folder: Path) -> None:
+    """Remove all but the newest checkpoints of a folder, and the last of the run before, which has not learned theirs.
+
+    They hold the ensemble's state, too, so that `Online.open(RUN/planar)` forecasts tracks.
+    """
+    found = [(path, at) for path in checkpoints(folder) if (at := position(path)) is not None]
+    before = [path for path, at in found if at.run < found[-1][1].run]
+    for old, _ in found[:-KEPT]:
+        if old not in before[-1:]:
+            old.unlink(missing_ok=True)
 
 
 def _has_checkpoints(folder: Path) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,9 +18,8 @@ from usvlearn.engine.validate import restored
 from usvlearn.errors import CheckpointError, ConfigError, check_positive
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.season import Season, SeasonRun
-from usvlearn.runs.file_names import CHECKPOINTS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, TUNING
-from usvlearn.runs.index import begun, digest, runs_file
-from usvlearn.runs.prediction_files import DAMAGE, position, read_published, widths_of
+from usvlearn.runs.files import CHECKPOINTS, ESTIMATOR, RESULTS, RUNS, TUNING, begun, digest, longest, runs_file
+from usvlearn.runs.prediction_files import Published, position, widths_of
 from usvlearn.runs.trust import check_settings
 
 SETTINGS = ("estimators", "combiners", "data", "align", "vehicle")  # what a saved configuration must contain
@@ -162,11 +161,8 @@ def read_seasons(folders: Sequence[Path], ensemble: Ensemble, fleets: Sequence[F
             f"data: found the boat {', '.join(missing)}, of which the runs contain no checkpoint (they have "
             f"{', '.join(known) or 'none'}): give the data of these boats, or name the boat by data.boat"
         )
-    lengths = {key: len(run.samples.surge) for found in runs.values() for key, run in found.items()}
-    read = [
-        _read(folder, lengths, widths_of(ensemble.names, ensemble.forecasts, ensemble.accommodated))
-        for folder in folders
-    ]
+    keys = {key for found in runs.values() for key in found}
+    read = [_read(folder, keys, widths_of(ensemble)) for folder in folders]
     return [_season(boat, list(found.values()), read, ensemble) for boat, found in runs.items()]
 
 
@@ -179,22 +175,17 @@ class _Folder(NamedTuple):
     published: dict[int, list[dict[str, np.ndarray]]]  # index of the run -> stretches, (time, boats, …)
 
 
-def _read(folder: Path, lengths: Mapping[str, int], widths: Mapping[str, int]) -> _Folder:
-    """Read a folder; predictions only of the runs whose lengths are given by key."""
+def _read(folder: Path, known: Collection[str], widths: Mapping[str, int]) -> _Folder:
+    """Read a folder; predictions only of the runs whose keys are known."""
     learned, dt = runs_file(folder)["boats"], _configuration(folder)[1]["align"]["dt"]
     published: dict[int, list[dict[str, np.ndarray]]] = {}
-    for path in sorted((folder / PREDICTIONS).glob("*.npz")):
-        if (at := position(path)) is None:
-            continue
-        keys = [runs[at.run][2] for runs in learned.values() if at.run < len(runs)]
-        if not (steps := max((lengths.get(key, 0) for key in keys), default=0)):
-            continue
-        try:
-            part = read_published(path, steps, len(learned), widths)
-        except DAMAGE as error:
-            warnings.warn(f"{path}: is damaged ({error}); its run has no predictions here", stacklevel=3)
-            continue
-        published.setdefault(at.run, []).append(part)
+    files = Published(folder, longest(learned), len(learned), widths)
+    for run, step, end in files.places():
+        if any(run < len(runs) and runs[run][2] in known for runs in learned.values()):
+            try:
+                published.setdefault(run, []).append(files.read(run, step, end).arrays)
+            except CheckpointError as error:
+                warnings.warn(f"{error}; its run has no predictions here", stacklevel=3)
     return _Folder(folder, dt, learned, published)
 
 

@@ -366,12 +366,7 @@ class TensorBoardLogger:
 
 
 def check_log(log: Any) -> None:
-    """Raise a ConfigError unless this is one of LOGS.
-
-    >>> check_log("everything")
-    Traceback (most recent call last):
-    usvlearn.errors.ConfigError: log: found 'everything', expected one of main, all
-    """
+    """Raise a ConfigError unless this is one of LOGS."""
     if log not in LOGS:
         raise ConfigError(f"log: found {log!r}, expected one of {', '.join(LOGS)}")
 
@@ -385,11 +380,7 @@ def _clocks(fleet: Fleet) -> np.ndarray:
 
 
 def _about(tag: str) -> str:
-    """The description of a tag.
-
-    >>> _about("3 weights/weight")
-    'The run is the member that is weighed.'
-    """
+    """The description of a tag."""
     return next((text for head, text in ABOUT.items() if tag.startswith(head)), "")
 
 

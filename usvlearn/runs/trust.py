@@ -34,12 +34,6 @@ def check_settings(where: str, settings: Any, trust: str | Sequence[str] | None 
     Raises:
         CheckpointError: a target is not allowed, or settings contain an interpolation or too many levels.
         ConfigError: `trust` is neither the name of a module nor a list of such names.
-
-    >>> check_settings("a", {"estimators": {"rls": {"_target_": "usvlearn.estimators.least_squares.rls.RLS"}}})
-    >>> check_settings("a.safetensors", {"estimators": [{"_target_": "os.system", "command": "reboot"}]})
-    Traceback (most recent call last):
-    usvlearn.errors.CheckpointError: a.safetensors: estimators.0._target_: found 'os.system', expected a class below \
-usvlearn.estimators, usvlearn.logs or usvlearn.simulate: if you know that module and trust its code, add trust=MODULE
     """
     trusted = [trust] if isinstance(trust, str) else list(trust or ())
     for module in trusted:
@@ -68,9 +62,6 @@ def check_setting(where: str, setting: Any) -> dict[str, float]:
 
     Raises:
         ConfigError: it contains something else.
-
-    >>> check_setting("tuning.json", {"estimator.memory": 3.0})
-    {'estimator.memory': 3.0}
     """
     if not isinstance(setting, dict):
         raise ConfigError(f"{where}: found the setting {_short(setting)}, expected numbers by name: remove that file")

@@ -32,8 +32,7 @@ from usvlearn.evaluation.by_run import RunError, from_csv
 from usvlearn.evaluation.measure import Measure, measure_of
 from usvlearn.evaluation.ranking import differing, own_measure, ranked_by, scored
 from usvlearn.report.tables import short_settings
-from usvlearn.runs.file_names import ERRORS, JOB, RESULTS, RUNS, save_results
-from usvlearn.runs.index import check_no_link, check_own
+from usvlearn.runs.files import ERRORS, JOB, RESULTS, RUNS, check_no_link, check_own, save_results
 
 TRACEBACK, SWEEP = "traceback.txt", "sweep.json"
 

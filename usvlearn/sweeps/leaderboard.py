@@ -22,7 +22,7 @@ from usvlearn.errors import ConfigError, MissingExtraError
 from usvlearn.evaluation.measure import Measure
 from usvlearn.evaluation.ranking import differing, own_objective, ranked_by, scored
 from usvlearn.report.tables import board_lines, from_here
-from usvlearn.runs.index import check_no_link
+from usvlearn.runs.files import check_no_link
 from usvlearn.sweeps.figures import settings_figure, sweep_figure
 from usvlearn.sweeps.jobs import SWEEP, Job, jobs, noted_sweep
 from usvlearn.sweeps.ranking import Standing, standings

@@ -11,7 +11,7 @@ from typing import Any
 
 from usvlearn.errors import printable
 from usvlearn.report.tables import short_settings
-from usvlearn.runs.file_names import JOB, RESULTS
+from usvlearn.runs.files import JOB, RESULTS
 from usvlearn.sweeps.jobs import SweepNote, by_key, ranked_alone
 
 PERIOD = 0.5  # s between two looks

@@ -15,8 +15,7 @@ from usvlearn.errors import ConfigError
 from usvlearn.evaluation.metrics import mean
 from usvlearn.report.tables import short_settings
 from usvlearn.runs.compared import MAE, WINDOW, number, results_of
-from usvlearn.runs.file_names import PREDICTIONS
-from usvlearn.runs.prediction_files import DAMAGE, archive_of
+from usvlearn.runs.prediction_files import DAMAGE, PREDICTIONS, archive_of
 from usvlearn.sweeps.jobs import Job
 from usvlearn.sweeps.ranking import Standing
 

@@ -15,7 +15,7 @@ from usvlearn.errors import CheckpointError, ConfigError, printable
 from usvlearn.estimators.planar.state import USED, filter_of
 from usvlearn.model.planar import PlanarModel
 from usvlearn.model.read_boats import IdentifiedBoat
-from usvlearn.runs.file_names import CHECKPOINTS, PLANAR
+from usvlearn.runs.files import CHECKPOINTS, PLANAR
 
 AXES = ("yaw", "sway")
 

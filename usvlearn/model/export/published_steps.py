@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from usvlearn.errors import CheckpointError, ConfigError
-from usvlearn.runs.file_names import PREDICTIONS
-from usvlearn.runs.prediction_files import DAMAGE, archive_of, position
+from usvlearn.runs.prediction_files import DAMAGE, PREDICTIONS, archive_of, position
 
 INPUTS = ("command_left", "command_right", "heading", "yaw_rate", "dt")
 COLUMNS = ("time", "measured_surge", *INPUTS)  # arrays (time, boats)

@@ -30,7 +30,7 @@ from usvlearn.model.fit.intervals import spread
 from usvlearn.model.fit.logs import DT
 from usvlearn.model.fit.terms import AT
 from usvlearn.model.fit.wear import worn
-from usvlearn.runs.file_names import CHECKPOINTS
+from usvlearn.runs.files import CHECKPOINTS
 
 POLYNOMIAL = ("even", "cubic", "nine")  # sets whose terms a joint EKF has, from the largest
 

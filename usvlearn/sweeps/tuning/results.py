@@ -22,7 +22,7 @@ from usvlearn.display.tensorboard import TensorBoardWriter, folder_name
 from usvlearn.display.terminal import Blocks
 from usvlearn.evaluation.metrics import PERSISTENCE
 from usvlearn.report.tables import tuning_table
-from usvlearn.runs.file_names import TENSORBOARD, TUNING, save_results
+from usvlearn.runs.files import TENSORBOARD, TUNING, save_results
 from usvlearn.sweeps.tuning.batches import Evaluation
 
 LEADERBOARD, EXPERIMENT = "leaderboard.csv", "experiment.yaml"

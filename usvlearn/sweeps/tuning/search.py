@@ -19,7 +19,7 @@ from typing import Any
 
 from usvlearn.core.lock import Lock
 from usvlearn.errors import ConfigError, MissingExtraError
-from usvlearn.runs.file_names import JOURNAL, WORKERS
+from usvlearn.runs.files import JOURNAL, WORKERS
 from usvlearn.runs.trust import check_setting
 from usvlearn.sweeps.tuning.batches import Evaluation, Hyperparameter, Objective
 

@@ -1,4 +1,19 @@
-"""The index of a run's folder, `runs.json`: which runs it was made from, and which files there are its own.
+"""The files in a run's folder, and its index `runs.json`: which runs it was made from, and which files are its own.
+
+checkpoints/BOAT/RRRRR_SSSSSSS.safetensors   the boat's state after S steps of its run with index R
+predictions/RRRRR_SSSSSSS.npz                what was published of all boats since the previous file: predictions,
+                                             half-widths of their intervals, health of the thrusters
+planar/checkpoints/BOAT/                     likewise, with sway, yaw rate and tracks; the newest two
+runs.json                                    names and digests of the runs, digest of the ensemble, start time, and the
+                                             number of this run among the runs beside it
+errors.csv                                   the errors of each run of each boat (`usvlearn.evaluation.by_run`)
+tensorboard/                                 see `usvlearn.display.tensorboard`
+results.json                                 the scores, written at the end; {"partial": scores} if the run was stopped
+tuning.json                                  the result of a tuning, which writes none of the above
+optuna.log                                   the trials of a search, written as they finish
+workers/                                     locks of the processes that search together
+job.json                                     the settings of a job of a sweep
+.hydra/                                      the configuration and the command, which Hydra writes
 
 A run removes only files that its index names, and writes through no link. Imports no torch, because the command asks
 `check_own` before anything is written.
@@ -9,39 +24,32 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from usvlearn.core.checkpoint import LEFT, SUFFIX, load
+from usvlearn.core.checkpoint import LEFT, SUFFIX, load, write_atomically
 from usvlearn.core.samples import Run, named_leaves
 from usvlearn.errors import CheckpointError, ConfigError
-from usvlearn.runs.file_names import (
-    CHECKPOINTS,
-    ERRORS,
-    HYDRA,
-    JOB,
-    JOURNAL,
-    PREDICTIONS,
-    RESULTS,
-    RUNS,
-    TENSORBOARD,
-    TUNING,
-    WORKERS,
-)  # fmt: skip
-from usvlearn.runs.prediction_files import BEGIN, Position, named, position
+from usvlearn.runs.prediction_files import BEGIN, PREDICTIONS, Position, named, position
 
+CHECKPOINTS, RUNS, RESULTS = "checkpoints", "runs.json", "results.json"
+TENSORBOARD, ERRORS, TUNING, JOURNAL = "tensorboard", "errors.csv", "tuning.json", "optuna.log"
+WORKERS, JOB, HYDRA, PLANAR = "workers", "job.json", ".hydra", "planar"
+ESTIMATOR, ESTIMATOR_BESIDE = "Ensemble", "Planar"  # the kinds of state in checkpoints
 INDEXES = (RUNS, TUNING, JOURNAL, JOB)  # each says that the folder is that of a run, a tuning, a search, a job
 INDEXED = (CHECKPOINTS, PREDICTIONS, TENSORBOARD, RESULTS, ERRORS)  # what is written after one of them
 
 
-def runs_file(folder: Path) -> dict[str, Any]:
-    """The identity of a run: per boat, name, length and digest of each run; and the digest of the ensemble.
+def save_results(folder: Path, results: Mapping[str, Any]) -> None:
+    """Write `results.json`. NaN becomes null, because JSON has no NaN."""
+    text = json.dumps(json.loads(json.dumps(results), parse_constant=lambda _: None), indent=2)
+    write_atomically(folder / RESULTS, text.encode())
 
-    Raises:
-        CheckpointError: the file is missing or damaged.
-    """
+
+def runs_file(folder: Path) -> dict[str, Any]:
+    """The content of `runs.json`: per boat, name, length and digest of each run; and the digest of the ensemble."""
     path = folder / RUNS
     try:
         found = json.loads(path.read_text())
@@ -76,8 +84,7 @@ def number(folder: Path) -> int:
 def begun(folder: Path) -> tuple[int, int, Position, str]:
     """A key that sorts the runs in one folder by when they began or last resumed.
 
-    Clocks can be set back, so runs are numbered as they begin. Of two runs with the same number, the one that came
-    further is the later.
+    Clocks can be set back, so runs are numbered as they begin. Of two of one number the one that came further is later.
     """
     found, own = list((folder / CHECKPOINTS).glob(f"*/*{SUFFIX}")), number(folder)
     stamp = 0 if own else max(path.stat().st_mtime_ns for path in [*found, folder / RUNS])
@@ -85,12 +92,7 @@ def begun(folder: Path) -> tuple[int, int, Position, str]:
 
 
 def same_run(folder: Path, runs: Mapping[str, Any]) -> bool:
-    """Whether a folder was made from these samples, or from the first of these runs, by this ensemble.
-
-    Args:
-        folder: of a run.
-        runs: what `runs.json` would say of the new one.
-    """
+    """Whether a folder was made by this ensemble from these runs, or the first of them, as `runs.json` has them."""
     try:
         old = json.loads((folder / RUNS).read_text())
         same = list(old["boats"]) == list(runs["boats"])
@@ -117,33 +119,24 @@ def _saved_ensemble(folder: Path) -> str:
 def own_predictions(folder: Path) -> list[Path]:
     """The predictions that the index of a folder names, in order; none without an index."""
     try:
-        boats = runs_file(folder)["boats"].values()
+        boats = runs_file(folder)["boats"]
     except CheckpointError:
         return []
-    most = max(map(len, boats), default=0)
-    return named(folder, [max(runs[k][1] for runs in boats if k < len(runs)) for k in range(most)])
+    return named(folder, longest(boats))
+
+
+def longest(boats: Mapping[str, Sequence[tuple[str, int, str]]]) -> list[int]:
+    """The steps of the longest boat in each run, of the boats in `runs.json`."""
+    most = max(map(len, boats.values()), default=0)
+    return [max(runs[k][1] for runs in boats.values() if k < len(runs)) for k in range(most)]
 
 
 def check_own(folder: Path, option: str = "hydra.run.dir") -> None:
-    """Check before anything is written that a run may write to a folder.
+    """Raise a ConfigError if a file in the folder of a run to come has a name of a run's, but is a link or of no run.
 
     Args:
-        folder: of the run; it need not exist.
+        folder: it need not exist.
         option: by which the user can choose another one.
-
-    Raises:
-        ConfigError: a file or folder there with a name of a run's is a link, or belongs to no run.
-
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as made:
-    ...     check_own(Path(made))
-    ...     Path(made, "predictions").mkdir()
-    ...     Path(made, "predictions", "mine.npz").touch()
-    ...     try:
-    ...         check_own(Path(made))
-    ...     except ConfigError as error:
-    ...         print(str(error).removeprefix(made))
-    /predictions/mine.npz: found a file of no run, where a run writes its own: choose another hydra.run.dir
     """
     for name in (*INDEXES, *INDEXED, HYDRA, WORKERS):
         for path in _all(folder / name):
