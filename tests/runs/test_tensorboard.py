@@ -19,8 +19,8 @@ from usvlearn.errors import ConfigError
 from usvlearn.estimators.planar.state import CONSTANT, DUE, ERROR, HEADING_ERROR, RADIUS
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.runs.compared import label, result_tag, results_of, what_differs
+from usvlearn.runs.figures import LEAST_FIGURES
 from usvlearn.runs.replay import replay
-from usvlearn.runs.replay_figures import LEAST_FIGURES
 from usvlearn.runs.run_folder import RunFolder
 from usvlearn.runs.tensorboard import FAR, MAE, TensorBoardLogger
 from usvlearn.simulate.truth import quantities_of

@@ -28,7 +28,8 @@ class Chunk(NamedTuple):
     begin: Position
     end: Position
     state: EnsembleState  # at the end; leaves (boats, ...)
-    published: dict[str, np.ndarray]  # see `runs.published`, (time, boats, …), NaN where no step was made
+    published: dict[str, np.ndarray]  # see `runs.prediction_files`, (time, boats, …), NaN where no step was made
+    surge: np.ndarray  # (time, boats) m/s, the speeds that were learned from; NaN elsewhere
     save: bool  # whether checkpoints are saved at the end
     planar: PlanarState | None = None  # likewise, with sway, yaw rate and tracks
 
@@ -49,16 +50,13 @@ def replay(
 
     Args:
         ensemble: the estimators that predict and learn.
-        fleet: aligned runs; see `usvlearn.logs.recordings.align_fleet`.
+        fleet: aligned runs.
         state: to start from, leaves `(boats, ...)`.
         begin: the place up to which the replay is already done.
         every: steps in a chunk, at most.
         save_every: steps between two checkpoints; others are saved at the end of each run.
         planar: learns sway and yaw rate beside this ensemble, and makes tracks; None: without.
         beside: its state to start from, of which `state` is the surge's; None: that before the first sample.
-
-    Yields:
-        Chunks in order; together they cover each run once.
     """
     places, filters = list(_places(fleet, begin, every, save_every)), ensemble.accommodated
     parts = (tree_map(lambda x, a=a, b=b: x[a:b], fleet.runs[run].samples) for run, a, b, _ in places)
@@ -76,11 +74,12 @@ def replay(
             whole, state = after, after.surge
             kept = {name.removeprefix("surge."): x for name, x in kept.items()}
         part = tree_map(lambda x, a=done, b=stop: x[a:b], fleet.runs[run].samples)
-        stepped = masks(part, ensemble.surge_limit).steps[..., None]
+        mask = masks(part, ensemble.surge_limit)
+        stepped, surge = mask.steps[..., None], np.where(mask.learns, part.surge, np.nan)
         published = {name: np.where(stepped, x, np.nan) for name, x in _published(state, kept, filters).items()}
         if planar is not None:
             published["tracks"] = np.where(stepped, flat(kept["track.due"]), np.nan)
-        yield Chunk(Position(run, done), Position(run, stop), state, published, save, whole)
+        yield Chunk(Position(run, done), Position(run, stop), state, published, surge, save, whole)
 
 
 def _places(fleet: Fleet, begin: Position, every: int, save_every: int) -> Iterator[tuple[int, int, int, bool]]:

@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from usvlearn.core.samples import Fleet, masks, tree_map
+from usvlearn.core.samples import Fleet
 from usvlearn.display.activity import doing
 from usvlearn.display.figures import SEVEN, attempted
 from usvlearn.display.tensorboard import TensorBoardWriter, folder_name, folder_names
@@ -47,9 +47,9 @@ from usvlearn.evaluation.identification import Truth, identified_boats
 from usvlearn.evaluation.metrics import PERSISTENCE
 from usvlearn.evaluation.tracks import FEWEST
 from usvlearn.runs.compared import MAE, WINDOW, data_text, label, number, result_tag, results_of
+from usvlearn.runs.figures import Replayed, figures
 from usvlearn.runs.prediction_files import BEGIN, Position, Published
 from usvlearn.runs.replay import Chunk
-from usvlearn.runs.replay_figures import Replayed, figures
 
 STEPS_PER_POINT = 100  # and boat: one point of all curves costs about as much as 100 compiled steps
 MOST_POINTS = 200  # of a curve
@@ -90,8 +90,7 @@ class TensorBoardLogger:
 
     Args:
         folder: of the TensorBoard files.
-        fleet: the runs that are replayed.
-        ensemble: the estimators that learn.
+        fleet, ensemble: the runs that are replayed, and what learns.
         begin: the place from which it is replayed.
         differs: the settings in which the run differs from the default, by key.
         truth: quantities of simulated boats.
@@ -99,9 +98,6 @@ class TensorBoardLogger:
         texts: Markdown by title, for the TEXT page.
         alone: whether it is a run of its own, not a job of a sweep.
         tracks: their horizons, s; none without.
-
-    Raises:
-        ConfigError: `log` is something else.
     """
 
     def __init__(
@@ -168,13 +164,10 @@ class TensorBoardLogger:
         """Add one point to every curve, unless the last one is near; it is written within PATIENCE or BATCH points."""
         if self.silent:
             return
-        part = slice(chunk.begin.step, chunk.end.step)
-        samples = tree_map(lambda x: x[part], self.fleet.runs[chunk.end.run].samples)
-        surge = np.where(masks(samples, self.ensemble.surge_limit).learns, samples.surge, np.nan)
-        self._window.append((len(surge), self._sums(chunk.published, surge)))
+        self._window.append((len(chunk.surge), self._sums(chunk.published, chunk.surge)))
         while sum(steps for steps, _ in self._window) - self._window[0][0] >= WINDOW:
             self._window.popleft()
-        self._steps += len(surge)
+        self._steps += len(chunk.surge)
         last = len(self.fleet.runs) - 1
         if 2 * self._steps < self.every and chunk.end != Position(last, len(self.fleet.runs[last].time)):
             return
@@ -224,13 +217,9 @@ class TensorBoardLogger:
                 total[tag] = runs, each + (total[tag][1] if tag in total else 0)
         found = {}
         for tag, (runs, (values, counts)) in total.items():
-            least = (
-                1
-                if tag.endswith(("next step", MAE))
-                else LEAST
-                if tag.startswith(("MAE", "coverage of 90"))
-                else FEWEST
-            )
+            least = LEAST if tag.startswith(("MAE", "coverage of 90")) else FEWEST
+            if tag.endswith(("next step", MAE)):
+                least = 1
             with np.errstate(invalid="ignore", divide="ignore"):
                 mean = np.where(counts >= least, values / counts, np.nan)
                 skill = 1 - mean / mean[:, [runs.index(PERSISTENCE)]] if PERSISTENCE in runs else None
@@ -322,10 +311,7 @@ class TensorBoardLogger:
         published: Published,
         networks: Sequence[str] = (),
     ) -> None:
-        """Write the run's results, and figures.
-
-        A short run of a large fleet gets figures of its first boats only. Without matplotlib no figure is drawn, and a
-        warning is raised.
+        """Write the run's results, and figures; a short run of a large fleet gets those of its first boats only.
 
         Args:
             settings: the run's configuration.
