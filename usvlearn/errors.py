@@ -24,9 +24,7 @@ def printable(text: str) -> str:
 def folded(text: str, columns: int | None) -> str:
     """Text whose lines are broken between words, where a terminal would break them within one; a long word stays whole.
 
-    Args:
-        text: of lines; what follows a label and two spaces continues below itself.
-        columns: of the terminal; None, as of a file, breaks nothing.
+    What follows a label and two spaces continues below itself. Without columns, as of a file, nothing is broken.
     """
     if columns is None:
         return text
@@ -176,12 +174,7 @@ def did_you_mean(word: str, names: Iterable[str]) -> str:
 
 @contextmanager
 def under(key: str, names: Container[str] | None = None) -> Iterator[None]:
-    """A context in which an error that begins with the name of an option begins with the full path of its key instead.
-
-    Args:
-        key: the path of the options.
-        names: of the options; by default every error is assumed to be about one.
-    """
+    """A context in which an error that begins with the name of an option begins with the full path of its key."""
     try:
         yield
     except UsvlearnError as error:

@@ -40,11 +40,7 @@ COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {"status": status, "warm":
 
 
 def work(arguments: Sequence[str]) -> int:
-    """Do one of the commands; returns the exit code.
-
-    Raises:
-        ConfigError: there is no such command.
-    """
+    """Do one of the commands; returns the exit code."""
     name, *rest = arguments
     if name in COMMANDS:
         return COMMANDS[name](rest)

@@ -32,11 +32,7 @@ def default_ensemble(mass: float, surge_max: float) -> tuple[str, dict[str, Any]
 
 
 def make(path: Path = FILE) -> Path:
-    """Write the file.
-
-    Raises:
-        ConfigError: a number is no product of whole powers of mass and top speed, so that the file cannot state it.
-    """
+    """Write the file; a ConfigError where a number is no product of whole powers of mass and top speed."""
     name, description, leaves = default_ensemble(1.0, 1.0)
     ones = _parts(description, leaves)
     boats = {boat: _parts(*default_ensemble(*boat)[1:]) for boat in TRIED}

@@ -40,12 +40,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def work(arguments: Sequence[str]) -> None:
-    """Design, print, and write.
-
-    Raises:
-        CheckpointError: there is no checkpoint.
-        ConfigError: an option is wrong, or a boat is not identified well enough, or is not physical.
-    """
+    """Design, print, and write."""
     given = vars(parser().parse_args(list(arguments)))
     path, name, out = given.pop("path"), given.pop("boat"), given.pop("out")
     from usvlearn.display import terminal

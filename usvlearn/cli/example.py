@@ -24,11 +24,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def work(arguments: Sequence[str]) -> None:
-    """Write the logs, and say what can be done with them.
-
-    Raises:
-        ConfigError: an option is not legal, or a log is there already.
-    """
+    """Write the logs, and say what can be done with them."""
     from usvlearn.display import terminal
     from usvlearn.display.activity_bar import Activity
 

@@ -48,11 +48,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def formats_of(given: Sequence[str]) -> list[str]:
-    """What all `--to` name, of which each may have several, comma-separated: formats, or `ALL`.
-
-    Raises:
-        ConfigError: there is no such format.
-    """
+    """What all `--to` name, of which each may have several, comma-separated: formats, or `ALL`."""
     names = [each.strip() for part in given for each in part.split(",") if each.strip()]
     for name in names or [""]:
         if name not in (*FORMATS, ALL):
@@ -80,10 +76,6 @@ def export(
         run: the folder of the run, which has the predictions.
         out: the folder of the files, which is made.
         lenient: what a boat lacks, or a package that is missing, leaves a format out, with a warning.
-
-    Raises:
-        UsvlearnError: a boat lacks something, or a package is not installed.
-        OSError: the disk is full, or the like; no file is half-written.
     """
     made: dict[Path, bytes] = {}
     for boat in boats:

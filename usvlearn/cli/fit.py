@@ -41,12 +41,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def work(arguments: Sequence[str], console: Console | None = None) -> None:
-    """Fit each boat, print, and write; on the way of another command, on its console, and no report is renewed.
-
-    Raises:
-        ConfigError: there is no run, no such boat or set of terms, or too little was measured.
-        UsvlearnError: the logs cannot be read.
-    """
+    """Fit each boat, print, and write; on the way of another command, on its console, and no report is renewed."""
     given = parser().parse_intermixed_args(list(arguments))
     folder = Path(given.run).expanduser()
     out = folder / "fit" if given.out is None else out_folder(given.out)
@@ -261,11 +256,7 @@ def renew_report(folder: Path, console: Console, data: Mapping[str, Any] | None 
     """Write `RUN/report`, with the section on the fit, as `usvlearn evaluate runs=RUN` does; returns its page.
 
     Without a report, such as without matplotlib, there is a warning, and None is returned: the fit itself is saved.
-
-    Args:
-        folder: of the run, in which `fit/BOAT.fit.json` is.
-        console: shows how far it is.
-        data: the configuration of the run's logs, where they have moved.
+    `data` is the configuration of the run's logs, where they have moved.
     """
     from functools import partial
 

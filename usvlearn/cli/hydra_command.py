@@ -137,11 +137,7 @@ def _show_sweep() -> None:
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
-    """Hydra's flags and the overrides.
-
-    Raises:
-        ConfigError: a flag is unknown, or lacks its value.
-    """
+    """Hydra's flags and the overrides; a ConfigError where a flag is unknown, or lacks its value."""
     parser = get_args_parser()
     flags = re.findall(r"--[\w-]+", parser.format_usage())
 
@@ -162,16 +158,7 @@ def flags_first(arguments: Sequence[str]) -> list[str]:
 
 
 def with_keys(name: str, arguments: Sequence[str], overrides: Sequence[str]) -> list[str]:
-    """The arguments of train or evaluate, in which a file or folder without a key has the key that it is meant for.
-
-    Args:
-        name: of the command.
-        arguments: all of them.
-        overrides: those that are no flags.
-
-    Raises:
-        ConfigError: a file or folder does not exist, or is not what the command takes.
-    """
+    """The arguments of train or evaluate, in which a file or folder without a key has the key that it is meant for."""
     meant = {each: _meant(name, each) for each in overrides if "=" not in each and not each.startswith("~")}
     given = [each for each in meant.values() if each.startswith("runs=")]
     if len(given) > 1:

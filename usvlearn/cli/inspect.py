@@ -35,12 +35,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def work(arguments: Sequence[str]) -> None:
-    """Inspect, print, and write.
-
-    Raises:
-        ConfigError: an argument is wrong, a required channel is missing, or the file exists.
-        LogFormatError: the logs cannot be read.
-    """
+    """Inspect, print, and write."""
     from usvlearn.display import terminal
     from usvlearn.display.activity_bar import Activity
 

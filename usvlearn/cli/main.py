@@ -70,11 +70,7 @@ parameters. Of a sweep it prints the leaderboard.
 
 
 def begin(name: str) -> None:
-    """Print the help of a command of Hydra and end, if that is asked for; else say on a terminal what is loading.
-
-    Args:
-        name: of the command; its arguments are those of this program.
-    """
+    """Print the help of a command of Hydra and end, if that is asked for; else say on a terminal what is loading."""
     arguments = sys.argv[1:]
     if name in HELP and ("--help" in arguments or "-h" in arguments):
         program = f"python {sys.argv[0]}" if sys.argv[0].endswith(".py") else sys.argv[0]

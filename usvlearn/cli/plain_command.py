@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from usvlearn.errors import ConfigError, columns_of, complain, exit_on_user_error, folded
 
 
-def run_command(work: Callable[[Sequence[str]], None], usage: str, helps: Collection[str] = ()) -> int:
+def run_command(work: Callable[[Sequence[str]], None], usage: str) -> int:
     """Do the work of a command with the arguments of this program; returns the exit code.
 
     Args:
         work: receives the arguments.
-        usage: is printed if there are none, or for the first one of `helps`.
-        helps: such as "-h", where the work does not print its own help.
+        usage: is printed if there are none.
     """
     from usvlearn.cli.signals import Stopped, stoppable
 
-    if not sys.argv[1:] or sys.argv[1] in helps:
+    if not sys.argv[1:]:
         print(folded(usage, columns_of(sys.stdout)))
         return 0
     try:
@@ -33,11 +32,7 @@ def run_command(work: Callable[[Sequence[str]], None], usage: str, helps: Collec
 
 
 def out_folder(given: str, option: str = "--out") -> Path:
-    """The folder that an option names, which need not exist.
-
-    Raises:
-        ConfigError: it is empty, or a file.
-    """
+    """The folder that an option names, which need not exist."""
     folder = Path(os.path.expanduser(given))
     if not given or (folder.exists() and not folder.is_dir()):
         raise ConfigError(f"{option}: found {'the file ' * bool(given)}{given!r}, expected a folder")

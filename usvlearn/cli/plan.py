@@ -51,12 +51,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def work(arguments: Sequence[str]) -> None:
-    """Plan for each boat, print, and write.
-
-    Raises:
-        CheckpointError: there is no readable checkpoint.
-        ConfigError: an option is outside its legal values, nothing is identified, or no course stays in the area.
-    """
+    """Plan for each boat, print, and write."""
     from usvlearn.display import terminal
     from usvlearn.display.activity_bar import Activity
 
@@ -96,11 +91,7 @@ class Planned(NamedTuple):
 
 
 def _planned(boat: IdentifiedBoat, limits: Limits, seed: int) -> Planned:
-    """Plan for one boat.
-
-    Raises:
-        ConfigError: its thrust points astern, or no course stays in the area.
-    """
+    """Plan for one boat; a ConfigError if its thrust points astern, or no course stays in the area."""
     from usvlearn.model.planning.course import lawn_mower
     from usvlearn.model.planning.exchange import derived, search, wide
     from usvlearn.model.planning.rehearsal import Rehearsal

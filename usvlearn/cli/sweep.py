@@ -39,11 +39,7 @@ NUMBER = 2  # the place of a job's number among the arguments of Hydra's launche
 
 
 def load(path: Path) -> Any:
-    """A YAML file as lists and dictionaries.
-
-    Raises:
-        ConfigError: it is damaged, or Hydra has not written it.
-    """
+    """A YAML file as lists and dictionaries; a ConfigError if it is damaged, or Hydra has not written it."""
     try:
         if has_alias(path.read_text()):
             raise ValueError("it has a YAML alias; a few of them can expand to gigabytes")
@@ -64,11 +60,7 @@ def do_job(cfg: DictConfig, work: Callable[..., float]) -> float:
 
 
 def jobs_of(hydra: DictConfig) -> tuple[list[str], list[dict[str, str]]]:
-    """The keys with several values in a sweep's command or file, and the settings of its jobs, by key.
-
-    Args:
-        hydra: the configuration of Hydra itself.
-    """
+    """The keys with several values in a sweep's command or file, and the settings of its jobs, by key."""
     params = hydra.sweeper.get("params") or {}
     given = [*(f"{key}={values}" for key, values in params.items()), *hydra.overrides.task]
     parsed = {each.get_key_element(): each for each in OverridesParser.create().parse_overrides(given)}
@@ -80,12 +72,7 @@ def jobs_of(hydra: DictConfig) -> tuple[list[str], list[dict[str, str]]]:
 
 
 def note_of(config: DictConfig, swept: Sequence[str]) -> SweepNote:
-    """What is noted of a sweep before it starts.
-
-    Args:
-        config: composed without the swept values.
-        swept: the keys with several values.
-    """
+    """What is noted of a sweep before it starts, from a configuration composed without the swept keys."""
     choices, defaults = config.hydra.runtime.choices, {}
     for key in swept:
         if key.startswith(("+", "~")):
@@ -116,9 +103,6 @@ def compose_every_value(sweeper: BasicSweeper, jobs: Sequence[Sequence[str]]) ->
 
     Hydra itself composes each job of a grid here, one after the other, before the first starts (a third of a second for
     each), and once more where the job runs. Which keys a job has depends on its files, not on its other values.
-
-    Raises:
-        HydraException: a job cannot be composed.
     """
     assert sweeper.hydra_context is not None
     loader: Any = sweeper.hydra_context.config_loader
@@ -209,12 +193,7 @@ def cut_short(error: BaseException) -> str | None:
 
 
 def again(sweep: Path | None, run: Path | None) -> str:
-    """The command that continues in the same folder, or starts anew if nothing was saved.
-
-    Args:
-        sweep: its folder, or None.
-        run: the folder of the run that was stopped, or None.
-    """
+    """The command that continues in the folder of a sweep, or of a run, or starts anew if nothing was saved."""
     more = []
     if sweep is not None:
         more = [f"hydra.sweep.dir={sweep}"]
@@ -231,14 +210,11 @@ def again(sweep: Path | None, run: Path | None) -> str:
 
 
 def wait_for_all(lost: list[int]) -> None:
-    """Let the launchers of submitit wait until every job has ended, on Slurm or here.
+    """Let the launchers of submitit wait until every job has ended, on Slurm or here; `lost` gets the killed ones.
 
     Submitit raises an error for the first job that left no result, while others still run. Here the job is noted, its
     objective is NaN, and the others are waited for. Submitit asks `sacct` which jobs have ended. That needs a database,
     which not every cluster has, and without it a killed job would be waited for without end. Here `squeue` is asked.
-
-    Args:
-        lost: receives the number of each job whose process ended without a result.
     """
     from submitit.core.core import Job
     from submitit.core.utils import FailedJobError, UncompletedJobError

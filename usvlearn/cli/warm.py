@@ -19,17 +19,12 @@ WORDS = "float32 also compiles the estimators' kernels of that precision, reader
 
 
 def warm(float32: bool = False, readers: bool = False, live: bool = False) -> Path:
-    """Compile estimators, forecasts, alignment and, where torch is installed, the simulator.
-
-    What is compiled already is only read.
+    """Compile what is not compiled yet; returns the folder of the code. Without torch, the simulator is left out.
 
     Args:
         float32: compile the estimators' kernels for float32, too.
         readers: compile what reads binary logs, and what computes speeds from positions.
         live: compile only what a live node needs: neither open-loop simulations nor the simulator.
-
-    Returns:
-        The folder of the code.
     """
     from usvlearn.core.jit import folder
     from usvlearn.engine import dispatch

@@ -22,14 +22,11 @@ class CheckedAlignment:
     """Aligns like `align_fleet`, checks the data, and shows what is found.
 
     With `check=strict` a warning is an error, with `check=off` nothing is checked. If nothing can be aligned, the error
-    says what the check found.
+    says what the check found. `findings` has those of all that was aligned; None if nothing was checked.
 
     Args:
         settings: the whole configuration.
         console: shows each finding once; None shows nothing.
-
-    Attributes:
-        findings: of all that was aligned; None if nothing was checked.
     """
 
     def __init__(self, settings: Mapping[str, Any], console: Console | None = None):

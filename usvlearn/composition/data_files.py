@@ -38,9 +38,6 @@ def with_data_files(overrides: Iterable[str]) -> list[str]:
     """The overrides, in which each file that `data=FILE.yaml` names is known to Hydra by its absolute path.
 
     A relative path would be found below configs/data, too, if there is a file of that name.
-
-    Raises:
-        ConfigError: there is no such file, or it is no legal YAML.
     """
     return [_known(each) for each in overrides]
 

@@ -34,8 +34,7 @@ KEY = re.compile(r"Could not (?:override|delete(?: from config\.)?) '([^']+)'|co
 def in_one_sentence(names: Callable[[str], Iterable[str]] = lambda wrong: []) -> Iterator[None]:
     """Raise a ConfigError in place of an error of Hydra or OmegaConf about a command line or a file.
 
-    Args:
-        names: from a mistyped key to the existing keys and groups.
+    `names` tells the existing keys and groups for a mistyped key.
     """
     try:
         yield
@@ -114,14 +113,7 @@ def _first_line(error: BaseException, but: tuple[str, ...] = ()) -> str:
 def known_names(
     configs: Path, name: str, overrides: Iterable[str], added: str | None = None
 ) -> Callable[[str], list[str]]:
-    """A function from a mistyped name to the existing keys and groups, given the other overrides; "": the files' names.
-
-    Args:
-        configs: the folder of the configuration.
-        name: of the main file in it.
-        overrides: of the command line.
-        added: the folder that --config-dir adds.
-    """
+    """A function from a mistyped name to the keys and groups that exist, given the other overrides; "": to files."""
     search = [] if added is None else [f"hydra.searchpath=['file://{Path(added).resolve()}']"]
 
     def find(wrong: str) -> list[str]:

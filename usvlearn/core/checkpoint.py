@@ -44,15 +44,9 @@ class FormerVersionError(CheckpointError):
 
 
 def save(path: str | Path, state: Any, **metadata: Any) -> Path:
-    """Write a state with its metadata, atomically and durably.
+    """Write a state, a tree of arrays or tensors, with its metadata, atomically and durably; returns the path.
 
-    Args:
-        path: of the file; its folder is made. An existing file is replaced only by a complete one.
-        state: a tree of arrays or tensors.
-        **metadata: JSON values: estimator, configuration, boat, run, time …
-
-    Returns:
-        The path.
+    The metadata are JSON values: estimator, configuration, boat, run, time … The folder is made.
     """
     path = Path(path)
     leaves = {name: as_array(leaf) for name, leaf in named_leaves(state)}
@@ -114,9 +108,6 @@ def restore(path: str | Path, template: Any, estimator: str | None = None) -> tu
         path: of the checkpoint.
         template: a state whose leaves give names, shapes and dtypes; NumPy or torch.
         estimator: name that the metadata must carry.
-
-    Raises:
-        CheckpointError: as `load`, or it belongs to another estimator or has other leaves or shapes.
     """
     leaves, facts = load(path)
     found = facts.get("estimator")

@@ -59,11 +59,7 @@ class Event(NamedTuple):
 
 
 class EventWatch:
-    """Finds the events of one boat, step by step.
-
-    Args:
-        filters: the names of those with trials, which get the effectiveness, in the order of the columns.
-    """
+    """Finds the events of one boat, step by step; `filters` are named in the order of their columns."""
 
     def __init__(self, filters: Sequence[str] = ()):
         self.filters = tuple(filters)
@@ -83,10 +79,7 @@ class EventWatch:
         """The events of a step: a loss again when the filters get it; no change of the boat that a loss explains.
 
         What is on already at the first step is an alarm, and counts begin there: the model may be that of a checkpoint.
-
-        Args:
-            time: of the step, s. Where it goes back, because a clock began anew, losses count from there.
-            row: of numbers, as above.
+        Where the time, s, goes back, because a clock began anew, losses count from there.
         """
         row, found = np.asarray(row, float), []
         before = self._row

@@ -109,10 +109,7 @@ def track_of(found: np.ndarray, dt: np.ndarray) -> Track:
 
 
 def plan_commands(commands: Any, dt: Any, batch: tuple[int, ...] = ()) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The commands of a plan without headings: left, right and lengths of the steps, `(time, *batch)`.
-
-    Arguments and errors are those of `plan_inputs`.
-    """
+    """The commands of a plan without headings: left, right and lengths of the steps, `(time, *batch)`."""
     inputs = plan_inputs(commands, 0.0, 0.0, dt, batch)
     return inputs.command_left, inputs.command_right, inputs.dt
 

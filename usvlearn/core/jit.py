@@ -214,9 +214,7 @@ def _alone(function: Callable[..., Any], options: dict[str, Any]) -> Callable[..
 class CheckedFiles(IndexDataCacheFile):
     """Numba's cache files of one function, each with its sha256 at the end; a damaged one is removed and recompiled.
 
-    Args:
-        plain: numba's own, which depends on where the source is installed, and when.
-        place: the folder, which depends on what is in the source.
+    Numba's own place depends on where the source is installed, and when; the folder here on what is in the source.
     """
 
     def __init__(self, plain: IndexDataCacheFile, place: Path):
@@ -285,10 +283,6 @@ def announced(source: str, what: str) -> Iterator[None]:
     """Report on stderr the first compilation of a source file's functions on this machine, and its duration.
 
     One process at a time compiles; another waits, and then finds the machine code.
-
-    Args:
-        source: a file; its machine code and that of what it imports is compiled.
-        what: is compiled, in words.
     """
     mark = mark_of(source, what)
     if NUMBA.DISABLE_JIT or mark.exists():

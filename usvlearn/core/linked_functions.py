@@ -89,13 +89,7 @@ class _Compiler(CompilerBase):
 
 
 class Part(CPUDispatcher):
-    """A function that only compiled functions call; where Python calls it, it is also compiled alone.
-
-    Args:
-        function: of numbers and arrays.
-        options: of `numba.njit`.
-        alone: compiles the function for Python.
-    """
+    """A function that only compiled functions call; where Python calls it, it is also compiled alone."""
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any], alone: Callable[..., Any]):
         super().__init__(

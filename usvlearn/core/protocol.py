@@ -271,10 +271,7 @@ def spec_of(part: Any) -> dict[str, Any] | None:
 def describe(family: Family[Any], part: Any, **own: Any) -> dict[str, Any]:
     """A description: the values of everything that a family declares, read from attributes of the same names.
 
-    Args:
-        family: of the part.
-        part: an estimator.
-        own: values that are not attributes of the part, and `kind` and `size`.
+    Values that are not attributes of the part, and `kind` and `size`, are `own`.
     """
     found = {"kind": own.get("kind", family.kinds[0]), "size": own.get("size", 0)}
     for choice in family.choices:

@@ -21,11 +21,7 @@ CLOSED = (yaml.FlowSequenceEndToken, yaml.FlowMappingEndToken, yaml.BlockEndToke
 
 
 def has_alias(text: str) -> bool:
-    """Whether YAML has an alias; a few of them can expand to gigabytes.
-
-    Raises:
-        RecursionError: it is nested too deeply to be read.
-    """
+    """Whether YAML has an alias; a few of them can expand to gigabytes. A RecursionError if it is nested too deeply."""
     depth = 0
     for token in yaml.scan(text):
         if isinstance(token, yaml.AliasToken):
@@ -37,15 +33,7 @@ def has_alias(text: str) -> bool:
 
 
 def read_yaml(key: str, path: Path) -> dict[Any, Any]:
-    """The content of a file, as dictionaries, lists and scalars; {} if it is no mapping.
-
-    Args:
-        key: the option that names the file, for the error.
-        path: of the file.
-
-    Raises:
-        ConfigError: it cannot be read, or is no legal YAML.
-    """
+    """The content of the file that an option (`key`) names, as dictionaries, lists, scalars; {} if it is no mapping."""
     try:
         if path.stat().st_size > LARGEST:
             raise ConfigError(f"{key}: {path} has more than {LARGEST // 1000} kB: name a configuration")

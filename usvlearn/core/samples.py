@@ -112,16 +112,10 @@ class Masks(NamedTuple):
 
 
 def masks(sample: Sample, surge_limit: float = PLAUSIBLE) -> Masks:
-    """Decide which steps are made, learned from and scored; NumPy arrays and tensors alike.
+    """Decide which steps are made, learned from and scored; NumPy arrays and tensors `(*batch,)` or `(time, *batch)`.
 
     An input that is not finite or not plausible makes no step. A speed counts as missing where it is not finite, or
-    reaches the limit.
-
-    Args:
-        sample: leaves `(*batch,)`, or `(time, *batch)`.
-        surge_limit: m/s; `Estimator.surge_limit`.
-
-    The compiled twin is `usvlearn.core.prepared_samples.prepare`.
+    reaches the limit, m/s. The compiled twin is `usvlearn.core.prepared_samples.prepare`.
     """
     known, dt = abs(sample.surge) < surge_limit, sample.inputs.dt
     steps = sample.fresh & (dt > 0)

@@ -23,11 +23,7 @@ Questions = dict[str, dict[str, Any]]
 
 
 def questions_of(section: Any, file: str = "") -> Questions:
-    """A section that may come from anybody, and the file in which it stands; what is not understood counts as unsure.
-
-    Raises:
-        ConfigError: it is no mapping.
-    """
+    """A section that may come from anybody, and the file that has it; what is not understood counts as unsure."""
     if not isinstance(section, Mapping | None):
         raise ConfigError(f"{SECTION}: found {section!r:.60}, expected KEY: {{certainty: …}}, or no such section")
     found: Questions = {}
@@ -42,11 +38,7 @@ def questions_of(section: Any, file: str = "") -> Questions:
 
 
 def questions_in(content: Mapping[str, Any], path: Path) -> Questions:
-    """The questions of a file that was read; of a file by an `inspect` that wrote no such section, one for all of it.
-
-    Raises:
-        ConfigError: as of `questions_of`.
-    """
+    """The questions of a file that was read; of one by an `inspect` that wrote no such section, one for all of it."""
     head = path.read_text(encoding="utf-8", errors="replace")[:1000] if SECTION not in content else ""
     older = any(WRITTEN in line for line in head.splitlines() if line.startswith("#"))
     return questions_of({ALL: {"why": OLDER}} if older else content.get(SECTION), str(path))

@@ -45,11 +45,9 @@ def label(settings: Mapping[str, str]) -> str:
 
 
 def results_of(results: Mapping[str, Any], name: str) -> dict[str, float]:
-    """The results of a job by title, of one estimator or combiner, means over boats; those that are known.
+    """The results of a job (`results.json`) by title, of one estimator or combiner, means over boats; those known.
 
-    Args:
-        results: of `results.json`.
-        name: of the estimator or combiner; the combiner `output` has those that it lacks.
+    The combiner `output` has those that it lacks.
     """
     output = str(results.get("output", name)).partition(".")[0]
 
@@ -103,12 +101,7 @@ def number(text: Any) -> bool | float | str:
 
 
 def data_text(fleet: Fleet, clocks: np.ndarray) -> str:
-    """What the logs contain, and what was rejected, as Markdown.
-
-    Args:
-        fleet: that is replayed.
-        clocks: run time of each boat, s.
-    """
+    """What the logs contain, and what was rejected, as Markdown; `clocks` are the run times of the boats, s."""
     counts, rows = np.sum([_count(run) for run in fleet.runs], axis=0), []
     for element, boat in enumerate(fleet.boats):
         steps, *shares = counts[element].tolist()

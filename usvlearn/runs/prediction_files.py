@@ -115,13 +115,21 @@ class Published:
         """Read the arrays `names` of one of the `places`, as far as its file has them.
 
         Raises:
-            CheckpointError: its file is damaged, or contains other steps.
+            CheckpointError: its file is damaged, much larger, or contains other steps, boats or widths.
         """
         path = self._folder / f"{stem(Position(run, end))}.npz"
+        steps, widths = min(end, self._lengths[run]) - step, self._widths
+        most = (1 << 16) + (2048 + 4 * 8 * max(0, steps) * (sum(widths.values()) + 7)) * self._boats  # 2048: names
         try:
-            arrays = read_published(path, min(end, self._lengths[run]) - step, self._boats, self._widths, names)
-            if other := [len(array) for array in arrays.values() if len(array) != end - step]:
-                raise ValueError(f"it contains {other[0]} steps, expected {end - step}")
+            with archive_of(path, most) as archive:
+                wanted = [name for name in names if name in widths and (name in archive or name == "predictions")]
+                arrays = {name: archive[name] for name in wanted}
+            for name, array in arrays.items():
+                shape = (end - step, self._boats, widths[name])
+                if array.dtype.kind != "f" or array.ndim != 3 or array.shape[1:] != shape[1:]:
+                    raise ValueError(f"{name} are {array.dtype} {array.shape}, expected numbers of {shape}")
+                if len(array) != end - step:
+                    raise ValueError(f"it contains {len(array)} steps, expected {end - step}")
         except DAMAGE as error:
             raise CheckpointError(f"{path}: is damaged ({error})") from error
         return Stretch(run, step, arrays)
@@ -185,30 +193,6 @@ def packed(
             with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
                 np.lib.format.write_array(file, np.ascontiguousarray(array), allow_pickle=False)
     return content.getvalue()
-
-
-def read_published(
-    path: Path, steps: int, boats: int, widths: Widths, names: Sequence[str] = PUBLISHED
-) -> dict[str, np.ndarray]:
-    """The arrays of a file of predictions, by name; raises one of DAMAGE if the file cannot be read.
-
-    Args:
-        path: of the file.
-        steps, boats: the greatest size of the predictions. A much larger file is not unpacked, and one with other
-            boats counts as damaged.
-        widths: of the arrays. A file with other widths counts as damaged; arrays without one are not read.
-        names: of the arrays. A file without predictions counts as damaged.
-    """
-    most = (1 << 16) + (2048 + 4 * 8 * max(0, steps) * (sum(widths.values()) + 7)) * boats  # 2048: names
-    with archive_of(path, most) as archive:
-        found = {name: archive[name] for name in names if name in widths and (name in archive or name == "predictions")}
-    for name, array in found.items():
-        width = widths[name]
-        if array.dtype.kind != "f" or array.ndim != 3 or array.shape[1:] != (boats, width):
-            raise ValueError(f"{name} are {array.dtype} {array.shape}, expected numbers of (time, {boats}, {width})")
-    if len({len(array) for array in found.values()}) > 1:
-        raise ValueError("its arrays differ in length")
-    return found
 
 
 @contextmanager

@@ -30,14 +30,7 @@ class Start(NamedTuple):
 
 
 class Resumption:
-    """Finds where a run may resume, and brings what it then needs into its folder.
-
-    Args:
-        path: the run's folder.
-        fleet: the runs that are replayed.
-        ensemble: that is replayed.
-        planar: what learns sway and yaw rate beside it; None: nothing does.
-    """
+    """Finds where a run of an ensemble may resume, and brings what it then needs into its folder."""
 
     def __init__(self, path: Path, fleet: Fleet, ensemble: Ensemble, planar: Planar | None):
         self.path, self.fleet, self._planar, self._kernel = path, fleet, planar, ensemble.description()
@@ -134,8 +127,7 @@ class Resumption:
 
         Args:
             source: a folder, or a checkpoint of an ensemble; None: nothing is resumed.
-            place: from which the ensemble is replayed.
-            continued: whether the ensemble goes on from there.
+            place: from which the ensemble is replayed; `continued`: as it was left there.
         """
         if self._planar is None or source is None:
             return None, ""
@@ -190,12 +182,7 @@ def from_checkpoints(
     """The state of all boats from one saved checkpoint for each, and the metadata of these checkpoints.
 
     The monitors, and what they have told the filters, start anew, because the checkpoints may be of other boats, or of
-    an earlier day.
-
-    Args:
-        state: of a fresh start, leaves `(boats, ...)`.
-        paths: of each boat a checkpoint, or a folder of them, of which the newest readable one is taken.
-        kernel: how the ensemble is built (`Ensemble.description`).
+    an earlier day. Instead of a checkpoint, a path may be a folder of them, of which the newest readable one is taken.
     """
     template = of_boat(state, 0)
     found = {path: restored(path, template, ESTIMATOR, kernel) for path in dict.fromkeys(paths)}

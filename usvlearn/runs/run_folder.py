@@ -70,8 +70,7 @@ class RunFolder:
 
     Args:
         path: the folder.
-        fleet: the runs that are replayed.
-        ensemble: that learns.
+        fleet, ensemble: the runs that are replayed, and what learns.
         configuration: JSON values that every checkpoint contains.
         planar: what learns sway and yaw rate beside it; None: nothing does.
         data_check: what the data check found, for `results.json`; None if nothing was checked.

@@ -26,11 +26,7 @@ SETTINGS = ("estimators", "combiners", "data", "align", "vehicle")  # what a sav
 
 
 def run_folders(folder: str | Path) -> list[Path]:
-    """The folder itself if it contains a run, else all folders below it that do, the oldest first.
-
-    Raises:
-        ConfigError: there is no run.
-    """
+    """The folder itself if it contains a run, else all folders below it that do, the oldest first."""
     folder = Path(folder)
     found = [folder] if (folder / RUNS).exists() else [path.parent for path in folder.glob(f"**/{RUNS}")]
     if not found:
@@ -44,8 +40,7 @@ def run_folders(folder: str | Path) -> list[Path]:
 def is_sweep(folder: Path) -> bool:
     """Whether the runs below a folder are compared instead of pooled: jobs of a sweep, or runs of several ensembles.
 
-    Raises:
-        ConfigError: they are of several ensembles, and their commands were not saved, as in a study's folder.
+    A ConfigError if they are of several ensembles, and their commands were not saved, as in a study's folder.
     """
     if (folder / "multirun.yaml").exists():
         return True
@@ -61,12 +56,7 @@ def is_sweep(folder: Path) -> bool:
 def configuration(folder: Path, trust: str | Sequence[str] | None = None) -> dict[str, Any]:
     """The settings of a run, from its newest readable checkpoint; they can be instantiated.
 
-    Args:
-        folder: of the run.
-        trust: see `usvlearn.runs.trust.check_settings`.
-
-    Raises:
-        CheckpointError: it has no checkpoint, none can be read, or its settings name code that is not trusted.
+    A CheckpointError if none can be read, or they name code that is not trusted (`runs.trust.check_settings`).
     """
     path, found = _configuration(folder)
     check_settings(str(path), found, trust)
@@ -97,11 +87,7 @@ def _configuration(folder: Path) -> tuple[Path, dict[str, Any]]:
 
 
 def results(folder: Path) -> dict[str, Any]:
-    """The results of a run; {} if it is not finished.
-
-    Raises:
-        CheckpointError: the file is damaged.
-    """
+    """The results of a run; {} if it is not finished. A CheckpointError if the file is damaged."""
     found = _results_file(folder)
     return {} if "partial" in found else found
 
@@ -140,10 +126,6 @@ def read_seasons(folders: Sequence[Path], ensemble: Ensemble, fleets: Sequence[F
         folders: of the runs, the oldest first.
         ensemble: to which all checkpoints belong.
         fleets: on which the checkpoints are evaluated; a run that is in several of them counts once.
-
-    Raises:
-        CheckpointError: a boat has no readable checkpoint; or those of another ensemble or schema.
-        ConfigError: the folders contain no checkpoint of a boat of the fleets.
     """
     runs: dict[str, dict[str, SeasonRun]] = {}
     for fleet in fleets:

@@ -30,10 +30,6 @@ def check_settings(where: str, settings: Any, trust: str | Sequence[str] | None 
         where: the file from which they were read, for the error.
         settings: dictionaries, lists and scalars, as in JSON.
         trust: modules of the user, whose classes and functions are also allowed, with those of their submodules.
-
-    Raises:
-        CheckpointError: a target is not allowed, or settings contain an interpolation or too many levels.
-        ConfigError: `trust` is neither the name of a module nor a list of such names.
     """
     trusted = [trust] if isinstance(trust, str) else list(trust or ())
     for module in trusted:
@@ -54,15 +50,7 @@ def check_settings(where: str, settings: Any, trust: str | Sequence[str] | None 
 
 
 def check_setting(where: str, setting: Any) -> dict[str, float]:
-    """Return a tuned setting if it contains only finite numbers by dotted paths, so that it cannot name code.
-
-    Args:
-        where: the file from which it was read, for the error.
-        setting: the content of the file.
-
-    Raises:
-        ConfigError: it contains something else.
-    """
+    """Return a tuned setting if it has only finite numbers by dotted paths, so that it cannot name code."""
     if not isinstance(setting, dict):
         raise ConfigError(f"{where}: found the setting {_short(setting)}, expected numbers by name: remove that file")
     for path, value in setting.items():
