@@ -3,12 +3,12 @@
 import json
 import shutil
 
+import build_prior
 import numpy as np
 import pytest
 
 from tests.support.commands import python
 from usvlearn import Inputs, Online, Sample
-from usvlearn.cli import build_prior
 from usvlearn.core import checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.live.prior import FILE, prior
@@ -39,7 +39,7 @@ def assert_equal(found, expected, path: str = "") -> None:
 @pytest.mark.thorough
 @pytest.mark.parametrize("mass, surge_max", BOATS)
 def test_it_equals_the_ensemble_that_torch_makes(mass, surge_max):
-    """It fails, too, if a default has changed since the file was made: run `python -m usvlearn.cli.build_prior`."""
+    """It fails, too, if a default has changed since the file was made: run `python aboard/build_prior.py`."""
     leaves, facts = prior(mass, surge_max)
     name, description, state = build_prior.default_ensemble(mass, surge_max)
     assert_equal(facts, {"estimator": name, "kernel": description})

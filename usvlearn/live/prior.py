@@ -6,7 +6,7 @@ The ensemble is made of the boat's mass m and top speed U. Each number of its st
 
 with whole a and b, because it is a physical quantity that is formed of m, U and constants. The file beside this module
 contains the numbers c, which are those of m = 1 kg and U = 1 m/s, and the powers a, b of the numbers that vary.
-`python -m usvlearn.cli.build_prior` makes it anew from the configuration, with torch.
+`python aboard/build_prior.py` makes it anew from the configuration, with torch.
 """
 
 from __future__ import annotations

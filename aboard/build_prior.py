@@ -1,4 +1,4 @@
-"""`python -m usvlearn.cli.build_prior`: make the file of `usvlearn.live.prior` from the configuration, with torch.
+"""`python aboard/build_prior.py`: make the file of `usvlearn.live.prior` from the configuration, with torch.
 
 It must be made anew when a default of the ensemble changes; a test compares the two.
 """
