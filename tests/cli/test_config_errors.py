@@ -84,7 +84,7 @@ VALUES = {  # after torch: constructors check these
 
 
 BY_DEFAULT = {  # one of each kind
-    "key", "key of version 0.2", "member of version 0.2", "file of version 0.2", "key that is there",
+    "key", "key that is there",
     "member that is there", "group", "option", "number for an option", "bracket", "no value", "sweep without -m",
     "flag", "two flags", "flag without its value", "file", "folder", "launcher", "no section",
     "a section that is a number", "a circle", "a reference to nothing", "no value yet", "option of align",

@@ -229,20 +229,6 @@ def test_bad_input_is_told_in_one_sentence(case, tmp_path, monkeypatch):
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize(
-    "case", few(["missing file", "no such channel", "a channel with no numbers", "a grid"], ["a grid"], "thorough")
-)
-def test_bad_input_ends_with_code_2_and_no_traceback(case, tmp_path):
-    arguments, content, said = BAD_INPUT[case]
-    (tmp_path / "log.csv").write_text(content or "")
-    done = run(*CSV, *arguments, "hydra.run.dir=run", folder=tmp_path)
-    assert done.returncode == 2 and "Traceback" not in done.stderr, done.stderr
-    last = done.stderr.strip().splitlines()[-1]
-    assert last.startswith("error: ") and all(word in last for word in said), last
-    assert [path.name for path in (tmp_path / "run").iterdir()] == [".hydra"]
-
-
-@pytest.mark.thorough
 def test_a_checkpoint_of_another_estimator_schema_or_with_a_flipped_bit(whole, tmp_path):
     good = max((whole / "checkpoints" / "heron1").iterdir())
     other = checkpoint.save(tmp_path / "other.safetensors", {"theta": np.ones(9)}, estimator="AID")

@@ -63,14 +63,6 @@ def test_a_file_that_is_no_checkpoint(tmp_path, content):
         store.load(tmp_path / "none.safetensors")
 
 
-def test_another_schema_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(store, "SCHEMA", 99)
-    path = store.save(tmp_path / "a.safetensors", {"theta": np.ones(1)})
-    monkeypatch.undo()
-    with pytest.raises(CheckpointError, match="format 99, this version reads 2 and 3"):
-        store.load(path)
-
-
 def test_another_estimator_or_size_is_refused(tmp_path):
     path = Online(RNN(6)).save(tmp_path / "a.safetensors")
     with pytest.raises(CheckpointError, match="'RNN', expected 'AID'"):

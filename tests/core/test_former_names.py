@@ -44,7 +44,10 @@ def test_the_number_of_the_format_decides(tmp_path, monkeypatch):
         if opens:
             assert checkpoint.load(path)[1]["schema"] == number
         else:
-            with pytest.raises(CheckpointError, match="made by usvlearn" if number == 1 else "has the format 4"):
+            with pytest.raises(
+                CheckpointError,
+                match="made by usvlearn" if number == 1 else "format 4, this version reads 2 and 3",
+            ):
                 checkpoint.load(path)
 
 

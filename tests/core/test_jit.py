@@ -304,43 +304,6 @@ def test_a_numba_that_lacks_a_name_has_no_parts():
     assert python(f"{code}from usvlearn.core import jit\nprint(jit.Part)").stdout == "None\n"
 
 
-@pytest.mark.slow
-def test_warming_compiles_all_that_runs_steps_and_free_runs_need(tmp_path):
-    done = python(WARM, NUMBA_CACHE_DIR=str(tmp_path))
-    assert done.stdout == "[1, 1, 1, 1] [1, 1, 1, 1]\n"
-    said = done.stderr.splitlines()
-    assert [line.partition(",")[0] for line in said] == [
-        "usvlearn: compiling the alignment",
-        "usvlearn: compiling the simulator",
-        "usvlearn: compiling the kernels of single steps",
-        "usvlearn: compiling the kernels of forecasts",
-        "usvlearn: compiling the kernels of tracks",
-        "usvlearn: compiling the kernels of runs",
-        "usvlearn: compiling the kernels of open-loop simulations",
-    ]
-
-
-WARM = """
-import numpy as np, torch
-from usvlearn import AID, Ensemble, Online, Persistence, RLS, rollout
-from usvlearn.cli import warm
-from usvlearn.engine import dispatch, free_runs
-from usvlearn.evaluation.crossval import cross_validate
-from tests.support import random_samples
-def compiled():
-    entries = dispatch.run, dispatch.step_once, free_runs.assess, free_runs.prepared.__globals__["prepare_all"]
-    return [len(each.signatures) for each in entries]
-warm.warm()
-before = compiled()
-ensemble, samples = Ensemble({"aid": AID(28.0), "rls": RLS(), "persistence": Persistence()}), random_samples(20)
-with torch.no_grad():
-    rollout(ensemble, ensemble.init(), samples)
-    cross_validate(ensemble, ensemble.init((1,)), [samples])
-Online(ensemble)
-print(before, compiled())
-"""
-
-
 def test_who_waits_goes_on_once_the_machine_code_is_there(tmp_path):
     """Though the process that made it holds the lock, because it compiles something else."""
     mark = tmp_path / "kernels of runs"
