@@ -9,7 +9,7 @@ import pytest
 
 from tests.support import ROOT
 from tests.support.commands import python
-from usvlearn import __main__ as command
+from usvlearn.cli import main as command
 from usvlearn.errors import MissingExtraError
 
 LEFT_OUT = {"torch", "scipy", "hydra-core", "tensorboard", "rich"}

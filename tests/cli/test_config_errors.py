@@ -80,7 +80,25 @@ VALUES = {  # after torch: constructors check these
                 ["data.fault.share: found 4"]),
     "tuning": (["grid=sift_map", "estimators.sift_map.memory=-1"], ["estimators.sift_map.memory: found -1"]),
     "tuning of nobody's data": (["grid=sift_map", "data=simulated", "data.n=0"], ["data.n: found 0"]),
+    "inputs": (["align.inputs=future", "data.path=log.csv"], ["inputs", "mean, last, next"]),
+    "a boat's name": (["data.boat=../b", "data.path=log.csv"], ["data.boat", "../b"]),
+    "no threads": (["threads=0", "data.path=log.csv"], ["threads", "positive"]),
+    "minutes": (["save_minutes=null", "data.path=log.csv"], ["save_minutes", "None", "positive"]),
+    "a type": (["estimators.rnn.seed=abc", "data.path=log.csv"], ["seed", "abc"]),
+    "no reader": (["data.reader=null", "data.path=log.csv"], ["data"]),
+    "no checkpoint": (["resume=latest", "data.path=log.csv"], ["resume=latest", "no run"]),
+    "resume nowhere": (["resume=nowhere", "data.path=log.csv"], ["nowhere", "does not exist"]),
+    "missing file": (["data.path=none.csv"], ["none.csv", "does not exist"]),
+    "no such channel": (["data.channels.surge.name=sped", "data.path=log.csv"], ["sped", "surge", "heading"]),
+    "no speed": (["data.channels.surge.name=null", "data.path=log.csv"], ["surge"]),
 }  # fmt: skip
+LOG = GOOD.replace("time,L,R,heading,speed", "time,command_left,command_right,heading,surge")
+LOGS = {  # what stands in the log
+    "empty": ("", ["log.csv", "empty"]),
+    "wrong format": ("\x00\x01\x02", ["log.csv"]),
+    "no numbers": (LOG.replace(",90,", ",north,"), ["log.csv", "heading", "numbers"]),
+    "a run of one step": ("\n".join(LOG.splitlines()[:9]), ["run log: 1", "at least 3"]),
+}
 
 
 BY_DEFAULT = {  # one of each kind
@@ -103,13 +121,22 @@ def test_a_mistake_is_told_in_one_sentence(case, tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize("case", few(VALUES, BY_DEFAULT, "thorough"))
 def test_a_value_is_told_with_the_full_path_of_its_key(case, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "log.csv").write_text(
-        GOOD.replace("time,L,R,heading,speed", "time,command_left,command_right,heading,surge")
-    )
+    (tmp_path / "log.csv").write_text(LOG)
     arguments, words = VALUES[case]
     error = sentence(train.main, ["data=csv", *arguments] if "data=simulated" not in arguments else arguments,
                      monkeypatch, capsys)  # fmt: skip
     assert all(word in error for word in words), error
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("case", LOGS)
+def test_a_log_that_cannot_be_used_is_told_and_nothing_is_half_written(case, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    content, words = LOGS[case]
+    (tmp_path / "log.csv").write_text(content)
+    error = sentence(train.main, ["data=csv", "data.path=log.csv", "hydra.run.dir=run"], monkeypatch, capsys)
+    assert all(word in error for word in words), error
+    assert [path.name for path in (tmp_path / "run").iterdir()] == [".hydra"]
 
 
 @pytest.mark.parametrize(

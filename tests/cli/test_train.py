@@ -9,13 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hydra import compose, initialize_config_dir
 
-from tests.support import ROOT, few
+from tests.support import few
 from tests.support.commands import ENVIRONMENT, GOOD, SMALL, assert_equal_runs, command, predictions, results, run
-from usvlearn.cli import train
 from usvlearn.core import checkpoint
-from usvlearn.errors import bad_input
 from usvlearn.estimators.axis.turning_quantities import QUANTITIES as TURNING
 
 NAMES = {
@@ -180,52 +177,6 @@ def test_a_table_of_ones_own(tmp_path):
     done = run(*CSV, "data.path=log.csv", "hydra.run.dir=run", folder=tmp_path)
     assert done.returncode == 0, done.stderr
     assert results(tmp_path / "run")["boats"]["log"]["aid"]["steps"] == 24
-
-
-BAD_INPUT = {
-    "missing file": (["data.path=none.csv"], None, ["none.csv", "does not exist"]),
-    "no path": ([], None, ["data.path"]),
-    "empty file": (["data.path=log.csv"], "", ["log.csv", "empty"]),
-    "wrong format": (["data.path=log.csv"], "\x00\x01\x02", ["log.csv"]),
-    "no such channel": (["data.path=log.csv", "data.channels.surge.name=sped"], GOOD, ["sped", "speed", "heading"]),
-    "a channel with no numbers": (
-        ["data.path=log.csv"],
-        GOOD.replace(",90,", ",north,"),
-        ["log.csv", "heading", "numbers"],
-    ),
-    "no speed": (["data.path=log.csv", "data.channels.surge.name=null"], GOOD, ["surge"]),
-    "a run of one step": (["data.path=log.csv"], "\n".join(GOOD.splitlines()[:9]), ["run log: 1", "at least 3"]),
-    "zero dt": (["data.path=log.csv", "align.dt=0"], GOOD, ["dt", "positive"]),
-    "negative dt": (["data.path=log.csv", "align.dt=-0.4"], GOOD, ["dt", "-0.4", "positive"]),
-    "inputs": (["data.path=log.csv", "align.inputs=future"], GOOD, ["inputs", "mean, last, next"]),
-    "a gain below zero": (["data.path=log.csv", "estimators.aid.gain=-1"], GOOD, ["-1", "positive"]),
-    "a boat's name": (["data.path=log.csv", "data.boat=../b"], GOOD, ["data.boat", "../b"]),
-    "no threads": (["data.path=log.csv", "threads=0"], GOOD, ["threads", "positive"]),
-    "minutes": (["data.path=log.csv", "save_minutes=null"], GOOD, ["save_minutes", "None", "positive"]),
-    "a grid": (["data.path=log.csv", "estimators.aid.gain=[0.1,1]"], GOOD, ["gain", "(2,)", "broadcasts"]),
-    "no member": (["data.path=log.csv", "estimators.aid=null"], GOOD, ["aid", "expected an estimator"]),
-    "a type": (["data.path=log.csv", "estimators.rnn.seed=abc"], GOOD, ["seed", "abc"]),
-    "no reader": (["data.path=log.csv", "data.reader=null"], GOOD, ["data"]),
-    "no checkpoint": (["data.path=log.csv", "resume=latest"], GOOD, ["resume=latest", "no run"]),
-    "resume nowhere": (["data.path=log.csv", "resume=nowhere"], GOOD, ["nowhere", "does not exist"]),
-}
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("case", BAD_INPUT)
-def test_bad_input_is_told_in_one_sentence(case, tmp_path, monkeypatch):
-    """In process: the sentence, and that nothing is half-written."""
-    arguments, content, said = BAD_INPUT[case]
-    if content is not None:
-        (tmp_path / "log.csv").write_text(content)
-    monkeypatch.chdir(tmp_path)
-    with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
-        cfg = compose("train", [*CSV, *arguments])
-    with pytest.raises(Exception) as caught:
-        train.work(cfg, tmp_path / "run", [])
-    sentence = bad_input(caught.value)
-    assert sentence is not None and all(word in sentence for word in said), sentence
-    assert "\n" not in sentence and not (tmp_path / "run").exists()
 
 
 @pytest.mark.thorough

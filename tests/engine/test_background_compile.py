@@ -49,14 +49,14 @@ def test_a_run_waits_for_the_process(marks, capfd):
 
 
 def test_what_is_compiled_starts_no_process(marks):
-    for each in (background_compile.runs_of, background_compile.steps_of):
-        (marks / each("float64")).touch()
+    for each in ("runs", "single steps"):
+        (marks / f"kernels of {each}, float64").touch()
     with background_compile.compiling() as process:
         assert process is None
     with background_compile.compiling(tracks=True) as process:
         assert process
         (marks / "go").touch()
-    (marks / background_compile.tracks_of("float64")).touch()
+    (marks / "kernels of tracks, float64").touch()
     with background_compile.compiling(tracks=True) as process:
         assert process is None
 

@@ -1,7 +1,7 @@
 """Events: a thruster loses thrust or recovers, or the boat changes; what the estimators found and did.
 
 `EventWatch` reads one row of numbers for each step of one boat: the first two of `thrusters` and all of `health` that
-`usvlearn.runs.prediction_files` describes, each for left and right but for the last:
+docs/runs.md describes, each for left and right but for the last:
 
     share, deviation    effectiveness of the thruster, and its standard deviation
     raised              1 while its alarm is on

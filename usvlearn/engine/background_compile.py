@@ -14,22 +14,13 @@ from contextlib import contextmanager, suppress
 from usvlearn.core.jit import HERE, NUMBA, counted, mark_of
 
 DISPATCH = str(HERE / "engine" / "dispatch.py")
+RUNS, STEPS, TRACKS = "runs", "single steps", "tracks"  # what needs kernels
 CHILD = "from usvlearn.engine import first_use; first_use.compile_all()"
 
 
-def runs_of(dtype: object) -> str:
-    """What a run needs, in words."""
-    return f"kernels of runs, {dtype}"
-
-
-def steps_of(dtype: object) -> str:
-    """What single steps need, in words."""
-    return f"kernels of single steps, {dtype}"
-
-
-def tracks_of(dtype: object) -> str:
-    """What single steps with tracks need, in words."""
-    return f"kernels of tracks, {dtype}"
+def kernels(of: str, dtype: object) -> str:
+    """What is compiled, in words."""
+    return f"kernels of {of}, {dtype}"
 
 
 @contextmanager
@@ -44,12 +35,12 @@ def compiling(dtype: str = "float64", tracks: bool = False) -> Iterator[subproce
         dtype: name of that of the runs.
         tracks: whether they have tracks, too.
     """
-    parts = (runs_of, steps_of, tracks_of) if tracks else (runs_of, steps_of)
+    parts = [kernels(of, dtype) for of in ((RUNS, STEPS, TRACKS) if tracks else (RUNS, STEPS))]
     wanted = not NUMBA.DISABLE_JIT and (os.cpu_count() or 1) > 1 and sys.executable
     search = os.pathsep.join(filter(None, (str(HERE.parent), os.environ.get("PYTHONPATH"))))
     quick = {"NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING": "1"}  # numba colours errors that it then drops
     process = None
-    if wanted and not all(mark_of(DISPATCH, each(dtype)).exists() for each in parts):
+    if wanted and not all(mark_of(DISPATCH, each).exists() for each in parts):
         with suppress(OSError):
             process = subprocess.Popen(
                 [sys.executable, "-c", CHILD, dtype, *(["tracks"] if tracks else [])],
@@ -59,7 +50,7 @@ def compiling(dtype: str = "float64", tracks: bool = False) -> Iterator[subproce
     try:
         yield process
         if process is not None and process.poll() is None:
-            with counted(f"usvlearn: compiling the {parts[-1](dtype)}, only once …", "kept beside the others"):
+            with counted(f"usvlearn: compiling the {parts[-1]}, only once …", "kept beside the others"):
                 process.wait()
     finally:
         if process is not None:

@@ -1,19 +1,10 @@
 """The files in a run's folder, and its index `runs.json`: which runs it was made from, and which files are its own.
 
-checkpoints/BOAT/RRRRR_SSSSSSS.safetensors   the boat's state after S steps of its run with index R
-predictions/RRRRR_SSSSSSS.npz                what was published of all boats since the previous file: predictions,
-                                             half-widths of their intervals, health of the thrusters
-planar/checkpoints/BOAT/                     likewise, with sway, yaw rate and tracks; the newest two
-runs.json                                    names and digests of the runs, digest of the ensemble, start time, and the
-                                             number of this run among the runs beside it
-errors.csv                                   the errors of each run of each boat (`usvlearn.evaluation.by_run`)
-tensorboard/                                 see `usvlearn.display.tensorboard`
-results.json                                 the scores, written at the end; {"partial": scores} if the run was stopped
-tuning.json                                  the result of a tuning, which writes none of the above
-optuna.log                                   the trials of a search, written as they finish
-workers/                                     locks of the processes that search together
-job.json                                     the settings of a job of a sweep
-.hydra/                                      the configuration and the command, which Hydra writes
+docs/runs.md describes them, except for those of tunings and sweeps:
+
+optuna.log        the trials of a search, written as they finish
+workers/          locks of the processes that search together
+job.json          the settings of a job of a sweep
 
 A run removes only files that its index names, and writes through no link. Imports no torch, because the command asks
 `check_own` before anything is written.

@@ -1,33 +1,9 @@
 """The files of predictions, `predictions/RRRRR_SSSSSSS.npz`: what a run publishes of each step.
 
-A file contains the steps of one run since the previous file. It can be used alone, and opens without pickle. With n
-steps, b boats and m estimators:
-
-    predictions      (n, b, m)  m/s; NaN where no step was made
-    halfwidths       (n, b, m)  m/s, of the intervals about them; infinite before ten errors are known
-    thrusters        (n, b, 5)  effectiveness left and right, evidence of a loss left and right, 1 in an alarm
-    health           (n, b, 6+f) standard deviations of the effectiveness left and right, 1 while the alarm of a side is
-                                on, 1 once the filters have got its effectiveness, and the count of changes that each of
-                                f filters has confirmed
-    forecasts        (n, b, h·c) m/s: for each of h horizons what c columns forecast then for this step; NaN where no
-                                forecast was due. The columns are the members weighed, persistence, and the ensemble
-    forecast_halfwidths (n, b, h) m/s, of the ensemble's intervals; infinite where none is known
-    tracks           (n, b, k·8) of the tracks that became due then, for each of k horizons: position error, m, heading
-                                error, rad, position error of a constant turn and with the yaw rate held, m, ρ, m, the
-                                ellipse's radius, m, group of the commands, distance run, m; NaN where none was due
-    time             (n, b)     s since the run's first step; NaN after the end of a boat's shorter run
-    measured_surge   (n, b)     m/s; NaN where it was not measured
-    command_left, command_right, heading, yaw_rate, dt    (n, b)    known before each prediction
-    fresh, measured  (n, b)     bool: every input was recent; so was the speed
-    boats, runs      (b,)       names; the run's name is empty for a boat without this run
-    estimators       (m,)       names of the last axis of predictions and halfwidths
-    horizons         (h,)       s
-    track_horizons   (k,)       s
-    forecast_columns (c,)       names
-    filters          (f,)       names of the filters that are given the effectiveness
-    units            (k, 2)     name and unit of each array that has one
-
-Older files contain only the first three. An ensemble without forecasts has none here.
+A file contains the steps of one run since the previous file. It can be used alone, and opens without pickle. Its arrays
+are those of docs/runs.md. The forecasts are of the members weighed, persistence and the ensemble; `units` has the name
+and the unit of each array. Older files contain only the first three of PUBLISHED, and an ensemble without forecasts has
+none.
 """
 
 from __future__ import annotations
