@@ -227,25 +227,18 @@ def test_files_that_are_not_in_machine_code_change_no_folder(copied):
     assert folder() == before
 
 
-@pytest.mark.thorough
-def test_a_family_declared_in_another_file_is_in_the_folder(copied):
-    """A state.py without @jit, from which a kernel takes a constant, in any form of import."""
+@pytest.mark.parametrize("form", [
+    "from usvlearn.estimators.aid.trial import A", "from usvlearn.estimators.aid import trial",
+    "import usvlearn.estimators.aid.trial as t", "def f():\n    from usvlearn.estimators.aid.trial import (\n A)",
+])  # fmt: skip
+def test_a_file_from_which_a_kernel_takes_a_constant_is_in_the_folder(form, copied):
     root, folder = copied
-    kernel = root / "estimators" / "aid" / "kernel.py"
-    forms = (
-        "from usvlearn.estimators.aid.trial import A",
-        "from usvlearn.estimators.aid import trial",
-        "import usvlearn.estimators.aid.trial as t",
-        "def f():\n    from usvlearn.estimators.aid.trial import (\n A)",
-    )
-    text = kernel.read_text()
-    for form in forms:
-        kernel.write_text(f"{text}\n{form}\n")
-        found = []
-        for value in (1, 2):
-            kernel.with_name("trial.py").write_text(f"A = {value}\n")
-            found.append(folder())
-        assert found[0] != found[1], form
+    kernel, found = root / "estimators" / "aid" / "kernel.py", []
+    kernel.write_text(f"{kernel.read_text()}\n{form}\n")
+    for value in (1, 2):
+        kernel.with_name("trial.py").write_text(f"A = {value}\n")
+        found.append(folder())
+    assert found[0] != found[1]
 
 
 def test_the_kernels_know_all_families_and_no_layer():

@@ -1,7 +1,6 @@
 """One process at a time writes to a folder; a process that was killed holds nothing."""
 
 import os
-import signal
 import subprocess
 import sys
 import threading
@@ -10,10 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.commands import ENVIRONMENT, QUICK, SMALL, command, results, run
+from tests.support.commands import ENVIRONMENT, SMALL, run, sentence
 from tests.support.configured import TWO_BOATS
 from tests.support.runs import tools
 from tests.support.studies import Recorder, made
+from usvlearn.cli import train
 from usvlearn.core.lock import NAME, Lock
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.report.build import evaluate
@@ -132,28 +132,14 @@ def test_a_file_system_without_locks_is_told(tmp_path, monkeypatch):
 
 
 @pytest.mark.thorough
-def test_a_second_run_in_one_folder_is_refused_and_the_first_is_whole(tmp_path):
-    first = subprocess.Popen(
-        command(*QUICK, "data.seed=1", "hydra.run.dir=run"), cwd=tmp_path, env=ENVIRONMENT,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    began = time.monotonic()
-    while not (tmp_path / "run" / ".hydra" / "overrides.yaml").exists():
-        assert time.monotonic() - began < 60
-        time.sleep(0.01)
-    first.send_signal(signal.SIGSTOP)  # it must not end before the others are refused
-    second = run(*SMALL, "data.seed=2", "hydra.run.dir=run", folder=tmp_path)
-    tuned = run(*SMALL, "grid=aid", "hydra.run.dir=run", folder=tmp_path)
-    searched = run(*SMALL, "search=aid", "hydra.run.dir=run", folder=tmp_path)
-    first.send_signal(signal.SIGCONT)
-    for refused in (second, tuned, searched):
-        assert refused.returncode == 2 and refused.stdout == ""
-        (line,) = refused.stderr.splitlines()
-        assert line.startswith(f"error: run: process {first.pid} is writing there: ")
-    assert first.wait(timeout=120) == 0, first.communicate()[1]
-    first.communicate()
-    assert "data.seed=1" in (tmp_path / "run" / ".hydra" / "overrides.yaml").read_text()
-    assert "boats" in results(tmp_path / "run") and not (tmp_path / "run" / NAME).exists()
+@pytest.mark.parametrize("more", [[], ["grid=aid"], ["search=aid"]], ids=["run", "tuned", "searched"])
+def test_a_second_run_in_one_folder_is_refused(more, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    first = holder(tmp_path / "run")
+    error = sentence(train.main, [*SMALL, *more, "hydra.run.dir=run"], monkeypatch, capsys)
+    assert error.startswith(f"error: run: process {first.pid} is writing there: ")
+    assert [path.name for path in (tmp_path / "run").iterdir()] == [NAME]
+    ended(first)
 
 
 def test_a_report_a_study_and_a_job_of_a_sweep_are_locked(tmp_path, capsys):
