@@ -15,7 +15,7 @@ from tests.support.commands import complaints
 from tests.support.exported import write_alog, write_table
 from tests.support.shapes import SHAPES
 from tests.support.voyages import voyage
-from usvlearn.cli.inspect import main
+from usvlearn.cli.main import main
 from usvlearn.composition.configuration import recordings_of
 from usvlearn.composition.data_files import with_data_files
 from usvlearn.logs.inspection.logfiles import boats_of
@@ -37,9 +37,9 @@ def run(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", "80")
 
     def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["usvlearn inspect", *map(str, arguments)])
+        monkeypatch.setattr(sys, "argv", ["usvlearn"])
         try:
-            code = main()
+            code = main(["inspect", *map(str, arguments)])
         except SystemExit as end:
             code = end.code
         return code, capsys.readouterr()

@@ -13,7 +13,7 @@ from tests.support.exported import write_table
 from tests.support.shapes import certainties, score
 from tests.support.topic_tables import TOPICS, ferry, numbers, rostopic, rotation
 from tests.support.voyages import voyage
-from usvlearn.cli.inspect import main
+from usvlearn.cli.main import main
 from usvlearn.composition.configuration import configs_folder, recordings_of
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.inspection.inspected import inspect_logs
@@ -27,9 +27,9 @@ def run(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", "80")
 
     def call(path):
-        monkeypatch.setattr(sys, "argv", ["usvlearn inspect", str(path)])
+        monkeypatch.setattr(sys, "argv", ["usvlearn"])
         try:
-            code = main()
+            code = main(["inspect", str(path)])
         except SystemExit as end:
             code = end.code
         return code, " ".join("".join(capsys.readouterr()).split())
