@@ -19,9 +19,8 @@ from speed_steps import as_numbers, called, samples
 from timing import Work, in_turn, micro
 
 RENAMED = {name: f"{name}_recorded" for name in ("usvlearn", "certify")}
-IMPORTED = re.compile(
-    rf"\b({'|'.join(RENAMED)})(?=\.[\w{{]|\s+import\b|\s*$)", re.MULTILINE
-)  # not the folder of the cache
+# in an import, and not in the name of the cache's folder
+IMPORTED = re.compile(rf"\b({'|'.join(RENAMED)})(?=\.[\w{{]|\s+import\b|\s*$)", re.MULTILINE)
 STREAMED, CALLED, ROUNDS = 20_000, 3_000, 15
 
 
@@ -42,10 +41,8 @@ def renamed(source: Path, into: Path) -> Path:
 def works(package: ModuleType, configs: Path) -> dict[str, Work]:
     """Steps of the default ensemble of a package: streamed through compiled code, and called one by one."""
     with initialize_config_dir(str(configs), version_base="1.3"):
-        new = Path(package.__path__[0], "composition").is_dir()
-        place = "composition.configuration" if new else "cli.settings"  # of a source before it
-        configuration = importlib.import_module(f"{package.__name__}.{place}")
-        ensemble = configuration.ensemble_of(compose("train"))
+        place = "composition.configuration" if Path(package.__path__[0], "composition").is_dir() else "cli.settings"
+        ensemble = importlib.import_module(f"{package.__name__}.{place}").ensemble_of(compose("train"))
     run, online = of_package(package, samples(STREAMED)), package.Online(ensemble)
     calls = [of_package(package, each) for each in as_numbers(samples(CALLED))]
     state = ensemble.init()

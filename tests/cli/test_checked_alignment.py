@@ -62,11 +62,6 @@ def test_strict_refuses_and_writes_nothing(knots, tmp_path, monkeypatch, capsys)
     assert "check=strict: found 1 warning" in tuned
 
 
-def test_a_wrong_level_is_told(tmp_path, monkeypatch, capsys):
-    error = sentence(train.main, [f"hydra.run.dir={tmp_path}", "check=of"], monkeypatch, capsys)
-    assert "check: found 'of', expected one of warn, strict, off" in error
-
-
 @pytest.mark.thorough
 def test_the_jobs_of_a_sweep_are_quiet_and_keep_their_findings(knots, tmp_path):
     own = [*TABLE, *QUICK[1:], f"data.path={knots}", "estimators.aid.gain=1,2", f"hydra.sweep.dir={tmp_path}/sweep"]

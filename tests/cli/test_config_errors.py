@@ -53,6 +53,7 @@ MISTAKES = {
     "a reference to nothing": (["align.dt=${align.dtt}"], ["align.dt", "align.dtt", "does not exist"]),
     "no value yet": (["data=csv", "data.path=???"], ["data.path"]),
     "option of align": (["+align.dtt=3"], ["align.dtt", "did you mean align.dt?"]),
+    "level of the check": (["check=of"], ["check: found 'of', expected one of warn, strict, off"]),
 }
 VALUES = {  # after torch: constructors check these
     "a device": (["data.path=/dev/null"], ["data.path: found '/dev/null', which is a device"]),
@@ -105,7 +106,7 @@ BY_DEFAULT = {  # one of each kind
     "key", "key that is there",
     "member that is there", "group", "option", "number for an option", "bracket", "no value", "sweep without -m",
     "flag", "two flags", "flag without its value", "file", "folder", "launcher", "no section",
-    "a section that is a number", "a circle", "a reference to nothing", "no value yet", "option of align",
+    "a section that is a number", "a circle", "a reference to nothing", "no value yet", "option of align", "level of the check",
     "a word", "a key of others", "inside wrappers", "argument", "target", "a missing value", "channel",
 }  # fmt: skip
 
