@@ -106,8 +106,9 @@ BY_DEFAULT = {  # one of each kind
     "key", "key that is there",
     "member that is there", "group", "option", "number for an option", "bracket", "no value", "sweep without -m",
     "flag", "two flags", "flag without its value", "file", "folder", "launcher", "no section",
-    "a section that is a number", "a circle", "a reference to nothing", "no value yet", "option of align", "level of the check",
-    "a word", "a key of others", "inside wrappers", "argument", "target", "a missing value", "channel",
+    "a section that is a number", "a circle", "a reference to nothing", "no value yet", "option of align",
+    "level of the check", "a word", "a key of others", "inside wrappers", "argument", "target", "a missing value",
+    "channel",
 }  # fmt: skip
 
 
