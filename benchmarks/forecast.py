@@ -23,7 +23,7 @@ from truths import NOMINAL, PLANTS
 
 from usvlearn.engine.rollouts import chunked_rollout
 from usvlearn.estimators.ensemble.forecasts.state import HORIZONS
-from usvlearn.evaluation.manoeuvres import groups_of
+from usvlearn.evaluation.horizons import groups_of
 
 REAL, SEED, HOURS = ("blueboat", "vtec", "dalian"), 77, 3
 FEW = 8  # forecasts, below which no skill is stated,

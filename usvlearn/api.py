@@ -164,10 +164,10 @@ def learn(
     >>> learned.ensemble.names, learned.boats
     (('aid', 'persistence', 'ensemble'), ('heron1', 'heron2'))
     """
-    from usvlearn.evaluation.events import events
+    from usvlearn.evaluation.diagnostics import events
     from usvlearn.evaluation.horizons import ensemble_scores
     from usvlearn.evaluation.metrics import fleet_scores
-    from usvlearn.evaluation.predictions import predictions_of
+    from usvlearn.evaluation.season import predictions_of
     from usvlearn.runs.replay import replay
 
     fleet, ensemble = check_logs(logs).fleet, _ensemble(logs, estimator)

@@ -12,7 +12,7 @@ import numpy as np
 
 from usvlearn.core.samples import Fleet, Sample, masks, named_leaves, tree_map
 from usvlearn.errors import ConfigError
-from usvlearn.evaluation.predictions import Predictions, measured_surge, predictions_of, samples_of
+from usvlearn.evaluation.season import Predictions, measured_surge, predictions_of, samples_of
 
 if TYPE_CHECKING:
     from usvlearn.estimators.ensemble.layer import Ensemble
@@ -146,7 +146,7 @@ class Learned:
         predictions: per run and boat.
         scores: boat -> member or combiner -> MAE, skill against persistence and others; see
             `usvlearn.evaluation.metrics.scores`.
-        events: boat -> losses of thrust, recoveries and other changes; see `usvlearn.evaluation.events.events`.
+        events: boat -> losses of thrust, recoveries and other changes; see `usvlearn.evaluation.diagnostics.events`.
         forecast_scores: boat -> estimator -> horizon -> scores; see `usvlearn.evaluation.horizons.horizon_scores`.
 
     >>> from usvlearn import AID, learn, read
@@ -215,7 +215,7 @@ class Learned:
         Traceback (most recent call last):
         usvlearn.errors.ConfigError: ...
         """
-        from usvlearn.evaluation.identification import identified_boats
+        from usvlearn.evaluation.diagnostics import identified_boats
 
         return identified_boats(self.ensemble, self.state, self.boats, required=True)
 
@@ -242,7 +242,7 @@ class Learned:
         >>> print(round(found["heron"].quantities["steady_speed_full"].value, 1))
         2.6
         """
-        from usvlearn.evaluation.identification import identified_boats
+        from usvlearn.evaluation.diagnostics import identified_boats
         from usvlearn.logs.recordings import align_fleet
         from usvlearn.model.fit.fitted import fit_boat
         from usvlearn.model.fit.logs import fine, missions_of
@@ -322,7 +322,7 @@ class Learned:
         )
 
     def __repr__(self) -> str:
-        from usvlearn.evaluation.members import explained, remarks
+        from usvlearn.evaluation.diagnostics import explained, remarks
         from usvlearn.report.tables import error_tables, event_lines, rejection_table
 
         tables = error_tables(self.scores, remarks(self.ensemble), explained(self.ensemble), self.forecast_scores)

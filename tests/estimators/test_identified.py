@@ -18,7 +18,7 @@ from usvlearn.estimators.joint.periodic_estimates import Identified, identify
 from usvlearn.estimators.joint.quantities import FORCES, SIDES, quantities, sums
 from usvlearn.estimators.joint.state import THETA
 from usvlearn.estimators.regressors.terms import SURGE
-from usvlearn.evaluation.identification import as_results, identified_boats
+from usvlearn.evaluation.diagnostics import as_results, identified_boats
 
 TOP, STEP = 2.7, 0.4
 READER = {"disturbance": 0.05, "disturbance_time": 3.0, "current": 0.15, "drift_time": 5000.0, "lag": 0.3}

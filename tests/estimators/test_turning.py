@@ -28,7 +28,7 @@ from usvlearn.estimators.joint.periodic_estimates import Identified
 from usvlearn.estimators.joint.quantities import COMMANDS
 from usvlearn.estimators.planar.layer import Planar
 from usvlearn.estimators.planar.state import HEADING, TURN
-from usvlearn.evaluation.identification import as_results, identified_planar_boats
+from usvlearn.evaluation.diagnostics import as_results, identified_planar_boats
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.simulate import turning as simulated
 from usvlearn.simulate.planar import HERON, simulate_planar

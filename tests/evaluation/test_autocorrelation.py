@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from usvlearn.evaluation.autocorrelation import autocorrelation
+from usvlearn.evaluation.metrics import autocorrelation
 
 
 def test_white_errors_are_within_the_bounds_in_99_percent():

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from usvlearn.evaluation.by_run import RunError, as_csv, from_csv
-from usvlearn.evaluation.comparison import cells, compare
-from usvlearn.evaluation.measure import Measure, measure_of
+from usvlearn.evaluation.comparison import RunError, as_csv, cells, compare, from_csv
+from usvlearn.evaluation.objective import Measure, measure_of
 
 RNN = Measure("rnn")
 

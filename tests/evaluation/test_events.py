@@ -5,7 +5,7 @@ import pytest
 
 from usvlearn.core.events import CHANGE, LOSS, RECOVERY, Event, EventWatch, event_of
 from usvlearn.core.samples import Fleet, Run
-from usvlearn.evaluation.events import events
+from usvlearn.evaluation.diagnostics import events
 
 FILTERS = ("joint", "joint_averaged")
 DT, STEPS = 0.4, 1000

@@ -16,9 +16,9 @@ from usvlearn import AID, Average, Ensemble, ForecastSettings, Persistence, roll
 from usvlearn.core.samples import masks
 from usvlearn.engine.rollouts import simulate, tensors
 from usvlearn.errors import ConfigError
-from usvlearn.evaluation.by_run import from_csv
+from usvlearn.evaluation.comparison import from_csv
 from usvlearn.evaluation.free_simulation import free_errors, middle
-from usvlearn.evaluation.measure import Measure, check_measure, measure_of
+from usvlearn.evaluation.objective import Measure, check_measure, measure_of
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.simulate.fleet import fleet as simulated
 from usvlearn.sweeps.tuning.batches import Objective, element_errors

@@ -8,7 +8,8 @@ from rich.console import Console
 
 from usvlearn import Inputs, Sample
 from usvlearn.core.samples import Fleet, Run
-from usvlearn.evaluation.horizons import horizon_scores, horizon_sums
+from usvlearn.evaluation.comparison import short_keys
+from usvlearn.evaluation.horizons import groups_of, horizon_scores, horizon_sums
 from usvlearn.evaluation.metrics import fleet_scores, scores
 from usvlearn.report.tables import fleet_table, rejection_table, score_table
 
@@ -49,6 +50,18 @@ def test_a_hundredth_of_the_steps_may_be_missing(missing, known):
     sums = horizon_sums(fleet, [(0, 0, arrays)], [0.4], ["aid", "persistence", "ensemble"])
     found = horizon_scores(sums, fleet.boats)["heron"]["aid"]["0.4"]
     assert (found["mae"], found["steps"]) == (pytest.approx(0.5) if known else None, 200 - missing)
+
+
+def test_forecasts_are_grouped_by_how_far_the_commands_moved():
+    one, held = np.ones((4, 1)), np.array([[0.0], [0.1], [0.1], [0.9]])
+    samples = Sample(Inputs(held, held, 0 * one, 0 * one, 0.4 * one), one, one > 0, one > 0)
+    assert groups_of(samples, [0.4])[..., 0].ravel().tolist() == [0, 1, 0, 2]
+    assert groups_of(samples, [0.8])[3].item() == 2
+
+
+def test_keys_are_shortened_until_they_differ():
+    keys = ["estimators.rnn.rate", "estimators.aid.rate", "align.dt"]
+    assert short_keys(keys) == ["rnn.rate", "aid.rate", "dt"]
 
 
 def test_fit_is_that_of_compare():

@@ -12,8 +12,7 @@ from tests.support import ROOT
 from tests.support.commands import hparams, load, never, run, table
 from usvlearn.cli.sweep import jobs_of, note_of
 from usvlearn.errors import ConfigError
-from usvlearn.evaluation.measure import Measure
-from usvlearn.evaluation.ranking import ranked_by
+from usvlearn.evaluation.objective import Measure, ranked_by
 from usvlearn.sweeps.jobs import SweepNote, run_job
 from usvlearn.sweeps.leaderboard import leaderboard
 

@@ -9,7 +9,7 @@ import pytest
 from tests.support import few
 from usvlearn.display.figures import attempted, rendered
 from usvlearn.estimators.joint.curves import Curve
-from usvlearn.evaluation.autocorrelation import Autocorrelation
+from usvlearn.evaluation.metrics import Autocorrelation
 from usvlearn.report.page import _drawing
 from usvlearn.report.sections import fit_figures, season_figures, tracks
 from usvlearn.report.sections.errors import residual_figure

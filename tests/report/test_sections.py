@@ -9,7 +9,7 @@ import torch
 from tests.support.seasons import boats
 from usvlearn import AID, ARX, RLS, RNN, Ensemble, JointEKF, Robust, SIFtRLS, SurgeDynamics
 from usvlearn.display.result_table import ResultTable
-from usvlearn.evaluation.members import physical_members
+from usvlearn.evaluation.diagnostics import physical_members
 from usvlearn.report.sections.cost import cost_section
 from usvlearn.report.sections.errors import online_section
 from usvlearn.report.sections.parameters import TOO_SMALL, _findings, course

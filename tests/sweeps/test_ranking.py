@@ -8,10 +8,8 @@ import pytest
 from rich.console import Console
 from scipy import stats
 
-from usvlearn.evaluation.by_run import RunError
-from usvlearn.evaluation.comparison import over_seeds
-from usvlearn.evaluation.measure import Measure
-from usvlearn.evaluation.ranking import differing, scored
+from usvlearn.evaluation.comparison import RunError, over_seeds
+from usvlearn.evaluation.objective import Measure, differing, scored
 from usvlearn.sweeps import ranking
 from usvlearn.sweeps.jobs import Job
 from usvlearn.sweeps.leaderboard import write_leaderboard

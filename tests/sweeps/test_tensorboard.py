@@ -8,8 +8,7 @@ from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 from tests.support.boards import boards, steps, texts, values
 from tests.support.commands import hparams
 from usvlearn.errors import ConfigError
-from usvlearn.evaluation.measure import Measure
-from usvlearn.evaluation.ranking import scored
+from usvlearn.evaluation.objective import Measure, scored
 from usvlearn.runs.tensorboard import MAE, WINDOW
 from usvlearn.sweeps.jobs import Job
 from usvlearn.sweeps.ranking import standings

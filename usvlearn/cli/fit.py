@@ -223,8 +223,9 @@ def _changed(folder: Path, fleet: Fleet) -> dict[str, str]:
 
 def _simulation(folder: Path, found: Fitted, fine: Fleet, coarse: Fleet) -> FreeMode:
     """Which open-loop simulation to use, by the errors of the ensemble in the run's folder."""
-    from usvlearn.evaluation.by_run import FREE, from_csv
+    from usvlearn.evaluation.comparison import from_csv
     from usvlearn.evaluation.free_simulation import middle
+    from usvlearn.evaluation.objective import FREE
     from usvlearn.model.fit.open_loop import ENSEMBLE, NOTHING, decide
     from usvlearn.runs.files import ERRORS
 

@@ -26,7 +26,7 @@ from usvlearn.composition.errors import in_one_sentence
 from usvlearn.core.lock import Lock
 from usvlearn.core.safe_yaml import has_alias
 from usvlearn.errors import ConfigError, exit_on_user_error
-from usvlearn.evaluation.measure import measure_of
+from usvlearn.evaluation.objective import measure_of
 from usvlearn.runs.files import JOURNAL, RUNS, check_own
 from usvlearn.sweeps.jobs import SweepNote, check_sweep, note_sweep, noted_sweep, run_job
 from usvlearn.sweeps.launchers import check_launcher, prepare_workers

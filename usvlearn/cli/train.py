@@ -61,9 +61,8 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
     """Replay what the configuration names into the run's folder; returns the objective."""
     with Activity(console, "loading"):
         from usvlearn.estimators.axis.turning_intervals import FIRST
-        from usvlearn.evaluation.identification import identified_boats
-        from usvlearn.evaluation.measure import check_measure, measure_of
-        from usvlearn.evaluation.members import explained, remarks
+        from usvlearn.evaluation.diagnostics import explained, identified_boats, remarks
+        from usvlearn.evaluation.objective import check_measure, measure_of
         from usvlearn.report.sections.network import stability
         from usvlearn.runs.compared import what_differs
         from usvlearn.runs.replay import replay

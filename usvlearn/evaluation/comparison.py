@@ -1,21 +1,111 @@
-"""Paired differences between two settings, with intervals over boats and runs, and over seeds.
+"""Errors of each run of each boat, and paired differences of them between two settings.
 
-The mathematics is in `docs/theory/ensemble.md#comparing-settings`; the equations (1) to (3) are from there.
+A run's folder holds the errors in `errors.csv`:
+
+    boat, run, ahead, steps, ESTIMATOR…     MAE in m/s; empty where it is unknown
+
+`ahead` is `step` (one step ahead), a horizon in s such as `10`, or `free`. Differences have intervals over boats and
+runs, and over seeds; equations (1) to (3) are those of `docs/theory/ensemble.md#comparing-settings`.
 """
 
 from __future__ import annotations
 
+import csv
+import io
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from usvlearn.evaluation.by_run import FREE as FREE_RUNS
-from usvlearn.evaluation.by_run import STEP, RunError
-from usvlearn.evaluation.measure import COVERAGE, FORECAST, FREE, SKILL, Measure, own_columns
-from usvlearn.evaluation.metrics import PERSISTENCE
+from usvlearn.core.samples import PLAUSIBLE, Fleet, masks, tree_map
+from usvlearn.evaluation.free_simulation import FreeErrors
+from usvlearn.evaluation.horizons import HorizonSums, means
+from usvlearn.evaluation.metrics import PERSISTENCE, Stretch
+from usvlearn.evaluation.objective import COVERAGE, FORECAST, FREE, SKILL, Measure, own_columns
+
+STEP = "step"  # in the column ahead
+HEAD = ("boat", "run", "ahead", "steps")
+
+
+class RunError(NamedTuple):
+    """The errors of one run of one boat."""
+
+    boat: str
+    run: str
+    ahead: str  # see above
+    steps: int
+    mae: Mapping[str, float]  # m/s, by estimator, those that are known
+
+
+def one_step_sums(
+    fleet: Fleet, published: Iterable[Stretch], count: int, surge_limit: float = PLAUSIBLE
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sums of |error| one step ahead, `(runs, boats, count)`, NaN once diverged; measured steps, `(runs, boats)`."""
+    total = np.zeros((len(fleet.runs), len(fleet.boats), count))
+    steps = np.zeros(total.shape[:2], int)
+    for run, step, arrays in published:
+        predictions = arrays["predictions"]
+        part = slice(step, step + len(predictions))
+        samples = tree_map(lambda x, part=part: x[part], fleet.runs[run].samples)
+        learns = masks(samples, surge_limit).learns
+        error = np.abs(predictions - np.where(learns, samples.surge, 0.0)[..., None])
+        total[run] += np.where(learns[..., None], error, 0.0).sum(0)
+        steps[run] += learns.sum(0)
+    return total, steps
+
+
+def run_errors(
+    fleet: Fleet,
+    names: Sequence[str],
+    one_step: tuple[np.ndarray, np.ndarray],
+    ahead: HorizonSums | None,
+    free: FreeErrors | None,
+) -> Iterator[RunError]:
+    """All errors by run; runs without a measured step, or without a forecast that became due, have none."""
+    kinds = [(STEP, names, *one_step, 0 * one_step[0])]
+    if ahead is not None:
+        kinds += [(f"{horizon:g}", ahead.names, ahead.errors[:, :, j], ahead.steps[:, :, j], ahead.missing[:, :, j])
+                  for j, horizon in enumerate(ahead.horizons)]  # fmt: skip
+    kinds += [] if free is None else [(FREE, names, free.errors, free.steps, 0 * free.errors)]
+    for kind, columns, total, count, missing in kinds:
+        for element, boat in enumerate(fleet.boats):
+            for index, run in enumerate(fleet.runs):
+                if steps := int(count[index, element]):
+                    maes = means(total[index, element], steps, missing[index, element])
+                    known = {name: mae for name, mae in zip(columns, maes.tolist(), strict=True) if np.isfinite(mae)}
+                    yield RunError(boat, run.names[element], kind, steps, known)
+
+
+def as_csv(errors: Iterable[RunError], names: Sequence[str]) -> str:
+    """A table of `run_errors`."""
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([*HEAD, *names])
+    for each in errors:
+        writer.writerow([*each[:4], *(each.mae.get(name) for name in names)])
+    return text.getvalue()
+
+
+def from_csv(text: str) -> list[RunError]:
+    """What `as_csv` wrote.
+
+    Raises:
+        ValueError: it is damaged.
+    """
+    rows = csv.reader(io.StringIO(text))
+    head = next(rows, [])
+    if tuple(head[:4]) != HEAD:
+        raise ValueError(f"found the columns {', '.join(head[:4])}, expected {', '.join(HEAD)}")
+    found = []
+    for row in rows:
+        maes = {name: float(mae) for name, mae in zip(head[4:], row[4:], strict=True) if mae}
+        if int(row[3]) < 1 or not all(map(np.isfinite, maes.values())):
+            raise ValueError(f"line {rows.line_num}: expected steps and errors that are numbers")
+        found.append(RunError(row[0], row[1], row[2], int(row[3]), maes))
+    return found
+
 
 DRAWS, LEVEL, SEED = 1000, 0.95, 0
 FLEET = 3  # boats, from which on they are a sample of others, and are drawn, too
@@ -71,7 +161,7 @@ def cells(errors: Mapping[str, Sequence[RunError]], measure: Measure) -> dict[Pl
     """
     if measure.kind == COVERAGE:
         return {}
-    ahead = {FORECAST: f"{measure.horizon:g}", FREE: FREE_RUNS}.get(measure.kind, STEP)
+    ahead = {FORECAST: f"{measure.horizon:g}", FREE: FREE}.get(measure.kind, STEP)
     rows = [(seed, each) for seed, found in errors.items() for each in found if each.ahead == ahead]
     names = dict.fromkeys(name for _, each in rows for name in each.mae)
     best: dict[Place, Cell] = {}
@@ -91,12 +181,6 @@ def compare(one: Mapping[Place, Cell], other: Mapping[Place, Cell], measure: Mea
     """The difference of two settings over the seeds that both have.
 
     None if they have no seed in common, or did not make the same runs over the same samples with it.
-
-    >>> a = {("", "heron", f"{k}"): Cell(10.0, 0.1 + 0.01 * k, 0.2) for k in range(9)}
-    >>> b = {place: cell._replace(error=cell.error + 0.02) for place, cell in a.items()}
-    >>> found = compare(a, b, Measure("rnn"))
-    >>> round(found.mean, 9), round(found.high, 9), found.tie, compare(a, a, Measure("rnn")).tie
-    (-0.02, -0.02, False, True)
     """
     seeds = {place[0] for place in one} & {place[0] for place in other}
     shared = sorted(place for place in one if place[0] in seeds)
@@ -145,12 +229,6 @@ def over_seeds(one: Mapping[str, float], other: Mapping[str, float]) -> SeedDiff
     Returns:
         None if they have no seed in common. There is no interval over one seed. Nor is there one if all differences
         are equal: then nothing was drawn that matters, and the seeds say nothing of chance.
-
-    >>> found = over_seeds({"0": 0.10, "1": 0.12, "2": 0.11}, {"0": 0.09, "1": 0.10, "2": 0.10})
-    >>> round(found.mean, 5), round(found.low, 5), round(found.high, 5), found.tie
-    (0.01333, -0.00101, 0.02768, True)
-    >>> over_seeds({"0": 0.10}, {"0": 0.09}).low is None
-    True
     """
     seeds = [seed for seed in one if seed in other]
     if not seeds:
@@ -192,13 +270,7 @@ def _drawn(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 def _objectives(values: np.ndarray, weights: tuple[np.ndarray, np.ndarray], measure: Measure) -> np.ndarray:
-    """Equation (1) of both settings for each draw, `(draws, 2)`; NaN if a draw has no step.
-
-    Args:
-        values: steps, sums of errors and sums of persistence's errors, `(settings, 3, boats, units)`.
-        weights: of boats `(draws, boats)`, and of units `(draws, boats, units)`.
-        measure: what is compared.
-    """
+    """Equation (1) of both settings for each draw, `(draws, 2)`; NaN if a draw has no step."""
     boats, units = weights
     sums = np.einsum("dbu,kxbu->kxdb", units, values, optimize=True)  # settings, numbers, draws, boats
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -209,11 +281,7 @@ def _objectives(values: np.ndarray, weights: tuple[np.ndarray, np.ndarray], meas
 
 
 def short_keys(keys: Iterable[str]) -> list[str]:
-    """The last part of each key; more of it where two end alike.
-
-    >>> short_keys(["estimators.rnn.rate", "estimators.aid.rate", "align.dt"])
-    ['rnn.rate', 'aid.rate', 'dt']
-    """
+    """The last part of each key; more of it where two end alike."""
     keys = list(keys)
     ends = Counter(key.rpartition(".")[2] for key in keys)
     return [".".join(key.split(".")[-(1 if ends[key.rpartition(".")[2]] == 1 else 2) :]) for key in keys]

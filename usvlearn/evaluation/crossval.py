@@ -42,22 +42,13 @@ class FreeErrors(NamedTuple):
     steps: np.ndarray  # (runs,) measured steps
 
     def pooled(self, errors: np.ndarray, some: np.ndarray | None = None) -> np.ndarray:
-        """`mae` or `mse` of each checkpoint over its runs, with equal weight for every step, `(sets, methods)`.
-
-        Args:
-            errors: `(sets, runs, methods)`.
-            some: bool, `(sets, runs)`, the runs that count for each checkpoint; all by default.
-        """
+        """`mae` or `mse` of each checkpoint over its runs, with equal weight for every step, `(sets, methods)`."""
         weight = np.broadcast_to(self.steps, errors.shape[:2]) * (1.0 if some is None else some)
         with np.errstate(invalid="ignore"):
             return (weight[..., None] * np.nan_to_num(errors)).sum(1) / weight.sum(1)[:, None]
 
     def unseen(self, season: Season) -> dict[str, float | None]:
-        """MAE of the runs of a boat, each with the newest checkpoint that has not learned from it, m/s, by method.
-
-        Args:
-            season: of the boat; runs without such a checkpoint are left out. None if all are.
-        """
+        """MAE of the runs of a boat, each with the newest checkpoint that has not learned from it, m/s, by method."""
         some = np.zeros(self.mae.shape[:2], bool)
         for run in np.flatnonzero(self.steps > 0).tolist():
             place, learned = season.set_before(run)
@@ -70,13 +61,7 @@ class FreeErrors(NamedTuple):
 
 
 def methods(ensemble: Ensemble) -> tuple[str, ...]:
-    """The ensemble's names, and NAME+ for each combiner whose weights can continue to learn.
-
-    >>> from usvlearn import AID, BOA, Average, Persistence
-    >>> members = {"aid": AID(), "persistence": Persistence()}
-    >>> methods(Ensemble(members, {"average": Average(), "ensemble": BOA()}))
-    ('aid', 'persistence', 'average', 'ensemble', 'ensemble+')
-    """
+    """The ensemble's names, and NAME+ for each combiner whose weights can continue to learn."""
     return (*ensemble.names, *(f"{name}+" for name in _learning(ensemble)))
 
 
@@ -106,13 +91,6 @@ def cross_validate(
 
     Raises:
         ConfigError: as `rollout`.
-
-    >>> from usvlearn import AID, Persistence
-    >>> t = torch.ones(5, dtype=torch.float64)
-    >>> run = Sample(Inputs(t, t, 0 * t, 0 * t, 0.4 * t), t, t > 0, t > 0)
-    >>> ensemble = Ensemble({"aid": AID(), "persistence": Persistence()})
-    >>> cross_validate(ensemble, ensemble.init((3,)), [run, run]).mae[:, 0, 1]  # persistence stays at 0 m/s
-    array([1., 1., 1.])
     """
     names = methods(ensemble)
     sets = next(leaf for _, leaf in named_leaves(state)).shape[0]

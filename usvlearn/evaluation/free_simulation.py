@@ -4,7 +4,7 @@ fleet's runs.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -28,38 +28,29 @@ class FreeErrors(NamedTuple):
 
     def fit(self, boats: Sequence[str], names: Sequence[str]) -> dict[str, dict[str, float | None]]:
         """By boat and estimator, percent (`usvlearn.evaluation.metrics.fit`); None where it is unknown."""
-        squares, count, speeds = (x.sum(0) for x in (self.squares, self.steps, self.speeds))
-        spread = speeds[:, 1] - speeds[:, 0] ** 2 / np.maximum(count, 1)
-        return {
-            boat: {
-                name: fit(squares[element, k], spread[element]) if count[element] else None
-                for k, name in enumerate(names)
-            }
-            for element, boat in enumerate(boats)
-        }
+        squares, speeds = self.squares.sum(0), self.speeds.sum(0)
+        spread = speeds[:, 1] - speeds[:, 0] ** 2 / np.maximum(self.steps.sum(0), 1)
+        return self._each(boats, names, lambda element, k: fit(squares[element, k], spread[element]))
 
     def mae(self, boats: Sequence[str], names: Sequence[str]) -> dict[str, dict[str, float | None]]:
         """By boat and estimator, m/s; None where a boat has no measured step."""
         total, count = self.errors.sum(0), self.steps.sum(0)
+        return self._each(boats, names, lambda element, k: float(total[element, k] / count[element]))
+
+    def _each(
+        self, boats: Sequence[str], names: Sequence[str], value: Callable[[int, int], float | None]
+    ) -> dict[str, dict[str, float | None]]:
+        count = self.steps.sum(0)
         return {
-            boat: {
-                name: float(total[element, k] / count[element]) if count[element] else None
-                for k, name in enumerate(names)
-            }
+            boat: {name: value(element, k) if count[element] else None for k, name in enumerate(names)}
             for element, boat in enumerate(boats)
         }
 
 
 def free_errors(ensemble: Ensemble, state: Any, fleet: Fleet, first: int) -> FreeErrors:
-    """Simulate the runs from the index `first` on; the runs before have no steps in the result.
+    """Simulate the runs from the index `first` on; the runs before have no steps. `state` has leaves `(boats, …)`.
 
     A simulation that leaves ± `surge_max` of the ensemble errs by that limit there.
-
-    Args:
-        ensemble: an ensemble.
-        state: leaves `(boats, …)`.
-        fleet: aligned runs.
-        first: index of the first run that is simulated.
     """
     import torch
 
@@ -90,12 +81,7 @@ class FreeRun(NamedTuple):
 
 
 def free_runs(ensemble: Ensemble, season: Season) -> Iterator[FreeRun]:
-    """Simulate each run of a boat with the newest parameters of `Season.set_before`.
-
-    Args:
-        ensemble: to which the checkpoints belong.
-        season: of the boat.
-    """
+    """Simulate each run of a boat with the newest parameters of `Season.set_before`."""
     import torch
 
     from usvlearn.engine.rollouts import simulate, tensors

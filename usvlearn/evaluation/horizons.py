@@ -1,19 +1,67 @@
-"""Errors of forecasts by horizon: MAE, skill against persistence, and what the ensemble's intervals cover."""
+"""Errors of forecasts and of tracks by horizon, and what their intervals and ellipses cover.
+
+They are judged in three groups, too, by how far the commands moved within the horizon. The baselines of tracks are
+
+constant turn            the measured speed and yaw rate of the origin go on
+held yaw rate            the forecast speed, and the yaw rate of the origin
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.core.samples import PLAUSIBLE, Fleet, masks, tree_map
+from usvlearn.core.samples import PLAUSIBLE, Fleet, Sample, masks, tree_map
 from usvlearn.estimators.ensemble.forecasts.state import PERSISTENCE
-from usvlearn.evaluation.manoeuvres import GROUPS, groups_of
+from usvlearn.estimators.ensemble.manoeuvre_intervals.state import LITTLE, MUCH
+from usvlearn.estimators.planar.state import CONSTANT, DUE, ERROR, GROUP, HEADING_ERROR, HELD_RATE, RADIUS, RHO
 from usvlearn.evaluation.metrics import MISSING, Stretch
 
 if TYPE_CHECKING:
     from usvlearn.estimators.ensemble.layer import Ensemble
+
+GROUPS = ("stay", "move", "move_much")
+
+
+def groups_of(samples: Sample, horizons: Sequence[float], surge_limit: float = PLAUSIBLE) -> np.ndarray:
+    """The group of a forecast that is due at each step: 0, 1 or 2, `(time, boats, horizons)`."""
+    steps, inputs = masks(samples, surge_limit).steps, samples.inputs
+    time = np.where(steps, inputs.dt, 0.0).cumsum(0)
+    mean = (inputs.command_left + inputs.command_right) / 2
+    found = np.zeros((*mean.shape, len(horizons)), np.int8)
+    for element in range(mean.shape[1]):
+        own = steps[:, element]
+        least = _doubled(np.where(own, mean[:, element], np.inf), np.minimum)
+        most = _doubled(np.where(own, mean[:, element], -np.inf), np.maximum)
+        for j, horizon in enumerate(horizons):
+            half = np.where(own, samples.inputs.dt[:, element], 0.0) / 2
+            origin = np.searchsorted(time[:, element], time[:, element] - horizon - half)
+            origin = np.minimum(origin, np.arange(len(time)))
+            low, high = _over(least, origin, np.minimum), _over(most, origin, np.maximum)
+            moved = np.where(np.isfinite(high - low), high - low, 0.0)
+            found[:, element, j] = (moved >= LITTLE).astype(np.int8) + (moved > MUCH)
+    return found
+
+
+def _doubled(x: np.ndarray, f: np.ufunc) -> list[np.ndarray]:
+    """The extreme values of the 2ʲ numbers that end at each place, for each j; of fewer at the beginning."""
+    found, length = [x], 1
+    while length < len(x):
+        last = found[-1]
+        found.append(np.concatenate([last[:length], f(last[length:], last[:-length])]))
+        length *= 2
+    return found
+
+
+def _over(doubled: Sequence[np.ndarray], first: np.ndarray, f: np.ufunc) -> np.ndarray:
+    """The extreme values from the places `first` to each place, both included."""
+    last = np.arange(len(first))
+    level = np.frexp(last - first + 1)[1] - 1  # the largest power of two that fits
+    table = np.stack(doubled)
+    return f(table[level, last], table[level, np.minimum(first + (1 << level) - 1, last)])
+
 
 LEAST = 8  # forecasts, below which no score is stated
 Scores = dict[str, dict[str, dict[str, dict[str, float | int | None]]]]  # boat -> estimator -> horizon -> number
@@ -90,10 +138,6 @@ def horizon_sums(
 def horizon_scores(sums: HorizonSums, boats: Sequence[str]) -> Scores:
     """Scores of forecasts, over all runs.
 
-    Args:
-        sums: of `horizon_sums`.
-        boats: their names.
-
     Returns:
         By boat, estimator and horizon (as `"10"`, s): `mae`, m/s; `skill` = 1 − MAE/MAE(persistence), the last speed
         measured at the origin; `steps`, how many forecasts; of the ensemble also `covers`, the share of measurements in
@@ -103,9 +147,6 @@ def horizon_scores(sums: HorizonSums, boats: Sequence[str]) -> Scores:
         full scale within the horizon, by up to 0.25, or more; `steps_stay` … their numbers. None where there are fewer
         than LEAST forecasts, or where more than MISSING of the estimator's left ± `surge_max`: so it cannot win by the
         others.
-
-    >>> horizon_scores(horizon_sums(Fleet((), (), {}), [], (0.4,), ("aid", "persistence", "ensemble")), ())
-    {}
     """
     total, count, known, inside, width, interval, some_known, some_inside, missing = (x.sum(0) for x in sums[2:])
     names, K = sums.names, len(sums.names)
@@ -155,3 +196,58 @@ def ensemble_scores(ensemble: Ensemble, fleet: Fleet, published: Iterable[Stretc
 
 def _known(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
+
+
+FEWEST = 10  # ellipses of a group, below which no share is stated
+
+
+def track_scores(
+    parts: Iterable[np.ndarray], horizons: Sequence[float], boats: Sequence[str]
+) -> dict[str, dict[str, dict[str, Any]]]:
+    """Mean errors and shares inside, by boat and horizon.
+
+    Args:
+        parts: published `tracks` of consecutive stretches, `(time, boats, horizons · 8)`.
+        horizons: s.
+        boats: names.
+
+    Returns:
+        boat -> horizon, such as "10" -> position and position_constant_turn, position_held_rate, m; heading, rad;
+        inside; inside_stay, inside_move, inside_move_much; radius, m, the median; count. None where nothing was due.
+    """
+    found = [part.reshape(*part.shape[:2], len(horizons), DUE) for part in parts]
+    whole = np.concatenate(found) if found else np.empty((0, len(boats), len(horizons), DUE))
+    return {
+        boat: {f"{h:g}": _score(whole[:, element, k]) for k, h in enumerate(horizons)}
+        for element, boat in enumerate(boats)
+    }
+
+
+def _score(rows: np.ndarray) -> dict[str, Any]:
+    """Of one boat and horizon, `(time, 8)`."""
+    rows = rows[np.isfinite(rows[:, ERROR])]
+    known = np.isfinite(rows[:, RADIUS])
+    inside, group = rows[known, RHO] <= rows[known, RADIUS], rows[known, GROUP]
+
+    def mean(values: np.ndarray, fewest: int = 1) -> float | None:
+        values = values[np.isfinite(values)]
+        return float(values.mean()) if len(values) >= fewest else None
+
+    shares = {f"inside_{name}": mean(inside[group == k].astype(float), FEWEST) for k, name in enumerate(GROUPS)}
+    return {
+        "position": mean(rows[:, ERROR]),
+        "position_constant_turn": mean(rows[:, CONSTANT]),
+        "position_held_rate": mean(rows[:, HELD_RATE]),
+        "heading": mean(rows[:, HEADING_ERROR]),
+        "inside": mean(inside.astype(float), FEWEST),
+        **shares,
+        "radius": float(np.median(rows[known, RADIUS])) if known.any() else None,
+        "count": len(rows),
+    }
+
+
+def pooled(scores: Mapping[str, Mapping[str, Mapping[str, Any]]], horizon: str, key: str) -> float | None:
+    """The mean of a score over the boats that have it, weighted by their counts."""
+    rows = [(each[horizon][key], each[horizon]["count"]) for each in scores.values() if each[horizon][key] is not None]
+    total = sum(count for _, count in rows)
+    return sum(value * count for value, count in rows) / total if total else None

@@ -1,12 +1,22 @@
-"""Errors of predictions: MAE, median, RMSE, fit, skill against persistence, and the coverage of the intervals."""
+"""Errors of predictions: MAE, median, RMSE, fit, skill against persistence, coverage of the intervals, autocorrelation.
+
+With the errors e of the steps that count and their mean m, the autocorrelation within segments is
+
+    r(k) = (Σ (e_i − m) (e_(i+k) − m) / n_k) / (Σ (e_i − m)² / n)                                      (2)
+
+over the n_k pairs of steps i and i + k of one segment of one run that both count. If errors do not depend on each
+other, r(k) has the standard deviation 1/√n_k, so that 99 % of it are within ± 2.58/√n_k (Ljung 1999, section 16.6).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from usvlearn.core.samples import PLAUSIBLE, Fleet, masks, tree_map
+from usvlearn.evaluation.season import SeasonRun
 
 PERSISTENCE = "persistence"  # the estimator that skill refers to
 MISSING = 0.01  # share of the steps, the most without a prediction of an estimator that has errors
@@ -31,10 +41,6 @@ def scores(
         not finite. An estimator with more than MISSING of such steps, or without a step, has no errors (None). So it
         cannot win by its remaining steps. With half-widths also `coverage`, the share of the measurements inside the
         intervals, and `halfwidth`, their mean, m/s, over the intervals that are finite.
-
-    >>> table = scores(np.array([[1.0, 2.0], [2.0, 2.0]]), np.array([1.5, 2.0]), ["aid", "persistence"])
-    >>> table["aid"]["mae"], table["aid"]["skill"]
-    (0.25, 0.0)
     """
     counted = ~np.isnan(surge)
     error = np.abs(predictions[counted] - surge[counted, None])
@@ -71,9 +77,6 @@ def fit(errors: float, spread: float) -> float | None:
 
     Returns:
         None if the speed never changed.
-
-    >>> fit(1.0, 16.0), fit(1.0, 0.0)
-    (75.0, None)
     """
     return 100 * (1 - float(np.sqrt(errors / spread))) if spread > 0 else None
 
@@ -111,11 +114,7 @@ def fleet_scores(
 
 
 def by_error(errors: Mapping[str, float | None]) -> list[str]:
-    """Names by their error, the least first; those without one (None, NaN) come last, in their order.
-
-    >>> by_error({"a": None, "b": 0.3, "c": float("nan"), "d": 0.1})
-    ['d', 'b', 'a', 'c']
-    """
+    """Names by their error, the least first; those without one (None, NaN) come last, in their order."""
 
     def key(name: str) -> float:
         error = errors[name]
@@ -125,22 +124,56 @@ def by_error(errors: Mapping[str, float | None]) -> list[str]:
 
 
 def mean(values: Iterable[float | None]) -> float | None:
-    """The mean over boats; None where there is none, or where one is unknown (None, NaN).
-
-    >>> mean([0.25, 0.75]), mean([0.1, None]), mean([])
-    (0.5, None, None)
-    """
+    """The mean over boats; None where there is none, or where one is unknown (None, NaN)."""
     found = list(values)
     known = [x for x in found if x is not None and x == x]
     return sum(known) / len(known) if known and len(known) == len(found) else None
 
 
 def mean_mae(boats: Mapping[str, Mapping[str, Mapping]]) -> dict[str, float]:
-    """MAE of each estimator, m/s, mean over boats; NaN where a boat has none.
-
-    >>> mean_mae({"a": {"aid": {"mae": 0.25}}, "b": {"aid": {"mae": 0.75}}})
-    {'aid': 0.5}
-    """
+    """MAE of each estimator, m/s, mean over boats; NaN where a boat has none."""
     names = dict.fromkeys(name for rows in boats.values() for name in rows)
     means = {name: mean(rows[name]["mae"] for rows in boats.values() if name in rows) for name in names}
     return {name: float("nan") if x is None else x for name, x in means.items()}
+
+
+NORMAL_99 = 2.58  # half-width of 99 % of a standard normal distribution
+
+
+class Autocorrelation(NamedTuple):
+    """Of errors at lags of 1, 2, … steps."""
+
+    values: np.ndarray  # (lags,); NaN where there is no pair
+    pairs: np.ndarray  # (lags,)
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """The half-width of the 99 % bounds for errors that do not depend on each other, `(lags,)`."""
+        return NORMAL_99 / np.sqrt(np.maximum(self.pairs, 1))
+
+
+def autocorrelation(errors: Sequence[np.ndarray], segments: Sequence[np.ndarray], lags: int) -> Autocorrelation:
+    """Equation (2).
+
+    Args:
+        errors: of each run, `(time,)`; NaN where a step does not count.
+        segments: of each run, `(time,)`: numbers that are the same for the steps of a segment.
+        lags: the largest lag, in steps.
+    """
+    every = np.concatenate([e[np.isfinite(e)] for e in errors]) if errors else np.empty(0)
+    mean, variance = (float(every.mean()), float(every.var())) if len(every) else (0.0, 0.0)
+    sums, pairs = np.zeros(lags), np.zeros(lags, int)
+    for e, segment in zip(errors, segments, strict=True):
+        for k in range(1, min(lags, len(e) - 1) + 1):
+            product = (e[:-k] - mean) * (e[k:] - mean)
+            both = np.isfinite(product) & (segment[:-k] == segment[k:])
+            sums[k - 1] += product[both].sum()
+            pairs[k - 1] += both.sum()
+    known = (pairs > 0) & (variance > 0)
+    return Autocorrelation(np.where(known, sums / np.maximum(pairs, 1) / (variance or 1.0), np.nan), pairs)
+
+
+def autocorrelation_of_runs(runs: Sequence[SeasonRun], column: int, lags: int) -> Autocorrelation:
+    """That of the published errors one step ahead of one estimator."""
+    errors = [np.where(run.steps, run.published["predictions"][:, column] - run.samples.surge, np.nan) for run in runs]
+    return autocorrelation(errors, [np.cumsum(masks(run.samples, run.surge_limit).starts) for run in runs], lags)

@@ -36,7 +36,7 @@ def accommodated(description: Mapping[str, Any]) -> list[str]:
 
 
 def event_watch(description: Mapping[str, Any]) -> EventWatch | None:
-    """What finds the events; None if nobody watches the thrusters. `usvlearn.evaluation.events` does so for a run."""
+    """What finds the events, as `evaluation.diagnostics` does for a run; None if nobody watches the thrusters."""
     return None if description.get("monitors") is None else EventWatch(accommodated(description))
 
 

@@ -21,8 +21,8 @@ from usvlearn.engine.rollouts import stack
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.crossval import FreeErrors, cross_validate
+from usvlearn.evaluation.diagnostics import explained, remarks
 from usvlearn.evaluation.free_simulation import free_runs
-from usvlearn.evaluation.members import explained, remarks
 from usvlearn.evaluation.season import Season
 from usvlearn.report.overview import overviews
 from usvlearn.report.page import check_report_folder, write_report

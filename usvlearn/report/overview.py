@@ -11,10 +11,9 @@ from usvlearn.core.samples import tree_map
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.joint.excitation_warnings import Quantity
 from usvlearn.estimators.joint.periodic_estimates import Identified
-from usvlearn.evaluation.events import events
+from usvlearn.evaluation.diagnostics import events, identified_boats
 from usvlearn.evaluation.free_simulation import FreeRun
 from usvlearn.evaluation.horizons import ensemble_scores
-from usvlearn.evaluation.identification import identified_boats
 from usvlearn.evaluation.metrics import PERSISTENCE, scores
 from usvlearn.evaluation.season import Season, SeasonRun
 

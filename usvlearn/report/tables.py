@@ -18,8 +18,8 @@ from usvlearn.engine.identified import sentences
 from usvlearn.estimators.joint.periodic_estimates import Identified, shown
 from usvlearn.estimators.joint.quantities import MEANING
 from usvlearn.estimators.regressors.terms import SURGE
-from usvlearn.evaluation.measure import measure_of
 from usvlearn.evaluation.metrics import PERSISTENCE, by_error, mean, mean_mae
+from usvlearn.evaluation.objective import measure_of
 from usvlearn.runs.compared import label
 from usvlearn.runs.files import CHECKPOINTS, ERRORS, RESULTS, TENSORBOARD
 from usvlearn.runs.prediction_files import PREDICTIONS
@@ -62,7 +62,7 @@ def score_table(
 
     Args:
         boats: scores by boat and estimator; see `usvlearn.evaluation.metrics.fleet_scores`.
-        remarks: beside the names of estimators; see `usvlearn.evaluation.members.remarks`.
+        remarks: beside the names of estimators; see `usvlearn.evaluation.diagnostics.remarks`.
         title: of the table.
     """
     failed = any(row.get("diverged") for rows in boats.values() for row in rows.values())
@@ -136,7 +136,7 @@ def track_table(tracks: Mapping[str, Mapping[str, Mapping[str, Any]]] | None) ->
     """Errors of tracks by horizon, one block for each boat; None where nothing became due.
 
     Args:
-        tracks: of `usvlearn.evaluation.tracks.track_scores`.
+        tracks: of `usvlearn.evaluation.horizons.track_scores`.
     """
     if not tracks or not any(row["count"] for rows in tracks.values() for row in rows.values()):
         return None

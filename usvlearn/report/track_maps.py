@@ -23,7 +23,7 @@ LEAST = 120.0  # s of a mission, if there is one of that length
 UNEVEN = 0.05  # of a step's usual length: a plan has steps of one length
 LEVEL = 0.9  # of the ellipses
 
-Scores = Mapping[str, Mapping[str, Any]]  # horizon -> of `usvlearn.evaluation.tracks.track_scores`
+Scores = Mapping[str, Mapping[str, Any]]  # horizon -> of `usvlearn.evaluation.horizons.track_scores`
 
 
 class Ellipse(NamedTuple):

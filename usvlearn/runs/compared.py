@@ -11,8 +11,8 @@ import numpy as np
 
 from usvlearn.core.samples import Fleet, Run
 from usvlearn.display.result_table import ResultTable
-from usvlearn.evaluation import measure
-from usvlearn.evaluation.measure import Measure
+from usvlearn.evaluation import objective
+from usvlearn.evaluation.objective import Measure
 
 # settings that do not say how it is learned, with all below them, and those below them that are named
 BESIDE = ("data", "vehicle", "hydra", "sweep", "save_minutes", "threads", "resume", "log", "objective")
@@ -66,12 +66,12 @@ def results_of(results: Mapping[str, Any], name: str) -> dict[str, float]:
     horizons = next((list(next(iter(rows.values()), {})) for rows in (results.get("forecast") or {}).values()), [])
     near = max((h for h in horizons if float(h) <= NEAR), key=float, default="")
     found = [
-        value("MAE (m/s)", measure.ONE_STEP),
-        value("skill", measure.SKILL),
-        value("MAE free (m/s)", measure.FREE),
+        value("MAE (m/s)", objective.ONE_STEP),
+        value("skill", objective.SKILL),
+        value("MAE free (m/s)", objective.FREE),
         ("contraction rate", max(rates, default=None)),
-        value(f"MAE {near} s ahead (m/s)", measure.FORECAST, float(near or 0)),
-        value("coverage of 90 %", measure.COVERAGE),
+        value(f"MAE {near} s ahead (m/s)", objective.FORECAST, float(near or 0)),
+        value("coverage of 90 %", objective.COVERAGE),
         ("seconds", _inside(results, "seconds")),
     ]
     return {title: value for title, value in found if value is not None}

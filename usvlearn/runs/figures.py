@@ -28,8 +28,8 @@ from usvlearn.estimators.ensemble.monitors.state import THRESHOLD
 from usvlearn.estimators.joint.curves import Curve, curves
 from usvlearn.estimators.joint.periodic_estimates import Identified
 from usvlearn.estimators.joint.quantities import COMMANDS
+from usvlearn.evaluation.diagnostics import Truth
 from usvlearn.evaluation.horizons import Scores
-from usvlearn.evaluation.identification import Truth
 from usvlearn.evaluation.metrics import PERSISTENCE
 from usvlearn.runs.prediction_files import Published, joined
 

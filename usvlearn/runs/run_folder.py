@@ -24,15 +24,19 @@ from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.state import EnsembleState
 from usvlearn.estimators.planar.layer import Planar, PlanarState
 from usvlearn.estimators.planar.state import AXES
-from usvlearn.evaluation.by_run import as_csv, one_step_sums, run_errors
-from usvlearn.evaluation.events import events
+from usvlearn.evaluation.comparison import as_csv, one_step_sums, run_errors
+from usvlearn.evaluation.diagnostics import (
+    Truth,
+    as_results,
+    events,
+    identified_boats,
+    identified_planar_boats,
+    verdicts,
+)
 from usvlearn.evaluation.free_simulation import FreeErrors, free_errors, has_halves, middle
-from usvlearn.evaluation.horizons import ensemble_sums, horizon_scores
-from usvlearn.evaluation.identification import Truth, as_results, identified_boats, identified_planar_boats
-from usvlearn.evaluation.measure import measure_of
+from usvlearn.evaluation.horizons import ensemble_sums, horizon_scores, track_scores
 from usvlearn.evaluation.metrics import fleet_scores
-from usvlearn.evaluation.networks import verdicts
-from usvlearn.evaluation.tracks import track_scores
+from usvlearn.evaluation.objective import measure_of
 from usvlearn.runs.files import (
     CHECKPOINTS,
     ERRORS,
@@ -50,7 +54,17 @@ from usvlearn.runs.files import (
     same_run,
     save_results,
 )
-from usvlearn.runs.prediction_files import BEGIN, PREDICTIONS, Position, Published, joined, packed, position, stem
+from usvlearn.runs.files import ESTIMATOR as ESTIMATOR_BESIDE
+from usvlearn.runs.prediction_files import (
+    BEGIN,
+    PREDICTIONS,
+    Position,
+    Published,
+    joined,
+    packed,
+    position,
+    stem,
+)
 from usvlearn.runs.replay import Chunk
 from usvlearn.runs.resuming import Resumption, Start, checkpoint_path, of_boat, own_settings
 

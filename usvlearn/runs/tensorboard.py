@@ -42,10 +42,9 @@ from usvlearn.estimators.ensemble.state import EnsembleState
 from usvlearn.estimators.joint.periodic_estimates import Identified
 from usvlearn.estimators.joint.quantities import QUANTITIES
 from usvlearn.estimators.planar.state import CONSTANT, DUE, ERROR, HEADING_ERROR, HELD_RATE, RADIUS, RHO
-from usvlearn.evaluation.horizons import LEAST
-from usvlearn.evaluation.identification import Truth, identified_boats
+from usvlearn.evaluation.diagnostics import Truth, identified_boats
+from usvlearn.evaluation.horizons import FEWEST, LEAST
 from usvlearn.evaluation.metrics import PERSISTENCE
-from usvlearn.evaluation.tracks import FEWEST
 from usvlearn.runs.compared import MAE, WINDOW, data_text, label, number, result_tag, results_of
 from usvlearn.runs.figures import Replayed, figures
 from usvlearn.runs.prediction_files import BEGIN, Position, Published

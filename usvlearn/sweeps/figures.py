@@ -9,7 +9,7 @@ import numpy as np
 
 from usvlearn.display.figures import INK, LINE, colours, rendered, themed
 from usvlearn.evaluation.comparison import short_keys
-from usvlearn.evaluation.measure import Measure
+from usvlearn.evaluation.objective import Measure
 from usvlearn.sweeps.ranking import Standing
 
 MOST_ROWS = 25  # settings

@@ -28,9 +28,8 @@ from typing import Any, NamedTuple
 from usvlearn.core.checkpoint import write_atomically
 from usvlearn.core.lock import Lock
 from usvlearn.errors import ConfigError, UsvlearnError, bad_input, printable
-from usvlearn.evaluation.by_run import RunError, from_csv
-from usvlearn.evaluation.measure import Measure, measure_of
-from usvlearn.evaluation.ranking import differing, own_measure, ranked_by, scored
+from usvlearn.evaluation.comparison import RunError, from_csv
+from usvlearn.evaluation.objective import Measure, differing, measure_of, own_measure, ranked_by, scored
 from usvlearn.report.tables import short_settings
 from usvlearn.runs.files import ERRORS, JOB, RESULTS, RUNS, check_no_link, check_own, save_results
 

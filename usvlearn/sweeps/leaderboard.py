@@ -19,8 +19,7 @@ from usvlearn.core.unconfirmed import SECTION, unconfirmed
 from usvlearn.display.figures import attempted, rendered
 from usvlearn.display.terminal import console, show
 from usvlearn.errors import ConfigError, MissingExtraError
-from usvlearn.evaluation.measure import Measure
-from usvlearn.evaluation.ranking import differing, own_objective, ranked_by, scored
+from usvlearn.evaluation.objective import Measure, differing, own_objective, ranked_by, scored
 from usvlearn.report.tables import board_lines, from_here
 from usvlearn.runs.files import check_no_link
 from usvlearn.sweeps.figures import settings_figure, sweep_figure
@@ -40,7 +39,7 @@ def leaderboard(folder: Path, load: Callable[[Path], Any], objective: Any = None
     Args:
         folder: of a sweep, or any other folder with runs.
         load: see `usvlearn.sweeps.jobs.jobs`.
-        objective: that ranks; by default that of the sweep (`usvlearn.evaluation.ranking.ranked_by`).
+        objective: that ranks; by default that of the sweep (`usvlearn.evaluation.objective.ranked_by`).
 
     Raises:
         ConfigError: there is no run, none has measured the objective, or the folder cannot be written to.
@@ -74,7 +73,7 @@ def write_leaderboard(
 
     Args:
         folder: of the sweep.
-        jobs: see `usvlearn.sweeps.jobs.jobs`; with results from `usvlearn.evaluation.ranking.scored`.
+        jobs: see `usvlearn.sweeps.jobs.jobs`; with results from `usvlearn.evaluation.objective.scored`.
         ranks: see `usvlearn.sweeps.ranking.standings`; by default those without known default values.
         measure: what ranks them; None if each job's own output does.
 

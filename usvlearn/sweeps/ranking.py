@@ -8,10 +8,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from usvlearn.evaluation.by_run import RunError
-from usvlearn.evaluation.comparison import Difference, cells, compare, over_seeds
-from usvlearn.evaluation.measure import Measure
-from usvlearn.evaluation.ranking import differing, own_measure
+from usvlearn.evaluation.comparison import Difference, RunError, cells, compare, over_seeds
+from usvlearn.evaluation.objective import Measure, differing, own_measure
 from usvlearn.sweeps.jobs import Job, errors_of
 from usvlearn.sweeps.seeds import SEED
 
@@ -20,7 +18,7 @@ class Standing(NamedTuple):
     """One setting and its jobs, which differ in the seed alone."""
 
     settings: dict[str, str]  # the swept keys, without the seed
-    jobs: tuple[Job, ...]  # with results as of `usvlearn.evaluation.ranking.scored`
+    jobs: tuple[Job, ...]  # with results as of `usvlearn.evaluation.objective.scored`
     value: float | None  # of the objective, mean over seeds; None if a finished job has none, or none has finished
     deviation: float | None  # over seeds; None for fewer than two
     seconds: float | None  # of a job, mean
@@ -54,7 +52,7 @@ def standings(jobs: Sequence[Job], measure: Measure | None, defaults: Mapping[st
     the values of `defaults`, else the best.
 
     Args:
-        jobs: with results as of `usvlearn.evaluation.ranking.scored`.
+        jobs: with results as of `usvlearn.evaluation.objective.scored`.
         measure: what ranks them; None if each job's own output does.
         defaults: the values that the swept keys have without the sweep; empty if they are unknown.
     """

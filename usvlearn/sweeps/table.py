@@ -14,8 +14,8 @@ from usvlearn.display.result_table import ResultTable
 from usvlearn.display.terminal import Blocks
 from usvlearn.errors import printable
 from usvlearn.evaluation.comparison import Difference, SeedDifference, short_keys
-from usvlearn.evaluation.measure import SKILL, Measure, measure_of
 from usvlearn.evaluation.metrics import mean, mean_mae
+from usvlearn.evaluation.objective import SKILL, Measure, measure_of
 from usvlearn.report.tables import short_settings
 from usvlearn.sweeps.jobs import Job
 from usvlearn.sweeps.ranking import Standing

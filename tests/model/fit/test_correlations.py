@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from usvlearn.evaluation.autocorrelation import autocorrelation as of_steps
+from usvlearn.evaluation.metrics import autocorrelation as of_steps
 from usvlearn.model.fit.correlations import BEFORE, EVERY, REACH, _sums, autocorrelation, cross_correlation
 
 DT = 0.1

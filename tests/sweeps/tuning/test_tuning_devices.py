@@ -12,7 +12,7 @@ from tests.support.placement import read_as_ones
 from usvlearn import AID, BOA, RLS, RNN, Ensemble, RecursiveWeights
 from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.evaluation.crossval import cross_validate
-from usvlearn.evaluation.measure import Measure
+from usvlearn.evaluation.objective import Measure
 from usvlearn.sweeps.tuning.batches import Objective, element_errors
 from usvlearn.sweeps.tuning.grid import grid
 from usvlearn.sweeps.tuning.sensitivities import descend

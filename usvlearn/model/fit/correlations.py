@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.evaluation.autocorrelation import NORMAL_99
+from usvlearn.evaluation.metrics import NORMAL_99
 
 REACH = 60.0  # s, the largest lag
 BEFORE = 20.0  # s, the largest time by which an error is ahead of a command

@@ -19,7 +19,7 @@ from usvlearn.estimators.joint.layer import JointEKF
 from usvlearn.estimators.least_squares.rls import RLS
 from usvlearn.estimators.least_squares.sift import SIFtRLS
 from usvlearn.estimators.rnn.layer import RNN
-from usvlearn.evaluation.members import unwrapped
+from usvlearn.evaluation.diagnostics import unwrapped
 from usvlearn.report.sections.section import Section
 
 PAPER_RESULT = (

@@ -38,7 +38,7 @@ def cross_section(
     Args:
         seasons: of all boats.
         errors: of the checkpoints of each boat on all of its runs.
-        remarks: on methods; see `usvlearn.evaluation.members.remarks`.
+        remarks: on methods; see `usvlearn.evaluation.diagnostics.remarks`.
     """
     boxes: dict[str, dict[str, Box | None]] = {}
     subtitles, rows, remarks = {}, [], dict(remarks or {})

@@ -9,10 +9,8 @@ import numpy as np
 from usvlearn.display.figures import INK, LINE, PAPER, colours, guarded, panels_of, themed
 from usvlearn.display.result_table import ResultTable
 from usvlearn.estimators.ensemble.layer import Ensemble
-from usvlearn.evaluation.autocorrelation import Autocorrelation, of_runs
-from usvlearn.evaluation.horizons import Scores, ensemble_scores
-from usvlearn.evaluation.manoeuvres import GROUPS
-from usvlearn.evaluation.metrics import PERSISTENCE, by_error, scores
+from usvlearn.evaluation.horizons import GROUPS, Scores, ensemble_scores
+from usvlearn.evaluation.metrics import PERSISTENCE, Autocorrelation, autocorrelation_of_runs, by_error, scores
 from usvlearn.evaluation.season import Season
 from usvlearn.report.sections.season_figures import box, boxes_figure
 from usvlearn.report.sections.section import Drawn, Section, mean_errors, on, summary, tally
@@ -41,7 +39,7 @@ def online_section(
     Args:
         seasons: of all boats.
         names: of the published predictions, in their order.
-        remarks, explained: about these names; see `usvlearn.evaluation.members`.
+        remarks, explained: about these names; see `usvlearn.evaluation.diagnostics`.
     """
     boxes, subtitles, rows, maes = {}, {}, [], {}
     for season in seasons:
@@ -121,7 +119,7 @@ def residual_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section |
     column, found, here, uneven = ensemble.names.index(ensemble.output), {}, [], False
     for season in seasons:
         runs = [run for run in season.runs if run.published]
-        if not runs or np.isnan((each := of_runs(runs, column, LAGS)).values[0]):
+        if not runs or np.isnan((each := autocorrelation_of_runs(runs, column, LAGS)).values[0]):
             continue
         found[season.boat] = each
         beyond = np.abs(each.values) > each.bounds

@@ -10,7 +10,7 @@ from usvlearn.core.events import event_of
 from usvlearn.display.result_table import ResultTable
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.monitors.state import THRESHOLD
-from usvlearn.evaluation.events import events
+from usvlearn.evaluation.diagnostics import events
 from usvlearn.evaluation.season import Season
 from usvlearn.report.sections.section import Drawn, Section
 from usvlearn.runs.figures import course_of, event_figure

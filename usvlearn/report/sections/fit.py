@@ -13,7 +13,7 @@ from usvlearn.estimators.axis.turning_quantities import MEANING_OF_FIT, OF_FIT
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.joint.excitation_warnings import WIDE, Quantity
 from usvlearn.estimators.joint.quantities import MEANING, SIDES
-from usvlearn.evaluation.identification import Truth, identified_boats
+from usvlearn.evaluation.diagnostics import Truth, identified_boats
 from usvlearn.evaluation.season import Season
 from usvlearn.report.sections.fit_figures import curves_figure, residuals_figure, sailed_at, worst_figure
 from usvlearn.report.sections.fit_file import Diagnostics, Lags, Sailed, SavedFit

@@ -18,8 +18,8 @@ from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.state import EnsembleState
 from usvlearn.estimators.rnn.layer import RNN, element_weights
 from usvlearn.evaluation.crossval import FreeErrors
+from usvlearn.evaluation.diagnostics import Judged, verdicts
 from usvlearn.evaluation.metrics import PERSISTENCE
-from usvlearn.evaluation.networks import Judged, verdicts
 from usvlearn.evaluation.season import Season
 from usvlearn.report.sections.season_figures import rates_figure
 from usvlearn.report.sections.section import Drawn, Section

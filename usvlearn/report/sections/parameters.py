@@ -20,9 +20,8 @@ from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.joint.curves import curves
 from usvlearn.estimators.joint.quantities import MEANING
 from usvlearn.estimators.regressors.terms import UNITS
-from usvlearn.evaluation.identification import Truth as Quantities
-from usvlearn.evaluation.identification import identified_boats
-from usvlearn.evaluation.members import physical_members, unwrapped
+from usvlearn.evaluation.diagnostics import Truth as Quantities
+from usvlearn.evaluation.diagnostics import identified_boats, physical_members, unwrapped
 from usvlearn.evaluation.season import Season
 from usvlearn.report.sections.season_figures import Course, parameters_figure
 from usvlearn.report.sections.section import Drawn, Section

@@ -38,7 +38,7 @@ def summary(
         name: of the table.
         boats: errors by boat and method.
         what: the error, with its unit.
-        remarks: on methods; see `usvlearn.evaluation.members.remarks`.
+        remarks: on methods; see `usvlearn.evaluation.diagnostics.remarks`.
 
     >>> summary("mae", {"a": {"rls": 0.4, "aid": 0.1}, "b": {"rls": 0.2, "aid": 0.3}}, "MAE, m/s", {"rls": "map"}).rows
     [('aid', 0.2, 1, ''), ('rls', 0.30000000000000004, 1, 'map')]

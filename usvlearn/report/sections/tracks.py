@@ -10,7 +10,7 @@ import numpy as np
 
 from usvlearn.display.figures import INK, KNOWN, LINE, OTHERS, guarded, panels_of, themed
 from usvlearn.display.result_table import ResultTable
-from usvlearn.evaluation.manoeuvres import GROUPS
+from usvlearn.evaluation.horizons import GROUPS
 from usvlearn.evaluation.metrics import mean
 from usvlearn.report.sections.section import Drawn, Section
 from usvlearn.report.track_maps import Ahead, BoatTracks, Ellipse, Mission, Scores

@@ -2,7 +2,7 @@
 
 A setting has one batch element per boat: state and samples are `(settings, boats)`, the samples as views of the fleet's
 own. The objective is the MAE over all measured steps, averaged over boats: one step ahead, predicted before learning,
-or as `usvlearn.evaluation.measure` says, of forecasts over a horizon or of open-loop simulations.
+or as `usvlearn.evaluation.objective` says, of forecasts over a horizon or of open-loop simulations.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from usvlearn.estimators.ensemble.combiners.layer import Average
 from usvlearn.estimators.ensemble.forecasts.layer import ForecastSettings
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.free_simulation import middle
-from usvlearn.evaluation.measure import FORECAST, FREE, Measure
+from usvlearn.evaluation.objective import FORECAST, FREE, Measure
 
 Setting = dict[str, float]  # dotted path -> value
 Build = Callable[[Mapping[str, Any]], Estimator]  # from values by dotted path; numbers, or a list (settings, 1) of them

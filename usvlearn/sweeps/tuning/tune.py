@@ -19,7 +19,7 @@ from usvlearn.display.terminal import show
 from usvlearn.errors import ConfigError, under
 from usvlearn.estimators.baselines.persistence.layer import Persistence
 from usvlearn.evaluation.free_simulation import check_halves
-from usvlearn.evaluation.measure import COVERAGE, FREE, ONE_STEP, SKILL, Measure, measure_of
+from usvlearn.evaluation.objective import COVERAGE, FREE, ONE_STEP, SKILL, Measure, measure_of
 from usvlearn.runs.files import CHECKPOINTS, TUNING, digest
 from usvlearn.sweeps.launchers import set_threads
 from usvlearn.sweeps.tuning.batches import (

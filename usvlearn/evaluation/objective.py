@@ -7,19 +7,22 @@ objective=rnn.coverage          the share of measured speeds within its 90 % int
 objective=rnn.forecast.10       the MAE of its forecasts over 10 s, one of forecasts.horizons
 objective=rnn.free              the MAE of its open-loop simulations: each boat's second half of runs, from commands,
                                 with the parameters learned by the end of the first half
+
+Without one, the jobs of a sweep are ranked by the member, or the combiner, that the swept keys name. They are ranked by
+the MAE of their outputs if the keys name no member (`align.inputs`), several, or one that is not in every job.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from usvlearn.core.samples import Fleet
 from usvlearn.errors import ConfigError, did_you_mean
 from usvlearn.evaluation.free_simulation import check_halves
-from usvlearn.evaluation.metrics import mean
+from usvlearn.evaluation.metrics import mean, mean_mae
 
 if TYPE_CHECKING:
     from usvlearn.estimators.ensemble.layer import Ensemble
@@ -45,40 +48,24 @@ class Measure(NamedTuple):
         return "" if self.kind in (SKILL, COVERAGE) else "m/s"
 
     def shown(self, value: float | None) -> str:
-        """A value with its unit.
-
-        >>> Measure("rnn").shown(0.0312), Measure("rnn", "skill").shown(0.5), Measure("rnn").shown(None)
-        ('0.0312 m/s', '0.5000', 'unknown')
-        """
+        """A value with its unit."""
         return "unknown" if value is None else f"{value:.4f} {self.unit}".strip()
 
     def title(self) -> str:
-        """In words.
-
-        >>> Measure("rnn", "forecast", 10.0).title()
-        'MAE of rnn 10 s ahead'
-        """
+        """In words."""
         name = {SKILL: "skill of {}", COVERAGE: "coverage of the 90 % intervals of {}",
             FREE: "MAE of open-loop simulations of {}",
                 FORECAST: f"MAE of {{}} {self.horizon:g} s ahead"}.get(self.kind, "MAE of {}")  # fmt: skip
         return name.format(self.estimator)
 
     def loss(self, value: float | None) -> float:
-        """What is to be minimised; infinite for no value.
-
-        >>> Measure("rnn").loss(0.1), Measure("rnn", "skill").loss(0.4), round(Measure("rnn", "coverage").loss(0.95), 6)
-        (0.1, -0.4, 0.05)
-        """
+        """What is to be minimised; infinite for no value."""
         if value is None or math.isnan(value):
             return math.inf
         return {SKILL: -value, COVERAGE: abs(value - NOMINAL)}.get(self.kind, value)
 
     def known(self, results: Mapping[str, Any]) -> bool:
-        """Whether `results.json` has a number of it, or says that there is none: the estimator was measured so.
-
-        >>> Measure("rnn", "free").known({"boats": {"heron": {"rnn": {"mae": 0.1}}}})
-        False
-        """
+        """Whether `results.json` has a number of it, or says that there is none: the estimator was measured so."""
         rows: Mapping[str, Any] = next(iter(self._tables(results).values()), {})
         columns = own_columns(self.estimator, rows)
         if self.kind == FORECAST:
@@ -89,9 +76,6 @@ class Measure(NamedTuple):
         """What `results.json` says of it, mean over boats; None where it is unknown of a boat, or diverged.
 
         For a bank it is that of its best setting.
-
-        >>> Measure("rnn").value({"boats": {"heron": {"rnn": {"mae": 0.1}}}})
-        0.1
         """
         tables = self._tables(results)
         columns = own_columns(self.estimator, next(iter(tables.values()), {}))
@@ -110,11 +94,7 @@ class Measure(NamedTuple):
 
 
 def own_columns(estimator: str, names: Iterable[str]) -> list[str]:
-    """The rows of a table of errors that belong to a member or combiner; those of a bank are called NAME_LABEL.
-
-    >>> own_columns("wind", ["aid", "wind_short", "wind_long"])
-    ['wind_short', 'wind_long']
-    """
+    """The rows of a table of errors that belong to a member or combiner; those of a bank are called NAME_LABEL."""
     names = list(names)
     return [estimator] if estimator in names else [name for name in names if name.startswith(f"{estimator}_")]
 
@@ -124,9 +104,6 @@ def measure_of(objective: Any, default: str) -> Measure:
 
     Raises:
         ConfigError: it has another form.
-
-    >>> measure_of(None, "ensemble"), measure_of("rnn.forecast.10", "ensemble")
-    (Measure(estimator='ensemble', kind='mae', horizon=0.0), Measure(estimator='rnn', kind='forecast', horizon=10.0))
     """
     name, _, kind = str(default if objective is None else objective).partition(".")
     kind, _, horizon = kind.partition(".")
@@ -161,3 +138,52 @@ def check_measure(measure: Measure, ensemble: Ensemble, fleet: Fleet) -> None:
             )
     if measure.kind == FREE:
         check_halves(fleet)
+
+
+def differing(settings: Sequence[Mapping[str, str]]) -> list[str]:
+    """The keys whose values are not the same in all jobs."""
+    keys = dict.fromkeys(key for each in settings for key in each)
+    return [key for key in keys if len({each.get(key) for each in settings}) > 1]
+
+
+def named(key: str) -> str | None:
+    """The member or combiner that a key of a command names, or None."""
+    found = re.match(r"[+~]*(?:.*@)?(?:estimators|combiners)\.(\w+)", key)
+    return found and found[1]
+
+
+def ranked_by(objective: Any, swept: Iterable[str], results: Iterable[Mapping]) -> Measure | None:
+    """What ranks jobs; None if each job's own output does.
+
+    Raises:
+        ConfigError: the objective has another form.
+    """
+    if objective is not None:
+        return measure_of(objective, "")
+    names = {name for key in swept if (name := named(key)) is not None}
+    if len(names) != 1:
+        return None
+    (name,) = names
+    found = all(own_columns(name, mean_mae(each["boats"])) for each in results if "boats" in each)
+    return Measure(name) if found else None
+
+
+def own_objective(results: Iterable[Mapping]) -> str | None:
+    """The objective that all jobs were given; None if they differ, or if it is the default, the MAE of their output."""
+    found = {each.get("measure") if each.get("measure") != f"{each.get('output')}.mae" else None for each in results}
+    return found.pop() if len(found) == 1 else None
+
+
+def own_measure(result: Mapping[str, Any]) -> Measure:
+    """What ranks a job whose results are `scored`."""
+    return measure_of(result.get("measure"), "output")
+
+
+def scored(result: Mapping[str, Any], by: Measure | None) -> dict[str, Any]:
+    """The results of a job, with what ranks it as `objective`, and its name as `measure`."""
+    if "boats" not in result:
+        return dict(result)
+    if by is None:
+        own = result.get("measure") or f"{result.get('output') or 'tuned'}.mae"
+        return {**result, "measure": own}
+    return {**result, "measure": str(by), "objective": by.value(result)}
