@@ -30,7 +30,7 @@ from usvlearn.estimators.planar.layer import Planar
 from usvlearn.estimators.planar.state import HEADING, TURN
 from usvlearn.evaluation.diagnostics import as_results, identified_planar_boats
 from usvlearn.logs.recordings import align_fleet
-from usvlearn.simulate import turning as simulated
+from usvlearn.simulate import truth as simulated
 from usvlearn.simulate.planar import HERON, simulate_planar
 from usvlearn.simulate.planar_fleet import planar_boats, planar_fleet
 

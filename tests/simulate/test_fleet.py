@@ -296,7 +296,7 @@ def test_most_steps_of_a_default_run_are_measured(commands):
 
 def test_the_same_boats_sail_another_season():
     first, other = (
-        true_parameters(28.0, 3, "heron", 1.0, 30.0, seed=seed, fleet_seed=fleet_seed)
+        true_parameters(28.0, 3, "heron", hours=1.0, mission_minutes=30.0, seed=seed, fleet_seed=fleet_seed)
         for seed, fleet_seed in ((1, None), (2, 1))
     )
     for boat, parameters in first.items():

@@ -68,8 +68,7 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
         from usvlearn.runs.replay import replay
         from usvlearn.runs.run_folder import RunFolder
         from usvlearn.runs.tensorboard import TensorBoardLogger, check_log
-        from usvlearn.simulate.truth import quantities_of
-        from usvlearn.simulate.turning import turning_of
+        from usvlearn.simulate.truth import quantities_of, turning_of
 
     began, settings = time.perf_counter(), {**plain(cfg), "resume": None}
     set_threads(cfg.threads)

@@ -12,21 +12,8 @@ Where the throttle is given directly, the integral follows it, so that switching
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
-
-from torch import Tensor
 
 from usvlearn.errors import check_positive
-
-
-class Reference(NamedTuple):
-    """The references of the boat at one tick, or `(ticks, ...)` for a mission. Leaves are `(*batch,)`."""
-
-    surge: Tensor  # speed over ground, share of the top speed; NaN where the throttle is open
-    throttle: Tensor  # mean of both commands where it is open, share of full scale
-    heading: Tensor  # rad; NaN where the turn is open
-    power: Tensor  # 1, or 0 where both thrusters are off
-    turn: Tensor  # half the difference left less right where it is open, share of full scale
 
 
 @dataclass(frozen=True)

@@ -62,11 +62,6 @@ def faulty_vessels(fault: Fault | None, vessel: Vessel, ticks: Sequence[int], hz
         vessel: before the fault, leaves broadcast against `(missions, boats, ...)`.
         ticks: planned length of each mission, ticks of the autopilot.
         hz: ticks a second.
-
-    >>> from usvlearn.simulate.plants import heron
-    >>> later = faulty_vessels(Fault(share=0.5, minute=1.5), heron(), [240, 240], 4.0)
-    >>> {tick: each.thrust_table[:, 0, 0, -1].tolist() for tick, each in later.items()}
-    {120: [33.6, 16.8], 360: [16.8, 16.8]}
     """
     if fault is None:
         return {}

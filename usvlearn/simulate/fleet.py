@@ -17,7 +17,7 @@ from torch import Tensor
 from usvlearn.core.samples import tree_map
 from usvlearn.errors import ConfigError, check_choice, check_not_negative, check_positive
 from usvlearn.logs.channels.channel import Recording
-from usvlearn.simulate.autopilot import Autopilot, Reference
+from usvlearn.simulate.autopilot import Autopilot
 from usvlearn.simulate.fault import Fault, faulty_vessels
 from usvlearn.simulate.gusts import Gusts
 from usvlearn.simulate.plants import plant as plant_named
@@ -36,11 +36,7 @@ def _rng(seed: int, purpose: int, mission: int = 0, boat: int = 0) -> np.random.
 
 
 def fleet_names(n: int, plant: str) -> list[str]:
-    """The boats' names, in order.
-
-    >>> fleet_names(2, "heron"), fleet_names(1, "heron")
-    (['heron1', 'heron2'], ['heron'])
-    """
+    """The boats' names, in order."""
     return [plant] if n == 1 else [f"{plant}{k + 1}" for k in range(n)]
 
 
@@ -101,10 +97,6 @@ def fleet_missions(
 
     Args:
         ticks: length of each mission, ticks of the autopilot.
-
-    >>> names, courses = fleet_missions(2, [400, 400], 4.0, seed=0, kinds=["convoy"], aborted_share=0.0)
-    >>> names, len(courses[0])
-    (['001_convoy', '002_convoy'], 2)
     """
     names, courses = [], []
     for j, length in enumerate(ticks):
@@ -147,12 +139,6 @@ def sail(
     Returns:
         The step in s, surge over ground and heading at its multiples `(steps + 1, missions, boats)`, and the
         commands `(ticks, missions, boats, 2)`.
-
-    >>> course = MISSIONS["patrol"](np.random.default_rng(0), 400, 4.0)
-    >>> still = torch.zeros((), dtype=torch.float64)
-    >>> dt, surge, heading, commands = sail(plant_named("heron"), [[course]], still, still, Autopilot())
-    >>> surge.shape, commands.shape
-    (torch.Size([1201, 1, 1]), torch.Size([400, 1, 1, 2]))
     """
     from usvlearn.core.jit import announced  # numba takes a moment to import
     from usvlearn.simulate import missions_kernel as kernel
@@ -162,24 +148,21 @@ def sail(
     batch, reference = (len(courses), len(courses[0])), _stacked(courses)
     ticks, count = len(reference.power), batch[0] * batch[1]
     top = steady_surge(vessel, torch.ones(2, dtype=torch.float64))
-    state = tree_map(lambda x: x.numpy().copy(), at_rest((count,), reference.heading[0].nan_to_num().flatten()))
+    first = torch.from_numpy(np.nan_to_num(reference.heading[0]).flatten())
+    state = tree_map(lambda x: x.numpy().copy(), at_rest((count,), first))
     surge, heading = np.empty((2, ticks * substeps + 1, count))
     integral, commands = np.zeros(count), np.empty((ticks, count, 2))
     blows = np.zeros(commands.shape) if wind is None else wind.reshape(commands.shape)
     vessels = {0: vessel} | {tick: changed for tick, changed in (later or {}).items() if tick < ticks}
     for begin, end in pairwise([*sorted(vessels), ticks]):
-        part = tree_map(lambda x, a=begin, b=end: x[a:b].flatten(1).numpy(), reference)
+        part = tree_map(lambda x, a=begin, b=end: x[a:b].reshape(b - a, count), reference)
         steps = slice(begin * substeps, end * substeps)
-        arguments = (
-            kernel.gains(autopilot),
-            part,
-            *kernel.known(vessels[begin], batch, dt, top, current, direction, gusts or Gusts()),
-            blows[begin:end],
-            dt,
-            substeps,
-        )
+        known = kernel.known(vessels[begin], batch, dt, top, current, direction, gusts or Gusts())
         with announced(kernel.__file__, "simulator"):
-            kernel.sail_on(*arguments, integral, state, surge[steps], heading[steps], commands[begin:end])
+            kernel.sail_on(
+                kernel.gains(autopilot), part, *known, blows[begin:end], dt, substeps,
+                integral, state, surge[steps], heading[steps], commands[begin:end],
+            )  # fmt: skip
     surge[-1], heading[-1] = state.surge, state.heading
     through_water, headings, given = (
         torch.from_numpy(x.reshape(len(x), *batch, *x.shape[2:])) for x in (surge, heading, commands)
@@ -187,14 +170,14 @@ def sail(
     return dt, over_ground(through_water, headings, current, direction), headings, given
 
 
-def _stacked(courses: list[list[Mission]]) -> Reference:
+def _stacked(courses: list[list[Mission]]) -> Mission:
     """All courses as `(ticks, missions, boats)`; after its end a course has no power."""
     ticks = max(course.power.size for row in courses for course in row)
-    stacked = torch.zeros((len(Mission._fields), ticks, len(courses), len(courses[0])), dtype=torch.float64)
+    stacked = np.zeros((len(Mission._fields), ticks, len(courses), len(courses[0])))
     for j, row in enumerate(courses):
         for k, course in enumerate(row):
-            stacked[:, : course.power.size, j, k] = torch.from_numpy(np.stack(course))
-    return Reference(*stacked)
+            stacked[:, : course.power.size, j, k] = np.stack(course)
+    return Mission(*stacked)
 
 
 def fleet(
@@ -247,13 +230,8 @@ def fleet(
     """
     for name, value in (("n", n), ("hours", hours), ("mission_minutes", mission_minutes)):
         check_positive(name, value)
-    for name, value in (
-        ("spread", spread),
-        ("drift", drift),
-        ("current", current),
-        ("seed", seed),
-        ("fleet_seed", fleet_seed or 0),
-    ):
+    others = {"spread": spread, "drift": drift, "current": current, "seed": seed, "fleet_seed": fleet_seed or 0}
+    for name, value in others.items():
         check_not_negative(name, value)
     if not isinstance(n, int):
         raise ConfigError(f"n: found {n!r}, expected a whole number of boats")

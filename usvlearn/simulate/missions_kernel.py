@@ -42,11 +42,6 @@ def known(
         vessel: leaves broadcast against `(*batch, …)`, as do `top`, `current` and `direction`.
         dt: step, s.
         gusts: how strong they are.
-
-    >>> from usvlearn.simulate.plants import heron
-    >>> one = torch.ones(())
-    >>> known(heron(), (3, 2), 0.1, one, one, one, Gusts())[0].thrust_table.shape
-    (6, 2, 11)
     """
 
     def elements(leaf: Tensor, *last: int) -> np.ndarray:
@@ -60,11 +55,7 @@ def known(
 
 
 def gains(autopilot: Autopilot) -> tuple[float, ...]:
-    """The autopilot's numbers as `steer` takes them.
-
-    >>> gains(Autopilot())
-    (0.6, 0.075, 0.6, 0.35, 0.0, 0.01)
-    """
+    """The autopilot's numbers as `steer` takes them."""
     a = autopilot
     numbers = a.proportional, a.integral / a.hz, a.heading, a.turn_max, a.lowest, a.resolution
     return tuple(map(float, numbers))
@@ -78,11 +69,7 @@ def clip(x: float, low: float, high: float) -> float:
 
 @jit(memory=True)
 def steer(gains, integral, surge_reference, throttle, heading_reference, power, open_turn, surge, heading):
-    """The next integral and the commands left and right, see `usvlearn.simulate.autopilot`.
-
-    >>> steer(gains(Autopilot()), 0.0, math.nan, 0.5, 0.0, 1.0, 0.0, 0.0, 0.0)
-    (0.5, 0.5, 0.5)
-    """
+    """The next integral and the commands left and right, see `usvlearn.simulate.autopilot`."""
     k_p, k_i, k_h, turn_max, lowest, resolution = gains
     error = 0.0
     if math.isnan(surge_reference):

@@ -50,9 +50,6 @@ def rates(boat: PlanarBoat, velocity: np.ndarray, shaft: np.ndarray) -> np.ndarr
     Args:
         velocity: `(*batch, 3)` u, v, r.
         shaft: `(*batch, 2)` xi, left and right.
-
-    >>> rates(HERON, np.array([1.0, 0.0, 0.5]), np.zeros(2)).round(3).tolist()
-    [-0.646, -0.395, -1.464]
     """
     u, v, r = np.moveaxis(velocity, -1, 0)
     m_u, m_v, _ = boat.mass
@@ -112,9 +109,6 @@ def courses(rng: np.random.Generator, steps: int, dt: float, batch: tuple[int, .
 
     A throttle of −0.3 to 1 and a difference of up to ±0.3 between the sides are each held for 2 to 15 s; in one of four
     spells the boat goes straight, and in one of eight the thrusters are off.
-
-    >>> courses(np.random.default_rng(0), 100, 0.2, (3,)).shape
-    (100, 3, 2)
     """
     width = int(np.prod(batch, dtype=int))
     found = np.empty((steps, width, 2))

@@ -8,7 +8,7 @@ surge and sway come from the velocity and the compass.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -39,42 +39,21 @@ class Voyage(NamedTuple):
 
 
 def planar_boats(n: int, spread: float = 1.0, seed: int = 0) -> list[PlanarBoat]:
-    """Boats that differ like a fleet in use.
-
-    >>> planar_boats(1, spread=0.0)[0] == HERON
-    True
-    """
+    """Boats that differ like a fleet in use."""
     boats = []
     for k in range(n):
         rng = np.random.default_rng([seed, 1, k])
         mass, drag, lift, thrust = (
             1 + spread * change * (rng.random() if i == 0 else rng.uniform(-1, 1)) for i, change in enumerate(CHANGES)
         )
-        boats.append(
-            HERON._replace(
-                mass=(HERON.mass[0] * mass, HERON.mass[1] * mass, HERON.mass[2] * mass),
-                linear=(HERON.linear[0] * drag, HERON.linear[1] * drag, HERON.linear[2] * drag),
-                quadratic=(HERON.quadratic[0] * drag, HERON.quadratic[1] * drag, HERON.quadratic[2] * drag),
-                lift=(HERON.lift[0] * lift, HERON.lift[1] * lift, HERON.lift[2] * lift),
-                thrust=(HERON.thrust[0] * thrust, HERON.thrust[1] * thrust),
-            )
-        )
+        factors = {"mass": mass, "linear": drag, "quadratic": drag, "lift": lift, "thrust": thrust}
+        varied: Any = {name: tuple(x * factor for x in getattr(HERON, name)) for name, factor in factors.items()}
+        boats.append(HERON._replace(**varied))
     return boats
 
 
 def voyage(rng: np.random.Generator, boat: PlanarBoat, minutes: float, current: float, slow: float = 1.0) -> Voyage:
-    """One mission from rest.
-
-    Args:
-        rng: of commands, current and forces.
-        boat: its parameters.
-        minutes: its length.
-        current: m/s, the fastest.
-        slow: share of the slow forces.
-
-    >>> voyage(np.random.default_rng(0), HERON, 1.0, 0.3).position.shape
-    (601, 2)
-    """
+    """One mission from rest."""
     h, steps = 1 / HZ, round(60 * minutes * HZ)
     commands = courses(rng, steps, h)
     kept, share = math.exp(-h / SLOW_TIME), math.sqrt(1 - math.exp(-2 * h / SLOW_TIME))
@@ -95,12 +74,7 @@ def voyage(rng: np.random.Generator, boat: PlanarBoat, minutes: float, current: 
 
 
 def logged(rng: np.random.Generator, truth: Voyage) -> dict[str, Channel]:
-    """The channels of a log of it: commands, compass, gyro, and a GPS with position and velocity.
-
-    >>> rng = np.random.default_rng(0)
-    >>> sorted(logged(rng, voyage(rng, HERON, 0.1, 0.0)))[:4]
-    ['command_left', 'command_right', 'heading', 'latitude']
-    """
+    """The channels of a log of it: commands, compass, gyro, and a GPS with position and velocity."""
     n, each = len(truth.time), round(HZ / GPS_HZ)
     c, s, (u, v, r) = np.cos(truth.heading), np.sin(truth.heading), truth.velocity.T
     ground = np.column_stack([c * u - s * v, s * u + c * v]) + truth.current

@@ -21,33 +21,18 @@ KINGFISHER = (-4, -4, -4, -4, -2, -1, 0, 0, 0, 0, 0, 0, 0, 0.5, 1.5, 4.75, 8.25,
 
 
 def build(
-    mass: float,
-    drag: tuple[float, float],
-    table: Sequence[float],
-    cross: float,
-    yaw_lag: float,
-    lag: float = 0.05,
-    knee: float = math.inf,
+    mass: float,  # kg, added mass included
+    drag: tuple[float, float],  # N s/m and N s^2/m^2: force = drag[0] v + drag[1] v^2
+    table: Sequence[float],  # N of one thruster at evenly spaced commands from -1 to 1
+    cross: float,  # N s^2/(m rad), drag of turning
+    yaw_lag: float,  # s
+    lag: float = 0.05,  # s, of a thruster
+    knee: float = math.inf,  # m/s above which `drag_fast` replaces `drag`
     drag_fast: tuple[float, float] = (0.0, 0.0),
-    sides: tuple[float, float] = (1.0, 1.0),
+    sides: tuple[float, float] = (1.0, 1.0),  # factor on the thrust of the left and of the right side
     dtype: torch.dtype = torch.float64,
 ) -> Vessel:
-    """A vessel without batch axes, from positive drag figures.
-
-    Args:
-        mass: kg, added mass included.
-        drag: N s/m and N s^2/m^2: force = drag[0] v + drag[1] v^2.
-        table: N of one thruster at evenly spaced commands from -1 to 1.
-        cross: N s^2/(m rad), drag of turning.
-        yaw_lag: s.
-        lag: s, of a thruster.
-        knee: m/s above which `drag_fast` replaces `drag`.
-        drag_fast: like `drag`.
-        sides: factor on the thrust of the left and of the right side.
-
-    >>> build(30.0, (10.0, 5.0), (-20.0, 0.0, 20.0), cross=5.0, yaw_lag=0.5).thrust_table.shape
-    torch.Size([2, 3])
-    """
+    """A vessel without batch axes, from positive drag figures."""
 
     def leaf(value):
         return torch.as_tensor(value, dtype=dtype)
@@ -72,11 +57,7 @@ def build(
 
 
 def heron() -> Vessel:
-    """Clearpath Heron, maker's model: 28 kg, drag 16.45 v + 2.942 v^2 N, 33.6 N a side; tops 2.74 m/s.
-
-    >>> heron().mass.item()
-    28.0
-    """
+    """Clearpath Heron, maker's model: 28 kg, drag 16.45 v + 2.942 v^2 N, 33.6 N a side; tops 2.74 m/s."""
     table = (-19.88, -16.52, -12.6, -5.6, -1.4, 0.0, 2.24, 9.52, 21.28, 28.0, 33.6)
     return build(28.0, (16.45, 2.942), table, cross=8.0, yaw_lag=0.5)
 
@@ -85,9 +66,6 @@ def kingfisher() -> Vessel:
     """Clearpath Kingfisher, identified on the boat: 35 kg, drag 17.26 v^2 N; tops 1.5 m/s.
 
     Thrust is nothing from -0.4 to 0.2 of full scale and saturates at 19.5 N ahead, 4 N astern.
-
-    >>> kingfisher().thrust_table.max().item()
-    19.5
     """
     return build(35.0, (0.0, 17.26), KINGFISHER, cross=8.0, yaw_lag=0.5)
 
@@ -96,21 +74,10 @@ def vtec() -> Vessel:
     """VTec: 30 + 2.25 kg, -30 ... 36.5 N a side, the right one times 0.78; tops 1.5 m/s.
 
     Drag is not smooth: 25 v N up to 1.2 m/s, -64.55 v + 70.92 v^2 N above.
-
-    >>> [round(side, 2) for side in vtec().thrust_table[:, -1].tolist()]
-    [36.5, 28.47]
     """
     fast = (-64.55, 70.92)
-    return build(
-        32.25,
-        (25.0, 0.0),
-        (-30.0, 0.0, 36.5),
-        cross=10.0,
-        yaw_lag=0.6,
-        knee=1.2,
-        drag_fast=fast,
-        sides=(1.0, 0.78),
-    )
+    thrust, drag = (-30.0, 0.0, 36.5), (25.0, 0.0)
+    return build(32.25, drag, thrust, cross=10.0, yaw_lag=0.6, knee=1.2, drag_fast=fast, sides=(1.0, 0.78))
 
 
 def otter() -> Vessel:
@@ -118,25 +85,15 @@ def otter() -> Vessel:
 
     Thrust is k n |n|, n the propeller speed: k = 0.01108 N s^2/rad^2 up to 103.9 rad/s ahead, 0.006445 down
     to -101.7 rad/s astern; command 1 is full ahead, -1 full astern. Tabulated at steps of 0.05, within 0.1 N.
-
-    >>> round(otter().thrust_table[0, -1].item(), 1)
-    119.6
     """
-    table = [0.01108 * (103.9 * x) ** 2 if x > 0 else -0.006445 * (101.7 * x) ** 2 for x in _even(41)]
+    even = [2 * i / 40 - 1 for i in range(41)]
+    table = [0.01108 * (103.9 * x) ** 2 if x > 0 else -0.006445 * (101.7 * x) ** 2 for x in even]
     return build(85.5, (77.56, 0.0), table, cross=25.0, yaw_lag=1.0, lag=0.1)
 
 
 def wamv() -> Vessel:
-    """WAM-V: 180 kg, drag 51.3 v + 72.4 v^2 N, -2354 ... 2354 N a side, linear in the command; tops 7.7 m/s.
-
-    >>> wamv().thrust_table[0].tolist()
-    [-2354.0, 0.0, 2354.0]
-    """
+    """WAM-V: 180 kg, drag 51.3 v + 72.4 v^2 N, -2354 ... 2354 N a side, linear in the command; tops 7.7 m/s."""
     return build(180.0, (51.3, 72.4), (-2354.0, 0.0, 2354.0), cross=80.0, yaw_lag=1.5)
-
-
-def _even(nodes: int) -> list[float]:
-    return [2 * i / (nodes - 1) - 1 for i in range(nodes)]
 
 
 PLANTS: dict[str, Callable[[], Vessel]] = {

@@ -14,7 +14,7 @@ import numpy as np
 
 
 class Mission(NamedTuple):
-    """A course of references, one per tick of the autopilot (see `autopilot.Reference`)."""
+    """A course of references, one per tick of the autopilot; of several boats and missions `(ticks, …)`."""
 
     surge: np.ndarray  # (ticks,) speed over ground, share of the top speed; NaN where the throttle is open
     throttle: np.ndarray  # (ticks,) mean of both commands where it is open, share of full scale
@@ -24,22 +24,14 @@ class Mission(NamedTuple):
 
 
 def legs(rng: np.random.Generator, ticks: int, hz: float, shortest: float, longest: float) -> np.ndarray:
-    """The number of the leg at each tick, `(ticks,)`; legs last `shortest` ... `longest` s.
-
-    >>> legs(np.random.default_rng(0), 6, 4.0, 0.5, 0.5).tolist()
-    [0, 0, 1, 1, 2, 2]
-    """
+    """The number of the leg at each tick, `(ticks,)`; legs last `shortest` ... `longest` s."""
     least, most = max(1, round(shortest * hz)), max(1, round(longest * hz))
     lasts = rng.integers(least, most + 1, size=ticks // least + 1)
     return np.repeat(np.arange(lasts.size), lasts)[:ticks]
 
 
 def convoy(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
-    """Follow in a column: the speed changes now and then and oscillates with the gap, and the path winds.
-
-    >>> convoy(np.random.default_rng(0), 2400, 4.0).surge.shape
-    (2400,)
-    """
+    """Follow in a column: the speed changes now and then and oscillates with the gap, and the path winds."""
     time = np.arange(ticks) / hz
     leg = legs(rng, ticks, hz, 30.0, 120.0)
     surge = rng.uniform(0.25, 0.85, leg[-1] + 1)[leg]
@@ -51,11 +43,7 @@ def convoy(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
 
 
 def patrol(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
-    """Go round a polygon with an open throttle that changes now and then, and coast at times.
-
-    >>> bool(np.isnan(patrol(np.random.default_rng(0), 2400, 4.0).surge).all())
-    True
-    """
+    """Go round a polygon with an open throttle that changes now and then, and coast at times."""
     leg = legs(rng, ticks, hz, 25.0, 70.0)
     turn = rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 2.1, leg[-1] + 1)
     heading = (rng.uniform(0, 2 * math.pi) + np.cumsum(turn))[leg]
@@ -66,12 +54,7 @@ def patrol(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
 
 
 def lawn_mower(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
-    """Survey parallel lines, each at a constant speed, with two right-angle turns between lines.
-
-    >>> lines = lawn_mower(np.random.default_rng(0), 2400, 4.0).heading
-    >>> len(set(lines.round(6)))  # up, across, down
-    3
-    """
+    """Survey parallel lines, each at a constant speed, with two right-angle turns between lines."""
     line, across = round(rng.uniform(30.0, 70.0) * hz), round(rng.uniform(6.0, 14.0) * hz)
     track = np.arange(ticks) // (line + across)
     crossing = np.arange(ticks) % (line + across) >= line
@@ -83,11 +66,7 @@ def lawn_mower(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
 
 
 def station_keeping(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
-    """Hold a position: bursts of throttle (astern if the autopilot may), turns on the spot, coasting.
-
-    >>> bool(0 < station_keeping(np.random.default_rng(0), 2400, 4.0).power.mean() < 1)
-    True
-    """
+    """Hold a position: bursts of throttle (astern if the autopilot may), turns on the spot, coasting."""
     spell = legs(rng, ticks, hz, 4.0, 16.0)
     count = spell[-1] + 1
     throttle = rng.uniform(-0.4, 0.8, count)[spell]
@@ -97,13 +76,7 @@ def station_keeping(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
 
 
 def random_commands(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
-    """Both commands open and independent, from 0 to full ahead, drawn anew every 4 s: nothing is controlled.
-
-    >>> course = random_commands(np.random.default_rng(0), 2400, 4.0)
-    >>> left = (course.throttle + course.turn)[course.power > 0]
-    >>> bool(0 <= left.min() < 0.05 and 0.95 < left.max() <= 1)
-    True
-    """
+    """Both commands open and independent, from 0 to full ahead, drawn anew every 4 s: nothing is controlled."""
     spell = legs(rng, ticks, hz, 4.0, 4.0)
     left, right = rng.random((2, spell[-1] + 1))[:, spell]
     none = np.full(ticks, np.nan)
@@ -111,12 +84,7 @@ def random_commands(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
 
 
 def paused(rng: np.random.Generator, mission: Mission) -> Mission:
-    """The mission with the thrusters off for 10 ... 25 % of its length, somewhere in the middle.
-
-    >>> ahead = Mission(*np.ones((5, 100)))
-    >>> bool(10 <= (paused(np.random.default_rng(0), ahead).power == 0).sum() <= 25)
-    True
-    """
+    """The mission with the thrusters off for 10 ... 25 % of its length, somewhere in the middle."""
     ticks = mission.power.size
     off, start = round(ticks * rng.uniform(0.1, 0.25)), round(ticks * rng.uniform(0.25, 0.6))
     power = mission.power.copy()
@@ -125,12 +93,7 @@ def paused(rng: np.random.Generator, mission: Mission) -> Mission:
 
 
 def aborted(rng: np.random.Generator, mission: Mission, hz: float, coast: float = 15.0) -> Mission:
-    """The mission cut short at 30 ... 80 % of its length, the thrusters off over its last `coast` s.
-
-    >>> ahead = Mission(*np.ones((5, 1000)))
-    >>> 300 <= aborted(np.random.default_rng(0), ahead, 4.0).power.size <= 800
-    True
-    """
+    """The mission cut short at 30 ... 80 % of its length, the thrusters off over its last `coast` s."""
     ticks = max(1, round(mission.power.size * rng.uniform(0.3, 0.8)))
     short = Mission(*(leaf[:ticks].copy() for leaf in mission))
     short.power[max(0, ticks - round(coast * hz)) :] = 0.0

@@ -106,13 +106,7 @@ class Truth(NamedTuple):
 def measure(
     rng: np.random.Generator, truth: Truth, sensors: Sensors
 ) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
-    """The channels of the log, and how many messages each lost to single losses and to outages.
-
-    >>> still = Truth(0.1, np.zeros(101), np.zeros(101), 0.25, np.zeros((40, 2)))
-    >>> channels, lost = measure(np.random.default_rng(0), still, Sensors())
-    >>> list(channels), lost["surge"]
-    (['command_left', 'command_right', 'heading', 'surge'], {'lost': 1, 'outage': 0})
-    """
+    """The channels of the log, and how many messages each lost to single losses and to outages."""
     span = (truth.surge.size - 1) * truth.dt
     held = sensors.commands == "on_change"
     window = (sensors.command_window, sensors.command_window, sensors.heading_window, sensors.surge_window)

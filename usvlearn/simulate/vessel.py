@@ -53,22 +53,13 @@ class VesselState(NamedTuple):
 
 
 def at_rest(batch: tuple[int, ...] = (), heading: Tensor | float = 0.0, dtype=torch.float64) -> VesselState:
-    """The state of a vessel that lies still.
-
-    >>> at_rest((3,)).shaft.shape
-    torch.Size([3, 2])
-    """
+    """The state of a vessel that lies still."""
     zero = torch.zeros(batch, dtype=dtype)
     return VesselState(zero, zero + heading, zero, torch.zeros(*batch, 2, dtype=dtype))
 
 
 def scale_thrust(vessel: Vessel, sides: Tensor) -> Vessel:
-    """The vessel with the thrust of each side multiplied by `sides`, `(*batch, 2)`.
-
-    >>> from usvlearn.simulate.plants import heron
-    >>> scale_thrust(heron(), torch.tensor([0.5, 1.0])).thrust_table[:, -1].tolist()
-    [16.8, 33.6]
-    """
+    """The vessel with the thrust of each side multiplied by `sides`, `(*batch, 2)`."""
     return vessel._replace(
         thrust_table=vessel.thrust_table * sides[..., None],
         thrust_linear=vessel.thrust_linear * sides,
@@ -78,12 +69,7 @@ def scale_thrust(vessel: Vessel, sides: Tensor) -> Vessel:
 
 
 def drag(vessel: Vessel, surge: Tensor, yaw_rate: Tensor | float = 0.0) -> Tensor:
-    """Force of the water on the hull, N, `(*batch,)`: the first three terms of (1).
-
-    >>> from usvlearn.simulate.plants import heron
-    >>> round(float(drag(heron(), torch.tensor(2.0, dtype=torch.float64))), 3)
-    -44.668
-    """
+    """Force of the water on the hull, N, `(*batch,)`: the first three terms of (1)."""
     turning: Any = abs(yaw_rate)
     return resistance(vessel, abs(surge), vessel.drag_cross * turning) * surge
 
@@ -105,10 +91,6 @@ def static_thrust(vessel: Vessel, shaft: Tensor) -> Tensor:
     """Force of each thruster without the term in the speed, N, `(*batch, 2)`: (2) with gamma = 0.
 
     The table is interpolated linearly; beyond its ends (|xi| > 1) the thruster is saturated.
-
-    >>> from usvlearn.simulate.plants import heron
-    >>> static_thrust(heron(), torch.tensor([0.9, 3.0], dtype=torch.float64)).tolist()
-    [30.8, 33.6]
     """
     shaft = shaft.clamp(-1.0, 1.0)
     nodes = vessel.thrust_table.shape[-1]
@@ -137,13 +119,6 @@ def step(vessel: Vessel, state: VesselState, command: Tensor, dt: float) -> Vess
     Args:
         command: `(*batch, 2)` left and right, share of full scale; saturates at -1 and 1.
         dt: s; stable at 0.1 s and below for every vessel of `plants`.
-
-    >>> from usvlearn.simulate.plants import heron
-    >>> state = at_rest()
-    >>> for _ in range(200):
-    ...     state = step(heron(), state, torch.ones(2, dtype=torch.float64), 0.1)
-    >>> round(float(state.surge), 2)
-    2.74
     """
     command = command.clamp(-1.0, 1.0)
     lag = vessel.lag.unsqueeze(-1)
@@ -205,14 +180,6 @@ def over_ground(surge: Tensor, heading: Tensor, current: Tensor, direction: Tens
     """Surge speed over ground, m/s: through the water, plus the current's part along the heading.
 
     All arguments broadcast.
-
-    Args:
-        current: speed of the water over ground, m/s.
-        direction: where the water flows to, rad, 0 north, clockwise.
-
-    >>> north, south = torch.tensor(0.0), torch.tensor(torch.pi)
-    >>> over_ground(torch.tensor(1.0), north, torch.tensor(0.25), south).item()
-    0.75
     """
     return surge + current * torch.cos(direction - heading)
 
