@@ -7,7 +7,24 @@ import pytest
 from tensorboard.backend.event_processing.event_file_loader import EventFileLoader
 
 from tests.support.boards import boards, texts, values
-from usvlearn.display.tensorboard import TensorBoardWriter
+from usvlearn.display.figures import colours, worst_stretch
+from usvlearn.display.json_values import finite
+from usvlearn.display.tensorboard import TensorBoardWriter, folder_names
+
+
+def test_texts_are_names_of_different_folders():
+    names = ["data.path=../x aid.gain=3", "..", "a/b", "a:b", "c"]
+    assert folder_names(names) == ["data.path=.._x aid.gain=3", "_", "a_b", "a_b_", "c"]
+
+
+def test_an_estimator_has_one_colour_and_the_next_only_where_two_would_share_it():
+    assert colours(["aid", "my_rls", "ensemble+"]) == {"aid": "#12b5cb", "my_rls": "#6699CC", "ensemble+": "#e52592"}
+    assert colours(["mine", "my_rls"])["my_rls"] == "#6699CC"
+
+
+def test_the_worst_minute_is_found_and_json_has_finite_numbers():
+    assert worst_stretch(np.arange(200.0), np.where(np.arange(200) == 100, 1.0, 0.0)) == slice(40, 101)
+    assert finite({"a": np.nan, "b": (1.0, np.inf)}) == {"a": None, "b": [1.0, None]}
 
 
 def test_points_and_checksums_are_those_that_tensorboard_reads(tmp_path):

@@ -19,7 +19,7 @@ from tests.support.seasons import boats
 from usvlearn import AID, Ensemble
 from usvlearn.cli.evaluate import main
 from usvlearn.core.checkpoint import checkpoints, load
-from usvlearn.display.result_table import ResultTable
+from usvlearn.display.terminal import ResultTable
 from usvlearn.errors import CheckpointError, ConfigError, MissingExtraError
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.report.build import Tools, assemble, known_quantities, read

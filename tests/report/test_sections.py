@@ -8,7 +8,7 @@ import torch
 
 from tests.support.seasons import boats
 from usvlearn import AID, ARX, RLS, RNN, Ensemble, JointEKF, Robust, SIFtRLS, SurgeDynamics
-from usvlearn.display.result_table import ResultTable
+from usvlearn.display.terminal import ResultTable
 from usvlearn.evaluation.diagnostics import physical_members
 from usvlearn.report.sections.cost import cost_section
 from usvlearn.report.sections.errors import online_section

@@ -17,8 +17,7 @@ from rich.console import Console, Group
 
 from tests.support import ROOT, over
 from usvlearn.display.activity import doing
-from usvlearn.display.activity_bar import Activity
-from usvlearn.display.terminal import Blocks, console
+from usvlearn.display.terminal import Activity, Blocks, console
 from usvlearn.estimators.joint.periodic_estimates import Identified, Quantity
 from usvlearn.evaluation.metrics import scores
 from usvlearn.report.tables import error_tables, identified_table, rejection_table, summary_lines, tuning_table

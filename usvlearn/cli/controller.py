@@ -44,7 +44,7 @@ def work(arguments: Sequence[str]) -> None:
     given = vars(parser().parse_args(list(arguments)))
     path, name, out = given.pop("path"), given.pop("boat"), given.pop("out")
     from usvlearn.display import terminal
-    from usvlearn.display.activity_bar import Activity
+    from usvlearn.display.terminal import Activity
 
     with Activity(terminal.console(), "loading"):
         from usvlearn.model.controller.design import Wanted, controller

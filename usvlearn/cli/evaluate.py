@@ -12,8 +12,7 @@ from usvlearn.cli.sweep import load
 from usvlearn.composition.alignment import CheckedAlignment
 from usvlearn.composition.configuration import instantiate, plain
 from usvlearn.core.unconfirmed import open_questions, unconfirmed
-from usvlearn.display.activity_bar import Activity
-from usvlearn.display.terminal import console, show
+from usvlearn.display.terminal import Activity, console, show
 from usvlearn.errors import ConfigError  # what needs torch is imported where it is used: --help is quick
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.sweeps.launchers import set_threads

@@ -26,7 +26,7 @@ def parser() -> argparse.ArgumentParser:
 def work(arguments: Sequence[str]) -> None:
     """Write the logs, and say what can be done with them."""
     from usvlearn.display import terminal
-    from usvlearn.display.activity_bar import Activity
+    from usvlearn.display.terminal import Activity
 
     given = parser().parse_args(arguments)
     folder = out_folder(given.folder, "FOLDER")

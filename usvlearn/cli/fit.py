@@ -53,7 +53,7 @@ def work(arguments: Sequence[str], console: Console | None = None) -> None:
         print(f"{refit(folder)}\nvalues: usvlearn live status {folder}")
         return
     from usvlearn.display import terminal
-    from usvlearn.display.activity_bar import Activity
+    from usvlearn.display.terminal import Activity
 
     renews, console = console is None, console or terminal.console()
     with Activity(console, "loading"):

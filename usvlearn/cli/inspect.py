@@ -37,7 +37,7 @@ def parser() -> argparse.ArgumentParser:
 def work(arguments: Sequence[str]) -> None:
     """Inspect, print, and write."""
     from usvlearn.display import terminal
-    from usvlearn.display.activity_bar import Activity
+    from usvlearn.display.terminal import Activity
 
     options = parser().parse_args(list(arguments))
     if options.confirm:

@@ -20,7 +20,7 @@ from usvlearn.composition.alignment import CheckedAlignment
 from usvlearn.composition.configuration import as_written, check_settings, ensemble_of, instantiate, plain, planar_of
 from usvlearn.core.unconfirmed import SECTION, open_questions, unconfirmed
 from usvlearn.display import terminal
-from usvlearn.display.activity_bar import Activity
+from usvlearn.display.terminal import Activity
 from usvlearn.errors import check_positive
 from usvlearn.logs.setup import setups_of
 from usvlearn.report.tables import (

@@ -17,12 +17,7 @@ def doing(what: str) -> None:
 
 @contextmanager
 def shown_by(show: Callable[[str], object]) -> Iterator[None]:
-    """A context in which `doing` calls a function.
-
-    >>> with shown_by(print):
-    ...     doing("reading a.csv, 1 of 3")
-    reading a.csv, 1 of 3
-    """
+    """A context in which `doing` calls a function."""
     before = _SHOW.set(show)
     try:
         yield

@@ -18,7 +18,6 @@ from usvlearn.errors import MissingExtraError, cause_of, printable
 P = ParamSpec("P")
 T = TypeVar("T")
 
-MOST_MEMBERS = 4  # in figures of a run
 WORST = 60.0  # s, the stretch that is enlarged
 INK, LINE = "#1f2430", "#c8ccd4"  # text and axes; grids. A report replaces them by the colours of its theme
 SEVEN = {  # the colours of TensorBoard's runs, in its order, and who has them: estimators that are never compared share
@@ -40,11 +39,6 @@ def colours(names: Sequence[str]) -> dict[str, str]:
 
     So an estimator has one colour in all figures, whichever others are beside it. Only where two of the same figure
     would share a colour, the second one has the next. NAME+ has the colour of NAME.
-
-    >>> colours(["aid", "my_rls", "ensemble", "ensemble+"])
-    {'aid': '#12b5cb', 'my_rls': '#6699CC', 'ensemble': '#e52592', 'ensemble+': '#e52592'}
-    >>> colours(["mine", "my_rls"])["my_rls"], colours(["my_rls"])["my_rls"]
-    ('#6699CC', '#6699CC')
     """
     found = dict(KNOWN)
     for name in dict.fromkeys(name.rstrip("+") for name in names):
@@ -53,15 +47,6 @@ def colours(names: Sequence[str]) -> dict[str, str]:
             order = (*OTHERS[first:], *OTHERS[:first])
             found[name] = next((each for each in order if each not in found.values()), order[0])
     return {name: found[name.rstrip("+")] for name in names}
-
-
-def main_estimators(weighed: Sequence[str], output: str) -> list[str]:
-    """The estimators in figures of a run: the first members that the ensemble's output weighs, and the output last.
-
-    >>> main_estimators(["joint", "joint_quick", "arx", "joint_averaged", "aid"], "ensemble")
-    ['joint', 'joint_quick', 'arx', 'joint_averaged', 'ensemble']
-    """
-    return [*list(weighed)[:MOST_MEMBERS], output]
 
 
 @contextmanager
@@ -143,9 +128,6 @@ def worst_stretch(time: np.ndarray, error: np.ndarray) -> slice:
     Args:
         time: s, `(time,)`.
         error: `(time,)`; NaN where unknown.
-
-    >>> worst_stretch(np.arange(200.0), np.where(np.arange(200) == 100, 1.0, 0.0))
-    slice(40, 101, None)
     """
     sums, counts = (np.append(0.0, np.cumsum(x)) for x in (np.nan_to_num(error), np.isfinite(error)))
     ends = np.searchsorted(time, time + WORST, side="right")  # of the stretch that begins at each step

@@ -9,11 +9,7 @@ from usvlearn.errors import printable
 
 
 def finite(value: Any) -> Any:
-    """JSON values, in which a number that is not finite becomes None, and text cannot control a terminal.
-
-    >>> finite({"a": math.nan, "b": (1.0, math.inf)})
-    {'a': None, 'b': [1.0, None]}
-    """
+    """JSON values, in which a number that is not finite becomes None, and text cannot control a terminal."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):

@@ -42,10 +42,6 @@ class TensorBoardWriter:
 
     Raises:
         OSError: also from any method: something could not be written.
-
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder, TensorBoardWriter(folder) as board:
-    ...     board.scalars({"1 overview/MAE (m/s)": 0.05}, step=300, run="heron/aid")
     """
 
     def __init__(
@@ -196,20 +192,12 @@ _protos = functools.cache(_Protos)
 
 
 def folder_name(text: str) -> str:
-    """A text as a name of a folder, and of one part of a run's name.
-
-    >>> folder_name("data.path=../x aid.gain=3"), folder_name("..")
-    ('data.path=.._x aid.gain=3', '_')
-    """
+    """A text as a name of a folder, and of one part of a run's name."""
     return re.sub(r"[^\w.,=+ -]+", "_", text).strip(" .")[:LONGEST].strip(" .") or "_"
 
 
 def folder_names(texts: Iterable[str]) -> list[str]:
-    """Texts as different names of folders.
-
-    >>> folder_names(["a/b", "a:b", "c"])
-    ['a_b', 'a_b_', 'c']
-    """
+    """Texts as different names of folders."""
     found: list[str] = []
     for text in texts:
         name = folder_name(text)

@@ -1,19 +1,27 @@
-"""Printing at any width: no number and no name is cut.
+"""What a terminal shows: sentences and tables at any width, what a command is doing; and tables as files.
 
-A table that is too wide is split into blocks, one below the other; each begins with the columns of names. Output to a
-file or a pipe has no width limit, unless COLUMNS sets one.
+No number and no name is cut. A table that is too wide is split into blocks, one below the other; each begins with the
+columns of names. Output to a file or a pipe has no width limit, unless COLUMNS sets one.
 """
 
 from __future__ import annotations
 
+import csv
+import io
 import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from html import escape
+from typing import Any, NamedTuple
 
 from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions
+from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.table import Column
 from rich.text import Text
 
-from usvlearn.errors import drop_output, folded
+from usvlearn.display.activity import shown_by
+from usvlearn.errors import drop_output, folded, printable
 
 UNLIMITED = 100_000  # columns of a file or a pipe
 GAP, RULE = "  ", "─"
@@ -56,20 +64,6 @@ class Blocks:
         names: headings of the columns that begin every block, left-aligned.
         numbers: headings of the other columns, right-aligned.
         folded: those of `names` that may take several lines, broken between words if possible.
-
-    >>> table = Blocks("MAE, m/s", ["estimator"], ["heron", "otter"])
-    >>> table.add("aid", "0.0312", "0.0298")
-    >>> Console(width=20).print(table)
-    MAE, m/s
-    <BLANKLINE>
-    estimator   heron
-    ─────────────────
-    aid        0.0312
-    <BLANKLINE>
-    estimator   otter
-    ─────────────────
-    aid        0.0298
-    <BLANKLINE>
     """
 
     def __init__(self, title: str, names: Sequence[str], numbers: Sequence[str] = (), folded: Collection[str] = ()):
@@ -157,3 +151,106 @@ class Blocks:
             blocks[-1].append(k)
             left -= taken
         return blocks
+
+
+BAR = 20  # columns
+
+
+class Activity:
+    """A context that shows what `usvlearn.display.activity.doing` tells; nothing is left of it, and nothing goes into a
+    file.
+
+    Args:
+        console: of the terminal.
+        what: is done first.
+    """
+
+    def __init__(self, console: Console, what: str = "starting"):
+        text = TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis"))
+        bar = BarColumn(BAR), TaskProgressColumn(), TimeRemainingColumn()
+        self._progress = Progress(SpinnerColumn(), text, *bar, console=console, transient=True)
+        self._stack, self.done = ExitStack(), 0.0
+        self._task = self._progress.add_task(what, total=None)
+
+    def __enter__(self) -> Activity:
+        # In a file it would leave an empty line. While rich draws, all that is printed goes to its console, and a quiet
+        # one would lose the lines that a sweep prints of its jobs.
+        if self._progress.console.is_terminal and not self._progress.console.quiet:
+            self._stack.enter_context(self._progress)
+        self._stack.enter_context(shown_by(self.tell))
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stack.close()
+
+    def tell(self, what: str) -> None:
+        """What is done now; the bar stays as it is."""
+        self._progress.update(self._task, description=printable(what))
+
+    def begin(self, what: str, total: float | None = None) -> None:
+        """What is done from now on, and how much it is; None where that is not known."""
+        self.done = 0.0
+        self._progress.remove_task(self._task)
+        self._task = self._progress.add_task(printable(what), total=total)
+
+    def advance(self, amount: float) -> None:
+        """So much more is done."""
+        self.completed(self.done + amount)
+
+    def completed(self, amount: float) -> None:
+        """So much is done in all."""
+        self.done = float(amount)
+        self._progress.update(self._task, completed=amount)
+
+
+Cell = str | float | int | bool | None
+
+
+class ResultTable(NamedTuple):
+    """Rows under named columns; the names contain the units."""
+
+    name: str  # of its file
+    columns: tuple[str, ...]
+    rows: Sequence[tuple[Cell, ...]]
+
+    def csv(self) -> str:
+        """All digits; None is empty."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(self.columns)
+        writer.writerows(self.rows)
+        return text.getvalue()
+
+    def markdown(self) -> str:
+        """The table with four digits; columns of numbers are right-aligned."""
+        lines = [
+            "| " + " | ".join(self.columns) + " |",
+            "|" + "|".join("---:" if right else "---" for right in self._numeric()) + "|",
+            *("| " + " | ".join(map(shown, row)) + " |" for row in self.rows),
+        ]
+        return "\n".join(lines)
+
+    def html(self) -> str:
+        """A `<table>`; four digits."""
+        right = [' class="n"' if each else "" for each in self._numeric()]
+        head = "".join(f"<th{r}>{escape(name)}</th>" for name, r in zip(self.columns, right, strict=True))
+        body = "".join(
+            "<tr>" + "".join(f"<td{r}>{escape(shown(x))}</td>" for x, r in zip(row, right, strict=True)) + "</tr>\n"
+            for row in self.rows
+        )
+        return f"<table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}</tbody>\n</table>"
+
+    def _numeric(self) -> list[bool]:
+        columns = zip(*self.rows, strict=True) if self.rows else [()] * len(self.columns)
+        return [any(isinstance(x, int | float) for x in cells) for cells in columns]
+
+
+def shown(x: Any) -> str:
+    """A cell as shown: four significant digits, or a dash if the value is unknown."""
+    if x is None or x != x:
+        return "–"
+    if isinstance(x, bool):
+        return "yes" if x else "no"
+    if isinstance(x, float):
+        return f"{x:.4g}" if abs(x) < 1000 else f"{x:.0f}"
+    return str(x)

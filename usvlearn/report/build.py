@@ -15,8 +15,7 @@ from rich.console import Console
 from usvlearn.core.lock import Lock
 from usvlearn.core.samples import Fleet, speed_limit, tree_map
 from usvlearn.core.unconfirmed import Questions, unconfirmed
-from usvlearn.display.activity_bar import Activity
-from usvlearn.display.terminal import show
+from usvlearn.display.terminal import Activity, show
 from usvlearn.engine.rollouts import stack
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.ensemble.layer import Ensemble

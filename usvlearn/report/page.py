@@ -19,7 +19,7 @@ import numpy as np
 from usvlearn.core.checkpoint import write_atomically
 from usvlearn.core.lock import NAME as LOCK
 from usvlearn.display.figures import INK, LINE, attempted, themed
-from usvlearn.display.result_table import ResultTable
+from usvlearn.display.terminal import ResultTable
 from usvlearn.errors import ConfigError
 from usvlearn.evaluation.crossval import FreeErrors
 from usvlearn.report.sections.section import Section

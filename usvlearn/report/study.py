@@ -23,7 +23,7 @@ import usvlearn
 from usvlearn.core.checkpoint import write_atomically
 from usvlearn.core.lock import Lock
 from usvlearn.display.figures import themed
-from usvlearn.display.result_table import ResultTable
+from usvlearn.display.terminal import ResultTable
 from usvlearn.errors import ConfigError
 from usvlearn.evaluation.metrics import by_error, mean_mae
 from usvlearn.report.sections.section import Section

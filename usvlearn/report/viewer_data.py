@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from usvlearn.core.samples import masks
-from usvlearn.display.figures import PAPER, SIDES, colours, main_estimators
+from usvlearn.display.figures import PAPER, SIDES, colours
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.free_simulation import FreeRun
 from usvlearn.evaluation.season import Season, SeasonRun
@@ -27,6 +27,7 @@ from usvlearn.report.track_maps import Ahead, BoatTracks
 BUDGET = 1_500_000  # numbers; 4 MB in a page
 LEVELS = 65534  # of a series
 BINS, FEWEST = 14, 5  # of residuals, and steps without which a bin is left out
+MOST_MEMBERS = 4  # of those that the output weighs
 NEAR = 1.2  # s between two points of a forecast track
 LOGGED = "Positions as logged."
 RECKONED = "The log has no positions: the track is reckoned from the measured speed and the heading, so that it drifts."
@@ -46,7 +47,7 @@ def viewer_data(
         free: each boat's open-loop simulations (`usvlearn.evaluation.free_simulation.free_runs`).
         tracks: of the boats (`usvlearn.report.track_maps.saved_tracks`), shown with the missions that have them.
     """
-    own = main_estimators(ensemble.weighed, ensemble.output)
+    own = [*ensemble.weighed[:MOST_MEMBERS], ensemble.output]
     hidden = [name for name in PAPER if name in ensemble.names and name not in own]
     shown = [*hidden, *own]
     columns = [ensemble.names.index(name) for name in shown]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from usvlearn.core.samples import Fleet, Run
-from usvlearn.display.result_table import ResultTable
+from usvlearn.display.terminal import ResultTable
 from usvlearn.evaluation import objective
 from usvlearn.evaluation.objective import Measure
 

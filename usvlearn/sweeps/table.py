@@ -10,8 +10,7 @@ from rich.console import Group
 from rich.text import Text
 
 from certify.proofs.rounding import above
-from usvlearn.display.result_table import ResultTable
-from usvlearn.display.terminal import Blocks
+from usvlearn.display.terminal import Blocks, ResultTable
 from usvlearn.errors import printable
 from usvlearn.evaluation.comparison import Difference, SeedDifference, short_keys
 from usvlearn.evaluation.metrics import mean, mean_mae

@@ -10,7 +10,7 @@ from typing import Any
 
 from usvlearn.core.protocol import Estimator
 from usvlearn.core.samples import Inputs, Sample, named_leaves
-from usvlearn.display.result_table import Cell, ResultTable
+from usvlearn.display.terminal import Cell, ResultTable
 from usvlearn.engine.online import Online
 from usvlearn.estimators.aid.layer import AID
 from usvlearn.estimators.arx.layer import ARX

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from usvlearn.display.figures import PAPER
-from usvlearn.display.result_table import ResultTable
+from usvlearn.display.terminal import ResultTable
 from usvlearn.evaluation.crossval import FreeErrors
 from usvlearn.evaluation.metrics import by_error
 from usvlearn.evaluation.season import Season

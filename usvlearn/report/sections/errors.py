@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from usvlearn.display.figures import INK, LINE, PAPER, colours, guarded, panels_of, themed
-from usvlearn.display.result_table import ResultTable
+from usvlearn.display.terminal import ResultTable
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.horizons import GROUPS, Scores, ensemble_scores
 from usvlearn.evaluation.metrics import PERSISTENCE, Autocorrelation, autocorrelation_of_runs, by_error, scores

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from usvlearn.core.events import event_of
-from usvlearn.display.result_table import ResultTable
+from usvlearn.display.terminal import ResultTable
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.monitors.state import THRESHOLD
 from usvlearn.evaluation.diagnostics import events

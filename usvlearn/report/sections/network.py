@@ -13,7 +13,7 @@ from certify.proofs import exact
 from certify.proofs.equilibria import surge_inputs, sweep
 from certify.proofs.rounding import above, below, float_above, float_below
 from usvlearn.display.figures import guarded
-from usvlearn.display.result_table import ResultTable
+from usvlearn.display.terminal import ResultTable
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.state import EnsembleState
 from usvlearn.estimators.rnn.layer import RNN, element_weights

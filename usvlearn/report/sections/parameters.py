@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from usvlearn.core.samples import tree_map
-from usvlearn.display.result_table import ResultTable
+from usvlearn.display.terminal import ResultTable
 from usvlearn.engine.identified import sentences
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.joint.curves import curves

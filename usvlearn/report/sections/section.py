@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from usvlearn.display.result_table import ResultTable
+from usvlearn.display.terminal import ResultTable
 from usvlearn.evaluation.metrics import by_error
 
 

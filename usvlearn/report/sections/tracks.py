@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from usvlearn.display.figures import INK, KNOWN, LINE, OTHERS, guarded, panels_of, themed
-from usvlearn.display.result_table import ResultTable
+from usvlearn.display.terminal import ResultTable
 from usvlearn.evaluation.horizons import GROUPS
 from usvlearn.evaluation.metrics import mean
 from usvlearn.report.sections.section import Drawn, Section

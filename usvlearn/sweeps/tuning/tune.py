@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 from rich.console import Console
 
 from usvlearn.core.samples import Fleet
-from usvlearn.display.activity_bar import Activity
-from usvlearn.display.terminal import show
+from usvlearn.display.terminal import Activity, show
 from usvlearn.errors import ConfigError, under
 from usvlearn.estimators.baselines.persistence.layer import Persistence
 from usvlearn.evaluation.free_simulation import check_halves
