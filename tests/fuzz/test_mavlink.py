@@ -11,8 +11,7 @@ import pytest
 pytest.importorskip("pymavlink", reason="needs the package pymavlink")
 
 from tests.support.mavboat import MavBoat, RecordingSession, mavlink
-from usvlearn.live.mavlink.routes import CHANNELS
-from usvlearn.live.mavlink.telemetry import ROOM
+from usvlearn.live.mavlink.messages import CHANNELS, ROOM
 from usvlearn.live.mavlink.vehicle import Vehicle
 from usvlearn.logs.channels.channel import Source
 from usvlearn.logs.formats.ardupilot.mavlink_messages import MESSAGES
@@ -41,10 +40,6 @@ class Counting(RecordingSession):
 
     def drop(self, part, cause):
         self.count[part, cause] += 1
-
-    def tick(self, now):
-        self.ticks.clear()
-        return super().tick(now)
 
     def restart(self):
         self.count["restart"] += 1

@@ -7,7 +7,7 @@ import pytest
 
 from usvlearn.cli import aboard
 from usvlearn.errors import ConfigError
-from usvlearn.live.arguments import add_arguments, options_of
+from usvlearn.live.start import add_arguments, options_of
 
 GIVEN = ["--mass", "28", "--surge-max", "2.7"]
 

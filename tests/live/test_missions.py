@@ -21,9 +21,7 @@ from usvlearn.live import message_buffer, missions
 from usvlearn.live.missions import read_refit, settings_of
 from usvlearn.live.session import Session
 from usvlearn.live.start import Options, channel_options
-from usvlearn.live.status.operator_page import page
-from usvlearn.live.status.publications import of_health
-from usvlearn.live.status.status_file import status_lines
+from usvlearn.live.status import of_health, page, status_lines
 from usvlearn.model.fit.boat import FittedBoat
 from usvlearn.model.read_boats import read_boats
 

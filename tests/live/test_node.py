@@ -21,9 +21,7 @@ from usvlearn.live.node_folder import NodeFolder
 from usvlearn.live.plan_requests import parse_plan, sampled
 from usvlearn.live.prior import prior
 from usvlearn.live.start import Options, begin
-from usvlearn.live.status.operator_page import WIDTH, page
-from usvlearn.live.status.publications import KINDS, PLANNED, TABLE, TRACK, of_health, of_step, told
-from usvlearn.live.status.status_line import StatusLine
+from usvlearn.live.status import PLANNED, TABLE, TRACK, WIDTH, StatusLine, of_health, of_step, page, told
 from usvlearn.logs.alignment.align import Aligner
 from usvlearn.logs.alignment.mixing import Mix, sides_of
 from usvlearn.logs.channels.channel import REQUIRED, Source
@@ -320,8 +318,9 @@ def test_posts_are_those_of_the_table(start):
     found = {"drag_linear": (-1.0, -2.0, 0.0, "kg/s")}
     health = COMPILING._replace(state="ok", identified=found, contraction={"rnn": network}, refit=Refit())
     posts = of_step(steps[-1]._replace(events=(Event(1.0, LOSS, "left", 0.4),)), members=True) + of_health(health)
-    assert {post.name for post in posts} == set(KINDS) - {PLANNED, TRACK}
-    assert all((KINDS[post.name] == "D") == isinstance(post.value, float) for post in posts)
+    kinds = {each.name: each.kind for each in TABLE}
+    assert {post.name for post in posts} == set(kinds) - {PLANNED, TRACK}
+    assert all((kinds[post.name] == "D") == isinstance(post.value, float) for post in posts)
     assert all(len(each.short) <= 10 for each in TABLE)
     first = of_step(steps[0])
     assert not any(isinstance(post.value, float) and not math.isfinite(post.value) for post in first)

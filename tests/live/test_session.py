@@ -11,9 +11,8 @@ import pytest
 from tests.support.live import PLAIN, boat, messages, ready
 from usvlearn.core import checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
-from usvlearn.live.arguments import add_arguments, options_of
 from usvlearn.live.session import Session
-from usvlearn.live.start import Middleware, Options, channel_options
+from usvlearn.live.start import Middleware, Options, add_arguments, channel_options, options_of
 from usvlearn.logs.channels.channel import REQUIRED
 from usvlearn.logs.setup import Setup
 

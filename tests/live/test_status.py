@@ -8,7 +8,7 @@ from tests.support.live import boat, messages, ready
 from usvlearn.core import checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.live.node_folder import STATUS, NodeFolder
-from usvlearn.live.status.status_file import status_lines
+from usvlearn.live.status import status_lines
 
 MINUTE = list(messages(boat(0.02)))
 

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from usvlearn.live.status.status_file import status_lines
+from usvlearn.live.status import status_lines
 
 STATUS = {
     "boat": "heron", "middleware": "moos", "sentence": "It learns.", "loss": "", "state": "ended",

@@ -197,7 +197,7 @@ class RecordingSession:
     def __init__(self, sources, dt: float = 0.4):
         self.sources, self.state, self.last = sources, "ok", None
         self.setup = SimpleNamespace(align={"dt": dt})
-        self.pushed, self.dropped, self.restarts, self.ticks, self.closed = [], [], [], [], False
+        self.pushed, self.dropped, self.restarts, self.ticks, self.closed = [], [], [], 0, False
         self.steps = []  # what the next push returns
 
     def start(self) -> None:
@@ -212,8 +212,8 @@ class RecordingSession:
     def drop(self, part: str, cause: str) -> None:
         self.dropped.append((part, cause))
 
-    def tick(self, now: float):
-        self.ticks.append(now)
+    def tick(self):
+        self.ticks += 1
         return COMPILING._replace(state=self.state, sentence=f"the session is {self.state}")
 
     def restart(self) -> list:

@@ -3,7 +3,7 @@
 import math
 
 from tests.support.mavboat import MavBoat, RecordingSession, mavlink, record
-from usvlearn.live.mavlink.routes import CHANNELS
+from usvlearn.live.mavlink.messages import CHANNELS
 from usvlearn.live.mavlink.vehicle import Vehicle
 from usvlearn.logs.channels.channel import Source
 from usvlearn.logs.formats.ardupilot.tlog import Tlog

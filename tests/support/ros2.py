@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from usvlearn.live.health import COMPILING, Health
-from usvlearn.live.ros2.outputs import message_class
+from usvlearn.live.ros2.messages import message_class
 from usvlearn.logs.setup import Setup
 
 ZERO = {"bool": False, "string": "", "byte": b"\x00", "float32": 0.0, "float64": 0.0}
@@ -133,7 +133,7 @@ class NotedSession:
         self.restarts += 1
         return []
 
-    def tick(self, now: float, clock: float) -> Any:
+    def tick(self) -> Any:
         return self.health
 
     def close(self) -> None:

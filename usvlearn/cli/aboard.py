@@ -27,7 +27,7 @@ SHELLS = {
 
 def status(arguments: Sequence[str]) -> int:
     """Print what a node last knew."""
-    from usvlearn.live.status.status_file import status_lines
+    from usvlearn.live.status import status_lines
 
     if len(arguments) != 1 or arguments[0].startswith("-"):
         print("usage: usvlearn live status FOLDER")

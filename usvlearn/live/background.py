@@ -4,26 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, NamedTuple
-
-
-class Done(NamedTuple):
-    """A job that has ended."""
-
-    name: str
-    result: Any
-    error: BaseException | None
+from typing import Any
 
 
 class Background:
-    """Does jobs one after the other, and at most one of each name at a time.
-
-    >>> background = Background()
-    >>> background.submit("save", lambda: 3), background.wait()
-    (True, None)
-    >>> list(background.done())
-    [Done(name='save', result=3, error=None)]
-    """
+    """Does jobs one after the other, and at most one of each name at a time."""
 
     def __init__(self) -> None:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="usvlearn-background")
@@ -36,12 +21,12 @@ class Background:
         self._jobs[name] = self._thread.submit(work, *arguments)
         return True
 
-    def done(self) -> Iterator[Done]:
-        """The jobs that have ended since the last call."""
+    def done(self) -> Iterator[tuple[str, Any, BaseException | None]]:
+        """Name, result and error of the jobs that have ended since the last call."""
         for name in [name for name, job in self._jobs.items() if job.done()]:
             job = self._jobs.pop(name)
             error = job.exception()
-            yield Done(name, None if error else job.result(), error)
+            yield name, None if error else job.result(), error
 
     def wait(self) -> None:
         """Wait until all jobs have ended."""

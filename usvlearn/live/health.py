@@ -1,12 +1,22 @@
-"""The node's health, published once a second."""
+"""The node's health, published once a second, and what tells it: silent channels, and steps that are lost.
+
+A value held in a MOOSDB does not prove that its sender runs, so channels without messages are found here.
+"""
 
 from __future__ import annotations
 
 import math
+import time
+from collections import Counter, deque
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from usvlearn.display.json_values import finite
+from usvlearn.logs.channels.channel import AUTO, MOST_WINDOW, SURGE, Source
+from usvlearn.logs.channels.derived_surge import pair_of
+
+if TYPE_CHECKING:
+    from usvlearn.live.node import Node
 
 ONE_COMMAND = (
     "one command drives both sides: nothing tells left from right, so that neither the thrust of a side nor "
@@ -43,6 +53,11 @@ class Health(NamedTuple):
     loss: str = ""  # what is known of the failed thruster now
     refit: Refit | None = None  # None: missions are not fitted
 
+    @property
+    def rejected(self) -> int:
+        """Messages that were not used."""
+        return sum(count for causes in self.counts.values() for count in causes.values())
+
     def json(self) -> dict[str, Any]:
         """As JSON values: a number that is not finite becomes null."""
         found: dict[str, Any] = finite({**self._asdict(), "refit": self.refit and self.refit._asdict()})
@@ -50,11 +65,7 @@ class Health(NamedTuple):
 
 
 def quantity(value: float, low: float, high: float, unit: str) -> str:
-    """An identified quantity with its 90 % interval, in words.
-
-    >>> quantity(1.5, 1.25, 1.75, "m/s"), quantity(math.nan, math.nan, math.nan, "m/s")
-    ('1.5 (1.25 ... 1.75) m/s', 'not known yet')
-    """
+    """An identified quantity with its 90 % interval, in words."""
     return f"{value:.3g} ({low:.3g} ... {high:.3g}) {unit}" if math.isfinite(value) else "not known yet"
 
 
@@ -65,13 +76,190 @@ COMPILING = Health(
 
 
 def seconds(value: float) -> str:
-    """A duration for a person.
-
-    >>> seconds(3.2), seconds(7260.0), seconds(math.inf)
-    ('3 s', '2.0 h', 'never')
-    """
+    """A duration for a person."""
     if not math.isfinite(value):
         return "never"
     if value < 120:
         return f"{value:.0f} s"
     return f"{value / 60:.0f} min" if value < 7200 else f"{value / 3600:.1f} h"
+
+
+SILENT = 1.0  # s without a message, from which on a channel is reported, at least
+USELESS = ("not_a_number", "no_time", "out_of_range", "backwards", "ahead", "alone", "wrong_type", "empty", "text")
+
+
+class Listening:
+    """Notes when each part came last, and whether its messages can be used; stamps run `warp` times as fast."""
+
+    def __init__(self, sources: Mapping[str, Source], warp: float):
+        self._sources, self._warp = sources, warp
+        self.heard: dict[str, float] = {}  # part -> monotonic time of its last message
+        self._pushed: Counter[str] = Counter()  # messages of each channel
+        self._before: dict[str, tuple[int, int]] = {}  # channel -> messages and useless ones at the last look
+        self._refused: dict[str, str] = {}  # channel -> why none of its last messages could be used
+
+    def take(self, part: str) -> None:
+        """A message of a part has come; others than the sources are not waited for."""
+        if part not in self._sources:
+            return
+        self.heard[part] = time.monotonic()
+        self._pushed[part.partition("[")[0]] += 1
+
+    def ages(self, clock: float) -> dict[str, float]:
+        """Part -> s of the stamps since its last message, infinite if none came; `clock` as `time.monotonic()`."""
+        return {
+            part: (clock - self.heard[part]) * self._warp if part in self.heard else math.inf for part in self._sources
+        }
+
+    def look(self, counts: Mapping[str, Mapping[str, int]]) -> None:
+        """Find the channels of which no message since the last look could be used, from the counts of all causes."""
+        for channel, pushed in self._pushed.items():
+            causes = {cause: n for cause, n in counts.get(channel, {}).items() if cause in USELESS}
+            useless = sum(causes.values())
+            before, self._before[channel] = self._before.get(channel, (0, 0)), (pushed, useless)
+            self._refused.pop(channel, None)
+            if pushed > before[0] and useless - before[1] >= pushed - before[0]:
+                self._refused[channel] = max(causes, key=lambda cause: causes[cause])
+
+    def judged(
+        self, ages: Mapping[str, float], dt: float, windows: Mapping[str, tuple[float, float]] | None = None
+    ) -> tuple[str, str]:
+        """The state, and a sentence: what is missing and since when."""
+        never = [part for part, age in ages.items() if age == math.inf]
+        if never:
+            return "waiting", f"waiting for {', '.join(map(self._named, never))}"
+        old, rare = [], []
+        for part, age in ages.items():
+            source = self._sources[part]
+            channel = part.partition("[")[0]
+            interval, own = (windows or {}).get(channel, (0.0, MOST_WINDOW))
+            longest = (own if source.window == AUTO else float(source.window)) + float(source.period) + 2 * dt
+            if not source.held and age > max(SILENT * self._warp, longest):
+                old.append(f"{self._named(part)} for {seconds(age)}")
+            if not source.held and math.isnan(interval) and channel not in self._refused:
+                rare.append(self._named(part))
+        if rare:
+            return "waiting", f"waiting for a second message within {MOST_WINDOW:g} s of {', '.join(rare)}"
+        if old:
+            return "stale", f"no {', no '.join(old)}"
+        refused = [f"{channel} ({cause})" for channel, cause in sorted(self._refused.items())]
+        if refused:
+            return "stale", f"no message can be used of {', '.join(refused)}"
+        return "ok", "ok"
+
+    def _named(self, part: str) -> str:
+        return f"{part} ({self._sources[part].name})"
+
+
+SPAN, LEAST = 30.0, 15  # s of steps that are judged, and as many steps at least
+SILENCES, MINUTE = 3, 60  # silences of a channel within as many looks, from which on it comes too seldom
+FRESH, MEASURED = 0.75, 0.5  # shares of the steps, and of the speeds that come, below which many are lost
+
+
+class Cause(NamedTuple):
+    """Why many steps are lost."""
+
+    sentence: str  # of the state
+    warning: str  # with the key to change
+
+
+class _Count(NamedTuple):
+    steps: int
+    fresh: int
+    measured: int
+    stale: Counter[str]  # channel -> steps without a recent value of it
+    ages: dict[str, float]  # channel -> s since its last message
+
+
+class Usable:
+    """Counts the steps of a node. It is asked once a second."""
+
+    def __init__(self, sources: Mapping[str, Source]):
+        self._names: dict[str, str] = {}  # channel -> its name in the middleware
+        self._auto: set[str] = set()  # channels whose window follows their rate
+        for part, source in sources.items():
+            channel = part.partition("[")[0]
+            self._names.setdefault(channel, f"{channel} ({source.name})")
+            self._auto |= {channel} if source.window == AUTO else set()
+        self._counts: deque[_Count] = deque()
+        self._cause: tuple[str, str, Cause] | None = None  # channel, kind, and what is told as long as they stay
+        self._looks = 0
+        self._silent: set[str] = set()  # parts that are silent now
+        self._silences: dict[str, deque[int]] = {}  # part -> looks at which its last silences began
+
+    def judged(self, node: Node, ages: Mapping[str, float]) -> Cause | None:
+        """Why many of the last steps were lost; None if they were not, or if the node has made too few to tell.
+
+        Args:
+            node: which counts.
+            ages: part -> s since its last message. While one is silent for long, or never came, nothing is concluded.
+        """
+        stale = Counter({name: causes.get("stale", 0) for name, causes in node.counts.items()})
+        if "yaw_rate" not in self._names:  # it is the slope of the heading
+            stale["heading"] = max(stale["heading"], stale.pop("yaw_rate", 0))
+        oldest: dict[str, float] = {}
+        for part, age in ages.items():
+            channel = part.partition("[")[0]
+            oldest[channel] = max(age, oldest.get(channel, 0.0))
+        now = _Count(node.grid, node.fresh, node.measured, stale, oldest)
+        longest = {part: math.inf if source.held else MOST_WINDOW for part, source in node.parts.items()}
+        silent = {part for part, age in ages.items() if age > longest[part] or math.isinf(age)}
+        seldom = self._seldom(silent)
+        if silent or (self._counts and now.steps < self._counts[-1].steps):
+            self._counts.clear()
+        self._counts.append(now)
+        wanted = max(round(SPAN / node.dt), LEAST)
+        while len(self._counts) > 1 and now.steps - self._counts[1].steps >= wanted:
+            self._counts.popleft()
+        found = self._lost(node, self._counts[0], now) if now.steps - self._counts[0].steps >= wanted else None
+        if found is None or self._cause is None or self._cause[:2] != found[:2]:
+            self._cause = found
+        return seldom or (None if self._cause is None else self._cause[2])
+
+    def _seldom(self, silent: set[str]) -> Cause | None:
+        """Why steps are lost if a part falls silent again and again: no window spans its interval."""
+        self._looks += 1
+        for part in silent - self._silent:
+            self._silences.setdefault(part, deque(maxlen=SILENCES)).append(self._looks)
+        self._silent = silent
+        for part, began in self._silences.items():
+            if len(began) == SILENCES and self._looks - began[0] <= MINUTE:
+                name = self._names[part.partition("[")[0]]
+                return Cause(
+                    f"many steps are lost, because of {name}",
+                    f"{name} fell silent {SILENCES} times within a minute: its messages come less often than every "
+                    f"{MOST_WINDOW:g} s, the longest window: send it more often",
+                )
+        return None
+
+    def _lost(self, node: Node, before: _Count, now: _Count) -> tuple[str, str, Cause] | None:
+        steps, fresh, measured = (b - a for a, b in zip(before[:3], now[:3], strict=True))
+        windows = node.windows
+        few, late = fresh < FRESH * steps, now.stale - before.stale
+        channel = max((name for name in windows if name != SURGE), key=lambda name: late[name])
+        if few and late[channel] >= (steps - fresh) / 2:  # else steps lacked the speed from which they depart
+            return self._told(channel, *windows[channel], f"{fresh} of the last {steps} steps had all inputs")
+        every = windows[SURGE][0]
+        possible = fresh * min(1.0, node.dt / (every if every > 0 else 2 * MOST_WINDOW))
+        if few or measured < MEASURED * possible:
+            return self._told(SURGE, *windows[SURGE], f"{measured} of the last {steps} steps had a measured speed")
+        return None
+
+    def _told(self, channel: str, interval: float, window: float, share: str) -> tuple[str, str, Cause] | None:
+        if math.isnan(interval):  # none of its messages is used: `Listening` says so
+            return None
+        channel = channel if channel in self._names else (pair_of(self._names) or (channel,))[0]
+        name = self._names.get(channel, channel)
+        if window < 2 * interval - 1e-9 and channel not in self._auto:
+            kind = "short"
+            why = f"{name} comes every {interval:.2g} s, and its window is {window:.2g} s: set {channel}.window=auto"
+        else:
+            kind = "late"
+            silence = max(count.ages.get(channel, 0.0) for count in self._counts)  # was longer than any that is seen
+            wider = max(2 * window, min(1.5 * silence, MOST_WINDOW))
+            why = (
+                f"{name} is often older than its window of {window:.2g} s, though it comes every {interval:.2g} s: its "
+                "messages are lost, stamped late, or their rate changes again and again: set "
+                f"{channel}.window={float(f'{wider:.2g}'):g}"
+            )
+        return channel, kind, Cause(f"many steps are lost, because of {name}", f"only {share}: {why}")

@@ -29,21 +29,9 @@ LARGEST = 1e3  # m/s, of an error
 
 
 class HeldIntervals:
-    """Learns how far forecasts under held commands are from the speeds that come.
+    """Learns how far forecasts under held commands are from the speeds that come."""
 
-    Args:
-        horizons: s.
-        dt: s, of a step.
-
-    >>> held = HeldIntervals([2.0], dt=0.4)
-    >>> for k in range(100):  # the forecasts are 0.1 m/s too high
-    ...     held.compare(0.4 * k, 1.0)
-    ...     held.expect(0.4 * k, {2.0: 1.1})
-    >>> round(held.halfwidth(2.0), 3), HeldIntervals([2.0], dt=0.4).halfwidth(2.0)
-    (0.1, inf)
-    """
-
-    def __init__(self, horizons: Sequence[float], dt: float):
+    def __init__(self, horizons: Sequence[float], dt: float):  # s; s of a step
         self._dt = dt
         self._waiting: dict[float, deque[tuple[float, float, float]]] = {h: deque() for h in horizons}
         self._last = dict.fromkeys(horizons, -math.inf)  # s, when the last one began that is compared

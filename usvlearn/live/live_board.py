@@ -14,11 +14,7 @@ MEMORY = 60.0  # s, over which errors are averaged
 
 
 class Board:
-    """Curves over the seconds of the session: speed, errors of each member, networks, identified quantities, data.
-
-    Args:
-        folder: of the TensorBoard files.
-    """
+    """Curves over the seconds of the session: speed, errors of each member, networks, identified quantities, data."""
 
     def __init__(self, folder: Path):
         self._board = TensorBoardWriter(folder)
@@ -56,8 +52,7 @@ class Board:
         """Add what the node says of itself; it is drawn with the points of the steps."""
         if self._last != self._time and self._last >= 0:
             return
-        rejected = sum(count for causes in health.counts.values() for count in causes.values())
-        self._write("5 data/rejected messages", rejected, "session")
+        self._write("5 data/rejected messages", health.rejected, "session")
         self._write("1 overview/alarms", health.alarms, "session")
         for name, network in health.contraction.items():
             self._write("4 contraction/rate K", network["rate"], f"members/{name}")

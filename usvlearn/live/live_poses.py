@@ -27,14 +27,6 @@ class LivePoses:
 
     Args:
         channels: how each is received; others than the heading, the yaw rate and the auxiliary ones are not used.
-
-    >>> from usvlearn.core.samples import Inputs
-    >>> live, step = LivePoses({"heading": Source("psi", window=0.5)}), Inputs(0.0, 0.0, 0.0, 0.0, 1.0)
-    >>> for k in range(3):
-    ...     live.take("heading", float(k), 0.1 * k)
-    ...     pose = live.at(float(k), Sample(step, 2.0, True, True))
-    >>> pose.round(2).tolist()
-    [0.2, 0.1, nan, 3.97, 0.4]
     """
 
     def __init__(self, channels: Mapping[str, Source]):

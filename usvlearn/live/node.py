@@ -26,8 +26,7 @@ from usvlearn.errors import ConfigError, ShapeError
 from usvlearn.live import diagnostics
 from usvlearn.live.held_command_intervals import HeldIntervals
 from usvlearn.live.live_poses import LivePoses
-from usvlearn.live.plan_requests import PlannedCommands, answer, parse_plan, sampled
-from usvlearn.live.track_points import Point, points
+from usvlearn.live.plan_requests import PlannedCommands, Point, answer, parse_plan, points, sampled
 from usvlearn.logs.alignment.mixing import LiveMix, Mix
 from usvlearn.logs.channels.channel import CHANNELS, SURGE
 from usvlearn.logs.channels.derived_surge import LiveSurge, pair_of
@@ -61,11 +60,6 @@ class Step(NamedTuple):
 class Node:
     """Learns from the messages of one boat.
 
-    Args:
-        setup: how its messages become samples.
-        online: what predicts and learns.
-        patience: s, for which a step waits for late messages, in place of that of the setup.
-
     Attributes:
         steps, learned, alarms: how many there were.
         grid, fresh, measured: how many steps of the grid have passed, those with all inputs, those with a speed, too.
@@ -81,13 +75,6 @@ class Node:
 
     Raises:
         ConfigError: the setup cannot be used live, or the estimator is not of one boat.
-
-    >>> from usvlearn import AID, Ensemble
-    >>> from usvlearn.logs.channels.channel import REQUIRED, Source
-    >>> node = Node(Setup({name: Source(name) for name in REQUIRED}), Online(Ensemble({"aid": AID(mass=28.0)})))
-    >>> steps = [step for k in range(12) for name in REQUIRED for step in node.push(name, 1e9 + 0.1 * k, 0.5)]
-    >>> [round(step.time - 1e9, 1) for step in steps], 0.0 < steps[-1].next < 1.0
-    ([0.0, 0.4, 0.8], True)
     """
 
     def __init__(self, setup: Setup, online: Online, patience: float = PATIENCE):

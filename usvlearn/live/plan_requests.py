@@ -8,8 +8,10 @@ A plan is text, rows `t,left,right` or `t,left,right,heading` that are separated
 t is in s from the end of the node's last step. The commands of a row, shares of full scale from −1 to 1, hold until the
 next row; those of the last row hold on. Before the first row the commands in force hold. Headings have the unit of the
 heading channel and are joined by straight lines. Without them a node that makes tracks answers with where the boat will
-be, in m and degrees from north (`usvlearn.live.track_points`); to another one the boat soon ends its turn
+be, in m and degrees from north (`Point`); to another one the boat soon ends its turn
 (`Aligner.ahead`). The answer has the form of the plan.
+
+Tracks are published in the units of those who steer: m, and degrees from north.
 """
 
 from __future__ import annotations
@@ -17,13 +19,43 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from usvlearn.core.forecasts import Forecast, Track
 from usvlearn.errors import ConfigError
-from usvlearn.live.track_points import Point, points
+
+DECIMALS = (2, 2, 1, 2, 2, 1)
+
+
+class Point(NamedTuple):
+    """Where the boat will be, from where it is now."""
+
+    north: float  # m
+    east: float  # m
+    heading: float  # deg, 0 north, clockwise, 0 … 360
+    major: float  # m, semi-axes of the ellipse that holds the position in 90 % of the cases; infinite: not known yet
+    minor: float  # m
+    bearing: float  # deg, of the major one, 0 … 180
+
+    @property
+    def text(self) -> str:
+        """The numbers, joined by colons; without the ellipse while it is not known."""
+        known = 6 if math.isfinite(self.major) else 3
+        wrapped = self._replace(heading=round(self.heading, 1) % 360, bearing=round(self.bearing, 1) % 180)
+        return ":".join(f"{x:.{decimals}f}" for x, decimals in zip(wrapped[:known], DECIMALS, strict=False))
+
+
+def points(track: Track, steps: Sequence[int] | None = None) -> list[Point]:
+    """The places after some steps of one boat's track, numbered from 1; None: after all of them."""
+    at = np.arange(len(track.time)) if steps is None else np.asarray(steps, int) - 1
+    major, minor, bearing = track.ellipse()
+    heading, bearing = np.degrees(track.heading) % 360, np.degrees(bearing) % 180
+    columns = (track.north, track.east, heading, major, minor, bearing)
+    return [Point(*map(float, row)) for row in np.stack([np.asarray(x)[at] for x in columns], -1)]
+
 
 KEYS = ("t", "left", "right", "heading")
 MOST_ROWS, MOST_TEXT = 1000, 100_000
@@ -45,12 +77,6 @@ def parse_plan(text: str) -> PlannedCommands:
 
     Raises:
         ConfigError: it is none, or a number is outside its legal range.
-
-    >>> parse_plan("0,0.5,0.5; 5,1,0.8").left
-    array([0.5, 1. ])
-    >>> parse_plan('{"t": [0], "left": [60], "right": [60]}')
-    Traceback (most recent call last):
-    usvlearn.errors.ConfigError: plan: found left 60 in row 1, expected -1 to 1, shares of full scale
     """
     if len(text) > MOST_TEXT:
         raise ConfigError(f"plan: found {len(text)} characters, expected at most {MOST_TEXT}")
@@ -127,9 +153,6 @@ def sampled(plan: PlannedCommands, edges: np.ndarray, before: np.ndarray, side: 
         edges: ends of the steps in the plan's time, s, `(steps + 1,)`.
         before: the commands in force, which hold until the first row, `(steps,)`.
         side: "left" or "right".
-
-    >>> sampled(parse_plan("1,0.5,0.5; 3,1,1"), np.arange(5.0), np.zeros(4), "left")
-    array([0. , 0.5, 0.5, 1. ])
     """
     values, time, length = getattr(plan, side), plan.time, np.diff(edges)
     after = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(time))])  # the integral up to each row
@@ -140,18 +163,7 @@ def sampled(plan: PlannedCommands, edges: np.ndarray, before: np.ndarray, side: 
 
 
 def answer(text: str, time: float, found: Forecast | Track | str) -> str:
-    """The answer to a plan, in its form: a forecast or a track, or a sentence that says why there is none.
-
-    Args:
-        text: of the plan.
-        time: from which the forecast counts, s, as the messages are stamped.
-        found: speeds or places after each step, or the sentence.
-
-    >>> answer("0,1,1", 0.0, Forecast(*np.array([[0.4, 0.8], [1.0, 1.1], [0.9, -np.inf], [1.1, np.inf]])))
-    '0.4=1.000:0.900:1.100,0.8=1.100'
-    >>> answer('{"id": 7}', 0.0, "plan: found no rows")
-    '{"id": 7, "error": "plan: found no rows"}'
-    """
+    """The answer to a plan, in its form: a forecast or a track, or a sentence that says why there is none."""
     if not is_json(text):
         if isinstance(found, str):
             return f"error: {found}"

@@ -24,21 +24,10 @@ FILE = Path(__file__).with_name("prior.safetensors")
 
 
 def prior(mass: float, surge_max: float) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """The state and the facts from which `Online.of` starts.
-
-    Args:
-        mass: of the boat with its added mass, kg.
-        surge_max: its top speed, m/s.
-
-    Returns:
-        The leaves of the state by dotted name, and the estimator's name and description, as in a checkpoint.
+    """The state by dotted name and the facts from which `Online.of` starts, of a mass in kg and a top speed in m/s.
 
     Raises:
         ConfigError: one of them is no positive number.
-
-    >>> leaves, facts = prior(mass=28.0, surge_max=2.74)
-    >>> facts["estimator"], facts["kernel"]["members"]["aid"]["numbers"]["scale"]
-    ('Ensemble', 28.0)
     """
     check_positive("mass", mass, "of kg")
     check_positive("surge_max", surge_max, "of m/s")

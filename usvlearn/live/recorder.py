@@ -32,22 +32,12 @@ APP = "usvlearn"
 
 
 def variable(part: str) -> str:
-    """The variable of a part in a record.
-
-    >>> variable("command_left[0]")
-    'COMMAND_LEFT_0'
-    """
+    """The variable of a part in a record."""
     return part.upper().replace("[", "_").replace("]", "")
 
 
 class Recorder:
     """Writes one record. A full disk ends it: what was written stays, and `problem` says what happened.
-
-    Args:
-        folder: of the records.
-        setup: of the messages.
-        begins: leaves and metadata of the checkpoint with which the record begins.
-        boat: its name.
 
     Attributes:
         path: of the log.

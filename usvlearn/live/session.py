@@ -21,14 +21,12 @@ from usvlearn.engine.leaves import afresh
 from usvlearn.errors import ConfigError
 from usvlearn.live import diagnostics
 from usvlearn.live.background import Background
-from usvlearn.live.channel_activity import Listening
-from usvlearn.live.health import COMPILING, ONE_COMMAND, Health
+from usvlearn.live.health import COMPILING, ONE_COMMAND, Health, Listening, Usable
 from usvlearn.live.message_buffer import Recent
 from usvlearn.live.missions import Missions
 from usvlearn.live.node_folder import NodeFolder, unsaved
 from usvlearn.live.plan_requests import answer
 from usvlearn.live.recorder import Recorder
-from usvlearn.live.sample_quality import Usable
 from usvlearn.live.start import Begin, Middleware, Options, begin
 from usvlearn.logs.channels.channel import SURGE, Source
 from usvlearn.logs.setup import KEY
@@ -47,10 +45,6 @@ WARNINGS = 20  # sentences, at most
 
 class Session:
     """One node aboard.
-
-    Args:
-        options: of the user.
-        middleware: what is assumed of it.
 
     Attributes:
         sources: part -> what is received: see `Setup.parts`.
@@ -162,13 +156,8 @@ class Session:
             self._record()
         return found
 
-    def tick(self, now: float = math.nan, clock: float | None = None) -> Health:
-        """The health, once a second; saves what is due.
-
-        Args:
-            now: not used; stamps of messages may be on any clock.
-            clock: `time.monotonic()`.
-        """
+    def tick(self, clock: float | None = None) -> Health:
+        """The health, once a second; saves what is due. `clock` is `time.monotonic()`."""
         clock = time.monotonic() if clock is None else clock
         ages = self._listening.ages(clock)
         if not self._ready():

@@ -1,11 +1,15 @@
-"""From where a node starts: the newest readable checkpoint of its folder, else a given one, else a prior; and its
-setup.
+"""From where a node starts, by its options: the newest readable checkpoint of its folder, else a given one, else a
+prior; and its setup.
 """
 
 from __future__ import annotations
 
+import argparse
 import math
-from collections.abc import Mapping
+import signal
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,7 +19,7 @@ import numpy as np
 from usvlearn.core.checkpoint import SUFFIX
 from usvlearn.core.former_names import today
 from usvlearn.core.samples import LIMIT, speed_limit
-from usvlearn.core.unconfirmed import Questions, questions_in, unconfirmed
+from usvlearn.core.unconfirmed import SECTION, Questions, open_questions, questions_in, unconfirmed
 from usvlearn.errors import CheckpointError, ConfigError, check_not_negative, check_positive, did_you_mean
 from usvlearn.live.diagnostics import PLANAR
 from usvlearn.live.node import PATIENCE
@@ -31,40 +35,26 @@ NAMES = ("name", "field", "unit", "zero", "span", "weight", "window")  # what de
 
 @dataclass(frozen=True)
 class Options:
-    """What the user of a node gives, whatever the middleware.
+    """What the user of a node gives, whatever the middleware."""
 
-    Attributes:
-        folder: of the node: its checkpoints, status and records.
-        start: a checkpoint, a folder of checkpoints or a run's folder, to start from if the folder has no checkpoint.
-            Of a run that has learned tracks, the checkpoints in its folder `planar` come first.
-        mass, surge_max: kg and m/s, of a prior, if there is no checkpoint at all.
-        channels: changes to the channels: channel -> option of a `Source` -> value. `throttle`, or `throttle` and
-            `steering`, stand for the commands of both sides (`usvlearn.logs.alignment.mixing.sides_of`).
-        boat: its name.
-        record: whether to record the session.
-        refit: whether to keep the missions, and to fit all of them after each.
-        save_period: s between two checkpoints.
-        keep: how many checkpoints are kept.
-        patience: s, for which a step waits for late messages.
-        tensorboard: a folder, or None.
-        warp: how many times faster than a clock the stamps run.
-        unconfirmed: the open questions of a file with channels; None without one: those of the checkpoint.
-    """
-
-    folder: Path
+    folder: Path  # of the node: its checkpoints, status and records
+    # A checkpoint, a folder of checkpoints or a run's folder, from which to start if the folder has no checkpoint. Of a
+    # run that has learned tracks, the checkpoints in its folder `planar` come first.
     start: Path | None = None
-    mass: float | None = None
-    surge_max: float | None = None
+    mass: float | None = None  # kg, of a prior, if there is no checkpoint at all
+    surge_max: float | None = None  # m/s, likewise
+    # Changes: channel -> option of a `Source` -> value. `throttle`, or `throttle` and `steering`, stand for the
+    # commands of both sides (`usvlearn.logs.alignment.mixing.sides_of`).
     channels: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     boat: str = "boat"
-    record: bool = False
-    save_period: float = 300.0
-    keep: int = 100
-    patience: float = PATIENCE
-    tensorboard: Path | None = None
-    warp: float = 1.0
-    unconfirmed: Mapping[str, Mapping[str, Any]] | None = None
-    refit: bool = True
+    record: bool = False  # the session
+    save_period: float = 300.0  # s between two checkpoints
+    keep: int = 100  # checkpoints
+    patience: float = PATIENCE  # s, for which a step waits for late messages
+    tensorboard: Path | None = None  # a folder
+    warp: float = 1.0  # how many times faster than a clock the stamps run
+    unconfirmed: Mapping[str, Mapping[str, Any]] | None = None  # of a file with channels; None: those of the checkpoint
+    refit: bool = True  # keep the missions, and fit all of them after each
 
     def __post_init__(self) -> None:
         if not str(self.folder).strip(". ") or "\0" in str(self.folder):
@@ -238,9 +228,6 @@ def channel_options(given: Mapping[str, str]) -> dict[str, dict[str, Any]]:
 
     Raises:
         ConfigError: a key is not known, or a value is not a number where one is needed.
-
-    >>> channel_options({"surge": "NAV_SPEED", "command_left.span": "-100", "command_left.held": "true"})
-    {'surge': {'name': 'NAV_SPEED'}, 'command_left': {'span': -100.0, 'held': True}}
     """
     found: dict[str, dict[str, Any]] = {}
     for dotted, text in given.items():
@@ -297,3 +284,73 @@ def boat_of(path: Path) -> tuple[dict[str, dict[str, Any]], dict[str, float], Qu
     numbers = {name: known[name] for name in ("mass", "surge_max") if isinstance(known.get(name), int | float)}
     own = {name: dict(each) for name, each in channels.items() if each is not None}
     return own, numbers, questions_in(found, path)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add them to the parser of a middleware."""
+    group = parser.add_argument_group("the node")
+    add = group.add_argument
+    add("--folder", default="usvlearn_live", help="folder for checkpoints, status and records (usvlearn_live)")
+    add(
+        "--start",
+        metavar="CHECKPOINT",
+        help="a checkpoint, a folder of checkpoints or a run's folder, if the node's folder has no checkpoint yet; a "
+        "run that has learned tracks starts a node that makes them",
+    )
+    add("--mass", type=float, help="mass in kg, added mass included; needed only without a checkpoint")
+    add("--surge-max", type=float, help="top speed in m/s; needed only without a checkpoint")
+    add("--channels", metavar="FILE.yaml", help="channels as usvlearn inspect writes them")
+    add("--channel", action="append", default=[], metavar="KEY=VALUE",
+        help="an option of a channel, such as surge=NAV_SPEED or command_left.span=100; repeatable")  # fmt: skip
+    add("--boat", default="boat", help="name of the boat")
+    add("--record", action="store_true", help="record all messages, so that train.py can replay the session")
+    add("--no-refit", dest="refit", action="store_false", help="keep no missions, and do not fit them after each")
+    add("--save-period", type=float, default=300.0, metavar="S", help="time between two checkpoints, s (300)")
+    add("--keep", type=int, default=100, metavar="N", help="number of checkpoints that are kept (100)")
+    add("--patience", type=float, default=PATIENCE, metavar="S",
+        help=f"time for which a step waits for late messages, s ({PATIENCE})")  # fmt: skip
+    add("--tensorboard", metavar="DIR", help="also write TensorBoard files there, where TensorBoard is installed")
+
+
+def options_of(given: argparse.Namespace, warp: float = 1.0) -> Options:
+    """The options from parsed arguments.
+
+    Raises:
+        ConfigError: a value is not legal.
+    """
+    channels, vehicle, asked = boat_of(Path(given.channels).expanduser()) if given.channels else ({}, {}, None)
+    pairs = {}
+    for pair in given.channel:
+        key, equals, value = pair.partition("=")
+        if not equals:
+            raise ConfigError(f"--channel: found {pair!r}, expected KEY=VALUE, such as surge=NAV_SPEED")
+        pairs[key.strip()] = value
+    for name, each in channel_options(pairs).items():
+        channels[name] = channels.get(name, {}) | each
+    mass, top = (
+        vehicle.get(name) if value is None else value
+        for name, value in (("mass", given.mass), ("surge_max", given.surge_max))
+    )
+    if asked is not None:  # by what the file and the options say together, as far as a node uses it
+        used = {"data": {"channels": channels}, "vehicle": {"mass": mass, "surge_max": top}}
+        asked = open_questions({**used, SECTION: asked})
+    return Options(
+        Path(given.folder).expanduser(), None if given.start is None else Path(given.start).expanduser(), mass,
+        top, channels, given.boat, given.record, given.save_period, given.keep, given.patience,
+        None if given.tensorboard is None else Path(given.tensorboard).expanduser(), warp, asked, given.refit,
+    )  # fmt: skip
+
+
+@contextmanager
+def until_signal() -> Iterator[threading.Event]:
+    """An event that SIGTERM and SIGINT set; the handlers before are put back."""
+    stopped = threading.Event()
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGTERM, signal.SIGINT):
+            before[number] = signal.signal(number, lambda *_: stopped.set())
+    try:
+        yield stopped
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

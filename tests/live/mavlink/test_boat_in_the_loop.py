@@ -26,7 +26,7 @@ from usvlearn.errors import ConfigError, MissingExtraError
 from usvlearn.live.mavlink.shell import MIDDLEWARE, check_arguments, main, run
 from usvlearn.live.session import Session
 from usvlearn.live.start import Options
-from usvlearn.live.status.status_line import StatusLine
+from usvlearn.live.status import StatusLine
 from usvlearn.logs.channels.channel import Source
 
 HERE, WARP = "127.0.0.1", 40.0

@@ -11,7 +11,7 @@ pytest.importorskip("pymavlink", reason="needs the package pymavlink")
 from tests.support.mavboat import MavBoat, RecordingSession, mavlink
 from tests.support.mavlab import RECEIPT, SOURCES, Lab
 from usvlearn.live.health import COMPILING
-from usvlearn.live.mavlink.telemetry import WRAP
+from usvlearn.live.mavlink.messages import WRAP
 from usvlearn.live.node import Step
 
 
@@ -80,7 +80,7 @@ class Counting(RecordingSession):
         self.last = {}
         return []
 
-    def tick(self, now):
+    def tick(self):
         return COMPILING._replace(state="ok")
 
 

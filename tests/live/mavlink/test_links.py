@@ -14,8 +14,8 @@ pytest.importorskip("pymavlink", reason="needs the package pymavlink")
 
 from tests.support.mavboat import MavBoat, mavlink
 from usvlearn.errors import ConfigError
-from usvlearn.live.mavlink.frames import Frames
 from usvlearn.live.mavlink.links import BAUD, LONGEST_WAIT, MUTE, Link, Peer, Place, parse_peer, parse_place
+from usvlearn.live.mavlink.messages import Frames
 
 HERE = "127.0.0.1"
 

@@ -8,10 +8,9 @@ pytest.importorskip("pymavlink", reason="needs the package pymavlink")
 
 from tests.support.mavboat import mavlink
 from usvlearn.live.health import COMPILING
-from usvlearn.live.mavlink.frames import Frames
-from usvlearn.live.mavlink.telemetry import BURST, INFO, ROOM, WRAP, Telemetry
+from usvlearn.live.mavlink.messages import BURST, INFO, ROOM, WRAP, Frames, Telemetry
 from usvlearn.live.node import Step
-from usvlearn.live.status.publications import TABLE, Post
+from usvlearn.live.status import TABLE, Post
 
 
 def sent(telemetry: Telemetry) -> list:

@@ -147,7 +147,7 @@ def test_a_silent_boat_gets_no_numbers_and_no_texts():
     lab.sail(3)
     assert (len(lab.boat.values), len(lab.boat.texts)) == (before, texts)
     assert lab.vehicle.condition(RECEIPT + lab.time) == "system 1 is silent"
-    assert lab.session.ticks[-1] > BASE + 13  # the session is told the time all the same
+    assert lab.session.ticks > 13  # the session goes on all the same
     lab.mute = False
     lab.session.state = "ok"
     lab.sail(3)

@@ -18,8 +18,7 @@ from tests.support.moosdb import Moosdb
 from usvlearn.live.moos.block import MIDDLEWARE
 from usvlearn.live.session import Session
 from usvlearn.live.start import Options
-from usvlearn.live.status import publications
-from usvlearn.live.status.status_file import status_lines
+from usvlearn.live.status import TABLE, status_lines
 
 
 @pytest.mark.thorough
@@ -33,7 +32,7 @@ def test_it_publishes_what_the_node_says(tmp_path):
             return sea, before
 
     sea, before = asyncio.run(work())
-    kinds = {"USV_" + name: kind for name, kind in publications.KINDS.items()}
+    kinds = {"USV_" + each.name: each.kind for each in TABLE}
     own = [each for each in sea.database.posted if each.source == "pUSVLearn"]
     assert not sea.database.refused
     assert all(each.data == kinds[each.key] for each in own if each.key in kinds)

@@ -1,6 +1,6 @@
 """AppCasts, as a viewer of MOOS-IvP takes them apart."""
 
-from usvlearn.live.moos.appcast import KEYS, AppCasts
+from usvlearn.live.moos.app import KEYS, AppCasts
 
 
 def taken_apart(text: str) -> dict[str, list[str]]:

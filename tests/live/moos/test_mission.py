@@ -3,10 +3,9 @@
 import pytest
 
 from usvlearn.errors import ConfigError
-from usvlearn.live.moos.block import EXAMPLE, MIDDLEWARE, interface, parser, settings_of
-from usvlearn.live.moos.mission import LARGEST, Mission
+from usvlearn.live.moos.block import EXAMPLE, LARGEST, MIDDLEWARE, Mission, interface, parser, settings_of
 from usvlearn.live.start import Options
-from usvlearn.live.status.publications import TABLE
+from usvlearn.live.status import TABLE
 
 TEXT = """\
 ServerHost = 10.0.0.7   // of the boat

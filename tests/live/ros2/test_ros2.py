@@ -14,10 +14,9 @@ from tests.support import over
 from tests.support.ros2 import NotedSession, health, like_rclpy, rclpy_class
 from usvlearn.core.forecasts import Track
 from usvlearn.errors import ConfigError, LogFormatError
+from usvlearn.live.plan_requests import Point
 from usvlearn.live.ros2 import shell
-from usvlearn.live.ros2.inputs import AUXILIARY, NS, Messages, choose_topics
-from usvlearn.live.ros2.outputs import CLASSES, UNKNOWN, Outputs, message_class
-from usvlearn.live.track_points import Point
+from usvlearn.live.ros2.messages import AUXILIARY, CLASSES, NS, UNKNOWN, Messages, Outputs, choose_topics, message_class
 from usvlearn.logs.channels.channel import Source
 from usvlearn.logs.formats.ros.message_fields import FIELDS, default_field, read_field
 from usvlearn.logs.formats.ros.rosbag import Rosbag

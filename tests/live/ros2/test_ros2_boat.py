@@ -24,7 +24,7 @@ from tests.support.live import learned_set
 from tests.support.ros2 import Peer
 from tests.support.voyages import Voyage, voyage
 from usvlearn.core import checkpoint
-from usvlearn.live.ros2.inputs import NS
+from usvlearn.live.ros2.messages import NS
 
 rclpy: Any = pytest.importorskip("rclpy", reason="needs rclpy: source a ROS 2")
 pytestmark = pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning")  # of a parser that rclpy imports

@@ -24,7 +24,7 @@ from usvlearn.core.events import Event
 from usvlearn.errors import ConfigError
 from usvlearn.live.node import Step
 from usvlearn.live.ros2 import ros2_launch
-from usvlearn.live.ros2.outputs import message_class
+from usvlearn.live.ros2.messages import message_class
 from usvlearn.live.ros2.shell import Shell
 from usvlearn.logs.channels.channel import Source
 

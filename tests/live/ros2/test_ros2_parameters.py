@@ -11,10 +11,10 @@ import yaml
 
 from tests.support import ROOT, over
 from usvlearn.errors import ConfigError
-from usvlearn.live.arguments import options_of
 from usvlearn.live.ros2 import ros2_launch, shell
-from usvlearn.live.ros2.inputs import DEFAULTS
-from usvlearn.live.ros2.parameters import OWN, given_by, with_parameters
+from usvlearn.live.ros2.messages import DEFAULTS
+from usvlearn.live.ros2.shell import OWN, given_by, with_parameters
+from usvlearn.live.start import options_of
 from usvlearn.logs.read import sources_of
 
 

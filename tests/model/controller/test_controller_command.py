@@ -9,7 +9,7 @@ import pytest
 import usvlearn
 from usvlearn import JointEKF
 from usvlearn.__main__ import main
-from usvlearn.live.moos.mission import Mission
+from usvlearn.live.moos.block import Mission
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ import socket
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from usvlearn.errors import ConfigError
 
@@ -42,13 +42,6 @@ def parse_place(text: str) -> Place:
 
     Raises:
         ConfigError: it names none.
-
-    >>> parse_place("udpin:127.0.0.1:14550"), parse_place("/dev/ttyUSB0,921600").number
-    (Place(kind='udpin', name='127.0.0.1', number=14550), 921600)
-    >>> parse_place("tcp:127.0.0.1:5760")
-    Traceback (most recent call last):
-    usvlearn.errors.ConfigError: connection: found 'tcp:127.0.0.1:5760', expected udpin:HOST:PORT, udpout:HOST:PORT, \
-or DEVICE,BAUD such as /dev/ttyUSB0,57600
     """
     udp = re.fullmatch(r"(udpin|udpout|udp):(?:\[([^\]]+)\]|([^:]+)):(\d+)", text)
     if udp and 0 < int(udp[4]) < 65536:
@@ -74,9 +67,6 @@ def parse_peer(text: str, place: Place) -> Peer:
 
     Raises:
         ConfigError: it names none, or the connection is a serial port.
-
-    >>> parse_peer("192.168.2.1", Place("udpin", "0.0.0.0", 14550)), parse_peer("[::1]:14551", Place("udpin", "::", 1))
-    (Peer(host='192.168.2.1', port=0), Peer(host='::1', port=14551))
     """
     if place.kind == "serial":
         raise ConfigError(f"--peer: found {text!r} with a serial port, which has one sender: leave it out")
@@ -102,43 +92,10 @@ def _speeds() -> dict[int, int]:
     return {baud: found[baud] for baud in sorted(found) if baud >= 1200}
 
 
-class Port(Protocol):
-    """An open link."""
-
-    whole: bool  # what it reads are datagrams
-    left_out: str  # the last sender that is not the peer; empty without
-
-    @property
-    def sender(self) -> str:
-        """Where what was read last came from, as HOST:PORT; empty where there is but one."""
-        ...
-
-    def fileno(self) -> int: ...
-
-    def read(self) -> bytes:
-        """What has arrived; empty if nothing. Raises OSError if the link is lost."""
-        ...
-
-    def write(self, frame: bytes) -> bool:
-        """Send a frame; False if there is no room now. Raises OSError if the link is lost."""
-        ...
-
-    def answer(self) -> None:
-        """What was read last came from the vehicle: from now on, send there."""
-        ...
-
-    def close(self) -> None: ...
-
-
 class Udp:
-    """A UDP socket.
+    """A UDP socket, which takes the datagrams of its peer only, or of anybody. An OSError: the link is lost."""
 
-    Args:
-        place: where.
-        peer: the only sender whose datagrams are taken; None: anybody's.
-    """
-
-    whole = True
+    whole = True  # what it reads are datagrams
 
     def __init__(self, place: Place, peer: Peer | None = None):
         family, *_, address = socket.getaddrinfo(place.name, place.number, type=socket.SOCK_DGRAM)[0]
@@ -160,12 +117,14 @@ class Udp:
 
     @property
     def sender(self) -> str:
+        """Where what was read last came from, as HOST:PORT."""
         if self._sender is None:
             return ""
         host, port = self._sender[:2]
         return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
     def read(self) -> bytes:
+        """What has arrived; empty if nothing."""
         try:
             data, self._sender = self._socket.recvfrom(LARGEST)
         except (BlockingIOError, ConnectionRefusedError):  # the latter: nobody listens there yet
@@ -176,12 +135,14 @@ class Udp:
         return data
 
     def write(self, frame: bytes) -> bool:
+        """Send a frame; False if there is no room now."""
         if self._peer is not None:
             with suppress(OSError):  # a network that is down comes back, and a datagram may be lost anyway
                 self._socket.sendto(frame, self._peer)
         return True
 
     def answer(self) -> None:
+        """What was read last came from the vehicle: from now on, send there."""
         self._peer = self._sender
 
     def close(self) -> None:
@@ -189,7 +150,7 @@ class Udp:
 
 
 class Serial:
-    """A serial port, 8 data bits, no parity, 1 stop bit, without flow control."""
+    """As `Udp`, a serial port, 8 data bits, no parity, 1 stop bit, without flow control."""
 
     whole, sender, left_out = False, "", ""
 
@@ -238,18 +199,12 @@ class Serial:
 
 
 class Link:
-    """A port that is opened when it can be. Times are in s of a steady clock.
-
-    Args:
-        place: where.
-        say: takes a sentence for the operator when the link is lost or opened, or when a sender is left out.
-        peer: the only sender that is listened to; None: all.
-    """
+    """A port that is opened when it can be. `say` takes sentences for the operator; times are s of a steady clock."""
 
     def __init__(self, place: Place, say: Callable[[str], None], peer: Peer | None = None):
         self._place, self._say, self._peer = place, say, peer
         self._left_out: set[str] = set()  # senders that were told
-        self._port: Port | None = None
+        self._port: Udp | Serial | None = None
         self._due, self._wait = 0.0, FIRST_WAIT  # when to open it, and how long to wait after the next failure
         self._heard = 0.0  # when something was read last, or it was opened
         self._told = ""

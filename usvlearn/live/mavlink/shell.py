@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import signal
 import threading
 import time
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 
 from usvlearn.errors import ConfigError
-from usvlearn.live.arguments import add_arguments as add_common_arguments
-from usvlearn.live.arguments import options_of
-from usvlearn.live.mavlink.frames import load_dialect
 from usvlearn.live.mavlink.links import Link, Place, parse_peer, parse_place
-from usvlearn.live.mavlink.routes import CHANNELS
+from usvlearn.live.mavlink.messages import CHANNELS, load_dialect
 from usvlearn.live.mavlink.vehicle import Vehicle
 from usvlearn.live.session import Session
-from usvlearn.live.start import Middleware
-from usvlearn.live.status.status_line import StatusLine
+from usvlearn.live.start import Middleware, options_of, until_signal
+from usvlearn.live.start import add_arguments as add_common_arguments
+from usvlearn.live.status import StatusLine
 
 MIDDLEWARE = Middleware("mavlink", "usvlearn.logs.formats.ardupilot.tlog.Tlog", CHANNELS)
 TICK = 1.0  # s
@@ -47,7 +43,7 @@ def main(arguments: Sequence[str]) -> int:
     given = parser.parse_args(arguments)
     place = check_arguments(given)
     line = StatusLine("usvlearn")
-    with _until_signal() as stopped, Session(options_of(given), MIDDLEWARE) as session:
+    with until_signal() as stopped, Session(options_of(given), MIDDLEWARE) as session:
         line.say(session.sentence)
         session.start()
         try:
@@ -84,16 +80,7 @@ def run(
     line: StatusLine,
     clock: Callable[[], float] = time.monotonic,
 ) -> None:
-    """Listen to a vehicle until `stopped` is set.
-
-    Args:
-        session: what learns; it has been started.
-        given: of `add_arguments`.
-        place: of `check_arguments`.
-        stopped: ends the run.
-        line: for the operator.
-        clock: a steady clock, s.
-    """
+    """Listen to a vehicle until `stopped` is set; the session has been started."""
     rate = given.rate or PER_STEP / float(session.setup.align["dt"])
     vehicle = Vehicle(session, load_dialect(), rate, given.system, say=line.say)
     peer = None if given.peer is None else parse_peer(given.peer, place)
@@ -122,18 +109,3 @@ def _listen(link: Link, vehicle: Vehicle, clock: Callable[[], float]) -> None:
         if vehicle.receive(data, now, link.whole, link.sender):
             link.answer()
         link.write(vehicle.telemetry.queue, now)
-
-
-@contextmanager
-def _until_signal() -> Iterator[threading.Event]:
-    """An event that SIGTERM and SIGINT set; the handlers before are put back."""
-    stopped = threading.Event()
-    before = {}
-    if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGTERM, signal.SIGINT):
-            before[number] = signal.signal(number, lambda *_: stopped.set())
-    try:
-        yield stopped
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

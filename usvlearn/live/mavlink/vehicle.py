@@ -14,24 +14,25 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from usvlearn.core.events import LOSS
-from usvlearn.live.mavlink.boot_clock import BootClock
-from usvlearn.live.mavlink.frames import V1, Frames
-from usvlearn.live.mavlink.intervals import Intervals
-from usvlearn.live.mavlink.routes import (
+from usvlearn.live.mavlink.messages import (
     ATTITUDE,
     GLOBAL,
     HUD,
+    INFO,
     NED,
+    V1,
     VELOCITIES,
+    WARNING,
+    Frames,
     Route,
+    Telemetry,
     find_routes,
     instance_of,
     number_of,
     value_of,
     velocity_of,
 )
-from usvlearn.live.mavlink.servo_parameters import ServoParameters
-from usvlearn.live.mavlink.telemetry import INFO, WARNING, Telemetry
+from usvlearn.live.mavlink.requests import BootClock, Intervals, ServoParameters
 from usvlearn.logs.formats.ardupilot.mavlink_messages import MESSAGES
 from usvlearn.logs.formats.ardupilot.tlog import ARMED, GROUND_STATION, HEARTBEAT, NO_AUTOPILOT, PARAM_VALUE
 
@@ -49,13 +50,6 @@ RANKS = (NED, GLOBAL, HUD)  # where the velocity comes from, the best first
 
 class Vehicle:
     """Stands between a link and a session.
-
-    Args:
-        session: what learns.
-        dialect: of `load_dialect`.
-        hz: wanted rate of the messages.
-        system: id of the vehicle; None: the first that is heard.
-        say: takes a sentence for the operator.
 
     Attributes:
         telemetry: whose queue holds what is to be sent.
@@ -266,7 +260,7 @@ class Vehicle:
         """Do what is due each second, and return the session's health; `now` in s of a steady clock."""
         if self._servos.one_command:
             self._session.one_command = True
-        health = self._session.tick(self._clock.now(now))
+        health = self._session.tick()
         self.telemetry.heartbeat()
         if self.is_connected(now) and self.address is not None:
             self._wish_replacement(now)

@@ -1,8 +1,8 @@
 """The app on a MOOSDB: it subscribes to the boat's variables, and publishes predictions and what every app does.
 
 Messages are handled as they come, and what a step gives is published at once. AppTick paces only the rest: health,
-status and AppCasts. Nothing here waits: compiling and saving have threads of their own, and while there is no
-database, posts wait in a bounded outbox.
+status and AppCasts, which a MOOS viewer asks for and shows. Nothing here waits: compiling and saving have threads of
+their own, and while there is no database, posts wait in a bounded outbox.
 """
 
 from __future__ import annotations
@@ -11,22 +11,102 @@ import asyncio
 import math
 import signal
 import time
-from collections.abc import Iterable, Sequence
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 
 from usvlearn.errors import ConfigError
 from usvlearn.live.health import COMPILING, Health
 from usvlearn.live.moos import wire
-from usvlearn.live.moos.appcast import AppCasts
 from usvlearn.live.moos.block import EXAMPLE, MIDDLEWARE, Settings, interface, parser, settings_of
 from usvlearn.live.moos.client import Client
 from usvlearn.live.moos.wire import Message
 from usvlearn.live.session import Session
-from usvlearn.live.status import publications
-from usvlearn.live.status.operator_page import page
-from usvlearn.live.status.status_line import StatusLine
+from usvlearn.live.status import PLANNED, TABLE, Post, StatusLine, of_health, of_step, page
+from usvlearn.live.status import SELDOM as SELDOM_WHEN
 from usvlearn.logs.channels.channel import COMMANDS
+
+FIELD, ITEM = "!@#", "!@"  # what separates fields, and items of a field
+PERIOD = 0.4  # s between two AppCasts, at least
+LONGEST = 30.0  # s, for which one request counts, at most
+KEYS = 100  # viewers and warnings that are remembered
+EVENTS = 8  # that are shown
+
+
+class AppCasts:
+    """Who has asked for AppCasts, and what they are told.
+
+    Attributes:
+        warnings: run warning -> how often it came.
+    """
+
+    def __init__(self, app: str):
+        self.app = app
+        self.warnings: Counter[str] = Counter()
+        self.config_warnings: list[str] = []
+        self._asked: dict[str, tuple[float, bool]] = {}  # key -> until when, and whether only warnings are wanted
+        self._events: deque[str] = deque(maxlen=EVENTS)
+        self._total = 0
+        self._cast = float("-inf")
+        self._told_warnings = 0  # run warnings at the last AppCast
+
+    def ask(self, text: str, clock: float, node: str) -> None:
+        """Take an `APPCAST_REQ`; anything else is ignored."""
+        given: dict[str, str] = {}
+        for part in text.split(","):
+            name, _, value = part.strip().partition("=")
+            given[name] = value
+        try:
+            duration = float(given.get("duration", "0"))
+        except ValueError:
+            return
+        if given.get("node") not in (node, "all") or given.get("app") not in (self.app, "all") or not duration > 0:
+            return
+        key = given.get("key", "")[:100]
+        self._asked.pop(key, None)  # so that the newest is the last
+        self._asked[key] = clock + min(duration, LONGEST), given.get("thresh") == "run_warning"
+        while len(self._asked) > KEYS:
+            del self._asked[next(iter(self._asked))]
+
+    def due(self, clock: float) -> bool:
+        """Whether an AppCast is due now, which it then is not for a while."""
+        self._asked = {key: each for key, each in self._asked.items() if each[0] >= clock}
+        new_warnings = self.warnings.total() > self._told_warnings
+        if clock - self._cast < PERIOD or not any(new_warnings or not only for _, only in self._asked.values()):
+            return False
+        self._cast, self._told_warnings = clock, self.warnings.total()
+        return True
+
+    def warn(self, text: str) -> None:
+        """Add a run warning, or count it once more."""
+        self.warnings[text] += 1
+        while len(self.warnings) > KEYS:
+            del self.warnings[next(iter(self.warnings))]
+
+    def event(self, text: str, uptime: float) -> None:
+        """Add an event, which is shown with the time since the start, s."""
+        self._total += 1
+        self._events.append(f"[{uptime:.2f}]: {text}")
+
+    def compose(self, iteration: int, node: str, lines: Iterable[str]) -> str:
+        """The text of an AppCast."""
+        fields = {
+            "proc": self.app, "iter": f"{iteration}", "node": node,
+            "messages": "".join(f"{line}{ITEM}" for line in _plain(lines)),
+            "config_warnings": ITEM.join(_plain(self.config_warnings)),
+            "events_total": f"{self._total}", "events": ITEM.join(_plain(self._events)),
+            "run_warning_total": f"{self.warnings.total()}",
+            "run_warnings": ITEM.join(_plain(f"{count}:{text}" for text, count in self.warnings.most_common(EVENTS))),
+        }  # fmt: skip
+        return FIELD.join(f"{key}={text}" if text else "" for key, text in fields.items())
+
+
+def _plain(lines: Iterable[str]) -> Iterator[str]:
+    """Lines without what would separate them."""
+    for line in lines:
+        yield line.replace(ITEM, "! @").replace("\n", " ")
+
 
 REQUEST = "APPCAST_REQ"
 PLAIN = "DESIRED_THRUST"  # of pMarinePID, which posts no command of a side
@@ -36,15 +116,11 @@ ADVICE = (
 )
 SECOND, STATUS, SELDOM = 1.0, 2.0, 5.0  # s between two reports of health, of status, and of what changes seldom
 OLD = 1.0  # s: what is older than the subscription by more than this is no news
-SELDOM_POSTS = {each.name for each in publications.TABLE if each.when == publications.SELDOM}
+SELDOM_POSTS = {each.name for each in TABLE if each.when == SELDOM_WHEN}
 
 
 class App:
     """The app.
-
-    Args:
-        session: the node; the app closes it.
-        settings: of the app.
 
     Raises:
         ConfigError: a channel's name is a pattern.
@@ -139,7 +215,7 @@ class App:
         if last and not self.session.sources[part].held:
             return self.session.drop(part, "last_value")
         for step in self.session.push(part, self._subscribed if last else message.time, value):
-            self._publish(publications.of_step(step, self.settings.members))
+            self._publish(of_step(step, self.settings.members))
             for event in step.events:
                 self.casts.event(event.sentence, self._uptime())
                 self._line.say(event.sentence)
@@ -149,11 +225,11 @@ class App:
         """Answer a plan; the last value that the database has is old."""
         if not self._is_last_value(message):
             text = message.text if message.data == wire.TEXT else f"{message.value:g}"
-            self._publish([publications.Post(publications.PLANNED, self.session.answer(text))])
+            self._publish([Post(PLANNED, self.session.answer(text))])
 
     # what goes out
 
-    def _publish(self, found: Iterable[publications.Post]) -> None:
+    def _publish(self, found: Iterable[Post]) -> None:
         for post in found:
             self._published.add(self.settings.prefix + post.name)
             self.client.notify(self.settings.prefix + post.name, post.value)
@@ -164,7 +240,7 @@ class App:
     def _report(self, clock: float, seldom: bool) -> None:
         """The health, once a second."""
         compiling = self._health.state == COMPILING.state
-        self._health = health = self.session.tick(self.client.now(), clock)
+        self._health = health = self.session.tick(clock)
         if compiling and health.state != COMPILING.state:  # what came until now was dropped: ask for it again
             self._expect_last_values()
             for variable in self._feeds:
@@ -180,7 +256,7 @@ class App:
             self.casts.event(self._trouble or f"connected to the MOOSDB at {where}", self._uptime())
         self._line.show(health, self.session.last, self._trouble)
         if self.client.connected:  # old news is none
-            self._publish(post for post in publications.of_health(health) if seldom or post.name not in SELDOM_POSTS)
+            self._publish(post for post in of_health(health) if seldom or post.name not in SELDOM_POSTS)
 
     def _status(self, cpu: float) -> str:
         """What every app says about itself."""

@@ -37,14 +37,6 @@ class NameTakenError(Exception):
 class Client:
     """A connection to a MOOSDB that is renewed for ever.
 
-    Args:
-        name: of this app.
-        host: of the database.
-        port: of the database.
-        deliver: receives each message of a registered variable.
-        warp: MOOSTimeWarp. MOOS time is Unix time times this.
-        clock: Unix time, s.
-
     Attributes:
         connected: whether the database has welcomed this client.
         community: the name of the database's community; empty before the first connection.
@@ -59,8 +51,8 @@ class Client:
         name: str,
         host: str,
         port: int,
-        deliver: Callable[[Message], None],
-        warp: float = 1.0,
+        deliver: Callable[[Message], None],  # receives each message of a registered variable
+        warp: float = 1.0,  # MOOSTimeWarp: MOOS time is Unix time times this
         clock: Callable[[], float] = time.time,
     ):
         self.name, self.host, self.port, self.warp = name, host, port, warp

@@ -31,11 +31,7 @@ class WireError(Exception):
 
 
 class Message(NamedTuple):
-    """One message.
-
-    >>> decode(encode([Message(NOTIFY, "NAV_SPEED", value=1.5, time=2.0)]))[0].value
-    1.5
-    """
+    """One message."""
 
     kind: str  # one character
     key: str = ""  # the variable
@@ -51,11 +47,7 @@ class Message(NamedTuple):
 
 
 def encode(messages: Iterable[Message]) -> bytes:
-    """A packet of these messages.
-
-    >>> len(encode([Message(NOTIFY)])), len(PROTOCOL)
-    (63, 32)
-    """
+    """A packet of these messages."""
     parts = [_encode(message) for message in messages]
     return _PACKET.pack(_PACKET.size + sum(map(len, parts)), len(parts), 0) + b"".join(parts)
 
@@ -82,9 +74,6 @@ def size_of(packet: bytes) -> int:
 
     Raises:
         WireError: no packet has this length.
-
-    >>> size_of(encode([Message(NOTIFY)])[:4])
-    63
     """
     (size,) = _SIZE.unpack_from(packet)
     if not _PACKET.size <= size <= LARGEST:
@@ -94,9 +83,6 @@ def size_of(packet: bytes) -> int:
 
 def decode(packet: bytes) -> list[Message]:
     """The messages of a packet.
-
-    Args:
-        packet: all its bytes.
 
     Raises:
         WireError: it is no packet.

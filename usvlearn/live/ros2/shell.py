@@ -11,23 +11,98 @@ import argparse
 import importlib
 import math
 import os
-import signal
-import threading
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from types import FrameType
-from typing import Any
+from typing import Any, NamedTuple
 
-from usvlearn.errors import ConfigError
-from usvlearn.live.arguments import add_arguments, options_of
-from usvlearn.live.ros2.inputs import AUXILIARY, DEFAULTS, NS, Messages, choose_topics
-from usvlearn.live.ros2.outputs import CLASSES, NAME, TRACK_CLASSES, Outputs, message_class
-from usvlearn.live.ros2.parameters import given_by, with_parameters
+from usvlearn.errors import ConfigError, did_you_mean
+from usvlearn.live.ros2.messages import (
+    AUXILIARY,
+    CLASSES,
+    DEFAULTS,
+    NAME,
+    NS,
+    TRACK_CLASSES,
+    Messages,
+    Outputs,
+    choose_topics,
+    message_class,
+)
 from usvlearn.live.session import Session
-from usvlearn.live.start import Middleware
-from usvlearn.live.status.status_line import StatusLine
+from usvlearn.live.start import NAMED, Middleware, Options, add_arguments, options_of, until_signal
+from usvlearn.live.status import StatusLine
+from usvlearn.logs.alignment.mixing import SOURCE_KEYS
 from usvlearn.logs.channels.channel import QUOTED
+from usvlearn.logs.formats.ros.message_fields import CLOCKS
+
+PREFIX = "channels."
+PATHS = ("folder", "start", "tensorboard")
+OWN = {"frame_id": "base_link", "clock": "header", "members": False}  # and their defaults
+KINDS: dict[str, tuple[type, ...]] = {  # of all options; a whole number is legal where a number is
+    **dict.fromkeys((*PATHS, "boat", "frame_id", "clock"), (str,)),
+    **dict.fromkeys(("mass", "surge_max", "save_period", "patience"), (float, int)),
+    "keep": (int,),
+    **dict.fromkeys(("record", "refit", "members"), (bool,)),
+}
+OF_ROS = ("use_sim_time", "start_type_description_service")
+PREFIXES_OF_ROS = ("qos_overrides.",)
+MEANING = {str: "text", bool: "true or false", int: "a whole number", float: "a number"}
+
+
+class Given(NamedTuple):
+    """What the user has given as parameters."""
+
+    options: dict[str, Any]  # of `usvlearn.live.start.Options`
+    own: dict[str, Any]  # of `OWN`, complete
+    channels: dict[str, dict[str, Any]]  # channel -> option of a `Source` -> value
+
+
+def given_by(parameters: Mapping[str, Any]) -> Given:
+    """Sort parameters, by their full names.
+
+    Raises:
+        ConfigError: a name is not known, or a value has another type than expected.
+    """
+    found = Given({}, dict(OWN), {})
+    for name, value in parameters.items():
+        if name in OF_ROS or name.startswith(PREFIXES_OF_ROS):
+            continue
+        if name.startswith(PREFIX):
+            channel, _, key = name.removeprefix(PREFIX).partition(".")
+            if channel not in NAMED or key not in SOURCE_KEYS:
+                raise _unknown(name, (PREFIX + f"{each}.{option}" for each in NAMED for option in SOURCE_KEYS))
+            found.channels.setdefault(channel, {})[key] = _plain(value)
+            continue
+        if name not in KINDS:
+            raise _unknown(name, KINDS)
+        if not isinstance(value, KINDS[name]) or (isinstance(value, bool) and bool not in KINDS[name]):
+            raise ConfigError(f"parameter {name}: found {value!r:.60}, expected {MEANING[KINDS[name][0]]}")
+        if name in OWN:
+            found.own[name] = value
+        elif value != "":  # an empty text leaves the default, as a launch file may pass it
+            found.options[name] = Path(str(value)).expanduser() if name in PATHS else value
+    if found.own["clock"] not in CLOCKS:
+        raise ConfigError(f"parameter clock: found {found.own['clock']!r}, expected one of {', '.join(CLOCKS)}")
+    return found
+
+
+def with_parameters(options: Options, given: Given) -> Options:
+    """The options of the command line, with the parameters in their place."""
+    channels = {name: dict(each) for name, each in options.channels.items()}
+    for name, each in given.channels.items():
+        channels[name] = channels.get(name, {}) | each
+    return replace(options, **given.options, channels=channels)
+
+
+def _unknown(name: str, known: Iterable[str]) -> ConfigError:
+    return ConfigError(f"parameter {name}: found no such parameter{did_you_mean(name, known)}")
+
+
+def _plain(value: Any) -> Any:
+    """The arrays of ROS as lists."""
+    return list(value) if hasattr(value, "__len__") and not isinstance(value, str) else value
+
 
 QUEUE = 100  # messages of a topic that wait for the node: 1 s at 100 Hz
 DEPTH = 10  # messages of ours that wait for a slow subscriber
@@ -64,15 +139,7 @@ OPEN = (
 
 
 class Shell:
-    """Joins a session to a node of rclpy.
-
-    Args:
-        node: an `rclpy.node.Node`.
-        session: that has been started.
-        frame_id: of the boat, for the headers of predictions.
-        clock: "header" or "receive": where the times of messages are taken from.
-        members: whether to publish the prediction of each member, too.
-    """
+    """Joins a session to a node of rclpy."""
 
     def __init__(
         self, node: Any, session: Session, frame_id: str = "base_link", clock: str = "header", members: bool = False
@@ -206,7 +273,7 @@ class Shell:
         now = self.now()
         self.publish(self._messages.notice(now))
         self.subscribe()
-        health = self._session.tick(now / NS, time.monotonic())
+        health = self._session.tick()
         message = self._outputs.diagnostics(
             now / NS, self._node.get_name(), health, self._problems, self._messages.sentences()
         )
@@ -223,32 +290,19 @@ class Shell:
 
 
 def run(session: Session, node: Any, **options: Any) -> int:
-    """Serve until SIGINT or SIGTERM; returns the exit code.
-
-    Args:
-        session: it is started, and closed at the end.
-        node: an `rclpy.node.Node`.
-        **options: of `Shell`.
-    """
-    stop = threading.Event()
-
-    def receive(number: int, frame: FrameType | None) -> None:
-        stop.set()
-
-    before = {number: signal.signal(number, receive) for number in (signal.SIGINT, signal.SIGTERM)}
-    executor = importlib.import_module("rclpy.executors").SingleThreadedExecutor()
-    try:
-        session.start()
-        shell = Shell(node, session, **options)
-        executor.add_node(node)
-        while not stop.is_set():
-            executor.spin_once(timeout_sec=WAIT)
-        shell.close()
-    finally:
-        print(f"usvlearn: {session.close()}", flush=True)
-        for number, handler in before.items():
-            signal.signal(number, handler)
-        executor.shutdown()
+    """Serve with options of `Shell` until SIGINT or SIGTERM; returns the exit code. The session ends with it."""
+    with until_signal() as stopped:
+        executor = importlib.import_module("rclpy.executors").SingleThreadedExecutor()
+        try:
+            session.start()
+            shell = Shell(node, session, **options)
+            executor.add_node(node)
+            while not stopped.is_set():
+                executor.spin_once(timeout_sec=WAIT)
+            shell.close()
+        finally:
+            print(f"usvlearn: {session.close()}", flush=True)
+            executor.shutdown()
     return 0
 
 
