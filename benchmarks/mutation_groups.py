@@ -42,7 +42,6 @@ GROUPS = {
         (
             "usvlearn/live/*.py",
             "usvlearn/live/ros2/*.py",
-            "usvlearn/live/status/*.py",
             "usvlearn/display/json_values.py",
         ),
         10,

@@ -89,11 +89,7 @@ def as_csv(errors: Iterable[RunError], names: Sequence[str]) -> str:
 
 
 def from_csv(text: str) -> list[RunError]:
-    """What `as_csv` wrote.
-
-    Raises:
-        ValueError: it is damaged.
-    """
+    """What `as_csv` wrote."""
     rows = csv.reader(io.StringIO(text))
     head = next(rows, [])
     if tuple(head[:4]) != HEAD:

@@ -88,9 +88,6 @@ def cross_validate(
         batch elements: simulations in a batch, at most, or all checkpoints on one run.
         advance: receives the number of measured steps done, over all batch elements, for a progress bar.
         backend: "kernel", "torch" or "auto", as of `rollout`.
-
-    Raises:
-        ConfigError: as `rollout`.
     """
     names = methods(ensemble)
     sets = next(leaf for _, leaf in named_leaves(state)).shape[0]

@@ -45,7 +45,7 @@ def identified_boats(
     return dict(zip(boats, identified(members, leaves), strict=True))
 
 
-def identified_planar_boats(planar: Planar, state: Any, boats: Sequence[str]) -> dict[str, Identified]:
+def identified_planars(planar: Planar, state: Any, boats: Sequence[str]) -> dict[str, Identified]:
     """As `identified_boats`, with the quantities of turning."""
     if planar.surge.averaged is None:
         return {}

@@ -100,11 +100,7 @@ def own_columns(estimator: str, names: Iterable[str]) -> list[str]:
 
 
 def measure_of(objective: Any, default: str) -> Measure:
-    """What `objective` names; without one, the MAE of `default` one step ahead.
-
-    Raises:
-        ConfigError: it has another form.
-    """
+    """What `objective` names; without one, the MAE of `default` one step ahead."""
     name, _, kind = str(default if objective is None else objective).partition(".")
     kind, _, horizon = kind.partition(".")
     named = re.fullmatch(r"[\w-]+", name) is not None
@@ -153,11 +149,7 @@ def named(key: str) -> str | None:
 
 
 def ranked_by(objective: Any, swept: Iterable[str], results: Iterable[Mapping]) -> Measure | None:
-    """What ranks jobs; None if each job's own output does.
-
-    Raises:
-        ConfigError: the objective has another form.
-    """
+    """What ranks jobs; None if each job's own output does."""
     if objective is not None:
         return measure_of(objective, "")
     names = {name for key in swept if (name := named(key)) is not None}

@@ -58,33 +58,16 @@ class Step(NamedTuple):
 
 
 class Node:
-    """Learns from the messages of one boat.
-
-    Attributes:
-        steps, learned, alarms: how many there were.
-        grid, fresh, measured: how many steps of the grid have passed, those with all inputs, those with a speed, too.
-        alarm: the side whose thruster seems to have failed; None without an alarm.
-        loss: what is known of it now.
-        one_command: whether both sides have the same command, so that nothing tells them apart.
-        horizons: s, of the forecasts.
-        track_horizons: s, of the tracks; () where the estimator makes none.
-        dt: s, of a step.
-        held: the intervals of forecasts, whatever is commanded.
-        derived: the surge that the last message completed, m/s; None where it did not, or where surge is received.
-        took: is called with channel, time and value, s and SI units, of each message that is aligned.
-
-    Raises:
-        ConfigError: the setup cannot be used live, or the estimator is not of one boat.
-    """
+    """Learns from the messages of one boat."""
 
     def __init__(self, setup: Setup, online: Online, patience: float = PATIENCE):
         self.setup, self.online, self.patience = setup, online, patience
         self.parts, self.one_command = setup.parts, setup.one_command
         self._channels = {part: part.partition("[")[0] for part in self.parts}
-        self.steps = self.learned = self.alarms = 0
-        self.grid = self.fresh = self.measured = 0
-        self.alarm: str | None = None
-        self.loss: Event | None = None
+        self.steps = self.learned = self.alarms = 0  # how many there were
+        self.grid = self.fresh = self.measured = 0  # steps of the grid, those with all inputs, those with a speed, too
+        self.alarm: str | None = None  # the side whose thruster seems to have failed
+        self.loss: Event | None = None  # what is known of it now
         self._shell: dict[str, Counter[str]] = {}
         self._before: dict[str, Counter[str]] = {}  # counts of earlier aligners
         description = online.description
@@ -94,13 +77,15 @@ class Node:
         self._output = str(own.get("output"))
         self._watch = diagnostics.event_watch(own)
         self.origin = math.nan  # stamps are counted from here, s
-        self.derived: float | None = None
+        self.derived: float | None = None  # m/s, the surge that the last message completed
+        # Is called with channel, time and value, s and SI units, of each message that is aligned.
         self.took: Callable[[str, float, float], None] = lambda *_: None
         self.dt = float(setup.align["dt"])
-        self.horizons, self.track_horizons = (
+        self.horizons, self.track_horizons = (  # s, of forecasts and of tracks
             tuple(each for each in found if round(each / self.dt) <= LONGEST)
             for found in (diagnostics.horizons(own), diagnostics.track_horizons(description))
         )
+        # The intervals of forecasts, whatever is commanded.
         self.held = HeldIntervals(self.horizons, self.dt)
         self.last = math.nan  # the end of the last step, s, as the messages are stamped
         self._begin()
@@ -153,9 +138,6 @@ class Node:
             part: a channel, or one of several sources of a command, such as "command_left[0]": see `Setup.parts`.
             stamp: s; it may be any number, on any clock.
             raw: the value as the source has it.
-
-        Raises:
-            ConfigError: there is no such part.
         """
         source = self.parts.get(part)
         if source is None:

@@ -31,9 +31,6 @@ class NodeFolder:
     Args:
         folder: it is made.
         keep: how many of its own checkpoints a node keeps, at least 2.
-
-    Raises:
-        ConfigError: the folder holds a `status.json` of another program.
     """
 
     def __init__(self, folder: Path, keep: int = 100):

@@ -73,11 +73,7 @@ class PlannedCommands(NamedTuple):
 
 
 def parse_plan(text: str) -> PlannedCommands:
-    """The plan in a text.
-
-    Raises:
-        ConfigError: it is none, or a number is outside its legal range.
-    """
+    """The plan in a text."""
     if len(text) > MOST_TEXT:
         raise ConfigError(f"plan: found {len(text)} characters, expected at most {MOST_TEXT}")
     rows = _of_json(text) if is_json(text) else _of_text(text)

@@ -24,11 +24,7 @@ FILE = Path(__file__).with_name("prior.safetensors")
 
 
 def prior(mass: float, surge_max: float) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """The state by dotted name and the facts from which `Online.of` starts, of a mass in kg and a top speed in m/s.
-
-    Raises:
-        ConfigError: one of them is no positive number.
-    """
+    """The state by dotted name and the facts from which `Online.of` starts, of a mass in kg and a top speed in m/s."""
     check_positive("mass", mass, "of kg")
     check_positive("surge_max", surge_max, "of m/s")
     leaves, facts = checkpoint.load(FILE)

@@ -37,15 +37,10 @@ def variable(part: str) -> str:
 
 
 class Recorder:
-    """Writes one record. A full disk ends it: what was written stays, and `problem` says what happened.
-
-    Attributes:
-        path: of the log.
-        problem: a sentence; None while all is written.
-    """
+    """Writes one record. A full disk ends it: what was written stays, and `problem` says what happened."""
 
     def __init__(self, folder: Path, setup: Setup, begins: tuple[dict[str, Any], dict[str, Any]], boat: str = "boat"):
-        self.problem: str | None = None
+        self.problem: str | None = None  # a sentence, once not all is written
         self._file: TextIO | None = None
         self._rows: list[str] = []
         self._written = -math.inf

@@ -46,12 +46,6 @@ WARNINGS = 20  # sentences, at most
 class Session:
     """One node aboard.
 
-    Attributes:
-        sources: part -> what is received: see `Setup.parts`.
-        sentence: what the node starts from.
-        state: see `Health`.
-        one_command: whether both sides have the same command; a middleware may find it out later.
-
     Raises:
         ConfigError: another node has the folder, there is nothing to start from, or a channel is not legal.
         CheckpointError: no set of the folder can be read.
@@ -71,12 +65,12 @@ class Session:
         except BaseException:
             self._release()
             raise
-        self.sources: dict[str, Source] = self.setup.parts
+        self.sources: dict[str, Source] = self.setup.parts  # part -> what is received
         needed = self.setup.live().parts  # what tracks alone need is not waited for
         self._listening = Listening(needed, options.warp)
         self._usable = Usable(needed)
         self.sentence = self._begin.sentence
-        self.one_command = self.setup.one_command
+        self.one_command = self.setup.one_command  # a middleware may find it out later
         self.state = "compiling"
         self.last: Step | None = None
         self._node: Node | None = None

@@ -225,9 +225,6 @@ def channel_options(given: Mapping[str, str]) -> dict[str, dict[str, Any]]:
 
     Args:
         given: such as {"surge": "NAV_SPEED"}, the name, or {"surge.unit": "knots"}; several names are comma-separated.
-
-    Raises:
-        ConfigError: a key is not known, or a value is not a number where one is needed.
     """
     found: dict[str, dict[str, Any]] = {}
     for dotted, text in given.items():
@@ -313,11 +310,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def options_of(given: argparse.Namespace, warp: float = 1.0) -> Options:
-    """The options from parsed arguments.
-
-    Raises:
-        ConfigError: a value is not legal.
-    """
+    """The options from parsed arguments."""
     channels, vehicle, asked = boat_of(Path(given.channels).expanduser()) if given.channels else ({}, {}, None)
     pairs = {}
     for pair in given.channel:

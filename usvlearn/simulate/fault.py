@@ -58,10 +58,8 @@ class Fault:
 def faulty_vessels(fault: Fault | None, vessel: Vessel, ticks: Sequence[int], hz: float) -> dict[int, Vessel]:
     """The vessel's new parameters, by the tick from which they hold; empty if there is no fault.
 
-    Args:
-        vessel: before the fault, leaves broadcast against `(missions, boats, ...)`.
-        ticks: planned length of each mission, ticks of the autopilot.
-        hz: ticks a second.
+    The vessel's leaves broadcast against `(missions, boats, ...)`; `ticks` are the planned lengths of the missions, at
+    so many ticks a second.
     """
     if fault is None:
         return {}

@@ -93,10 +93,7 @@ def fleet_missions(
     """The name of each mission, and its course per boat.
 
     The kinds are drawn without replacement until all have been used, so each occurs equally often. A convoy has one
-    course for all boats.
-
-    Args:
-        ticks: length of each mission, ticks of the autopilot.
+    course for all boats. `ticks` are the lengths of the missions.
     """
     names, courses = [], []
     for j, length in enumerate(ticks):

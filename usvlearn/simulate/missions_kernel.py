@@ -36,13 +36,7 @@ class Known(NamedTuple):
 def known(
     vessel: Vessel, batch: tuple[int, ...], dt: float, top: Tensor, current: Tensor, direction: Tensor, gusts: Gusts
 ) -> tuple[Vessel, Known]:
-    """The vessel as arrays `(elements, …)`, and the constants that follow from it.
-
-    Args:
-        vessel: leaves broadcast against `(*batch, …)`, as do `top`, `current` and `direction`.
-        dt: step, s.
-        gusts: how strong they are.
-    """
+    """The vessel as arrays `(elements, …)`, and the constants that follow from it."""
 
     def elements(leaf: Tensor, *last: int) -> np.ndarray:
         return leaf.expand(*batch, *last).reshape(-1, *last).contiguous().numpy()

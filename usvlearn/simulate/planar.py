@@ -45,12 +45,7 @@ HERON = PlanarBoat()
 
 
 def rates(boat: PlanarBoat, velocity: np.ndarray, shaft: np.ndarray) -> np.ndarray:
-    """(1): accelerations, `(*batch, 3)`.
-
-    Args:
-        velocity: `(*batch, 3)` u, v, r.
-        shaft: `(*batch, 2)` xi, left and right.
-    """
+    """(1): accelerations, `(*batch, 3)`, from u, v, r, `(*batch, 3)`, and xi, left and right, `(*batch, 2)`."""
     u, v, r = np.moveaxis(velocity, -1, 0)
     m_u, m_v, _ = boat.mass
     tau = np.where(shaft > 0, boat.thrust[0], boat.thrust[1]) * shaft

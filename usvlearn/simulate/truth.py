@@ -101,9 +101,7 @@ def _season(
 def true_parameters(mass: float, n: int, plant: str, **season: Any) -> dict[str, dict[str, np.ndarray]]:
     """The parameters of every boat by name, one value for each mission, in the units of `SurgeDynamics`.
 
-    Args:
-        mass: declared, kg.
-        n, plant, season: as of `usvlearn.simulate.fleet.fleet`.
+    `mass` is the declared one, kg; the rest is as of `usvlearn.simulate.fleet.fleet`.
     """
     missions, vessel = _season(n, plant, **season)
     one = torch.ones(2, dtype=torch.float64)

@@ -75,12 +75,7 @@ def drag(vessel: Vessel, surge: Tensor, yaw_rate: Tensor | float = 0.0) -> Tenso
 
 
 def resistance(vessel: Vessel, speed: Tensor, cross: Tensor) -> Tensor:
-    """Drag over surge, c_q |v| + c_l + cross, N s/m, `(*batch,)`.
-
-    Args:
-        speed: |v|, m/s.
-        cross: c_x |r|, N s/m.
-    """
+    """Drag over surge, c_q |v| + c_l + c_x |r|, N s/m, `(*batch,)`, from |v|, m/s, and c_x |r|, N s/m."""
     fast = speed > vessel.knee
     quadratic = torch.where(fast, vessel.drag_quadratic_fast, vessel.drag_quadratic)
     linear = torch.where(fast, vessel.drag_linear_fast, vessel.drag_linear)
@@ -114,11 +109,8 @@ def thrust(vessel: Vessel, shaft: Tensor, surge: Tensor) -> Tensor:
 def step(vessel: Vessel, state: VesselState, command: Tensor, dt: float) -> VesselState:
     """The state `dt` later under a constant command: (1) by Runge-Kutta 4, (3) and (4) exactly.
 
-    The thrust over the step is that of the mean thruster speed, which is exact once the thrusters have spun up.
-
-    Args:
-        command: `(*batch, 2)` left and right, share of full scale; saturates at -1 and 1.
-        dt: s; stable at 0.1 s and below for every vessel of `plants`.
+    The thrust over the step is that of the mean thruster speed, which is exact once the thrusters have spun up. Steps
+    of 0.1 s and below are stable for every vessel of `plants`.
     """
     command = command.clamp(-1.0, 1.0)
     lag = vessel.lag.unsqueeze(-1)

@@ -38,11 +38,7 @@ class Place(NamedTuple):
 
 
 def parse_place(text: str) -> Place:
-    """The place that a connection string names.
-
-    Raises:
-        ConfigError: it names none.
-    """
+    """The place that a connection string names."""
     udp = re.fullmatch(r"(udpin|udpout|udp):(?:\[([^\]]+)\]|([^:]+)):(\d+)", text)
     if udp and 0 < int(udp[4]) < 65536:
         return Place("udpout" if udp[1] == "udpout" else "udpin", udp[2] or udp[3], int(udp[4]))
@@ -63,11 +59,7 @@ class Peer(NamedTuple):
 
 
 def parse_peer(text: str, place: Place) -> Peer:
-    """The sender that `--peer` names, of a connection by UDP.
-
-    Raises:
-        ConfigError: it names none, or the connection is a serial port.
-    """
+    """The sender that `--peer` names, of a connection by UDP."""
     if place.kind == "serial":
         raise ConfigError(f"--peer: found {text!r} with a serial port, which has one sender: leave it out")
     found = re.fullmatch(r"(?:\[([^\]]+)\]|([^:\s]+))(?::(\d+))?", text)

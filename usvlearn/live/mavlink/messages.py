@@ -48,11 +48,7 @@ FIRST = re.compile(b"[\xfd\xfe]")
 
 
 def load_dialect() -> ModuleType:
-    """pymavlink's messages of ArduPilot, as MAVLink 2.
-
-    Raises:
-        MissingExtraError: pymavlink is not installed.
-    """
+    """pymavlink's messages of ArduPilot, as MAVLink 2."""
     try:
         return importlib.import_module("pymavlink.dialects.v20.ardupilotmega")
     except ImportError as error:
@@ -60,18 +56,14 @@ def load_dialect() -> ModuleType:
 
 
 class Frames:
-    """Finds the messages in what a link receives.
-
-    Attributes:
-        skipped: bytes that belong to no frame of a known message.
-    """
+    """Finds the messages in what a link receives."""
 
     def __init__(self, dialect: ModuleType):
         self._messages = dialect.mavlink_map
         self._link = dialect.MAVLink(None)
         self._error = dialect.MAVError
         self._rest = b""  # of a stream, at most one frame
-        self.skipped = 0
+        self.skipped = 0  # bytes that belong to no frame of a known message
 
     def take(self, data: bytes, whole: bool = False) -> list[Any]:
         """The messages that are complete now, as pymavlink decodes them.
@@ -175,11 +167,7 @@ class Route(NamedTuple):
 
 
 def find_routes(sources: Mapping[str, Source]) -> list[Route]:
-    """A route for each part of the channels.
-
-    Raises:
-        ConfigError: a source names no MAVLink message or none of its fields, or would hold a command after disarming.
-    """
+    """A route for each part of the channels."""
     return [_route(part, source) for part, source in sources.items()]
 
 
@@ -259,20 +247,14 @@ WARNING, INFO = 4, 6  # severities
 
 
 class Telemetry:
-    """Makes the frames that are sent.
-
-    Attributes:
-        queue: frames to be sent, the oldest first.
-        old: whether the vehicle speaks MAVLink 1.
-        left_out: texts that came too fast.
-    """
+    """Makes the frames that are sent."""
 
     def __init__(self, dialect: ModuleType, system: int = 1):
         self._dialect = dialect
         self._link = dialect.MAVLink(None, srcSystem=system, srcComponent=COMPONENT)
         self.queue: deque[bytes] = deque(maxlen=ROOM)
-        self.old = False
-        self.left_out = 0
+        self.old = False  # whether the vehicle speaks MAVLink 1
+        self.left_out = 0  # texts that came too fast
         self._tokens, self._filled = float(BURST), -math.inf
         self._said: dict[str, float] = {}  # text -> when it was said last
         self._text = 0  # number of the last text in parts

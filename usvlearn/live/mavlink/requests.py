@@ -30,15 +30,10 @@ RECENT = 60.0  # s over which the least delay is taken: clocks drift apart
 
 
 class BootClock:
-    """Stamps of messages, s since the vehicle's boot. Receipts are in s of any steady clock.
-
-    Attributes:
-        last: the newest stamp, s; NaN before the first.
-        boots: how often the clock went back.
-    """
+    """Stamps of messages, s since the vehicle's boot. Receipts are in s of any steady clock."""
 
     def __init__(self) -> None:
-        self.last, self.boots = math.nan, 0
+        self.last, self.boots = math.nan, 0  # the newest stamp, s; how often the clock went back
         self._received = math.nan  # when the newest stamp was received
         self._doubted = math.nan  # a stamp that was held back
         self._least, self._before = math.inf, math.inf  # least delay of this period, and of the one before

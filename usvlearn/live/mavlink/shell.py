@@ -31,12 +31,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """The command `usvlearn live mavlink`; returns the exit code.
-
-    Raises:
-        UsvlearnError: an option outside its range, or nothing to start from.
-        MissingExtraError: pymavlink is not installed.
-    """
+    """The command `usvlearn live mavlink`; returns the exit code."""
     parser = ArgumentParser("usvlearn live mavlink", description="A node beside an autopilot that speaks MAVLink.")
     add_arguments(parser)
     add_common_arguments(parser)
@@ -55,12 +50,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def check_arguments(given: Namespace) -> Place:
-    """The place of the connection.
-
-    Raises:
-        ConfigError: an option outside its range.
-        MissingExtraError: pymavlink is not installed.
-    """
+    """The place of the connection."""
     load_dialect()
     if given.system is not None and not 1 <= given.system <= 255:
         raise ConfigError(f"--system: found {given.system}, expected an id of 1 to 255")

@@ -49,14 +49,7 @@ RANKS = (NED, GLOBAL, HUD)  # where the velocity comes from, the best first
 
 
 class Vehicle:
-    """Stands between a link and a session.
-
-    Attributes:
-        telemetry: whose queue holds what is to be sent.
-
-    Raises:
-        ConfigError: a channel of the session cannot come from MAVLink.
-    """
+    """Stands between a link and a session."""
 
     def __init__(
         self, session: Session, dialect: ModuleType, hz: float, system: int | None, say: Callable[[str], None]

@@ -35,15 +35,11 @@ EVENTS = 8  # that are shown
 
 
 class AppCasts:
-    """Who has asked for AppCasts, and what they are told.
-
-    Attributes:
-        warnings: run warning -> how often it came.
-    """
+    """Who has asked for AppCasts, and what they are told."""
 
     def __init__(self, app: str):
         self.app = app
-        self.warnings: Counter[str] = Counter()
+        self.warnings: Counter[str] = Counter()  # run warning -> how often it came
         self.config_warnings: list[str] = []
         self._asked: dict[str, tuple[float, bool]] = {}  # key -> until when, and whether only warnings are wanted
         self._events: deque[str] = deque(maxlen=EVENTS)
@@ -120,11 +116,7 @@ SELDOM_POSTS = {each.name for each in TABLE if each.when == SELDOM_WHEN}
 
 
 class App:
-    """The app.
-
-    Raises:
-        ConfigError: a channel's name is a pattern.
-    """
+    """The app."""
 
     def __init__(self, session: Session, settings: Settings):
         self.session, self.settings = session, settings
@@ -358,12 +350,7 @@ def run(session: Session, settings: Settings) -> int:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """The command `usvlearn live moos`; returns the exit code.
-
-    Raises:
-        ConfigError: an argument, the mission file or what the node starts from is not legal.
-        CheckpointError: no checkpoint can be read.
-    """
+    """The command `usvlearn live moos`; returns the exit code."""
     given = parser().parse_args(arguments)
     if given.example or given.interface:
         print(EXAMPLE if given.example else interface())

@@ -51,11 +51,7 @@ class Block(NamedTuple):
 
 
 class Mission:
-    """A mission file.
-
-    Raises:
-        ConfigError: a block has no end, or a line of `ProcessConfig` no block.
-    """
+    """A mission file."""
 
     def __init__(self, text: str, path: str = "mission", environment: Mapping[str, str] | None = None):
         self.path = path
@@ -66,11 +62,7 @@ class Mission:
 
     @classmethod
     def read(cls, path: Path, environment: Mapping[str, str] | None = None) -> Mission:
-        """Read a mission file.
-
-        Raises:
-            ConfigError: it cannot be read, or see above.
-        """
+        """Read a mission file."""
         try:
             if path.stat().st_size > LARGEST:
                 raise ConfigError(
@@ -119,11 +111,7 @@ class Mission:
             )
 
     def get(self, key: str) -> Entry | None:
-        """The first entry of a key at the top level, outside all blocks.
-
-        Raises:
-            ConfigError: it uses a variable that is not defined.
-        """
+        """The first entry of a key at the top level, outside all blocks."""
         for number, line in self._top:
             name, equals, value = line.partition("=")
             if equals and name.strip().lower() == key.lower():
@@ -131,12 +119,7 @@ class Mission:
         return None
 
     def block(self, name: str) -> dict[str, Entry]:
-        """The entries of an app by key in lower case.
-
-        Raises:
-            ConfigError: the app has no block, a line is not `key = value`, a key is there twice, or a variable is not
-                defined.
-        """
+        """The entries of an app by key in lower case."""
         for block in self.blocks:
             if block.name.lower() == name.lower():
                 return self._entries(block)
@@ -280,11 +263,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def settings_of(arguments: Sequence[str], given: argparse.Namespace) -> Settings:
-    """What the app is given.
-
-    Raises:
-        ConfigError: a key is not known, or a value is not legal; the message names the line.
-    """
+    """What the app is given."""
     if given.mission is None:
         raise ConfigError("mission: found none, expected usvlearn live moos MISSION.moos: --example shows its block")
     mission = Mission.read(Path(given.mission).expanduser())

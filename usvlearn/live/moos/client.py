@@ -35,16 +35,7 @@ class NameTakenError(Exception):
 
 
 class Client:
-    """A connection to a MOOSDB that is renewed for ever.
-
-    Attributes:
-        connected: whether the database has welcomed this client.
-        community: the name of the database's community; empty before the first connection.
-        trouble: why there is no connection, in one sentence; empty while there is one.
-        counts: connections, ends and losses by cause: "connected", "name_taken", "silent", "garbage", "lost",
-            "unreachable"; "outbox" counts posts that were dropped.
-        round_trip: s, of the latest timing message; NaN before it.
-    """
+    """A connection to a MOOSDB that is renewed for ever."""
 
     def __init__(
         self,
@@ -56,9 +47,10 @@ class Client:
         clock: Callable[[], float] = time.time,
     ):
         self.name, self.host, self.port, self.warp = name, host, port, warp
-        self.connected, self.community, self.trouble = False, "", "not yet connected"
-        self.counts: Counter[str] = Counter()
-        self.round_trip = float("nan")
+        self.connected, self.community = False, ""  # whether the database has welcomed this client; its community
+        self.trouble = "not yet connected"  # why there is no connection; empty while there is one
+        self.counts: Counter[str] = Counter()  # connections, ends by cause, and "outbox": posts that were dropped
+        self.round_trip = float("nan")  # s, of the latest timing message
         self.registered: dict[str, float] = {}  # variable -> least time between two posts, s
         self._deliver, self._clock = deliver, clock
         self._offset = 0.0  # s, the database's MOOS time less ours, where they really differ

@@ -70,11 +70,7 @@ def _string(text: str) -> bytes:
 
 
 def size_of(packet: bytes) -> int:
-    """The length of a packet from its first four bytes.
-
-    Raises:
-        WireError: no packet has this length.
-    """
+    """The length of a packet from its first four bytes."""
     (size,) = _SIZE.unpack_from(packet)
     if not _PACKET.size <= size <= LARGEST:
         raise WireError(f"a packet of {size} bytes, expected {_PACKET.size} to {LARGEST}")
@@ -82,11 +78,7 @@ def size_of(packet: bytes) -> int:
 
 
 def decode(packet: bytes) -> list[Message]:
-    """The messages of a packet.
-
-    Raises:
-        WireError: it is no packet.
-    """
+    """The messages of a packet."""
     if len(packet) < _PACKET.size:
         raise WireError(f"a packet of {len(packet)} bytes, expected at least {_PACKET.size}")
     size, count, compressed = _PACKET.unpack_from(packet)

@@ -116,15 +116,11 @@ class Messages:
 
     The time of a message is the stamp of its header, else the node's clock at its receipt; see `stamp_of`. If the
     node's clock steps back, the session begins a new segment. `clock` is "header" or "receive": where times come from.
-
-    Attributes:
-        problems: topic -> part -> what was wrong with the latest message, in one sentence.
-        off: topic -> s by which the latest stamp was too far from the node's clock to be used.
     """
 
     def __init__(self, session: Receiver, clock: str = "header", simulated: bool = False):
-        self.problems: dict[str, dict[str, str]] = {}
-        self.off: dict[str, float] = {}
+        self.problems: dict[str, dict[str, str]] = {}  # topic -> part -> what was wrong with the latest message
+        self.off: dict[str, float] = {}  # topic -> s by which the latest stamp was too far from the node's clock
         self._session, self._clock, self._simulated = session, clock, simulated
         self._limit = SIMULATED_LIMIT if simulated else CLOCK_LIMIT
         self._step_back = 0 if simulated else int(CLOCK_LIMIT * NS)  # ns that the clock may step back
@@ -208,11 +204,7 @@ TRACK_CLASSES = {  # likewise, of a node that makes tracks
 
 
 def message_class(kind: str) -> type:
-    """The class of a type of message, such as `nav_msgs/msg/Odometry`.
-
-    Raises:
-        ConfigError: it is not installed.
-    """
+    """The class of a type of message, such as `nav_msgs/msg/Odometry`."""
     package, _, name = kind.partition("/msg/")
     try:
         if not (package.isidentifier() and name.isidentifier()):

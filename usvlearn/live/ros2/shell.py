@@ -59,11 +59,7 @@ class Given(NamedTuple):
 
 
 def given_by(parameters: Mapping[str, Any]) -> Given:
-    """Sort parameters, by their full names.
-
-    Raises:
-        ConfigError: a name is not known, or a value has another type than expected.
-    """
+    """Sort parameters, by their full names."""
     found = Given({}, dict(OWN), {})
     for name, value in parameters.items():
         if name in OF_ROS or name.startswith(PREFIXES_OF_ROS):
@@ -119,11 +115,7 @@ MISSING = (
 
 
 def ros() -> Any:
-    """The package rclpy.
-
-    Raises:
-        ConfigError: it cannot be imported.
-    """
+    """The package rclpy."""
     try:
         return importlib.import_module("rclpy")
     except ImportError as error:
@@ -323,11 +315,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """The command; returns the exit code.
-
-    Raises:
-        ConfigError: rclpy is missing, or an option or parameter is not legal.
-    """
+    """The command; returns the exit code."""
     own = list(arguments[: arguments.index("--ros-args")] if "--ros-args" in arguments else arguments)
     given = parser().parse_args(own)
     if given.launch_file or given.example:
