@@ -46,9 +46,9 @@ GROUPS = {
         ),
         10,
         (
-            *named("live", "arguments status_lines prior"),
+            *named("live", "arguments status prior"),
             *named("live/ros2", "ros2 ros2_node ros2_parameters"),
-            *named("live", "session recent usable replay node"),
+            *named("live", "session health replay node"),
         ),
     ),
     "export": Group(("usvlearn/model/export/*.py",), 7, named("model/export", "formats command")),

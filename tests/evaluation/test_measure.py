@@ -1,6 +1,4 @@
-"""The objective: errors of the next step, of forecasts, or of open-loop simulations; by a run, by batch elements, and
-by the command.
-"""
+"""The objective, by a run, by batch elements and by the command; and simulations with what was saved before."""
 
 import json
 import math
@@ -12,12 +10,13 @@ import torch
 from tests.support.commands import QUICK, results
 from tests.support.commands import run as run_command
 from tests.support.configured import request
+from tests.support.seasons import boats
 from usvlearn import AID, Average, Ensemble, ForecastSettings, Persistence, rollout
 from usvlearn.core.samples import masks
 from usvlearn.engine.rollouts import simulate, tensors
 from usvlearn.errors import ConfigError
 from usvlearn.evaluation.comparison import from_csv
-from usvlearn.evaluation.free_simulation import free_errors, middle
+from usvlearn.evaluation.free_simulation import free_errors, free_runs, middle
 from usvlearn.evaluation.objective import Measure, check_measure, measure_of
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.simulate.fleet import fleet as simulated
@@ -168,3 +167,27 @@ def test_a_run_ends_with_what_it_measures(objective, tmp_path):
         assert total == pytest.approx(mae) and {each.boat for each in some} == {"heron"}
     assert len({each.run for each in errors if each.ahead == "step"}) == 3
     assert len({each.run for each in errors if each.ahead == "free"}) == 2  # the second half
+
+
+def test_the_newest_set_that_has_not_learned_from_a_run_is_taken():
+    _, (season,) = boats(np.ones((1, 9)))
+    assert [season.set_before(k) for k in range(2)] == [(0, True), (0, False)]
+    several = season._replace(own=np.array([0, 0, 1, 1]))
+    assert [several.set_before(k) for k in range(2)] == [(0, True), (1, False)]
+    other = season._replace(own=np.array([-1, -1]))  # sets of other logs
+    assert [other.set_before(k) for k in range(2)] == [(1, False), (1, False)]
+
+
+def test_a_boat_without_noise_is_simulated_as_it_moved():
+    ensemble, (season,) = boats(np.ones((1, 9)))
+    first, second = free_runs(ensemble, season)
+    assert (first.learned, second.learned) == (True, False)
+    run, column = season.runs[1], ensemble.names.index("rls")
+    assert np.isnan(second.predictions[0]).all()  # no step is made there
+    error = np.abs(second.predictions[1:, column] - run.samples.surge[1:])
+    assert error.max() < 0.02 < run.samples.surge.std()  # of an exact model, learned from the first run
+    spoiled = season.runs[1]._replace(
+        samples=run.samples._replace(surge=np.append(run.samples.surge[:1], np.ones(199)))
+    )
+    again = list(free_runs(ensemble, season._replace(runs=(season.runs[0], spoiled))))[1]
+    assert np.array_equal(again.predictions, second.predictions, equal_nan=True)  # it sees the first speed alone

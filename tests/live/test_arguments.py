@@ -1,10 +1,13 @@
-"""What a user gives a node: arguments, options of channels, and the mistakes in them."""
+"""What a user gives a node: arguments, options of channels and mistakes in them; and the documented systemd unit."""
 
 import argparse
+import shutil
+import subprocess
 import sys
 
 import pytest
 
+from tests.support import ROOT
 from usvlearn.cli import aboard
 from usvlearn.errors import ConfigError
 from usvlearn.live.start import add_arguments, options_of
@@ -76,3 +79,15 @@ def test_the_command_tells_what_it_can_do(monkeypatch, capsys, tmp_path):
     assert run(monkeypatch, "status", str(tmp_path)) == 0
     assert "no node has written here" in capsys.readouterr().out
     assert run(monkeypatch, "status", "--help") == 0
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
+def test_systemd_finds_nothing_wrong_with_the_unit(tmp_path):
+    page = (ROOT / "docs" / "live" / "node.md").read_text()
+    unit = page[page.index("[Unit]") :].partition("```")[0].replace("/home/boat/aboard/bin/usvlearn", "/bin/true")
+    path = tmp_path / "usvlearn.service"
+    for text, known in ((unit, True), (unit.replace("ProtectSystem=strict", "NoSuchKey=1"), False)):
+        path.write_text(text)
+        done = subprocess.run(["systemd-analyze", "verify", str(path)], capture_output=True, text=True, timeout=60)
+        own = [line for line in (done.stdout + done.stderr).splitlines() if "usvlearn.service" in line]
+        assert (own == []) == known, own

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.support.live import boat, messages
+from tests.support.live import boat, messages, sail
 from usvlearn.core import checkpoint
 from usvlearn.engine.online import Online
 from usvlearn.live.held_command_intervals import HeldIntervals
@@ -30,7 +30,7 @@ def stays(log, begin: float, end: float) -> bool:
 def test_the_intervals_of_a_simulated_boat_hold(start):
     """90 % intervals of this speed, and of that in 2 s where the commands stay, contain most speeds of a mission."""
     one, log = node(start), boat(1.0, seed=3)
-    steps = [step for message in messages(log, 0.0) for step in one.push(*message)]
+    steps = sail(one, messages(log, 0.0))
     seen = [step for step in steps if math.isfinite(step.measured) and math.isfinite(step.low)]
     assert 0.85 < np.mean([step.low <= step.measured <= step.high for step in seen]) < 0.95
     assert one.horizons == (0.4, 1.2, 2.0, 5.2, 10.0, 30.0)
@@ -48,7 +48,7 @@ def test_the_intervals_of_a_simulated_boat_hold(start):
 def test_forecasts_of_held_commands_have_intervals_that_hold_whatever_is_commanded(start, kind, seed):
     """The intervals that assume that the commands stay hold half of the speeds 10 s ahead, or less."""
     one, log = node(start), fleet(n=1, hours=1.0, seed=seed, missions=[kind])[0]
-    steps = [step for message in messages(log, 0.0) for step in one.push(*message)]
+    steps = sail(one, messages(log, 0.0))
     speed = {round(step.time, 1): step.measured for step in steps}
     inside, narrow = [], []
     for step in steps[250:]:  # 100 s

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tests.support.live import boat, messages
+from tests.support.live import boat, messages, sail
 from usvlearn.core import checkpoint
 from usvlearn.core.events import LOSS, Event
 from usvlearn.engine.online import Online
@@ -60,8 +60,7 @@ def test_the_next_prediction_is_that_of_the_next_step_where_the_commands_stay(st
 def test_a_plan_is_answered_by_the_forecast_of_its_commands(start):
     """Also with delays, and the commands in force until the first row; in both forms."""
     one = node(start)
-    for message in messages(boat(0.1), 0.0):
-        one.push(*message)
+    sail(one, messages(boat(0.1), 0.0))
     ahead = one._aligner.ahead(75)
     plan = {"t": [0, 4], "left": [0.5, 0.8], "right": [0.5, 0.6], "heading": [1.0, 1.5]}
     found = json.loads(one.answer(json.dumps({"id": "A", **plan})))
@@ -81,8 +80,7 @@ def test_a_plan_is_answered_by_the_forecast_of_its_commands(start):
         name: {**each, "delay": 0.8 if name.startswith("command") else 0.0}
         for name, each in one.setup.json()["channels"].items()}})  # fmt: skip
     other = Node(late, Online.open(start))
-    for message in messages(boat(0.1), 0.0):
-        other.push(*message)
+    sail(other, messages(boat(0.1), 0.0))
     plan = parse_plan("0,1,1")
     commands = sampled(plan, 0.4 * np.arange(76) - 0.8, other._aligner.ahead(75).command_left, "left")
     assert (commands[:2] == other._aligner.ahead(2).command_left).all() and (commands[2:] == 1.0).all()
@@ -108,8 +106,7 @@ def test_a_plan_is_answered_by_the_forecast_of_its_commands(start):
 ])  # fmt: skip
 def test_a_bad_plan_is_answered_by_a_sentence_and_counted(start, text, sentence):
     one = node(start)
-    for message in messages(boat(0.02), 0.0):
-        one.push(*message)
+    sail(one, messages(boat(0.02), 0.0))
     found = one.answer(text)
     found = json.loads(found)["error"] if text[:1] in ("{", "[") else found.removeprefix("error: ")
     assert sentence in found and len(found) < 300 and "\n" not in found
@@ -121,8 +118,7 @@ def test_a_plan_is_answered_where_the_longest_forecast_has_more_steps_than_an_an
     one = node(start)
     setup = Setup.of({**one.setup.json(), "align": {**one.setup.align, "dt": 0.04}})
     one = Node(setup, one.online)
-    for message in messages(boat(0.02), 0.0):
-        one.push(*message)
+    sail(one, messages(boat(0.02), 0.0))
     found = json.loads(one.answer('{"t": [0], "left": [1], "right": [1]}'))
     assert len(found["surge"]) == 250 and found["t"][-1] == 10.0  # 30 s have more steps than a forecast
 
@@ -139,7 +135,7 @@ def test_a_lost_thruster_is_told_once(start):
         fault=fault,
     )[0]  # fmt: skip
     one = node(start)
-    steps = [step for message in messages(log, 0.0) for step in one.push(*message)]
+    steps = sail(one, messages(log, 0.0))
     alarm, given = (event for step in steps for event in step.events if event.kind == LOSS)
     assert 600.0 < alarm.time - one.origin < 700.0 and one.alarms == 1 and one.alarm == "left"
     assert alarm.is_alarm and alarm.low < 0.4 < alarm.high and given.given == pytest.approx(10.0, abs=0.41)
@@ -229,8 +225,7 @@ def test_what_an_interval_does_not_tell_is_no_number(start):
     assert "steady speed full     not known yet" in lines and not any("(" in line for line in lines if "steady" in line)
     assert "PARAMS" not in [post.name for post in of_health(health)]
     learned, log = node(start), boat(0.5, seed=3)
-    for message in messages(log, 0.0):
-        learned.push(*message)
+    sail(learned, messages(log, 0.0))
     value, low, high, _ = diagnostics.identified(learned.online)[0]["steady_speed_full"]
     assert low < value < high < 2 * value
 
@@ -240,7 +235,7 @@ def test_commands_of_two_sources_and_velocities_make_the_same_steps(start):
     """Two thrusters a side that run alike, and velocities in place of the speed."""
     recording = boat(0.05)
     plain = node(start)
-    expected = [step for message in messages(recording) for step in plain.push(*message)]
+    expected = sail(plain, messages(recording))
     mixed = Setup.of(
         {
             "channels": {
@@ -313,7 +308,7 @@ def test_what_lies_ahead_is_what_the_next_steps_see():
 
 def test_posts_are_those_of_the_table(start):
     one = node(start)
-    steps = [step for message in messages(boat(0.02)) for step in one.push(*message)]
+    steps = sail(one, messages(boat(0.02)))
     network = {"contracting": True, "condition": "exact", "rate": 0.9, "time_constant": None, "equilibrium": 0.1}
     found = {"drag_linear": (-1.0, -2.0, 0.0, "kg/s")}
     health = COMPILING._replace(state="ok", identified=found, contraction={"rnn": network}, refit=Refit())
@@ -338,7 +333,7 @@ class Terminal(io.StringIO):
 
 def test_the_line_in_a_terminal_is_replaced_and_a_file_has_only_changes(start):
     one = node(start)
-    steps = [step for message in messages(boat(0.02)) for step in one.push(*message)]
+    steps = sail(one, messages(boat(0.02)))
     health = COMPILING._replace(state="ok", sentence="ok; 12 steps", steps=12, counts={"surge": {"stale": 2}})
     terminal, file = Terminal(), io.StringIO()
     for stream in (terminal, file):

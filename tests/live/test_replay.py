@@ -5,22 +5,17 @@ import math
 import numpy as np
 import pytest
 
-from tests.support.live import PLAIN, boat, messages, replayed
-from usvlearn.live.session import Session
-from usvlearn.live.start import Middleware, Options
+from tests.support.live import PLAIN, boat, messages, ready, replayed, sail
+from usvlearn.live.start import Middleware
 from usvlearn.logs.channels.channel import AUTO
 from usvlearn.logs.channels.derived_surge import VELOCITIES
 
 
 def live(folder, start, posts, middleware=PLAIN) -> np.ndarray:
     """The predictions of a recorded session, `(steps, members and rules)`."""
-    with Session(Options(folder, start, record=True), middleware) as session:
-        session.start()
-        assert session.wait(300)
-        names, steps = session._node.online.names, []
-        for post in posts:
-            steps += session.push(*post)
-        steps += session._node.finish()
+    with ready(folder, start, middleware, record=True) as session:
+        names = session._node.online.names
+        steps = sail(session, posts) + session._node.finish()
     return np.array([[step.members.get(name, np.nan) for name in names] for step in steps])
 
 
@@ -35,17 +30,12 @@ def test_live_is_replay(tmp_path, start):
 
 @pytest.mark.thorough
 def test_after_a_reboot_a_second_record_replays_what_follows(tmp_path, start):
-    posts, steps = list(messages(boat(0.05), 0.0)), []
-    with Session(Options(tmp_path, start, record=True), PLAIN) as session:
-        session.start()
-        assert session.wait(300)
+    posts = list(messages(boat(0.05), 0.0))
+    with ready(tmp_path, start, record=True) as session:
         names = session._node.online.names
-        for post in posts[:2000]:
-            session.push(*post)
+        sail(session, posts[:2000])
         session.restart()
-        for post in posts:
-            steps += session.push(*post)
-        steps += session._node.finish()
+        steps = sail(session, posts) + session._node.finish()
     predicted = np.array([[step.members.get(name, np.nan) for name in names] for step in steps])
     np.testing.assert_array_equal(replayed(tmp_path / "records", 2), predicted)
 

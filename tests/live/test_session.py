@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support.live import PLAIN, boat, messages, ready
+from tests.support.live import PLAIN, boat, messages, ready, sail
 from usvlearn.core import checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.live.session import Session
@@ -22,8 +22,7 @@ MINUTE = list(messages(boat(0.02)))
 def test_a_node_continues_from_the_newest_set_that_can_be_read(tmp_path, start):
     with ready(tmp_path, start) as session:
         assert str(start) in session.sentence
-        for message in MINUTE:
-            session.push(*message)
+        sail(session, MINUTE)
         first, newest = session.save(), session.save()
         before = checkpoint.load(first)[0]
     newest.write_bytes(newest.read_bytes()[:-7])
@@ -40,7 +39,8 @@ def test_without_a_set_a_node_starts_from_the_prior_of_a_mass_and_a_top_speed(tm
     with pytest.raises(ConfigError, match=r"found no checkpoint.*give a checkpoint.*or mass in kg and surge_max"):
         Session(Options(tmp_path), PLAIN)
     with ready(tmp_path, None, mass=28.0, surge_max=2.74) as session:
-        steps = [step for message in messages(boat(0.05)) for step in session.push(*message)]
+        assert checkpoint.load(session.save())[1]["setup"]["align"]["dt"] == 0.4  # which `usvlearn controller` needs
+        steps = sail(session, messages(boat(0.05)))
     errors = [abs(step.measured - step.speed) for step in steps[len(steps) // 2 :] if math.isfinite(step.speed)]
     assert np.nanmean(errors) < 0.1
 
@@ -72,8 +72,7 @@ def test_what_is_saved_is_bounded_and_the_last_is_of_the_end(tmp_path, start):
 
 def test_a_member_that_is_not_finite_begins_again_where_a_set_is_saved(tmp_path, start):
     with ready(tmp_path, start) as session:
-        for message in MINUTE:
-            session.push(*message)
+        sail(session, MINUTE)
         leaves = session._node.online.state
         leaves["members.aid.theta"][:] = math.nan
         session._node.online.state = leaves
@@ -88,8 +87,7 @@ def test_a_member_that_is_not_finite_begins_again_where_a_set_is_saved(tmp_path,
 
 def test_an_outage_saves_once(tmp_path, start):
     with ready(tmp_path, start) as session:
-        for message in MINUTE:
-            session.push(*message)
+        sail(session, MINUTE)
         clock = time.monotonic()
         for k in range(30):
             health = session.tick(clock=clock + k)
@@ -118,12 +116,10 @@ def test_the_end_waits_for_a_save_that_is_being_made(tmp_path, start, monkeypatc
         write(path, content)
 
     with ready(tmp_path, start) as session:
-        for message in MINUTE[:300]:
-            session.push(*message)
+        sail(session, MINUTE[:300])
         monkeypatch.setattr(checkpoint, "write_atomically", slow)
         session.tick(clock=time.monotonic() + 400.0)
-        for message in MINUTE[300:]:
-            session.push(*message)
+        sail(session, MINUTE[300:])
     found = [checkpoint.load(path)[1]["step"] for path in checkpoint.checkpoints(tmp_path)]
     assert len(found) == 2 and found[0] < found[1] and found[1] >= session._node.learned
     assert not list(tmp_path.glob(".*.tmp"))
@@ -138,8 +134,7 @@ def test_two_nodes_do_not_share_a_folder(tmp_path, start):
 
 def test_a_disk_that_is_full_ends_no_learning(tmp_path, start, monkeypatch):
     with ready(tmp_path, start, save_period=0.001, record=True) as session:
-        for message in MINUTE[:200]:
-            session.push(*message)
+        sail(session, MINUTE[:200])
         good = session.save()
 
         def full(path, content):
@@ -148,8 +143,7 @@ def test_a_disk_that_is_full_ends_no_learning(tmp_path, start, monkeypatch):
         monkeypatch.setattr(checkpoint, "write_atomically", full)
         session._recorder._file.close()
         session._recorder._file = open("/dev/full", "w")
-        for message in MINUTE[200:]:
-            session.push(*message)
+        sail(session, MINUTE[200:])
         for k in range(3):
             health = session.tick(clock=time.monotonic() + k)
             session._background.wait()
@@ -167,8 +161,8 @@ def test_a_disk_that_is_full_ends_no_learning(tmp_path, start, monkeypatch):
 @pytest.mark.parametrize("jump", [3600.0, -3600.0])
 def test_a_clock_that_jumps_begins_a_new_segment(tmp_path, start, jump):
     with ready(tmp_path, start) as session:
-        steps = [step for part, stamp, value in MINUTE for step in session.push(part, stamp, value)]
-        later = [step for part, stamp, value in MINUTE for step in session.push(part, stamp + jump + 80.0, value)]
+        steps = sail(session, MINUTE)
+        later = sail(session, MINUTE, jump + 80.0)
         assert len(later) > 0.9 * len(steps)
         assert all(math.isfinite(step.speed) for step in later[-20:])
         assert abs(later[-1].time - steps[-1].time - jump - 80.0) < 2.0
@@ -187,8 +181,7 @@ def test_a_reboot_is_a_new_segment_and_a_new_record(tmp_path, start):
 
 def test_bad_messages_are_counted(tmp_path, start):
     with ready(tmp_path, start) as session:
-        for message in MINUTE:
-            session.push(*message)
+        sail(session, MINUTE)
         before = session._node.online.state["members.aid.theta"]
         stamp = MINUTE[-1][1]
         for value in (math.nan, math.inf, 1e308, -1e308, 50.0):
@@ -203,24 +196,20 @@ def test_bad_messages_are_counted(tmp_path, start):
         assert np.array_equal(before, session._node.online.state["members.aid.theta"])
 
 
-def test_a_number_that_is_too_large_to_convert_is_one_more_bad_message(tmp_path, start):
-    changes = channel_options({"command_left.span": "0.001"})
+def test_a_number_that_is_too_large_to_convert_or_means_unknown_is_one_more_bad_message(tmp_path, start):
+    changes = channel_options({"command_left.span": "0.001", "heading.missing": "511,655"})
     with ready(tmp_path, start, channels=changes) as session:
         session.push("command_left", 1.0, 1e308)
-        assert session.tick().counts == {"command_left": {"not_a_number": 1}}
-
-
-def test_a_number_that_means_unknown_is_no_measurement(tmp_path, start):
-    with ready(tmp_path, start, channels=channel_options({"heading.missing": "511,655"})) as session:
         session.push("heading", 1.0, 511.0)
-        assert session.tick().counts == {"heading": {"not_a_number": 1}}
+        bad = {"not_a_number": 1}
+        assert session.tick().counts == {"command_left": bad, "heading": bad}
 
 
 @pytest.mark.parametrize("stamp", [1e12, -1e13, 1e18, 1e308])
 def test_a_first_stamp_that_is_none_does_not_shift_all_others(tmp_path, start, stamp):
     with ready(tmp_path, start) as session:
         session.push("surge", stamp, 1.0)
-        steps = [step for message in MINUTE for step in session.push(*message)]
+        steps = sail(session, MINUTE)
         assert len(steps) > 100 and session.tick().counts["surge"]["no_time"] == 1
 
 
@@ -273,14 +262,13 @@ def test_what_to_start_from_is_named_where_there_is_no_set(tmp_path, start):
 
 def test_the_end_says_what_was_saved(tmp_path, start, monkeypatch):
     assert ready(tmp_path / "a", start).close() == "ends; it has learned nothing"
+    assert checkpoint.checkpoints(tmp_path / "a") == []
     assert Session(Options(tmp_path / "b", start), PLAIN).close() == "ends; it was not ready yet"
     session = ready(tmp_path / "c", start)
-    for message in MINUTE:
-        session.push(*message)
+    sail(session, MINUTE)
     assert session.close() == "saved; ends"
     session = ready(tmp_path / "d", start)
-    for message in MINUTE:
-        session.push(*message)
+    sail(session, MINUTE)
 
     def full(path, content):
         raise OSError(28, "No space left on device", str(path))
@@ -351,17 +339,3 @@ def test_tensorboard_shows_a_session(tmp_path, start, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(ConfigError, match="tensorboard: it is not installed here"):
         Session(Options(tmp_path / "other", start, tensorboard=board), PLAIN)
-
-
-def test_a_node_that_has_learned_nothing_writes_no_set(tmp_path, start):
-    ready(tmp_path, start).close()
-    assert checkpoint.checkpoints(tmp_path) == []
-
-
-def test_a_set_that_started_from_a_prior_tells_its_step(tmp_path):
-    """`usvlearn controller` refused it: it was "saved by a version that does not tell the step"."""
-    with ready(tmp_path, None, mass=28.0, surge_max=2.74) as session:
-        for message in MINUTE:
-            session.push(*message)
-        path = session.save()
-    assert checkpoint.load(path)[1]["setup"]["align"]["dt"] == 0.4

@@ -1,10 +1,12 @@
-"""The status file of a node: what it tells, and files of others in its place."""
+"""The status of a node: what it tells, files of others in its place, and that nothing malformed is told."""
 
+import json
 import os
+import time
 
 import pytest
 
-from tests.support.live import boat, messages, ready
+from tests.support.live import boat, messages, ready, sail
 from usvlearn.core import checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.live.node_folder import STATUS, NodeFolder
@@ -53,8 +55,7 @@ def test_the_status_of_a_folder_is_told(tmp_path, start):
     folder.mkdir()
     assert status_lines(folder) == [f"{folder}: no node has written here"]
     with ready(folder, start) as session:
-        for message in MINUTE:
-            session.push(*message)
+        sail(session, MINUTE)
         session.tick()
         session._background.wait()
         lines = "\n".join(status_lines(folder))
@@ -72,3 +73,46 @@ def test_the_status_of_a_folder_is_told(tmp_path, start):
     (folder / "status.json").write_text("[1]")
     with pytest.raises(CheckpointError, match="is not the status of a node"):
         status_lines(folder)
+
+
+TOLD = {
+    "boat": "heron", "middleware": "moos", "sentence": "It learns.", "loss": "", "state": "ended",
+    "last": {"speed": 1.234},
+    "contraction": {
+        "rnn": {"contracting": True, "condition": "simple", "equilibrium": 0.5}, "other": {"contracting": False},
+        "bad": 3,
+    },
+    "identified": {
+        "drag_linear": [1.5, 1.25, 1.75, "kg/s"], "mass": [None, None, None, "kg"], "short": [1.0, 2.0], "text": "1.5",
+    },
+    "notes": ["One.", 2], "warnings": ["Two."],
+}  # fmt: skip
+
+
+def test_every_fact_is_told_and_what_is_malformed_is_not(tmp_path):
+    (tmp_path / "status.json").write_text(json.dumps(TOLD | {"written": time.time() - 120}))
+    node, *lines = status_lines(tmp_path)
+    assert node.startswith("Node        ended; its status is 2 min")
+    assert lines == [
+        "Boat        heron",
+        "Middleware  moos",
+        "State       It learns.",
+        "Predicted   1.23 m/s at its last step",
+        "Network     rnn: contracting by simple, at rest 0.50 m/s",
+        "Network     other: not certified",
+        "Identified  drag_linear 1.5 (1.25 ... 1.75) kg/s",
+        "Identified  mass not known yet",
+        "Note        One.",
+        "Warning     Two.",
+        "Checkpoints none",
+    ]
+
+
+@pytest.mark.parametrize("key", [key for key in TOLD if key != "state"])
+def test_a_fact_that_is_missing_or_something_else_is_left_out(tmp_path, key):
+    (tmp_path / "status.json").write_text(json.dumps(TOLD))
+    whole = status_lines(tmp_path)
+    for status in ({k: x for k, x in TOLD.items() if k != key}, TOLD | {key: 7}):
+        (tmp_path / "status.json").write_text(json.dumps(status))
+        lines = status_lines(tmp_path)
+        assert set(lines) <= set(whole) and (len(lines) < len(whole)) == (TOLD[key] != "")

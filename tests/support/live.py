@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 import usvlearn
 from tests.support import commands
 from usvlearn import ARX, Ensemble, ForecastSettings, JointEKF, Online, Persistence, Planar
+from usvlearn.live.health import COMPILING, Health
 from usvlearn.live.session import Session
 from usvlearn.live.start import Middleware, Options
 from usvlearn.logs.channels.channel import DEGREES, REQUIRED, VELOCITIES, Recording
@@ -40,6 +42,11 @@ def messages(recording: Recording, start: float = 1.7e9) -> Iterator[tuple[str, 
         for time, value, place in zip(*(x.tolist() for x in channel[:3]), strict=True)
     ]
     yield from (row[1:] for row in sorted(rows, key=lambda row: row[0]))
+
+
+def sail(node: Any, sent: Iterable[tuple[str, float, float]], shift: float = 0.0) -> list:
+    """Push messages to a node or a session; returns the steps that they complete."""
+    return [step for part, stamp, value in sent for step in node.push(part, stamp + shift, value)]
 
 
 @cache
@@ -95,3 +102,48 @@ def replayed(records: Path, number: int = 1) -> np.ndarray:
 def same(one: float, other: float) -> bool:
     """Equal to the last bit, NaN included."""
     return np.float64(one).tobytes() == np.float64(other).tobytes() or (np.isnan(one) and np.isnan(other))
+
+
+def health(**values: Any) -> Health:
+    """A health that is ok, unless said otherwise."""
+    return COMPILING._replace(**{"state": "ok", "sentence": "ok"} | values)
+
+
+class NotedSession:
+    """Takes what a shell gives to a session, and notes it."""
+
+    def __init__(self, sources: dict[str, Any] | None = None):
+        self.sources = sources or {}
+        self.setup = Setup(self.sources, {"dt": 0.25})
+        self.pushed: list[tuple[str, float, float]] = []
+        self.dropped: list[tuple[str, str]] = []
+        self.restarts: Any = 0
+        self.last, self.closed = None, 0
+        self.health = health()
+        self.steps: list[Any] = []  # what the next push returns
+
+    def start(self) -> None: ...
+
+    def answer(self, text: str) -> str:
+        return f"answer to {text}"
+
+    def push(self, part: str, stamp: float, raw: float) -> list[Any]:
+        self.pushed.append((part, stamp, raw))
+        steps, self.steps = self.steps, []
+        return steps
+
+    def drop(self, part: str, cause: str) -> None:
+        self.dropped.append((part, cause))
+
+    def restart(self) -> list[Any]:
+        self.restarts += 1
+        return []
+
+    def tick(self) -> Any:
+        return self.health
+
+    def close(self) -> None:
+        self.closed += 1
+
+    def numbers(self, part: str) -> list[float]:
+        return [raw for name, _, raw in self.pushed if name == part]

@@ -14,6 +14,7 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from tests.support.ardupilot import PARAMETERS
+from tests.support.live import NotedSession
 from usvlearn.live.health import COMPILING
 from usvlearn.logs.formats.ardupilot.servos import DEFAULTS
 
@@ -21,6 +22,13 @@ ARDUPILOT = {f"SERVO{n}_FUNCTION": 0.0 for n in range(1, 17)} | PARAMETERS
 EPOCH = 1_700_000_000_000_000  # us
 HEARTBEAT, SET_INTERVAL = 0, 511
 AUTOPILOT, BOAT, ARMED = 3, 11, 128
+HERE = "127.0.0.1"
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+        one.bind((HERE, 0))
+        return one.getsockname()[1]
 
 
 class Motion(NamedTuple):
@@ -191,26 +199,17 @@ class OnTheAir(threading.Thread):
         self.socket.close()
 
 
-class RecordingSession:
-    """Keeps what it is given; of a live session it has only what a shell uses."""
+class RecordingSession(NotedSession):
+    """As a session of a vehicle."""
 
     def __init__(self, sources, dt: float = 0.4):
-        self.sources, self.state, self.last = sources, "ok", None
-        self.setup = SimpleNamespace(align={"dt": dt})
-        self.pushed, self.dropped, self.restarts, self.ticks, self.closed = [], [], [], 0, False
-        self.steps = []  # what the next push returns
-
-    def start(self) -> None:
-        pass
+        super().__init__(sources)
+        self.setup, self.state = SimpleNamespace(align={"dt": dt}), "ok"
+        self.restarts, self.ticks = [], 0
 
     def push(self, part: str, stamp: float, raw: float) -> list:
         assert part in self.sources and isinstance(stamp, float) and isinstance(raw, float)
-        self.pushed.append((part, stamp, raw))
-        steps, self.steps = self.steps, []
-        return steps
-
-    def drop(self, part: str, cause: str) -> None:
-        self.dropped.append((part, cause))
+        return super().push(part, stamp, raw)
 
     def tick(self):
         self.ticks += 1
@@ -219,9 +218,6 @@ class RecordingSession:
     def restart(self) -> list:
         self.restarts.append(len(self.pushed))
         return []
-
-    def close(self) -> None:
-        self.closed = True
 
     def channel(self, part: str) -> tuple[np.ndarray, np.ndarray]:
         """Stamps and raw values of a part, `(messages,)` each."""

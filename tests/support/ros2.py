@@ -8,9 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from usvlearn.live.health import COMPILING, Health
 from usvlearn.live.ros2.messages import message_class
-from usvlearn.logs.setup import Setup
 
 ZERO = {"bool": False, "string": "", "byte": b"\x00", "float32": 0.0, "float64": 0.0}
 
@@ -100,53 +98,3 @@ class Peer:
         self.executor.shutdown()
         self.node.destroy_node()
         self.context.try_shutdown()
-
-
-class NotedSession:
-    """Takes what a session takes, and notes it."""
-
-    def __init__(self, sources: dict[str, Any] | None = None):
-        self.sources = sources or {}
-        self.setup = Setup(self.sources, {"dt": 0.25})
-        self.pushed: list[tuple[str, float, float]] = []
-        self.dropped: list[tuple[str, str]] = []
-        self.restarts = 0
-        self.last = None
-        self.closed = 0
-        self.health = health()
-        self.steps: list[Any] = []  # what the next push returns
-
-    def start(self) -> None: ...
-
-    def answer(self, text: str) -> str:
-        return f"answer to {text}"
-
-    def push(self, part: str, stamp: float, raw: float) -> list[Any]:
-        self.pushed.append((part, stamp, raw))
-        steps, self.steps = self.steps, []
-        return steps
-
-    def drop(self, part: str, cause: str) -> None:
-        self.dropped.append((part, cause))
-
-    def restart(self) -> list[Any]:
-        self.restarts += 1
-        return []
-
-    def tick(self) -> Any:
-        return self.health
-
-    def close(self) -> None:
-        self.closed += 1
-
-    def numbers(self, part: str) -> list[float]:
-        return [raw for name, _, raw in self.pushed if name == part]
-
-
-def health(**values: Any) -> Health:
-    """A health that is ok, unless said otherwise."""
-    return (
-        COMPILING._replace(state="ok", sentence="ok", **values)
-        if "state" not in values
-        else COMPILING._replace(**values)
-    )

@@ -7,7 +7,6 @@ import math
 import os
 import pty
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -18,8 +17,9 @@ import pytest
 
 pytest.importorskip("pymavlink", reason="needs the package pymavlink")
 
-from tests.support import ROOT, commands, few
-from tests.support.mavboat import MavBoat, Motion, OnTheAir, RecordingSession, mavlink, turning
+from tests.support import ROOT, few
+from tests.support.live import replayed
+from tests.support.mavboat import HERE, MavBoat, Motion, OnTheAir, RecordingSession, free_port, mavlink, turning
 from tests.support.voyages import voyage
 from usvlearn.core import checkpoint
 from usvlearn.errors import ConfigError, MissingExtraError
@@ -29,13 +29,7 @@ from usvlearn.live.start import Options
 from usvlearn.live.status import StatusLine
 from usvlearn.logs.channels.channel import Source
 
-HERE, WARP = "127.0.0.1", 40.0
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
-        one.bind((HERE, 0))
-        return one.getsockname()[1]
+WARP = 40.0
 
 
 def sailing(seed: int = 0):
@@ -84,16 +78,6 @@ class Listening:
         self.stopped.set()
         self._thread.join(10)
         assert not self._thread.is_alive() and self.error is None, self.error
-
-
-def replayed(records) -> np.ndarray:
-    """Predictions of a record as train.py replays it."""
-    done = commands.run(
-        "data=record_0001.yaml", "resume=record_0001.safetensors", "hydra.run.dir=again", folder=records
-    )
-    assert done.returncode == 0, done.stderr
-    arrays = [np.load(path) for path in sorted((records / "again" / "predictions").glob("*.npz"))]
-    return np.concatenate([each["predictions"] for each in arrays])[:, 0]
 
 
 def sailed(session: Session, boat: MavBoat, seconds: float, meddle=lambda time, air: []) -> list:

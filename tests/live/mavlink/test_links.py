@@ -12,18 +12,10 @@ import pytest
 
 pytest.importorskip("pymavlink", reason="needs the package pymavlink")
 
-from tests.support.mavboat import MavBoat, mavlink
+from tests.support.mavboat import HERE, MavBoat, free_port, mavlink
 from usvlearn.errors import ConfigError
 from usvlearn.live.mavlink.links import BAUD, LONGEST_WAIT, MUTE, Link, Peer, Place, parse_peer, parse_place
 from usvlearn.live.mavlink.messages import Frames
-
-HERE = "127.0.0.1"
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
-        one.bind((HERE, 0))
-        return one.getsockname()[1]
 
 
 def opened(place: Place, now: float = 0.0, peer: Peer | None = None) -> tuple[Link, list[str]]:

@@ -1,15 +1,23 @@
 """The shell for MAVLink finds the vehicle, asks for what it needs, and gives the numbers that a log's reader gives."""
 
+import math
+import resource
+from collections import Counter
+
 import numpy as np
 import pytest
 
 pytest.importorskip("pymavlink", reason="needs the package pymavlink")
 
-from tests.support.mavboat import MavBoat, mavlink, turning
+from tests.support.mavboat import ARDUPILOT, MavBoat, RecordingSession, mavlink, turning
 from tests.support.mavlab import BASE, RECEIPT, SOURCES, Lab
 from usvlearn.core.events import Event
+from usvlearn.errors import ConfigError
+from usvlearn.live.health import COMPILING
+from usvlearn.live.mavlink.messages import WRAP
 from usvlearn.live.node import Step
 from usvlearn.logs.channels.channel import Source
+from usvlearn.logs.formats.ardupilot.servos import Limits
 
 
 # ---------------------------------------------------------------- the same numbers as a log
@@ -214,3 +222,168 @@ def test_a_servo_parameter_that_is_no_number_is_told(name, bad):
     lab.sail(2)
     assert len(lab.session.channel("command_left")[0]) == before > 0
     assert any(f"SERVO1_{name} {bad:g}" in line and "finite numbers" in line for line in lab.said)
+
+
+# ---------------------------------------------------------------- servos
+def test_a_throttle_and_a_rudder_give_the_throttle_on_both_sides():
+    parameters = {name: 0.0 if name.endswith("_FUNCTION") else value for name, value in ARDUPILOT.items()}
+    lab = Lab([MavBoat(parameters=parameters | {"SERVO1_FUNCTION": 70.0, "SERVO3_FUNCTION": 26.0})])
+    lab.sail(8)
+    for part in ("command_left", "command_right"):
+        assert abs(lab.session.channel(part)[1][-1] - turning(lab.time).left) < 0.02
+    assert any("no servo has function 73; the throttle, servo 1, is taken" in line for line in lab.said)
+
+
+def test_limits_that_change_are_used_at_once():
+    lab = Lab()
+    lab.sail(6)
+    lab.boat.parameters["SERVO1_MAX"] = 1800.0
+    lab.give(lab.boat.parameter("SERVO1_MAX"))  # as a ground station has set it
+    lab.give(lab.boat.packed(lab.boat.message(36, lab.time)))
+    pulse = lab.boat.message(36, lab.time).servo1_raw
+    expected = float(Limits(1100, 1500, 1800).share(np.array([float(pulse)]))[0])
+    assert lab.session.channel("command_left")[1][-1] == expected
+
+
+@pytest.mark.parametrize("bad", [{"SERVO1_MIN": 1900.0}, {"SERVO1_MIN": math.nan}, {"SERVO1_FUNCTION": math.inf}])
+def test_parameters_that_cannot_be_are_told_and_nothing_is_learned(bad):
+    lab = Lab([MavBoat(parameters=ARDUPILOT | bad)])
+    lab.sail(20)
+    assert not len(lab.session.channel("command_left")[0]) and len(lab.session.channel("heading")[0])
+    assert any("the vehicle: " in line for line in lab.said)
+    assert any("the vehicle: " in text for _, text in lab.boat.texts)
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        (Source("RCOU", "C1"), "channels.heading.name: found 'RCOU', expected the name of a MAVLink message"),
+        (Source("ATTITUDE", "Yaw"), "channels.heading.field: found 'Yaw', expected a field of ATTITUDE among roll"),
+        (Source("ATTITUDE"), "channels.heading.field: found '', expected a field of ATTITUDE"),
+        (Source("SERVO_OUTPUT_RAW", "servo1_raw", held=True), "channels.heading.held: found true, expected false"),
+    ],
+)
+def test_channels_that_mavlink_cannot_give_are_refused(source, message):
+    with pytest.raises(ConfigError) as caught:
+        Lab(sources={"heading": source})
+    assert str(caught.value).startswith(message)
+
+
+# ---------------------------------------------------------------- where the speed comes from
+def speed(session) -> float:
+    (_, north), (_, east) = session.channel("velocity_north"), session.channel("velocity_east")
+    return math.hypot(north[-1], east[-1])
+
+
+def test_other_messages_give_the_velocity_where_the_best_is_missing():
+    lab = Lab([MavBoat(sends=(0, 30, 33, 36, 74))])
+    lab.sail(40)
+    assert "the speed comes from GLOBAL_POSITION_INT now" in lab.said and 74 not in lab.boat.intervals
+    assert abs(speed(lab.session) - 1.5) < 0.01  # it is sent in cm/s
+    lab.boat.sends, lab.boat.intervals = {0, 30, 36, 74}, {30: 0.1, 36: 0.1}
+    lab.sail(40)
+    assert "the speed comes from VFR_HUD now" in lab.said
+    assert abs(speed(lab.session) - 1.5) < 1e-6
+    time, north = lab.session.channel("velocity_north")
+    expected = turning(lab.time - 0.1)
+    assert abs(north[-1] - expected.surge * math.cos(expected.heading)) < 0.02
+    lab.boat.sends = {0, 30, 32, 36, 74}
+    lab.sail(70)
+    assert lab.said[-1] == "the speed comes from LOCAL_POSITION_NED now"
+    assert np.all(np.diff(time) > 0)
+
+
+def test_the_best_velocity_alone_is_used_while_it_comes():
+    lab = Lab()
+    lab.boat.intervals = {32: 0.1, 33: 0.1, 74: 0.1}  # a ground station has asked for all
+    lab.sail(30)
+    assert np.all(np.diff(lab.session.channel("velocity_north")[0]) > 0.05)
+    assert not any("speed comes from" in line for line in lab.said)
+
+
+# ---------------------------------------------------------------- time
+def test_a_reboot_and_the_wrap_of_the_clock_begin_a_new_segment():
+    lab = Lab([MavBoat(booted=-(WRAP - 5000) / 1000)])  # 5 s before the wrap
+    lab.sail(4)
+    assert not lab.session.restarts
+    lab.sail(10)
+    assert len(lab.session.restarts) == 1
+    assert lab.session.pushed[-1][1] < 10 < 4e6 < lab.session.pushed[0][1]
+    lab.boat.reboot(lab.time)
+    lab.sail(4)
+    assert len(lab.session.restarts) == 2
+    for begin, end in zip([0, *lab.session.restarts], [*lab.session.restarts, None], strict=True):
+        stamps = [stamp for _, stamp, _ in lab.session.pushed[begin:end]]
+        assert np.all(np.diff(stamps) > -0.5)
+
+
+def test_one_wrong_stamp_changes_nothing():
+    lab = Lab()
+    lab.sail(6)
+    for ms in (1, 10**9, 2**32 - 1):
+        lab.give(lab.boat.packed(mavlink.MAVLink_attitude_message(ms, 0, 0, 3.0, 0, 0, 0)))
+        lab.sail(1)
+    assert not lab.session.restarts
+    assert lab.session.dropped.count(("heading", "no_time")) == 3
+    assert 3.0 not in lab.session.channel("heading")[1]
+
+
+def test_a_clock_that_jumps_ahead_is_followed():
+    lab = Lab()
+    lab.sail(5)
+    lab.boat.booted -= 3600.0
+    lab.sail(5)
+    assert not lab.session.restarts and lab.session.pushed[-1][1] > 3600
+
+
+def test_stamps_of_32_bits_in_us_are_continued():
+    lab = Lab([MavBoat(booted=-4294.0)])  # 2^32 us are 4294.97 s
+    lab.sail(10)
+    stamps = lab.session.channel("command_left")[0]
+    assert np.all(np.abs(np.diff(stamps) - 0.1) < 1e-3) and abs(stamps[-1] - 4304.0) < 0.2
+    assert not lab.session.restarts
+
+
+# ---------------------------------------------------------------- a long time
+class Counting(RecordingSession):
+    """Counts messages, and those that are older than the one before."""
+
+    def __init__(self):
+        super().__init__(SOURCES)
+        self.count, self.late, self.last = Counter(), 0, {}
+
+    def push(self, part, stamp, raw):
+        self.count[part] += 1
+        self.late += stamp <= self.last.get(part, -1.0)
+        self.last[part] = stamp
+        return [Step(stamp, 1.5, 1.5, 1.0, 1.5, 1.3, 1.1, 1.4, {}, {}, {}, ())] if part == "heading" else []
+
+    def drop(self, part, cause):
+        self.count[part, cause] += 1
+
+    def restart(self):
+        self.count["restart"] += 1
+        self.last = {}
+        return []
+
+    def tick(self):
+        return COMPILING._replace(state="ok")
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(("hours", "reboots"), [(0.05, 2), pytest.param(24.0, 100, marks=pytest.mark.slow)])
+def test_for_hours_nothing_is_lost_and_no_memory_used(hours, reboots):
+    lab, memory = Lab(session=Counting()), []
+    lab.give = lambda data, delay=0.03, place="": lab.vehicle.receive(data, RECEIPT + lab.time + delay, whole=True)
+    for _ in range(reboots):
+        before = lab.session.count["heading"], lab.session.count["heading", "no_time"]
+        lab.boat.reboot(lab.time)
+        lab.sail(3600 * hours / reboots, step=0.1)
+        lost = 3600 * hours / reboots * 10 - (lab.session.count["heading"] - before[0])
+        assert lost <= 80, lost  # two looks of 3 s, and two ticks, until it is asked for again
+        for told in (lab.boat.heard, lab.boat.values, lab.boat.texts, lab.boat.asked, lab.said):
+            told.clear()
+        memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)  # kB
+    assert lab.session.count["restart"] == reboots - 1 and lab.session.late == 0
+    assert lab.session.count["heading", "no_time"] <= reboots
+    assert memory[-1] - memory[len(memory) // 2 - 1] < 2000, memory

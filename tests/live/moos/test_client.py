@@ -5,28 +5,22 @@ All tests of this file but those of nonsense run against the stand-in and agains
 
 import asyncio
 import contextlib
+import functools
 import math
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
+from typing import Any
 
 import pytest
 
 from tests.support.loopback import Loopback
-from tests.support.moosdb import Moosdb
+from tests.support.moos_app import until
 from tests.support.real_moosdb import run_isolated
 from usvlearn.live.moos import client as module
 from usvlearn.live.moos import wire
 from usvlearn.live.moos.client import OUTBOX, UNSENT, Client
 from usvlearn.live.moos.wire import Message, WireError
-
-
-async def until(condition: Callable[[], object], seconds: float = 60.0) -> None:
-    """Wait for a condition."""
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "the condition did not come true"
-        await asyncio.sleep(0.002)
 
 
 class Listener(Client):
@@ -51,22 +45,27 @@ async def running(*clients: Client):
         await asyncio.gather(*tasks, return_exceptions=True)
 
 
-def in_loop(scenario, database, *arguments) -> None:
-    """Run a scenario with a started database."""
+def sailed(test: Callable[..., Coroutine[Any, Any, None]]) -> Callable[..., None]:
+    """A test that is a coroutine, run in a loop of its own beside a database that is started."""
 
-    async def work():
-        await database.start()
-        try:
-            await scenario(database, *arguments)
-        finally:
-            database.thaw()
-            database.kill()
-            await asyncio.sleep(0.05)
+    @functools.wraps(test)
+    def run(database, **others):
+        async def work():
+            await database.start()
+            try:
+                await test(database=database, **others)
+            finally:
+                database.thaw()
+                database.kill()
+                await asyncio.sleep(0.05)
 
-    asyncio.run(work())
+        asyncio.run(work())
+
+    return run
 
 
-async def receives(database):
+@sailed
+async def test_posts_arrive_in_order_and_the_last_value_comes_at_registration(database):
     listener, boat = Listener(database.port), Client("boat", "127.0.0.1", database.port, print)
     begin = time.time()
     async with running(boat):
@@ -96,11 +95,13 @@ async def receives(database):
             assert abs(listener.now() - time.time()) < 0.1
 
 
-def test_posts_arrive_in_order_and_the_last_value_comes_at_registration(database):
-    in_loop(receives, database)
-
-
-async def killed(database, times):
+@pytest.mark.parametrize(
+    "times", [pytest.param(10, marks=pytest.mark.thorough), pytest.param(200, marks=pytest.mark.slow)]
+)
+@sailed
+async def test_a_database_that_is_killed_again_and_again(database, times, monkeypatch):
+    if times == 10:
+        monkeypatch.setattr(module, "FIRST", 0.05)
     listener, boat = Listener(database.port), Client("boat", "127.0.0.1", database.port, print)
     listener.register("K")
     sent = 0
@@ -131,17 +132,9 @@ async def killed(database, times):
 
 
 @pytest.mark.thorough
-def test_a_database_that_is_killed_ten_times(database, monkeypatch):
-    monkeypatch.setattr(module, "FIRST", 0.05)
-    in_loop(killed, database, 10)
-
-
-@pytest.mark.slow
-def test_a_database_that_is_killed_two_hundred_times(database):
-    in_loop(killed, database, 200)
-
-
-async def frozen(database):
+@sailed
+async def test_a_database_that_is_frozen(database, monkeypatch):
+    monkeypatch.setattr(module, "SILENCE", 2.0)
     listener = Listener(database.port)
     listener.register("A")
     boat = Client("boat", "127.0.0.1", database.port, print)
@@ -165,13 +158,8 @@ async def frozen(database):
             await until(lambda: listener.received)
 
 
-@pytest.mark.thorough
-def test_a_database_that_is_frozen(database, monkeypatch):
-    monkeypatch.setattr(module, "SILENCE", 2.0)
-    in_loop(frozen, database)
-
-
-async def taken(database):
+@sailed
+async def test_a_name_that_is_taken_is_asked_for_again(database):
     first, second = Listener(database.port), Listener(database.port)
     async with running(second):
         async with running(first):
@@ -184,11 +172,8 @@ async def taken(database):
         await until(lambda: second.connected)
 
 
-def test_a_name_that_is_taken_is_asked_for_again(database):
-    in_loop(taken, database)
-
-
-async def full(database):
+@sailed
+async def test_the_outbox_drops_the_oldest(database):
     client, listener = Client("a", "127.0.0.1", database.port, print), Listener(database.port, "b")
     for k in range(OUTBOX + 10):
         client.notify("K", k)
@@ -202,11 +187,8 @@ async def full(database):
     assert listener.values("K") == list(range(10, OUTBOX + 10))
 
 
-def test_the_outbox_drops_the_oldest(database):
-    in_loop(full, database)
-
-
-async def many(database):
+@sailed
+async def test_many_posts_in_one_turn_of_the_loop_are_all_sent(database):
     client, listener = Client("a", "127.0.0.1", database.port, print), Listener(database.port, "b")
     listener.register("K")
     async with running(client, listener):
@@ -218,11 +200,9 @@ async def many(database):
     assert listener.values("K") == list(range(5 * OUTBOX)) and not client.counts["outbox"]
 
 
-def test_many_posts_in_one_turn_of_the_loop_are_all_sent(database):
-    in_loop(many, database)
-
-
-async def jumping(database):
+@pytest.mark.thorough
+@sailed
+async def test_a_clock_that_jumps_by_an_hour_follows_that_of_the_database(database):
     shift = [0.0]
     client = Listener(database.port, clock=lambda: time.time() + shift[0])
     async with running(client):
@@ -232,12 +212,8 @@ async def jumping(database):
         assert client.counts == {"connected": 1}
 
 
-@pytest.mark.thorough
-def test_a_clock_that_jumps_by_an_hour_follows_that_of_the_database(database):
-    in_loop(jumping, database)
-
-
-async def gone(database):
+@sailed
+async def test_a_database_that_starts_later(database):
     client = Client("a", "127.0.0.1", database.port, print)
     database.kill()
     async with running(client):
@@ -247,27 +223,24 @@ async def gone(database):
         await until(lambda: client.connected)
 
 
-def test_a_database_that_starts_later(database):
-    in_loop(gone, database)
-
-
 # what only a server of our own can send
+
+STAND_IN = pytest.mark.parametrize("database", ["stand_in"], indirect=True)
 
 
 @pytest.mark.parametrize("raw", [b"\xff" * 64, b"\x08\0\0\0", wire.encode([Message("N")])[:8] + b"\1" + b"\0" * 54])
-def test_garbage_ends_the_connection_and_a_new_one_begins(raw):
-    async def scenario(database):
-        client = Listener(database.port)
-        client.register("A")
-        async with running(client):
-            await until(lambda: client.connected)
-            database.inject(raw)
-            await until(lambda: client.counts["garbage"] == 1)
-            await until(lambda: "pUSVLearn" in database.links and client.connected)
-            database.post("A", 1.0)
-            await until(lambda: client.received)
-
-    in_loop(scenario, Moosdb())
+@STAND_IN
+@sailed
+async def test_garbage_ends_the_connection_and_a_new_one_begins(database, raw):
+    client = Listener(database.port)
+    client.register("A")
+    async with running(client):
+        await until(lambda: client.connected)
+        database.inject(raw)
+        await until(lambda: client.counts["garbage"] == 1)
+        await until(lambda: "pUSVLearn" in database.links and client.connected)
+        database.post("A", 1.0)
+        await until(lambda: client.received)
 
 
 @pytest.mark.thorough
@@ -311,36 +284,34 @@ def test_a_stream_that_is_cut_at_every_byte(monkeypatch):
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -1e308])
-def test_any_number_is_delivered(value):
-    async def scenario(database):
-        client = Listener(database.port)
-        client.register("A")
-        async with running(client):
-            await until(lambda: client.connected)
-            database.post("A", value)
-            await until(lambda: client.received)
-            assert repr(client.received[0].value) == repr(value)
-
-    in_loop(scenario, Moosdb())
-
-
-def test_a_client_that_is_cancelled_as_its_connection_ends_ends():
-    async def scenario(database):
-        client = Listener(database.port)
-        client.register("A")
-
-        def fail(message):
-            task.cancel()
-            raise WireError("nonsense")
-
-        client._deliver = fail
-        task = asyncio.create_task(client.run())
+@STAND_IN
+@sailed
+async def test_any_number_is_delivered(database, value):
+    client = Listener(database.port)
+    client.register("A")
+    async with running(client):
         await until(lambda: client.connected)
-        database.post("A", 1.0)
-        await asyncio.wait([task], timeout=60.0)
-        assert task.cancelled()
+        database.post("A", value)
+        await until(lambda: client.received)
+        assert repr(client.received[0].value) == repr(value)
 
-    in_loop(scenario, Moosdb())
+
+@STAND_IN
+@sailed
+async def test_a_client_that_is_cancelled_as_its_connection_ends_ends(database):
+    client = Listener(database.port)
+    client.register("A")
+
+    def fail(message):
+        task.cancel()
+        raise WireError("nonsense")
+
+    client._deliver = fail
+    task = asyncio.create_task(client.run())
+    await until(lambda: client.connected)
+    database.post("A", 1.0)
+    await asyncio.wait([task], timeout=60.0)
+    assert task.cancelled()
 
 
 def test_against_a_real_database():

@@ -7,7 +7,7 @@ import os
 
 import pytest
 
-from tests.support.moos_app import ASK, at_sea, prior, ready, until
+from tests.support.moos_app import ASK, at_sea, awaited, prior, ready, until
 from tests.support.moosdb import Moosdb
 from usvlearn.errors import ConfigError
 from usvlearn.live.moos import client as link
@@ -20,42 +20,38 @@ from usvlearn.live.session import Session
 
 
 @pytest.mark.thorough
-def test_messages_that_are_no_numbers(tmp_path):
-    async def work():
-        async with at_sea(prior(tmp_path)) as sea:
-            await ready(sea)
-            await sea.steps(10)
-            now = sea.database.values["NAV_SPEED"].time
-            for value in (math.nan, math.inf, 1e308, -1e308):
-                sea.database.post("NAV_SPEED", value, at=now + 0.01)
-            for stamp in (math.nan, math.inf, -math.inf, 1e308):
-                sea.database.post("NAV_SPEED", 1.0, at=stamp)
-            del sea.database.values["NAV_SPEED"]  # as after a restart: another app may post another type
-            for text in ("nan", "1e308", "off", "", " ", "\0", "1.0"):
-                sea.database.post("NAV_SPEED", text, at=now + 0.02)
-            del sea.database.values["NAV_SPEED"]
-            sea.database._accept(Message("N", "NAV_SPEED", wire.BINARY, text="1.0", time=now, source="boat"))
-            del sea.database.values["NAV_SPEED"]
-            await sea.steps(20)
-            return sea.app.session._node.counts["surge"]
-
-    counts = asyncio.run(work())
+@awaited
+async def test_messages_that_are_no_numbers(tmp_path):
+    async with at_sea(prior(tmp_path)) as sea:
+        await ready(sea)
+        await sea.steps(10)
+        now = sea.database.values["NAV_SPEED"].time
+        for value in (math.nan, math.inf, 1e308, -1e308):
+            sea.database.post("NAV_SPEED", value, at=now + 0.01)
+        for stamp in (math.nan, math.inf, -math.inf, 1e308):
+            sea.database.post("NAV_SPEED", 1.0, at=stamp)
+        del sea.database.values["NAV_SPEED"]  # as after a restart: another app may post another type
+        for text in ("nan", "1e308", "off", "", " ", "\0", "1.0"):
+            sea.database.post("NAV_SPEED", text, at=now + 0.02)
+        del sea.database.values["NAV_SPEED"]
+        sea.database._accept(Message("N", "NAV_SPEED", wire.BINARY, text="1.0", time=now, source="boat"))
+        del sea.database.values["NAV_SPEED"]
+        await sea.steps(20)
+        counts = sea.app.session._node.counts["surge"]
     assert counts["wrong_type"] == 3 and counts["empty"] == 2
     assert counts["not_a_number"] == 3 and counts["no_time"] == 4  # the stamp 1e308 is no time that can be aligned
     assert counts["out_of_range"] == 3
 
 
 @pytest.mark.thorough
-def test_a_database_that_knows_a_name_with_another_type(tmp_path):
-    async def work():
-        database = Moosdb()
-        database.post("USV_SPEED_PRED", "none")
-        async with at_sea(prior(tmp_path), database) as sea:
-            await ready(sea)
-            await sea.steps(20)
-            assert {each.key for each in database.refused} == {"USV_SPEED_PRED"}
-
-    asyncio.run(work())
+@awaited
+async def test_a_database_that_knows_a_name_with_another_type(tmp_path):
+    database = Moosdb()
+    database.post("USV_SPEED_PRED", "none")
+    async with at_sea(prior(tmp_path), database) as sea:
+        await ready(sea)
+        await sea.steps(20)
+        assert {each.key for each in database.refused} == {"USV_SPEED_PRED"}
 
 
 def test_a_pattern_is_no_variable(tmp_path):
@@ -67,63 +63,56 @@ def test_a_pattern_is_no_variable(tmp_path):
 
 
 @pytest.mark.thorough
-def test_faults_of_the_database_do_not_stop_it(tmp_path, monkeypatch):
+@awaited
+async def test_faults_of_the_database_do_not_stop_it(tmp_path, monkeypatch):
     monkeypatch.setattr(link, "FIRST", 0.02)
     monkeypatch.setattr(link, "SILENCE", 2.0)
-
-    async def work():
-        async with at_sea(prior(tmp_path)) as sea:
-            database, client = sea.database, sea.app.client
-            await ready(sea)
+    async with at_sea(prior(tmp_path)) as sea:
+        database, client = sea.database, sea.app.client
+        await ready(sea)
+        await sea.steps()
+        for fault in ("killed", "restarted", "frozen", "garbage", "cut"):
+            count = client.counts["connected"]
+            if fault in ("killed", "restarted"):
+                database.kill()
+                await asyncio.sleep(0.3 if fault == "killed" else 0.0)
+                await database.start()
+            elif fault == "frozen":
+                database.freeze()
+                await until(lambda: client.counts["silent"])
+                database.thaw()
+            elif fault == "garbage":
+                database.inject(b"\xff" * 99)
+            else:
+                database.inject(wire.encode([Message("N", "NAV_SPEED", value=1.0)])[:30])
+                database.links["pUSVLearn"].writer.close()
+            await until(lambda count=count: client.counts["connected"] > count and database.links)
+            await asyncio.sleep(0.05)
             await sea.steps()
-            for fault in ("killed", "restarted", "frozen", "garbage", "cut"):
-                count = client.counts["connected"]
-                if fault in ("killed", "restarted"):
-                    database.kill()
-                    await asyncio.sleep(0.3 if fault == "killed" else 0.0)
-                    await database.start()
-                elif fault == "frozen":
-                    database.freeze()
-                    await until(lambda: client.counts["silent"])
-                    database.thaw()
-                elif fault == "garbage":
-                    database.inject(b"\xff" * 99)
-                else:
-                    database.inject(wire.encode([Message("N", "NAV_SPEED", value=1.0)])[:30])
-                    database.links["pUSVLearn"].writer.close()
-                await until(lambda count=count: client.counts["connected"] > count and database.links)
-                await asyncio.sleep(0.05)
-                await sea.steps()
-            database.post("APPCAST_REQ", ASK)
-            await until(lambda: "garbage 1" in str([each.text for each in sea.posted("APPCAST")[-1:]]))
-            assert not client.counts["outbox"]
-
-    asyncio.run(work())
+        database.post("APPCAST_REQ", ASK)
+        await until(lambda: "garbage 1" in str([each.text for each in sea.posted("APPCAST")[-1:]]))
+        assert not client.counts["outbox"]
 
 
 @pytest.mark.thorough
-def test_clocks_that_jump_by_an_hour(tmp_path):
-    async def work():
-        async with at_sea(prior(tmp_path)) as sea:
-            await ready(sea)
-            for shift in (0.0, 3600.0, 0.0, -3600.0, 0.0):
-                await sea.steps(20, shift=shift)
-
-    asyncio.run(work())
+@awaited
+async def test_clocks_that_jump_by_an_hour(tmp_path):
+    async with at_sea(prior(tmp_path)) as sea:
+        await ready(sea)
+        for shift in (0.0, 3600.0, 0.0, -3600.0, 0.0):
+            await sea.steps(20, shift=shift)
 
 
 @pytest.mark.thorough
-def test_a_full_disk_is_a_warning(tmp_path, monkeypatch):
+@awaited
+async def test_a_full_disk_is_a_warning(tmp_path, monkeypatch):
     def full(self, *_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    async def work():
-        async with at_sea(prior(tmp_path, save_period=0.1)) as sea:
-            await ready(sea)
-            monkeypatch.setattr(NodeFolder, "save", full)
-            await sea.steps(20)
-            sea.database.post("APPCAST_REQ", ASK)
-            await until(lambda: "run_warnings=1:no checkpoint can be saved" in str(sea.posted("APPCAST")[-1:]))
-            await sea.steps(20)
-
-    asyncio.run(work())
+    async with at_sea(prior(tmp_path, save_period=0.1)) as sea:
+        await ready(sea)
+        monkeypatch.setattr(NodeFolder, "save", full)
+        await sea.steps(20)
+        sea.database.post("APPCAST_REQ", ASK)
+        await until(lambda: "run_warnings=1:no checkpoint can be saved" in str(sea.posted("APPCAST")[-1:]))
+        await sea.steps(20)

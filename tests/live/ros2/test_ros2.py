@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from tests.support import over
-from tests.support.ros2 import NotedSession, health, like_rclpy, rclpy_class
+from tests.support.live import NotedSession, health
+from tests.support.ros2 import like_rclpy, rclpy_class
 from usvlearn.core.forecasts import Track
 from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.live.plan_requests import Point

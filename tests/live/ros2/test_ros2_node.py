@@ -19,7 +19,8 @@ os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 os.environ.setdefault("ROS_DOMAIN_ID", str(10 + os.getpid() % 80))
 
 from tests.support import ROOT
-from tests.support.ros2 import NotedSession, Peer, health
+from tests.support.live import NotedSession, health
+from tests.support.ros2 import Peer
 from usvlearn.core.events import Event
 from usvlearn.errors import ConfigError
 from usvlearn.live.node import Step
@@ -137,30 +138,6 @@ def test_publishers_of_every_quality_of_service_are_heard(sea, reliable, lasting
     assert at_sea.until(lambda: at_sea.session.numbers("command_left"), lambda: left.publish(number(0.5)))
 
 
-def test_numbers_of_any_size_arrive_as_they_were_sent(sea):
-    at_sea = sea()
-    left = at_sea.publisher("/thrusters/left", NUMBER)
-    assert at_sea.until(lambda: at_sea.session.numbers("command_left"), lambda: left.publish(number(0.5)))
-    before = len(at_sea.session.pushed)
-    for value in (math.nan, math.inf, -math.inf, 1e308, -5e-324):
-        left.publish(number(value))
-    assert at_sea.until(lambda: len(at_sea.session.numbers("command_left")) >= before + 5)
-    found = at_sea.session.numbers("command_left")[-5:]
-    assert math.isnan(found[0]) and found[1:] == [math.inf, -math.inf, 1e308, -5e-324]
-
-
-def test_text_in_place_of_a_number_is_counted_and_told(sea):
-    at_sea = sea()
-    listened = at_sea.listen("/diagnostics", DIAGNOSTICS)
-    left = at_sea.publisher("/thrusters/left", TEXT)
-    assert at_sea.until(
-        lambda: ("command_left", "wrong_type") in at_sea.session.dropped,
-        lambda: left.publish(message_class(TEXT)(data="half ahead")),
-    )
-    assert at_sea.until(lambda: any("expected a number in 'data'" in told(each, "inputs") for each in listened))
-    assert not at_sea.session.pushed
-
-
 def test_a_topic_that_comes_back_with_another_type_is_read_anew(sea):
     at_sea = sea()
     first = at_sea.publisher("/thrusters/left", TEXT)
@@ -168,22 +145,6 @@ def test_a_topic_that_comes_back_with_another_type_is_read_anew(sea):
     at_sea.node.destroy_publisher(first)
     second = at_sea.other().publisher("/thrusters/left", NUMBER)
     assert at_sea.until(lambda: at_sea.session.numbers("command_left"), lambda: second.publish(number(0.25)))
-
-
-def test_a_second_type_on_a_topic_is_told_and_does_not_disturb(sea):
-    at_sea = sea()
-    listened = at_sea.listen("/usvlearn/health", DIAGNOSTICS)
-    left = at_sea.publisher("/thrusters/left", NUMBER)
-    assert at_sea.until(lambda: at_sea.session.numbers("command_left"), lambda: left.publish(number(0.25)))
-    other = at_sea.other().publisher("/thrusters/left", TEXT)
-
-    def both() -> None:
-        other.publish(message_class(TEXT)(data="astern"))
-        left.publish(number(0.5))
-
-    expected = "/thrusters/left is published as std_msgs/msg/String, too: only std_msgs/msg/Float64 is read"
-    assert at_sea.until(lambda: any(expected in told(each, "inputs") for each in listened), both)
-    assert at_sea.session.numbers("command_left")[-1] == 0.5 and not at_sea.session.dropped
 
 
 def test_a_publisher_that_restarts_is_heard_again(sea):
@@ -194,15 +155,6 @@ def test_a_publisher_that_restarts_is_heard_again(sea):
                             lambda p=left, v=value: p.publish(number(v)))  # fmt: skip
         at_sea.node.destroy_publisher(left)
     assert at_sea.until(lambda: "any more" in at_sea.shell._problems.get("command_left", ""))
-
-
-def test_a_type_that_is_not_installed_is_told(sea, monkeypatch):
-    at_sea = sea()
-    listened = at_sea.listen("/diagnostics", DIAGNOSTICS)
-    monkeypatch.setattr("usvlearn.live.ros2.shell.message_class", lambda kind: message_class("heron_msgs/msg/Drive"))
-    at_sea.publisher("/thrusters/left", NUMBER)
-    expected = "command_left: /thrusters/left: found messages of type heron_msgs/msg/Drive, which is not installed here"
-    assert at_sea.until(lambda: any(expected in told(each, "inputs") for each in listened))
 
 
 @pytest.mark.parametrize("name", ["left thruster", "1st", "/a//b"])
@@ -232,23 +184,6 @@ def test_what_a_user_mistypes_ends_the_command_with_a_sentence(tmp_path, argumen
 
 
 # time
-
-
-def test_stamps_that_are_wrong_by_an_hour_are_replaced_by_the_time_of_receipt(sea):
-    at_sea = sea()
-    listened = at_sea.listen("/diagnostics", DIAGNOSTICS)
-    odom = at_sea.publisher("/odom", ODOMETRY)
-    assert at_sea.until(lambda: at_sea.session.numbers("surge"), lambda: odom.publish(odometry(at_sea)))
-    for ahead, word in ((3600.0, "ahead of"), (-3600.0, "behind")):
-        at_sea.session.pushed.clear()
-        listened.clear()
-        assert at_sea.until(
-            lambda w=word: any(f"3.6e+03 s {w} the node's clock" in told(each, "inputs") for each in listened),
-            lambda a=ahead: odom.publish(odometry(at_sea, ahead=a)),
-        )
-        now = at_sea.boat.node.get_clock().now().nanoseconds * 1e-9
-        assert all(abs(stamp - now) < PATIENCE for _, stamp, _ in at_sea.session.pushed)
-    assert at_sea.session.restarts == 0
 
 
 def test_simulated_time_is_obeyed_and_its_reset_begins_a_new_segment(sea):
