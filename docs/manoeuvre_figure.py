@@ -15,7 +15,7 @@ import torch
 
 from usvlearn.display.figures import INK, LINE, SIDES, themed
 from usvlearn.simulate.plants import heron
-from usvlearn.simulate.vessel import at_rest, step
+from usvlearn.simulate.vessel import VesselState, at_rest, simulate
 
 DT = 0.1  # s
 GAIN, TURN_MAX = 0.6, 0.35  # heading controller: share of the command per rad, and at most, as `Autopilot` has them
@@ -77,7 +77,8 @@ def sail() -> tuple[np.ndarray, ...]:
     for leg in (leg for _, legs in ROWS for leg in legs):
         for _ in range(round(leg.seconds / DT)):
             command = steered(leg, float(state.heading))
-            state = step(boat, state, torch.tensor(command, dtype=torch.float64), DT)
+            states = simulate(boat, state, torch.tensor([command], dtype=torch.float64), DT)
+            state = VesselState(*(leaf[0] for leaf in states))
             found.append((time, *command, float(state.surge), math.degrees(float(state.heading))))
             time += DT
     return tuple(np.array(found).T)

@@ -1,4 +1,4 @@
-"""A thruster-driven vessel in surge and yaw, differentiable and batched (`docs/theory/model.md#simulation`).
+"""A thruster-driven vessel in surge and yaw (`docs/theory/model.md#simulation`); `missions_kernel` steps it.
 
     m surge_dot = c_q |v| v + c_l v + c_x |r| v + sum_{i=L,R} tau_i          c_q, c_l, c_x <= 0       (1)
     tau_i = table_i(xi_i) + alpha_i xi_i + beta_i xi_i |xi_i| + gamma_i xi_i |v|                      (2)
@@ -6,8 +6,7 @@
     yaw_lag r_dot = yaw_gain (tau_L - tau_R) - r,    heading_dot = r                                  (4)
 
 v is the surge speed through the water, r the yaw rate, xi the speed of a thruster as a share of full scale.
-(1) and (2) are the motion model of the estimators, with thrust tables. Parameters are leaves of `Vessel`, so that a
-trajectory has gradients with respect to them.
+(1) and (2) are the motion model of the estimators, with thrust tables. Parameters are leaves of `Vessel`.
 """
 
 from __future__ import annotations
@@ -71,15 +70,11 @@ def scale_thrust(vessel: Vessel, sides: Tensor) -> Vessel:
 def drag(vessel: Vessel, surge: Tensor, yaw_rate: Tensor | float = 0.0) -> Tensor:
     """Force of the water on the hull, N, `(*batch,)`: the first three terms of (1)."""
     turning: Any = abs(yaw_rate)
-    return resistance(vessel, abs(surge), vessel.drag_cross * turning) * surge
-
-
-def resistance(vessel: Vessel, speed: Tensor, cross: Tensor) -> Tensor:
-    """Drag over surge, c_q |v| + c_l + c_x |r|, N s/m, `(*batch,)`, from |v|, m/s, and c_x |r|, N s/m."""
+    speed = abs(surge)
     fast = speed > vessel.knee
     quadratic = torch.where(fast, vessel.drag_quadratic_fast, vessel.drag_quadratic)
     linear = torch.where(fast, vessel.drag_linear_fast, vessel.drag_linear)
-    return quadratic * speed + (linear + cross)
+    return (quadratic * speed + (linear + vessel.drag_cross * turning)) * surge
 
 
 def static_thrust(vessel: Vessel, shaft: Tensor) -> Tensor:
@@ -106,45 +101,6 @@ def thrust(vessel: Vessel, shaft: Tensor, surge: Tensor) -> Tensor:
     return static_thrust(vessel, shaft) + lift * abs(surge).unsqueeze(-1)
 
 
-def step(vessel: Vessel, state: VesselState, command: Tensor, dt: float) -> VesselState:
-    """The state `dt` later under a constant command: (1) by Runge-Kutta 4, (3) and (4) exactly.
-
-    The thrust over the step is that of the mean thruster speed, which is exact once the thrusters have spun up. Steps
-    of 0.1 s and below are stable for every vessel of `plants`.
-    """
-    command = command.clamp(-1.0, 1.0)
-    lag = vessel.lag.unsqueeze(-1)
-    decay = torch.exp(-dt / lag)
-    gap = state.shaft - command
-    left = gap * decay
-    shaft = command + left  # (3)
-    mean = command + (gap - left) * (lag / dt)  # (3), averaged over the step
-    static = static_thrust(vessel, mean)
-    lift = vessel.thrust_speed * mean
-
-    tau = static + lift * abs(state.surge).unsqueeze(-1)  # (2)
-    settled = vessel.yaw_gain * (tau[..., 0] - tau[..., 1])
-    decay = torch.exp(-dt / vessel.yaw_lag)
-    gap = state.yaw_rate - settled
-    left = gap * decay
-    yaw_rate = settled + left  # (4)
-    turned = settled * dt + (gap - left) * vessel.yaw_lag
-    heading = state.heading + turned
-
-    static, lift, cross = static.sum(-1), lift.sum(-1), vessel.drag_cross * abs(turned / dt)
-
-    def surge_dot(surge):  # (1)
-        speed = abs(surge)
-        return (resistance(vessel, speed, cross) * surge + (static + lift * speed)) / vessel.mass
-
-    v = state.surge
-    k1 = surge_dot(v)
-    k2 = surge_dot(v + dt / 2 * k1)
-    k3 = surge_dot(v + dt / 2 * k2)
-    k4 = surge_dot(v + dt * k3)
-    return VesselState(v + dt / 6 * (k1 + 2 * (k2 + k3) + k4), heading, yaw_rate, shaft)
-
-
 def simulate(vessel: Vessel, state: VesselState, commands: Tensor, dt: float) -> VesselState:
     """The trajectory under a course of commands.
 
@@ -161,11 +117,21 @@ def simulate(vessel: Vessel, state: VesselState, commands: Tensor, dt: float) ->
     >>> simulate(heron(), at_rest((3,)), torch.ones(5, 3, 2, dtype=torch.float64), 0.1).surge.shape
     torch.Size([5, 3])
     """
-    states = []
-    for command in commands.unbind(0):
-        state = step(vessel, state, command, dt)
-        states.append(state)
-    return VesselState(*(torch.stack(leaves) for leaves in zip(*states, strict=True)))
+    from usvlearn.core.jit import announced  # numba takes a moment to import
+    from usvlearn.simulate import missions_kernel as kernel
+    from usvlearn.simulate.gusts import Gusts
+
+    ticks, batch, none = len(commands), commands.shape[1:-1], torch.zeros((), dtype=torch.float64)
+    given = np.ascontiguousarray(commands.numpy()).reshape(ticks, -1, 2)
+    sizes: tuple[tuple[int, ...], ...] = ((), (), (), (2,))  # of the leaves, behind the batch
+    leaves = [leaf.broadcast_to((*batch, *own)).reshape(-1, *own) for leaf, own in zip(state, sizes, strict=True)]
+    now: Any = [leaf.clone().numpy() for leaf in leaves]
+    states: Any = [np.empty((ticks, *leaf.shape)) for leaf in now]
+    known = kernel.known(vessel, batch, dt, none, none, none, Gusts())
+    with announced(kernel.__file__, "simulator"):
+        kernel.drift(*known, dt, given, VesselState(*now), VesselState(*states))
+    found = (x.reshape(ticks, *batch, *own) for x, own in zip(states, sizes, strict=True))
+    return VesselState(*map(torch.from_numpy, found))
 
 
 def over_ground(surge: Tensor, heading: Tensor, current: Tensor, direction: Tensor) -> Tensor:
