@@ -77,8 +77,7 @@ def sail() -> tuple[np.ndarray, ...]:
     for leg in (leg for _, legs in ROWS for leg in legs):
         for _ in range(round(leg.seconds / DT)):
             command = steered(leg, float(state.heading))
-            states = simulate(boat, state, torch.tensor([command], dtype=torch.float64), DT)
-            state = VesselState(*(leaf[0] for leaf in states))
+            state = VesselState(*(x[0] for x in simulate(boat, state, torch.from_numpy(np.array([command])), DT)))
             found.append((time, *command, float(state.surge), math.degrees(float(state.heading))))
             time += DT
     return tuple(np.array(found).T)
