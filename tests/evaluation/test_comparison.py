@@ -103,11 +103,6 @@ def test_coverage_has_no_errors_by_run():
     assert cells({"": errors({("a", "1"): 0.1})}, Measure("rnn", "coverage")) == {}
 
 
-def test_a_bank_is_compared_by_its_best_setting():
-    rows = [RunError("a", "1", "step", 10, {"wind_a": 0.3, "wind_b": 0.1})]
-    assert [e for _, e, _ in cells({"": rows}, Measure("wind")).values()] == [0.1]
-
-
 DAMAGED = ["", "a,b\n", "boat,run,ahead,steps,x\nh,r,step,0,0.1\n", "boat,run,ahead,steps,x\nh,r,step,9,nan\n",
            "boat,run,ahead,steps,x\nh,r,step,9\n", "boat,run,ahead,steps,x\nh,r,step,x,1\n"]  # fmt: skip
 

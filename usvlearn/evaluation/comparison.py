@@ -23,7 +23,7 @@ from usvlearn.core.samples import PLAUSIBLE, Fleet, masks, tree_map
 from usvlearn.evaluation.free_simulation import FreeErrors
 from usvlearn.evaluation.horizons import HorizonSums, means
 from usvlearn.evaluation.metrics import PERSISTENCE, Stretch
-from usvlearn.evaluation.objective import COVERAGE, FORECAST, FREE, SKILL, Measure, own_columns
+from usvlearn.evaluation.objective import COVERAGE, FORECAST, FREE, SKILL, Measure
 
 STEP = "step"  # in the column ahead
 HEAD = ("boat", "run", "ahead", "steps")
@@ -149,7 +149,7 @@ class Difference(NamedTuple):
 
 
 def cells(errors: Mapping[str, Sequence[RunError]], measure: Measure) -> dict[Place, Cell]:
-    """The runs of a setting; of a bank those of its best column.
+    """The runs of a setting.
 
     Args:
         errors: by seed.
@@ -159,18 +159,11 @@ def cells(errors: Mapping[str, Sequence[RunError]], measure: Measure) -> dict[Pl
         return {}
     ahead = {FORECAST: f"{measure.horizon:g}", FREE: FREE}.get(measure.kind, STEP)
     rows = [(seed, each) for seed, found in errors.items() for each in found if each.ahead == ahead]
-    names = dict.fromkeys(name for _, each in rows for name in each.mae)
-    best: dict[Place, Cell] = {}
-    least = math.inf
-    for column in own_columns(measure.estimator, names):
-        made = {
-            (seed, each.boat, each.run): Cell(each.steps, each.mae[column], each.mae.get(PERSISTENCE, math.nan))
-            for seed, each in rows
-            if column in each.mae
-        }
-        total = sum(n * e for n, e, _ in made.values()) / sum(n for n, _, _ in made.values())
-        best, least = (made, total) if total < least else (best, least)
-    return best
+    return {
+        (seed, each.boat, each.run): Cell(each.steps, each.mae[name], each.mae.get(PERSISTENCE, math.nan))
+        for seed, each in rows
+        if (name := measure.estimator) in each.mae
+    }
 
 
 def compare(one: Mapping[Place, Cell], other: Mapping[Place, Cell], measure: Measure) -> Difference | None:

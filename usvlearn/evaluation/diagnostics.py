@@ -20,7 +20,6 @@ from usvlearn.estimators.joint.periodic_estimates import Identified
 from usvlearn.estimators.planar.layer import Planar
 from usvlearn.estimators.regressors.layer import QuasiStatic, SurgeDynamics
 from usvlearn.estimators.rnn.layer import RNN, element_weights
-from usvlearn.estimators.wrappers.bank import Bank
 from usvlearn.evaluation.metrics import PERSISTENCE, Stretch
 
 Truth = Mapping[str, Mapping[str, float]]  # boat -> quantity -> value
@@ -78,8 +77,7 @@ def physical_members(ensemble: Ensemble) -> list[str]:
     found = []
     for name, member in ensemble.members.items():
         model = getattr(unwrapped(member)[0], "model", None)
-        plain = isinstance(model, SurgeDynamics) and not (model.memory or model.ambient or model.cubic)
-        if plain and not isinstance(member, Bank):
+        if isinstance(model, SurgeDynamics) and not model.cubic:
             found.append(name)
     return found
 
@@ -87,8 +85,7 @@ def physical_members(ensemble: Ensemble) -> list[str]:
 def remarks(ensemble: Ensemble) -> dict[str, str]:
     """Remarks beside names in a table of errors: the baseline, a quasi-static map, an average that includes one."""
     found = {PERSISTENCE: "baseline"} if PERSISTENCE in ensemble.names else {}
-    for name in _maps(ensemble):
-        found |= dict.fromkeys(ensemble.columns_of(name), "quasi-static map")
+    found |= dict.fromkeys(_maps(ensemble), "quasi-static map")
     return found | {rule: f"with {', '.join(maps)}" for rule, maps in _averages(ensemble).items()}
 
 
@@ -115,7 +112,7 @@ def _averages(ensemble: Ensemble) -> dict[str, list[str]]:
     for name, rule in ensemble.combiners.items():
         if isinstance(rule, Average):
             chosen = set(ensemble.members if rule.members is None else rule.members)
-            found[name] = [each for each in _maps(ensemble) if chosen & {each, *ensemble.columns_of(each)}]
+            found[name] = [each for each in _maps(ensemble) if each in chosen]
     return {name: maps for name, maps in found.items() if maps}
 
 

@@ -67,20 +67,17 @@ class Measure(NamedTuple):
     def known(self, results: Mapping[str, Any]) -> bool:
         """Whether `results.json` has a number of it, or says that there is none: the estimator was measured so."""
         rows: Mapping[str, Any] = next(iter(self._tables(results).values()), {})
-        columns = own_columns(self.estimator, rows)
-        if self.kind == FORECAST:
-            return any(f"{self.horizon:g}" in rows[column] for column in columns)
-        return any(self.kind == FREE or self.kind in rows[column] for column in columns)
+        if self.estimator not in rows:
+            return False
+        key = f"{self.horizon:g}" if self.kind == FORECAST else self.kind
+        return self.kind == FREE or key in rows[self.estimator]
 
     def value(self, results: Mapping[str, Any]) -> float | None:
-        """What `results.json` says of it, mean over boats; None where it is unknown of a boat, or diverged.
-
-        For a bank it is that of its best setting.
-        """
+        """What `results.json` says of it, mean over boats; None where it is unknown of a boat, or diverged."""
         tables = self._tables(results)
-        columns = own_columns(self.estimator, next(iter(tables.values()), {}))
-        found = [mean(self._of(rows.get(column)) for rows in tables.values()) for column in columns]
-        return min(found, key=self.loss, default=None)
+        if not any(self.estimator in rows for rows in tables.values()):
+            return None
+        return mean(self._of(rows.get(self.estimator)) for rows in tables.values())
 
     def _tables(self, results: Mapping[str, Any]) -> Mapping[str, Any]:
         """The errors by boat and estimator among which it is."""
@@ -91,12 +88,6 @@ class Measure(NamedTuple):
         if self.kind == FREE or row is None:
             return row
         return row.get(f"{self.horizon:g}", {}).get("mae") if self.kind == FORECAST else row.get(self.kind)
-
-
-def own_columns(estimator: str, names: Iterable[str]) -> list[str]:
-    """The rows of a table of errors that belong to a member or combiner; those of a bank are called NAME_LABEL."""
-    names = list(names)
-    return [estimator] if estimator in names else [name for name in names if name.startswith(f"{estimator}_")]
 
 
 def measure_of(objective: Any, default: str) -> Measure:
@@ -117,7 +108,7 @@ def measure_of(objective: Any, default: str) -> Measure:
 def check_measure(measure: Measure, ensemble: Ensemble, fleet: Fleet) -> None:
     """Raise a ConfigError unless an ensemble makes what is measured, and there are enough runs."""
     made = ensemble.forecasts
-    if not own_columns(measure.estimator, ensemble.names):
+    if measure.estimator not in ensemble.names:
         known = [*ensemble.members, *ensemble.combiners]
         hint = did_you_mean(measure.estimator, known)
         raise ConfigError(f"objective: found {measure.estimator!r}, expected one of {', '.join(known)}{hint}")
@@ -156,7 +147,7 @@ def ranked_by(objective: Any, swept: Iterable[str], results: Iterable[Mapping]) 
     if len(names) != 1:
         return None
     (name,) = names
-    found = all(own_columns(name, mean_mae(each["boats"])) for each in results if "boats" in each)
+    found = all(name in mean_mae(each["boats"]) for each in results if "boats" in each)
     return Measure(name) if found else None
 
 

@@ -30,7 +30,7 @@ from usvlearn.evaluation.diagnostics import (
     as_results,
     events,
     identified_boats,
-    identified_planar_boats,
+    identified_planars,
     verdicts,
 )
 from usvlearn.evaluation.free_simulation import FreeErrors, free_errors, has_halves, middle
@@ -54,7 +54,6 @@ from usvlearn.runs.files import (
     same_run,
     save_results,
 )
-from usvlearn.runs.files import ESTIMATOR as ESTIMATOR_BESIDE
 from usvlearn.runs.prediction_files import (
     BEGIN,
     PREDICTIONS,
@@ -238,7 +237,7 @@ class RunFolder:
         if self.planar is None or self.beside is None:
             boats = identified_boats(ensemble, self.state, fleet.boats)
         else:
-            boats = identified_planar_boats(self.planar, self.beside, fleet.boats)
+            boats = identified_planars(self.planar, self.beside, fleet.boats)
         found: dict[str, Any] = {
             "boats": fleet_scores(fleet, published.only("predictions", "halfwidths"), names, limit),
             "events": events(fleet, published.only("thrusters", "health"), ensemble.accommodated),
