@@ -33,7 +33,7 @@ class Resumption:
     """Finds where a run of an ensemble may resume, and brings what it then needs into its folder."""
 
     def __init__(self, path: Path, fleet: Fleet, ensemble: Ensemble, planar: Planar | None):
-        self.path, self.fleet, self._planar, self._kernel = path, fleet, planar, ensemble.description()
+        self.path, self.fleet, self._planar, self.kernel = path, fleet, planar, ensemble.description()
         self._widths = widths_of(ensemble, planar)
 
     def published(self, folder: Path) -> Published:
@@ -55,7 +55,7 @@ class Resumption:
 
     def from_file(self, source: Path, start: Start) -> Start:
         """Every boat starts from one checkpoint."""
-        state, facts = from_checkpoints(start.state, [source] * len(self.fleet.boats), self._kernel)
+        state, facts = from_checkpoints(start.state, [source] * len(self.fleet.boats), self.kernel)
         of = ", run ".join(str(facts[0][name]) for name in ("boat", "run") if name in facts[0])
         return start._replace(state=state, note=f"starting from {of or 'a checkpoint'}, {source}")
 
@@ -70,7 +70,7 @@ class Resumption:
                     f"{source}: has no checkpoint of {boat} (it has: {boats}): give the checkpoint to start from"
                 )
             try:
-                elements.append(restored(folder, of_boat(start.state, element), ESTIMATOR, self._kernel)[0])
+                elements.append(restored(folder, of_boat(start.state, element), ESTIMATOR, self.kernel)[0])
             except CheckpointError as error:
                 raise CheckpointError(f"{error}{own_settings(source)}") from error
         note = f"starting from the newest checkpoints of {source}, from the first run on"
@@ -111,7 +111,7 @@ class Resumption:
         """The boats' states at these places."""
         paths = map(checkpoint_path, [source] * len(places), self.fleet.boats, places)
         boats = (of_boat(start.state, element) for element in range(len(places)))
-        return stack([restored(*each, ESTIMATOR, self._kernel)[0] for each in zip(paths, boats, strict=True)])
+        return stack([restored(*each, ESTIMATOR, self.kernel)[0] for each in zip(paths, boats, strict=True)])
 
     def own(self, place: Position) -> list[Position]:
         """The boats' own places when the fleet is at `place`: their runs may be shorter, or fewer."""

@@ -298,7 +298,7 @@ class RunFolder:
             "estimator": ESTIMATOR, "boat": boat, "run": run.names[element], "step": place.step,
             "time": float(run.time[place.step - 1, element]) if place.step else 0.0,
             "version": usvlearn.__version__, "configuration": self._configuration,
-            "kernel": select_element(self.ensemble.description(), len(self.fleet.boats), element),
+            "kernel": select_element(self._resumption.kernel, len(self.fleet.boats), element),
         }  # fmt: skip
         if boat in self._setups:
             facts["setup"] = self._setups[boat]
