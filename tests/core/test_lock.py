@@ -147,7 +147,7 @@ def test_a_report_a_study_and_a_job_of_a_sweep_are_locked(tmp_path, capsys):
     with pytest.raises(ConfigError, match=rf"report: process {report.pid} is writing there: .*another report$"):
         evaluate([tmp_path], tmp_path / "report", tools())
     with pytest.raises(ConfigError, match=rf"study: process {study.pid} is writing there: .*another folder$"):
-        made(tmp_path / "study", Recorder()).make()
+        made(tmp_path / "study", Recorder())
     found = run_job(tmp_path / "job", {"a": 1}, [], lambda resume: 1.0)
     assert found != found and f"process {job.pid} is writing there" in capsys.readouterr().err
     for each, folder in ((report, "report"), (study, "study"), (job, "job")):
@@ -155,7 +155,7 @@ def test_a_report_a_study_and_a_job_of_a_sweep_are_locked(tmp_path, capsys):
         ended(each)
     with pytest.raises(CheckpointError, match="has no checkpoints"):
         evaluate([tmp_path], tmp_path / "report", tools())
-    made(tmp_path / "study", Recorder()).make()
+    made(tmp_path / "study", Recorder())
     assert run_job(tmp_path / "job", {"a": 1}, [], lambda resume: 1.0) == 1.0
     assert not list(tmp_path.rglob(NAME))
 

@@ -14,7 +14,6 @@ from usvlearn.report.sections.cost import cost_section
 from usvlearn.report.sections.errors import online_section
 from usvlearn.report.sections.parameters import TOO_SMALL, _findings, course
 from usvlearn.report.sections.season_figures import box
-from usvlearn.report.study import tuning_section
 from usvlearn.simulate.fleet import fleet_vessels
 from usvlearn.simulate.truth import true_parameters, truth_of
 from usvlearn.simulate.vessel import static_thrust
@@ -47,17 +46,6 @@ def test_online_section_by_hand():
     assert "The lowest of all: aid on 1 of 2 boats, persistence on 1 of 2 boats." in section.here
     methods = [row[1] for row in section.sheets[1].rows]
     assert methods == ["aid", "persistence", "persistence", "aid"]  # each boat's by its own errors
-
-
-def test_tuning_section_by_hand():
-    tuned = {
-        "aid": {"evaluations": 8, "default": {"mae": 0.2}, "best": {"mae": 0.1, "gain": 50.0, "setting": {"gain": 3.0}}}
-    }
-    after, before = ({"heron": {"rls": {"mae": 0.3}, "aid": {"mae": a}}} for a in (0.15, 0.1))
-    section = tuning_section(tuned, after, before)
-    row = section.sheets[0].rows[0]
-    assert [each[0] for each in section.sheets[0].rows] == ["aid", "rls"]
-    assert row[:5] == ("aid", "gain 3", 50.0, 0.1, 0.15) and row[5] == pytest.approx(-50.0)
 
 
 def test_sheets_escape_and_keep_digits():

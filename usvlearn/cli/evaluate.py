@@ -23,16 +23,13 @@ def study(cfg: DictConfig, tools) -> None:
     """Tune on one season, learn the next one, and judge it; goes on where it stopped."""
     from usvlearn.cli.train import work
     from usvlearn.report.build import evaluate, start_of
-    from usvlearn.report.study import Study
-    from usvlearn.sweeps.tuning.tune import request
+    from usvlearn.report.study import make_study
 
-    made = Study(
-        Path(cfg.folder), plain(cfg.study), tools.say, choose=lambda folder: start_of(folder, tools),
-        run=lambda overrides, folder: work(hydra.compose("train", list(overrides)), folder, overrides),
-        check=lambda overrides: request(plain(hydra.compose("train", list(overrides))), instantiate),
-    )  # fmt: skip
-    season, gained = made.make()
-    evaluate([season], Path(cfg.folder, "report"), tools, more=[gained], commands=made.commands, paper=True)
+    def run(overrides, folder: Path) -> None:
+        work(hydra.compose("train", list(overrides)), folder, overrides)
+
+    season, commands = make_study(Path(cfg.folder), plain(cfg.study), tools.say, run, lambda at: start_of(at, tools))
+    evaluate([season], Path(cfg.folder, "report"), tools, commands=commands, paper=True)
 
 
 @command("evaluate")

@@ -101,7 +101,6 @@ def evaluate(
     report: Path,
     tools: Tools,
     data: Any = None,
-    more: Sequence[Section] = (),
     commands: Sequence[str] = (),
     paper: bool = False,
     asked: Questions | None = None,
@@ -111,7 +110,6 @@ def evaluate(
     Args:
         folders, tools, data: as of `read`.
         report: its folder.
-        more: sections to put first.
         commands: that make the report again.
         paper: whether the paper's results stand beside those found here.
         asked: the open questions of the other logs.
@@ -143,7 +141,7 @@ def evaluate(
             activity.begin("drawing the report")
             other = "Judged on other logs than those of the runs from which the boats learned."
             notes = [*unfinished, *([] if data is None else [other])]
-            parts = [section if paper else section._replace(paper="") for section in (*more, *sections)]
+            parts = [section if paper else section._replace(paper="") for section in sections]
             said = [*facts(seasons, folders), *told, *notes]
             front = front._replace(notes=notes, unconfirmed=told)
             page = write_report(report, said, parts, commands, errors, front)
