@@ -35,7 +35,7 @@ from usvlearn.report.tables import (
 from usvlearn.runs.files import TENSORBOARD
 from usvlearn.sweeps.launchers import set_threads
 from usvlearn.sweeps.seeds import seeded
-from usvlearn.sweeps.tuning.methods import asked
+from usvlearn.sweeps.tuning import asked
 
 
 def work(cfg: DictConfig, folder: Path, overrides: Sequence[str], resume: str | None = None, quiet=False) -> float:

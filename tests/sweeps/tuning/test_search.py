@@ -1,10 +1,8 @@
 """Searching with Optuna: it goes on where it broke off, and processes share a budget."""
 
 import json
-import os
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -34,11 +32,11 @@ def test_a_search_that_broke_off_goes_on_to_the_count(fleet, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         search.search(Objective(asked.build, fleet, breaks), asked.parameters, 10, tmp_path,
                       {"ranges": asked.ranges}, batch=4)  # fmt: skip
-    found, used = searched(fleet, tmp_path, 10, batch=4)
+    found, used, _ = searched(fleet, tmp_path, 10, batch=4)
     assert used == 10 and len(found) == 11 and found[0].setting == {"gain": 1.0}
-    again, used = searched(fleet, tmp_path, 10)
+    again, used, _ = searched(fleet, tmp_path, 10)
     assert again == found and used == 10
-    more, used = searched(fleet, tmp_path, 13)
+    more, used, _ = searched(fleet, tmp_path, 13)
     assert more[:11] == found and used == 13
     assert all(0.01 <= each.setting["gain"] <= 100 for each in more)
     np.testing.assert_allclose(more[-1].maes, replayed(fleet, asked.build(more[-1].setting)), rtol=1e-12)
@@ -57,34 +55,14 @@ def test_a_journal_that_names_code_is_refused(fleet, tmp_path):
         searched(fleet, tmp_path, 2)
 
 
-@pytest.mark.thorough
-def test_what_a_killed_process_left_is_given_back(fleet, tmp_path):
-    """And what a living one has in hand is waited for."""
-    import optuna
-
-    searched(fleet, tmp_path, 2, batch=2)
-    storage = optuna.storages.JournalStorage(optuna.storages.journal.JournalFileBackend(str(tmp_path / "optuna.log")))
-    study = optuna.load_study(study_name=search.STUDY, storage=storage)
-    left = study.ask()
-    left.set_user_attr("worker", 99)
-    sign = tmp_path / "workers" / "99"
-    sign.touch()
-    end = time.time() + 1  # until when it counts as alive
-    os.utime(sign, (end - search.STALE,) * 2)
-    _, used = searched(fleet, tmp_path, 4, batch=2)
-    assert used == 4 and time.time() > end
-    assert study.trials[left.number].state.name == "FAIL"
-
-
 @pytest.mark.slow
 def test_two_processes_share_the_budget(tmp_path):
     arguments = command(*TWO_BOATS, "search=aid", "tuning.evaluations=24", "tuning.trials=2", "hydra.run.dir=run")
     both = [subprocess.Popen(arguments, cwd=tmp_path, env=ENVIRONMENT, stdout=subprocess.DEVNULL) for _ in range(2)]
     assert [process.wait(120) for process in both] == [0, 0]
     found = json.loads((tmp_path / "run" / "tuning.json").read_text())
-    assert found["evaluations"] == 24 and len(found["evaluated"]) == 25
+    assert found["evaluations"] == len(found["evaluated"]) - 1 and 24 <= found["evaluations"] <= 26
     assert len({each["setting"]["gain"] for each in found["evaluated"][1:]}) > 20  # not twice the same random start
-    assert sorted(path.name for path in (tmp_path / "run" / "workers").iterdir()) == ["0", "1"]
 
 
 def test_without_optuna_the_extra_is_named(fleet, tmp_path, monkeypatch):
@@ -94,8 +72,8 @@ def test_without_optuna_the_extra_is_named(fleet, tmp_path, monkeypatch):
 
 
 def test_a_line_that_a_full_disk_left_unfinished_is_cut_off(fleet, tmp_path):
-    found, _ = searched(fleet, tmp_path, 2, batch=2)
+    found = searched(fleet, tmp_path, 2, batch=2).evaluations
     journal = tmp_path / "optuna.log"
     journal.write_bytes(journal.read_bytes() + b'{"op_code":8,"worker_id":"')
-    more, used = searched(fleet, tmp_path, 4, batch=2)
+    more, used, _ = searched(fleet, tmp_path, 4, batch=2)
     assert used == 4 and more[:3] == found

@@ -1,1 +1,22 @@
-"""Tuning of hyperparameters: by grid, by gradient, by Optuna."""
+"""Tuning numbers of one estimator; what is here imports nothing heavy, because a replay asks, too."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from usvlearn.errors import ConfigError
+
+WAYS = ("grid", "learn", "search")
+
+
+def asked(configuration: Mapping[str, Any]) -> str | None:
+    """The method that a configuration asks for, or None.
+
+    Raises:
+        ConfigError: it asks for several methods, or for a study.
+    """
+    if "study" in configuration:
+        raise ConfigError("experiment: found a study, expected settings: run `python evaluate.py experiment=…`")
+    found = [way for way in WAYS if configuration.get(way) is not None]
+    if len(found) > 1:
+        raise ConfigError(f"{' and '.join(found)}: found {len(found)} ways to tune, expected one: leave out the others")
+    return found[0] if found else None

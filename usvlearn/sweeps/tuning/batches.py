@@ -44,23 +44,18 @@ class Hyperparameter(NamedTuple):
     high: float
 
     def to_scale(self, value: float) -> float:
-        """
-        >>> round(Hyperparameter("forgetting", UnitInterval, 0.99, 0.5, 0.999).to_scale(0.5), 6)
-        0.0
-        """
+        """The place of a value on the scale."""
         return math.log(value) if self.kind is Positive else math.log(value) - math.log1p(-value)
 
-    def from_scale(self, x: float) -> float:
-        """The legal value at a place on the scale, rounded to four digits, as it is evaluated and shown.
+    def value(self, x: float) -> float:
+        """The value at a place on the scale."""
+        return math.exp(min(x, 700.0)) if self.kind is Positive else 1 / (1 + math.exp(-x))
 
-        >>> gain = Hyperparameter("gain", Positive, 1.0, 0.01, 100.0)
-        >>> gain.from_scale(0.5), gain.from_scale(99.0)
-        (1.649, 100.0)
-        """
-        if self.kind is Positive:
-            value = float(f"{math.exp(min(x, 700.0)):.4g}")
-        elif x < 0:
-            value = float(f"{math.exp(x) / (1 + math.exp(x)):.4g}")
+    def from_scale(self, x: float) -> float:
+        """The legal value at a place on the scale, rounded to four digits, as it is evaluated and shown."""
+        value = self.value(x)
+        if self.kind is Positive or x < 0:
+            value = float(f"{value:.4g}")
         else:  # four digits of the distance to 1
             value = round(1 - float(f"{math.exp(-x) / (1 + math.exp(-x)):.4g}"), 15)
         return min(max(value, self.low), self.high)
@@ -84,11 +79,7 @@ class Evaluation(NamedTuple):
 
     @property
     def mae(self) -> float:
-        """m/s, mean over boats.
-
-        >>> Evaluation({"gain": 1.0}, (0.25, 0.75)).mae
-        0.5
-        """
+        """m/s, mean over boats."""
         return sum(self.maes) / len(self.maes)
 
 
@@ -105,10 +96,6 @@ def hyperparameter(
 
     Raises:
         ConfigError: there is no tunable number at the path, or the range is not legal.
-
-    >>> from usvlearn import AID
-    >>> hyperparameter(AID(), "gain", 0.1, 10).span[0] < 0
-    True
     """
     key, known = key or path, hyperparameters(estimator)
     if path not in known:
@@ -132,12 +119,7 @@ def hyperparameter(
 
 
 def hyperparameters(estimator: Estimator) -> dict[str, Positive | UnitInterval]:
-    """All numbers of an estimator that can be tuned, by path.
-
-    >>> from usvlearn import Robust, SIFtRLS
-    >>> sorted(hyperparameters(Robust(SIFtRLS())))
-    ['estimator.covariance', 'estimator.memory', 'inflation', 'scale']
-    """
+    """All numbers of an estimator that can be tuned, by path."""
     return {path: part for path, part in estimator.named_modules() if isinstance(part, Positive | UnitInterval)}
 
 

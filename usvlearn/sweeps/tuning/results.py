@@ -17,6 +17,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from usvlearn.core.checkpoint import write_atomically
 from usvlearn.display.tensorboard import TensorBoardWriter, folder_name
 from usvlearn.display.terminal import Blocks
@@ -30,11 +32,7 @@ SHOWN, MOST_RECORDS = 10, 20  # settings in the terminal, and on the HPARAMS pag
 
 
 def gain(mae: float, base: float) -> float | None:
-    """The reduction of an error, in percent; None if it is unknown.
-
-    >>> gain(0.75, 1.0)
-    25.0
-    """
+    """The reduction of an error, in percent; None if it is unknown."""
     return 100 * (1 - mae / base) if base > 0 and math.isfinite(base) and math.isfinite(mae) else None
 
 
@@ -48,10 +46,6 @@ def record(
         boats: their names.
         found: evaluations, the default first; the best setting may be the default.
         persistence: its evaluation on the same steps.
-
-    >>> both = [Evaluation({"gain": 1.0}, (0.5,)), Evaluation({"gain": 2.0}, (0.25,))]
-    >>> record({}, ["heron"], both, Evaluation({}, (1.0,)))["best"]
-    {'setting': {'gain': 2.0}, 'mae': 0.25, 'boats': {'heron': 0.25}, 'gain': 50.0}
     """
     default = found[0]
 
@@ -108,11 +102,7 @@ def ranked(record: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def label(setting: Mapping[str, Any]) -> str:
-    """A setting as a short text that can name a run.
-
-    >>> label({"estimator.memory": 3.162, "estimator.covariance": 10.0})
-    'memory=3.162 covariance=10'
-    """
+    """A setting as a short text that can name a run."""
     return " ".join(f"{path.rpartition('.')[2]}={_short(value)}" for path, value in setting.items())
 
 
@@ -155,18 +145,7 @@ def experiment(record: Mapping[str, Any]) -> str:
         for parent in parents:
             node = node.setdefault(parent, {})
         node[last] = value
-    return "\n".join([*head, "estimators:", *_lines({record["member"]: tree}, "  ")]) + "\n"
-
-
-def _lines(tree: Mapping[str, Any], indent: str) -> list[str]:
-    """A tree of mappings as YAML."""
-    lines = []
-    for key, value in tree.items():
-        if isinstance(value, Mapping):
-            lines += [f"{indent}{key}:", *_lines(value, indent + "  ")]
-        else:  # a number or a string is the same in JSON
-            lines.append(f"{indent}{key}: {json.dumps(value)}")
-    return lines
+    return "\n".join([*head, yaml.safe_dump({"estimators": {record["member"]: tree}}, sort_keys=False)])
 
 
 def _finite(x: float) -> float | None:

@@ -21,6 +21,7 @@ from usvlearn.evaluation.free_simulation import check_halves
 from usvlearn.evaluation.objective import COVERAGE, FREE, ONE_STEP, SKILL, Measure, measure_of
 from usvlearn.runs.files import CHECKPOINTS, TUNING, digest
 from usvlearn.sweeps.launchers import set_threads
+from usvlearn.sweeps.tuning import WAYS, asked
 from usvlearn.sweeps.tuning.batches import (
     NEXT,
     Build,
@@ -30,11 +31,9 @@ from usvlearn.sweeps.tuning.batches import (
     hyperparameter,
     hyperparameters,
 )
-from usvlearn.sweeps.tuning.grid import grid, product
-from usvlearn.sweeps.tuning.methods import WAYS, asked
+from usvlearn.sweeps.tuning.methods import Fitted, descend, grid, product
 from usvlearn.sweeps.tuning.results import EXPERIMENT, record, report, write
 from usvlearn.sweeps.tuning.search import search
-from usvlearn.sweeps.tuning.sensitivities import Fitted, descend
 
 
 class Request(NamedTuple):
@@ -238,12 +237,12 @@ def run(
     if request.values is not None:
         default = {each.path: each.default for each in parameters}
         settings = [setting for setting in product(request.values) if setting != default]
-        return Fitted(objective([default, *settings]), len(settings), [])
+        return Fitted(objective([default, *settings]), len(settings))
     if request.way == "grid":
-        return Fitted(*grid(objective, parameters, request.evaluations, options["rounds"]), [])
+        return grid(objective, parameters, request.evaluations, options["rounds"])
     if request.way == "learn":
         return descend(objective, parameters, request.evaluations, options["start"])
     samples = [digest(run, element) for run in fleet.runs for element in range(len(fleet.boats))]
     facts = {"member": request.member, "configuration": request.node, "ranges": request.ranges, "samples": samples}
     trials, seed = options["trials"], options["seed"]
-    return Fitted(*search(objective, parameters, request.evaluations, folder, facts, trials, seed), [])
+    return search(objective, parameters, request.evaluations, folder, facts, trials, seed)
