@@ -19,14 +19,10 @@ from usvlearn import Inputs, Online
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.model.export.c_header import c_header, identifier
 from usvlearn.model.export.casadi_text import casadi_text
-from usvlearn.model.export.conventions import conventions
-from usvlearn.model.export.described import described
-from usvlearn.model.export.formats import FORMATS
-from usvlearn.model.export.mat_file import mat_file
+from usvlearn.model.export.described import conventions, described
+from usvlearn.model.export.formats import FORMATS, mat_file
 from usvlearn.model.export.onnx_network import onnx_networks
-from usvlearn.model.export.predictions_csv import csv_table
-from usvlearn.model.export.predictions_mcap import mcap_file
-from usvlearn.model.export.published_steps import stretches
+from usvlearn.model.export.predictions import csv_table, mcap_file, stretches
 from usvlearn.model.surge import WITHOUT_EVEN, SurgeModel
 
 PROGRAM = """#include <stdio.h>

@@ -1,4 +1,18 @@
-"""All that is known of an identified boat, as JSON values: the content of `BOAT.json` and of `BOAT.mat`."""
+"""All that is known of an identified boat, as JSON values: the content of `BOAT.json`, `BOAT.mat`, `BOAT_planar.json`.
+
+`names` has the drag and the mass under the names and with the signs of other simulators. All three have a linear and a
+quadratic drag of motion ahead. Here (`docs/theory/model.md#surge-model`) and in Fossen's MSS a drag is a force and
+therefore negative. In Gazebo there are two plugins with opposite signs:
+
+    MSS                          (m − Xudot) du/dt = Xu u + Xuu |u| u + τ           Xu, Xuu, Xudot ≤ 0
+    gz-sim Hydrodynamics         m du/dt = xDotU du/dt + (xU + xUabsU |u|) u + τ    all ≤ 0
+    VRX SimpleHydrodynamics      m du/dt = −xDotU du/dt − (xU + xUU |u|) u + τ      all ≥ 0
+
+The last is also that of VRX of Gazebo Classic and of PX4's USV dynamics. Speeds tell only the sum of mass and added
+mass. So the added mass is given as 0: whoever knows the mass m of the boat alone sets it to the difference.
+
+References: Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control, 2021; the sources of MSS, gz-sim and VRX.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +23,39 @@ from typing import Any
 
 import usvlearn
 from usvlearn.estimators.joint.curves import curves
-from usvlearn.estimators.joint.quantities import MEANING
+from usvlearn.estimators.joint.quantities import MEANING, SIDES
 from usvlearn.estimators.regressors.terms import UNITS
 from usvlearn.logs.alignment.mixing import Mix
 from usvlearn.logs.channels.channel import COMMANDS
-from usvlearn.model.export.conventions import NOTE, conventions
+from usvlearn.model.export.planar_boat import AXES, PlanarBoat
+from usvlearn.model.planar import UNITS as AXIS_UNITS
 from usvlearn.model.read_boats import IdentifiedBoat
 from usvlearn.model.surge import TABLE_COMMANDS, SurgeModel
+
+NOTE = (
+    "mass contains the added mass, which speeds do not tell apart, so Xudot and xDotU are 0. These names have no drag "
+    "of turning, and no loss of thrust with speed: where thrust_speed is not 0, steady speeds differ."
+)
+
+
+def conventions(model: SurgeModel) -> dict[str, dict[str, float]]:
+    """Mass, kg, and drag of motion ahead, kg/s and kg/m, by simulator and its names; thrust at standstill, N.
+
+    >>> from usvlearn.model.surge import WITHOUT_EVEN
+    >>> drag = {"drag_quadratic": -1.5, "drag_linear": -14.0}
+    >>> names = conventions(SurgeModel(28.0, {**dict.fromkeys(WITHOUT_EVEN, 0.0), **drag}))
+    >>> names["mss"]["Xu"], names["gz_sim"]["xUabsU"], names["vrx"]["xUU"]
+    (-14.0, -1.5, 1.5)
+    """
+    boat, mass = model.ahead, model.mass
+    linear, quadratic = mass * float(boat.linear), mass * float(boat.quadratic)
+    thrust = {f"thrust_full_{side}": mass * float(boat.thrust(1.0, side)) for side in SIDES}
+    return {
+        "mss": {"m": mass, "Xudot": 0.0, "Xu": linear, "Xuu": quadratic, **thrust},
+        "gz_sim": {"mass": mass, "xDotU": 0.0, "xU": linear, "xUabsU": quadratic, **thrust},
+        "vrx": {"mass": mass, "xDotU": 0.0, "xU": -linear, "xUU": -quadratic, **thrust},
+    }
+
 
 FORMAT = "usvlearn boat 1"
 FORCE = (
@@ -120,3 +160,62 @@ def commands_of(boat: IdentifiedBoat) -> dict[str, Any]:
         if each is not None:
             found[side] = each.json() if isinstance(each, Mix) else asdict(each)
     return found
+
+
+PLANAR_FORMAT = "usvlearn planar boat 1"
+EACH_SIDE = "sum over SIDE = left and right of (linear_SIDE x + quadratic_SIDE x|x|"
+EQUATIONS = {
+    "yaw": (
+        "dr/dt = bias + linear r + quadratic r|r| + cross |u| r + coupling u v + other v + surge u + "
+        f"{EACH_SIDE} + speed_SIDE x|u| + cubic_SIDE x^3 + even_linear_SIDE |x| + even_quadratic_SIDE x^2)"
+    ),
+    "sway": f"dv/dt = bias + linear v + quadratic v|v| + cross |u| v + coupling u r + other r + surge u + {EACH_SIDE})",
+}
+PLANAR_STEP = (
+    "with f = dy/dt, J = df/dy, z = min(dt J, 1) of y = r, v or u: y after dt is y + dt f (exp(z) - 1)/z. In this "
+    "order: r, from the u and v before; psi, by dt times the mean of r before and after; v, from the u and r before; "
+    "u, from the mean of r before and after; north and east, by dt times the current, and dt times the mean of the "
+    "velocity before and after, each turned by its psi: u cos(psi) - v sin(psi) north, u sin(psi) + v cos(psi) east"
+)
+PLANAR_SIGNS = (
+    "u: speed ahead through the water, m/s. v: speed to starboard through the water, m/s. r: yaw rate, rad/s, "
+    "clockwise seen from above. psi: heading, rad, clockwise from north, not wrapped. north, east: position, m. "
+    "current: the velocity of the water over ground, m/s. x: command of a side as a share of full scale, -1 to 1, "
+    "positive ahead. More command on the left than on the right turns to starboard: r becomes positive."
+)
+RENAMED = "In the equation of the surge, v is the speed ahead, which is u elsewhere."
+
+
+def planar_described(planar: PlanarBoat) -> dict[str, Any]:
+    """The document: the coefficients that `usvlearn.model.planar.PlanarModel.step` uses, at full precision."""
+    boat, model = planar.boat, planar.model
+    surge = {"equation": equation(boat.model), "note": RENAMED, **surge_of(boat)}
+    axes = {axis: _axis(planar, axis) for axis in AXES}
+    return {
+        "format": PLANAR_FORMAT,
+        "usvlearn": usvlearn.__version__,
+        "boat": boat.name,
+        "set": {"surge": set_of(boat.path, boat.facts), "planar": set_of(planar.path, planar.facts)},
+        "step": PLANAR_STEP,
+        "signs": PLANAR_SIGNS,
+        "surge": surge,
+        **{axis: each if getattr(model, axis) is not None else None for axis, each in axes.items()},
+        "lacks": list(planar.lacks),
+        "commands": commands_of(boat),
+    }
+
+
+def _axis(planar: PlanarBoat, axis: str) -> dict[str, Any]:
+    coefficients, learned = getattr(planar.model, axis) or {}, planar.learned[axis]
+    return {
+        "equation": EQUATIONS[axis],
+        "model": {name: {"value": value, "unit": AXIS_UNITS[axis][name]} for name, value in coefficients.items()},
+        "learned": {
+            "updates": int(learned.updates),
+            "noise": {"value": learned.deviation, "unit": "rad/s" if axis == "yaw" else "m/s"},
+            "command_lag": {
+                "value": float(learned.mean[-1]), "unit": "1",
+                "note": "share of a step by which commands acted late; the step here has none",
+            },
+        },
+    }  # fmt: skip
