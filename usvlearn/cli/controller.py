@@ -47,8 +47,7 @@ def work(arguments: Sequence[str]) -> None:
     from usvlearn.display.terminal import Activity
 
     with Activity(terminal.console(), "loading"):
-        from usvlearn.model.controller.design import Wanted, controller
-        from usvlearn.model.controller.design_text import parts
+        from usvlearn.model.controller.design import Wanted, controller, parts
         from usvlearn.model.read_boats import read_boats
 
     folder = None if out is None else out_folder(out)
@@ -71,8 +70,7 @@ def work(arguments: Sequence[str]) -> None:
 def _write(folder: Path, found: Controller) -> list[str]:
     """Write all files of a boat; returns their names."""
     from usvlearn.core.checkpoint import write_atomically
-    from usvlearn.model.controller.design import facts
-    from usvlearn.model.controller.design_text import head
+    from usvlearn.model.controller.design import facts, head
 
     name = found.boat.stem
     files = {

@@ -17,8 +17,7 @@ from usvlearn.errors import ConfigError, printable
 if TYPE_CHECKING:
     from usvlearn.estimators.joint.periodic_estimates import Identified
     from usvlearn.model.planning.course import Limits
-    from usvlearn.model.planning.exchange import BestCourse
-    from usvlearn.model.planning.rehearsal import Rehearsal
+    from usvlearn.model.planning.search import BestCourse, Rehearsal
     from usvlearn.model.read_boats import IdentifiedBoat
 
 USAGE = (
@@ -93,8 +92,7 @@ class Planned(NamedTuple):
 def _planned(boat: IdentifiedBoat, limits: Limits, seed: int) -> Planned:
     """Plan for one boat; a ConfigError if its thrust points astern, or no course stays in the area."""
     from usvlearn.model.planning.course import lawn_mower
-    from usvlearn.model.planning.exchange import derived, search, wide
-    from usvlearn.model.planning.rehearsal import Rehearsal
+    from usvlearn.model.planning.search import Rehearsal, derived, search, wide
 
     boat.check_physical()
     top = boat.found["steady_speed_full"].value
@@ -181,7 +179,7 @@ def _intervals(boat: IdentifiedBoat, mower: Identified, plan: BestCourse, quanti
 
 def _determined(now: Identified, after: Identified, quantities: list[str]) -> Iterator[str]:
     """What is said where nothing is wide."""
-    from usvlearn.model.planning.exchange import WELL
+    from usvlearn.model.planning.search import WELL
 
     name = min(quantities, key=lambda each: _width(after, each) / _width(now, each))
     yield (
@@ -193,7 +191,7 @@ def _determined(now: Identified, after: Identified, quantities: list[str]) -> It
 def _written(boat: IdentifiedBoat, limits: Limits, plan: BestCourse, folder: Path) -> Iterator[str]:
     """Write the files; what each is."""
     from usvlearn.core.checkpoint import write_atomically
-    from usvlearn.model.planning.schedules import csv_lines, moos_lines
+    from usvlearn.model.planning.search import csv_lines
 
     def write(suffix: str, text: str) -> Path:
         path = folder / f"{boat.stem}{suffix}"
@@ -201,7 +199,6 @@ def _written(boat: IdentifiedBoat, limits: Limits, plan: BestCourse, folder: Pat
         return path
 
     yield f"{write('.csv', _text(csv_lines(plan)))}: commands, headings and expected speeds, a row for each change"
-    yield f"{write('.moos', _text(moos_lines(plan, boat.setup)))}: a block of uTimerScript that posts the commands"
     yield (
         f"A controller or a person must hold the headings. Turns are planned with {math.degrees(limits.turn_rate):.0f} "
         f"degrees/s, and the current as the checkpoint has it: keep room beside the {limits.area:g} m."

@@ -6,10 +6,8 @@ import pytest
 from tests.support.known_boats import known_boat
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.joint.quantities import Ahead
-from usvlearn.model.controller.autopilots import Moos, MoosLaw, Rover, RoverLaw
-from usvlearn.model.controller.closed_loop import ahead_step, draws, simulate, steps_of
-from usvlearn.model.controller.design import Wanted, controller, facts
-from usvlearn.model.controller.design_text import parts
+from usvlearn.model.controller.closed_loop import Moos, MoosLaw, Rover, RoverLaw, ahead_step, draws, simulate, steps_of
+from usvlearn.model.controller.design import Wanted, controller, facts, parts
 
 ROVER = Rover(1.5, 45, 0.3, 0.2, 0.1, 10.0, 10.0)
 

@@ -5,7 +5,7 @@ import pytest
 
 from tests.support.known_boats import known_boat
 from usvlearn.errors import ConfigError
-from usvlearn.model.controller.feedforward import Feedforward
+from usvlearn.model.controller.gains import Feedforward
 
 
 def of(**options) -> Feedforward:

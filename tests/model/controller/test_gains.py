@@ -5,8 +5,7 @@ import pytest
 
 from tests.support.known_boats import known_boat
 from usvlearn.errors import ConfigError
-from usvlearn.model.controller.feedforward import Feedforward
-from usvlearn.model.controller.gains import GAIN, PHASE, design, linearised, margins, placed, poles
+from usvlearn.model.controller.gains import GAIN, PHASE, Feedforward, design, linearised, margins, placed, poles
 
 COMMANDS = np.array([0.3, 0.5, 0.7])
 

@@ -1,7 +1,6 @@
 """`usvlearn plan`: its tables, and files that other programs read."""
 
 import csv
-import re
 import sys
 
 import numpy as np
@@ -12,11 +11,8 @@ from usvlearn.core import checkpoint
 from usvlearn.logs.channels.channel import Source
 from usvlearn.logs.setup import Setup
 from usvlearn.model.planning.course import Limits
-from usvlearn.model.planning.exchange import derived, search
-from usvlearn.model.planning.rehearsal import Rehearsal
-from usvlearn.model.planning.schedules import csv_lines, moos_lines
+from usvlearn.model.planning.search import Rehearsal, csv_lines, derived, search
 
-EVENT = re.compile(r"  event = var=(\w+), val=(-?[\d.]+), time=([\d.]+)")
 SHORT = Limits(minutes=1.0)
 
 
@@ -46,30 +42,6 @@ def test_the_table_states_the_commands_of_every_moment(plan):
     assert times[-1] == pytest.approx(60.0, abs=0.2)
 
 
-@pytest.mark.parametrize(
-    ("setup", "names", "spans"),
-    [
-        (None, ("DESIRED_THRUST_L", "DESIRED_THRUST_R"), (100, 100)),
-        ("usvlearn.logs.formats.moos.alog.Alog", ("PORT", "STARBOARD"), (-80, 1)),
-        ("usvlearn.logs.formats.csv.table.Table", ("DESIRED_THRUST_L", "DESIRED_THRUST_R"), (100, 100)),
-    ],
-)
-def test_the_script_posts_the_commands_in_the_units_of_the_logs(plan, setup, names, spans):
-    channels = {"command_left": Source("PORT@pThrust", span=-80.0), "command_right": Source("STARBOARD"),
-                "heading": Source("H"), "surge": Source("V")}  # fmt: skip
-    lines = list(moos_lines(plan, None if setup is None else Setup(channels, reader=setup)))
-    events = [found.groups() for line in lines if (found := EVENT.fullmatch(line))]
-    assert len(events) == sum("event" in line for line in lines) > 6
-    assert lines.count("{") == lines.count("}") == 1 and "ProcessConfig = uTimerScript" in lines
-    assert [float(time) for *_, time in events] == sorted(float(time) for *_, time in events)
-    for name, span, values in zip(names, spans, (plan.course.left, plan.course.right), strict=True):
-        own = [(float(time), float(value)) for variable, value, time in events if variable == name]
-        times, raw = np.array(own).T
-        for k, value in enumerate(values):
-            assert at(times, raw, k * 0.4 + 0.01) / span == pytest.approx(value, abs=1e-4)
-        assert raw[-1] == 0
-
-
 def run(monkeypatch, *arguments) -> int:
     monkeypatch.setattr(sys, "argv", ["usvlearn"])
     try:
@@ -85,7 +57,7 @@ def test_the_command_prints_its_tables_and_writes_its_files(saved, tmp_path, mon
     assert run(monkeypatch, *arguments) == 0
     shown = capsys.readouterr().out
     assert "heron: what to sail for 1 min" in shown and "after a lawn mower" in shown and "thrust_full_left" in shown
-    assert sorted(path.name for path in folder.iterdir()) == ["heron.csv", "heron.moos"]
+    assert sorted(path.name for path in folder.iterdir()) == ["heron.csv"]
     before = (folder / "heron.csv").read_text()
     assert run(monkeypatch, *arguments) == 0 and (folder / "heron.csv").read_text() == before
 
@@ -174,10 +146,6 @@ def test_a_boat_with_one_command_gets_one_and_learns_no_side(saved, tmp_path, mo
     monkeypatch.setattr(sys, "argv", ["usvlearn", "plan", "one.safetensors", "--minutes=1"])
     monkeypatch.chdir(tmp_path)
     assert main() == 0
-    text = next((tmp_path / "plan").glob("*.moos")).read_text()
-    events = [found.groups() for line in text.splitlines() if (found := EVENT.fullmatch(line))]
-    times = [time for *_, time in events]
-    assert len(events) > 3 and len(set(times)) == len(times) and {name for name, *_ in events} == {"DESIRED_THRUST"}
     rows = list(csv.DictReader(next((tmp_path / "plan").glob("*.csv")).read_text().splitlines()))
     assert {row["steering"] for row in rows} == {"0.000"}
     shown = capsys.readouterr().out

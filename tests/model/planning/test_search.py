@@ -10,8 +10,7 @@ from usvlearn.core.prepared_samples import COS, DT, LEFT, RIGHT, SIN, YAW_RATE
 from usvlearn.core.samples import Inputs
 from usvlearn.errors import ConfigError
 from usvlearn.model.planning.course import QUARTER, Limits, lawn_mower, planned, steer
-from usvlearn.model.planning.exchange import SHARES, beyond, derived, log_width, search, wide
-from usvlearn.model.planning.rehearsal import Rehearsal
+from usvlearn.model.planning.search import SHARES, Rehearsal, beyond, derived, log_width, search, wide
 
 STEP = 0.4
 SHORT = Limits(minutes=2.0)

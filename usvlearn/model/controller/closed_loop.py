@@ -3,6 +3,25 @@
 Each boat has parameters θ ~ N(θ̄, C) and its own delay. It moves straight ahead, by the step of `usvlearn.model.surge`:
 
     v⁺ = v + h φ₁(h J) f,   f = q v|v| + (l + Γ ξ) v + Σ T(ξ),   J = 2 q |v| + l + Γ ξ
+
+The controller has the forms of ArduRover and of MOOS-IvP: their laws, parameters and files.
+
+ArduRover, with w the wanted speed after its limits of acceleration, and s = CRUISE_THROTTLE/100/CRUISE_SPEED:
+
+    throttle = s w + ATC_SPEED_FF w + ATC_SPEED_P e + I,   I ← I + ATC_SPEED_I e dt within ±ATC_SPEED_IMAX      (1)
+
+throttle is −1 … 1. While it is limited, I only shrinks. ATC_SPEED_FF is added to s, and therefore 0.
+
+MOOS-IvP's pMarinePID adds the output of its PID to the last thrust, in % of full thrust, at each of its iterations,
+whose period is h = 1/AppTick. The derivative is the mean of the last nine differences:
+
+    thrust ← thrust + speed_pid_kp e + speed_pid_kd (e_k − e_(k−9))/(9 h)                                     (2)
+
+(2) sums up to k_p and k_i of a PI controller with speed_pid_kd = 100 k_p h and speed_pid_kp = 100 k_i h. A speed_pid_ki
+would integrate twice, and is 0. With speed_factor > 0 there is no PID: thrust = speed_factor times the wanted speed.
+
+Sources: ArduPilot, AR_AttitudeControl and AC_PID, "Tuning Speed and Throttle" of the Rover's manual; MOOS-IvP,
+lib_marine_pid.
 """
 
 from __future__ import annotations
@@ -10,7 +29,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,19 +41,6 @@ STEP = 0.05  # s, longest of the simulation
 BAND = 0.05  # of a step of the wanted speed: settled within it
 SWAY = 0.1  # of a step, peak to peak in its last quarter: unstable
 TRIALS = 50  # draws for each boat that is wanted
-
-
-class Law(Protocol):
-    """A sampled controller of several boats."""
-
-    period: float  # s
-
-    def start(self, boats: int) -> None:
-        """Forget everything."""
-
-    def command(self, wanted: float, speed: np.ndarray) -> np.ndarray:
-        """The command of both sides, 0 … 1, from the wanted and the measured speed, m/s, `(boats,)`."""
-        ...
 
 
 class Responses(NamedTuple):
@@ -79,7 +85,9 @@ def draws(found: Identified, count: int, seed: int = 0) -> np.ndarray:
     return every[real][:count]
 
 
-def simulate(boat: Ahead, delay: np.ndarray, law: Law, wanted: Sequence[float], hold: float) -> Responses:
+def simulate(
+    boat: Ahead, delay: np.ndarray, law: RoverLaw | MoosLaw, wanted: Sequence[float], hold: float
+) -> Responses:
     """Boats from rest that are to have some speeds in turn.
 
     Args:
@@ -141,3 +149,153 @@ def steps_of(responses: Responses) -> list[Step]:
             )
         )
     return found
+
+
+DIFFERENCES = 9  # of (2)
+LEAST_TICK, MOST_TICK = 4, 50  # Hz
+ROVER_PERIOD = 0.02  # s, of ArduRover's loop
+
+
+class Rover(NamedTuple):
+    """Parameters of ArduRover."""
+
+    cruise_speed: float  # m/s
+    cruise_throttle: float  # %, whole
+    proportional: float  # per m/s
+    integral: float  # per m/s and s
+    integral_most: float  # share of full throttle
+    acceleration: float  # m/s²
+    deceleration: float  # m/s²
+
+    @property
+    def slope(self) -> float:
+        """s of (1), per m/s."""
+        return self.cruise_throttle / 100 / self.cruise_speed
+
+    def parameters(self) -> dict[str, tuple[float, str]]:
+        """Value and comment by name, as they are written."""
+        return {
+            "CRUISE_SPEED": (round(self.cruise_speed, 3), "m/s"),
+            "CRUISE_THROTTLE": (self.cruise_throttle, "%: base = CRUISE_THROTTLE/CRUISE_SPEED x wanted speed"),
+            "ATC_SPEED_FF": (0.0, "would be added to the base throttle, which does its work"),
+            "ATC_SPEED_P": (round(self.proportional, 4), "throttle (-1 ... 1) per m/s of error"),
+            "ATC_SPEED_I": (round(self.integral, 4), "throttle per m/s of error and s"),
+            "ATC_SPEED_D": (0.0, "throttle per m/s2"),
+            "ATC_SPEED_IMAX": (round(self.integral_most, 3), "greatest throttle of the integral, 0 ... 1"),
+            "ATC_SPEED_FLTT": (0.0, "Hz; 0: the wanted speed is not filtered"),
+            "ATC_SPEED_FLTE": (10.0, "Hz; the default"),
+            "ATC_ACCEL_MAX": (
+                round(self.acceleration, 3),
+                "m/s2; what full throttle can hold at the cruise speed",
+            ),
+            "ATC_DECEL_MAX": (
+                round(self.deceleration, 3),
+                "m/s2; what drag alone can hold at the cruise speed",
+            ),
+            "ATC_BRAKE": (0.0, "no thrust astern to brake: the controller was designed ahead only"),
+        }
+
+    def text(self, head: list[str]) -> str:
+        """A parameter file, NAME,VALUE lines."""
+        lines = [f"{name},{value:g}  # {comment}" for name, (value, comment) in self.parameters().items()]
+        return "\n".join([*(f"# {line}" for line in head), *lines, ""])
+
+
+class RoverLaw:
+    """(1), sampled.
+
+    Args:
+        rover: the parameters.
+        period: s.
+    """
+
+    def __init__(self, rover: Rover, period: float):
+        self.rover, self.period = rover, period
+
+    def start(self, boats: int) -> None:
+        self.wanted, self.integral, self.limited = 0.0, np.zeros(boats), np.zeros(boats, bool)
+
+    def command(self, wanted: float, speed: np.ndarray) -> np.ndarray:
+        own, h = self.rover, self.period
+        self.wanted += min(max(wanted - self.wanted, -own.deceleration * h), own.acceleration * h)
+        error = self.wanted - speed
+        free = ~self.limited | (self.integral * error < 0)
+        most = own.integral_most
+        self.integral = np.where(free, np.clip(self.integral + own.integral * error * h, -most, most), self.integral)
+        throttle = own.slope * self.wanted + own.proportional * error + self.integral
+        self.limited = (throttle <= 0) | (throttle >= 1)
+        return np.clip(throttle, 0.0, 1.0)
+
+
+class Moos(NamedTuple):
+    """Parameters of pMarinePID and pMarinePIDV22."""
+
+    kp: float
+    kd: float
+    speed_factor: float  # of the alternative without PID, % per m/s
+    tick: int  # Hz
+    period: float  # s, for which the gains were designed
+
+    @classmethod
+    def of(cls, proportional: float, integral: float, slope: float, period: float) -> Moos:
+        """From the gains as shares of full command.
+
+        The nine differences are on average four iterations old, and a thrust is held for half an iteration more. The
+        tick is such that this is no later than half of the period for which the gains were designed.
+        """
+        tick = min(max(math.ceil(DIFFERENCES / period), LEAST_TICK), MOST_TICK)
+        return cls(100 * integral / tick, 100 * proportional / tick, 100 * slope, tick, period)
+
+    @property
+    def late(self) -> float:
+        """Mean delay of (2), s."""
+        return (DIFFERENCES / 2) / self.tick
+
+    def text(self, head: list[str]) -> str:
+        """The lines of a configuration block."""
+        entries = [
+            (f"AppTick = {self.tick}", "Hz; the gains hold for this AppTick only"),
+            (f"CommsTick = {self.tick}", ""),
+            ("speed_factor = 0", "0: PID. Above 0 there is none, and thrust in"),
+            ("", f"% = speed_factor x DESIRED_SPEED; {self.speed_factor:.3g} holds"),
+            ("", "the cruise speed"),
+            (f"speed_pid_kp = {self.kp:.4g}", "% of thrust per m/s of error, added at each"),
+            ("", "iteration: the integral part"),
+            (f"speed_pid_kd = {self.kd:.4g}", "% of thrust per m/s2, added at each"),
+            ("", "iteration: the proportional part"),
+            ("speed_pid_ki = 0", "the thrust is a sum already: this would"),
+            ("", "integrate twice"),
+            ("speed_pid_integral_limit = 0", "% of thrust, of speed_pid_ki"),
+            ("maxthrust = 100", "%: full command on both sides"),
+        ]
+        lines = [f"  {entry:<30}{'// ' + comment if comment else ''}".rstrip() for entry, comment in entries]
+        top = [f"// {line}" for line in head]
+        if self.late > self.period / 2 + 1e-9:
+            top.append(
+                f"// the mean of nine differences is {self.late:.2f} s late, which these gains do not allow for:"
+            )
+            top.append(f"// design them with --period {2 * self.late:.2g}")
+        return "\n".join(
+            [*top, "ProcessConfig = pMarinePIDV22", "{", *lines, "  // keep your own lines for yaw and depth", "}", ""]
+        )
+
+
+class MoosLaw:
+    """(2), sampled; a negative thrust is not sent."""
+
+    def __init__(self, moos: Moos):
+        self.moos, self.period = moos, 1 / moos.tick
+
+    def start(self, boats: int) -> None:
+        self.thrust, self.before, self.begun = np.zeros(boats), np.zeros(boats), False
+        self.slopes: list[np.ndarray] = []
+
+    def command(self, wanted: float, speed: np.ndarray) -> np.ndarray:
+        error = wanted - speed
+        if self.begun:
+            self.slopes = [(error - self.before) / self.period, *self.slopes][:DIFFERENCES]
+        slope = np.mean(self.slopes, axis=0) if self.slopes else 0.0
+        out = np.clip(self.moos.kp * error + self.moos.kd * slope, -100.0, 100.0)
+        self.thrust = np.clip(self.thrust + out, 0.0, 100.0)
+        self.before, self.begun = error, True
+        return self.thrust / 100

@@ -3,20 +3,33 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from textwrap import wrap
 from typing import Any, NamedTuple
 
 import numpy as np
+from rich.text import Text
 
 from usvlearn.core.events import NINETY
-from usvlearn.errors import ConfigError, check_positive
+from usvlearn.display.terminal import Blocks
+from usvlearn.errors import ConfigError, check_positive, printable
 from usvlearn.estimators.joint.curves import Curve, banded
 from usvlearn.estimators.joint.periodic_estimates import Identified
 from usvlearn.estimators.joint.quantities import SIDES
 from usvlearn.logs.setup import Setup
-from usvlearn.model.controller.autopilots import Moos, MoosLaw, Rover, RoverLaw
-from usvlearn.model.controller.closed_loop import Law, Responses, Step, draws, simulate, steps_of
-from usvlearn.model.controller.feedforward import Feedforward
-from usvlearn.model.controller.gains import Gains, Linearised, Margins, design, linearised
+from usvlearn.model.controller.closed_loop import (
+    ROVER_PERIOD,
+    Moos,
+    MoosLaw,
+    Responses,
+    Rover,
+    RoverLaw,
+    Step,
+    draws,
+    simulate,
+    steps_of,
+)
+from usvlearn.model.controller.gains import Feedforward, Gains, Linearised, Margins, design, linearised
 from usvlearn.model.read_boats import IdentifiedBoat
 
 POINTS, MOST_BOATS = 9, 5000  # operating speeds; boats of the closed loop
@@ -116,7 +129,7 @@ def controller(boat: IdentifiedBoat, wanted: Wanted | None = None) -> Controller
     rover = _rover(forward, speeds, cruise, gains, up, down)
     hold += (high - low) / (SHARES[-1] * min(rover.acceleration, rover.deceleration))
 
-    def loop(each: str, law: Law, boats: int = wanted.boats) -> Loop:
+    def loop(each: str, law: RoverLaw | MoosLaw, boats: int = wanted.boats) -> Loop:
         responses = simulate(found.ahead(theta[:boats]), delays[:boats], law, course, hold)
         return Loop(each, responses, steps_of(responses))
 
@@ -157,12 +170,6 @@ def _range(name: str, forward: Feedforward, wanted: Wanted) -> tuple[float, floa
     return low, high
 
 
-def _dt(name: str, setup: Setup | None) -> float:
-    if setup is None:
-        raise ConfigError(f"{name}: the checkpoint does not tell the step of its samples: give --delay")
-    return float(setup.align["dt"])
-
-
 def _late(name: str, found: Identified, setup: Setup | None, given: float | None) -> tuple[float, float]:
     """How late the commands act, s, and the standard deviation: `delay` of the commands and of the speed, and the
     identified lag.
@@ -171,11 +178,11 @@ def _late(name: str, found: Identified, setup: Setup | None, given: float | None
         if not 0 <= given <= LONGEST_DELAY:
             raise ConfigError(f"--delay: found {given!r}, expected 0 to {LONGEST_DELAY:g} s")
         return given, 0.0
-    dt = _dt(name, setup)
-    assert setup is not None
+    if setup is None:
+        raise ConfigError(f"{name}: the checkpoint does not tell the step of its samples: give --delay")
     aligned = setup.aligned
     before = max(aligned[f"command_{side}"].delay for side in SIDES)
-    late, deviation = found.lag(dt)
+    late, deviation = found.lag(float(setup.align["dt"]))
     return before + late, deviation
 
 
@@ -269,3 +276,122 @@ def facts(found: Controller) -> dict[str, Any]:
 
 def _finite(value: Any) -> float | None:
     return float(value) if math.isfinite(value) else None
+
+
+def head(found: Controller) -> list[str]:
+    """The lines above the parameters in a file, ASCII only."""
+    gains, left, speeds = found.gains, found.margins, found.speeds
+    name, file = found.boat.name, found.boat.path.name
+    return [
+        printable(f"{name}: speed controller by usvlearn controller, from {file}").encode("ascii", "replace").decode(),
+        f"for {speeds[0]:.2f} to {speeds[-1]:.2f} m/s, a loop of {found.period:g} s or faster, and "
+        f"{found.late:.2f} s of delay of the commands",
+        f"poles at {gains.bandwidth:.2f} rad/s with damping {gains.damping:.2f}; worst margins over the 90 % "
+        f"intervals: {_decibels(left.gain)}, {left.phase:.0f} deg",
+        *(line for each in found.boat.guessed for line in wrap(each.encode("ascii", "replace").decode(), 90)),
+        "throttle or thrust must be in proportion to the command that was learned (ArduRover: MOT_THST_EXPO 0)",
+    ]
+
+
+def parts(found: Controller) -> Iterator[str | Text | Blocks]:
+    """All of it, for a terminal: sentences, tables, and lines of files, which are not broken."""
+    yield printable(f"{found.boat.name}: speed controller from {found.boat.path.name}")
+    yield found.boat.found.basis
+    yield from found.boat.lacks
+    yield ""
+    yield from _feedforward(found)
+    yield ""
+    yield from _gains(found)
+    yield ""
+    yield from _closed_loop(found)
+    yield ""
+    yield "ArduRover, a parameter file"
+    yield from map(Text, found.rover.text([]).rstrip().splitlines())
+    yield ""
+    yield "MOOS-IvP, a block of the mission file"
+    yield from map(Text, found.moos.text([]).rstrip().splitlines())
+
+
+def _feedforward(found: Controller) -> Iterator[str | Blocks]:
+    forward, speeds = found.feedforward, found.speeds
+    table = Blocks(
+        "Feedforward: the command of both sides that holds a speed, straight ahead, in brackets 90 % intervals",
+        ["speed, m/s"],
+        ["command, %", "ArduRover, %", "time constant, s", "gain, m/s²"],
+    )
+    low, high = forward.band(speeds)
+    T, b = found.linear
+    for k in range(0, len(speeds), 2):
+        table.add(
+            f"{speeds[k]:.2f}", f"{100 * forward.at(speeds[k]):.0f} ({100 * low[k]:.0f} … {100 * high[k]:.0f})",
+            f"{100 * found.rover.slope * speeds[k]:.0f}",
+            *(f"{each.value[k]:.2f} ({each.low[k]:.2f} … {each.high[k]:.2f})" for each in (T, b)),
+        )  # fmt: skip
+    yield table
+    least, top = forward.least, forward.top
+    yield "ArduRover: the base throttle that CRUISE_SPEED and CRUISE_THROTTLE make."
+    yield f"Lowest speed that can be held: {least[0]:.2f} m/s at {100 * least[1]:.0f} %; below is the dead band."
+    yield f"Saturation: full command reaches {top[0]:.2f} m/s ({top[1]:.2f} … {top[2]:.2f})."
+    if speeds[-1] > top[1]:
+        yield f"The slowest boats of the interval do not reach {speeds[-1]:.2f} m/s, the upper end of the range."
+    accelerates, slows = (
+        ", and by ".join(
+            f"{each.value[k]:.2f} m/s² ({each.low[k]:.2f} … {each.high[k]:.2f}) at {speeds[k]:.2f} m/s" for k in (0, -1)
+        )
+        for each in (found.acceleration, found.deceleration)
+    )
+    yield f"Full command accelerates by {accelerates}."
+    yield f"Without thrust drag slows by {slows}."
+
+
+def _gains(found: Controller) -> Iterator[str]:
+    gains, left = found.gains, found.margins
+    yield "Gains: command = base + P e + I ∫e dt, e = wanted − measured speed in m/s, command 1 = full"
+    yield f"P = {gains.proportional:.3f} per m/s    I = {gains.integral:.3f} per m"
+    yield f"base = {found.rover.slope:.3f} per m/s × wanted speed (ArduRover)"
+    yield (
+        f"Poles at {gains.bandwidth:.2f} rad/s with damping {gains.damping:.2f}. Delay of {found.delay:.2f} s: "
+        f"{found.late:.2f} s of the commands (upper end of its interval), and half of the loop's period of "
+        f"{found.period:g} s. A faster loop is safe."
+    )
+    if found.period > ROVER_PERIOD:
+        yield f"ArduRover's own loop takes {ROVER_PERIOD:g} s: --period {ROVER_PERIOD:g} gives faster gains for it."
+    yield (
+        f"Worst over the corners of the 90 % intervals: gain margin {_decibels(left.gain)}, phase margin "
+        f"{left.phase:.0f}°, {left.delay:.2f} s more delay."
+    )
+    yield f"Closed-loop bandwidth (−3 dB): {left.bandwidth[0]:.2f} … {left.bandwidth[1]:.2f} rad/s."
+
+
+def _closed_loop(found: Controller) -> Iterator[str | Blocks]:
+    count = found.loops[0].responses.speed.shape[1]
+    table = Blocks(
+        f"Closed loop on {count} boats drawn from the intervals: median, and in brackets the 95 % quantile",
+        ["autopilot", "step, m/s"],
+        ["overshoot", "settled to ±5 %", "boats settled", "unstable"],
+    )
+    for loop in found.loops:
+        for step in loop.steps:
+            over, settled = step.overshoot, step.settled
+            times = (np.median(settled), np.quantile(settled, 0.95, method="higher"))
+            middle, most = (f"{each:.1f} s" if math.isfinite(each) else "–" for each in times)
+            table.add(
+                loop.name, f"{step.before:.2f} → {step.after:.2f}",
+                f"{100 * np.median(over):.0f} % ({100 * np.quantile(over, 0.95):.0f} %)", f"{middle} ({most})",
+                f"{np.isfinite(settled).sum()} of {len(settled)}", f"{int(step.sways.sum())}",
+            )  # fmt: skip
+    yield table
+    yield (
+        "Overshoot is a share of the step. ArduRover's base acts at once, so that what the integral collects while "
+        "the boat speeds up is undone by an overshoot; ATC_ACCEL_MAX and ATC_DECEL_MAX limit it."
+    )
+    worst = max(float(np.quantile(step.overshoot, 0.95)) for step in found.loops[0].steps)
+    if worst > OVERSHOOT:
+        yield (
+            f"{100 * worst:.0f} % is more than the {100 * OVERSHOOT:.0f} % that was aimed at: the base is a straight "
+            "line, and the boat's curve is not. A narrower --range helps, or a faster loop (--period)."
+        )
+
+
+def _decibels(gain: float) -> str:
+    return f"{gain:.1f} dB" if math.isfinite(gain) else "infinite"

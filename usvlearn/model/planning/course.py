@@ -39,9 +39,6 @@ class Limits:
         heading: rad, of the first segment, and of two sides of the square.
         turn_rate: rad/s, in a turn.
         steering: the difference δ of a turn, share of full scale, a side.
-
-    >>> Limits(minutes=5.0).segments
-    20
     """
 
     minutes: float = 5.0
@@ -128,10 +125,6 @@ def steer(throttle: np.ndarray, wanted: np.ndarray, limits: Limits, dt: float) -
     Args:
         throttle, wanted: at each step, `(steps,)`, share of full scale and rad.
         dt: s.
-
-    >>> course = steer(np.full(40, 0.5), np.repeat([0.0, QUARTER], 20), Limits(), 0.4)
-    >>> round(float(course.left[20]), 3), round(float(course.right[20]), 3), round(float(course.heading[-1]), 3)
-    (0.85, 0.15, 1.571)
     """
     heading, most = limits.heading, limits.turn_rate * dt
     headings, rates = np.empty((2, len(wanted)))

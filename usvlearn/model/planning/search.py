@@ -1,4 +1,4 @@
-"""The search for the course that shrinks the intervals most: coordinate exchange over the segments of a plan.
+"""The search for the course that shrinks the intervals most, and what is expected after a course.
 
 The criterion is the mean logarithm of the widths of the intervals that are still wide. With a normal distribution it is
 a compound of c-optimality criteria, one for each quantity (Atkinson, Donev & Tobias 2007, chapters 10 and 11); it has
@@ -6,22 +6,114 @@ no unit, so that newtons and seconds can be added. Coordinate exchange (Meyer & 
 segments in turn, tries each throttle and each heading for one segment while the others stay, and keeps the best, until
 a whole round changes nothing. It finds a local optimum, so it begins from several courses. A course outside the area
 is worse than any inside it.
+
+The covariance recursion of the joint EKF (`usvlearn.estimators.joint.state`) depends on the inputs and on the mean,
+and not on what is measured. So each step predicts the speed and learns that prediction: the mean stays at the model's,
+and the covariance falls by the Fisher information of the step, as if the step had been measured. The noise σ² stays as
+it is. `identify` makes the intervals, as after a mission. See `docs/theory/identification.md#input-design`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from usvlearn.core.jit import announced, jit
+from usvlearn.core.prepared_samples import COS, DT, LEARN, LEFT, MODE, RIGHT, ROW
+from usvlearn.engine import select_element
+from usvlearn.engine.identified import reader_leaves
+from usvlearn.engine.planar_plan import program_for
 from usvlearn.errors import ConfigError
-from usvlearn.estimators.joint.periodic_estimates import Identified, tells_sides
+from usvlearn.estimators.joint.kernel import forecast, learn, start
+from usvlearn.estimators.joint.periodic_estimates import Identified, identify, tells_sides
 from usvlearn.estimators.joint.quantities import QUANTITIES
+from usvlearn.estimators.joint.state import AT, NORTH, THETA
 from usvlearn.estimators.regressors.terms import SURGE
 from usvlearn.model.planning.course import Course, Limits, planned, steps_of
-from usvlearn.model.planning.rehearsal import Rehearsal, Rehearsed
+
+
+class Rehearsed(NamedTuple):
+    """What is expected after a course."""
+
+    found: Identified
+    speed: np.ndarray  # (steps,) through the water, m/s
+
+
+class Rehearsal:
+    """Rehearses courses from the state of a boat's averaged joint EKF.
+
+    Args:
+        members: descriptions of the estimators by name.
+        leaves: of the state, by dotted name, without batch axes.
+
+    Raises:
+        ConfigError: none of the members is an averaged joint EKF.
+    """
+
+    def __init__(self, members: Mapping[str, Mapping[str, Any] | None], leaves: Mapping[str, np.ndarray]):
+        description, own = reader_leaves(members, leaves)
+        self.description = select_element(description, 1, 0)
+        self._plan = program_for(self.description, (), np.dtype(float))
+        self._node = self._plan.program[1]
+        self._state = self._plan.pack({key: leaf.astype(float) for key, leaf in own.items()})
+        self.current: np.ndarray = own["mean"][NORTH:THETA].astype(float)  # (2,) north and east, m/s
+        self.found = identify(self.description, own)
+
+    def __call__(self, rows: np.ndarray) -> Rehearsed:
+        """What is expected after a course, which starts at rest; the state stays as it was.
+
+        Args:
+            rows: of the course, `(steps, ROW)`.
+        """
+        state = self._state.copy()
+        speed = self._advanced(state, rows, begin=True)
+        return Rehearsed(self._identified(state), speed)
+
+    def top_speed(self, command: float) -> float:
+        """The speed through the water after a minute at a command of both sides, m/s."""
+        rows = np.zeros((150, ROW))
+        rows[:, [LEFT, RIGHT]], rows[:, DT], rows[:, COS], rows[:, MODE] = command, 0.4, 1.0, LEARN
+        return float(self(rows).speed[-1])
+
+    def by_part(self, rows: np.ndarray, ends: np.ndarray) -> list[Rehearsed]:
+        """What is expected after each part of a course.
+
+        Args:
+            rows: of the course, `(steps, ROW)`.
+            ends: the step behind each part, ascending.
+        """
+        state, found, first = self._state.copy(), [], 0
+        for last in ends.tolist():
+            speed = self._advanced(state, rows[first:last], begin=first == 0)
+            found.append(Rehearsed(self._identified(state), speed))
+            first = last
+        return found
+
+    def _advanced(self, state: np.ndarray, rows: np.ndarray, begin: bool) -> np.ndarray:
+        speed, work = np.empty(len(rows)), np.empty(self._plan.work)
+        with announced(__file__, "rehearsal"):
+            _rehearse(self._node, state[0], self._plan.numbers[0], np.ascontiguousarray(rows), begin, work, speed)
+        return speed
+
+    def _identified(self, state: np.ndarray) -> Identified:
+        return identify(self.description, {key: leaf.copy() for key, leaf in self._plan.unpack(state).items()})
+
+
+@jit(entry=True)
+def _rehearse(node, s, q, rows, begin, work, speed):
+    """Learn each step's own prediction; the noise stays as it is."""
+    noise = s[node[AT.noise]]
+    if begin:
+        start(node, s, q, 0.0)
+    for k in range(len(rows)):
+        predicted = forecast(node, s, q, rows[k], work)
+        learn(node, s, q, rows[k], predicted, predicted, work)
+        s[node[AT.noise]] = noise
+        speed[k] = s[node[AT.mean]]
+
 
 WELL = 0.1  # half-width over value, below which a quantity is well determined
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the range of the commands
@@ -131,11 +223,7 @@ def search(rehearsal: Rehearsal, limits: Limits, dt: float, aims: Sequence[str],
 
 
 def beyond(path: np.ndarray, limits: Limits) -> np.ndarray:
-    """How far each place of a path, `(steps, 2)`, is outside the area, m, `(steps,)`.
-
-    >>> beyond(np.array([[0.0, 0.0], [120.0, 0.0]]), Limits(area=200.0)).tolist()
-    [0.0, 20.0]
-    """
+    """How far each place of a path, `(steps, 2)`, is outside the area, m, `(steps,)`."""
     return np.maximum(np.abs(_in_square(path, limits)).max(-1) - limits.area / 2, 0.0)
 
 
@@ -163,3 +251,23 @@ def _near_the_start(
 
         places[k], quarters[k] = min(((level, q) for level in range(len(levels)) for q in range(4)), key=distance)
     return places, quarters
+
+
+def csv_lines(plan: BestCourse) -> Iterator[str]:
+    """A plan as a table: a row for each change of a command or of the wanted heading, and one that ends the plan.
+
+    Commands are shares of full scale, as the logs have been read. `throttle` and `steering` are half the sum and half
+    the difference of both, which is what a skid-steering autopilot mixes to left and right. Speed and place are what is
+    expected at that time, from a start at rest.
+    """
+    course, n = plan.course, len(plan.course.left)
+    speed, path = np.append(0.0, plan.expected.speed), np.concatenate([np.zeros((1, 2)), plan.path])
+    watched = np.stack([course.left, course.right, course.wanted])
+    changes = np.flatnonzero(np.append(True, (np.abs(np.diff(watched)) > 1e-9).any(0)))
+    yield "time_s,left,right,throttle,steering,heading_deg,expected_speed_m_s,expected_north_m,expected_east_m"
+    for k in [*changes.tolist(), n]:
+        left, right = (float(course.left[k]), float(course.right[k])) if k < n else (0.0, 0.0)
+        heading = math.degrees(course.wanted[min(k, n - 1)]) % 360
+        shares = (f"{x:.3f}" for x in (left, right, (left + right) / 2, (left - right) / 2))
+        place = (f"{x:.1f}" for x in path[k])
+        yield ",".join([f"{k * course.dt:.1f}", *shares, f"{heading:.0f}", f"{speed[k]:.2f}", *place])
