@@ -15,7 +15,7 @@ LEAST_SQUARES = "+estimator@estimators.dynamic_rls=dynamic_rls"  # whose paramet
 @pytest.fixture(autouse=True)
 def one_pass(monkeypatch: pytest.MonkeyPatch) -> None:
     """A page that a test makes times each step in one pass, which is a second less."""
-    monkeypatch.setattr("usvlearn.report.sections.cost.PASSES", 1)
+    monkeypatch.setattr("usvlearn.report.sections.parameters.PASSES", 1)
 
 
 @pytest.fixture

@@ -16,12 +16,11 @@ from tests.support.saved_fits import facts
 from usvlearn.cli.fit import renew_report
 from usvlearn.estimators.joint.excitation_warnings import Quantity
 from usvlearn.report.build import read
-from usvlearn.report.overview import MAIN, Overview
+from usvlearn.report.front import MAIN, Front, Overview, first_page
 from usvlearn.report.page import write_report
 from usvlearn.report.sections.fit import DOUBTED, UNKNOWN, USES, fit_section
 from usvlearn.report.sections.fit_file import FEW, SavedFit, read_fit, saved_fits
 from usvlearn.report.sections.section import Section
-from usvlearn.report.summary import Front, first_page
 
 pytestmark = pytest.mark.thorough  # the set-up of its tests takes long
 

@@ -5,8 +5,7 @@ import dataclasses
 from rich.console import Console
 
 from tests.support.known_boats import known_boat
-from usvlearn.report.overview import Overview
-from usvlearn.report.summary import Front, first_page
+from usvlearn.report.front import Front, Overview, first_page
 from usvlearn.report.tables import identified_table
 
 WRONG = "The identified boat is not physical: <it> goes astern."

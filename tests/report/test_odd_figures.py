@@ -11,12 +11,12 @@ from usvlearn.display.figures import attempted, rendered
 from usvlearn.estimators.joint.curves import Curve
 from usvlearn.evaluation.metrics import Autocorrelation
 from usvlearn.report.page import _drawing
-from usvlearn.report.sections import fit_figures, season_figures, tracks
+from usvlearn.report.sections import cross, network, parameters, tracks
 from usvlearn.report.sections.errors import residual_figure
 from usvlearn.report.sections.fit_file import Course as Minute
 from usvlearn.report.sections.fit_file import Curve as FitCurve
 from usvlearn.report.sections.fit_file import Lags, Sailed
-from usvlearn.report.sections.season_figures import Course as Season
+from usvlearn.report.sections.parameters import Course as Season
 from usvlearn.runs.figures import Course, Traces, event_figure, forecast_figure, identified_figure, runs_figure
 
 NAMES = ["a$b$c", "a$\\frac{$_^", "run_{1}^2_$", "艇 №1", "\\", "<&>%", "x" * 300]
@@ -65,13 +65,13 @@ def drawn(kind: str, name: str) -> dict:
         "identified": lambda: identified_figure([curves, curves], found, {}, name),
         "event": lambda: event_figure(course, 20.0, [(70.0, name)], None, name),
         "residual": lambda: residual_figure({name: pairs}, name),
-        "boxes": lambda: season_figures.boxes_figure({name: {name: season_figures.box(v)}}, {name: name}, name),
-        "matrix": lambda: season_figures.matrix_figure({name: series(kind, 9).reshape(3, 3)}, [name] * 3),
-        "certificates": lambda: season_figures.rates_figure({name: time}, {name: v}),
-        "parameters": lambda: season_figures.parameters_figure({name: {name: season}}, {name: name}, {}, name),
-        "fit curves": lambda: fit_figures.curves_figure(fitted, name, {}),
-        "fit residuals": lambda: fit_figures.residuals_figure(fitted, name),
-        "worst": lambda: fit_figures.worst_figure([Minute(name, 0.0, time, v, v, v, v)], name),
+        "boxes": lambda: errors.boxes_figure({name: {name: errors.box(v)}}, {name: name}, name),
+        "matrix": lambda: cross.matrix_figure({name: series(kind, 9).reshape(3, 3)}, [name] * 3),
+        "certificates": lambda: network.rates_figure({name: time}, {name: v}),
+        "parameters": lambda: parameters.parameters_figure({name: {name: season}}, {name: name}, {}, name),
+        "fit curves": lambda: fit_section.curves_figure(fitted, name, {}),
+        "fit residuals": lambda: fit_section.residuals_figure(fitted, name),
+        "worst": lambda: fit_section.worst_figure([Minute(name, 0.0, time, v, v, v, v)], name),
         "skill": lambda: forecast_figure(skill),
         "tracks": lambda: tracks.errors_figure(errors),
     }  # fmt: skip

@@ -15,9 +15,9 @@ from tests.support.pages import BAD, Page
 from tests.support.runs import tools
 from tests.support.seasons import boats, decoded
 from usvlearn.estimators.joint.periodic_estimates import shown
-from usvlearn.report import summary
+from usvlearn.report import front
 from usvlearn.report.build import assemble, evaluate, front_of, read
-from usvlearn.report.overview import MAIN, Ahead, Overview
+from usvlearn.report.front import MAIN, Ahead, Overview
 from usvlearn.report.page import SCRIPT, write_report
 
 pytestmark = pytest.mark.thorough  # the set-up of its tests takes long
@@ -130,13 +130,11 @@ def test_a_boat_without_predictions_forecasts_and_a_reader_has_a_page(tmp_path):
 
 def test_a_whole_run_that_nothing_was_saved_before_is_said_in_words():
     boat = Overview("heron", 0.1, [], None, [Ahead("the next step", 0.02, 0.3, 0.9)], None, 93.25, None, None, None)
-    (row,) = (row for row in Page(summary._accuracy(boat)).rows if row[0] == "a whole run")
+    (row,) = (row for row in Page(front._accuracy(boat)).rows if row[0] == "a whole run")
     assert row == ["a whole run", "not known: no parameters were saved before the run; learn from two logs"]
-    known = Page(summary._accuracy(boat._replace(free=0.125, free_fit=61.5)))
+    known = Page(front._accuracy(boat._replace(free=0.125, free_fit=61.5)))
     assert ["a whole run", "0.125", "", ""] in known.rows
-    assert "93.2 % one step ahead, 61.5 % for whole runs." in summary._accuracy(
-        boat._replace(free=0.125, free_fit=61.5)
-    )
+    assert "93.2 % one step ahead, 61.5 % for whole runs." in front._accuracy(boat._replace(free=0.125, free_fit=61.5))
 
 
 @pytest.mark.usefixtures("drawn_once")

@@ -10,10 +10,8 @@ from tests.support.seasons import boats
 from usvlearn import AID, ARX, RLS, RNN, Ensemble, JointEKF, Robust, SIFtRLS, SurgeDynamics
 from usvlearn.display.terminal import ResultTable
 from usvlearn.evaluation.diagnostics import physical_members
-from usvlearn.report.sections.cost import cost_section
-from usvlearn.report.sections.errors import online_section
-from usvlearn.report.sections.parameters import TOO_SMALL, _findings, course
-from usvlearn.report.sections.season_figures import box
+from usvlearn.report.sections.errors import box, online_section
+from usvlearn.report.sections.parameters import cost_section, course
 from usvlearn.simulate.fleet import fleet_vessels
 from usvlearn.simulate.truth import true_parameters, truth_of
 from usvlearn.simulate.vessel import static_thrust
@@ -84,17 +82,6 @@ def test_intervals_of_sums_are_those_of_the_covariance():
         }
     )
     assert physical_members(ensemble) == ["dynamic"]
-
-
-def test_forces_that_least_squares_finds_too_small_are_explained():
-    def findings(name, wide, *values):
-        rows = [("heron", "drag at 1 m/s", "N", name, value, wide, 10.0) for value in values]
-        return _findings([name], np.ones((2, 2, 2)), rows)
-
-    assert TOO_SMALL in findings("steady_rls", 1.0, 6.0, 8.0)
-    assert TOO_SMALL not in findings("steady_rls", 1.0, 9.8, 9.9)  # not by much
-    assert TOO_SMALL not in findings("steady_rls", 1.0, 8.0, 20.0)
-    assert TOO_SMALL not in findings("aid", None, 6.0, 8.0)  # no least squares
 
 
 @pytest.mark.parametrize("plant", ["heron", "otter", "vtec"])

@@ -19,9 +19,8 @@ from usvlearn.evaluation.free_simulation import free_runs
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.report.page import write_report
 from usvlearn.report.sections.tracks import RECKONED, _outline, chosen, tracks_section
-from usvlearn.report.summary import embedded
 from usvlearn.report.track_maps import Ahead, Ellipse, saved_tracks
-from usvlearn.report.viewer_data import viewer_data
+from usvlearn.report.viewer import embedded, viewer_data
 from usvlearn.runs.replay import replay
 from usvlearn.runs.run_folder import RunFolder
 from usvlearn.runs.saved import read_seasons, results

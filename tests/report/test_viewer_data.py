@@ -7,13 +7,13 @@ import pytest
 
 from tests.support.seasons import boats, decoded
 from usvlearn.evaluation.free_simulation import free_runs
-from usvlearn.report import viewer_data
-from usvlearn.report.viewer_data import LOGGED, RECKONED, coded, reckoned, residuals
+from usvlearn.report import viewer
+from usvlearn.report.viewer import LOGGED, RECKONED, coded, reckoned, residuals
 
 
 def data_of(ensemble, seasons) -> list[dict]:
     free = {season.boat: list(free_runs(ensemble, season)) for season in seasons}
-    return viewer_data.viewer_data(ensemble, seasons, free)["runs"]
+    return viewer.viewer_data(ensemble, seasons, free)["runs"]
 
 
 def count(run: dict) -> int:
@@ -29,7 +29,7 @@ def test_many_steps_become_few_numbers_and_no_peak_is_lost(monkeypatch, budget):
     seasons = [seasons[0]._replace(runs=(seasons[0].runs[0], spiked))]
     whole = data_of(ensemble, seasons)
     assert all(len(decoded(run["series"]["measured"])) == 200 for run in whole)
-    monkeypatch.setattr(viewer_data, "BUDGET", budget)
+    monkeypatch.setattr(viewer, "BUDGET", budget)
     fewer = data_of(ensemble, seasons)
     assert sum(map(count, fewer)) <= budget + 20 * len(fewer) < sum(map(count, whole))
     measured, error = (decoded(fewer[1]["series"][name]) for name in ("measured", "free error"))

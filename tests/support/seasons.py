@@ -10,7 +10,7 @@ from usvlearn import RLS, Average, Ensemble, Inputs, Sample, SurgeDynamics
 from usvlearn.core.samples import tree_map
 from usvlearn.engine.rollouts import rollout
 from usvlearn.evaluation.season import Season, SeasonRun
-from usvlearn.report.viewer_data import LEVELS
+from usvlearn.report.viewer import LEVELS
 
 TIME = 0.4 * np.arange(200.0)
 

@@ -23,21 +23,19 @@ from usvlearn.evaluation.crossval import FreeErrors, cross_validate
 from usvlearn.evaluation.diagnostics import explained, remarks
 from usvlearn.evaluation.free_simulation import free_runs
 from usvlearn.evaluation.season import Season
-from usvlearn.report.overview import overviews
+from usvlearn.report.front import Front, overviews
 from usvlearn.report.page import check_report_folder, write_report
-from usvlearn.report.sections.cost import cost_section
 from usvlearn.report.sections.cross import best_checkpoints, cross_section, fleet_matrices, fleet_section
 from usvlearn.report.sections.errors import forecast_section, online_section, residual_section
 from usvlearn.report.sections.events import events_section
 from usvlearn.report.sections.fit import fit_section
 from usvlearn.report.sections.fit_file import SavedFit, saved_fits
 from usvlearn.report.sections.network import network_section
-from usvlearn.report.sections.parameters import Truth, identified_section, parameters_section
+from usvlearn.report.sections.parameters import Truth, cost_section, identified_section, parameters_section
 from usvlearn.report.sections.section import Section
 from usvlearn.report.sections.tracks import tracks_section
-from usvlearn.report.summary import Front
 from usvlearn.report.track_maps import BoatTracks, saved_tracks
-from usvlearn.report.viewer_data import viewer_data
+from usvlearn.report.viewer import viewer_data
 from usvlearn.runs.saved import configuration, data_check, questions_of_runs, read_seasons, results
 
 

@@ -22,8 +22,8 @@ from usvlearn.display.figures import INK, LINE, attempted, themed
 from usvlearn.display.terminal import ResultTable
 from usvlearn.errors import ConfigError
 from usvlearn.evaluation.crossval import FreeErrors
+from usvlearn.report.front import Front, first_page, title
 from usvlearn.report.sections.section import Section
-from usvlearn.report.summary import Front, first_page, title
 
 FOLDERS, FILES = ("figures", "tables"), "files.json"  # a report's, and the list of its files in them
 LINKED = 40  # a table with more rows is a link in `report.md`

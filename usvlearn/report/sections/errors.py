@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,10 +13,10 @@ from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.horizons import GROUPS, Scores, ensemble_scores
 from usvlearn.evaluation.metrics import PERSISTENCE, Autocorrelation, autocorrelation_of_runs, by_error, scores
 from usvlearn.evaluation.season import Season
-from usvlearn.report.sections.season_figures import box, boxes_figure
-from usvlearn.report.sections.section import Drawn, Section, mean_errors, on, summary, tally
+from usvlearn.report.sections.section import WORSE, Drawn, Section, mean_errors, on, summary, tally
 from usvlearn.runs.figures import forecast_figure
 
+ROW, BOXES_ACROSS = 0.19, 4  # inch, of a method; panels
 PAPER_RESULT = (
     "On all eight boats AID had the lowest online prediction error of the three methods, and the plain average (AVE) "
     "did not beat AID alone."
@@ -159,10 +160,6 @@ def residual_figure(boats: Mapping[str, Autocorrelation], name: str):
     Args:
         boats: by name.
         name: of the estimator, for its colour.
-
-    >>> figure = residual_figure({"heron": Autocorrelation(np.array([0.3, 0.1]), np.array([90, 80]))}, "ensemble")
-    >>> figure.axes[0].get_xlabel()
-    'lag, steps'
     """
     colour, across = colours([name])[name], min(ACROSS, len(boats))
     down = -(-len(boats) // across)
@@ -254,3 +251,96 @@ def _forecast_findings(found: Scores, output: str) -> list[str]:
         if own := [share for row in rows if (share := row.get(f"covers_{group}")) is not None]:
             here.append(f"Where the commands {words}: {100 * min(own):.0f} … {100 * max(own):.0f} %.")
     return here
+
+
+class Box(NamedTuple):
+    """A distribution, as it appears in figures and tables."""
+
+    median: float
+    lower: float  # quartile
+    upper: float
+    low: float  # 5 %
+    high: float  # 95 %
+    mean: float
+    number: int  # of values
+    beyond: np.ndarray  # the values outside low … high
+    outliers: int  # more than 1.5 quartile distances above the box
+    diverged: int = 0
+
+
+def box(values: np.ndarray, diverged: int = 0) -> Box | None:
+    """The box of some errors, or None if there are none."""
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return None
+    low, lower, median, upper, high = (float(x) for x in np.percentile(values, (5, 25, 50, 75, 95)))
+    beyond = values[(values < low) | (values > high)]
+    outliers = int((values > upper + 1.5 * (upper - lower)).sum())
+    return Box(median, lower, upper, low, high, float(values.mean()), len(values), beyond, outliers, diverged)
+
+
+@guarded
+def boxes_figure(
+    boats: Mapping[str, Mapping[str, Box | None]],
+    subtitles: Mapping[str, str],
+    xlabel: str,
+    points: bool = True,
+    reference: str | None = None,
+    least: float = 0.0,
+):
+    """A panel per boat, a row per method: quartiles, 5 and 95 %, mean, values beyond, and the number of diverged runs.
+
+    Args:
+        boats: the boxes of each boat, by method, the same methods for all.
+        subtitles: under each boat's name.
+        xlabel: of the errors, with their unit; the axis is logarithmic.
+        points: whether values beyond 5 and 95 % are drawn.
+        reference: the method whose mean is drawn as a line.
+        least: lowest possible start of the axis, in the errors' unit.
+    """
+    names = list(next(iter(boats.values())))
+    palette, across = colours(names), min(BOXES_ACROSS, len(boats))
+    down = -(-len(boats) // across)
+    values = [x for row in boats.values() for each in row.values() if each for x in (each.low, each.high, each.mean)]
+    values += [x for row in boats.values() for each in row.values() if each and points for x in each.beyond]
+    known = np.array([x for x in values if x > 0])
+    room = 4.0 if any(each and each.diverged for row in boats.values() for each in row.values()) else 1.3
+    limits = (max(least, known.min() * 0.8), known.max() * room) if len(known) else (0.01, 1.0)
+    height = ROW * len(names) + 0.55
+    with themed() as Figure:
+        figure = Figure(figsize=(1.4 + 2.3 * across, 0.45 + height * down), layout="constrained")
+        panels = panels_of(figure, len(boats), across, sharex=True, sharey=True)
+        for panel, (boat, row) in zip(panels, boats.items(), strict=True):
+            panel.set_title(f"{boat}, {subtitles[boat]}", loc="left", fontsize=8.5)
+            panel.set(xscale="log", xlim=limits, ylim=(len(names) - 0.4, -0.6), yticks=range(len(names)))
+            panel.set_yticklabels(names, fontsize=8)
+            panel.tick_params(axis="y", length=0)
+            panel.grid(axis="x", which="major")
+            if reference is not None and (base := row.get(reference)) is not None:
+                panel.axvline(base.mean, color=INK, linewidth=0.8, linestyle=":")
+            for k, name in enumerate(names):
+                _draw_box(panel, k, row[name], palette[name], name.endswith("+"), points)
+        for k, panel in enumerate(panels):
+            panel.xaxis.set_major_formatter("{x:g}")
+            panel.xaxis.set_minor_formatter("")
+            panel.tick_params(labelbottom=k + across >= len(boats), labelsize=8)
+        figure.supxlabel(xlabel, fontsize=9, color=INK)
+        return figure
+
+
+def _draw_box(panel, place: int, found: Box | None, colour: str, learning: bool, points: bool) -> None:
+    if found is None:
+        return
+    panel.plot([found.low, found.high], [place, place], color=colour, linewidth=1.1, solid_capstyle="butt")
+    wide = [found.lower, max(found.upper, found.lower * 1.01)]
+    panel.fill_between(
+        wide, place - 0.33, place + 0.33, facecolor="none" if learning else colour, edgecolor=colour, linewidth=1.1
+    )
+    panel.plot([found.median] * 2, [place - 0.33, place + 0.33], color=INK, linewidth=1.4)
+    panel.plot(found.mean, place, marker="D", markersize=3.2, color="white", markeredgecolor=INK, markeredgewidth=0.8)
+    if points and len(found.beyond):
+        style = {"linestyle": "none", "marker": ".", "markersize": 2.2, "color": colour, "alpha": 0.5}
+        panel.plot(found.beyond, np.full(len(found.beyond), place), rasterized=len(found.beyond) > 500, **style)
+    if found.diverged:
+        at = {"xycoords": ("axes fraction", "data"), "fontsize": 7, "ha": "right", "va": "center"}
+        panel.annotate(f"{found.diverged} div.", (1.0, place), color=WORSE, **at)

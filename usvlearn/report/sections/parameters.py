@@ -1,4 +1,4 @@
-"""The quantities identified of each boat at the end, and the parameters over the season.
+"""What was identified of each boat at the end, the parameters over the season, and the size and cost of each method.
 
 The band of least squares covers the effect of the noise in the samples. It is not an interval for the true value,
 because it does not include the bias of the model.
@@ -6,24 +6,36 @@ because it does not include the bias of the model.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+import platform
+import statistics
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from usvlearn.core.samples import tree_map
-from usvlearn.display.terminal import ResultTable
+from usvlearn.core.protocol import Estimator
+from usvlearn.core.samples import Inputs, Sample, named_leaves, tree_map
+from usvlearn.display.figures import INK, LINE, colours, guarded, panels_of, themed
+from usvlearn.display.terminal import Cell, ResultTable
 from usvlearn.engine.identified import sentences
+from usvlearn.engine.online import Online
+from usvlearn.estimators.aid.layer import AID
+from usvlearn.estimators.arx.layer import ARX
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.joint.curves import curves
+from usvlearn.estimators.joint.layer import JointEKF
 from usvlearn.estimators.joint.quantities import MEANING
+from usvlearn.estimators.least_squares.rls import RLS
+from usvlearn.estimators.least_squares.sift import SIFtRLS
 from usvlearn.estimators.regressors.terms import UNITS
+from usvlearn.estimators.rnn.layer import RNN
+from usvlearn.estimators.wrappers.bank import Bank
 from usvlearn.evaluation.diagnostics import Truth as Quantities
 from usvlearn.evaluation.diagnostics import identified_boats, physical_members, unwrapped
 from usvlearn.evaluation.season import Season
-from usvlearn.report.sections.season_figures import Course, parameters_figure
 from usvlearn.report.sections.section import Drawn, Section
 from usvlearn.runs.figures import identified_figure
 
@@ -32,15 +44,7 @@ PAPER_RESULT = (
     "No parameters are shown; the mass is taken as known. Some boats have a noticeable thruster bias, as the errors "
     "between boats confirm, and others have none."
 )
-NOISE = (
-    "the band and the ± (1.645 standard deviations from the covariance of least squares) cover 90 % of the effect of "
-    "the noise of the samples, but not the bias of the model (Euler's step, current, lags, a dead band)"
-)
 BAND = "Band: 90 % of the effect of the noise of the samples, but not the bias of the model."
-TOO_SMALL = (
-    "Least squares finds forces too small where a current acts that its model does not have, and "
-    "where its model makes Euler's step; noise of the speed adds little."
-)
 SHOWN = ("aid", "dynamic_rls")  # if there are many members, the first two of these are shown
 Truth = Mapping[str, Mapping[str, np.ndarray]]  # boat -> parameter -> value on each mission
 
@@ -80,9 +84,6 @@ def functionals(names: Sequence[str], speed: float, command: float) -> dict[str,
     """Meaningful sums wᵀθ: each parameter; the drag at a speed; the thrust of each side at a command and that speed.
 
     On a boat that seldom changes speed, single parameters are hard to distinguish, but their sum at that speed is not.
-
-    >>> functionals(["drag_quadratic", "drag_linear"], 2.0, 0.5)["drag at 2 m/s"]
-    ('N', array([4., 2.]))
     """
     found = {name: (UNITS[name], np.eye(len(names))[k]) for k, name in enumerate(names)}
     terms = {f"drag at {speed:.3g} m/s": {"drag_quadratic": speed * speed, "drag_linear": speed}}
@@ -160,13 +161,13 @@ def parameters_section(
         ] + ([[float(known[side][1][-1]) for side in (left, right)]] if known else []))  # fmt: skip
     banded = any(wide is not None for *_, wide, _ in rows)
     drawn = [each._replace(caption=BAND if banded else "") for each in drawn]
-    caption = "What was identified over the season" + (f"; {NOISE}" if banded else "")
+    caption = f"What was identified over the season. {BAND if banded else ''}".strip()
     if truth:
         caption += (
-            "; dashed: the true value in each mission, scaled by declared over true mass, since surge data identify "
-            "the parameters only in proportion to the mass"
+            " Dashed: the true value in each mission, scaled by declared over true mass, since surge data identify the "
+            "parameters only in proportion to the mass."
         )
-    drawn[0] = drawn[0]._replace(caption=f"{caption}.")
+    drawn[0] = drawn[0]._replace(caption=caption)
     columns = ("boat", "quantity", "unit", "method", "at the end", "±, of the noise alone (90 %)", "truth")
     return Section(
         "parameters", "Parameters over the season", PAPER_RESULT, _findings(shown, np.array(sides), rows),
@@ -195,38 +196,137 @@ def _findings(shown: Sequence[str], sides: np.ndarray, rows: Sequence[tuple]) ->
     """Sentences; sides is `(boats, methods and truth, 2)`, N."""
     here = []
     with np.errstate(divide="ignore", invalid="ignore"):
-        bias = np.log(sides[..., 0] / sides[..., 1])  # (boats, methods and truth)
-    if sides.shape[1] > len(shown):
-        true = bias[:, -1]
-        here.append(
-            f"True bias of the thrusters (left over right at the usual command): {np.exp(true.min()):.2f} to "
-            f"{np.exp(true.max()):.2f}."
-        )
-        medians = []
-        for k, name in enumerate(shown):
-            ok = np.isfinite(bias[:, k]).all() and len(bias) > 2 and bias[:, k].std() > 0 and true.std() > 0
-            ratio = f"; correlation with the truth over boats {np.corrcoef(bias[:, k], true)[0, 1]:.2f}" if ok else ""
-            wrong = [row[4] / row[6] - 1 for row in rows if row[3] == name and " at " in row[1] and row[6]]
-            medians.append(float(np.median(wrong)))
-            here.append(f"{name}: drag and thrust differ from the truth by {100 * medians[-1]:+.0f} %, median{ratio}.")
-        fitted = {row[3] for row in rows if row[5] is not None}  # by least squares, which has a covariance
-        if any(name in fitted and wrong < -0.1 for name, wrong in zip(shown, medians, strict=True)):
-            here.append(TOO_SMALL)
-    else:
-        for k, name in enumerate(shown):
-            some = ", ".join(f"{np.exp(b):.2f}" for b in bias[:, k])
-            here.append(f"{name}: thrust left over right: {some}.")
-    return [*here, *_covered(rows)]
+        ratios = sides[..., 0] / sides[..., 1]  # (boats, methods and truth)
+    for name, each in zip((*shown, "truth"), ratios.T, strict=False):
+        here.append(f"{name}: thrust left over right at the usual command: {', '.join(f'{x:.2f}' for x in each)}.")
+    for name in shown:
+        wrong = [row[4] / row[6] - 1 for row in rows if row[3] == name and " at " in row[1] and row[6]]
+        if wrong:
+            here.append(f"{name}: drag and thrust differ from the truth by {100 * np.median(wrong):+.0f} %, median.")
+    return here
 
 
-def _covered(rows: Sequence[tuple]) -> list[str]:
-    """A sentence about what the ± covers, if there is one."""
-    known = [(value, wide, true) for *_, value, wide, true in rows if wide is not None]
-    inside = [abs(value - true) <= wide for value, wide, true in known if true is not None]
-    if not known:
-        return []
-    if inside:
-        held = f"here they hold {100 * np.mean(inside):.0f} % of the truths at the end"
-    else:
-        held = "no truth is known here, and on a simulated fleet they held few of the truths (docs/benchmarks/study.md)"
-    return [f"{NOISE[0].upper()}{NOISE[1:]}: {held}."]
+class Course(NamedTuple):
+    """One identified quantity over a season."""
+
+    hours: np.ndarray  # (sets,)
+    value: np.ndarray  # (sets,)
+    deviation: np.ndarray | None = None  # (sets,) standard deviation, if the estimator has one
+
+
+@guarded
+def parameters_figure(
+    courses: Mapping[str, Mapping[str, Course]],
+    units: Mapping[str, str],
+    truth: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    title: str,
+):
+    """A panel per parameter: each method's value over the hours, the band of the noise, and the truth.
+
+    Args:
+        courses: by parameter and method.
+        units: of the parameters.
+        truth: hours and values, by parameter; empty for recorded logs.
+        title: of the figure.
+    """
+    palette = colours(list(dict.fromkeys(name for row in courses.values() for name in row)))
+    across = min(3, len(courses))
+    down = -(-len(courses) // across)
+    with themed() as Figure:
+        figure = Figure(figsize=(3.1 * across + 0.2, 1.65 * down + 0.8), layout="constrained")
+        panels = panels_of(figure, len(courses), across, sharex=True)
+        for panel, (parameter, row) in zip(panels, courses.items(), strict=True):
+            shown = []
+            for name, (hours, value, deviation) in row.items():
+                panel.plot(hours, value, color=palette[name], linewidth=1.4, label=name)
+                shown.append(value)
+                if deviation is not None:
+                    low, high = value - 1.645 * deviation, value + 1.645 * deviation
+                    label = f"{name}, 90 % of noise alone"
+                    panel.fill_between(hours, low, high, color=palette[name], alpha=0.22, linewidth=0, label=label)
+                    settled = slice(len(value) // 4, None)  # the first bands are those of the prior
+                    shown += [low[settled], high[settled]]
+            if parameter in truth:
+                panel.plot(*truth[parameter], color=INK, linewidth=1.4, linestyle="--", label="truth")
+                shown.append(truth[parameter][1])
+            known = np.concatenate(shown)
+            known = known[np.isfinite(known)]
+            if len(known):
+                room = 0.08 * (known.max() - known.min()) + 1e-6
+                panel.set_ylim(known.min() - room, known.max() + room)
+            panel.set_title(f"{parameter}, {units[parameter]}", loc="left", fontsize=8.5)
+            panel.tick_params(labelsize=8)
+        for k, panel in enumerate(panels):
+            panel.grid(color=LINE)
+            if k + across >= len(panels):
+                panel.set_xlabel("time on the water, h")
+                panel.tick_params(labelbottom=True)
+        handles: dict[str, Any] = {}
+        for panel in panels:
+            handles |= {label: handle for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)}
+        figure.legend(handles.values(), handles, loc="outside upper left", ncols=5, fontsize=8, title=title,
+                      title_fontsize=9, alignment="left")  # fmt: skip
+        return figure
+
+
+PAPER_RESULT = (
+    "AID: 9 parameters, O(p) to predict and to learn. RNN: n = 20, m = 4, 140 weights, O(n (m + 1)) both. RLS: 9 "
+    "parameters, O(p) and O(p²). No times are given; it ran on a Raspberry Pi 4."
+)
+ORDERS = {  # to predict, to learn
+    AID: ("p", "p"), RNN: ("n (m + 1)", "n (m + 1), rounds of n to project"), RLS: ("p", "p²"), SIFtRLS: ("p", "p²"),
+    JointEKF: ("p", "p²"), ARX: ("p", "p²"),
+}  # fmt: skip
+STEPS, PASSES = 400, 5
+
+
+def cost_section(ensemble: Ensemble) -> Section:
+    """The time of one boat, one sample at a time, as in live use: the median over passes.
+
+    Args:
+        ensemble: whose members and combiners are timed.
+    """
+    sample = Sample(Inputs(0.5, 0.4, 1.0, 0.05, 0.4), 0.8, True, True)
+    rows: list[tuple[Cell, ...]] = []
+    total = 0
+    for name, member in ensemble.members.items():
+        inner, core = unwrapped(member, member.init(()))
+        orders = next((found for kind, found in ORDERS.items() if isinstance(inner, kind)), ("1", "1"))
+        elements = len(member.labels) if isinstance(member, Bank) else 1
+        kind = f"{type(inner).__name__}, {elements} settings" if elements > 1 else type(inner).__name__
+        alone = member if isinstance(member, Estimator) else Ensemble({name: member}, watched=False)
+        total += (count := _parameters(core))
+        rows.append((name, kind, count, *(f"O({o})" for o in orders), *_times(alone, sample)))
+    rows.append(("all together", "Ensemble", total, "–", "–", *_times(ensemble, sample)))
+    columns = "method", "kind", "parameters", "to predict", "to learn", "predict, µs", "predict and learn, µs"
+    machine = f"{platform.machine()}, Python {platform.python_version()}, one thread"
+    here = [f"Measured on {machine}: one boat, one sample at a time from Python, the median of {PASSES} passes."]
+    return Section(
+        "cost", "Parameters and time per sample", PAPER_RESULT, here, (), [ResultTable("cost", columns, rows)]
+    )
+
+
+def _times(estimator: Estimator, sample: Sample) -> tuple[float, float]:
+    """The times in µs: to predict, and to predict and learn."""
+    boat = Online(estimator)
+    return _median(lambda: boat.predict(sample.inputs)), _median(lambda: boat.step(sample))
+
+
+def _parameters(state: Any) -> int:
+    """The identified parameters of a method: θ, the network's weights, or what a joint EKF reads of its state."""
+    identified = [
+        leaf for name, leaf in named_leaves(state) if name in ("theta", "reading") or name.startswith("weights.")
+    ]
+    return sum(leaf.numel() for leaf in identified)
+
+
+def _median(work: Callable[[], object]) -> float:
+    """µs a call."""
+    work()
+    passes = []
+    for _ in range(PASSES):
+        start = time.perf_counter()
+        for _ in range(STEPS):
+            work()
+        passes.append((time.perf_counter() - start) / STEPS)
+    return 1e6 * statistics.median(passes)

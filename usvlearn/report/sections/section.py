@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 from usvlearn.display.terminal import ResultTable
 from usvlearn.evaluation.metrics import by_error
 
+WORSE = "#C0392B"  # colour of failures
+
 
 class Drawn(NamedTuple):
     """A figure."""
@@ -39,9 +41,6 @@ def summary(
         boats: errors by boat and method.
         what: the error, with its unit.
         remarks: on methods; see `usvlearn.evaluation.diagnostics.remarks`.
-
-    >>> summary("mae", {"a": {"rls": 0.4, "aid": 0.1}, "b": {"rls": 0.2, "aid": 0.3}}, "MAE, m/s", {"rls": "map"}).rows
-    [('aid', 0.2, 1, ''), ('rls', 0.30000000000000004, 1, 'map')]
     """
     means, best = mean_errors(boats), [min(row, key=row.__getitem__) for row in boats.values()]
     rows = [(method, means[method], best.count(method), (remarks or {}).get(method, "")) for method in by_error(means)]
@@ -49,33 +48,19 @@ def summary(
 
 
 def mean_errors(boats: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
-    """The mean over boats of each method's error.
-
-    >>> mean_errors({"a": {"rls": 0.5}, "b": {"rls": 0.25}})
-    {'rls': 0.375}
-    """
+    """The mean over boats of each method's error."""
     return {name: sum(row[name] for row in boats.values()) / len(boats) for name in next(iter(boats.values()), ())}
 
 
 def on(count: int, boats: int) -> str:
-    """The number of boats in words.
-
-    >>> on(8, 8), on(0, 8), on(3, 8), on(1, 1), on(0, 1)
-    ('on all 8 boats', 'on none of 8 boats', 'on 3 of 8 boats', 'on this boat', 'not on this boat')
-    """
+    """The number of boats in words, such as "on 3 of 8 boats"."""
     if boats == 1:
         return "on this boat" if count else "not on this boat"
     return f"on all {boats} boats" if count == boats else f"on {count or 'none'} of {boats} boats"
 
 
 def tally(what: str, names: Sequence[str], winners: Sequence[str]) -> str:
-    """A sentence that says which name wins on how many boats.
-
-    >>> tally("lowest MAE", ["aid", "rls"], ["aid", "aid", "rls"])
-    'Of aid, rls the lowest MAE: aid on 2, rls on 1 of 3 boats.'
-    >>> tally("lowest MAE", ["aid", "rls"], ["aid"])
-    'Of aid, rls the lowest MAE: aid.'
-    """
+    """A sentence that says which name wins on how many boats."""
     if len(winners) == 1:
         return f"Of {', '.join(names)} the {what}: {winners[0]}."
     each = ", ".join(f"{name} on {winners.count(name)}" for name in names)

@@ -2,16 +2,170 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from usvlearn.core.events import LOSS, event_of
+from usvlearn.core.samples import tree_map
+from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.joint.excitation_warnings import WIDE, Quantity
-from usvlearn.estimators.joint.periodic_estimates import shown
-from usvlearn.report.overview import MAIN, Ahead, Overview
+from usvlearn.estimators.joint.periodic_estimates import Identified, shown
+from usvlearn.evaluation.diagnostics import events, identified_boats
+from usvlearn.evaluation.free_simulation import FreeRun
+from usvlearn.evaluation.horizons import ensemble_scores
+from usvlearn.evaluation.metrics import PERSISTENCE, scores
+from usvlearn.evaluation.season import Season, SeasonRun
+from usvlearn.report.viewer import number, runs_html
+
+MAIN = {  # the quantities that are shown first, in words
+    "steady_speed_full": "Steady speed at full ahead",
+    "thrust_full_left": "Full thrust ahead of the left side",
+    "thrust_full_right": "Full thrust ahead of the right side",
+    "drag_half_speed": "Drag at half of that speed",
+    "time_constant": "Time constant",
+    "stopping_distance": "Stopping distance with thrusters off",
+    "mass": "Mass",
+}
+
+
+class Ahead(NamedTuple):
+    """Errors of the ensemble over one horizon."""
+
+    what: str
+    mae: float | None  # m/s
+    skill: float | None
+    coverage: float | None  # of the 90 % interval
+
+
+class RunRow(NamedTuple):
+    """A run in numbers."""
+
+    name: str
+    minutes: float  # in which the speed was measured
+    speed: float | None  # m/s, the mean
+    mae: float | None  # m/s, one step ahead
+    free: float | None  # m/s, in an open-loop simulation
+    learned: bool  # whether the open-loop simulation's parameters have learned from it
+
+
+class Overview(NamedTuple):
+    """One boat."""
+
+    boat: str
+    hours: float  # in which the speed was measured
+    runs: Sequence[RunRow]
+    identified: Identified | None
+    ahead: Sequence[Ahead]  # the next step first; empty if no run was replayed
+    free: float | None  # m/s, MAE of the open-loop simulations with parameters that have not learned from them
+    fit: float | None  # percent, one step ahead (`usvlearn.evaluation.metrics.fit`)
+    free_fit: float | None  # percent, of the same open-loop simulations
+    events: Sequence[Mapping[str, Any]] | None  # None if nobody watched
+    findings: Sequence[Mapping[str, Any]] | None  # of the data check; None if there was none
+    batch: Mapping[str, Quantity] | None = None  # the quantities of a batch fit, if there is one
+    doubted: bool = False  # whether something speaks against their use
+
+
+def overviews(
+    ensemble: Ensemble, seasons: Sequence[Season], free: Mapping[str, Sequence[FreeRun]], checks: Sequence[Any] = ()
+) -> list[Overview]:
+    """What is said of each boat.
+
+    Args:
+        ensemble: that was replayed.
+        seasons: of all boats.
+        free: each boat's open-loop simulations.
+        checks: the lists of findings of data checks; None where there was none.
+    """
+    checks = [check for check in checks if isinstance(check, list)]
+    findings = [each for check in checks for each in check if isinstance(each, Mapping)]
+    return [
+        _overview(
+            ensemble,
+            season,
+            free[season.boat],
+            [each for each in findings if each.get("boat") in (None, "", season.boat)] if checks else None,
+        )
+        for season in seasons
+    ]
+
+
+def _overview(
+    ensemble: Ensemble, season: Season, free: Sequence[FreeRun], findings: Sequence[Mapping[str, Any]] | None
+) -> Overview:
+    column = ensemble.names.index(ensemble.output)
+    rows = [_row(run, made, column) for run, made in zip(season.runs, free, strict=True)]
+    unseen = [(row.free, int(run.steps.sum())) for run, row in zip(season.runs, rows, strict=True) if not row.learned]
+    total = sum(steps for error, steps in unseen if error is not None)
+    ahead, fit = _ahead(ensemble, season)
+    fleet, published = season.replayed
+    watched = [each for each in published if np.isfinite(each[2].get("thrusters", np.nan)).any()]
+    last = tree_map(lambda leaf: leaf[-1:], season.state)
+    return Overview(
+        season.boat,
+        sum(row.minutes for row in rows) / 60,
+        rows,
+        identified_boats(ensemble, last, [season.boat]).get(season.boat),
+        ahead,
+        sum(error * steps for error, steps in unseen if error is not None) / total if total else None,
+        fit,
+        _free_fit(season, free, column),
+        events(fleet, published, ensemble.accommodated)[season.boat] if watched else None,
+        findings,
+    )
+
+
+def _row(run: SeasonRun, free: FreeRun, column: int) -> RunRow:
+    steps = run.steps
+    surge = run.samples.surge[steps]
+    made = run.published["predictions"][steps, column] if run.published else np.full(len(surge), np.nan)
+    return RunRow(
+        run.name,
+        float(run.samples.inputs.dt[steps].sum()) / 60,
+        _mean(surge),
+        _mean(np.abs(made - surge)),
+        _mean(np.abs(free.predictions[steps, column] - surge)),
+        free.learned,
+    )
+
+
+def _mean(x: np.ndarray) -> float | None:
+    """None where there is no number, or one is unknown."""
+    return float(x.mean()) if len(x) and np.isfinite(x).all() else None
+
+
+def _free_fit(season: Season, free: Sequence[FreeRun], column: int) -> float | None:
+    """The fit of the open-loop simulations whose parameters have not learned from them; None without."""
+    unseen = [(run, made) for run, made in zip(season.runs, free, strict=True) if not made.learned]
+    predictions = [made.predictions[run.steps, column] for run, made in unseen]
+    if not sum(map(len, predictions)):
+        return None
+    surge = np.concatenate([run.samples.surge[run.steps] for run, _ in unseen])
+    found = scores(np.concatenate(predictions)[:, None], surge, ["free"])["free"]["fit"]
+    return None if found is None else float(found)
+
+
+def _ahead(ensemble: Ensemble, season: Season) -> tuple[list[Ahead], float | None]:
+    """The errors one step ahead, and of the forecasts, if runs were replayed; the fit one step ahead."""
+    runs = [run for run in season.runs if run.published]
+    if not runs:
+        return [], None
+    names = list(dict.fromkeys(name for name in (PERSISTENCE, ensemble.output) if name in ensemble.names))
+    places = [ensemble.names.index(name) for name in names]
+    predictions = np.concatenate([run.published["predictions"][:, places] for run in runs])
+    surge = np.concatenate([np.where(run.steps, run.samples.surge, np.nan) for run in runs])
+    widths = [run.published["halfwidths"][:, places] for run in runs if "halfwidths" in run.published]
+    row = scores(predictions, surge, names, np.concatenate(widths) if len(widths) == len(runs) else None)[names[-1]]
+    found = [Ahead("the next step", row["mae"], row["skill"], row.get("coverage"))]
+    kept = season._replace(runs=tuple(run for run in runs if "forecasts" in run.published))
+    if kept.runs:
+        ahead = ensemble_scores(ensemble, *kept.replayed).get(season.boat, {}).get(ensemble.output, {})
+        found += [Ahead(f"{h} s", row["mae"], row["skill"], row.get("covers")) for h, row in ahead.items()]
+    return found, row["fit"]
+
 
 NEAR = "10 s"  # the horizon of the sentence, if it was forecast
 FINDING, WARNING = ("about", "found", "expected", "key"), "warning"  # of the data check (`results.json`)
@@ -24,7 +178,7 @@ class Front(NamedTuple):
     """What stands before the sections of a report."""
 
     boats: Sequence[Overview]
-    viewer: Mapping[str, Any]  # `usvlearn.report.viewer_data`
+    viewer: Mapping[str, Any]  # `usvlearn.report.viewer`
     notes: Sequence[str] = ()  # what a reader must know first, a sentence each
     unconfirmed: Sequence[str] = ()  # what was guessed (`usvlearn.core.unconfirmed`)
 
@@ -45,13 +199,13 @@ def first_page(front: Front, links: str) -> str:
     boats = front.boats
     notes = "".join(f'<p class="note">{escape(note)}</p>' for note in (*front.unconfirmed, *front.notes))
     if len(boats) == 1:
-        return "\n".join([notes, _cards(boats[0], front), links, _runs(front)])
+        return "\n".join([notes, _cards(boats[0], front), links, runs_html(boats, front.viewer)])
     cards = (
         f'<details class="part"><summary><h2>{escape(boat.boat)}</h2></summary><div id="boat-{k}">'
         f"{_cards(boat, front)}</div></details>"
         for k, boat in enumerate(boats)
     )
-    return "\n".join([notes, _fleet(boats), links, *cards, _runs(front)])
+    return "\n".join([notes, _fleet(boats), links, *cards, runs_html(boats, front.viewer)])
 
 
 def _fleet(boats: Sequence[Overview]) -> str:
@@ -65,9 +219,9 @@ def _fleet(boats: Sequence[Overview]) -> str:
         cells = [
             str(len(boat.runs)),
             _duration(boat.hours),
-            _number(boat.ahead[0].mae if boat.ahead else None),
-            _number(near and near.mae),
-            _number(near and near.skill, 2),
+            number(boat.ahead[0].mae if boat.ahead else None),
+            number(near and near.mae),
+            number(near and near.skill, 2),
             _share(near and near.coverage),
             f"{shown(top.value)} ({shown(top.low)} to {shown(top.high)}) m/s" if top else "–",
             "–" if boat.events is None else str(len(boat.events)),
@@ -148,11 +302,7 @@ def _rows(quantities: Mapping[str, Quantity]) -> str:
 
 
 def in_words(sentence: str) -> str:
-    """A sentence about quantities, with their names as on the first page.
-
-    >>> in_words("Not well determined: drag_half_speed, thrust_ratio.")
-    'Not well determined: drag at half of that speed, thrust ratio.'
-    """
+    """A sentence about quantities, with their names as on the first page."""
     for name, words in MAIN.items():
         sentence = sentence.replace(name, words[0].lower() + words[1:]) if "_" in name else sentence
     return re.sub(r"\b[a-z]+(_[a-z]+)+\b", lambda name: name[0].replace("_", " "), sentence)
@@ -170,17 +320,17 @@ def _accuracy(boat: Overview) -> str:
     said, near = "", _near(boat)
     if near is not None and near.mae is not None:
         ahead = near.what if near.what[0].isdigit() else "One step"
-        said = f"<p>{ahead} ahead it errs by <b>{_number(near.mae)} m/s</b> on average"
+        said = f"<p>{ahead} ahead it errs by <b>{number(near.mae)} m/s</b> on average"
         if near.skill is not None:
             how = f"{abs(near.skill):.0%} {'less' if near.skill >= 0 else 'more'}".replace("%", " %")
             said += f", {how} than by {SIMPLE}"
         said += ".</p>"
     rows = "".join(
-        f'<tr><th scope="row">{escape(each.what)}</th><td class="n">{_number(each.mae)}</td>'
-        f'<td class="n">{_number(each.skill, 2)}</td><td class="n">{_share(each.coverage)}</td></tr>'
+        f'<tr><th scope="row">{escape(each.what)}</th><td class="n">{number(each.mae)}</td>'
+        f'<td class="n">{number(each.skill, 2)}</td><td class="n">{_share(each.coverage)}</td></tr>'
         for each in boat.ahead
     )
-    known = f'<td class="n">{_number(boat.free)}</td><td></td><td></td>'
+    known = f'<td class="n">{number(boat.free)}</td><td></td><td></td>'
     free = f'<tr><th scope="row">a whole run</th>{UNSEEN if boat.free is None else known}</tr>'
     fits = ((boat.fit, "one step ahead"), (boat.free_fit, "for whole runs"))
     shown = ", ".join(f"{x:.1f} % {how}" for x, how in fits if x is not None)
@@ -230,68 +380,5 @@ def _duration(hours: float) -> str:
     return f"{hours:.1f} h" if hours >= 1 else f"{60 * hours:.0f} min"
 
 
-def _number(value: float | None, digits: int = 3) -> str:
-    return "–" if value is None or value != value else f"{value:.{digits}f}"
-
-
 def _share(value: float | None) -> str:
     return "–" if value is None or value != value else f"{100 * value:.0f} %"
-
-
-def _runs(front: Front) -> str:
-    """A table, and the place where the viewer is drawn."""
-    several = len(front.boats) > 1
-    places, rows, options = iter(range(len(front.viewer["runs"]))), [], ""
-    for boat in front.boats:
-        options += f'<optgroup label="{escape(boat.boat)}">'
-        for run in boat.runs:
-            place = next(places)
-            options += f'<option value="{place}">{escape(f"{boat.boat}, {run.name}" if several else run.name)}</option>'
-            free = _number(run.free) + ("*" if run.learned and run.free is not None else "")
-            cells = (f"{run.minutes:.1f}", _number(run.speed, 2), _number(run.mae), free)
-            name = f'<a href="#viewer" data-run="{place}">{escape(run.name).replace("_", "_<wbr>")}</a>'
-            whose = f"<td>{escape(boat.boat)}</td>" if several else ""
-            numbers = "".join(f'<td class="n">{cell}</td>' for cell in cells)
-            rows.append(f'<tr><th scope="row">{name}</th>{whose}{numbers}</tr>')
-        options += "</optgroup>"
-    heads = "".join(
-        f'<th class="n">{each}</th>'
-        for each in ("measured, min", "mean speed, m/s", "error, next step, m/s", "error, open-loop simulation, m/s")
-    )
-    colours = front.viewer["colours"]
-    names = "".join(
-        f'<label><input type="checkbox"{"" if name in front.viewer["hidden"] else " checked"} value="{escape(name)}">'
-        f"{_chip(colours[name])}{escape(name)}</label>"
-        for name in front.viewer["shown"]
-    )
-    sides = "".join(f"<span>{_chip(colour)}{side}</span>" for side, colour in front.viewer["sides"].items())
-    return f"""<section id="runs"><h2>Run by run</h2>
-<div class="rows"><table class="runs"><thead><tr><th>run</th>{"<th>boat</th>" if several else ""}{heads}</tr></thead>
-<tbody>{"".join(rows)}</tbody></table></div>
-<p class="facts">An open-loop simulation is simulated from the commands alone. * Its parameters have learned from this
-run.</p> <noscript><p>The curves of the runs need JavaScript.</p></noscript> <div
-id="viewer" hidden> <form class="tools" autocomplete="off"> <label>Run <select
-id="viewer-run">{options}</select></label> <label>beside it <select id="viewer-beside"><option
-value="">none</option>{options}</select></label> <label>Errors of <select id="viewer-error"><option value="error">the
-next step</option> <option value="free error">an open-loop simulation</option></select></label> <button type="button"
-id="viewer-reset">Reset the zoom</button> <span
-id="viewer-names"><span>{_chip("var(--ink)")}measured</span>{names}{sides}</span></form> <p class="facts">Drag, scroll
-or pinch to move and zoom. Keys: arrows, + and −, 0 for the whole run. The shaded band is the 90 % interval.</p><div
-id="viewer-columns"></div> <p class="facts">Size of the error on the tracks: 0 <span class="scale"></span> <span
-id="viewer-largest"></span>. The tracks and the axes of two runs have one scale. Errors are predicted − measured: lines
-are means, bands 90 % of them.</p></div>
-<script type="application/json" id="viewer-data">{embedded(front.viewer)}</script></section>"""
-
-
-def _chip(colour: str) -> str:
-    return f'<span class="chip" style="background: {colour}"></span>'
-
-
-def embedded(data: Any) -> str:
-    """JSON that a page can contain between its tags, whatever the names in it.
-
-    >>> embedded({"boat": "</script><!--"})
-    '{"boat":"\\\\u003c/script\\\\u003e\\\\u003c!--"}'
-    """
-    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
-    return text.replace("<", r"\u003c").replace(">", r"\u003e").replace("&", r"\u0026")

@@ -1,4 +1,4 @@
-"""The numbers of the viewer in a page: each run's measured, predicted and free speed, commands, errors and track.
+"""The viewer in a page, and its numbers: each run's measured, predicted and free speed, commands, errors and track.
 
 A series is 16-bit integers as base64 beside its least value and its step, so that a number is known to half a step:
 
@@ -12,7 +12,9 @@ error it has the one with the largest size, and of a position the first.
 from __future__ import annotations
 
 import base64
+import json
 from collections.abc import Mapping, Sequence
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -128,11 +130,7 @@ def _track(each: Ahead, time: float, origin: np.ndarray) -> dict[str, Any]:
 
 
 def coded(x: np.ndarray) -> list[Any]:
-    """A series as (1): base64 of little-endian integers, the least value, and the step.
-
-    >>> coded(np.array([1.0, np.nan, 3.0]))[:2]
-    ['AYAAgP9/', 1.0]
-    """
+    """A series as (1): base64 of little-endian integers, the least value, and the step."""
     finite = np.isfinite(x)
     low, high = (float(x[finite].min()), float(x[finite].max())) if finite.any() else (0.0, 0.0)
     step = (high - low) / LEVELS
@@ -141,11 +139,7 @@ def coded(x: np.ndarray) -> list[Any]:
 
 
 def extremes(x: np.ndarray, size: int) -> np.ndarray:
-    """The least and the greatest of each bucket in their order, `(2 · buckets,)`; `x` itself if `size` is 1.
-
-    >>> extremes(np.array([1.0, 3.0, 2.0, 5.0, np.nan, 4.0, 7.0]), 3)
-    array([1., 3., 5., 4., 7., 7.])
-    """
+    """The least and the greatest of each bucket in their order, `(2 · buckets,)`; `x` itself if `size` is 1."""
     if size == 1:
         return x
     whole = _buckets(x, size)
@@ -156,11 +150,7 @@ def extremes(x: np.ndarray, size: int) -> np.ndarray:
 
 
 def largest_of(x: np.ndarray, size: int) -> np.ndarray:
-    """The number of the largest size of each bucket, `(buckets,)`.
-
-    >>> largest_of(np.array([1.0, -3.0, 2.0, np.nan]), 2)
-    array([-3.,  2.])
-    """
+    """The number of the largest size of each bucket, `(buckets,)`."""
     whole = _buckets(x, size)
     at = np.where(np.isfinite(whole), np.abs(whole), -1.0).argmax(1)
     return np.take_along_axis(whole, at[:, None], 1)[:, 0]
@@ -185,11 +175,7 @@ def reckoned(run: SeasonRun) -> np.ndarray:
 
 
 def residuals(x: np.ndarray, error: np.ndarray) -> list[list[float]]:
-    """Errors against `x` in bins of equal width: middle, mean, 5 % and 95 % quantiles, and the number of steps.
-
-    >>> residuals(np.zeros(10), np.arange(10.0))
-    [[0.0, 4.5, 0.45, 8.55, 10]]
-    """
+    """Errors against `x` in bins of equal width: middle, mean, 5 % and 95 % quantiles, and the number of steps."""
     both = np.isfinite(x) & np.isfinite(error)
     if not both.any():
         return []
@@ -204,3 +190,63 @@ def residuals(x: np.ndarray, error: np.ndarray) -> list[list[float]]:
             numbers = (middle, here.mean(), *np.percentile(here, (5, 95)))
             found.append([*(float(f"{each:.4g}") for each in numbers), len(here)])
     return found
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """Of a table; a dash where it is unknown."""
+    return "–" if value is None or value != value else f"{value:.{digits}f}"
+
+
+def runs_html(boats: Sequence[Any], viewer: Mapping[str, Any]) -> str:
+    """A table of the runs of `usvlearn.report.front.Overview`s, and the place where the viewer is drawn."""
+    several = len(boats) > 1
+    places, rows, options = iter(range(len(viewer["runs"]))), [], ""
+    for boat in boats:
+        options += f'<optgroup label="{escape(boat.boat)}">'
+        for run in boat.runs:
+            place = next(places)
+            options += f'<option value="{place}">{escape(f"{boat.boat}, {run.name}" if several else run.name)}</option>'
+            free = number(run.free) + ("*" if run.learned and run.free is not None else "")
+            cells = (f"{run.minutes:.1f}", number(run.speed, 2), number(run.mae), free)
+            name = f'<a href="#viewer" data-run="{place}">{escape(run.name).replace("_", "_<wbr>")}</a>'
+            whose = f"<td>{escape(boat.boat)}</td>" if several else ""
+            numbers = "".join(f'<td class="n">{cell}</td>' for cell in cells)
+            rows.append(f'<tr><th scope="row">{name}</th>{whose}{numbers}</tr>')
+        options += "</optgroup>"
+    heads = "".join(
+        f'<th class="n">{each}</th>'
+        for each in ("measured, min", "mean speed, m/s", "error, next step, m/s", "error, open-loop simulation, m/s")
+    )
+    colours = viewer["colours"]
+    names = "".join(
+        f'<label><input type="checkbox"{"" if name in viewer["hidden"] else " checked"} value="{escape(name)}">'
+        f"{_chip(colours[name])}{escape(name)}</label>"
+        for name in viewer["shown"]
+    )
+    sides = "".join(f"<span>{_chip(colour)}{side}</span>" for side, colour in viewer["sides"].items())
+    return f"""<section id="runs"><h2>Run by run</h2>
+<div class="rows"><table class="runs"><thead><tr><th>run</th>{"<th>boat</th>" if several else ""}{heads}</tr></thead>
+<tbody>{"".join(rows)}</tbody></table></div>
+<p class="facts">An open-loop simulation is simulated from the commands alone. * Its parameters have learned from this
+run.</p> <noscript><p>The curves of the runs need JavaScript.</p></noscript> <div
+id="viewer" hidden> <form class="tools" autocomplete="off"> <label>Run <select
+id="viewer-run">{options}</select></label> <label>beside it <select id="viewer-beside"><option
+value="">none</option>{options}</select></label> <label>Errors of <select id="viewer-error"><option value="error">the
+next step</option> <option value="free error">an open-loop simulation</option></select></label> <button type="button"
+id="viewer-reset">Reset the zoom</button> <span
+id="viewer-names"><span>{_chip("var(--ink)")}measured</span>{names}{sides}</span></form> <p class="facts">Drag, scroll
+or pinch to move and zoom. Keys: arrows, + and −, 0 for the whole run. The shaded band is the 90 % interval.</p><div
+id="viewer-columns"></div> <p class="facts">Size of the error on the tracks: 0 <span class="scale"></span> <span
+id="viewer-largest"></span>. The tracks and the axes of two runs have one scale. Errors are predicted − measured: lines
+are means, bands 90 % of them.</p></div>
+<script type="application/json" id="viewer-data">{embedded(viewer)}</script></section>"""
+
+
+def _chip(colour: str) -> str:
+    return f'<span class="chip" style="background: {colour}"></span>'
+
+
+def embedded(data: Any) -> str:
+    """JSON that a page can contain between its tags, whatever the names in it."""
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", r"\u003c").replace(">", r"\u003e").replace("&", r"\u0026")
