@@ -12,6 +12,7 @@ from usvlearn.estimators.joint.curves import Curve
 from usvlearn.evaluation.metrics import Autocorrelation
 from usvlearn.report.page import _drawing
 from usvlearn.report.sections import cross, network, parameters, tracks
+from usvlearn.report.sections import fit as fit_section
 from usvlearn.report.sections.errors import residual_figure
 from usvlearn.report.sections.fit_file import Course as Minute
 from usvlearn.report.sections.fit_file import Curve as FitCurve

@@ -148,11 +148,7 @@ def evaluate(
 
 
 def known_quantities(found: Mapping[str, Any]) -> dict[str, dict[str, float]]:
-    """The true quantities of simulated boats that a run's results contain.
-
-    >>> known_quantities({"identified": {"heron": {"mass": {"value": 27.0, "truth": 28.0}, "lag": {"value": 1.0}}}})
-    {'heron': {'mass': 28.0}}
-    """
+    """The true quantities of simulated boats that a run's results contain."""
     return {
         boat: {name: each["truth"] for name, each in quantities.items() if each.get("truth") is not None}
         for boat, quantities in found.get("identified", {}).items()
@@ -196,15 +192,6 @@ def assemble(
 ) -> tuple[list[Section], dict[str, FreeErrors]]:
     """Simulate, compare and draw.
 
-    Args:
-        ensemble: to which all checkpoints belong.
-        seasons: of all boats.
-        truth: true parameters of simulated boats (see `usvlearn.simulate.truth`), else empty.
-        advance: receives the number of simulated steps, for a progress bar.
-        known: true quantities of simulated boats at the end.
-        fits: batch fits of the boats (`saved_fits`).
-        tracks: of the boats (`saved_tracks`).
-
     Returns:
         The sections, what a boat's owner asks first, and the errors of every boat's cross-validation.
     """
@@ -245,12 +232,7 @@ def front_of(
     fits: Mapping[str, SavedFit | str] | None = None,
     tracks: Mapping[str, BoatTracks] | None = None,
 ) -> Front:
-    """The first page: simulate each run free once.
-
-    Args:
-        ensemble, seasons, advance, fits, tracks: as of `assemble`.
-        checks: findings of the data checks, as of `overviews`.
-    """
+    """The first page: simulate each run free once."""
     free = {}
     for season in seasons:
         free[season.boat] = list(free_runs(ensemble, season))
@@ -265,12 +247,7 @@ def front_of(
 
 
 def best_start(ensemble: Ensemble, seasons: Sequence[Season]) -> Path:
-    """The boat's last checkpoint whose open-loop simulations, on the runs of all boats, have the least MSE.
-
-    Args:
-        ensemble: to which the checkpoints belong.
-        seasons: of all boats.
-    """
+    """The boat's last checkpoint whose open-loop simulations, on the runs of all boats, have the least MSE."""
     last = [len(season.own) - 1 for season in seasons]
     method = _compared(ensemble)[0]
     matrix = fleet_matrices(seasons, _each_on_all(ensemble, seasons, last), [method])[method]

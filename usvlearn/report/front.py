@@ -190,12 +190,7 @@ def title(front: Front) -> str:
 
 
 def first_page(front: Front, links: str) -> str:
-    """The cards of a boat, or a table of several boats and then the cards of each; and the runs.
-
-    Args:
-        front: what is shown.
-        links: to the sections.
-    """
+    """The cards of a boat, or a table of several boats and then the cards of each; and the runs."""
     boats = front.boats
     notes = "".join(f'<p class="note">{escape(note)}</p>' for note in (*front.unconfirmed, *front.notes))
     if len(boats) == 1:

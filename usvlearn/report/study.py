@@ -34,14 +34,6 @@ def make_study(
 ) -> tuple[Path, list[str]]:
     """Make all stages; returns the folder of the season, and the commands that make them again.
 
-    Args:
-        folder: of the study.
-        plan: overrides of train.yaml that are `common` to both seasons, and those of `tuning` and `season`; `members`
-            to tune; `evaluations` of each.
-        say: prints what is being done.
-        run: does the work of `train.py OVERRIDES` in a folder.
-        choose: the checkpoint of a finished folder from which the next season starts.
-
     Raises:
         ConfigError: the folder holds a study of another plan, or another process is at work there.
     """

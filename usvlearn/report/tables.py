@@ -58,13 +58,7 @@ def score_table(
     remarks: Mapping[str, str] | None = None,
     title: str = "One-step prediction of surge, errors in m/s, by MAE",
 ) -> Blocks:
-    """One row per boat and estimator, the best of each boat first: errors in m/s, skill, the interval, steps.
-
-    Args:
-        boats: scores by boat and estimator; see `usvlearn.evaluation.metrics.fleet_scores`.
-        remarks: beside the names of estimators; see `usvlearn.evaluation.diagnostics.remarks`.
-        title: of the table.
-    """
+    """One row per boat and estimator, the best of each boat first: errors in m/s, skill, the interval, steps."""
     failed = any(row.get("diverged") for rows in boats.values() for row in rows.values())
     columns = [*COLUMNS, *(["diverged"] if failed else [])]
     heads = [COLUMNS.get(column, column) for column in columns]
@@ -79,11 +73,7 @@ def score_table(
 
 
 def fleet_table(boats: Mapping[str, Mapping[str, Mapping]], remarks: Mapping[str, str] | None = None) -> Blocks:
-    """One row per estimator, by the mean MAE over boats, and one column per boat, in m/s; the best of each is bold.
-
-    Args:
-        boats, remarks: as of `score_table`.
-    """
+    """One row per estimator, by the mean MAE over boats, and one column per boat, in m/s; the best of each is bold."""
     columns = {"mean": mean_mae(boats)}
     columns |= {boat: {name: row["mae"] for name, row in scores.items()} for boat, scores in boats.items()}
     best = {column: by_error(maes)[0] for column, maes in columns.items()}
@@ -106,11 +96,7 @@ def rejection_table(rejected: Mapping[str, Mapping[str, Mapping[str, int]]]) -> 
 
 
 def forecast_table(forecast: Mapping[str, Mapping[str, Mapping[str, Mapping]]]) -> Blocks | None:
-    """Skill by horizon: one row per boat and estimator, and the coverage of the ensemble's intervals; None without.
-
-    Args:
-        forecast: of `usvlearn.evaluation.horizons.horizon_scores`.
-    """
+    """Skill by horizon: one row per boat and estimator, and the coverage of the ensemble's intervals; None without."""
     if not forecast:
         return None
     horizons = list(next(iter(next(iter(forecast.values())).values())))
@@ -133,11 +119,7 @@ def forecast_table(forecast: Mapping[str, Mapping[str, Mapping[str, Mapping]]]) 
 
 
 def track_table(tracks: Mapping[str, Mapping[str, Mapping[str, Any]]] | None) -> Blocks | None:
-    """Errors of tracks by horizon, one block for each boat; None where nothing became due.
-
-    Args:
-        tracks: of `usvlearn.evaluation.horizons.track_scores`.
-    """
+    """Errors of tracks by horizon, one block for each boat; None where nothing became due."""
     if not tracks or not any(row["count"] for rows in tracks.values() for row in rows.values()):
         return None
     horizons = list(next(iter(tracks.values())))
@@ -155,16 +137,7 @@ def track_table(tracks: Mapping[str, Mapping[str, Mapping[str, Any]]] | None) ->
 
 
 def data_check_table(found: Sequence[Mapping[str, str]], checks: int = 0) -> Blocks | Text:
-    """What the data check found, or one line if that is nothing.
-
-    Args:
-        found: as `results.json` has it under `data_check`; equal findings about several boats are one row.
-        checks: their number, told if nothing was found.
-
-    >>> print(data_check_table([], 14))
-    Data check: no findings in 14 checks
-    <BLANKLINE>
-    """
+    """What the data check found, or one line if that is nothing."""
     if not found:
         return Text(f"Data check: no findings in {checks} checks\n")
     rows: dict[tuple[str, ...], list[Mapping[str, str]]] = {}
@@ -196,11 +169,6 @@ def error_tables(
 def fit_lines(results: Mapping[str, Any]) -> list[str]:
     """The fit of the combiner that predicts, one step ahead and in open-loop simulations, mean over boats; none without
     a speed.
-
-    >>> own = {"fit": 95.25}
-    >>> free = {"a": {"ensemble": 61.0}}
-    >>> print(*fit_lines({"output": "ensemble", "boats": {"a": {"ensemble": own}}, "free_fit": free}))
-    Fit of ensemble, 100 (1 - NRMSE): 95.2 % one step ahead, 61.0 % in open-loop simulations of the later half
     """
     name = results["output"]
     near = mean(rows[name]["fit"] for rows in results["boats"].values())
@@ -214,12 +182,7 @@ def fit_lines(results: Mapping[str, Any]) -> list[str]:
 
 
 def event_lines(events: Mapping[str, Sequence[Mapping]]) -> list[str]:
-    """A line for each event, below an empty one.
-
-    >>> loss = {"run": "7", "time": 12.0, "kind": "loss", "side": "left", "effectiveness": 0.4, "low": 0.3, "high": 0.5}
-    >>> event_lines({"heron": [loss], "otter": []})
-    ['', 'ALARM: heron, run 7, 12 s: the left thruster gives 40 % of its thrust (30 ... 50 %)']
-    """
+    """A line for each event, below an empty one."""
     lines = [
         f"{'ALARM' if each['kind'] == LOSS else 'EVENT'}: {boat}, run {each['run']}, {each['time']:.0f} s: "
         f"{event_of(each).sentence}"
@@ -234,10 +197,6 @@ def identified_table(found: Mapping[str, Identified], truth: Mapping[str, Mappin
 
     The nine single parameters, which trade against each other, are shown of a single boat; of several boats they are in
     `results.json` and in the report.
-
-    Args:
-        found: of each boat; nothing is printed for none.
-        truth: boat -> quantity -> value.
     """
     if not found:
         return Group()
@@ -263,11 +222,7 @@ def identified_table(found: Mapping[str, Identified], truth: Mapping[str, Mappin
 
 
 def short_settings(settings: Mapping[str, str], keys: Sequence[str]) -> str:
-    """The settings of a job in short form: those of `keys`, or else all.
-
-    >>> short_settings({"estimators.aid.gain": "3", "align.dt": "0.4"}, ["estimators.aid.gain"])
-    'aid.gain=3'
-    """
+    """The settings of a job in short form: those of `keys`, or else all."""
     return label({key: settings[key] for key in keys if key in settings} or settings)
 
 
@@ -275,13 +230,6 @@ def summary_lines(results: Mapping, folder: Path) -> list[str]:
     """The last lines of a run: its result, its folder, and the commands that show more.
 
     A folder below the current one is named without it.
-
-    >>> print(*summary_lines({"seconds": 2.0, "measure": "ensemble.mae", "objective": 0.05}, Path("run")), sep="\\n")
-    MAE of ensemble: 0.0500 m/s; 2.0 s
-    files        run: results.json, errors.csv, predictions, checkpoints
-    report       python evaluate.py runs=run
-    TensorBoard  tensorboard --logdir run/tensorboard
-                 then http://localhost:6006/?smoothing=0#timeseries
     """
     measure, value = measure_of(results["measure"], ""), results["objective"]
     folder = from_here(folder)

@@ -75,14 +75,7 @@ class BoatTracks(NamedTuple):
 def saved_tracks(
     folders: Sequence[Path], found: Sequence[Mapping[str, Any]], seasons: Sequence[Season], fleets: Sequence[Fleet]
 ) -> dict[str, BoatTracks]:
-    """The tracks of each boat from the newest run that has any; no boat without.
-
-    Args:
-        folders: of runs, the oldest first.
-        found: the results of each; {} of one that is not finished.
-        seasons: of all boats.
-        fleets: the aligned logs of the seasons.
-    """
+    """The tracks of each boat from the newest run that has any; no boat without."""
     tracks = {}
     for season in seasons:
         for folder, results in zip(reversed(folders), reversed(found), strict=True):
@@ -101,10 +94,6 @@ def last_mission(folder: Path, season: Season, fleets: Sequence[Fleet]) -> Missi
     """Replay a boat's last mission, and forecast tracks on the way; None if its logs tell no positions.
 
     It begins with the newest checkpoint that has not learned from the mission, or else with the newest.
-
-    Args:
-        folder: of the run whose checkpoints are used.
-        season, fleets: as of `saved_tracks`.
 
     Raises:
         CheckpointError: no checkpoint can be read.

@@ -131,30 +131,18 @@ def _draw(panel: Any, shown: Sequence[Standing], key: str, measure: Measure | No
 
 
 def shortened(text: str, most: int = 16) -> str:
-    """A text that fits an axis; its end distinguishes values such as paths.
-
-    >>> shortened("mean"), shortened("/a/long/path/of/a.log")
-    ('mean', '…g/path/of/a.log')
-    """
+    """A text that fits an axis; its end distinguishes values such as paths."""
     return text if len(text) <= most else f"…{text[1 - most :]}"
 
 
 def _top(values: Any) -> float:
-    """The greatest value, or where the axis ends if that is far from the others.
-
-    >>> _top([1.0, 2.0, 3.0]), _top([1.0] * 99 + [1e9])
-    (3.0, 1.0)
-    """
+    """The greatest value, or where the axis ends if that is far from the others."""
     most = float(np.percentile(values, WORST))
     return float(np.max(values)) if np.max(values) <= most + 2 * (most - np.min(values)) else most
 
 
 def _ordered(values: Sequence[str]) -> list[str]:
-    """Distinct values: numbers in their order, else as they came, sorted.
-
-    >>> _ordered(["20", "4", "10", "4"]), _ordered(["last", "mean", "last"])
-    (['4', '10', '20'], ['last', 'mean'])
-    """
+    """Distinct values: numbers in their order, else as they came, sorted."""
     distinct = list(dict.fromkeys(values))
     return sorted(distinct, key=float) if _numeric(distinct) else sorted(distinct)
 

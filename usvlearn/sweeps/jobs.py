@@ -64,11 +64,6 @@ class SweepNote(NamedTuple):
 def check_sweep(folder: Path, load: Callable[[Path], Any], hydra: Mapping[str, Any]) -> None:
     """Raise an error if a folder holds the jobs of another sweep, before its records are overwritten.
 
-    Args:
-        folder: of the sweep.
-        load: reads a YAML file.
-        hydra: the configuration of Hydra itself, which `multirun.yaml` contains for the earlier sweep.
-
     Raises:
         ConfigError: the command, or the settings of its sweep, differ from those that began there, or it holds links or
             files of nobody's job under the names of a job's.
@@ -94,11 +89,7 @@ def check_sweep(folder: Path, load: Callable[[Path], Any], hydra: Mapping[str, A
 
 
 def digest(settings: Mapping) -> str:
-    """The identity of a job: a sha256 of all its settings, in their order, which is that of the members.
-
-    >>> digest({"dt": 0.4})[:8]
-    'e33f88fb'
-    """
+    """The identity of a job: a sha256 of all its settings, in their order, which is that of the members."""
     return hashlib.sha256(json.dumps(settings).encode()).hexdigest()
 
 
@@ -123,11 +114,6 @@ def run_job(
 
     Returns:
         What ranks the job in the leaderboard, so that less is better; NaN if it failed, or if that is unknown.
-
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     run_job(Path(folder), {"dt": 0.4}, ["dt=0.4"], lambda resume: 0.03)
-    0.03
     """
     if settings.get("resume") == "latest":
         print("error: resume=latest: a sweep continues where it stopped without it: leave it out", file=sys.stderr)
@@ -189,11 +175,7 @@ def note_sweep(folder: Path, note: SweepNote) -> None:
 
 
 def noted_sweep(folder: Path) -> SweepNote:
-    """What `sweep.json` says; an empty note where it is missing or damaged.
-
-    >>> noted_sweep(Path("nowhere"))
-    SweepNote(swept=(), defaults={}, objective=None)
-    """
+    """What `sweep.json` says; an empty note where it is missing or damaged."""
     found = _read(folder / SWEEP)
     swept, defaults, objective = (found.get(key) for key in SweepNote._fields)
     return SweepNote(
@@ -220,10 +202,6 @@ def jobs(folder: Path, load: Callable[[Path], Any]) -> list[Job]:
 
     Raises:
         ConfigError: there is none.
-
-    >>> jobs(Path("nowhere"), json.loads)
-    Traceback (most recent call last):
-    usvlearn.errors.ConfigError: runs: found no run below 'nowhere', expected a folder that `train` has written
     """
     paths = [path.parents[1] for path in folder.glob("**/.hydra/overrides.yaml")]
     if not paths:

@@ -25,8 +25,6 @@ def check_launcher(arguments: Sequence[str]) -> None:
     Raises:
         ConfigError: it is unknown, or needs Slurm, which is missing here.
         MissingExtraError: its package is not installed.
-
-    >>> check_launcher(["-m", "hydra/launcher=basic"])
     """
     for argument in arguments:
         key, _, name = argument.partition("=")
@@ -55,8 +53,6 @@ def set_threads(count: float) -> None:
 
     Raises:
         ConfigError: the count is not positive.
-
-    >>> set_threads(1)
     """
     import torch
 

@@ -79,13 +79,6 @@ def write_leaderboard(
 
     Raises:
         ConfigError: the folder cannot be written to, or a file there with the name of one of these is another's.
-
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as name:
-    ...     job = Job(Path(name, "0"), {"align.dt": "0.4"}, {"error": "bad"})
-    ...     files = write_leaderboard(Path(name), [job])
-    ...     print(Path(name, "leaderboard.csv").read_text().splitlines()[1])
-    1,0,,m/s,,,0,False,,,,,,,,,,,,bad
     """
     if any(job.folder == folder for job in jobs):
         return []
@@ -110,10 +103,6 @@ def write_leaderboard(
 def check_own_board(folder: Path, option: str) -> None:
     """Check before anything is written that a leaderboard's files may be written into a folder.
 
-    Args:
-        folder: of the sweep; it need not exist.
-        option: by which the user can choose another one.
-
     Raises:
         ConfigError: one of these files is a link, or the folder holds one, but no leaderboard and no sweep.
     """
@@ -130,13 +119,7 @@ def check_own_board(folder: Path, option: str) -> None:
 
 
 def last_lines(folder: Path, files: Sequence[str]) -> list[str]:
-    """The last lines of a sweep: its files, and the command that shows more.
-
-    >>> print(*last_lines(Path("multirun/gain"), ["leaderboard.csv"]), sep="\\n")
-    files        multirun/gain: leaderboard.csv
-    TensorBoard  tensorboard --logdir multirun/gain/leaderboard
-                 then http://localhost:6006/#hparams
-    """
+    """The last lines of a sweep: its files, and the command that shows more."""
     return [f"files        {from_here(folder)}: {', '.join(files)}", *board_lines(folder / FOLDER, "#hparams")]
 
 

@@ -18,14 +18,7 @@ PERIOD = 0.5  # s between two looks
 
 
 class Progress:
-    """Watches the folders of a sweep's jobs in a thread, and says what happens to them.
-
-    Args:
-        folder: of the sweep.
-        settings: of each job, by key; job k has the folder `folder/k`.
-        note: of the sweep.
-        say: prints a line.
-    """
+    """Watches the folders of a sweep's jobs in a thread, and says what happens to them."""
 
     def __init__(self, folder: Path, settings: Sequence[dict[str, str]], note: SweepNote, say: Callable[[str], object]):
         self.folder, self.settings, self.note, self.say = folder, settings, note, say
@@ -113,11 +106,7 @@ class Progress:
 
 
 def duration(seconds: float) -> str:
-    """A time in words.
-
-    >>> duration(42.3), duration(125), duration(7300)
-    ('42 s', '2 min', '2.0 h')
-    """
+    """A time in words."""
     return (
         f"{seconds:.0f} s"
         if seconds < 90

@@ -19,9 +19,6 @@ def seeded(configuration: Mapping[str, Any]) -> dict[str, Any]:
 
     Raises:
         ConfigError: the seed is no whole number from 0 on.
-
-    >>> seeded({"seed": 2, "data": {"seed": 5}, "estimators": {"rnn": {"seed": 0}}, "tuning": {}})
-    {'seed': 0, 'data': {'seed': 7}, 'estimators': {'rnn': {'seed': 2}}, 'tuning': {}}
     """
     seed = configuration.get(SEED, 0)
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
@@ -43,9 +40,6 @@ def with_seeds(arguments: Sequence[str]) -> list[str]:
 
     Raises:
         ConfigError: N is no whole number from 1 to MOST, or `seed` is given, too.
-
-    >>> with_seeds(["sweep=inputs", "seeds=3"]), with_seeds(["data.hours=1"])
-    (['-m', 'sweep=inputs', 'seed=range(3)'], ['data.hours=1'])
     """
     found, several = [], False
     for argument in arguments:

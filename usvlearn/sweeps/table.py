@@ -24,13 +24,7 @@ CONTRACTION = "K: the largest rate of the networks, a step, certified as contrac
 
 
 def result_table(folder: Path, found: Sequence[Standing], keys: Sequence[str]) -> ResultTable:
-    """One row per setting, the best first, with all numbers.
-
-    Args:
-        folder: of the sweep.
-        found: of `usvlearn.sweeps.ranking.standings`.
-        keys: the swept keys, without the seed.
-    """
+    """One row per setting, the best first, with all numbers."""
     names = list(dict.fromkeys(name for each in found for job in each.jobs for name in _maes(job)))
     numbers = ("objective", "deviation", "seeds", "reference", "difference", "low", "high", "tie")
     by_seeds = ("seeds_difference", "seeds_low", "seeds_high", "seeds_tie")

@@ -42,11 +42,6 @@ def write_board(board: Path, ranks: Sequence[Standing], figures: Mapping[str, by
     The columns are the settings that differ, then the results that are known, of the ranking member where it has them,
     else of the output. The page shows five settings at first, so of more than five the rest share the last column.
 
-    Args:
-        board: folder of the page.
-        ranks: the settings in their order, of `usvlearn.sweeps.ranking.standings`.
-        figures: PNG by name, for the IMAGES page.
-
     Raises:
         ConfigError: the folder is a link.
         OSError: it cannot be written to.
@@ -96,13 +91,7 @@ def _row(name: str, each: Standing) -> Row:
 
 
 def _mean_curve(curves: Sequence[Curve]) -> Curve:
-    """The mean of curves where all are known, at the steps of the first.
-
-    >>> _mean_curve([[(0, 1.0), (10, 2.0), (20, 3.0)], [(5, 2.0), (15, 4.0)]])
-    [(10, 2.5)]
-    >>> _mean_curve([[(0, 1.0)], []])
-    []
-    """
+    """The mean of curves where all are known, at the steps of the first."""
     if not curves or not all(curves):
         return []
     first, last = max(curve[0][0] for curve in curves), min(curve[-1][0] for curve in curves)
@@ -176,10 +165,6 @@ def _titles(results: Sequence[Mapping[str, float]], by: Collection[str]) -> dict
     """The tag and the head of the column of each result that some setting has.
 
     The result that is the objective is not shown twice. What is the same for all settings comes last.
-
-    Args:
-        results: of the settings, by title.
-        by: whose error the objective is.
     """
     titles = list(dict.fromkeys(chain(*sorted(results, key=len, reverse=True))))
     columns = {title: [row.get(title) for row in results] for title in titles}

@@ -92,10 +92,6 @@ class Controller(NamedTuple):
 def controller(boat: IdentifiedBoat, wanted: Wanted | None = None) -> Controller:
     """Design it, and sail it on boats drawn from the intervals.
 
-    Args:
-        boat: as `usvlearn.model.read_boats.read_boats` returns it.
-        wanted: options.
-
     Raises:
         ConfigError: the boat is not identified well enough, or an option is not legal.
     """

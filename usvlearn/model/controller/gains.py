@@ -77,11 +77,6 @@ class Margins(NamedTuple):
 def linearised(name: str, found: Identified, commands: np.ndarray) -> Linearised:
     """(1) at some commands, `(points,)`.
 
-    Args:
-        name: of the boat, for errors.
-        found: of it.
-        commands: ξ₀, ascending.
-
     Raises:
         ConfigError: an interval of a holds 0, or one of b.
     """
@@ -225,10 +220,6 @@ class Feedforward:
     @classmethod
     def of(cls, name: str, found: Identified) -> Feedforward:
         """The curve of what was identified.
-
-        Args:
-            name: of the boat, for errors.
-            found: of it.
 
         Raises:
             ConfigError: the log did not excite the boat, or the curve does not rise.

@@ -72,30 +72,18 @@ def _row(name: str, found: Quantity) -> str:
 
 
 def identifier(name: str) -> str:
-    """A name as an identifier of C and Python.
-
-    >>> identifier("blue-boat 2"), identifier("2nd"), identifier("übung")
-    ('blue_boat_2', 'boat_2nd', 'boat__bung')
-    """
+    """A name as an identifier of C and Python."""
     found = re.sub(r"[^A-Za-z0-9_]", "_", name)[:LONGEST]
     return found if re.match(r"[A-Za-z]", found) else f"boat_{found}"
 
 
 def ascii_only(text: str) -> str:
-    """A text that every compiler and editor reads.
-
-    >>> ascii_only("± 5 %")
-    '+/- 5 %'
-    """
+    """A text that every compiler and editor reads."""
     return text.replace("±", "+/-").encode("ascii", "replace").decode()
 
 
 def harmless(line: str) -> str:
-    r"""A line of printable ASCII in which nothing ends a comment, also not through a trigraph or a spliced line.
-
-    >>> harmless("a*/ b*\\ c??/")
-    'a./ b./ c../'
-    """
+    r"""A line of printable ASCII in which nothing ends a comment, also not through a trigraph or a spliced line."""
     return re.sub("[*?]", ".", re.sub("[^ -~]", ".", ascii_only(line)).replace("\\", "/"))
 
 

@@ -39,14 +39,7 @@ NOTE = (
 
 
 def conventions(model: SurgeModel) -> dict[str, dict[str, float]]:
-    """Mass, kg, and drag of motion ahead, kg/s and kg/m, by simulator and its names; thrust at standstill, N.
-
-    >>> from usvlearn.model.surge import WITHOUT_EVEN
-    >>> drag = {"drag_quadratic": -1.5, "drag_linear": -14.0}
-    >>> names = conventions(SurgeModel(28.0, {**dict.fromkeys(WITHOUT_EVEN, 0.0), **drag}))
-    >>> names["mss"]["Xu"], names["gz_sim"]["xUabsU"], names["vrx"]["xUU"]
-    (-14.0, -1.5, 1.5)
-    """
+    """Mass, kg, and drag of motion ahead, kg/s and kg/m, by simulator and its names; thrust at standstill, N."""
     boat, mass = model.ahead, model.mass
     linear, quadratic = mass * float(boat.linear), mass * float(boat.quadratic)
     thrust = {f"thrust_full_{side}": mass * float(boat.thrust(1.0, side)) for side in SIDES}

@@ -34,13 +34,7 @@ BETWEEN_RESULT = (
 def cross_section(
     seasons: Sequence[Season], errors: Mapping[str, FreeErrors], remarks: Mapping[str, str] | None = None
 ) -> Section:
-    """The distribution of the open-loop MAE over (set, other run), per boat and method.
-
-    Args:
-        seasons: of all boats.
-        errors: of the checkpoints of each boat on all of its runs.
-        remarks: on methods; see `usvlearn.evaluation.diagnostics.remarks`.
-    """
+    """The distribution of the open-loop MAE over (set, other run), per boat and method."""
     boxes: dict[str, dict[str, Box | None]] = {}
     subtitles, rows, remarks = {}, [], dict(remarks or {})
     remarks |= {name: SEES for name in errors[seasons[0].boat].methods if name.endswith("+")}
@@ -132,11 +126,6 @@ def _less(boats: Mapping[str, Mapping[str, Box]], name: str, others: Sequence[st
 def best_checkpoints(seasons: Sequence[Season], errors: Mapping[str, FreeErrors], method: str) -> list[int]:
     """Each boat's checkpoint with the least MSE on the boat's other runs, equal weight per step; its last, if it has no
     other.
-
-    Args:
-        seasons: of all boats.
-        errors: of the checkpoints of each boat on all of its runs.
-        method: whose error decides.
     """
     chosen = []
     for season in seasons:
@@ -147,13 +136,7 @@ def best_checkpoints(seasons: Sequence[Season], errors: Mapping[str, FreeErrors]
 
 
 def fleet_matrices(seasons: Sequence[Season], between: Mapping[str, FreeErrors], methods: Sequence[str]):
-    """MSE of the best checkpoint of each boat (rows) on all runs of each boat (columns), m²/s², by method.
-
-    Args:
-        seasons: of all boats.
-        between: of the best checkpoints, in the order of the seasons, on all runs of each boat.
-        methods: those to show.
-    """
+    """MSE of the best checkpoint of each boat (rows) on all runs of each boat (columns), m²/s², by method."""
     columns = [between[season.boat].pooled(between[season.boat].mse) for season in seasons]  # (sets, methods) each
     names = between[seasons[0].boat].methods
     return {name: np.stack([column[:, names.index(name)] for column in columns], -1) for name in methods}

@@ -35,13 +35,7 @@ def online_section(
     remarks: Mapping[str, str] | None = None,
     explained: Sequence[str] = (),
 ) -> Section:
-    """Errors one step ahead, predicted before learning, over all runs that were replayed.
-
-    Args:
-        seasons: of all boats.
-        names: of the published predictions, in their order.
-        remarks, explained: about these names; see `usvlearn.evaluation.diagnostics`.
-    """
+    """Errors one step ahead, predicted before learning, over all runs that were replayed."""
     boxes, subtitles, rows, maes = {}, {}, [], {}
     for season in seasons:
         runs = [run for run in season.runs if run.published]
@@ -111,12 +105,7 @@ def _findings(maes: dict[str, dict[str, float]]) -> list[str]:
 
 
 def residual_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | None:
-    """The autocorrelation of the errors of the combiner that predicts; None if no run was replayed.
-
-    Args:
-        seasons: of all boats.
-        ensemble: that was replayed.
-    """
+    """The autocorrelation of the errors of the combiner that predicts; None if no run was replayed."""
     column, found, here, uneven = ensemble.names.index(ensemble.output), {}, [], False
     for season in seasons:
         runs = [run for run in season.runs if run.published]
@@ -155,12 +144,7 @@ def residual_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section |
 
 @guarded
 def residual_figure(boats: Mapping[str, Autocorrelation], name: str):
-    """A panel per boat: the autocorrelation against the lag, and the 99 % bounds.
-
-    Args:
-        boats: by name.
-        name: of the estimator, for its colour.
-    """
+    """A panel per boat: the autocorrelation against the lag, and the 99 % bounds."""
     colour, across = colours([name])[name], min(ACROSS, len(boats))
     down = -(-len(boats) // across)
     with themed() as Figure:
@@ -180,12 +164,7 @@ def residual_figure(boats: Mapping[str, Autocorrelation], name: str):
 
 
 def forecast_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | None:
-    """Errors of the forecasts that became due in all runs that were replayed; None of an ensemble without forecasts.
-
-    Args:
-        seasons: of all boats.
-        ensemble: that was replayed.
-    """
+    """Errors of the forecasts that became due in all runs that were replayed; None of an ensemble without forecasts."""
     if ensemble.forecasts is None:
         return None
     found: Scores = {}

@@ -19,12 +19,7 @@ MOST = 8  # figures
 
 
 def events_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | None:
-    """The events of all boats, and a figure of the first one of each; None if there were none.
-
-    Args:
-        seasons: of all boats.
-        ensemble: that was replayed.
-    """
+    """The events of all boats, and a figure of the first one of each; None if there were none."""
     here: list[str] = []
     rows: list[tuple] = []
     drawn: list[Drawn] = []

@@ -45,14 +45,7 @@ WORST = "The missions with the largest errors: their worst minute, shaded, and 3
 def fit_section(
     seasons: Sequence[Season], ensemble: Ensemble, fits: Mapping[str, SavedFit | str], truth: Truth
 ) -> Section | None:
-    """Tables of quantities, sets of terms and missions, and three figures a boat; None without a fit.
-
-    Args:
-        seasons: of all boats.
-        ensemble: to which the checkpoints belong.
-        fits: of `usvlearn.report.sections.fit_file.saved_fits`.
-        truth: quantities of simulated boats, else empty.
-    """
+    """Tables of quantities, sets of terms and missions, and three figures a boat; None without a fit."""
     if not fits:
         return None
     here, drawn, held = [], [], []
@@ -229,13 +222,7 @@ def sailed_at(where: Sailed) -> np.ndarray:
 
 @guarded
 def curves_figure(found: Diagnostics, title: str, truth: Mapping[str, float]):
-    """Thrust of each side over its command and drag over the speed, with bands; below, the seconds sailed there.
-
-    Args:
-        found: of one boat.
-        title: of the figure.
-        truth: known quantities of a simulated boat, which are drawn as crosses.
-    """
+    """Thrust of each side over its command and drag over the speed, with bands; below, the seconds sailed there."""
     points = {f"thrust_{side}": (1.0, truth.get(f"thrust_full_{side}")) for side in SIDES}
     points["drag"] = (truth.get("steady_speed_full", 0.0) / 2, truth.get("drag_half_speed"))
     panels = (
@@ -294,12 +281,7 @@ def _limits(curve: Curve, known: np.ndarray) -> tuple[float, float]:
 
 @guarded
 def residuals_figure(found: Diagnostics, title: str):
-    """The autocorrelation of the errors, and their correlation with mean and difference of the commands.
-
-    Args:
-        found: of one boat.
-        title: of the figure.
-    """
+    """The autocorrelation of the errors, and their correlation with mean and difference of the commands."""
     cross = found.cross_correlation
     parts = (
         (found.autocorrelation, "errors with themselves", "lag, s"),
@@ -336,12 +318,7 @@ def _correlations(lags: Lags) -> tuple[float, float]:
 
 @guarded
 def worst_figure(courses: Sequence[Course], title: str):
-    """The worst minutes, shaded, and what is around them: measured and simulated speed, and below the commands.
-
-    Args:
-        courses: of one boat, the worst first.
-        title: of the figure.
-    """
+    """The worst minutes, shaded, and what is around them: measured and simulated speed, and below the commands."""
     across = min(ACROSS, len(courses))
     down = -(-len(courses) // across)
     with themed() as Figure:

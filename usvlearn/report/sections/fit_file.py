@@ -108,12 +108,7 @@ class SavedFit(NamedTuple):
 
 
 def saved_fits(folders: Sequence[Path], boats: Sequence[str]) -> dict[str, SavedFit | str]:
-    """The fit of each boat that has one, of the last run in which it is; a sentence in place of a damaged one.
-
-    Args:
-        folders: of the runs, the oldest first.
-        boats: their names; files of others are ignored.
-    """
+    """The fit of each boat that has one, of the last run in which it is; a sentence in place of a damaged one."""
     found: dict[str, SavedFit | str] = {}
     for boat in boats:
         paths = [folder / FOLDER / f"{boat}{ENDING}" for folder in folders]

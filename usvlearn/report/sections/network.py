@@ -136,11 +136,6 @@ def stability(
         state: leaves `(boats, …)`.
         boats: their names.
         free: MAE of open-loop simulations, m/s, by boat and estimator; None if they are unknown.
-
-    >>> from usvlearn import RNN
-    >>> ensemble = Ensemble({"rnn": RNN(surge_max=2.7)})
-    >>> stability(ensemble, ensemble.init((1,)), ["heron"])[0].split(", K")[0]
-    'rnn of heron: certified contracting by exact'
     """
     found = verdicts(ensemble, state, boats[:SHOWN])
     lines = []
@@ -163,11 +158,6 @@ def free_words(name: str, free: Mapping[str, float | None], output: str) -> str:
         name: of the network.
         free: MAE of open-loop simulations, m/s, by estimator.
         output: the combiner that predicts.
-
-    >>> free_words("rnn", {"rnn": 0.17, "ensemble": 0.16}, "ensemble")
-    'open-loop simulations err by 0.170 m/s (ensemble 0.160)'
-    >>> free_words("rnn", {"rnn": 0.6, "ensemble": 0.1, "persistence": 0.5}, "ensemble")
-    'open-loop simulations are far off: they err by 0.600 m/s (ensemble 0.100, persistence 0.500)'
     """
     if (own := free.get(name)) is None:
         return ""

@@ -50,13 +50,7 @@ Truth = Mapping[str, Mapping[str, np.ndarray]]  # boat -> parameter -> value on 
 
 
 def identified_section(seasons: Sequence[Season], ensemble: Ensemble, truth: Quantities) -> Section | None:
-    """A table of all quantities, and a figure of curves per boat; None if no member is an averaged joint EKF.
-
-    Args:
-        seasons: of all boats.
-        ensemble: to which the checkpoints belong.
-        truth: quantities of simulated boats, else empty.
-    """
+    """A table of all quantities, and a figure of curves per boat; None if no member is an averaged joint EKF."""
     rows, drawn, held, boats = [], [], [], {}
     for season in seasons:
         last = tree_map(lambda leaf: leaf[-1:], season.state)
@@ -121,12 +115,6 @@ def parameters_section(
     """A figure per boat, and a table of the parameters at the end and of the true ones.
 
     None if no member identifies the surge dynamics.
-
-    Args:
-        seasons: of all boats.
-        ensemble: to which the checkpoints belong.
-        truth: of simulated boats, else empty.
-        mission: of each boat with a truth, the mission of each of its runs.
     """
     every = physical_members(ensemble)
     shown = [name for name in (*SHOWN, *every) if name in every]
@@ -221,14 +209,7 @@ def parameters_figure(
     truth: Mapping[str, tuple[np.ndarray, np.ndarray]],
     title: str,
 ):
-    """A panel per parameter: each method's value over the hours, the band of the noise, and the truth.
-
-    Args:
-        courses: by parameter and method.
-        units: of the parameters.
-        truth: hours and values, by parameter; empty for recorded logs.
-        title: of the figure.
-    """
+    """A panel per parameter: each method's value over the hours, the band of the noise, and the truth."""
     palette = colours(list(dict.fromkeys(name for row in courses.values() for name in row)))
     across = min(3, len(courses))
     down = -(-len(courses) // across)
@@ -281,11 +262,7 @@ STEPS, PASSES = 400, 5
 
 
 def cost_section(ensemble: Ensemble) -> Section:
-    """The time of one boat, one sample at a time, as in live use: the median over passes.
-
-    Args:
-        ensemble: whose members and combiners are timed.
-    """
+    """The time of one boat, one sample at a time, as in live use: the median over passes."""
     sample = Sample(Inputs(0.5, 0.4, 1.0, 0.05, 0.4), 0.8, True, True)
     rows: list[tuple[Cell, ...]] = []
     total = 0

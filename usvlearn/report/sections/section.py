@@ -34,14 +34,7 @@ class Section(NamedTuple):
 def summary(
     name: str, boats: Mapping[str, Mapping[str, float]], what: str, remarks: Mapping[str, str] | None = None
 ) -> ResultTable:
-    """A table, best first: the mean over boats of each method's error, and the number of boats on which it is least.
-
-    Args:
-        name: of the table.
-        boats: errors by boat and method.
-        what: the error, with its unit.
-        remarks: on methods; see `usvlearn.evaluation.diagnostics.remarks`.
-    """
+    """A table, best first: the mean over boats of each method's error, and the number of boats on which it is least."""
     means, best = mean_errors(boats), [min(row, key=row.__getitem__) for row in boats.values()]
     rows = [(method, means[method], best.count(method), (remarks or {}).get(method, "")) for method in by_error(means)]
     return ResultTable(name, ("method", f"{what}, mean over boats", "lowest on boats", "remark"), rows)

@@ -59,11 +59,7 @@ LEAST = 4.0  # m, of the smaller side of a panel
 
 
 def tracks_section(tracks: Mapping[str, BoatTracks]) -> Section | None:
-    """A table and a figure of errors by boat and horizon, and a map of each boat; None without tracks.
-
-    Args:
-        tracks: of `usvlearn.report.track_maps.saved_tracks`.
-    """
+    """A table and a figure of errors by boat and horizon, and a map of each boat; None without tracks."""
     if not tracks:
         return None
     rows = [_row(boat, horizon, row) for boat, each in tracks.items() for horizon, row in each.scores.items()]
@@ -132,11 +128,7 @@ def _caption(boat: str, mission: Mission) -> str:
 
 @guarded
 def errors_figure(found: Mapping[str, Scores]):
-    """Mean position error against the horizon, a panel for each boat.
-
-    Args:
-        found: scores by boat.
-    """
+    """Mean position error against the horizon, a panel for each boat."""
     across = min(ACROSS, len(found))
     down = -(-len(found) // across)
     known = any(row[key] for table in found.values() for row in table.values() for key in LINES)
@@ -164,10 +156,6 @@ def chosen(ahead: Sequence[Ahead], count: int = SHOWN) -> list[Ahead]:
     """Tracks that are spread over a mission: of each second part the one that turns most, of the others the middle one.
 
     Those with an ellipse at the longest horizon that any of them has go first.
-
-    Args:
-        ahead: in their order.
-        count: how many.
     """
 
     def known(each: Ahead) -> int:
@@ -184,12 +172,7 @@ def chosen(ahead: Sequence[Ahead], count: int = SHOWN) -> list[Ahead]:
 
 @guarded
 def map_figure(mission: Mission, title: str):
-    """The way of a boat in one mission, and beside it six tracks with their ellipses, each in a panel of its own.
-
-    Args:
-        mission: replayed, with a track at least.
-        title: of the figure.
-    """
+    """The way of a boat in one mission, and beside it six tracks with their ellipses, each in a panel of its own."""
     shown = chosen(mission.ahead)
     with themed() as Figure:
         figure = Figure(figsize=(11, 5.2), layout="constrained")

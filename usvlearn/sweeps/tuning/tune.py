@@ -57,10 +57,6 @@ class Request(NamedTuple):
 def request(configuration: Mapping[str, Any], instantiate: Callable[[Any], Any]) -> Request:
     """The tuning that a configuration asks for, checked.
 
-    Args:
-        configuration: with `estimators`, `tuning`, and one of WAYS set.
-        instantiate: makes the object that a node of the configuration describes.
-
     Raises:
         ConfigError: something is not legal.
     """
@@ -176,14 +172,6 @@ def tune(
 ) -> float:
     """Tune as a configuration asks, and write the results into the folder.
 
-    Args:
-        configuration: as for `request`, with `data`, `align` and `threads`.
-        folder: of the results.
-        instantiate: makes the object that a node of the configuration describes.
-        align: makes a fleet of recordings, with the options of `align`.
-        overrides: of the command line, for the record.
-        console: shows the best settings.
-
     Returns:
         The best MAE, m/s, averaged over boats; infinite if all settings diverge.
     """
@@ -222,12 +210,6 @@ def run(
     request: Request, fleet: Fleet, folder: Path, advance: Callable[[float], None] = lambda evaluations: None
 ) -> Fitted:
     """Run the requested search.
-
-    Args:
-        request: see `request`.
-        fleet: aligned runs.
-        folder: for the files of the method.
-        advance: receives the number of evaluations completed since the last call, as a float.
 
     Returns:
         The evaluations, the default first; their number without it; for `learn` the curve.
