@@ -12,9 +12,8 @@ from usvlearn.evaluation.comparison import RunError, over_seeds
 from usvlearn.evaluation.objective import Measure, differing, scored
 from usvlearn.sweeps import ranking
 from usvlearn.sweeps.jobs import Job
-from usvlearn.sweeps.leaderboard import write_leaderboard
+from usvlearn.sweeps.leaderboard import printed, write_leaderboard
 from usvlearn.sweeps.ranking import same, standings
-from usvlearn.sweeps.table import printed
 
 RNN = Measure("rnn")
 SWEEP = Path("sweep")
@@ -219,8 +218,7 @@ def test_the_files_say_what_the_terminal_says(tmp_path):
     assert [row["tie"] for row in table] == ["False", "", "True", "False"] and table[1]["reference"] == "True"
     assert float(table[0]["low"]) < float(table[0]["difference"]) < float(table[0]["high"]) < 0
     assert (tmp_path / "leaderboard.md").read_text().startswith("| rank | job | estimators.rnn.neurons |")
-    for name in ("leaderboard.png", "settings.png"):
-        assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "settings.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_values_of_a_command_are_the_same_as_numbers_or_as_words():

@@ -75,15 +75,16 @@ def search(
     """
     try:
         import optuna
+        from optuna.storages import JournalStorage, journal
     except ImportError as error:
         raise MissingExtraError("optuna", "tune", "search") from error
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     batch = max(1, min(batch, objective.batch - 1))
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    journal = optuna.storages.journal
-    backend = journal.JournalFileBackend(str(folder / JOURNAL), _JournalLock(folder / JOURNAL))
-    storage = optuna.storages.JournalStorage(backend)
+    lock: Any = _JournalLock(folder / JOURNAL)
+    backend = journal.JournalFileBackend(str(folder / JOURNAL), lock)
+    storage = JournalStorage(backend)
     study = optuna.create_study(storage=storage, study_name=STUDY, load_if_exists=True)
     identity = json.dumps(dict(facts), sort_keys=True)
     if study.user_attrs.get("facts", identity) != identity:
