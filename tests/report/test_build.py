@@ -19,14 +19,12 @@ from tests.support.seasons import boats
 from usvlearn import AID, Ensemble
 from usvlearn.cli.evaluate import main
 from usvlearn.core.checkpoint import checkpoints, load
-from usvlearn.display.terminal import ResultTable
 from usvlearn.errors import CheckpointError, ConfigError, MissingExtraError
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.report.build import Tools, assemble, known_quantities, read
 from usvlearn.report.page import check_report_folder, write_report
 from usvlearn.report.sections.parameters import identified_section, parameters_section
 from usvlearn.runs.saved import configuration, is_sweep, read_seasons, results, run_folders
-from usvlearn.simulate.truth import truth_of
 
 pytestmark = pytest.mark.thorough  # the set-up of its tests takes long
 
@@ -122,14 +120,14 @@ def test_cross_validation_counts_every_other_run(saved):
 
 
 def tools() -> Tools:
-    return Tools(instantiate, align_fleet, truth_of, Console(quiet=True))
+    return Tools(instantiate, align_fleet, Console(quiet=True))
 
 
 def test_sets_know_their_run_and_their_hours(saved):
-    ensemble, seasons, truth = read([saved], tools())
+    ensemble, seasons = read([saved], tools())
     lengths = json.loads((saved / "runs.json").read_text())["boats"]["heron2"]
     season = seasons[1]
-    assert season.boat == "heron2" and set(truth) == {"heron1", "heron2"} and not is_sweep(saved)
+    assert season.boat == "heron2" and not is_sweep(saved)
     for path, own, hours in zip(season.paths, season.own, season.hours, strict=True):
         run_, step = map(int, path.stem.split("_"))
         assert own == run_ and path.parent.name == "heron2"
@@ -201,7 +199,7 @@ def test_one_damaged_set_is_passed_over(copy):
     content[-1] ^= 1
     path.write_bytes(bytes(content))
     with pytest.warns(UserWarning, match="damaged"):
-        _, seasons, _ = read([copy], tools())
+        _, seasons = read([copy], tools())
     sets = checkpoints(copy / "checkpoints" / "heron1")
     assert list(seasons[0].paths) == sets[1:] and len(seasons[0].own) == len(sets) - 1
 
@@ -210,18 +208,18 @@ def test_damaged_predictions_are_passed_over(copy):
     path = sorted((copy / "predictions").glob("00001_*"))[0]
     path.write_bytes(path.read_bytes()[:-20])
     with pytest.warns(UserWarning, match="has no predictions here"):
-        _, seasons, _ = read([copy], tools())
+        _, seasons = read([copy], tools())
     assert [bool(each.published) for each in seasons[0].runs] == [True, False]
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:  # much in few bytes
         archive.writestr("predictions.npy", bytes(10**7))
     with pytest.warns(UserWarning, match=r"unpacks to 10 MB, expected .*has no predictions here"):
-        _, seasons, _ = read([copy], tools())
+        _, seasons = read([copy], tools())
     assert [bool(each.published) for each in seasons[0].runs] == [True, False]
 
 
 def test_other_logs_of_a_boat_are_all_other_runs(saved):
     data = {**configuration(saved)["data"], "seed": 77, "hours": 0.05}
-    _, seasons, _ = read([saved], tools(), data)
+    _, seasons = read([saved], tools(), data)
     assert [season.boat for season in seasons] == ["heron1", "heron2"]
     assert all(season.others.all() and not season.runs[0].published for season in seasons)
 
@@ -238,8 +236,8 @@ def test_a_report_on_other_logs_checks_them_says_so_and_stands_beside_that_of_th
 
 def test_two_folders_of_one_season_are_pooled(copy, saved):
     (copy / "results.json").unlink()
-    _, seasons, truth = read([saved, copy], tools())
-    assert len(seasons[0].runs) == 2 and set(truth) == {"heron1", "heron2"}  # the same runs count once
+    _, seasons = read([saved, copy], tools())
+    assert len(seasons[0].runs) == 2  # the same runs count once
     assert len(seasons[0].own) == 2 * len(checkpoints(saved / "checkpoints" / "heron1"))
     assert seasons[0].hours.max() == pytest.approx(2 * seasons[0].hours[: len(seasons[0].own) // 2].max())
 
@@ -303,22 +301,11 @@ def test_runs_of_several_ensembles_are_not_pooled(copy, saved, tmp_path):
         is_sweep(copy)
 
 
-def held(result_table: ResultTable) -> float:
-    """The share of the truths within ±, percent."""
-    inside = [
-        abs(value - true) <= wide
-        for *_, value, wide, true in result_table.rows
-        if wide is not None and true is not None
-    ]
-    return 100 * sum(inside) / len(inside)
-
-
 def test_no_band_of_parameters_stands_without_its_caveat(saved):
     """On a recorded boat, which has no truth, and on a simulated one; on the page, in each figure and in the table."""
-    ensemble, seasons, truth = read([saved], tools())
-    mission = {season.boat: np.arange(len(season.runs)) for season in seasons}
-    for known in ({}, truth):
-        section = parameters_section(seasons, ensemble, known, mission)
+    ensemble, seasons = read([saved], tools())
+    for known in ({}, known_quantities(results(saved))):
+        section = parameters_section(seasons, ensemble, known)
         (caveat,) = (sentence for sentence in section.here if "±" in sentence)
         for text in (caveat, *(drawn.caption for drawn in section.figures)):
             assert "noise of the samples" in text and "not the bias of the model" in text
@@ -326,21 +313,18 @@ def test_no_band_of_parameters_stands_without_its_caveat(saved):
         for drawn in section.figures:  # also where it is a file of its own
             labels = {text.get_text() for text in drawn.figure.legends[0].get_texts()}
             assert labels == {"aid", "dynamic_rls", "dynamic_rls, 90 % of noise alone", *(["truth"] if known else [])}
-        (result_table,) = section.sheets
-        assert [head for head in result_table.columns if "±" in head] == ["±, of the noise alone (90 %)"]
-        if known:
-            assert f"here they hold {held(result_table):.0f} % of the truths" in caveat
-        else:
-            assert "no truth is known here" in caveat and all(row[-1] is None for row in result_table.rows)
-    alone = Ensemble({"aid": ensemble.members["aid"]})
-    section = parameters_section(seasons, alone, {}, {})
-    assert not any("±" in text or "band" in text for text in (*section.here, *(d.caption for d in section.figures)))
+        (table,) = section.sheets
+        assert [head for head in table.columns if "±" in head] == ["±, of the noise alone (90 %)"]
+        for boat, parameter, *_, true in table.rows:
+            assert true == known.get(boat, {}).get(parameter) and bool(known) == (true is not None)
+    section = parameters_section(seasons, Ensemble({"aid": ensemble.members["aid"]}), {})
+    assert not any("±" in text or "Band" in text for text in (*section.here, *(d.caption for d in section.figures)))
 
 
 @pytest.mark.slow
 def test_a_report_is_written_twice_without_leftovers(tmp_path):
     ensemble, seasons = boats(np.ones((2, 9)))
-    sections, errors = assemble(ensemble, seasons, {})
+    sections, errors = assemble(ensemble, seasons)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         write_report(tmp_path, ["One"], sections, ["python train.py"], errors)
@@ -351,7 +335,7 @@ def test_a_report_is_written_twice_without_leftovers(tmp_path):
 
 
 def test_identified_boats_are_drawn_with_their_truth_and_their_sentences(saved):
-    ensemble, seasons, _ = read([saved], tools())
+    ensemble, seasons = read([saved], tools())
     known = known_quantities(results(saved))
     section = identified_section(seasons, ensemble, known)
     assert all(len(drawn.figure.axes) == 3 and "Crosses: truth" in drawn.caption for drawn in section.figures)

@@ -40,7 +40,7 @@ def write(folder: Path, found, boat: str = "heron1") -> Path:
 
 @pytest.fixture(scope="session")
 def season(saved):
-    ensemble, seasons, _ = read([saved], tools())
+    ensemble, seasons = read([saved], tools())
     return ensemble, seasons
 
 

@@ -69,7 +69,7 @@ def drawn(kind: str, name: str) -> dict:
         "boxes": lambda: errors.boxes_figure({name: {name: errors.box(v)}}, {name: name}, name),
         "matrix": lambda: cross.matrix_figure({name: series(kind, 9).reshape(3, 3)}, [name] * 3),
         "certificates": lambda: network.rates_figure({name: time}, {name: v}),
-        "parameters": lambda: parameters.parameters_figure({name: {name: season}}, {name: name}, {}, name),
+        "parameters": lambda: parameters.parameters_figure({name: {name: season}}, {}, name),
         "fit curves": lambda: fit_section.curves_figure(fitted, name, {}),
         "fit residuals": lambda: fit_section.residuals_figure(fitted, name),
         "worst": lambda: fit_section.worst_figure([Minute(name, 0.0, time, v, v, v, v)], name),

@@ -85,7 +85,7 @@ def test_numbers_on_the_first_page_are_those_of_the_results(saved):
 
 def test_the_viewers_numbers_are_the_predictions(saved):
     data = page_of(saved / "report").data()
-    ensemble, seasons, _ = read([saved], tools())
+    ensemble, seasons = read([saved], tools())
     runs = [(season.boat, run) for season in seasons for run in season.runs]
     assert [(each["boat"], each["name"]) for each in data["runs"]] == [(boat, run.name) for boat, run in runs]
     own = ["joint", "joint_quick", "arx", "joint_averaged"]  # what the ensemble weighs; the paper's wait to be chosen
@@ -112,7 +112,7 @@ def written(folder: Path, change=lambda seasons: seasons, checks=()) -> tuple[st
     """The page of two simulated boats without predictions, forecasts and an averaged joint EKF, after some change."""
     ensemble, seasons = boats(np.ones((2, 9)))
     seasons = change(seasons)
-    sections, _ = assemble(ensemble, seasons, {})
+    sections, _ = assemble(ensemble, seasons)
     text = write_report(folder, ["One."], sections, front=front_of(ensemble, seasons, checks)).read_text()
     return text, Page(text)
 

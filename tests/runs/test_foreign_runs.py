@@ -35,7 +35,7 @@ def sets(copy: Path) -> list[Path]:
 def test_a_set_of_no_step_of_the_runs_is_passed_over(copy, name):
     shutil.copy(sets(copy)[-1], sets(copy)[-1].with_stem(name))
     with pytest.warns(UserWarning, match="belongs to no step of the runs"):
-        _, seasons, _ = read([copy], tools())
+        _, seasons = read([copy], tools())
     assert len(seasons[0].paths) == len(sets(copy)) - 1
 
 

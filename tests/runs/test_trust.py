@@ -144,7 +144,7 @@ def test_an_estimator_of_the_users_own_is_opened_by_trust_alone(saved, tmp_path,
     with pytest.raises(CheckpointError, match=r"estimators\.persistence\._target_: found 'boats\.own\.Mine'"):
         read([folder], tools())
     for trust in ("boats", "boats.own", ["elsewhere", "boats.own"], OmegaConf.create(["boats"])):
-        ensemble, _, _ = read([folder], tools(trust))
+        ensemble, _ = read([folder], tools(trust))
         assert type(ensemble.members["persistence"]) is module.Mine
     for trust in ("boat", "boats.own.Mine", ["boats.other"]):
         with pytest.raises(CheckpointError, match="add trust=MODULE"):

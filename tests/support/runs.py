@@ -10,7 +10,6 @@ from usvlearn.logs.recordings import align_fleet
 from usvlearn.report.build import Tools
 from usvlearn.runs.replay import replay
 from usvlearn.runs.run_folder import RunFolder
-from usvlearn.simulate.truth import truth_of
 
 SETTINGS = {
     "configuration": {
@@ -67,4 +66,4 @@ def assert_same(found, expected) -> None:
 
 
 def tools(trust=None) -> Tools:
-    return Tools(instantiate, align_fleet, truth_of, Console(quiet=True), trust)
+    return Tools(instantiate, align_fleet, Console(quiet=True), trust)

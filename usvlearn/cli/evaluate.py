@@ -48,10 +48,9 @@ def main(cfg: DictConfig) -> None:
     with Activity(board, "loading"):
         from usvlearn.report.build import Tools, evaluate
         from usvlearn.runs.saved import is_sweep, questions_of_runs, run_folders
-        from usvlearn.simulate.truth import truth_of
 
         set_threads(1)
-    tools = Tools(instantiate, align_fleet, truth_of, board, cfg.trust, partial(CheckedAlignment, console=board))
+    tools = Tools(instantiate, align_fleet, board, cfg.trust, partial(CheckedAlignment, console=board))
     if cfg.study is not None:
         study(cfg, tools)
     elif is_sweep(Path(cfg.runs)):

@@ -31,7 +31,7 @@ from usvlearn.report.sections.events import events_section
 from usvlearn.report.sections.fit import fit_section
 from usvlearn.report.sections.fit_file import SavedFit, saved_fits
 from usvlearn.report.sections.network import network_section
-from usvlearn.report.sections.parameters import Truth, cost_section, identified_section, parameters_section
+from usvlearn.report.sections.parameters import cost_section, identified_section, parameters_section
 from usvlearn.report.sections.section import Section
 from usvlearn.report.sections.tracks import tracks_section
 from usvlearn.report.track_maps import BoatTracks, saved_tracks
@@ -44,7 +44,6 @@ class Tools(NamedTuple):
 
     instantiate: Callable[..., Any]  # makes the object that a configuration node describes
     align: Callable[..., Fleet]  # recordings to a fleet, with the options of `align`
-    truth: Callable[[Sequence[Mapping[str, Any]], float], Truth]  # of sources of data, and a declared mass, kg
     console: Console
     trust: str | Sequence[str] | None = None  # the user's own modules that saved settings may name
     checked: Callable[[Mapping[str, Any]], Any] | None = None  # `align` with a data check, for a configuration
@@ -54,8 +53,8 @@ class Tools(NamedTuple):
         show(text, to=self.console)
 
 
-def read(folders: Sequence[Path], tools: Tools, data: Any = None) -> tuple[Ensemble, list[Season], Truth]:
-    """The ensemble of some runs, the season of each boat, and the true parameters if they are known.
+def read(folders: Sequence[Path], tools: Tools, data: Any = None) -> tuple[Ensemble, list[Season]]:
+    """The ensemble of some runs, and the season of each boat.
 
     Args:
         folders: of the runs, the oldest first.
@@ -65,12 +64,12 @@ def read(folders: Sequence[Path], tools: Tools, data: Any = None) -> tuple[Ensem
     Raises:
         CheckpointError, ConfigError: the saved files cannot be read, or do not fit the data.
     """
-    ensemble, fleets, truth = _built(folders, tools, data)
-    return ensemble, read_seasons(folders, ensemble, fleets), truth
+    ensemble, fleets = _built(folders, tools, data)
+    return ensemble, read_seasons(folders, ensemble, fleets)
 
 
-def _built(folders: Sequence[Path], tools: Tools, data: Any) -> tuple[Ensemble, list[Fleet], Truth]:
-    """The ensemble, the aligned logs and the truth; arguments and errors as of `read`."""
+def _built(folders: Sequence[Path], tools: Tools, data: Any) -> tuple[Ensemble, list[Fleet]]:
+    """The ensemble and the aligned logs; arguments and errors as of `read`."""
     if data is not None and "_target_" not in data:
         raise ConfigError(f"data: found {', '.join(data)} alone, expected a file of configs/data: set data=NAME")
     settings = [configuration(folder, tools.trust) for folder in folders]
@@ -90,8 +89,7 @@ def _built(folders: Sequence[Path], tools: Tools, data: Any) -> tuple[Ensemble, 
     except (TypeError, AttributeError, KeyError, OverflowError, MemoryError) as error:
         what = f"{type(error).__name__}: {error}"
         raise CheckpointError(f"{folders[-1]}: its settings cannot be used ({what:.200}): run it again") from error
-    truth = tools.truth(sources, last["vehicle"]["mass"]) if data is None else {}  # only for the logs of the runs
-    return ensemble, fleets, truth
+    return ensemble, fleets
 
 
 def evaluate(
@@ -124,17 +122,17 @@ def evaluate(
         told = unconfirmed(questions_of_runs(folders, tools.trust) | (asked or {}))
         if data is not None and tools.checked is not None:
             align = tools.checked({**configuration(folders[-1], tools.trust), "data": data})
-            ensemble, fleets, truth = _built(folders, tools._replace(align=align), data)
+            ensemble, fleets = _built(folders, tools._replace(align=align), data)
             checks = [align.json]
         else:
-            ensemble, fleets, truth = _built(folders, tools, data)
+            ensemble, fleets = _built(folders, tools, data)
         seasons = read_seasons(folders, ensemble, fleets)
         with Activity(tools.console) as activity:
             activity.begin("simulating each checkpoint on each run", total=simulations(ensemble, seasons))
             known = known_quantities(found[-1]) if data is None else {}
             fits = saved_fits(folders, [season.boat for season in seasons]) if data is None else {}
             tracks = saved_tracks(folders, found, seasons, fleets) if data is None else {}
-            sections, errors = assemble(ensemble, seasons, truth, activity.advance, known, fits, tracks)
+            sections, errors = assemble(ensemble, seasons, activity.advance, known, fits, tracks)
             front = front_of(ensemble, seasons, checks, activity.advance, fits, tracks)
             activity.begin("drawing the report")
             other = "Judged on other logs than those of the runs from which the boats learned."
@@ -157,7 +155,7 @@ def known_quantities(found: Mapping[str, Any]) -> dict[str, dict[str, float]]:
 
 def start_of(folder: Path, tools: Tools) -> Path:
     """The checkpoint of a finished run that is best for all of its boats (`best_start`)."""
-    ensemble, seasons, _ = read([folder], tools)
+    ensemble, seasons = read([folder], tools)
     return best_start(ensemble, seasons)
 
 
@@ -184,7 +182,6 @@ def facts(seasons: Sequence[Season], folders: Sequence[Path]) -> list[str]:
 def assemble(
     ensemble: Ensemble,
     seasons: Sequence[Season],
-    truth: Truth,
     advance: Callable[[int], object] = lambda steps: None,
     known: Mapping[str, Mapping[str, float]] | None = None,
     fits: Mapping[str, SavedFit | str] | None = None,
@@ -201,12 +198,6 @@ def assemble(
     }
     beside = remarks(ensemble)
     between = _between(ensemble, seasons, errors, advance) if len(seasons) > 1 else None
-    # Runs of a simulated season are named after their mission: 001_convoy is the first.
-    mission = {
-        season.boat: np.array([int(run.name.partition("_")[0]) - 1 for run in season.runs])
-        for season in seasons
-        if season.boat in truth
-    }
     sections: list[Section | None] = [
         fit_section(seasons, ensemble, fits or {}, known or {}),
         identified_section(seasons, ensemble, known or {}),
@@ -217,7 +208,7 @@ def assemble(
         residual_section(seasons, ensemble),
         cross_section(seasons, errors, beside),
         between,
-        parameters_section(seasons, ensemble, truth, mission),
+        parameters_section(seasons, ensemble, known or {}),
         network_section(seasons, ensemble, errors),
         cost_section(ensemble),
     ]

@@ -29,7 +29,6 @@ from usvlearn.evaluation.objective import SKILL, Measure, differing, measure_of,
 from usvlearn.report.tables import board_lines, from_here, short_settings
 from usvlearn.runs.files import check_no_link
 from usvlearn.sweeps.jobs import SWEEP, Job, jobs, noted_sweep
-from usvlearn.sweeps.leaderboard import settings_figure
 from usvlearn.sweeps.ranking import Standing, standings
 from usvlearn.sweeps.seeds import SEED
 from usvlearn.sweeps.tensorboard import write_board

@@ -13,8 +13,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from usvlearn.core.protocol import Estimator
 from usvlearn.core.samples import Inputs, Sample, named_leaves, tree_map
@@ -46,7 +44,10 @@ PAPER_RESULT = (
 )
 BAND = "Band: 90 % of the effect of the noise of the samples, but not the bias of the model."
 SHOWN = ("aid", "dynamic_rls")  # if there are many members, the first two of these are shown
-Truth = Mapping[str, Mapping[str, np.ndarray]]  # boat -> parameter -> value on each mission
+PROPORTION = (
+    "Single parameters trade against each other, and are in proportion to the declared mass: a force at a speed that "
+    "was sailed is better known than each of them."
+)
 
 
 def identified_section(seasons: Sequence[Season], ensemble: Ensemble, truth: Quantities) -> Section | None:
@@ -74,124 +75,49 @@ def identified_section(seasons: Sequence[Season], ensemble: Ensemble, truth: Qua
     return Section("identified", "Identified boats", "", here, drawn, [ResultTable("identified", columns, rows)])
 
 
-def functionals(names: Sequence[str], speed: float, command: float) -> dict[str, tuple[str, np.ndarray]]:
-    """Meaningful sums wᵀθ: each parameter; the drag at a speed; the thrust of each side at a command and that speed.
-
-    On a boat that seldom changes speed, single parameters are hard to distinguish, but their sum at that speed is not.
-    """
-    found = {name: (UNITS[name], np.eye(len(names))[k]) for k, name in enumerate(names)}
-    terms = {f"drag at {speed:.3g} m/s": {"drag_quadratic": speed * speed, "drag_linear": speed}}
-    for side in ("left", "right"):
-        if f"thrust_linear_{side}" in names:
-            terms[f"thrust {side} at {100 * command:.0f} %, {speed:.3g} m/s"] = {
-                f"thrust_linear_{side}": command,
-                f"thrust_quadratic_{side}": command * command,
-                f"thrust_speed_{side}": command * speed,
-            }
-    for label, weights in terms.items():
-        found[label] = ("N", np.array([weights.get(name, 0.0) for name in names]))
-    return found
-
-
-def course(hours: np.ndarray, state: Any, weights: np.ndarray) -> Course:
-    """wᵀθ over the checkpoints and, if the state has a covariance, its standard deviation √(σ² wᵀPw).
+def course(hours: np.ndarray, state: Any, k: int) -> Course:
+    """Parameter k over the checkpoints and, if the state has a covariance, its standard deviation √(σ² P_kk).
 
     Args:
         hours: `(sets,)`.
         state: with `theta` `(sets, p)`, and for least squares `factor` and `noise`.
-        weights: w, `(p,)`.
     """
-    w = torch.as_tensor(weights, dtype=state.theta.dtype)
     deviation = None
     if hasattr(state, "factor"):
-        through: Tensor = (state.factor * w[:, None]).sum(-2)
-        deviation = (state.noise * (through * through).sum(-1)).sqrt().numpy()
-    return Course(hours, (state.theta @ w).numpy(), deviation)
+        deviation = (state.noise * state.factor[..., k, :].square().sum(-1)).sqrt().numpy()
+    return Course(hours, state.theta[..., k].numpy(), deviation)
 
 
-def parameters_section(
-    seasons: Sequence[Season], ensemble: Ensemble, truth: Truth, mission: Mapping[str, np.ndarray]
-) -> Section | None:
+def parameters_section(seasons: Sequence[Season], ensemble: Ensemble, truth: Quantities) -> Section | None:
     """A figure per boat, and a table of the parameters at the end and of the true ones.
 
     None if no member identifies the surge dynamics.
     """
     every = physical_members(ensemble)
-    shown = [name for name in (*SHOWN, *every) if name in every]
-    shown = list(dict.fromkeys(shown))[:2]
+    shown = list(dict.fromkeys(name for name in (*SHOWN, *every) if name in every))[:2]
     if not shown:
         return None
-    drawn, rows, sides = [], [], []
+    drawn, rows = [], []
     for season in seasons:
-        speed, command = _usual(season)
         members = {name: unwrapped(ensemble.members[name], season.state.members[name]) for name in shown}
-        names = members[shown[0]][0].model.names
-        sums = functionals(names, speed, command)
+        known = truth.get(season.boat, {})
         courses = {
-            label: {name: course(season.hours, state, w) for name, (_, state) in members.items()}
-            for label, (_, w) in sums.items()
+            parameter: {name: course(season.hours, state, k) for name, (_, state) in members.items()}
+            for k, parameter in enumerate(members[shown[0]][0].model.names)
         }
-        units = {label: unit for label, (unit, _) in sums.items()}
-        known: dict[str, tuple[np.ndarray, np.ndarray]] = {}
-        if season.boat in truth:
-            theta = np.stack([truth[season.boat][name] for name in names], -1)[mission[season.boat]]  # (runs, p)
-            known = {label: (_ends(season), (theta @ w).repeat(2)) for label, (_, w) in sums.items()}
-        title = f"{season.boat}: identified surge dynamics"
-        drawn.append(Drawn(f"parameters_{season.boat}", parameters_figure(courses, units, known, title), ""))
-        for label, row in courses.items():
-            true = float(known[label][1][-1]) if label in known else None
+        for parameter, row in courses.items():
             for name, (_, value, deviation) in row.items():
                 wide = None if deviation is None else 1.645 * float(deviation[-1])
-                rows.append((season.boat, label, units[label], name, float(value[-1]), wide, true))
-        left, right = (label for label in sums if label.startswith("thrust ") and " at " in label)
-        sides.append([
-            [float(courses[side][name].value[-1]) for side in (left, right)] for name in shown
-        ] + ([[float(known[side][1][-1]) for side in (left, right)]] if known else []))  # fmt: skip
-    banded = any(wide is not None for *_, wide, _ in rows)
-    drawn = [each._replace(caption=BAND if banded else "") for each in drawn]
-    caption = f"What was identified over the season. {BAND if banded else ''}".strip()
-    if truth:
-        caption += (
-            " Dashed: the true value in each mission, scaled by declared over true mass, since surge data identify the "
-            "parameters only in proportion to the mass."
-        )
-    drawn[0] = drawn[0]._replace(caption=caption)
-    columns = ("boat", "quantity", "unit", "method", "at the end", "±, of the noise alone (90 %)", "truth")
-    return Section(
-        "parameters", "Parameters over the season", PAPER_RESULT, _findings(shown, np.array(sides), rows),
-        drawn, [ResultTable("parameters", columns, rows)],
-    )  # fmt: skip
-
-
-def _usual(season: Season) -> tuple[float, float]:
-    """The mean speed, m/s, and the mean command while under way."""
-    surge = np.concatenate([run.samples.surge[run.steps] for run in season.runs])
-    sides = [run.samples.inputs[k][run.steps] for run in season.runs for k in (0, 1)]
-    commands = np.abs(np.concatenate(sides))
-    under_way = commands[commands > 0]
-    return round(float(np.abs(surge).mean()), 2), round(float(under_way.mean()), 2) if len(under_way) else 0.5
-
-
-def _ends(season: Season) -> np.ndarray:
-    """Hours at which each run began and ended, `(2 * runs,)`."""
-    ends = (
-        np.cumsum([0.0, *(len(run.samples.surge) * float(run.samples.inputs.dt.max()) for run in season.runs)]) / 3600
-    )
-    return np.stack([ends[:-1], ends[1:]], -1).ravel()
-
-
-def _findings(shown: Sequence[str], sides: np.ndarray, rows: Sequence[tuple]) -> list[str]:
-    """Sentences; sides is `(boats, methods and truth, 2)`, N."""
-    here = []
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratios = sides[..., 0] / sides[..., 1]  # (boats, methods and truth)
-    for name, each in zip((*shown, "truth"), ratios.T, strict=False):
-        here.append(f"{name}: thrust left over right at the usual command: {', '.join(f'{x:.2f}' for x in each)}.")
-    for name in shown:
-        wrong = [row[4] / row[6] - 1 for row in rows if row[3] == name and " at " in row[1] and row[6]]
-        if wrong:
-            here.append(f"{name}: drag and thrust differ from the truth by {100 * np.median(wrong):+.0f} %, median.")
-    return here
+                values = (name, float(value[-1]), wide, known.get(parameter))
+                rows.append((season.boat, parameter, UNITS[parameter], *values))
+        caption = BAND if any(each.deviation is not None for row in courses.values() for each in row.values()) else ""
+        caption += " Dashed: the truth at the end." * bool(known)
+        figure = parameters_figure(courses, known, f"{season.boat}: identified surge dynamics")
+        drawn.append(Drawn(f"parameters_{season.boat}", figure, caption.strip()))
+    columns = ("boat", "parameter", "unit", "method", "at the end", "±, of the noise alone (90 %)", "truth")
+    table, here = ResultTable("parameters", columns, rows), [PROPORTION]
+    here += [BAND.replace("Band", "Bands and ±")] if any(row[5] is not None for row in rows) else []
+    return Section("parameters", "Parameters over the season", PAPER_RESULT, here, drawn, [table])
 
 
 class Course(NamedTuple):
@@ -205,8 +131,7 @@ class Course(NamedTuple):
 @guarded
 def parameters_figure(
     courses: Mapping[str, Mapping[str, Course]],
-    units: Mapping[str, str],
-    truth: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    truth: Mapping[str, float],
     title: str,
 ):
     """A panel per parameter: each method's value over the hours, the band of the noise, and the truth."""
@@ -228,14 +153,14 @@ def parameters_figure(
                     settled = slice(len(value) // 4, None)  # the first bands are those of the prior
                     shown += [low[settled], high[settled]]
             if parameter in truth:
-                panel.plot(*truth[parameter], color=INK, linewidth=1.4, linestyle="--", label="truth")
-                shown.append(truth[parameter][1])
+                panel.axhline(truth[parameter], color=INK, linewidth=1.4, linestyle="--", label="truth")
+                shown.append(np.array([truth[parameter]]))
             known = np.concatenate(shown)
             known = known[np.isfinite(known)]
             if len(known):
                 room = 0.08 * (known.max() - known.min()) + 1e-6
                 panel.set_ylim(known.min() - room, known.max() + room)
-            panel.set_title(f"{parameter}, {units[parameter]}", loc="left", fontsize=8.5)
+            panel.set_title(f"{parameter}, {UNITS.get(parameter, '')}", loc="left", fontsize=8.5)
             panel.tick_params(labelsize=8)
         for k, panel in enumerate(panels):
             panel.grid(color=LINE)
