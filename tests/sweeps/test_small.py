@@ -10,7 +10,6 @@ from usvlearn.report.tables import event_lines, fit_lines, short_settings
 from usvlearn.sweeps.jobs import noted_sweep
 from usvlearn.sweeps.leaderboard import last_lines, shortened
 from usvlearn.sweeps.progress import duration
-from usvlearn.sweeps.tensorboard import _mean_curve
 
 
 def test_words_of_a_sweep():
@@ -19,11 +18,6 @@ def test_words_of_a_sweep():
     assert short_settings({"estimators.aid.gain": "3", "align.dt": "0.4"}, ["estimators.aid.gain"]) == "aid.gain=3"
     assert last_lines(Path("multirun/gain"), ["leaderboard.csv"])[0] == "files        multirun/gain: leaderboard.csv"
     assert noted_sweep(Path("nowhere")) == ((), {}, None)
-
-
-def test_a_mean_curve_is_where_all_are_known():
-    assert _mean_curve([[(0, 1.0), (10, 2.0), (20, 3.0)], [(5, 2.0), (15, 4.0)]]) == [(10, 2.5)]
-    assert _mean_curve([[(0, 1.0)], []]) == []
 
 
 def test_words_of_a_run():

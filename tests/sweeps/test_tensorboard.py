@@ -1,18 +1,16 @@
-"""The page of a sweep in TensorBoard: its columns, a row per setting, failed jobs, learning curves."""
+"""The page of a sweep in TensorBoard: its columns, a row per setting, failed jobs."""
 
-import numpy as np
 import pytest
 from tensorboard.plugins.hparams.api_pb2 import STATUS_FAILURE, STATUS_SUCCESS
 from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 
-from tests.support.boards import boards, steps, texts, values
+from tests.support.boards import boards, texts
 from tests.support.commands import hparams
 from usvlearn.errors import ConfigError
 from usvlearn.evaluation.objective import Measure, scored
-from usvlearn.runs.tensorboard import MAE, WINDOW
 from usvlearn.sweeps.jobs import Job
 from usvlearn.sweeps.ranking import standings
-from usvlearn.sweeps.tensorboard import MOST_KEYS, MOST_POINTS, REST, write_board
+from usvlearn.sweeps.tensorboard import MOST_KEYS, REST, write_board
 
 
 def job(folder, number, settings, mae=None, by="rnn", **more) -> Job:
@@ -115,40 +113,8 @@ def test_nothing_that_differs_is_hidden(tmp_path):
     assert [name.split()[0] for name in sorted(hparams(tmp_path / "board"))] == [f"{k:02d}" for k in range(1, 12)]
 
 
-def predicted(folder, run, error):
-    """A file of predictions of a boat whose two estimators err by some error and by 9 m/s."""
-    folder.mkdir(parents=True, exist_ok=True)
-    predictions = np.stack([9 + 0 * error, error], -1)[:, None]
-    names = np.array(["aid", "rnn"], str)
-    time, zero = np.arange(1.0, len(error) + 1)[:, None], 0 * error[:, None]
-    np.savez(
-        folder / f"{run:05d}_{len(error):07d}.npz", predictions=predictions, measured_surge=zero, time=time,
-        estimators=names,
-    )  # fmt: skip
-
-
-def test_a_learning_curve_is_the_mean_over_seeds_of_the_rolling_error(sweep, tmp_path):
-    rng = np.random.default_rng(0)
-    errors = [np.abs(rng.standard_normal(3000)) for _ in range(2)]
-    for each, error in zip(sweep, errors, strict=False):
-        predicted(each.folder / "predictions", 0, error[:1000])
-        predicted(each.folder / "predictions", 1, error[1000:])
-    write(tmp_path / "board", sweep)
-    read, tag = boards(tmp_path / "board"), f"1 overview/{MAE}"
-    events = read["1 rnn.neurons=4"]
-    at, found = steps(events, tag), values(events, tag)
-    assert len(at) == MOST_POINTS and at[-1] == 3001 and (np.diff(at) > 0).all()  # runs never share a second
-    for second, value in list(zip(at, found, strict=True))[::9]:
-        end = second - (second > 1000)
-        assert value == pytest.approx(np.mean([error[max(0, end - WINDOW) : end] for error in errors]), rel=1e-3)
-    assert tag not in read["2 rnn.neurons=20"].Tags()["scalars"]
-
-
-def test_damaged_predictions_leave_the_rest(sweep, tmp_path):
-    folder = tmp_path / "0" / "predictions"
-    folder.mkdir(parents=True)
-    (folder / "00000_0000100.npz").write_bytes(b"nonsense" * 9)
-    for _ in range(2):  # an earlier page is replaced
+def test_an_earlier_page_is_replaced_and_no_link_is_followed(sweep, tmp_path):
+    for _ in range(2):
         write(tmp_path / "board", sweep, figures={"leaderboard": b"\x89PNG" + bytes(30)})
     assert len(hparams(tmp_path / "board")) == 2
     assert len(boards(tmp_path / "board")["."].Images("leaderboard")) == 1

@@ -2,7 +2,7 @@
 
 leaderboard.csv   one row per setting, all digits      leaderboard.md    the same with four digits
 settings.png      a row per setting, sorted: its jobs, its mean, its interval (extra plot)
-leaderboard/      one row and one learning curve per setting, for TensorBoard
+leaderboard/      one row per setting, for TensorBoard
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The page of a sweep in TensorBoard: for each setting a row of HPARAMS and a learning curve, means over its seeds."""
+"""The page of a sweep in TensorBoard: for each setting a row of HPARAMS, means over its seeds."""
 
 from __future__ import annotations
 
@@ -8,31 +8,24 @@ from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from usvlearn.display.tensorboard import EVENTS, Setting, TensorBoardWriter, folder_names
 from usvlearn.errors import ConfigError
 from usvlearn.evaluation.metrics import mean
 from usvlearn.report.tables import short_settings
-from usvlearn.runs.compared import MAE, WINDOW, number, results_of
-from usvlearn.runs.prediction_files import DAMAGE, PREDICTIONS, archive_of
+from usvlearn.runs.compared import number, results_of
 from usvlearn.sweeps.jobs import Job
 from usvlearn.sweeps.ranking import Standing
 
 MOST_KEYS = 5  # columns of settings that the page shows at first
-MOST_POINTS = 100  # of a learning curve
-LARGEST = 1 << 28  # bytes of an archive of predictions
 OBJECTIVE, REST, RATE = "objective", "other settings", "contraction rate"  # RATE: of `results_of`
-Curve = list[tuple[int, float]]  # run time, s, and the rolling MAE, m/s
 
 
 class Row(NamedTuple):
-    """A row of HPARAMS, and a run of TIME SERIES."""
+    """A row of HPARAMS."""
 
     name: str
     settings: dict[str, str]
     results: dict[str, float]  # by title
-    curve: Curve
     failed: bool
 
 
@@ -65,8 +58,6 @@ def write_board(board: Path, ranks: Sequence[Standing], figures: Mapping[str, by
             settings = {key: values[k] for key, values in columns.items() if k in values}
             writer.session(settings, row.name, row.results.get("seconds"), row.failed)
             writer.scalars({titles[title][0]: x for title, x in row.results.items() if title in titles}, 0, row.name)
-            for step, mae in row.curve:
-                writer.scalars({f"1 overview/{MAE}": mae}, step, row.name)
         if failed := [job for job in every if not job.finished]:
             told = (f"- {short_settings(job.settings, list(job.settings))}: {job.failure}" for job in failed)
             writer.text("failed jobs", "\n".join(told))
@@ -87,50 +78,7 @@ def _row(name: str, each: Standing) -> Row:
     results = [_results(job) for job in done]
     means = {title: mean(row.get(title) for row in results) for title in dict.fromkeys(chain(*results))}
     known = {title: x for title, x in (means | {RATE: each.rate}).items() if x is not None}  # a rate is the largest
-    return Row(name, settings, known, _mean_curve([learning_curve(job) for job in done]), not done)
-
-
-def _mean_curve(curves: Sequence[Curve]) -> Curve:
-    """The mean of curves where all are known, at the steps of the first."""
-    if not curves or not all(curves):
-        return []
-    first, last = max(curve[0][0] for curve in curves), min(curve[-1][0] for curve in curves)
-    steps = [step for step, _ in curves[0] if first <= step <= last]
-    values = np.mean([np.interp(steps, [at for at, _ in curve], [x for _, x in curve]) for curve in curves], 0)
-    return list(zip(steps, values.tolist(), strict=True))
-
-
-def learning_curve(job: Job) -> Curve:
-    """The rolling MAE of the job's ranking member or else its output, of its first boat, from its predictions.
-
-    There are at most MOST_POINTS; none of a job whose files are lost, damaged or old.
-    """
-    name, before, run = _ranked_by(job).partition(".")[0], 0.0, ""
-    times, errors = list[np.ndarray](), list[np.ndarray]()
-    for path in sorted((job.folder / PREDICTIONS).glob("*.npz")):
-        try:
-            with archive_of(path, LARGEST) as archive:
-                column = archive["estimators"].tolist().index(name)
-                errors.append(np.abs(archive["predictions"][:, 0, column] - archive["measured_surge"][:, 0]))
-                if run and path.name[:5] != run:  # a further one
-                    before = float(np.nanmax(times[-1], initial=before)) + 1
-                times.append(archive["time"][:, 0] + before)
-                run = path.name[:5]
-        except DAMAGE:
-            return []
-    if not errors:
-        return []
-    error, time = np.concatenate(errors), np.concatenate(times)
-    sums, counts = (np.append(0.0, np.cumsum(x)) for x in (np.nan_to_num(error), np.isfinite(error)))
-    shown = np.unique(np.linspace(0, len(error), MOST_POINTS + 1).astype(int)[1:])
-    begins = np.maximum(shown - WINDOW, 0)
-    known = counts[shown] - counts[begins]
-    means = (sums[shown] - sums[begins]) / np.maximum(known, 1)
-    return [
-        (int(time[k - 1]), float(x))
-        for k, x, some in zip(shown, means, known, strict=True)
-        if some and np.isfinite(time[k - 1])
-    ]
+    return Row(name, settings, known, not done)
 
 
 def _clear(board: Path) -> None:

@@ -1,6 +1,5 @@
 """Tuning: batch elements are replays, refinement keeps the best, the gradient is the derivative."""
 
-import csv
 import itertools
 import json
 import math
@@ -149,9 +148,6 @@ def test_every_file(tmp_path):
         assert results(folder)["objective"] == found["best"]["mae"] == np.mean(list(found["best"]["boats"].values()))
         for boat, mae in found["persistence"]["boats"].items():
             assert results(folder)["boats"][boat]["persistence"] == {"mae": mae, "skill": 0}
-        rows = list(csv.DictReader((folder / "leaderboard.csv").read_text().splitlines()))
-        assert [int(row["rank"]) for row in rows] == list(range(1, len(found["evaluated"]) + 1))
-        assert [float(row["mae_m_s"]) for row in rows] == sorted(each["mae"] for each in found["evaluated"])
         assert f"{found['best']['mae']:.5f}" in done.stdout
         best = winners.label(found["best"]["setting"])
         assert list((folder / "tensorboard" / best).glob("events*")) and f"best {best}: " in done.stdout

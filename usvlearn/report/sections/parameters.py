@@ -20,16 +20,10 @@ from usvlearn.display.figures import INK, LINE, colours, guarded, panels_of, the
 from usvlearn.display.terminal import Cell, ResultTable
 from usvlearn.engine.identified import sentences
 from usvlearn.engine.online import Online
-from usvlearn.estimators.aid.layer import AID
-from usvlearn.estimators.arx.layer import ARX
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.joint.curves import curves
-from usvlearn.estimators.joint.layer import JointEKF
 from usvlearn.estimators.joint.quantities import MEANING
-from usvlearn.estimators.least_squares.rls import RLS
-from usvlearn.estimators.least_squares.sift import SIFtRLS
 from usvlearn.estimators.regressors.terms import UNITS
-from usvlearn.estimators.rnn.layer import RNN
 from usvlearn.estimators.wrappers.bank import Bank
 from usvlearn.evaluation.diagnostics import Truth as Quantities
 from usvlearn.evaluation.diagnostics import identified_boats, physical_members, unwrapped
@@ -180,8 +174,8 @@ PAPER_RESULT = (
     "parameters, O(p) and O(p²). No times are given; it ran on a Raspberry Pi 4."
 )
 ORDERS = {  # to predict, to learn
-    AID: ("p", "p"), RNN: ("n (m + 1)", "n (m + 1), rounds of n to project"), RLS: ("p", "p²"), SIFtRLS: ("p", "p²"),
-    JointEKF: ("p", "p²"), ARX: ("p", "p²"),
+    "AID": ("p", "p"), "RNN": ("n (m + 1)", "n (m + 1), rounds of n to project"), "RLS": ("p", "p²"),
+    "SIFtRLS": ("p", "p²"), "JointEKF": ("p", "p²"), "ARX": ("p", "p²"),
 }  # fmt: skip
 STEPS, PASSES = 400, 5
 
@@ -193,7 +187,7 @@ def cost_section(ensemble: Ensemble) -> Section:
     total = 0
     for name, member in ensemble.members.items():
         inner, core = unwrapped(member, member.init(()))
-        orders = next((found for kind, found in ORDERS.items() if isinstance(inner, kind)), ("1", "1"))
+        orders = next((ORDERS[k.__name__] for k in type(inner).__mro__ if k.__name__ in ORDERS), ("1", "1"))
         elements = len(member.labels) if isinstance(member, Bank) else 1
         kind = f"{type(inner).__name__}, {elements} settings" if elements > 1 else type(inner).__name__
         alone = member if isinstance(member, Estimator) else Ensemble({name: member}, watched=False)

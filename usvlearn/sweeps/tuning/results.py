@@ -1,7 +1,6 @@
 """The files that tuning writes into its folder.
 
 tuning.json       everything: method, command, ranges, default and best, every evaluation with its MAE per boat
-leaderboard.csv   the evaluations, the best first
 experiment.yaml   the best setting, ready for configs/experiment
 results.json      the objective, and the default, the tuned setting and persistence, in the form of a replay
 tensorboard       the best settings side by side; for `learn` the curves
@@ -9,8 +8,6 @@ tensorboard       the best settings side by side; for `learn` the curves
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -27,7 +24,7 @@ from usvlearn.report.tables import tuning_table
 from usvlearn.runs.files import TENSORBOARD, TUNING, save_results
 from usvlearn.sweeps.tuning.batches import Evaluation
 
-LEADERBOARD, EXPERIMENT = "leaderboard.csv", "experiment.yaml"
+EXPERIMENT = "experiment.yaml"
 SHOWN, MOST_RECORDS = 10, 20  # settings in the terminal, and on the HPARAMS page
 
 
@@ -70,7 +67,6 @@ def write(folder: str | Path, record: Mapping[str, Any], curve: Sequence[Mapping
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     write_atomically(folder / TUNING, json.dumps(record, indent=2, allow_nan=False).encode())
-    write_atomically(folder / LEADERBOARD, leaderboard(record).encode())
     write_atomically(folder / EXPERIMENT, experiment(record).encode())
     with TensorBoardWriter(folder / TENSORBOARD) as board:
         for k, numbers in enumerate(curve):
@@ -114,18 +110,6 @@ def report(record: Mapping[str, Any]) -> Blocks:
     diverged = f", {record['diverged']} diverged" if record["diverged"] else ""
     title = f"{record['way']}={record['member']}: {record['evaluations']} evaluations{diverged}"
     return tuning_table(title, rows)
-
-
-def leaderboard(record: Mapping[str, Any]) -> str:
-    """The evaluations as CSV, the best first; an error that is not finite is left empty."""
-    text, boats = io.StringIO(), list(record[PERSISTENCE]["boats"])
-    paths = list(record["best"]["setting"] | record["default"]["setting"])
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(["rank", *paths, "mae_m_s", "gain_percent", *(f"mae_{boat}_m_s" for boat in boats)])
-    for k, each in enumerate(ranked(record), 1):
-        values = [each["setting"].get(path) for path in paths]
-        table.writerow([k, *values, each["mae"], each["gain"], *(each["boats"][boat] for boat in boats)])
-    return text.getvalue()
 
 
 def experiment(record: Mapping[str, Any]) -> str:
