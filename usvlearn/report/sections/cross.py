@@ -17,17 +17,15 @@ from usvlearn.report.sections.section import WORSE, Drawn, Section, mean_errors,
 
 PAPER_RESULT = (
     "43 to 82 saved checkpoints per boat. AID had the lowest error on seven of eight boats and the smallest range on "
-    "six; "
-    "RNN and RLS had many outliers; AVE was no better than AID; the RLS-weighted ensemble, whose weights were learned "
-    "offline, step by step as if online, was better than all of them."
+    "six; RNN and RLS had many outliers; AVE was no better than AID; the RLS-weighted ensemble, whose weights were "
+    "learned offline, step by step as if online, was better than all of them."
 )
 
 SEES = "sees the speed"  # of NAME+
 BETWEEN_RESULT = (
-    "The MSE of AVE with the best checkpoint of each boat on the runs of all boats, which had started the season "
-    "from equal "
-    "parameters: the learned models suit the boats on which they were learned (encouraging, in the paper's word), and "
-    "show that some have a thruster bias."
+    "The MSE of AVE with the best checkpoint of each boat on the runs of all boats, which had started the season from "
+    "equal parameters: the learned models suit the boats on which they were learned (encouraging, in the paper's "
+    "word), and show that some have a thruster bias."
 )
 
 
@@ -60,13 +58,12 @@ def cross_section(
                "median over later runs, m/s", "remark")  # fmt: skip
     caption = (
         "Every saved checkpoint is simulated on every run of its boat except the one in which it was saved. A "
-        "simulation uses "
-        "the inputs, and the speed at which each segment starts. Some of these runs were learned before the "
-        "checkpoint was "
-        "saved; the table also has the median over later runs only. The lowest mean over boats comes first. Box: "
-        "quartiles of the MAE; line: 5 to 95 %; diamond: mean; dots: beyond; div.: simulations that left the physical "
-        "limit, which count with the error of the limit. NAME+ (hollow) weighs the free members by the speeds measured "
-        "so far: it sees the speed. Outliers in the table lie more than 1.5 quartile distances above the box."
+        "simulation uses the inputs, and the speed at which each segment starts. Some of these runs were learned "
+        "before the checkpoint was saved; the table also has the median over later runs only. The lowest mean over "
+        "boats comes first. Box: quartiles of the MAE; line: 5 to 95 %; diamond: mean; dots: beyond; div.: simulations "
+        "that left the physical limit, which count with the error of the limit. NAME+ (hollow) weighs the free members "
+        "by the speeds measured so far: it sees the speed. Outliers in the table lie more than 1.5 quartile distances "
+        "above the box."
     )
     simulated = {boat: {name: each for name, each in row.items() if each is not None} for boat, row in boxes.items()}
     known = {boat: row for boat, row in simulated.items() if len(row) == len(boxes[boat])}
@@ -161,18 +158,15 @@ def fleet_section(
         ratio = np.nanmean(away) / np.nanmean(np.diag(matrix))
         here.append(
             f"{name}: {on(own, len(boats))} the boat's own checkpoint is the best; on average another boat's "
-            "checkpoint has "
-            f"{ratio:.2f} × the MSE of the own checkpoint."
+            f"checkpoint has {ratio:.2f} × the MSE of the own checkpoint."
         )
         for boat, row, hours in zip(boats, matrix, best[name], strict=True):
             rows.append((name, boat, hours, *map(float, row)))
     caption = (
-        "Row: the boat of the checkpoint. Column: the boat of the runs, all of them, simulated free. The best of "
-        "each column "
-        "is framed. A boat's best checkpoint has the least MSE of that method on the runs in which it was not saved, "
-        "so the "
-        "diagonal was chosen on these runs and the rest of a column was not. The ensemble has the weights that it had "
-        "when the checkpoint was saved."
+        "Row: the boat of the checkpoint. Column: the boat of the runs, all of them, simulated free. The best of each "
+        "column is framed. A boat's best checkpoint has the least MSE of that method on the runs in which it was not "
+        "saved, so the diagonal was chosen on these runs and the rest of a column was not. The ensemble has the "
+        "weights that it had when the checkpoint was saved."
     )
     columns = ("method", "best checkpoint of", "saved after, h", *(f"MSE on {boat}, m²/s²" for boat in boats))
     drawn = [Drawn("fleet", matrix_figure(matrices, boats), caption)]

@@ -35,9 +35,8 @@ CURVES = (
 RESIDUALS = (
     "Correlations of the errors, simulated − measured, with 99 % bounds (Ljung 1999, section 16.6). Those of the left "
     "panel are for errors that do not depend on each other; the others take into account that errors and commands do. "
-    "By chance, one lag in a hundred is beyond them. "
-    "A peak within some seconds after a command is thrust or its delay that the model lacks, a broad one drag; before "
-    "0 s, a controller answers the speed."
+    "By chance, one lag in a hundred is beyond them. A peak within some seconds after a command is thrust or its delay "
+    "that the model lacks, a broad one drag; before 0 s, a controller answers the speed."
 )
 WORST = "The missions with the largest errors: their worst minute, shaded, and 30 s around it."
 
