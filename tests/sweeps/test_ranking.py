@@ -82,11 +82,6 @@ def test_a_default_that_diverged_is_no_reference():
     assert any("no value" in line for line in lines([SIZES[0], diverged, SIZES[3]], DEFAULT))
 
 
-def test_numbers_are_the_same_however_they_are_written():
-    rates = [job(0, 0.1, rate="1e-3"), job(1, 0.2, rate="0.01")]
-    assert standings(rates, RNN, {"estimators.rnn.rate": "0.001"})[0].reference
-
-
 def test_seeds_are_pooled():
     jobs = [job(k, 0.1 + 0.01 * (k % 3) + 0.1 * (k // 3), neurons=f"{4 + k // 3}", seed=f"{k % 3}") for k in range(6)]
     found = standings(jobs, RNN, {})
@@ -99,6 +94,7 @@ def test_seeds_are_pooled():
     assert "0-2" in text and "3-5" in text and "±" in text and "3 seeds" in text
     only = standings(jobs[:3], RNN, {})
     assert len(only) == 1 and len(only[0].jobs) == 3
+    assert len(standings([job(0, 0.1, neurons="4"), job(1, 0.2, neurons="4")], RNN, {})) == 2  # equal ones
 
 
 @pytest.mark.parametrize("seeds", [2, 5])
@@ -179,10 +175,6 @@ def test_large_differences_are_short_and_skill_is_better_where_it_is_greater(tmp
     )
 
 
-def test_equal_jobs_are_no_seeds_of_each_other():
-    assert len(standings([job(0, 0.1, neurons="4"), job(1, 0.2, neurons="4")], RNN, {})) == 2
-
-
 def test_the_verdict_of_the_networks_is_shown():
     yes, no = ({"contracting": held, "condition": "exact" if held else None, "rate": rate} for held, rate in
                ((True, 0.93125), (False, 1.5)))  # fmt: skip
@@ -222,18 +214,14 @@ def test_the_files_say_what_the_terminal_says(tmp_path):
 
 
 def test_values_of_a_command_are_the_same_as_numbers_or_as_words():
+    rates = [job(0, 0.1, rate="1e-3"), job(1, 0.2, rate="0.01")]
+    assert standings(rates, RNN, {"estimators.rnn.rate": "0.001"})[0].reference
+    found = standings([job(0, 0.10, rule="mean"), job(1, 0.08, rule="last")], RNN, {"estimators.rnn.rule": "mean"})
+    assert [each.reference for each in found] == [each.default for each in found] == [False, True]
     for one, other in (("1e-3", "0.001"), ("mean", "mean"), ("null", "null"), ("20", "20.0")):
         assert same(one, other) and same(other, one)
     for one, other in (("1e-3", "0.002"), ("mean", "last"), ("mean", None), (None, "1"), (None, None), ("mean", "1")):
         assert not same(one, other) and not same(other, one)
-
-
-def test_a_default_in_words_is_the_reference():
-    jobs = [job(0, 0.10, rule="mean"), job(1, 0.08, rule="last"), job(2, 0.09, rule="best")]
-    found = standings(jobs, RNN, {"estimators.rnn.rule": "mean"})
-    assert [each.settings["estimators.rnn.rule"] for each in found] == ["last", "best", "mean"]
-    assert [each.reference for each in found] == [each.default for each in found] == [False, False, True]
-    assert not any(each.default for each in standings(jobs, RNN, {"estimators.rnn.rule": "sum"}))
 
 
 def test_jobs_that_failed_are_counted_and_the_others_time_is_the_mean():
