@@ -17,7 +17,6 @@ from usvlearn import Estimator, Persistence, Positive, UnitInterval, UsvlearnErr
 from usvlearn.errors import ConfigError
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.sweeps.tuning import batches
-from usvlearn.sweeps.tuning import results as winners
 from usvlearn.sweeps.tuning import tune as tuning
 from usvlearn.sweeps.tuning.batches import Evaluation, Hyperparameter, Objective, hyperparameter
 from usvlearn.sweeps.tuning.methods import counts, grid
@@ -76,9 +75,9 @@ def test_a_element_that_diverges_is_infinite_and_shown(fleet):
     found = Objective(lambda values: Explodes(**values), fleet)([{"gain": 1.0}, {"gain": 2.0}])
     assert [math.isfinite(each.mae) for each in found] == [True, False]
     np.testing.assert_allclose(found[0].maes, replayed(fleet, Persistence()), rtol=1e-12)
-    made = winners.record({"member": "x", "command": "", "evaluations": 1}, fleet.boats, found, found[0])
+    made = tuning.record({"member": "x", "command": "", "evaluations": 1}, fleet.boats, found, found[0])
     assert made["diverged"] == 1 and made["evaluated"][1]["mae"] is None
-    assert winners.ranked(made)[-1]["mae"] is None
+    assert tuning.ranked(made)[-1]["mae"] is None
 
 
 @pytest.mark.parametrize("kind, low, high", [(Positive, 1e-3, 1e3), (UnitInterval, 0.01, 0.9999)])
@@ -149,7 +148,7 @@ def test_every_file(tmp_path):
         for boat, mae in found["persistence"]["boats"].items():
             assert results(folder)["boats"][boat]["persistence"] == {"mae": mae, "skill": 0}
         assert f"{found['best']['mae']:.5f}" in done.stdout
-        best = winners.label(found["best"]["setting"])
+        best = tuning.label(found["best"]["setting"])
         assert list((folder / "tensorboard" / best).glob("events*")) and f"best {best}: " in done.stdout
         added = tmp_path / "configs" / "experiment"
         added.mkdir(parents=True, exist_ok=True)
