@@ -13,7 +13,7 @@ from usvlearn.evaluation.metrics import Autocorrelation
 from usvlearn.report.page import _drawing
 from usvlearn.report.sections import cross, network, parameters, tracks
 from usvlearn.report.sections import fit as fit_section
-from usvlearn.report.sections.errors import residual_figure
+from usvlearn.report.sections.errors import box, boxes_figure, residual_figure
 from usvlearn.report.sections.fit_file import Course as Minute
 from usvlearn.report.sections.fit_file import Curve as FitCurve
 from usvlearn.report.sections.fit_file import Lags, Sailed
@@ -66,7 +66,7 @@ def drawn(kind: str, name: str) -> dict:
         "identified": lambda: identified_figure([curves, curves], found, {}, name),
         "event": lambda: event_figure(course, 20.0, [(70.0, name)], None, name),
         "residual": lambda: residual_figure({name: pairs}, name),
-        "boxes": lambda: errors.boxes_figure({name: {name: errors.box(v)}}, {name: name}, name),
+        "boxes": lambda: boxes_figure({name: {name: box(v)}}, {name: name}, name),
         "matrix": lambda: cross.matrix_figure({name: series(kind, 9).reshape(3, 3)}, [name] * 3),
         "certificates": lambda: network.rates_figure({name: time}, {name: v}),
         "parameters": lambda: parameters.parameters_figure({name: {name: season}}, {}, name),
