@@ -266,7 +266,6 @@ def renew_report(folder: Path, console: Console, data: Mapping[str, Any] | None 
     from usvlearn.logs.recordings import align_fleet
     from usvlearn.report.build import Tools, evaluate
     from usvlearn.runs.saved import configuration
-    from usvlearn.simulate.truth import truth_of
     from usvlearn.sweeps.launchers import set_threads
 
     set_threads(1)
@@ -277,7 +276,7 @@ def renew_report(folder: Path, console: Console, data: Mapping[str, Any] | None 
             return instantiate(dict(data) if data is not None and node == own else node, **options)
 
         checked = partial(CheckedAlignment, console=console)
-        return evaluate([folder], folder / REPORT, Tools(made, align_fleet, truth_of, console, None, checked))
+        return evaluate([folder], folder / REPORT, Tools(made, align_fleet, console, None, checked))
     except UsvlearnError as error:
         complain(f"warning: no report was made: {error}")
         return None
