@@ -31,7 +31,7 @@ def simulated(rows: np.ndarray, theta: np.ndarray, terms: str = "curves, even") 
     active, out = prior(terms, TOP).active, np.empty(len(rows))
     kernel.mission(
         rows, theta, active, TOP, 1e-4, 1e-9, 4.0, out, np.zeros(len(active)), np.zeros((0, 0)),
-        np.zeros(3 * len(NAMES) + len(active) + 3), np.zeros((4, 3)), np.zeros((3, len(active))),
+        np.zeros(4 * len(NAMES) + len(active) + 3), np.zeros((4, 3)), np.zeros((3, len(active))),
     )  # fmt: skip
     return out
 

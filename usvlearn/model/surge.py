@@ -28,7 +28,7 @@ from usvlearn.estimators.joint.quantities import SIDES, Ahead, kilograms_of
 from usvlearn.estimators.joint.state import THETA, names
 from usvlearn.estimators.regressors.terms import LAG
 from usvlearn.model.fit import terms
-from usvlearn.model.fit.motion_kernel import moved
+from usvlearn.model.fit.motion_kernel import moved, pushed
 from usvlearn.model.fit.quantities import CurvedAhead
 
 WITHOUT_EVEN, WITH_EVEN = (tuple(name for name in names(even) if name != LAG) for even in (False, True))
@@ -68,8 +68,8 @@ class SurgeModel:
         coefficients: of (1), by the names of `usvlearn.estimators.regressors.terms`: kg/m, kg/s, kg/rad, N, N s/m.
             Drag is negative and thrust ahead is positive. Without the fore-aft asymmetry terms, e is 0.
         tables: of a batch fit; else None.
-        thruster: time constant of the thrust after a command, s; 0 where it is not known. `step` takes ξ as it acts,
-            with (1) of `usvlearn.model.fit.motion_kernel`.
+        thruster: time constant of the thrust after a command, s; 0 where it is not known. `step` takes ξ as it acts:
+            without (1) of `usvlearn.model.fit.motion_kernel`.
 
     Raises:
         ConfigError: the mass is not positive, a coefficient is missing or unknown, or a number is not finite.
@@ -211,7 +211,7 @@ class SurgeModel:
             rows[:, place] = array.reshape(-1)
         out = np.empty(len(rows))
         if self.tables is not None:
-            _fitted_steps(self.theta, self.tables.top, rows, chained, np.empty((3, len(terms.NAMES))), out)
+            _fitted_steps(self.theta, self.tables.top, rows, chained, np.empty((2, len(terms.NAMES))), out)
         else:
             mean = np.concatenate([np.zeros(THETA), self.per_mass])  # x of a joint EKF
             _steps(self.even, mean, rows, chained, np.empty_like(mean), out)
@@ -232,12 +232,12 @@ def _steps(even, mean, rows, chained, g, out):
 
 @jit(entry=True)
 def _fitted_steps(theta, top, rows, chained, work, out):
-    """Likewise with tables. `work`, `(3, parameters)`, is used as memory."""
-    speed, none = 0.0, (0.0, 0.0)
+    """Likewise with tables. `work`, `(2, parameters)`, is used as memory."""
+    speed, none, W, V = 0.0, (0.0, 0.0, 0.0), work[0], work[1]
     for k in range(len(out)):
         if k == 0 or not chained:
             speed = rows[k, SURGE]
         x = rows[k]
-        xi, turn = (x[LEFT], x[RIGHT]), abs(x[YAW_RATE])
-        speed, _ = moved(theta, top, speed, xi, none, none, x[DT], turn, work[0], work[1], work[2])
+        push, _ = pushed(theta, (x[LEFT], x[RIGHT]), (0.0, 0.0), W)
+        speed, _ = moved(theta, top, speed, push, none, none, x[DT], abs(x[YAW_RATE]), W, V, V[:0])
         out[k] = speed

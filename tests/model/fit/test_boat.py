@@ -21,7 +21,7 @@ from usvlearn.model.fit.gauss_newton import Missions
 from usvlearn.model.fit.hand_over import factored, handed_over
 from usvlearn.model.fit.intervals import spread
 from usvlearn.model.fit.logs import DT, lacking
-from usvlearn.model.fit.terms import AT
+from usvlearn.model.fit.terms import AT, PLACE_TIME, TIME_CONSTANT
 
 
 def rows_of_boat(seed: int = 0, steps: int = 1500) -> np.ndarray:
@@ -53,7 +53,18 @@ def test_that_a_boat_hardly_turned_is_said(turns):
     fits = {"nine": made.fit("nine")}
     found = FittedBoat.of(made, fits, choose(made, fits)[1], "nine", MASS, (), 0.3)
     assert any("the boat hardly turns" in each for each in found.lacks) != turns
-    assert found.lag(0.4)[0] == 0.3 and FittedBoat.read(found.facts()).late == 0.3
+    lag = fits["nine"].theta[PLACE_TIME]
+    assert found.lag(0.4)[0] == pytest.approx(0.3 + lag) and FittedBoat.read(found.facts()).late == 0.3
+
+
+def test_a_fit_of_a_version_whose_sets_had_no_lag_is_read(fitted):
+    facts = copy.deepcopy(fitted.found.facts())
+    place = list(facts["theta"]).index(TIME_CONSTANT)
+    del facts["theta"][TIME_CONSTANT]
+    facts["covariance"] = np.delete(np.delete(facts["covariance"], place, 0), place, 1).tolist()
+    found = FittedBoat.read(facts)
+    assert found.theta[place] == 0.0 == found.covariance[place, place]
+    assert FittedBoat.read(found.facts())["time_constant"] == found["time_constant"] == fitted.found["time_constant"]
 
 
 @pytest.mark.parametrize(
@@ -111,7 +122,7 @@ def test_joint_filters_go_on_from_the_fit(fitted):
     cubic = fitted.fits["cubic"]
     own = names(even=False)
     expected = np.array([cubic.theta[AT[name]] for name in own])
-    expected[-1] = min(expected[-1] * DT / 0.4, LAG_MOST)
+    expected[-1] = min((expected[-1] * DT + cubic.theta[PLACE_TIME]) / 0.4, LAG_MOST)
     np.testing.assert_allclose(found["mean"][THETA:], expected, rtol=1e-12)
     np.testing.assert_array_equal(found["mean"][:THETA], leaves["mean"][:THETA])
     P, before = covariance_of(found["factor"]), covariance_of(leaves["factor"])

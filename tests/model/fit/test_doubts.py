@@ -8,7 +8,7 @@ from tests.support.saved_fits import facts
 from usvlearn.estimators.joint.excitation_warnings import Quantity
 from usvlearn.model.fit.diagnostics import doubts
 from usvlearn.model.fit.gauss_newton import LAGS, Missions
-from usvlearn.model.fit.terms import AT, PLACE_LAG, prior
+from usvlearn.model.fit.terms import AT, PLACE_LAG, PLACE_TIME, prior
 
 
 def said(theta=(), cross=None, online=None, lag=0.0, **changed: float) -> tuple[str, ...]:
@@ -23,6 +23,7 @@ def said(theta=(), cross=None, online=None, lag=0.0, **changed: float) -> tuple[
 
 
 def test_nothing_speaks_against_a_good_fit():
+    assert said(lag=0.7, time_constant=2.0, theta=[(PLACE_TIME, 0.6)]) == ()
     assert said() == () == said(online=facts() and {"drag_linear": Quantity(-900.0, -901.0, -899.0, "")})
 
 
@@ -36,7 +37,7 @@ def test_nothing_speaks_against_a_good_fit():
             {"cross": {"mean": {"lags": [0.0, 0.5, 1.0], "values": [0.0, 0.1, -0.3], "bounds": [0.1] * 3}}},
             "follow the mean command, most after 1 s",
         ),
-        ({"lag": 0.7, "time_constant": 2.0}, "The thrust follows the commands by 0.7 s in turns"),
+        ({"lag": 0.7, "time_constant": 2.0}, "The thrust follows the commands by 0.7 s in turns, but by 0.0 s ahead"),
         ({"online": {"time_constant": Quantity(99.0, 98.0, np.inf, "s")}}, "do not meet for time_constant"),
     ],
 )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.support.fitted_boats import MASS, TOP
-from tests.support.turning_boat import sailed
+from tests.support.turning_boat import TRUE, sailed
 from usvlearn.core.prepared_samples import COS, LEFT, RIGHT, ROW, SIN, SURGE
 from usvlearn.core.samples import Inputs, Sample
 from usvlearn.logs.channels.channel import Channel
@@ -14,14 +14,14 @@ from usvlearn.model.fit.fitted import fit_boat
 from usvlearn.model.fit.ground import FEW_COURSES, NO_GROUND, with_ground
 from usvlearn.model.fit.logs import over_ground
 from usvlearn.model.fit.turning import NO_DEAD
-from usvlearn.model.fit.turning_kernel import HEADING
+from usvlearn.model.fit.turning_kernel import HEADING, LAG
 
 OFFSET, CURRENT = np.radians(5.0), np.array([0.2, -0.15])  # rad; m/s north and east
 
 
 @pytest.fixture(scope="module")
 def plain() -> FittedBoat:
-    rows = sailed(steps=900)
+    rows = sailed(steps=1800)
     return fit_boat("a", {"1": rows}, MASS, TOP, "nine").found
 
 
@@ -43,7 +43,7 @@ def test_offset_and_current_are_found_with_intervals_that_hold(plain):
     offset, current = found["compass_offset"], found["current"]
     assert offset.low < 5.0 < offset.high and offset.value == pytest.approx(5.0, abs=0.3) and offset.unit == "deg"
     assert current.low < 0.25 < current.high and current.value == pytest.approx(0.25, abs=0.01)
-    for name in ("compass_offset", "current", "dead_zone"):
+    for name in ("compass_offset", "current", "dead_zone", "thrust_lag"):
         assert found[name] == FittedBoat.read(found.facts())[name]
 
 
@@ -57,9 +57,12 @@ def test_without_ground_or_on_one_course_nothing_is_told(plain):
     assert with_ground(plain, {"1": drifting(0), "2": straight})["current"].value == pytest.approx(0.25, abs=0.01)
 
 
-def test_the_dead_zone_is_that_of_the_commands_or_unknown(plain):
-    zone = fit_boat("a", {f"{k}": sailed(k) for k in range(2)}, MASS, TOP, "nine").quantities["dead_zone"]
+def test_dead_zone_and_lag_are_those_of_the_commands_or_unknown(plain):
+    found = fit_boat("a", {f"{k}": sailed(k) for k in range(2)}, MASS, TOP, "nine").quantities
+    zone = found["dead_zone"]
     assert zone.low < 0.06 < zone.high and zone.high - zone.low < 0.04
+    lag = found["thrust_lag"]
+    assert lag.low < TRUE[LAG] < lag.high and lag.unit == "s"
     rows = sailed(steps=900)
     rows[:, RIGHT] = rows[:, LEFT]
     found = fit_boat("a", {"1": rows}, MASS, TOP, "nine").found

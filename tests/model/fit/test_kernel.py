@@ -20,55 +20,40 @@ def test_polynomials_move_the_boat_as_the_identified_model_does():
     np.testing.assert_allclose(simulated(rows, theta)[1:], expected, rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize("terms", ["curves, even", "curves, thruster", "nine"])
-def test_the_gradient_of_a_step_is_that_of_finite_differences(terms):
-    """From a START the speed of a step depends on the parameters by the motion alone."""
-    known, theta = prior(terms, TOP), boat()
-    theta[np.setdiff1d(np.arange(len(NAMES)), known.active)] = 0.0
-    if terms == "curves, thruster":
-        theta[PLACE_TIME] = 0.3
-    else:
-        theta[PLACE_LAG] = 0.2 * (PLACE_LAG in known.active)
-    rows, memory = mission(30, start=1.1), np.zeros((3, len(NAMES)))
-    for k, (left, right) in ((5, (0.7, 0.3)), (11, (-0.4, 0.9))):
-        left_before, right_before = rows[k - 1, LEFT] + 0.1, rows[k - 1, RIGHT] - 0.1
-
-        def speed(at, k=k, left=left, right=right, before=(left_before, right_before)):
-            some = [
-                kernel.commanded(at, now, old, (old, 0.2), rows[k, DT])
-                for now, old in zip((left, right), before, strict=True)
-            ]
-            return kernel.moved(
-                at, TOP, 1.1, (some[0][0], some[1][0]), (some[0][1], some[1][1]), (some[0][2], some[1][2]),
-                rows[k, DT], abs(rows[k, YAW_RATE]), memory[0], memory[1], memory[2],
-            )[0]  # fmt: skip
-
-        speed(theta)
-        gradient, step = memory[2].copy(), 1e-6
-        for place in known.active:
-            if place == PLACE_TIME:  # the state's own derivative, 0.2 here, moves with it
-                continue
-            up, down = theta.copy(), theta.copy()
-            up[place] += step
-            down[place] -= step
-            assert gradient[place] == pytest.approx((speed(up) - speed(down)) / (2 * step), rel=1e-5, abs=1e-8), NAMES[
-                place
-            ]
-
-
-def test_a_thruster_of_a_time_constant_is_the_exact_mean_of_its_exponential():
-    theta, h = np.zeros(len(NAMES)), 0.4
-    theta[PLACE_TIME] = tau = 0.25
-    xi, late, slow, (a, slope) = kernel.commanded(theta, 0.8, 0.1, (0.1, 0.0), h)
+def test_thrust_that_follows_is_the_exact_mean_of_its_exponential():
+    h, tau, step = 0.4, 0.25, 1e-6
+    mean, _, slow, (a, _, slope) = kernel.followed(0.8, 0.0, (0.1, 0.0, 0.0), tau, h)
     times = np.linspace(0, h, 20001)
     course = 0.8 + (0.1 - 0.8) * np.exp(-times / tau)
-    assert (
-        late == 0 and a == pytest.approx(course[-1]) and xi == pytest.approx(np.trapezoid(course, times) / h, rel=1e-8)
-    )
-    theta[PLACE_TIME] = tau + 1e-6
-    more = kernel.commanded(theta, 0.8, 0.1, (0.1, 0.0), h)
-    assert slow == pytest.approx((more[0] - xi) / 1e-6, rel=1e-4)
-    assert slope == pytest.approx((more[3][0] - a) / 1e-6, rel=1e-4)
+    assert a == pytest.approx(course[-1]) and mean == pytest.approx(np.trapezoid(course, times) / h, rel=1e-8)
+    more = kernel.followed(0.8, 0.0, (0.1, 0.0, 0.0), tau + step, h)
+    assert slow == pytest.approx((more[0] - mean) / step, rel=1e-4)
+    assert slope == pytest.approx((more[3][0] - a) / step, rel=1e-4)
+
+
+@pytest.mark.parametrize("terms", ["curves, even", "nine"])
+def test_the_gradient_is_that_of_finite_differences(terms):
+    """Over some steps from a START with a known speed and current, so that the simulation is an open loop."""
+    known, theta = prior(terms, TOP), boat()
+    theta[np.setdiff1d(np.arange(len(NAMES)), known.active)] = 0.0
+    theta[PLACE_TIME], theta[PLACE_LAG] = 0.3 * (PLACE_TIME in known.active), 0.2 * (PLACE_LAG in known.active)
+    rows, m = mission(45, start=1.1), len(known.active)
+
+    def loss(at, score):
+        memory = np.empty(len(rows)), score, np.zeros((m, m)), np.zeros(4 * len(NAMES) + m + 3)
+        arguments = known.active, TOP, 1e8, 1e-9, 4.0
+        return kernel.mission(rows, at, *arguments, *memory, np.zeros((4, 3)), np.zeros((3, m)))[0]
+
+    rows[1:, SURGE], rows[-1, MODE] = simulated(rows, theta, terms)[1:] + 1.0, LEARN
+    found, step = np.zeros(m), 1e-5
+    loss(theta, found)
+    for k, place in enumerate(known.active):
+        up, down = theta.copy(), theta.copy()
+        up[place] += step
+        down[place] -= step
+        speeds = [simulated(rows, each, terms)[-1] for each in (up, down)]
+        slope = (speeds[0] - speeds[1]) / (2 * step)
+        assert -1e8 * found[k] == pytest.approx(slope, rel=1e-3, abs=1e-6), NAMES[place]
 
 
 @pytest.mark.parametrize("terms", [*SETS])

@@ -23,10 +23,11 @@ QUANTITIES = {
     **{f"turning_radius_{name}": "m" for name in COMMANDS},
     "yaw_time_constant": "s", "yaw_time_constant_rest": "s",
 }  # fmt: skip
-OF_FIT = {"dead_zone": "of full", "compass_offset": "deg", "current": "m/s"}  # of a batch fit alone
+OF_FIT = {"thrust_lag": "s", "dead_zone": "of full", "compass_offset": "deg", "current": "m/s"}  # of a batch fit
 MEANING_OF_FIT = (
-    "dead_zone: the share of a command that has no thrust. compass_offset: what the compass shows too much, clockwise; "
-    "add it to data.channels.heading.zero. current: its mean size over the missions."
+    "thrust_lag: the time constant with which thrust follows a command, as turns show it. dead_zone: the share of a "
+    "command that has no thrust. compass_offset: what the compass shows too much, clockwise; add it to "
+    "data.channels.heading.zero. current: its mean size over the missions."
 )
 MEANING = (
     "yaw_rate_full_difference: on the spot, one side full ahead and the other one full astern. yaw_rate and "

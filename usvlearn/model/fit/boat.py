@@ -30,6 +30,7 @@ LARGEST = 1e9  # m/s, kg: nothing is larger
 UNCLEAR = 0.5  # half-width over value
 TURNS = 4.0  # s: so wide, drag_cross at 0.3 rad/s is unclear by 0.3 of the drag
 FITTED = "fit"  # of a checkpoint's metadata
+LAGS = LAG, TIME_CONSTANT
 
 
 @dataclass(frozen=True, repr=False)
@@ -108,11 +109,8 @@ class FittedBoat(Identified):
 
     def lag(self, dt: float) -> tuple[float, float]:
         """By how much the thrust follows the command, s, and its standard deviation; `dt` is that of the fit."""
-        for name, unit in ((TIME_CONSTANT, 1.0), (LAG, DT)):
-            if name in self.names:
-                k = self.names.index(name)
-                return self.late + float(self.theta[k]) * unit, math.sqrt(max(self.covariance[k, k], 0.0)) * unit
-        return self.late, 0.0
+        units = np.array([{TIME_CONSTANT: 1.0, LAG: DT}.get(name, 0.0) for name in self.names])
+        return self.late + float(units @ self.theta), math.sqrt(max(units @ self.covariance @ units, 0.0))
 
     @property
     def model(self) -> SurgeModel:
@@ -146,10 +144,15 @@ class FittedBoat(Identified):
         """
         try:
             terms, top, mass, common = facts["terms"], *(float(facts[key]) for key in ("top", "mass", "common"))
-            theta = np.array([float(facts["theta"][name]) for name in NAMES if name in SETS[terms]])
-            covariance, late = np.array(facts["covariance"], dtype=float), float(facts.get("late", 0.0))
-            if covariance.shape != (len(theta), len(theta)):
-                raise ValueError(f"its covariance has the shape {covariance.shape}, expected {(len(theta),) * 2}")
+            terms, given = terms.removesuffix(", thruster"), facts["theta"]  # of a version whose other sets had no lag
+            wanted = [name for name in NAMES if name in SETS[terms]]
+            theta = np.array([float(given.get(name, 0.0) if name in LAGS else given[name]) for name in wanted])
+            saved, late = np.array(facts["covariance"], dtype=float), float(facts.get("late", 0.0))
+            places = [k for k, name in enumerate(wanted) if name in given]
+            if saved.shape != (len(places), len(places)):
+                raise ValueError(f"its covariance has the shape {saved.shape}, expected {(len(places),) * 2}")
+            covariance = np.zeros((len(wanted), len(wanted)))
+            covariance[np.ix_(places, places)] = saved
             if not (all(np.isfinite(x).all() for x in (theta, covariance, late)) and 0 <= common < LARGEST):
                 raise ValueError("a number is not finite")
             if not (1 / LARGEST < top < LARGEST and 1 / LARGEST < mass < LARGEST):

@@ -41,7 +41,7 @@ SPEEDS = 61  # points of the curve of drag
 COMMAND_BINS, SPEED_BINS = np.linspace(-1.0, 1.0, 41), 30  # of the seconds beside the curves
 FASTEST = 0.999  # quantile of the speed that ends the curve of drag
 TINY = 1e-6  # of the drag at half speed: a smaller force is rounding
-SLOW = 0.25  # time constants of the surge, beyond which thrusters are slow
+SLOW, LESS = 0.25, 0.5  # time constants of the surge, beyond which thrusters are slow; of their lag, what is too little
 FOLLOW = 1.5  # 99 % bounds, beyond which errors follow a command: with that many lags, some are beyond one by chance
 HALF = 0.5  # of the known steps of the fullest minute: fewer are no minute that is compared
 
@@ -122,10 +122,11 @@ def doubts(
             "The lag of the thrust is at its bound: the speed follows the commands later than the fit allows. Find the "
             "delay by usvlearn inspect, set data.channels.command_left.delay and command_right.delay, and train again."
         )
-    if lag > SLOW * found["time_constant"].value:
+    if lag > SLOW * found["time_constant"].value and fit.theta[PLACE_TIME] < LESS * lag:
         said.append(
-            f"The thrust follows the commands by {lag:.1f} s in turns: steering makes drag, thrust and time constant "
-            "wrong then. Log steps of both commands together, straight ahead, and fit these logs alone."
+            f"The thrust follows the commands by {lag:.1f} s in turns, but by {fit.theta[PLACE_TIME]:.1f} s ahead: "
+            "steering makes drag, thrust and time constant wrong then. Log steps of both commands together, straight "
+            "ahead, and fit these logs alone."
         )
     for name, what in (("mean", "mean command"), ("difference", "difference of the commands")):
         lags, values, bounds = (np.array(cross[name][key], float) for key in ("lags", "values", "bounds"))

@@ -15,6 +15,7 @@ The derivation is in `docs/theory/identification.md#batch-fit-minimum`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -37,7 +38,8 @@ ROUNDS, STEPS = 3, 5  # of the variance, each with as many steps of Gauss-Newton
 PASSES = 20  # of the iteration for the variance
 SHRINK, SHORTEST = 0.35, 6  # of a step that makes (1) larger, so often
 TOGETHER = 4  # pieces of a mission in which thrust and drag stay the same
-TOLERANCE = 1e-2  # of (1): a smaller gain ends a round
+TOLERANCE, NOTHING_MORE = 1e-2, 0.1  # of (1), a parameter: a smaller gain ends a round; of it, one not worth a step
+ALIKE = 1e-3  # of the variance's root: a smaller change needs no other round
 NEGATIVE = tuple(name for name, sign in SURGE.items() if sign < 0)  # drag, and the thrust that is lost with speed
 LAGS, TIMES = (-0.5, 1.5), (0.02, 5.0)  # the limits of μ, and of τ, s
 NO_PLACES, NOTHING, NO_MATRIX = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 0))  # without sensitivities
@@ -86,7 +88,7 @@ class Fit:
         """The logarithm of the probability of the data under the prior, by Laplace's approximation."""
         known = self.known.information
         gained = np.linalg.slogdet(self.information.sum(0) + known)[1] - np.linalg.slogdet(known)[1]
-        return -self.total - 0.5 * float(gained)
+        return -self.total - float(self.count.sum()) * math.log(self.deviation) - 0.5 * float(gained)
 
 
 def rows_of(samples: Sample) -> np.ndarray:
@@ -110,7 +112,7 @@ def compile_fit() -> None:
     with announced(kernel.__file__, "kernel of the fit"):
         kernel.mission(
             none, np.zeros(len(NAMES)), np.zeros(1, np.int64), 1.0, 1.0, 1.0, 1.0, np.zeros(0), one, np.zeros((1, 1)),
-            np.zeros(3 * len(NAMES) + 4), np.zeros((4, 3)), np.zeros((3, 1)),
+            np.zeros(4 * len(NAMES) + 4), np.zeros((4, 3)), np.zeros((3, 1)),
         )  # fmt: skip
 
 
@@ -140,10 +142,14 @@ class Missions:
         m, count = len(known.active), len(self.rows)
         loss, steps = np.zeros(count), np.zeros(count)
         score, information = np.zeros((count, m)), np.zeros((count, m, m))
+        speeds = []
         for k in range(count):
-            loss[k], steps[k], *_ = self._one(k, theta, deviation, known.active, score[k], information[k])
+            loss[k], steps[k], *speed = self._one(k, theta, deviation, known.active, score[k], information[k])
+            speeds.append((speed[0], speed[1]))
         information += np.tril(information, -1).transpose(0, 2, 1)
-        return Fit(terms, self.top, theta, known, loss, steps, score, information, deviation)
+        fit = Fit(terms, self.top, theta, known, loss, steps, score, information, deviation)
+        self._simulated = fit, speeds
+        return fit
 
     def loss(self, theta: np.ndarray, deviation: float, k: int | None = None) -> float:
         """The loss of mission k, by default of all, without sensitivities."""
@@ -163,7 +169,7 @@ class Missions:
     ) -> tuple[float, float, np.ndarray, np.ndarray]:  # fmt: skip
         """Loss, measured steps, speeds and current of mission k; adds to `score` and `information`."""
         rows, m = self.rows[k], len(active)
-        predicted, work = np.empty(len(rows)), np.zeros(3 * len(NAMES) + m + 3)
+        predicted, work = np.empty(len(rows)), np.zeros(4 * len(NAMES) + m + 3)
         loss, steps = kernel.mission(
             rows, theta, active, self.top, deviation**2, CURRENT, ROBUST, predicted, score, information, work,
             np.zeros((4, 3)), np.zeros((3, m)),
@@ -188,12 +194,15 @@ class Missions:
         if start is not None and np.isfinite(start).all():
             other = theta.copy()
             other[known.active] = start[known.active]
-            other[PLACE_TIME] = known.mean[PLACE_TIME]
+            other[PLACE_TIME] = start[PLACE_TIME] or known.mean[PLACE_TIME]
             theta = min(theta, _bounded(other), key=lambda each: self.loss(each, deviation))
         now = self.evaluate(terms, _bounded(theta), deviation)
         for _ in range(rounds):
-            now = self._steps(now)
-            now = self.evaluate(terms, now.theta, max(scale_of(self.errors(now)), NOISE_LEAST))
+            now, before = self._steps(now), now
+            sigma = max(scale_of(self.errors(now)), NOISE_LEAST)
+            if abs(sigma / now.deviation - 1) < ALIKE and before.total - now.total < TOLERANCE * len(known.active):
+                return now
+            now = self.evaluate(now.terms, now.theta, sigma)
         return self._steps(now)
 
     def without(self, k: int) -> Missions:
@@ -211,24 +220,25 @@ class Missions:
 
     def _steps(self, now: Fit) -> Fit:
         """After some Gauss-Newton steps."""
-        known = now.known
+        known, enough = now.known, TOLERANCE * len(now.known.active)
         for _ in range(STEPS):
-            covariance = now.covariance
-            away = (now.theta - known.mean)[known.active]
-            step, share = -covariance @ (now.score.sum(0) + known.information @ away), 1.0
-            for shorter in range(SHORTEST):
+            covariance, away = now.covariance, (now.theta - known.mean)[known.active]
+            slope = now.score.sum(0) + known.information @ away
+            for k in range(SHORTEST):
                 theta = now.theta.copy()
-                theta[known.active] += share * step
+                theta[known.active] -= SHRINK**k * covariance @ slope
                 theta = legal(theta, known, covariance)
-                new = None if shorter else self.evaluate(now.terms, theta, now.deviation)  # most often the last trial
+                step = (theta - now.theta)[known.active]
+                if -(slope + np.linalg.solve(covariance, step) / 2) @ step < NOTHING_MORE * enough:
+                    return now
+                new = None if k else self.evaluate(now.terms, theta, now.deviation)  # most often the last trial
                 total = self.loss(theta, now.deviation) + known.penalty(theta) if new is None else new.total
                 if total <= now.total:
                     break
-                share *= SHRINK
             else:
                 return now
             gain, now = now.total - total, new or self.evaluate(now.terms, theta, now.deviation)
-            if gain < TOLERANCE * len(known.active):
+            if gain < enough:
                 break
         return now
 
@@ -251,16 +261,18 @@ def legal(theta: np.ndarray, known: Prior, covariance: np.ndarray) -> np.ndarray
     """The nearest parameters whose drag does not push, and whose lag and time constant are within their limits."""
     places = {place: k for k, place in enumerate(known.active)}
     quadratic, even = AT["drag_quadratic"], AT["drag_even"]
-    directions = [{AT[name]: 1.0} for name in NEGATIVE]
+    limits = [({AT[name]: 1.0}, 0.0) for name in NEGATIVE]
     if even in places:
-        directions += [{quadratic: 1.0, even: sign} for sign in (1.0, -1.0)]
-        directions += [{AT[f"thrust_speed_{side}"]: 1.0, AT[f"thrust_even_speed_{side}"]: 1.0} for side in SIDES]
+        limits += [({quadratic: 1.0, even: sign}, 0.0) for sign in (1.0, -1.0)]
+        limits += [({AT[f"thrust_speed_{side}"]: 1.0, AT[f"thrust_even_speed_{side}"]: 1.0}, 0.0) for side in SIDES]
+    for place, (low, high) in ((PLACE_LAG, LAGS), (PLACE_TIME, TIMES)):
+        limits += [({place: -1.0}, -low), ({place: 1.0}, high)] if place in places else []
     for _ in range(3):
-        for direction in directions:
+        for direction, most in limits:
             d = np.zeros(len(known.active))
             for place, value in direction.items():
                 d[places[place]] = value
-            if (beyond := d @ theta[known.active]) > 0:
+            if (beyond := d @ theta[known.active] - most) > 0:
                 theta[known.active] -= covariance @ d * (beyond / (d @ covariance @ d))
     return _bounded(theta)
 

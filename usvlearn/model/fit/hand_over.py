@@ -28,7 +28,7 @@ from usvlearn.model.fit.choice import WEAR
 from usvlearn.model.fit.fitted import Fitted
 from usvlearn.model.fit.intervals import spread
 from usvlearn.model.fit.logs import DT
-from usvlearn.model.fit.terms import AT
+from usvlearn.model.fit.terms import AT, PLACE_TIME
 from usvlearn.model.fit.wear import worn
 from usvlearn.runs.files import CHECKPOINTS
 
@@ -100,7 +100,8 @@ def _parameters(fitted: Fitted, even: bool, dt: float, member: Mapping[str, Any]
         fit, _ = worn(fitted.missions, fit, fit.deviation)
     own, places = names(even), {int(place): k for k, place in enumerate(fit.known.active)}
     scale = np.array([DT / dt if name == LAG else 1.0 for name in own])
-    theta = np.array([fit.theta[AT[name]] + (fitted.found.late / DT if name == LAG else 0.0) for name in own]) * scale
+    late = (fitted.found.late + fit.theta[PLACE_TIME]) / DT
+    theta = np.array([fit.theta[AT[name]] + (late if name == LAG else 0.0) for name in own]) * scale
     theta[-1] = np.clip(theta[-1], LAG_LEAST, LAG_MOST)
     covariance = np.diag(np.asarray(member["vectors"]["variance"], float))
     there = [k for k, name in enumerate(own) if AT[name] in places]
@@ -126,12 +127,7 @@ def _without_trial(leaves: Mapping[str, np.ndarray], prefix: str, new: Mapping[s
 
 
 def factored(P: np.ndarray) -> np.ndarray:
-    """The leaf `factor` of a covariance, `(n, n)`.
-
-    >>> P = np.array([[2.0, 0.5], [0.5, 1.0]])
-    >>> np.allclose(covariance_of(factored(P)), P)
-    True
-    """
+    """The leaf `factor` of a covariance, `(n, n)`."""
     rest, n = np.array(P, float), len(P)
     found = np.zeros((n, n))
     for j in range(n - 1, -1, -1):

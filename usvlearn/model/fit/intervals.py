@@ -29,7 +29,7 @@ from usvlearn.model.fit.choice import Score
 from usvlearn.model.fit.gauss_newton import Fit
 from usvlearn.model.fit.quantities import quantities
 
-SCATTER, FEW = 2.0, 18.0
+SCATTER, FEW = 1.0, 9.0
 STEP = 0.1  # deviations: the step of a central difference
 OWN_ERROR = 0.015  # of a value
 OWN = dict.fromkeys(QUANTITIES, OWN_ERROR) | {"time_constant": 0.03, "stopping_distance": 0.03, "drag_cross": 0.3}
@@ -60,11 +60,7 @@ def intervals(fits: Mapping[str, Fit], scores: Mapping[str, Score], chosen: str,
 
 
 def own_error(name: str, values: Mapping[str, Any]) -> float:
-    """The error of a quantity that no log shows, in its unit; 0 where it is unknown.
-
-    >>> own_error("steady_speed_full", {"steady_speed_full": 2.0})
-    0.03
-    """
+    """The error of a quantity that no log shows, in its unit; 0 where it is unknown."""
     if name not in OWN_SHARES:
         return float(np.nan_to_num(OWN[name] * abs(values[name])))
     speed = values["steady_speed_full"]

@@ -1,26 +1,29 @@
 """Missions simulated with the parameters of `terms`, with their sensitivities, compiled.
 
 The state of a mission is x = (w, c_N, c_E): the speed through the water and a constant current. w follows the step of
-`usvlearn.model.surge`, (2), without noise; the commands are
+`usvlearn.model.surge`, (2), without noise. Either the command acts late by a share μ of a step, or its thrust follows
+with the time constant τ: with T of a step, and a its state,
 
-    ξ = u + μ (u_before − u),   or with a thruster of time constant τ, from its state a,                (1)
-    ξ = u + (a − u) (τ/h)(1 − e^(−h/τ)),   a⁺ = u + (a − u) e^(−h/τ)
+    ξ = u + μ (u_before − u),   or   T̄ = T + (a − T)(τ/h)(1 − e^(−h/τ)),   a⁺ = T + (a − T) e^(−h/τ)    (1)
+
+What multiplies γ |w| and e₃ w, Σ γ ξ and Σ e₃ ξ, follows likewise.
 
 v = w + c_N cos ψ + c_E sin ψ is measured. w at the start of a segment and the current are not parameters: a Kalman
 filter without process noise has them, and is told each speed. Once it knows them its gain is 0, and the simulation is
 an open loop. With the innovation e, its variance S and the sensitivity J = ∂v/∂θ (the gain is taken as known), a
 mission has
 
-    loss = ½ Σ (ρ(e²/S) + log S),   g = −Σ ω e J/S,   H = Σ ω J Jᵀ/S                                   (2)
+    loss = ½ Σ (ρ(e²/S) + log S/σ²),   g = −Σ ω e J/S,   H = Σ ω J Jᵀ/S                                (2)
 
-with Huber's ρ, quadratic up to `robust` deviations and linear beyond, and its weight ω (Huber 1964).
+with the variance σ² of a speed, Huber's ρ, quadratic up to `robust` deviations and linear beyond, and its weight ω
+(Huber 1964). Relative to σ², a step that the simulation takes as one at rest hardly changes the loss.
 
 The derivation is in `docs/theory/identification.md#batch-fit-simulation`.
 """
 
 import numpy as np
 
-from usvlearn.core.arrays import fill
+from usvlearn.core.arrays import copy, fill
 from usvlearn.core.jit import jit
 from usvlearn.core.prepared_samples import COS, DT, HOLD, LEARN, LEFT, MODE, RIGHT, SIN, START, SURGE, YAW_RATE
 from usvlearn.estimators.regressors.kernel import phi1
@@ -45,23 +48,13 @@ APART, DRAG_APART = float(THRUST_NODES[0]), float(DRAG_NODES[0])
 
 
 @jit
-def commanded(theta, now, before, state, h):
-    """ξ of (1), its derivatives to μ and τ, and the thruster's state a⁺ with its derivative to τ.
-
-    Args:
-        theta: parameters.
-        now, before: u of the step and of that before it.
-        state: a and its derivative to τ.
-        h: s.
-    """
-    tau, mu = theta[PLACE_TIME], theta[PLACE_LAG]
-    if tau > 0:
-        a, slope = state
-        share = np.exp(-h / tau)
-        mean, by_tau = tau / h * (1 - share), (1 - share) / h - share / tau
-        xi, d_tau = now + (a - now) * mean, slope * mean + (a - now) * by_tau
-        return xi, 0.0, d_tau, (now + (a - now) * share, slope * share + (a - now) * share * h / (tau * tau))
-    return now + mu * (before - now), before - now, 0.0, state
+def followed(now, late, state, tau, h):
+    """T̄ of (1) with its derivatives to μ and τ, and a⁺ with its own; `late` is ∂T/∂μ, `state` is a with both."""
+    share = np.exp(-h / tau)
+    mean, apart, apart_late = tau / h * (1 - share), state[0] - now, state[1] - late
+    by_tau = state[2] * mean + apart * ((1 - share) / h - share / tau)
+    after = now + apart * share, late + apart_late * share, (state[2] + apart * h / (tau * tau)) * share
+    return now + apart * mean, late + apart_late * mean, by_tau, after
 
 
 @jit
@@ -72,74 +65,69 @@ def hat(size, apart, count):
 
 
 @jit
-def sides(theta, w, xi, W, V):
-    """Write what both sides add to W = ∂f/∂θ and V = ∂J/∂θ; returns ∂f/∂ξ and ∂J/∂ξ of each."""
-    speed, sign = abs(w), 1.0 if w >= 0 else -1.0
-    slopes = (0.0, 0.0)
-    bends = (0.0, 0.0)
+def pushed(theta, xi, late, W):
+    """What both commands add: T, and the factors of |w| and w, with their derivatives along `late`; writes ∂T/∂θ."""
+    T, by_speed, by_w, T_late, speed_late, w_late = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for side in range(2):
-        x = xi[side]
-        size, way, k, e = abs(x), 1.0 if x >= 0 else -1.0, DRAG + SIDE * side, EVEN + 1 + SIDE * side
-        W[k], W[k + 1], W[k + 2], V[k + 2] = x, x * size, x * speed, x * sign
-        W[KAPPA + side] = x * x * x
-        W[e], W[e + 1], W[e + 2], V[e + 2] = size, x * x, x * w, x
-        slope = theta[k] + 2 * theta[k + 1] * size + theta[k + 2] * speed + 3 * theta[KAPPA + side] * x * x
-        slope += theta[e] * way + 2 * theta[e + 1] * x + theta[e + 2] * w
+        x, k, e = xi[side], DRAG + SIDE * side, EVEN + 1 + SIDE * side
+        size, way, cubic, kappa = abs(x), 1.0 if x >= 0 else -1.0, x * x * x, KAPPA + side
         above, part = hat(size, APART, THRUSTS)
         node = PLACE_THRUST + THRUSTS * (2 * side + (0 if x >= 0 else 1)) + above
-        W[node] = part * way
-        slope += theta[node] / APART
+        below = theta[node - 1] if above > 0 else 0.0
+        W[k], W[k + 1], W[kappa], W[e], W[e + 1], W[node] = x, x * size, cubic, size, x * x, part * way
         if above > 0:
             W[node - 1] = (1 - part) * way
-            slope -= theta[node - 1] / APART
-        bend = theta[k + 2] * sign + theta[e + 2]
-        slopes = (slope, slopes[1]) if side == 0 else (slopes[0], slope)
-        bends = (bend, bends[1]) if side == 0 else (bends[0], bend)
-    return slopes, bends
+        T += theta[k] * x + theta[k + 1] * x * size + theta[kappa] * cubic + theta[e] * size + theta[e + 1] * x * x
+        T += way * (part * theta[node] + (1 - part) * below)
+        slope = theta[k] + 2 * theta[k + 1] * size + 3 * theta[kappa] * x * x + theta[e] * way + 2 * theta[e + 1] * x
+        T_late += (slope + (theta[node] - below) / APART) * late[side]
+        by_speed, speed_late = by_speed + theta[k + 2] * x, speed_late + theta[k + 2] * late[side]
+        by_w, w_late = by_w + theta[e + 2] * x, w_late + theta[e + 2] * late[side]
+    return (T, by_speed, by_w), (T_late, speed_late, w_late)
 
 
 @jit
-def moved(theta, top, w, xi, late, slow, h, turn, W, V, gradient):
-    """w⁺, and ∂w⁺/∂w; writes ∂w⁺/∂θ into `gradient`.
+def moved(theta, top, w, push, late, slow, h, turn, W, V, gradient):
+    """w⁺, and ∂w⁺/∂w; writes ∂w⁺/∂θ into `gradient` where that has a place.
 
     Args:
         theta: parameters of `terms.NAMES`, per unit mass.
         top: top speed, m/s.
         w: speed through the water, m/s.
-        xi: of both sides.
-        late, slow: derivatives of both ξ to μ and τ.
+        push: as it acts, of `pushed`.
+        late, slow: its derivatives to μ and τ.
         h: s.
         turn: |r|, rad/s.
-        W, V: memory, `(parameters,)`.
+        W: ∂T/∂θ as it acts, 0 elsewhere; is written.
+        V: memory, `(parameters,)`.
     """
     speed, sign = abs(w), 1.0 if w >= 0 else -1.0
-    fill(W, 0.0)
-    fill(V, 0.0)
-    W[0], W[1], W[2], W[EVEN] = speed * w, w, turn * w, w * w
-    V[0], V[1], V[2], V[EVEN] = 2 * speed, 1.0, turn, 2 * w
-    slopes, bends = sides(theta, w, xi, W, V)
     above, part = hat(speed / top, DRAG_APART, DRAGS)
     node, steep = PLACE_DRAG + above, 1 / (DRAG_APART * top)
-    W[node], V[node] = part * sign, steep
-    if above > 0:
-        W[node - 1], V[node - 1] = (1 - part) * sign, -steep
-    f = 0.0
-    J = 0.0
-    for i in range(PLACE_LAG):
-        f += W[i] * theta[i]
-        J += V[i] * theta[i]
+    below = theta[node - 1] if above > 0 else 0.0
+    f = push[0] + push[1] * speed + (push[2] + theta[0] * speed + theta[1] + theta[2] * turn + theta[EVEN] * w) * w
+    f += sign * (part * theta[node] + (1 - part) * below)
+    J = push[1] * sign + push[2] + 2 * theta[0] * speed + theta[1] + theta[2] * turn + 2 * theta[EVEN] * w
+    J += steep * (theta[node] - below)
     z = h * J
     inside = STEEPEST < z < 1
     value, slope = phi1(min(max(z, STEEPEST), 1.0))
     by_f, by_J = h * value, h * h * slope * f if inside else 0.0
-    for i in range(PLACE_LAG):
-        gradient[i] = by_f * W[i] + by_J * V[i]
-    gradient[PLACE_LAG] = by_f * (slopes[0] * late[0] + slopes[1] * late[1]) + by_J * (
-        bends[0] * late[0] + bends[1] * late[1]
-    )
-    gradient[PLACE_TIME] = by_f * (slopes[0] * slow[0] + slopes[1] * slow[1]) + by_J * (
-        bends[0] * slow[0] + bends[1] * slow[1]
-    )
+    if len(gradient) > 0:
+        fill(V, 0.0)
+        W[0], W[1], W[2], W[EVEN] = speed * w, w, turn * w, w * w
+        V[0], V[1], V[2], V[EVEN] = 2 * speed, 1.0, turn, 2 * w
+        for side in range(2):
+            k, e = DRAG + SIDE * side, EVEN + 1 + SIDE * side
+            W[k + 2], V[k + 2], W[e + 2], V[e + 2] = W[k] * speed, W[k] * sign, W[k] * w, W[k]
+        fill(W[PLACE_DRAG:], 0.0)
+        W[node], V[node] = part * sign, steep
+        if above > 0:
+            W[node - 1], V[node - 1] = (1 - part) * sign, -steep
+        for i in range(PLACE_LAG):
+            gradient[i] = by_f * W[i] + by_J * V[i]
+        for place, by in ((PLACE_LAG, late), (PLACE_TIME, slow)):
+            gradient[place] = by_f * (by[0] + by[1] * speed + by[2] * w) + by_J * (by[1] * sign + by[2])
     return w + by_f * f, 1 + by_f * J + by_J * 2 * (theta[0] * sign + theta[EVEN])
 
 
@@ -176,20 +164,21 @@ def mission(rows, theta, active, top, noise, current, robust, predictions, score
         predictions: `(time,)`, is written: NaN where no step is made.
         score: g of (2), `(m,)`, is added to.
         information: H of (2), `(m, m)`, its lower half is added to; of shape (0, 0) where it is not wanted.
-        work: memory, `(3 PARAMETERS + m + 3,)`; its last three are x at the end.
+        work: memory, `(4 PARAMETERS + m + 3,)`; its last three are x at the end.
         P, S: memory, `(4, 3)` and `(3, m)`.
     """
     m, wanted = len(active), len(information) > 0
-    W, V, gradient = work[:PARAMETERS], work[PARAMETERS : 2 * PARAMETERS], work[2 * PARAMETERS : 3 * PARAMETERS]
-    J, x = work[3 * PARAMETERS : 3 * PARAMETERS + m], work[3 * PARAMETERS + m :]
+    W, V, A = work[:PARAMETERS], work[PARAMETERS : 2 * PARAMETERS], work[2 * PARAMETERS : 3 * PARAMETERS]
+    gradient, J, x = work[3 * PARAMETERS : (4 if m > 0 else 3) * PARAMETERS], work[4 * PARAMETERS : -3], work[-3:]
     fill(x, 0.0)
     for i in range(3):
         fill(P[i], 0.0)
         fill(S[i], 0.0)
         P[i, i] = SPEED_VARIANCE if i == 0 else current * current
     loss, count, opened, begins = 0.0, 0.0, 0.0, False
-    left, right = (0.0, 0.0), (0.0, 0.0)  # the state of each thruster, and its derivative to τ
-    left_before, right_before = 0.0, 0.0
+    left_before, right_before, mu, tau, none = 0.0, 0.0, theta[PLACE_LAG], theta[PLACE_TIME], (0.0, 0.0, 0.0)
+    thrust, by_speed, by_w = none, none, none  # a of (1), and its derivatives to μ and τ
+    fill(A, 0.0)
     for k in range(len(rows)):
         row = rows[k]
         mode, h, c, s = row[MODE], row[DT], row[COS], row[SIN]
@@ -214,17 +203,33 @@ def mission(rows, theta, active, top, noise, current, robust, predictions, score
             total = P[0, 0] + c * c * P[1, 1] + s * s * P[2, 2] + 2 * c * s * P[1, 2] + noise
             gained(x, P, S, c, s, 0.0, total)
             left_before = np.nan
-        if not left_before == left_before:  # a new segment: the commands were those of its first step
+        opens = not left_before == left_before  # a new segment: the commands were those of its first step
+        if opens:
             left_before, right_before = row[LEFT], row[RIGHT]
-            left, right = (row[LEFT], 0.0), (row[RIGHT], 0.0)
         rests = row[LEFT] * row[LEFT] + row[RIGHT] * row[RIGHT] + x[0] * x[0] <= REST
-        xi_left, late_left, slow_left, left = commanded(theta, row[LEFT], left_before, left, h)
-        xi_right, late_right, slow_right, right = commanded(theta, row[RIGHT], right_before, right, h)
+        away = left_before - row[LEFT], right_before - row[RIGHT]
         left_before, right_before = row[LEFT], row[RIGHT]
-        speed, through = moved(
-            theta, top, x[0], (xi_left, xi_right), (late_left, late_right), (slow_left, slow_right), h,
-            abs(row[YAW_RATE]), W, V, gradient,
-        )  # fmt: skip
+        if m > 0:
+            fill(W, 0.0)
+        push, late = pushed(theta, (row[LEFT] + mu * away[0], row[RIGHT] + mu * away[1]), away, W)
+        slow = none
+        if tau > 0:
+            if opens:
+                thrust = push[0], late[0], 0.0
+                by_speed, by_w = (push[1], late[1], 0.0), (push[2], late[2], 0.0)
+                copy(A, W)
+            first, first_late, first_slow, thrust = followed(push[0], late[0], thrust, tau, h)
+            second, second_late, second_slow, by_speed = followed(push[1], late[1], by_speed, tau, h)
+            third, third_late, third_slow, by_w = followed(push[2], late[2], by_w, tau, h)
+            push, late = (first, second, third), (first_late, second_late, third_late)
+            slow = first_slow, second_slow, third_slow
+            if m > 0:
+                share = np.exp(-h / tau)
+                mean = tau / h * (1 - share)
+                for i in range(PLACE_DRAG):
+                    apart = A[i] - W[i]
+                    W[i], A[i] = W[i] + apart * mean, W[i] + apart * share
+        speed, through = moved(theta, top, x[0], push, late, slow, h, abs(row[YAW_RATE]), W, V, gradient)
         x[0] = min(max(speed, -FASTEST), FASTEST)
         for j in range(m):
             S[0, j] = through * S[0, j] + (0.0 if rests else gradient[active[j]])
@@ -241,7 +246,7 @@ def mission(rows, theta, active, top, noise, current, robust, predictions, score
         size = np.sqrt(error * error / total)
         weight = 1.0 if size <= robust else robust / size
         if not rests:
-            loss += 0.5 * (np.log(total) + (size * size if size <= robust else (2 * size - robust) * robust))
+            loss += 0.5 * (np.log(total / noise) + (size * size if size <= robust else (2 * size - robust) * robust))
             count += 1
             if wanted:
                 share = weight / total

@@ -82,9 +82,6 @@ def open_loop(fit: Fit, rows: np.ndarray, current: np.ndarray) -> np.ndarray:
 def usual_current(found: np.ndarray) -> np.ndarray:
     """The current to expect, m/s, `(2,)`, from those of some missions, `(missions, 2)`: their mean, smaller the
     less they agree (James & Stein 1961).
-
-    >>> usual_current(np.array([[0.2, 0.0], [0.2, 0.0]])), usual_current(np.array([[0.2, 0.0], [-0.2, 0.0]]))
-    (array([0.2, 0. ]), array([0., 0.]))
     """
     mean: np.ndarray = found.mean(0)
     if len(found) < 2 or not mean.any():

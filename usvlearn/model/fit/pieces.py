@@ -31,10 +31,6 @@ def cut(missions: Mapping[str, np.ndarray], top: float, dt: float) -> Missions:
     Args:
         missions: prepared samples by name, `(time, ROW)` each, on a grid of `dt`, s.
         top: top speed, m/s.
-
-    >>> rows = np.tile([0.0] * 5 + [0.1, 1.5, LEARN], (9000, 1))
-    >>> cut({"a": rows, "b": rows[:2000]}, 2.0, 0.1).names
-    ['a', 'a', 'a', 'a', 'a', 'a', 'b']
     """
     total = sum(map(len, missions.values()))
     length = max(min(SECONDS / dt, max(LEAST / dt, total / 3)), total / MOST)

@@ -11,7 +11,9 @@ and Λ_j(−ξ) = −Λ_j(ξ) for those astern. Δ_j is the same for the drag, o
 speed. The a of one curve, and the d, have a Gaussian prior whose correlation falls with the distance of their nodes, so
 that a curve without data between two nodes is straight.
 
-A set of terms says which parameters are fitted; the others are 0.
+A set of terms says which parameters are fitted; the others are 0. The time constant of the thrust is in all of them:
+with steering, a set without it takes drag, thrust and the boat's time constant for wrong. Its prior is a thrust that
+follows at once.
 """
 
 from __future__ import annotations
@@ -44,7 +46,7 @@ PLACE_THRUST, PLACE_DRAG, PLACE_LAG, PLACE_TIME = (
 
 EVEN = tuple(name for name in POLYNOMIAL if "even" in name)
 CUBIC = tuple(name for name in POLYNOMIAL if "cubic" in name)
-NINE = tuple(name for name in POLYNOMIAL if name not in (*EVEN, *CUBIC))
+NINE = (*(name for name in POLYNOMIAL if name not in (*EVEN, *CUBIC)), TIME_CONSTANT)
 THRUST_CURVES = tuple(name for name in NAMES if name.startswith("thrust_node"))
 DRAG_CURVES = tuple(name for name in NAMES if name.startswith("drag_node"))
 SETS: Mapping[str, tuple[str, ...]] = {
@@ -54,7 +56,6 @@ SETS: Mapping[str, tuple[str, ...]] = {
     "thrust curves": (*NINE, *CUBIC, LAG, *THRUST_CURVES),
     "curves": (*NINE, *CUBIC, LAG, *THRUST_CURVES, *DRAG_CURVES),
     "curves, even": (*NINE, *CUBIC, LAG, *THRUST_CURVES, *DRAG_CURVES, *EVEN),
-    "curves, thruster": (*NINE, *CUBIC, TIME_CONSTANT, *THRUST_CURVES, *DRAG_CURVES),
 }  # the terms of each by name
 
 
@@ -70,7 +71,7 @@ THRUST_SHARE, THRUST_LENGTH = 0.15, 0.35  # deviation of a node over full thrust
 DRAG_SHARE, DRAG_LENGTH = 0.2, 0.35  # likewise over full drag, and of speeds over the top speed
 ALONE = 1e-2  # of the deviation of a node that its neighbours do not share
 ASYMMETRY, LAG_DEVIATION, SPEED_SHARE = 0.2, 0.3, 0.1
-SLOWEST, TIME_DEVIATION = 0.2, 0.3  # s: the prior of the thruster's time constant
+AT_ONCE, TIME_DEVIATION = 0.02, 0.3  # s: the prior of the time constant of the thrust
 
 
 class Prior(NamedTuple):
@@ -92,10 +93,6 @@ def prior(terms: str, top: float) -> Prior:
     Args:
         terms: a name of `SETS`.
         top: top speed, m/s.
-
-    >>> known = prior("nine", top=2.0)
-    >>> len(known.active), round(float(known.mean[AT["thrust_linear_left"]]), 2)
-    (9, 0.15)
     """
     linear, quadratic = -0.5 / SETTLES, -0.25 / (SETTLES * top)
     full = 0.5 * (abs(linear) * top + abs(quadratic) * top**2)  # thrust of a side, m/s²
@@ -103,7 +100,7 @@ def prior(terms: str, top: float) -> Prior:
     own = {"drag_quadratic": 0.5 / top, "drag_linear": 0.4, "drag_cross": 0.3, "drag_even": ASYMMETRY * 0.5 / top,
            LAG: LAG_DEVIATION, TIME_CONSTANT: TIME_DEVIATION}  # fmt: skip
     mean[AT["drag_quadratic"]], mean[AT["drag_linear"]] = quadratic, linear
-    mean[PLACE_TIME] = SLOWEST if TIME_CONSTANT in SETS[terms] else 0.0
+    mean[PLACE_TIME] = AT_ONCE
     for side in SIDES:
         mean[AT[f"thrust_linear_{side}"]] = mean[AT[f"thrust_quadratic_{side}"]] = full / 2
         own |= {f"thrust_{kind}_{side}": full for kind in ("linear", "quadratic", "cubic")}

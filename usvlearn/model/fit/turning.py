@@ -48,6 +48,7 @@ OWN_ERROR = dict.fromkeys(QUANTITIES, 0.02) | {
 }  # fmt: skip
 SWAPPED = 0.8  # own error of a time constant, by the square of its ratio to LAG, with which it may be swapped
 OWN_DEAD, VAGUE_DEAD = (0.001, 0.03), 0.04  # own error of a dead zone, and relative; a half-width that tells none
+OWN_LAG, VAGUE_LAG = (0.06, 0.35), 0.6  # likewise of the lag of the thrust, s
 NO_DEAD = "The dead zone does not show: dead_zone is not known. Let the boat turn by commands from 0 to 20 %."
 SPEED_ERROR = {"full": 0.02, "half": 0.03, "quarter": 0.1, "difference": 0.6}  # of the speed in a turn, relative
 
@@ -157,7 +158,12 @@ def with_turning(boat: FittedBoat, fit: Fit) -> FittedBoat:
     if vague:
         found = {name: on_log_scale(math.nan, 0.0, 0.0, unit) for name, unit in QUANTITIES.items()}
     boat, dead = joined(boat, found, (HARDLY,) if vague else ()), natural(fit.theta)[at.DEAD]
-    half = NINETY * math.hypot(dead * math.sqrt(P[at.DEAD, at.DEAD]), OWN_DEAD[0], OWN_DEAD[1] * dead)
-    dead, lacks = (math.nan, (NO_DEAD,)) if vague or not half < VAGUE_DEAD else (float(dead), ())
-    zone = Quantity(dead, max(dead - half, 0.0), dead + half, OF_FIT["dead_zone"])
-    return replace(boat, quantities=boat.quantities | {"dead_zone": zone}, lacks=(*boat.lacks, *lacks))
+    for name, place, value, errors, most in (
+        ("thrust_lag", at.LAG, lag, OWN_LAG, VAGUE_LAG), ("dead_zone", at.DEAD, dead, OWN_DEAD, VAGUE_DEAD),
+    ):  # fmt: skip
+        half = NINETY * math.hypot(value * math.sqrt(P[place, place]), errors[0], errors[1] * value)
+        value = math.nan if vague or not half < most else float(value)
+        found[name] = Quantity(value, max(value - half, 0.0), value + half, OF_FIT[name])
+    lacks = (NO_DEAD,) if math.isnan(value) else ()
+    own_quantities = {name: found[name] for name in ("thrust_lag", "dead_zone")}
+    return replace(boat, quantities=boat.quantities | own_quantities, lacks=(*boat.lacks, *lacks))
