@@ -19,7 +19,7 @@ from usvlearn.estimators.joint.quantities import QUANTITIES
 from usvlearn.estimators.regressors.terms import LAG
 from usvlearn.model.fit.choice import Score
 from usvlearn.model.fit.gauss_newton import Fit, Missions
-from usvlearn.model.fit.intervals import OWN_ERROR, disagreement, intervals, spread
+from usvlearn.model.fit.intervals import OWN_ERROR, disagreement, intervals, spread, unreached
 from usvlearn.model.fit.logs import DT
 from usvlearn.model.fit.quantities import CurvedAhead, quantities
 from usvlearn.model.fit.terms import NAMES, SETS, TIME_CONSTANT, by_name, prior
@@ -63,7 +63,10 @@ class FittedBoat(Identified):
             late: s by which measured speeds follow the commands, and were moved (`usvlearn.model.fit.pieces`).
         """
         fit = fits[chosen]
-        found, differ = intervals(fits, scores, chosen, mass), disagreement(fits, scores, chosen, mass)
+        found, differ = (
+            intervals(fits, scores, chosen, mass, unreached(missions)),
+            disagreement(fits, scores, chosen, mass),
+        )
         common = max(differ[name] / abs(found[name].value) for name in SPEEDS)
         split = [found[f"drag_{name}"] for name in ("linear", "quadratic")]
         if any(each.high - each.low > 2 * UNCLEAR * abs(each.value) for each in split):

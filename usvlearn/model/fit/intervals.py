@@ -8,7 +8,8 @@ With A = (Σ H + I₀)⁻¹ and the scatter B of the scores g_m of the M pieces 
 A alone supposes that the model is true and that errors are independent; A B A, the sandwich, sees what differs from
 piece to piece (White 1982), and is too small for few of them. q' is the value, farthest from q, by another set of terms
 that does about as well on pieces which it has not learned. The own error is what no log shows, such as what every set
-lacks: gusts make drag and thrust look more linear than they are. SCATTER, FEW and the own errors were chosen on
+lacks: gusts make drag and thrust look more linear than they are. Where the logs hardly have full command, what depends
+on it is an extrapolation. SCATTER, FEW and the own errors were chosen on
 simulated boats.
 
 The derivation is in `docs/theory/identification.md#batch-fit-intervals`.
@@ -22,11 +23,12 @@ from typing import Any
 
 import numpy as np
 
+from usvlearn.core.prepared_samples import DT, LEFT, MODE, PREDICT, RIGHT
 from usvlearn.estimators.joint.excitation_warnings import Quantity
 from usvlearn.estimators.joint.periodic_estimates import around
 from usvlearn.estimators.joint.quantities import QUANTITIES, SIDES
 from usvlearn.model.fit.choice import Score
-from usvlearn.model.fit.gauss_newton import Fit
+from usvlearn.model.fit.gauss_newton import Fit, Missions
 from usvlearn.model.fit.quantities import quantities
 
 SCATTER, FEW = 1.0, 9.0
@@ -38,25 +40,40 @@ OWN_SHARES = {  # of the full drag or thrust that the terms add up to: how it sp
     **{f"thrust_{kind}_{side}": share for side in SIDES
        for kind, share in {"linear": 0.03, "quadratic": 0.045, "speed": 0.03}.items()},
 }  # fmt: skip
+BEYOND = {"steady_speed_full": 0.35, "thrust_full_left": 0.35, "thrust_full_right": 0.35, "drag_half_speed": 0.7,
+          "stopping_distance": 0.35, "time_constant": 0.2}  # fmt: skip  # own error, by the share of command beyond
+REACHED = 30.0  # s, for which a mean command was exceeded: that is known
 ALIKE = 0.02  # loss a step by which another set may be worse than the chosen one, and still counts
 
 
-def intervals(fits: Mapping[str, Fit], scores: Mapping[str, Score], chosen: str, mass: float) -> dict[str, Quantity]:
+def intervals(
+    fits: Mapping[str, Fit], scores: Mapping[str, Score], chosen: str, mass: float, beyond: float = 0.0
+) -> dict[str, Quantity]:
     """All quantities of the chosen set, each with its interval; NaN where it is undefined.
 
     Args:
         fits, scores: of all sets, by name.
         chosen: the set to use.
         mass: kg.
+        beyond: the share of command that the logs do not have (`unreached`).
     """
     fit = fits[chosen]
     values, slopes, covariance = quantities(fit.theta, fit.top, mass), _gradients(fit, mass), spread(fit)
     differ = disagreement(fits, scores, chosen, mass)
     found = {}
     for name, value in ((name, float(each)) for name, each in values.items()):
-        variance = float(slopes[name] @ covariance @ slopes[name]) + differ[name] ** 2 + own_error(name, values) ** 2
+        own = math.hypot(own_error(name, values), BEYOND.get(name, 0.0) * beyond * value)
+        variance = float(slopes[name] @ covariance @ slopes[name]) + differ[name] ** 2 + own**2
         found[name] = Quantity(value, *around(name, value, math.sqrt(max(variance, 0.0))), QUANTITIES[name])
     return found
+
+
+def unreached(missions: Missions) -> float:
+    """The share of full command above that which the mean of both sides exceeded for `REACHED`."""
+    rows = np.concatenate([each[each[:, MODE] >= PREDICT] for each in missions.rows])
+    count = round(REACHED / max(float(np.median(rows[:, DT])), 1e-3))
+    means = np.sort(rows[:, [LEFT, RIGHT]].mean(1))
+    return 1.0 - min(max(float(means[-count]), 0.0), 1.0) if len(means) >= count else 1.0
 
 
 def own_error(name: str, values: Mapping[str, Any]) -> float:
