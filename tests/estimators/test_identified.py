@@ -83,7 +83,7 @@ def test_an_undefined_steady_speed_leaves_the_other_quantities():
 
 
 def test_many_readings_leave_their_own_covariance_and_the_filters():
-    """(1): for a sum of parameters the half-width is 1.645 m √(wᵀ(P + C)w), as n → ∞."""
+    """(1): for a sum of parameters, 1.0 here, the half-width is 1.645 m √(wᵀ(P + C)w + 0.1²), as n → ∞."""
     joint = averaged(even=None)
     rng = np.random.default_rng(0)
     root = 0.01 * rng.standard_normal((12, 12))
@@ -93,12 +93,12 @@ def test_many_readings_leave_their_own_covariance_and_the_filters():
     changed = {"mean": mean, "reading": THETA_ODD, "spread": root @ root.T, "readings": 1e12, "factor": np.diag(D)}
     found = read(joint, **changed, updates=1e9)
     row = sums(False)["thrust_full_left"]
-    half = NINETY * MASS * math.sqrt(row @ (root @ root.T + 1e-4 * np.eye(12)) @ row)
+    half = NINETY * MASS * math.sqrt(row @ (root @ root.T + 1e-4 * np.eye(12)) @ row + 0.1**2)
     value, low, high, unit = found["thrust_full_left"]
     assert (value, unit) == (pytest.approx(MASS * 1.0), "N")
     assert high - value == pytest.approx(half, rel=1e-6) and value - low == pytest.approx(half, rel=1e-6)
     few = read(joint, **changed | {"readings": 4.0}, updates=1e9)["thrust_full_left"]
-    expected = NINETY * MASS * math.sqrt(row @ (3 * root @ root.T + 9e-4 * np.eye(12)) @ row)
+    expected = NINETY * MASS * math.sqrt(row @ (2 * root @ root.T + 3e-4 * np.eye(12)) @ row + 0.1**2)
     assert few.high - few.value == pytest.approx(expected, rel=1e-6)
 
 

@@ -30,7 +30,7 @@ from usvlearn.estimators.joint.quantities import QUANTITIES, SIDES, Ahead, gradi
 from usvlearn.estimators.joint.quantities import quantities as quantities_of
 from usvlearn.estimators.joint.state import DROPPED, THETA, names
 
-FEW_P, FEW_C = 8.0, 2.0  # of (1)
+FEW_P, FEW_C, MODEL = 2.0, 1.0, 0.1  # of (1)
 FIRST, FADES = 600.0, 300.0  # s, of (2)
 POSITIVE = ("time_constant", "stopping_distance", "thrust_ratio")
 WIDEST = math.log(1000)  # exponent of an interval on the log scale
@@ -42,7 +42,7 @@ OWN_ERROR = {"drag_cross": 1.5}  # standard deviation relative to the value: noi
 class IntervalTerms(NamedTuple):
     """What an interval takes in beside the covariance of the parameters."""
 
-    common: float  # standard deviation of every quantity relative to its value, of a current taken for speed
+    common: float  # standard deviation of every quantity relative to its value: a current taken for speed, the model
     now: np.ndarray  # (m,) the filter's present estimate
     prior: np.ndarray  # (m,)
     variance: np.ndarray  # (m,) of the prior
@@ -255,7 +255,9 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
     top = values["steady_speed_full"]
     total *= astray(top, variance)
     speed = max(abs(top), 1e-9) if math.isfinite(top) else stated_top(variance)
-    beside = IntervalTerms(2 * found.blind / speed, now, prior, variance, found.vague)
+    beside = IntervalTerms(
+        math.hypot(2 * found.blind / speed, MODEL if used else 0.0), now, prior, variance, found.vague
+    )
     present, (first, first_slopes) = (
         quantities_of(now, mass, inverse),
         gradients(prior, mass, inverse, steps_of(variance)),
