@@ -5,14 +5,14 @@ import pytest
 
 from tests.support.fitted_boats import MASS, TOP
 from tests.support.turning_boat import TRUE, sailed
-from usvlearn.core.prepared_samples import COS, LEFT, RIGHT, ROW, SIN, SURGE
+from usvlearn.core.prepared_samples import COS, LEARN, LEFT, MODE, RIGHT, ROW, SIN, SURGE, YAW_RATE
 from usvlearn.core.samples import Inputs, Sample
 from usvlearn.logs.channels.channel import Channel
 from usvlearn.logs.channels.poses import poses
 from usvlearn.model.fit.boat import FittedBoat
 from usvlearn.model.fit.fitted import fit_boat
-from usvlearn.model.fit.ground import FEW_COURSES, NO_GROUND, with_ground
-from usvlearn.model.fit.logs import over_ground
+from usvlearn.model.fit.ground import CIRCLES, FEW_COURSES, NO_GROUND, with_ground
+from usvlearn.model.fit.logs import ACROSS, ALONG, over_ground
 from usvlearn.model.fit.turning import NO_DEAD
 from usvlearn.model.fit.turning_kernel import HEADING, LAG
 
@@ -55,6 +55,18 @@ def test_without_ground_or_on_one_course_nothing_is_told(plain):
     straight = drifting(1)
     straight[:, [SIN, COS]] = 0.0, 1.0  # its own current is not known; that of another mission is
     assert with_ground(plain, {"1": drifting(0), "2": straight})["current"].value == pytest.approx(0.25, abs=0.01)
+
+
+def test_circles_of_one_speed_tell_the_current_alone(plain):
+    """The drift of a turn, in proportion to speed and yaw rate, looks there as an offset of the compass does."""
+    rows, psi, rng = np.zeros((6000, ACROSS + 1)), 0.2 * np.arange(6000) * 0.1, np.random.default_rng(0)
+    rows[:, MODE], rows[:, YAW_RATE], rows[:, COS], rows[:, SIN] = LEARN, 0.2, np.cos(psi), np.sin(psi)
+    noise = 0.04 * rng.standard_normal((2, 6000))
+    rows[:, ALONG] = 2.0 + CURRENT @ [rows[:, COS], rows[:, SIN]] + noise[0]
+    rows[:, ACROSS] = -0.1 + CURRENT @ [-rows[:, SIN], rows[:, COS]] + noise[1]
+    found = with_ground(plain, {"1": rows})
+    assert np.isnan(found["compass_offset"].value) and found.lacks[-1] == CIRCLES
+    assert found["current"].low < 0.25 < found["current"].high
 
 
 def test_dead_zone_and_lag_are_those_of_the_commands_or_unknown(plain):

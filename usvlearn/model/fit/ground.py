@@ -31,6 +31,7 @@ FEW = 8.0  # variances are larger by this over the number of pieces
 OWN_ERROR = {"compass_offset": 0.02, "current": 0.001}  # deg, m/s
 NO_GROUND = "Neither course nor position was measured: compass_offset and current are not known. Log one of them."
 LEAST_PIECES = 3  # of a mission whose current is told: fewer have no scatter
+CIRCLES = "The boat went in circles of one speed: compass_offset is not known. Let it go straight, too."
 FEW_COURSES = "No log of 7 min or more has several courses: compass_offset and current are not known. Let it turn."
 
 
@@ -61,8 +62,11 @@ def with_ground(boat: FittedBoat, missions: Mapping[str, np.ndarray]) -> FittedB
     sizes, slope = np.hypot(*currents.T), np.zeros(count)
     slope[3:] = (turned / turned.sum() / np.maximum(sizes, 1e-9) * currents.T).T.ravel()
     offset, size = math.degrees(math.atan(theta[0])), float(sizes[turned].mean())
-    half = NINETY * math.hypot(math.degrees(math.sqrt(P[0, 0])), OWN_ERROR["compass_offset"])
-    found["compass_offset"] = Quantity(offset, offset - half, offset + half, "deg")
+    half, lacks = NINETY * math.hypot(math.degrees(math.sqrt(P[0, 0])), OWN_ERROR["compass_offset"]), boat.lacks
+    if 1 / A[0, 0] > TURNS * H[0, 0]:  # of S², what the drift of turns and currents do not explain
+        found["compass_offset"] = Quantity(offset, offset - half, offset + half, "deg")
+    else:
+        lacks += (CIRCLES,)
     half = NINETY * math.hypot(math.sqrt(slope @ P @ slope), OWN_ERROR["current"])
     found["current"] = Quantity(size, max(size - half, 0.0), size + half, "m/s")
-    return replace(boat, quantities=boat.quantities | found)
+    return replace(boat, quantities=boat.quantities | found, lacks=lacks)
