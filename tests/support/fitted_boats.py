@@ -4,7 +4,7 @@ import numpy as np
 
 from usvlearn.core.prepared_samples import COS, DT, LEARN, LEFT, MODE, PREDICT, RIGHT, ROW, SIN, START, SURGE, YAW_RATE
 from usvlearn.model.fit import motion_kernel as kernel
-from usvlearn.model.fit.terms import NAMES, PLACE_LAG, prior
+from usvlearn.model.fit.terms import NAMES, PLACE_LAG, PLACE_TIME, prior
 
 TOP, MASS = 2.5, 28.0
 
@@ -43,7 +43,7 @@ def boat(seed: int = 1) -> np.ndarray:
     theta[known.active] += (
         0.1 * np.linalg.cholesky(np.linalg.inv(known.information)) @ rng.standard_normal(len(known.active))
     )
-    theta[PLACE_LAG] = 0.0
+    theta[PLACE_LAG] = theta[PLACE_TIME] = 0.0
     return theta
 
 

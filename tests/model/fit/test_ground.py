@@ -5,7 +5,7 @@ import pytest
 
 from tests.support.fitted_boats import MASS, TOP
 from tests.support.turning_boat import TRUE, sailed
-from usvlearn.core.prepared_samples import COS, LEARN, LEFT, MODE, RIGHT, ROW, SIN, SURGE, YAW_RATE
+from usvlearn.core.prepared_samples import COS, LEARN, LEFT, MODE, PREDICT, RIGHT, ROW, SIN, SURGE, YAW_RATE
 from usvlearn.core.samples import Inputs, Sample
 from usvlearn.logs.channels.channel import Channel
 from usvlearn.logs.channels.poses import poses
@@ -55,6 +55,12 @@ def test_without_ground_or_on_one_course_nothing_is_told(plain):
     straight = drifting(1)
     straight[:, [SIN, COS]] = 0.0, 1.0  # its own current is not known; that of another mission is
     assert with_ground(plain, {"1": drifting(0), "2": straight})["current"].value == pytest.approx(0.25, abs=0.01)
+
+
+def test_a_slow_receiver_makes_no_log_short(plain):
+    rows = drifting(0)
+    rows[np.arange(len(rows)) % 5 > 0, MODE] = PREDICT
+    assert with_ground(plain, {"1": rows})["current"].value == pytest.approx(0.25, abs=0.01)
 
 
 def test_circles_of_one_speed_tell_the_current_alone(plain):

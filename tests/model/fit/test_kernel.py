@@ -100,7 +100,7 @@ def test_a_fit_ends_at_the_same_place_wherever_it_starts():
     found = missions.fit("cubic")
     for start in (theta, found.theta, 30 * theta, theta * np.nan):
         again = missions.fit("cubic", start)
-        assert again.total == pytest.approx(found.total, abs=0.5)
+        assert again.evidence == pytest.approx(found.evidence, abs=0.5)
         for name in ("steady_speed_full", "time_constant"):
             one, other = (quantities(each.theta, TOP, MASS)[name] for each in (again, found))
             assert one == pytest.approx(other, rel=5e-3), name

@@ -42,7 +42,7 @@ def with_ground(boat: FittedBoat, missions: Mapping[str, np.ndarray]) -> FittedB
         use = (rows[:, MODE] == LEARN) & np.isfinite(rows[:, ACROSS])
         along, r, s, c, y = rows[use][:, [ALONG, YAW_RATE, SIN, COS, ACROSS]].T
         X, at = np.column_stack([-along, along * r, r, -s, c]), [0, 1, 2, 3 + 2 * k, 4 + 2 * k]
-        pieces = max(round(len(X) * DT / SECONDS), 1)
+        pieces = max(round(len(rows) * DT / SECONDS), 1)
         turned[k] = pieces >= LEAST_PIECES and np.linalg.eigvalsh(X[:, 3:].T @ X[:, 3:])[0] > TURNS * len(X)
         for part in np.array_split(np.arange(len(X)), pieces) if use.any() else []:
             parts.append((at, X[part], y[part]))
