@@ -68,8 +68,8 @@ class SurgeModel:
         coefficients: of (1), by the names of `usvlearn.estimators.regressors.terms`: kg/m, kg/s, kg/rad, N, N s/m.
             Drag is negative and thrust ahead is positive. Without the fore-aft asymmetry terms, e is 0.
         tables: of a batch fit; else None.
-        thruster: time constant of the thrust after a command, s; 0 where it is not known. `step` takes ξ as it acts:
-            without (1) of `usvlearn.model.fit.motion_kernel`.
+        thruster: time constant of the thrust after a command, s; 0 where it is not known. `step` has no state: its
+            thrust acts at once, without (1) of `usvlearn.model.fit.motion_kernel`.
 
     Raises:
         ConfigError: the mass is not positive, a coefficient is missing or unknown, or a number is not finite.
