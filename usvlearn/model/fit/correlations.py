@@ -47,10 +47,6 @@ def autocorrelation(errors: Sequence[np.ndarray], dt: float) -> Correlation:
     Args:
         errors: of each mission, `(time,)`; NaN where a step does not count.
         dt: s.
-
-    >>> found = autocorrelation([np.array([1.0, -1.0, 1.0, -1.0, np.nan, -1.0, 1.0, -1.0])], 0.5)
-    >>> found.lags[:3], found.values[:3].round(2)
-    (array([0.5, 1. , 1.5]), array([-1. ,  0.9, -1. ]))
     """
     reach = round(REACH / dt)
     centred = [_centred(each) for each in errors]

@@ -169,9 +169,6 @@ def worst_minute(time: np.ndarray, error: np.ndarray) -> tuple[int, int] | None:
     Args:
         time: s, `(time,)`.
         error: m/s, `(time,)`; NaN where unknown.
-
-    >>> worst_minute(np.arange(200.0), np.where(np.arange(200) == 100, 1.0, 0.0))
-    (41, 101)
     """
     known = np.isfinite(error)
     if not known.any():

@@ -140,15 +140,12 @@ class Missions:
         """Simulate all missions with the sensitivities of a set of terms."""
         known = prior(terms, self.top)
         m, count = len(known.active), len(self.rows)
-        loss, steps = np.zeros(count), np.zeros(count)
         score, information = np.zeros((count, m)), np.zeros((count, m, m))
-        speeds = []
-        for k in range(count):
-            loss[k], steps[k], *speed = self._one(k, theta, deviation, known.active, score[k], information[k])
-            speeds.append((speed[0], speed[1]))
+        made = [self._one(k, theta, deviation, known.active, score[k], information[k]) for k in range(count)]
+        loss, steps = np.array([each[:2] for each in made]).reshape(-1, 2).T
         information += np.tril(information, -1).transpose(0, 2, 1)
         fit = Fit(terms, self.top, theta, known, loss, steps, score, information, deviation)
-        self._simulated = fit, speeds
+        self._simulated = fit, [each[2:] for each in made]
         return fit
 
     def loss(self, theta: np.ndarray, deviation: float, k: int | None = None) -> float:

@@ -47,13 +47,7 @@ def cut(missions: Mapping[str, np.ndarray], top: float, dt: float) -> Missions:
 
 
 def moved(rows: np.ndarray, steps: int) -> np.ndarray:
-    """Prepared samples whose measured speeds are earlier by some steps; a speed that has no place is left out.
-
-    >>> rows = np.zeros((4, 8))
-    >>> rows[:, MODE], rows[:, SURGE] = [1, PREDICT, LEARN, LEARN], [0.0, 1.0, 2.0, 3.0]
-    >>> moved(rows, 1)[:, MODE].tolist(), moved(rows, 1)[1:3, SURGE].tolist()
-    ([1.0, 3.0, 3.0, 2.0], [2.0, 3.0])
-    """
+    """Prepared samples whose measured speeds are earlier by some steps; a speed that has no place is left out."""
     found, places = rows.copy(), np.arange(len(rows)) + steps
     source = rows[places.clip(0, len(rows) - 1)]
     measured, made = (source[:, MODE] == LEARN) & (places >= 0) & (places < len(rows)), rows[:, MODE] >= PREDICT

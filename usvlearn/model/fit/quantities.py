@@ -27,11 +27,6 @@ class CurvedAhead(Ahead):
     Args:
         theta: by `terms.NAMES`, per unit mass, `(..., parameters)`.
         top: top speed of the nodes of drag, m/s.
-
-    >>> from usvlearn.model.fit.terms import prior
-    >>> boat = CurvedAhead(prior("nine", top=2.0).mean, 2.0)
-    >>> round(float(boat.steady_speed(1.0)), 3)
-    2.0
     """
 
     def __init__(self, theta: np.ndarray, top: float):
@@ -124,11 +119,6 @@ def quantities(theta: np.ndarray, top: float, mass: float) -> dict[str, np.ndarr
         theta: by `terms.NAMES`, per unit mass, `(..., parameters)`.
         top: top speed of the nodes of drag, m/s.
         mass: kg.
-
-    >>> from usvlearn.model.fit.terms import prior
-    >>> found = quantities(prior("nine", top=2.0).mean, 2.0, 28.0)
-    >>> round(float(found["steady_speed_full"]), 3), round(float(found["thrust_full_left"]), 2)
-    (2.0, 8.4)
     """
     boat, along = CurvedAhead(theta, top), CurvedAhead(theta[..., None, :], top)
     found: dict[str, np.ndarray] = {}
@@ -158,12 +148,7 @@ def quantities(theta: np.ndarray, top: float, mass: float) -> dict[str, np.ndarr
 
 
 def hats(x: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """The weights of equally spaced nodes at x ≥ 0, `(..., nodes)`: 0 at x = 0; beyond the last node the line goes on.
-
-    >>> hats(np.array([0.25, 1.25]), np.array([0.5, 1.0]))
-    array([[ 0.5,  0. ],
-           [-0.5,  1.5]])
-    """
+    """The weights of equally spaced nodes at x ≥ 0, `(..., nodes)`: 0 at x = 0; beyond the last the line goes on."""
     x = np.asarray(x, float)[..., None] / nodes[0]
     places = np.arange(1, len(nodes) + 1)
     beyond = np.maximum(x - len(nodes), 0.0)
