@@ -18,7 +18,7 @@ from usvlearn.logs.channels.channel import Recording
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.logs.setup import KEY, Setup
 from usvlearn.model.fit.fitted import fit_boat
-from usvlearn.model.fit.hand_over import last_of, write
+from usvlearn.model.fit.hand_over import last_of, table_of, write
 from usvlearn.model.fit.logs import fine, missions_of
 
 
@@ -48,7 +48,7 @@ def _refit(folder: Path) -> str:
         against = " ".join(found.against)
         many = f"the fit of {found.missions.number} mission{'s' * (found.missions.number != 1)}"
         told |= {
-            "use": not against, "missions": found.missions.number,
+            "use": not against, "missions": found.missions.number, "table": table_of(found),
             "quantities": {k: x for k in found.quantities if np.isfinite((x := found.found.displayed(k))[:3]).all()},
             "sentence": f"use those learned online, not {many}: {against}" if against else f"use those of {many}",
         }  # fmt: skip

@@ -12,6 +12,7 @@ from usvlearn.core.family import CHOICES, WIDTH, Row
 from usvlearn.core.jit import jit
 from usvlearn.core.prepared_samples import DT, LEFT, RIGHT, ROW, SURGE, prepare
 from usvlearn.engine.dispatch_tables import free_step
+from usvlearn.estimators.ensemble.forecasts.fit_kernel import fitted_step
 from usvlearn.estimators.ensemble.forecasts.kernel import (
     begin_again,
     combine,
@@ -47,8 +48,13 @@ def freeze(node, s, slot):
 @jit
 def step_frozen(program, node, slot, q, row, limit, x, work):
     """One step of all members of a slot; writes their predictions, NaN where one is inactive."""
+    fitted = node[Choice.MEMBERS] - 1 if node[Choice.FIT] >= 0 else -1
     for m in range(node[Choice.MEMBERS]):
-        predicted = free_step(program[node[WIDTH + 1 + m]], slot, q, row, work)
+        member = program[node[WIDTH + 1 + m]]
+        if m == fitted:
+            predicted = fitted_step(member, slot, q, q[node[Choice.FIT] :], row)
+        else:
+            predicted = free_step(member, slot, q, row, work)
         x[m] = predicted if abs(predicted) < limit else np.nan
 
 

@@ -74,12 +74,19 @@ def frozen(description: Description) -> dict[str, Field]:
 
 def forecast_size(made: Description) -> tuple[int, int, int]:
     """Slots, horizons and members of forecasts."""
-    return made["slots"], len(made["vectors"]["horizons"]), len(made["members"])
+    return made["slots"], len(made["vectors"]["horizons"]), len(made["members"]) + (forecasts.FIT in made)
+
+
+def copied(description: Description) -> list[tuple[str, int]]:
+    """The forecasts' members by the names of their copies, with their columns; a fit has copies of a joint EKF."""
+    made, columns = description["forecasts"], description["columns"]
+    found = [(columns[column], column) for column in made["members"]]
+    return [*found, (forecasts.FIT, made[forecasts.FIT]["column"])] if forecasts.FIT in made else found
 
 
 def block_size(description: Description) -> int:
     """Numbers of an ensemble's frozen members."""
-    names = (description["columns"][column] for column in description["forecasts"]["members"])
+    names = (description["columns"][column] for _, column in copied(description))
     return sum(int(np.prod(each.shape, dtype=int)) for name in names for each in frozen(
         description["members"][name]).values())  # fmt: skip
 
@@ -97,9 +104,8 @@ def track_size(description: Description) -> tuple[int, int, int]:
 def _forecasts(description: Description) -> dict[str, Field]:
     """The leaves of an ensemble's forecasts."""
     made, found = description["forecasts"], {}
-    for column in made["members"]:
-        name = description["columns"][column]
-        for leaf, field in frozen(description["members"][name]).items():
+    for name, column in copied(description):
+        for leaf, field in frozen(description["members"][description["columns"][column]]).items():
             legal = field.legal.inactive()
             found[f"forecasts.frozen.{name}.{leaf}"] = replace(field, shape=(made["slots"], *field.shape), legal=legal)
     found |= forecasts.FAMILY.leaves(size := forecast_size(made), "forecasts.")

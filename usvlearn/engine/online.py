@@ -305,6 +305,15 @@ class Online:
         found = identified(members, leaves)
         return found if batch else found[0]
 
+    def take_fit(self, table: Sequence[float]) -> None:
+        """Let the batch fit of a table (`usvlearn.model.fit.hand_over`) forecast, too, in place of an earlier one."""
+        from usvlearn.engine.fit_member import with_fit
+
+        assert self._template is None and self.description is not None, "expected what `open` has made"
+        leaves, self.description = with_fit(self._live.leaves, self.description, table)
+        current, self._live = self._live.current, live_of(self.description, leaves)
+        self._live.current = current
+
     def save(self, path: str | Path, **metadata: Any) -> Path:
         """Save the state, the description of the estimator and the setup; see `usvlearn.core.checkpoint.save`.
 

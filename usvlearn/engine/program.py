@@ -14,7 +14,7 @@ import numpy as np
 from usvlearn.core.family import LEAVES, WIDTH, Family, Field, Row
 from usvlearn.core.prepared_samples import ROW
 from usvlearn.engine.dispatch import Whole
-from usvlearn.engine.leaves import KNOWN, Description, Part, forecast_size, frozen, unwrapped
+from usvlearn.engine.leaves import KNOWN, Description, Part, copied, forecast_size, frozen, unwrapped
 from usvlearn.engine.registry import ESTIMATORS, KINDS
 from usvlearn.errors import ShapeError
 from usvlearn.estimators.ensemble import state as ensemble
@@ -245,14 +245,15 @@ class Program:
     def _forecasts(self, description: Description, made: Description) -> list[int]:
         """Add the forecasts; returns their row, and what follows it (`engine.forecasting`)."""
         slots, horizons, members = size = forecast_size(made)
-        own = {**made, "horizons": horizons, "members": members}
+        place = self._vector(made[forecasts.FIT]["table"], forecasts.TABLE, "fit") if forecasts.FIT in made else -1
+        own = {**made, "horizons": horizons, "members": members, forecasts.FIT: place}
         row = self._part(forecasts.FAMILY, own, size, "forecasts.", "forecasts")
-        begin, columns, block = self.size, made["members"], 0
+        begin, columns, block = self.size, [column for _, column in copied(description)], 0
         rows: list[int] = []
         copies: list[int] = []
-        for column in columns:
-            name = description["columns"][column]
-            node, block = self._frozen(self._estimators[column], description["members"][name], name, block, copies)
+        for name, column in copied(description):
+            member = description["columns"][column]
+            node, block = self._frozen(self._estimators[column], description, member, name, block, copies)
             rows.append(node)
         for name, (place, shape, strides, flag) in list(self.leaves.items()):
             if name.startswith("forecasts.frozen."):
@@ -271,22 +272,23 @@ class Program:
         return other, flag
 
     def _frozen(
-        self, member: list[int], description: Description, name: str, block: int, copies: list[int]
+        self, row: list[int], whole: Description, member: str, name: str, block: int, copies: list[int]
     ) -> tuple[int, int]:
         """Add the row of a member in a slot, whose leaves are at places in the slot; returns its index, and the end."""
+        description = whole["members"][member]
         part, places = unwrapped(description), {}
         for leaf, field in frozen(description).items():
-            source, length = self.leaves[f"members.{name}.{leaf}"], int(np.prod(field.shape, dtype=int))
+            source, length = self.leaves[f"members.{member}.{leaf}"], int(np.prod(field.shape, dtype=int))
             places[leaf] = block
             self.leaves[f"forecasts.frozen.{name}.{leaf}"] = source._replace(place=block)
-            copies += [source.place, block, length, *self._instead(part, f"members.{name}.", leaf)]
+            copies += [source.place, block, length, *self._instead(part, f"members.{member}.", leaf)]
             block += length
 
         family = KINDS[part.own["kind"]]
         leaves = [places.get(leaf, -1) for leaf in family.leaves(part.own["size"], part.prefix, part.own)]
-        row = [*member[:LEAVES], *leaves, *member[LEAVES + len(leaves) :]]
-        row[Row.ROBUST] = -1
-        self._others.append(row)
+        frozen_row = [*row[:LEAVES], *leaves, *row[LEAVES + len(leaves) :]]
+        frozen_row[Row.ROBUST] = -1
+        self._others.append(frozen_row)
         return len(self._others) - 1, block
 
     def _rule(self, rule: Description, name: str, count: int) -> list[int]:

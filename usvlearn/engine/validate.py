@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.core.checkpoint import QUOTED, as_array, newest, restore
-from usvlearn.core.family import WIDTH, Field, Options, Parameters, Range
+from usvlearn.core.family import FINITE, WIDTH, Field, Options, Parameters, Range
 from usvlearn.core.samples import named_leaves
 from usvlearn.engine.leaves import batch_of, leaves_of
 from usvlearn.engine.registry import KINDS
@@ -213,7 +213,8 @@ class _Reading:
 
     def _forecasts(self, entry: str, made: Any, columns: list[Any]) -> None:
         """Check forecasts of an ensemble."""
-        _keys(entry, made, ("members", "slots", "numbers", "vectors"))
+        fitted = isinstance(made, dict) and forecasts.FIT in made
+        _keys(entry, made, ("members", "slots", "numbers", "vectors", *[forecasts.FIT] * fitted))
         members = _list(f"{entry}.members", made["members"], Range(1, len(columns)))
         for k, column in enumerate(members):
             _number(f"{entry}.members[{k}]", column, Range(0, len(columns) - 1))
@@ -224,12 +225,20 @@ class _Reading:
         horizons = _list(f"{entry}.vectors.horizons", made["vectors"]["horizons"], HORIZONS)
         if any(not isinstance(h, int | float) for h in horizons) or sorted(set(horizons)) != horizons:
             raise wrong(f"{entry}.vectors.horizons", horizons, "increasing numbers")
-        size = slots, len(horizons), len(members)
+        if fitted:
+            _keys(f"{entry}.fit", made["fit"], ("column", "table"))
+            column = made["fit"]["column"]
+            joint = column in members and description["members"][columns[column]]["kind"] == "joint"
+            if not joint or forecasts.FIT in description["members"]:
+                raise wrong(f"{entry}.fit.column", column, "that of a weighed joint EKF, and no member named fit")
+            table = Entries(f"{entry}.fit.table", made["fit"]["table"], FINITE, (forecasts.TABLE,), True)
+            self.numbers.append(table)
+        size = slots, len(horizons), len(members) + fitted
         for vector in forecasts.Vector:
             own, value = (vector.length(size),), made["vectors"][vector.key]
             self.numbers.append(Entries(f"{entry}.vectors.{vector.key}", value, vector.legal, own, True))
         self._parameters(f"{entry}.numbers", made["numbers"], forecasts.Number)
-        self.cells += (2 * len(members) + 1) * 2 * CELLS + 3 * 16 * len(members)
+        self.cells += (2 * size[2] + 1) * 2 * CELLS + 3 * 16 * size[2]
 
     def _estimator(self, entry: str, member: Any) -> None:
         """Check an estimator, and the `Robust` around it."""

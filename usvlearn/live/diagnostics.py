@@ -10,6 +10,7 @@ import numpy as np
 
 from usvlearn.core.events import EventWatch
 from usvlearn.engine.online import Online
+from usvlearn.estimators.ensemble.forecasts.state import FIT
 from usvlearn.estimators.ensemble.monitors.state import DOUBT
 
 PLANAR = "planar"  # kind of the description of a `Planar`, and the folder of a run that holds its checkpoints
@@ -19,6 +20,12 @@ def surge_of(online: Online) -> tuple[Mapping[str, Any], str]:
     """The description of what predicts the surge, and what the names of its leaves begin with."""
     described = online.description or {}
     return (described["surge"], "surge.") if described.get("kind") == PLANAR else (described, "")
+
+
+def fit_of(description: Any) -> tuple[float, ...]:
+    """The table of the batch fit that forecasts, too, of an estimator; () without."""
+    made = description.get("surge", description).get("forecasts") or {}
+    return tuple(made.get(FIT, {}).get("table", ()))
 
 
 def surge_alone(leaves: Mapping[str, Any], facts: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:

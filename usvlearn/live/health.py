@@ -31,6 +31,7 @@ class Refit(NamedTuple):
     missions: int = 0
     quantities: Mapping[str, tuple[float, float, float, str]] = {}  # value, low, high, unit
     sentence: str = "use those learned online: no mission has been fitted yet"
+    table: tuple[float, ...] = ()  # as a member of forecasts has it
 
 
 class Health(NamedTuple):

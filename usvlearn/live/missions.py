@@ -23,6 +23,7 @@ from usvlearn.core.unconfirmed import SECTION
 from usvlearn.display.json_values import finite
 from usvlearn.errors import CheckpointError, printable
 from usvlearn.estimators.axis.turning_quantities import QUANTITIES as TURNING
+from usvlearn.estimators.ensemble.forecasts.state import TABLE
 from usvlearn.live.background import Background
 from usvlearn.live.health import Refit
 from usvlearn.live.message_buffer import Columns, Recent
@@ -50,7 +51,10 @@ def read_refit(folder: Path, setup: Setup | None = None) -> Refit:
             printable(name): (float(value), float(low), float(high), printable(unit))
             for name, (value, low, high, unit) in found["quantities"].items()
         }
-        return Refit(found["use"] is True, int(found["missions"]), rows, printable(found["sentence"]))
+        table = tuple(float(x) for x in found.get("table", ()))
+        if len(table) not in (0, TABLE) or not np.isfinite(table).all():
+            raise ValueError("its table is none")
+        return Refit(found["use"] is True, int(found["missions"]), rows, printable(found["sentence"]), table)
     except (CheckpointError, KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         return Refit(sentence=f"{folder / FIT / RESULT} cannot be read ({error!r:.80}): remove it")
 

@@ -13,7 +13,7 @@ import json
 import math
 import re
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, TextIO
@@ -22,13 +22,15 @@ from usvlearn.core import checkpoint
 from usvlearn.core.checkpoint import SUFFIX, write_atomically
 from usvlearn.core.unconfirmed import SECTION
 from usvlearn.errors import printable
-from usvlearn.live.diagnostics import PLANAR, surge_alone
+from usvlearn.estimators.ensemble.forecasts.state import FIT
+from usvlearn.live.diagnostics import PLANAR, fit_of, surge_alone
 from usvlearn.logs.channels.channel import SURGE
 from usvlearn.logs.setup import Setup
 
 NAME = re.compile(r"record_(\d{4,9})\.alog")
 FLUSH = 1.0  # s, after which what is buffered is written
 APP = "usvlearn"
+FITTED = "usvlearn.estimators.ensemble.forecasts.fit_layer.FittedForecasts"
 
 
 def variable(part: str) -> str:
@@ -49,7 +51,8 @@ class Recorder:
         self.path = folder / f"record_{number:04d}.alog"
         try:
             start = _begin(self.path, boat, *begins)
-            write_atomically(self.path.with_suffix(".yaml"), configuration(self.path, setup, boat, start).encode())
+            text = configuration(self.path, setup, boat, start, fit_of(begins[1]["kernel"]))
+            write_atomically(self.path.with_suffix(".yaml"), text.encode())
             self._file = self.path.open("x", encoding="utf-8", newline="\n")
             self._file.write(f"%% LOG FILE: {self.path.name}\n%% LOGSTART {time.time():.3f}\n")
             for part in setup.parts.keys() - setup.live().parts.keys():  # may never come, and is named in the log
@@ -99,10 +102,10 @@ def _begin(path: Path, boat: str, leaves: dict[str, Any], facts: dict[str, Any])
     return folder
 
 
-def configuration(path: Path, setup: Setup, boat: str, start: Path) -> str:
-    """The YAML that describes a record to train.py, which resumes from `start`; JSON values are YAML.
+def configuration(path: Path, setup: Setup, boat: str, start: Path, fit: Sequence[float] = ()) -> str:
+    """The YAML that describes a record to train.py, which resumes from `start`, with the table of a fit that forecasts.
 
-    A surge that the node has computed is recorded as SURGE, in m/s, and not computed anew.
+    JSON values are YAML. A surge that the node has computed is recorded as SURGE, in m/s, and not computed anew.
     """
     channels: dict[str, Any] = {}
     for name, given in setup.json()["channels"].items():
@@ -121,6 +124,8 @@ def configuration(path: Path, setup: Setup, boat: str, start: Path) -> str:
     settings: Mapping[str, Any] = {
         "vehicle": {"mass": setup.mass, "surge_max": setup.surge_max}, "align": dict(setup.align), "data": data,
     }  # fmt: skip
+    if fit:
+        settings = {**settings, "forecasts": {"_target_": FITTED, FIT: list(fit)}}
     if setup.unconfirmed:  # under its own names, so that only a person closes them
         settings = {**settings, SECTION: {key: {**each, "written": {}} for key, each in setup.unconfirmed.items()}}
     lines = [f"{key}: {json.dumps({k: v for k, v in each.items() if v is not None})}" for key, each in settings.items()]

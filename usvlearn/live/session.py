@@ -171,6 +171,9 @@ class Session:
         elif clock - self._began >= FIRST_CHECK and not self._checked:
             self._check()
         self.advise("fit", self._missions.tick(saves, outage, node.loss))
+        told = self._missions.told
+        if told is not None and told.use and told.table not in ((), diagnostics.fit_of(node.online.description)):
+            node.online.take_fit(told.table)
         health = self._health(ages, clock)
         self.state = health.state
         if clock - self._told >= TELL and self._background.submit("status", self._tell, health.json()):
@@ -322,7 +325,7 @@ class Session:
         node = self._node
         assert node is not None
         facts = {
-            "estimator": self._begin.facts["estimator"], "kernel": self._begin.facts["kernel"],
+            "estimator": self._begin.facts["estimator"], "kernel": node.online.description,
             KEY: self.setup.json(), HELD: node.held.json(), "boat": self.options.boat, "run": "live",
             "step": node.steps, "time": 0.0 if self.last is None else self.last.time, "version": usvlearn.__version__,
         }  # fmt: skip

@@ -19,7 +19,9 @@ from usvlearn.engine.identified import identified, members_of
 from usvlearn.engine.online import read_checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.augmented_ekf.state import LAG_LEAST, LAG_MOST
+from usvlearn.estimators.ensemble.forecasts import state as at
 from usvlearn.estimators.joint.periodic_estimates import Identified, covariance_of
+from usvlearn.estimators.joint.quantities import SIDES
 from usvlearn.estimators.joint.state import DROPPED, THETA, names
 from usvlearn.estimators.regressors.terms import LAG
 from usvlearn.live.diagnostics import surge_alone
@@ -28,10 +30,12 @@ from usvlearn.model.fit.choice import WEAR
 from usvlearn.model.fit.fitted import Fitted
 from usvlearn.model.fit.intervals import spread
 from usvlearn.model.fit.logs import DT
-from usvlearn.model.fit.terms import AT, PLACE_TIME
+from usvlearn.model.fit.quantities import CurvedAhead
+from usvlearn.model.fit.terms import AT, PLACE_TIME, TIME_CONSTANT
 from usvlearn.model.fit.wear import worn
 from usvlearn.runs.files import CHECKPOINTS
 
+LARGEST, FARTHEST = 1.25, 1.5  # command, and top speeds, to which the tables of a member go
 POLYNOMIAL = ("even", "cubic", "nine")  # sets whose terms a joint EKF has, from the largest
 
 
@@ -150,3 +154,18 @@ def write(folder: Path, found: Fitted, last: Last | None, dt: float) -> list[Pat
     facts = {key: value for key, value in last.facts.items() if key != "schema"} | own
     file = folder / CHECKPOINTS / found.boat / f"fit{checkpoint.SUFFIX}"
     return [path, checkpoint.save(file, leaves, **facts)]
+
+
+def table_of(fitted: Fitted) -> list[float]:
+    """The chosen fit as a member of forecasts has it (`ensemble.forecasts.fit_kernel`)."""
+    theta, boat, found = fitted.fit.theta, CurvedAhead(fitted.fit.theta, fitted.fit.top), np.zeros(at.TABLE)
+    far = FARTHEST * fitted.fit.top
+    speeds, commands = np.linspace(-far, far, at.SPEEDS), np.linspace(-LARGEST, LARGEST, at.COMMANDS)
+    found[at.SPEED], found[at.CROSS], found[at.COMMAND] = far, theta[AT["drag_cross"]], LARGEST
+    found[at.LATE] = DT * theta[AT[LAG]] + theta[AT[TIME_CONSTANT]] + fitted.found.late
+    for k, side in enumerate(SIDES):
+        found[at.MORE + 2 * k : at.MORE + 2 * k + 2] = theta[[AT[f"thrust_{x}speed_{side}"] for x in ("", "even_")]]
+        found[at.THRUST + k * at.COMMANDS :][: at.COMMANDS] = boat.thrust(commands, side)
+    astern = 2 * theta[AT["drag_even"]] * speeds * np.minimum(speeds, 0.0)  # `drag` is that ahead
+    found[at.DRAG :] = -np.sign(speeds) * boat.drag(np.abs(speeds)) + astern
+    return found.tolist()

@@ -8,7 +8,8 @@ each copy takes one step with every step of the boat, with the commands that com
 
 from __future__ import annotations
 
-from math import inf
+from collections.abc import Sequence
+from math import inf, log
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from usvlearn.core.family import (
@@ -40,6 +41,19 @@ MOST_SLOTS, MOST_HORIZONS = 512, 32
 WIDE = Range(0.0, inf)
 EMPTY = -1.0  # s, elapsed of a slot without a forecast
 PERSISTENCE, ENSEMBLE = "persistence", "ensemble"  # the last two columns of what is published
+FIT, FIT_WEIGHT = "fit", 0.1  # a member that a batch fit adds, and its prior weight
+# Places in the table of a fit: the last speed of drag, m/s; drag of turning, 1/rad; s by which thrust is late; the last
+# command of thrust; of each side the thrust that depends on the speed, 1/s; points of thrust of each side and of drag,
+# m/s², evenly spread from minus the last command, or speed, to it
+SPEED, CROSS, LATE, COMMAND, MORE, THRUST = 0, 1, 2, 3, 4, 8
+COMMANDS, SPEEDS, DRAG, TABLE = 41, 61, 90, 151
+LATEST = 1.5  # steps by which thrust is late, at most
+
+
+def with_fit(prior: Sequence[float]) -> dict[str, list[float]]:
+    """BOA's prior and costs of the members and of a fit, from the prior of the members."""
+    every = [*((1 - FIT_WEIGHT) * x for x in prior), FIT_WEIGHT]
+    return {"prior": every, "costs": [-log(x) for x in every]}
 
 
 NONE: Any = {}
@@ -93,6 +107,7 @@ class Choice(Options):
     SLOTS = (Range(1, MOST_SLOTS),)
     HORIZONS = (Range(1, MOST_HORIZONS),)
     MEMBERS = (Range(1, 1000),)
+    FIT = (Range(-1, 10**9),)  # the place of a fit's table among the numbers; −1 without
 
 
 def _state(size: Any) -> ForecastState:

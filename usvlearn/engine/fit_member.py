@@ -1,0 +1,59 @@
+"""A batch fit joins the forecasts of an ensemble that runs: what its state and description are from then on.
+
+Its copies are those of the first joint EKF that is weighed. Its weights begin at `FIT_WEIGHT`, with the regret of the
+others' mixture; under way it has none, so that what was forecast before stays. The next fit replaces its table alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from usvlearn.engine.leaves import Description, track_size
+from usvlearn.estimators.ensemble.forecasts import state as at
+from usvlearn.estimators.ensemble.forecasts.state import EMPTY, FIT, FIT_WEIGHT
+
+Leaves = dict[str, np.ndarray]
+
+
+def with_fit(leaves: Mapping[str, np.ndarray], description: Description, table: Sequence[float]) -> tuple[Leaves, Any]:
+    """The leaves and the description with the table of a fit; as they are where no joint EKF is weighed.
+
+    Args:
+        leaves: of the state of an ensemble or of a boat in the plane, by dotted name.
+        description: of it.
+        table: of `usvlearn.model.fit.hand_over.table_of`.
+    """
+    if description["kind"] == "planar":
+        own = {name[6:]: leaf for name, leaf in leaves.items() if name.startswith("surge.")}
+        own, surge = with_fit(own, description["surge"], table)
+        description = {**description, "surge": surge}
+        length, slots = track_size(description)[2], leaves["track.slots"]
+        found = {**leaves, **{f"surge.{name}": leaf for name, leaf in own.items()}}
+        if slots.shape[-1] != length:  # tracks under way end
+            found["track.slots"] = np.full((*slots.shape[:-1], length), EMPTY)
+        return found, description
+    made, members, found = description.get("forecasts") or {"members": []}, description.get("members", {}), dict(leaves)
+    weighed = {description["columns"][column]: column for column in made["members"]}
+    name = next((name for name in weighed if members[name]["kind"] == "joint"), None)
+    if name is None or FIT in members:
+        return found, description
+    new = {**made, FIT: {"column": weighed[name], "table": list(table)}}
+    if FIT not in made:
+        new["vectors"] = made["vectors"] | at.with_fit(made["vectors"]["prior"])
+        weights = leaves["forecasts.rule.weights"]
+        found["forecasts.rule.weights"] = (1 - FIT_WEIGHT) * weights
+        losses, squares = ((weights * leaves[f"forecasts.rule.{x}"]).sum(-1) for x in ("losses", "squares"))
+        more = {
+            "weights": 0.0, "predictions": math.nan, "rule.weights": FIT_WEIGHT, "rule.losses": losses,
+            "rule.squares": squares, "rule.ranges": leaves["forecasts.rule.ranges"].max(-1),
+        }  # fmt: skip
+        for leaf, value in more.items():
+            found[f"forecasts.{leaf}"] = np.insert(found[f"forecasts.{leaf}"], len(weighed), value, -1)
+        begin = f"forecasts.frozen.{name}."
+        under_way = {leaf: x for leaf, x in leaves.items() if leaf.startswith(begin)}
+        found |= {leaf.replace(begin, f"forecasts.frozen.{FIT}."): x for leaf, x in under_way.items()}
+    return found, {**description, "forecasts": new}
