@@ -6,8 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from tests.support.live import planar
 from usvlearn import Ensemble, ForecastSettings, JointEKF, Online, Persistence
-from usvlearn.core.samples import Inputs, Sample
+from usvlearn.core.samples import Inputs, PlanarSample, Sample
 from usvlearn.engine.fit_member import with_fit
 from usvlearn.engine.online import read_checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
@@ -125,6 +126,19 @@ def test_it_goes_on_where_it_was_saved_and_a_new_fit_takes_its_place(tmp_path):
     assert np.isfinite(one.forecast([[0.5, 0.5]] * 75, headings=0.0).surge).all()
 
 
+def test_a_fit_that_is_doubted_is_inactive_and_the_next_one_begins_anew():
+    theta, none, one = theta_of(), online(), online()
+    sail([none, one], 60, theta)
+    one.take_fit([0.0] * TABLE)
+    made, same = sail([none, one], 60, theta, seed=1)
+    assert np.isnan(same[..., -3]).all()
+    np.testing.assert_allclose(same[..., -1], made[..., -1], atol=0.05)
+    one.take_fit(table(theta))
+    np.testing.assert_allclose(one.leaf("forecasts.rule.weights")[:, -1], FIT_WEIGHT)
+    np.testing.assert_allclose(one.leaf("forecasts.rule.weights").sum(-1), 1.0)
+    assert np.isfinite(sail([one], 40, theta, seed=2)[0][5:, 2, -3]).any()
+
+
 def test_a_replay_with_the_fit_in_its_settings_makes_the_same_forecasts():
     own = table(theta_of())
     one, other = online(), online(fit=own)
@@ -157,3 +171,16 @@ def test_without_a_joint_ekf_there_is_no_such_member():
         Ensemble({"persistence": Persistence()}, forecasts=FittedForecasts(fit=table(theta_of())))
     with pytest.raises(ConfigError, match=f"found 2 numbers, expected {TABLE}"):
         FittedForecasts(fit=[1.0, 2.0])
+
+
+def test_a_boat_in_the_plane_takes_it_too(tmp_path):
+    one = Online.open(Online(planar()).save(tmp_path / "planar.safetensors"))
+    one.take_fit(table(theta_of()))
+    other = Online.open(one.save(tmp_path / "fitted.safetensors"))
+    for k in range(30):
+        for each in (one, other):
+            sample = Sample(Inputs(0.6, 0.5, 0.01 * k, 0.02, DT * (k > 0)), 0.05 * k, True, True)
+            each.step(PlanarSample(sample, 0.01 * k, 0.02, 0.0, 0.3 * k, 0.1 * k))
+    tracks = [each.forecast([[0.5, 0.4]] * 20) for each in (one, other)]
+    np.testing.assert_array_equal(tracks[0].surge, tracks[1].surge)
+    assert np.isfinite(tracks[0].surge).all() and one.leaf("surge.forecasts.rule.weights").shape == (6, 4)

@@ -10,14 +10,16 @@ import numpy as np
 import pytest
 
 from tests.support.commands import python
-from tests.support.live import PLAIN, boat, messages, ready
+from tests.support.live import PLAIN, boat, messages, ready, replayed
 from usvlearn.cli import refit as refitting
 from usvlearn.cli.refit import refit
 from usvlearn.core import checkpoint
 from usvlearn.core.events import LOSS, Event
 from usvlearn.core.lock import Lock
 from usvlearn.errors import ConfigError
+from usvlearn.estimators.ensemble.forecasts.state import TABLE
 from usvlearn.live import message_buffer, missions
+from usvlearn.live.diagnostics import fit_of
 from usvlearn.live.missions import read_refit, settings_of
 from usvlearn.live.session import Session
 from usvlearn.live.start import Options, channel_options
@@ -154,9 +156,42 @@ def test_a_restarted_node_tells_the_last_fit_and_which_values_to_use(tmp_path, s
         assert session.tick().refit is None
 
 
+def tables(folder, start, tables, **options) -> list[tuple[float, ...]]:
+    """Of the fit that forecasts after each mission, for each table that a fit then gives; [] is one that is doubted."""
+    found = []
+    with ready(folder, start, refit=True, **options) as session:
+        for k, table in enumerate(tables):
+            sail(session, shift=200.0 * k)
+            silence(session)
+            told(folder, session.setup, use=bool(table), table=table)
+            silence(session, 61.0)
+            found.append(fit_of(session._node.online.description))
+    return found
+
+
+def test_a_fit_that_comes_back_forecasts_too_unless_it_is_doubted(tmp_path, start, process):
+    first, second = [1.0] * TABLE, [2.0] * TABLE
+    assert tables(tmp_path, start, [[], first, second, []]) == [(), (*first,), (*second,), (0.0,) * TABLE]
+    with ready(tmp_path, None, refit=True) as session:
+        assert fit_of(session._node.online.description) == (*second,)
+        session.tick()
+        assert not any(fit_of(session._node.online.description))
+
+
+@pytest.mark.thorough
+def test_the_record_of_a_node_with_a_fit_replays_its_predictions(tmp_path, start, process):
+    tables(tmp_path, start, [[1.0] * TABLE])
+    with ready(tmp_path, None, record=True) as session:
+        steps = [*sail(session, shift=400.0), *session._node.finish()]
+        names = session._node.online.names
+    predicted = np.array([[step.members.get(name, np.nan) for name in names] for step in steps])
+    np.testing.assert_array_equal(replayed(tmp_path / "records"), predicted)
+
+
 @pytest.mark.parametrize(
     "text", ["", "[]", "{}", '{"setup": 1}', '{"use": true, "missions": 1, "quantities": {"a": [1]}, "sentence": ""}',
-             '{"use": true, "missions": "x", "quantities": {}, "sentence": ""}', "[" * 100_000]
+             '{"use": true, "missions": "x", "quantities": {}, "sentence": ""}', "[" * 100_000,
+             '{"use": true, "missions": 1, "quantities": {}, "sentence": "", "table": [1, 2]}']
 )  # fmt: skip
 def test_a_result_that_is_damaged_ends_nothing(tmp_path, text):
     (tmp_path / "fit").mkdir()

@@ -2,6 +2,7 @@
 
 Its copies are those of the first joint EKF that is weighed. Its weights begin at `FIT_WEIGHT`, with the regret of the
 others' mixture; under way it has none, so that what was forecast before stays. The next fit replaces its table alone.
+A table of zeros makes it inactive (its forecasts are NaN); after that its weights begin anew.
 """
 
 from __future__ import annotations
@@ -42,18 +43,19 @@ def with_fit(leaves: Mapping[str, np.ndarray], description: Description, table: 
     if name is None or FIT in members:
         return found, description
     new = {**made, FIT: {"column": weighed[name], "table": list(table)}}
-    if FIT not in made:
-        new["vectors"] = made["vectors"] | at.with_fit(made["vectors"]["prior"])
-        weights = leaves["forecasts.rule.weights"]
-        found["forecasts.rule.weights"] = (1 - FIT_WEIGHT) * weights
-        losses, squares = ((weights * leaves[f"forecasts.rule.{x}"]).sum(-1) for x in ("losses", "squares"))
-        more = {
-            "weights": 0.0, "predictions": math.nan, "rule.weights": FIT_WEIGHT, "rule.losses": losses,
-            "rule.squares": squares, "rule.ranges": leaves["forecasts.rule.ranges"].max(-1),
-        }  # fmt: skip
-        for leaf, value in more.items():
-            found[f"forecasts.{leaf}"] = np.insert(found[f"forecasts.{leaf}"], len(weighed), value, -1)
+    first, place = FIT not in made, len(weighed)
+    if first or not any(made[FIT]["table"]):
+        rule = {key: leaves[f"forecasts.rule.{key}"][..., :place] for key in ("weights", "losses", "squares", "ranges")}
+        weights = rule["weights"] / rule["weights"].sum(-1, keepdims=True)
+        more = {key: (weights * rule[key]).sum(-1) for key in ("losses", "squares")}
+        more |= {"weights": FIT_WEIGHT, "ranges": rule["ranges"].max(-1)}
+        rule["weights"] = (1 - FIT_WEIGHT) * weights
+        found |= {f"forecasts.rule.{key}": np.insert(each, place, more[key], -1) for key, each in rule.items()}
         begin = f"forecasts.frozen.{name}."
         under_way = {leaf: x for leaf, x in leaves.items() if leaf.startswith(begin)}
         found |= {leaf.replace(begin, f"forecasts.frozen.{FIT}."): x for leaf, x in under_way.items()}
+    if first:
+        new["vectors"] = made["vectors"] | at.with_fit(made["vectors"]["prior"])
+        for leaf, value in (("forecasts.weights", 0.0), ("forecasts.predictions", math.nan)):
+            found[leaf] = np.insert(leaves[leaf], place, value, -1)
     return found, {**description, "forecasts": new}

@@ -172,8 +172,9 @@ class Session:
             self._check()
         self.advise("fit", self._missions.tick(saves, outage, node.loss))
         told = self._missions.told
-        if told is not None and told.use and told.table not in ((), diagnostics.fit_of(node.online.description)):
-            node.online.take_fit(told.table)
+        before = diagnostics.fit_of(node.online.description)
+        if told is not None and (fit := (told.table or before) if told.use else (0.0,) * len(before)) != before:
+            node.online.take_fit(fit)
         health = self._health(ages, clock)
         self.state = health.state
         if clock - self._told >= TELL and self._background.submit("status", self._tell, health.json()):
