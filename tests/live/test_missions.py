@@ -4,6 +4,7 @@ import json
 import os
 import signal
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -36,8 +37,8 @@ class Started:
 
     pid, code, count = 2**31, 0, 0
 
-    def __init__(self, *_, **__):
-        Started.count += 1
+    def __init__(self, command, **_):
+        Started.count, Started.command = Started.count + 1, command
 
     def poll(self):
         return self.code
@@ -114,6 +115,15 @@ def test_a_mission_that_is_short_lies_still_or_lacks_thrust_is_not_kept(tmp_path
         health = silence(session)
         assert not health.refit.use and "left thruster gives 40 %" in health.refit.sentence
     assert not checkpoint.checkpoints(tmp_path / "missions")
+
+
+def test_a_folder_that_looks_like_an_option_is_fitted(tmp_path, start, process, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with ready(Path("-node"), start, refit=True) as session:
+        sail(session)
+        silence(session)
+        silence(session, 61.0)
+    assert process.command[-2:] == ["fit", str(tmp_path / "-node")]
 
 
 def test_the_oldest_missions_make_room(tmp_path, start, process, monkeypatch):

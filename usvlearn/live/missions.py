@@ -125,8 +125,9 @@ class Missions:
             self._tried = sizes
             search = os.pathsep.join(filter(None, (str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH"))))
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "usvlearn", "fit", str(self._options.folder)], start_new_session=True,
-                env={**os.environ, "PYTHONPATH": search}, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+                [sys.executable, "-P", "-m", "usvlearn", "fit", str(self._options.folder.absolute())],
+                start_new_session=True, env={**os.environ, "PYTHONPATH": search}, stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
             )  # fmt: skip
             threading.Thread(target=self._process.wait, daemon=True).start()  # ends behind the node, too
             with suppress(OSError, AttributeError):  # not on Windows; where memory is short, this process ends first

@@ -171,8 +171,7 @@ class Session:
         elif clock - self._began >= FIRST_CHECK and not self._checked:
             self._check()
         self.advise("fit", self._missions.tick(saves, outage, node.loss))
-        told = self._missions.told
-        before = diagnostics.fit_of(node.online.description)
+        told, before = self._missions.told, diagnostics.fit_of(node.online.description)
         if told is not None and (fit := (told.table or before) if told.use else (0.0,) * len(before)) != before:
             node.online.take_fit(fit)
         health = self._health(ages, clock)
