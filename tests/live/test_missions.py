@@ -283,7 +283,7 @@ def test_a_node_fits_its_missions_beside_its_steps(tmp_path, start, capfd):
         sail(session, log, 3600.0)
         health = wait(session)
         assert health.refit.missions == 2 and not any("signal" in each for each in health.warnings)
-    assert read_refit(tmp_path, session.setup) == session._missions.told
+    assert read_refit(tmp_path, session.setup) == session._missions.told and len(session._missions.told.table) == TABLE
     (found,) = read_boats(tmp_path / "fit")
     assert isinstance(found.found, FittedBoat) and found.setup == session.setup
     assert health.refit.quantities["time_constant"][0] == pytest.approx(found.found["time_constant"].value)
