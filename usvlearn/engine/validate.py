@@ -191,7 +191,7 @@ class _Reading:
         if description["monitors"] is not None:
             self._parameters("kernel.monitors", description["monitors"], monitors.Number)
         if made:
-            self._forecasts("kernel.forecasts", description["forecasts"], columns)
+            self._forecasts("kernel.forecasts", description["forecasts"], description, columns)
         if "accommodation" in others:
             self._accommodation("kernel.accommodation", description["accommodation"], description)
 
@@ -211,7 +211,7 @@ class _Reading:
             raise wrong(f"{entry}.members", members, "each once")
         self._parameters(f"{entry}.numbers", given["numbers"], accommodation.Number)
 
-    def _forecasts(self, entry: str, made: Any, columns: list[Any]) -> None:
+    def _forecasts(self, entry: str, made: Any, description: Any, columns: list[Any]) -> None:
         """Check forecasts of an ensemble."""
         fitted = isinstance(made, dict) and forecasts.FIT in made
         _keys(entry, made, ("members", "slots", "numbers", "vectors", *[forecasts.FIT] * fitted))
