@@ -18,6 +18,16 @@ def header(formats: dict[str, str]) -> bytes:
     return head + b"".join(block("F", f"{name}:{fields}".encode()) for name, fields in formats.items())
 
 
+def parameters(**values: float) -> bytes:
+    """Parameters; those of an int are integers."""
+    found = []
+    for name, value in values.items():
+        kind, code = ("int32_t", "i") if isinstance(value, int) else ("float", "f")
+        key = f"{kind} {name}".encode()
+        found.append(block("P", bytes([len(key)]) + key + struct.pack("<" + code, value)))
+    return b"".join(found)
+
+
 def subscribe(number: int, name: str, instance: int = 0) -> bytes:
     return block("A", struct.pack("<BH", instance, number) + name.encode())
 

@@ -11,7 +11,7 @@ from usvlearn.logs.channels.channel import SURGE, Channel, Recording
 from usvlearn.logs.checks.data_check import check_data
 from usvlearn.logs.checks.delivery import rejected
 from usvlearn.logs.checks.evidence import Evidence
-from usvlearn.logs.checks.finding import WARNING
+from usvlearn.logs.checks.finding import NOTE, WARNING
 from usvlearn.logs.checks.scales import runs
 
 
@@ -57,7 +57,7 @@ def test_clocks_that_differ_are_found_in_both_directions_of_a_short_log(late):
 
 ODD = {
     ("surge",): (-1.0, -4.0, -18.0),
-    ("heading",): (3.0, 18.0, -2.0, -18.0),
+    ("heading",): (2.5, 3.0, 18.0, -2.0, -18.0),
     ("command_left", "command_right"): (1.0, 3.0, 18.0),
 }
 
@@ -69,6 +69,17 @@ def test_the_table_whose_clock_differs_is_named_with_its_shift(late, channels):
     how = re.search(r"(take|add) (\d+) s (from|to) the stamps of the (\w+)", found.expected)
     assert how and (how[1], how[4]) == ("take" if late > 0 else "add", name)
     assert float(how[2]) == pytest.approx(abs(late), abs=1)
+
+
+@pytest.mark.parametrize("rate", [0.01, -0.01])
+@pytest.mark.parametrize("names", [("command_left", "command_right"), ("heading",), (SURGE,)])
+def test_a_clock_that_runs_faster_is_found(names, rate):
+    log = stranger(boat := sail(12, 2))
+    assert not {"clock drift", "delay"} & told_of(log).keys()
+    ran = {name: log.channels[name]._replace(time=(1 + rate) * boat["time"]) for name in names}
+    found = told_of(log._replace(channels=log.channels | ran))["clock drift"]
+    side = "faster" if (rate > 0) != (len(names) == 2) else "slower"
+    assert f"its clock runs {side} than that of the commands" in found.expected
 
 
 def receiver(late, off=0.0):
@@ -95,6 +106,33 @@ def test_a_heading_that_is_two_seconds_late_is_found_and_an_early_or_slow_one_is
     for shift in (late, 0.5, -2.0):
         told = told_of(stranger(boat, shift, ("heading",), heading=boat["psi"], **moved))
         assert ("clocks" in told) == (shift == late)
+
+
+@pytest.mark.parametrize(("start", "severity"), [(1.7e9, WARNING), (54_400.0, NOTE), (41_234.2, NOTE), (0.0, None)])
+def test_runs_of_the_same_minutes_are_asked_for_also_without_a_date(start, severity):
+    def severity_of(pause):
+        runs = []
+        for run in (0, 1):
+            own = stranger(sail(3, run + 1)).channels
+            begun = {name: each._replace(start=start + run * pause) for name, each in own.items()}
+            runs.append(Recording("a", f"r{run}", begun, {}))
+        return [each.severity for each in check_data(runs, None, {}, 2.5) if each.kind == "together"]
+
+    assert severity_of(1) == ([severity] if severity else [])
+    assert severity_of(4000) == []
+
+
+@pytest.mark.parametrize("current", [(0.5, -0.3), (0.0, 0.5), (-0.4, 0.2)])
+def test_a_course_in_place_of_a_heading_is_found_by_the_current(current):
+    boat = sail(6, lowest=0.0)
+    drift = [each * boat["time"] for each in current]
+    moved = {"north": boat["n"] + drift[0], "east": boat["e"] + drift[1]}
+    rates = [np.gradient(each, boat["time"]) for each in moved.values()]
+    course = {"heading": np.unwrap(np.arctan2(rates[1], rates[0])), SURGE: np.hypot(*rates)}
+    found = told_of(stranger(boat, **moved, **course))["course"]
+    assert "current" in found.found and found.severity == NOTE
+    assert "course" not in told_of(stranger(boat, **moved))
+    assert "course" not in told_of(stranger(boat, north=boat["n"], east=boat["e"]))
 
 
 IMPOSSIBLE = {
@@ -142,3 +180,40 @@ def test_a_log_of_another_unit_than_the_others_is_named(placed):
     for factor in (100, 1e-3, 2.55):
         assert "in r1 (×" in kinds(command_left=factor, command_right=factor)["commands of runs"]
     assert kinds(command_left=0.1, command_right=0.1, surge=0.2).keys() <= ({"speeds of runs"} if placed else set())
+
+
+@pytest.mark.parametrize(("count", "which"), [(2, 1), (2, 0), (3, 2), (4, 0)])
+def test_the_log_whose_sides_are_swapped_is_named(count, which):
+    logs = [stranger(sail(4, seed))._replace(run=f"r{seed}") for seed in range(1, count + 1)]
+    assert "sides of runs" not in {each.kind for each in check_data(logs, None, {}, 2.5)}
+    own = logs[which].channels
+    wrong = {"command_left": own["command_right"], "command_right": own["command_left"]}
+    for odd in (wrong, {"heading": own["heading"]._replace(value=-own["heading"].value)}):
+        logs[which] = logs[which]._replace(channels=own | odd)
+        found = {each.kind: each for each in check_data(logs, None, {}, 2.5)}["sides of runs"]
+        assert found.found.endswith(f"unlike in other logs, in r{which + 1}") and found.severity == WARNING
+    lost = own["command_left"]._replace(value=0 * own["command_left"].value)
+    logs[which] = logs[which]._replace(channels=own | {"command_left": lost})
+    assert "sides of runs" not in {each.kind for each in check_data(logs, None, {}, 2.5)}
+
+
+@pytest.mark.parametrize(("bias", "unit"), [(3.0, "rad/s"), (-3.0, "deg/s"), (2.0, "enu_rad/s")])
+def test_a_gyro_with_a_bias_is_found_and_one_of_another_scale_is_none(bias, unit):
+    boat = sail(6)
+    rate = boat["turn"] + np.radians(bias)
+    found = told_of(stranger(boat, yaw_rate=rate), yaw_rate={"name": "yaw_rate", "unit": unit})["yaw rate bias"]
+    factor = {"rad/s": 1, "deg/s": np.radians(1), "enu_rad/s": -1}[unit]
+    assert float(found.key.partition("zero=")[2]) == pytest.approx(np.radians(bias) / factor, rel=0.1)
+    for other in (boat["turn"], 1.2 * boat["turn"], np.roll(boat["turn"], 4)):
+        assert "yaw rate bias" not in told_of(stranger(boat, yaw_rate=other))
+
+
+@pytest.mark.parametrize(("size", "at", "off"), [(15.0, 0.0, 0.0), (-15.0, 1.0, 8.0), (18.0, 2.5, -5.0)])
+def test_a_compass_whose_error_changes_with_the_heading_is_found(size, at, off):
+    boat = sail(12)
+    moved = {"north": boat["n"] + 0.3 * boat["time"], "east": boat["e"] - 0.3 * boat["time"]}
+    wrong = boat["psi"] + np.radians(size * np.sin(boat["psi"] + at) + off)
+    found = told_of(stranger(boat, heading=wrong, **moved))["compass"]
+    told = float(re.search(r"is (\d+)° off", found.found)[1])
+    assert told == pytest.approx(abs(size), abs=4)
+    assert "compass" not in told_of(stranger(boat, heading=boat["psi"] + np.radians(off), **moved))

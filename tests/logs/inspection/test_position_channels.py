@@ -84,3 +84,15 @@ def test_a_position_in_metres_by_assumption_proves_no_unit():
     assert told(driven(boat, speed_mps=boat["u"], north=boat["n"], east=boat["e"]))["surge", "unit"][1] == "certain"
     (north,) = (each for each in driven(boat, **place).decisions if each.channel == "north")
     assert north.certainty == "probable" and "taken as m" in north.reason
+
+
+@pytest.mark.parametrize("place", [(-33.8, 151.2), (1.3, 103.8), (41.0, -122.3), (-35.0, 100.0)])
+def test_a_longitude_beyond_100_degrees_is_no_degrees_and_minutes_and_is_told_where_it_is_called_latitude(place):
+    boat = sail(6)
+    shrunk = np.cos(np.radians(42.3)) / np.cos(np.radians(place[0]))
+    lat, lon = place[0] + boat["lat"] - 42.3, place[1] + (boat["lon"] + 71.1) * shrunk
+    for names in (("lat", "lon"), ("lon", "lat")):
+        found = driven(boat, speed=boat["u"], **dict(zip(names, (lat, lon), strict=True)))
+        kept = [found.channels[each] for each in ("latitude", "longitude")]
+        assert [(each["name"], each["unit"]) for each in kept] == [(name, "deg") for name in names]
+        assert told(found)["latitude", "series"][1] == ("certain" if names[0] == "lat" else "unsure")

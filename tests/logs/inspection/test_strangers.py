@@ -66,6 +66,16 @@ def test_a_speed_without_a_sign_of_a_boat_that_goes_astern_is_replaced_or_told()
     assert driven(ahead, sog=np.abs(ahead["u"])).channels["surge"]["name"] == "sog"
 
 
+@pytest.mark.parametrize(("seed", "lowest"), [(2, -0.3), (3, -0.8), (8, -0.3)])
+@pytest.mark.parametrize("names", [("sog", "cog"), ("speed_over_ground", "course_over_ground")])
+def test_a_boat_that_goes_astern_by_its_course_has_a_speed_by_both(names, seed, lowest):
+    """Its commands do not tell: they are astern for too short."""
+    boat = sail(4, seed, lowest)
+    along = dict(zip(names, (boat["sog"], boat["cog"]), strict=True))
+    assert tell(boat, "surge series", **along) == ("from speed and course", "probable")
+    assert driven(boat, **along | {names[0]: boat["u"]}).channels["surge"]["name"] == names[0]  # it has its sign
+
+
 @pytest.mark.parametrize("names", [("r_speed", "y_speed", "e_speed"), ("speed_r", "speed_y", "speed_e")])
 def test_the_output_of_a_controller_is_the_speed_not_its_reference(names):
     boat = sail()
@@ -397,3 +407,32 @@ def test_a_track_that_may_be_a_mirror_image_proves_no_heading(names):
     assert [found.channels[f"command_{side}"]["name"] for side in ("left", "right")] == list(sides)
     north = "velocity_north" if "v" in names[0].lower() else "latitude"
     assert told(found)["heading", "unit"] == ("deg", "unsure") and told(found)[north, "series"] == (names[1], "unsure")
+
+
+@pytest.mark.parametrize(
+    "words", [("forward", "neutral", "reverse"), ("F", "N", "R"), ("vorwärts", "stop", "rückwärts")]
+)
+@pytest.mark.parametrize("start", [0, 60])
+def test_gears_of_text_beside_a_throttle_without_a_sign_are_asked(tmp_path, words, start):
+    boat = {name: each[start:] for name, each in sail(4).items()}
+    names = {1: words[0], 0: words[1], -1: words[2]}
+    lines = ["time,left,gear_left,right,gear_right,heading,sog"]
+    for t, left, right, heading, speed in zip(*(boat[x] for x in ("time", "l", "r", "hdg", "sog")), strict=True):
+        gears = (names[int(np.sign(each))] for each in (left, right))
+        lines.append(f"{t},{abs(left)},{next(gears)},{abs(right)},{next(gears)},{heading},{speed}")
+    (path := tmp_path / "log.csv").write_text("\n".join(lines))
+    signs = [each for each in inspect_logs([str(path)]).proposal.decisions if each.what == "sign"]
+    assert {each.certainty for each in signs} == {"unsure"}
+    assert "gear_left, gear_right may tell the sense" in signs[0].reason
+
+
+@pytest.mark.parametrize(("noise", "sure"), [(0.0, "probable"), (0.6, "unsure")])
+@pytest.mark.parametrize("off", [20.0, -15.0, 100.0])
+def test_the_error_of_a_compass_is_unsure_where_it_is_not_exact(noise, sure, off):
+    boat, rng = sail(6, lowest=0.0), np.random.default_rng(1)
+    place = {x: boat[x] + noise * 1e-5 * rng.normal(size=len(boat["lat"])) for x in ("lat", "lon")}
+    found = concluded(
+        boat, left=boat["l"], right=boat["r"], heading=(boat["hdg"] + off) % 360, speed=boat["u"], **place
+    )
+    (zero,) = (each for each in found.decisions if each[:2] == ("heading", "zero"))
+    assert float(zero.value) == pytest.approx(off, abs=4) and zero.certainty == sure and "° ± " in zero.reason

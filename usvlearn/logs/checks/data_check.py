@@ -14,27 +14,29 @@ from typing import Any
 from usvlearn.core.samples import Fleet
 from usvlearn.errors import LogFormatError, check_choice
 from usvlearn.logs.channels.channel import Recording
-from usvlearn.logs.checks import delivery, frozen, response, scales, thrusters, track
+from usvlearn.logs.checks import course, delivery, frozen, response, scales, thrusters, track
 from usvlearn.logs.checks.evidence import Evidence
 from usvlearn.logs.checks.finding import WARNING, Finding
 
 CHECKS: tuple[Callable[[Evidence], Iterator[Finding]], ...] = (
     scales.zeros, scales.rest, scales.speed_scale, scales.sign, scales.command_scale, scales.heading_unit,
     scales.heading_sense, scales.yaw_rate, track.degrees, track.axes, track.follows, track.sway,
-    thrusters.sides, response.delay, thrusters.excitation, response.clocks, frozen.frozen,
-    delivery.rejected, delivery.stale, delivery.copies, delivery.clock, delivery.horizons, delivery.together,
-    delivery.jumps, scales.runs,
+    thrusters.sides, response.delay, response.clock_drift, thrusters.excitation, response.clocks, course.compass,
+    frozen.frozen, delivery.rejected, delivery.stale, delivery.copies, delivery.clock, delivery.horizons,
+    delivery.together, delivery.jumps, scales.runs, thrusters.sides_of_runs,
 )  # fmt: skip
 # kind of a finding -> kinds that follow from it, and are left out beside it
 CONSEQUENCES = {
     **dict.fromkeys(("speed unit", "speed scale", "yaw rate unit"), ("rejected", "stale")),
     "speeds of runs": ("speed unit", "speed scale", "rejected", "stale"),
+    "sides of runs": ("sides or heading", "sides swapped", "side reversed"),
     "commands of runs": ("command scale", "thrust", "delay", "excitation"),
     "heading unit": ("rejected", "stale", "position", "position axes", "jumps"),
     "command scale": ("rejected", "stale", "excitation"),
     "constant": ("thrust", "position"),
     "side reversed": ("thrust", "speed sign"),
     "sides or heading": ("speed sign",),
+    "clock drift": ("delay", "clocks", "stale", "position"),
     "delay": ("stale", "position"),
     "frozen": ("delay", "position"),
     "position unit": ("speed unit", "heading sense", "heading offset", "position", "position axes", "jumps"),

@@ -25,7 +25,7 @@ MANY, MOST = 0.05, 0.5  # of the messages of a channel
 JUMPING, STEPS, OUTAGE = 0.1, 50, 5.0  # share of impossible changes, of so many at least; s between two values
 STALE, UNUSED = 0.1, 0.5  # of the steps; of the speeds
 UNSORTED, SORT = 0.01, "sort the rows of the log by their stamps"  # share of the stamps
-DATED, SHARED, OVERLAP = 3e8, 10.0, 0.05  # s since 1970, of a clock that was set; s; share of a run
+DATED, HOUR, SHARED, OVERLAP = 3e8, 3600.0, 10.0, 0.05  # s since 1970, of a clock that was set; s; s; share of a run
 HARMLESS = ("duplicate", "repeated", "copied", "stale", "lost", "outage", "alone", EMPTY)
 LIMITS = {SURGE: "surge_max", "yaw_rate": "yaw_rate_max", **dict.fromkeys(COMMANDS, "command_max")}
 
@@ -179,12 +179,13 @@ def together(e: Evidence) -> Iterator[Finding]:
     spans = []
     for one in e.recordings:
         time, start = one.channels[COMMANDS[0]].time, one.channels[COMMANDS[0]].start
-        if start > DATED and len(time):
+        if start > HOUR and len(time):
             spans.append((*(start + np.quantile(time, (0.01, 0.99))).tolist(), one.run))
     for (begin, end, run), (later, last, other) in pairwise(sorted(spans)):
         if (both := min(end, last) - later) > max(SHARED, OVERLAP * min(end - begin, last - later)):
-            text = f"that {run} and {other} are of the same {both:.0f} s: of several boats, or copies"
+            one_day, severity = ("", WARNING) if begin > DATED else (" if of one day", NOTE)
+            text = f"that {run} and {other} are of the same {both:.0f} s{one_day}: of several boats, or copies"
             expected = "runs of one boat, one after the other: of several, set data.path to the run of one, or to "
             expected += f"{{{run}: FILE, {other}: FILE}} (of one table, set data.boat_column) and data.boat to null"
-            yield Finding(e.boat, "runs", "together", text, expected)
+            yield Finding(e.boat, "runs", "together", text, expected, severity=severity)
             return

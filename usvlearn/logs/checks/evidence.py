@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -70,6 +70,11 @@ class Evidence:
     def logs(self, name: str) -> list[Channel]:
         """The channel of each run that has it."""
         return [one.channels[name] for one in self.recordings if name in one.channels]
+
+    @cached_property
+    def alone(self) -> list[Evidence]:
+        """Each run by itself, where there are several."""
+        return [replace(self, recordings=[one]) for one in self.recordings] if len(self.recordings) > 1 else []
 
     @cached_property
     def values(self) -> dict[str, np.ndarray]:

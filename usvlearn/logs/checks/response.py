@@ -40,7 +40,7 @@ PAIR = f"commands, {SURGE}"
 LONGEST, SAME = 12.0, 2.0  # s, of a delay that is proposed; by which two shifts of one clock differ
 STEADY = 0.03  # standard deviation of a speed over its mean
 CLOCKS = "the clocks of both differ, as GPS time and UTC do by 18 s, so correct the stamps of one of them"
-BLOCK, ENOUGH, SHORT = 40, 1080, 300  # bins: 20 s, 9 min, 2.5 min
+BLOCK, ENOUGH, SHORT, PIECE = 40, 1080, 300, 240  # bins: 20 s, 9 min, 2.5 min, 2 min
 FAR, CLEAR = 5, (0.5, 0.6)  # s; ratio of squares and share explained: of clocks that differ, in a short log
 SURE = ((4.0, 0.85), (2.4, 0.7))  # standard errors, and the ratio of squares
 EXPLAINED = 0.3
@@ -48,6 +48,7 @@ COURSE_STEP, FARTHEST = 2.0, 25  # s, of bins of the course; bins of lag that ar
 EARLIER, LATER = 5.0, 2.0  # s, of a heading that is early, and of one that is late
 FITS, CLOSE = ((4.0, 0.5), (2.4, 0.25)), 0.3  # standard errors, and of the dispersion that is left; dispersion
 COURSE_BLOCK, FEWEST = 10, 3  # bins: 20 s; blocks
+DRIFTING = 0.55, 0.6  # share explained in each third of a log, and the ratio of squares in one, of a delay that changes
 
 
 class Fit(NamedTuple):
@@ -65,7 +66,7 @@ class Fit(NamedTuple):
         return self.delay if self.ratio <= CLEAR[0] and self.explained >= CLEAR[1] and self.certainty > 2.4 else 0
 
 
-def best_delay(e: Evidence, of_turn: bool = False) -> Fit | None:
+def best_delay(e: Evidence, of_turn: bool = False, within: tuple[float, float] = (0.0, 1.0)) -> Fit | None:
     """Fit the equation of motion for each delay; None if there is too little evidence."""
     edges = bin_edges(STEP, e.series[SURGE], e.series["heading"])
     bins = len(edges) - 1
@@ -85,8 +86,9 @@ def best_delay(e: Evidence, of_turn: bool = False) -> Fit | None:
     parts = {delay: slice(ahead - round(delay / STEP), ahead - round(delay / STEP) + size) for delay in DELAYS}
     unknown = ~np.isfinite(forces.sum(0))
     known = np.isfinite(change + motion.sum(0)) & ~np.any([unknown[part] for part in parts.values()], axis=0)
+    known[: round(within[0] * size)] = known[round(within[1] * size) :] = False
     goal, count = change[known], int(known.sum())
-    if count < SHORT or not np.ptp(goal) > 0:
+    if count < (SHORT if within == (0.0, 1.0) else PIECE) or not np.ptp(goal) > 0:
         return None
     squares = {}
     for delay, part in parts.items():
@@ -100,9 +102,7 @@ def best_delay(e: Evidence, of_turn: bool = False) -> Fit | None:
     gain = (squares[usual] - squares[best])[: count // BLOCK * BLOCK].reshape(-1, BLOCK).mean(1)
     error = float(gain.std(ddof=1)) / math.sqrt(len(gain))
     explained = 1 - sums[best] / float(((goal - goal.mean()) ** 2).sum())
-    if not (error > 0 and sums[usual] > 0):
-        return None
-    return Fit(best, float(gain.mean()) / error, sums[best] / sums[usual], explained, count)
+    return Fit(best, float(gain.mean()) / max(error, 1e-12), sums[best] / max(sums[usual], 1e-12), explained, count)
 
 
 def _means(*values: np.ndarray) -> np.ndarray:
@@ -123,6 +123,7 @@ def delay(e: Evidence) -> Iterator[Finding]:
     lag, found, turn = implausible_lag(e), best_delay(e), best_delay(e, of_turn=True)
     given = float(max((each.delay for each in e.logs(COMMANDS[0])), default=0.0))
     turned, exact = (each.clear if each else 0 for each in (turn, found))
+    late = LATE - bool(found and found.delay < LATE - 1)  # s, of a turn: less where the speed is not late, too
     shift = exact or lag or (found.delay if found else 0)
     if lag is not None or (found and _is_told(found, given)):
         text = f"speeds {_side(shift)} the commands (r = {e.searched.correlation:.2f})"
@@ -134,16 +135,34 @@ def delay(e: Evidence) -> Iterator[Finding]:
         fix = " ".join(override(name, {"delay": right}) for name in COMMANDS) if given != right <= LONGEST else ""
         hardly = f" (a longer one hardly is: {CLOCKS})" if lag is None else ""
         same = turn and turn.explained >= CLEAR[1] and turn.delay * shift > 0 and abs(turn.delay - shift) <= SAME
-        late = "commands" if same else "speed"
-        yield Finding(e.boat, PAIR, "delay", text, limits + (hardly if fix else _restamped(shift, late)), fix)
-    elif turn and (turned >= LATE or turned < 0):
+        which = "commands" if same else "speed"
+        yield Finding(e.boat, PAIR, "delay", text, limits + (hardly if fix else _restamped(shift, which)), fix)
+    elif turn and (turned >= late or turned < 0):
         text = f"changes of turn that fit commands {_side(turned)} best (squares × {turn.ratio:.2f})"
         how = _restamped(given, "speed") if 0 < -turned <= 1.5 * given else _restamped(turned, "heading")
-        yield Finding(e.boat, "commands, heading", "delay", text, f"0 to {LATE} s behind{how}")
+        yield Finding(e.boat, "commands, heading", "delay", text, f"less than {late} s behind{how}")
     elif e.searched.seconds >= LONG and abs(e.searched.correlation) < FOLLOWS and _moves(e):
         text = f"a speed without relation to the commands (r = {e.searched.correlation:.2f})"
         expected = see(f"more than {FOLLOWS:g}", SURGE, *COMMANDS)
         yield Finding(e.boat, PAIR, "thrust", text, expected, without(e, SURGE))
+
+
+def clock_drift(e: Evidence) -> Iterator[Finding]:
+    """A delay that grows or falls from third to third of the longest log: the clock of one table runs faster."""
+    e, told = max(e.alone or [e], key=lambda own: len(own.values[SURGE])), {}
+    for of_turn, response in enumerate(("speed", "heading")):
+        fits = [best_delay(e, bool(of_turn), (k / 3, (k + 1) / 3)) for k in range(3)]
+        known = [each for each in fits if each and each.explained >= DRIFTING[0]]
+        lags = [each.delay for each in known]
+        sure = any(each.ratio <= DRIFTING[1] and each.certainty > 2 for each in known)
+        if len(lags) == 3 and sure and abs(lags[2] - lags[0]) >= LATE and lags[1] == sorted(lags)[1]:
+            told[response] = lags
+    if told:
+        lags = next(iter(told.values()))
+        text = f"changes of {' and '.join(told)} {', then '.join(f'{each} s' for each in lags)} behind the commands"
+        side = "faster" if lags[2] > lags[0] else "slower"
+        expected = f"one delay in all thirds of the log: its clock runs {side} than that of the commands: correct one"
+        yield Finding(e.boat, "commands, heading" if "speed" not in told else PAIR, "clock drift", text, expected)
 
 
 def _is_told(found: Fit, given: float) -> bool:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -31,6 +30,7 @@ RESTING = 0.1  # m/s that a boat at rest does not reach
 WEAK, BEYOND = 0.05, 1.2  # of full scale
 CIRCLE = 2 * math.pi
 PARTS = (1, 10, math.degrees(1), 100)  # of a degree, in which headings are logged, or converted twice
+BIAS, FEWEST, MEAN = math.radians(1), 60, np.full(10, 0.1)  # rad/s, of a gyro; bins each way of turning; weights
 TURNED = 0.03  # rad/s, standard deviation of a turn that a yaw rate has to follow
 TURNED_AWAY = math.radians(45)  # of the course from the heading; a cross current of half the speed makes 30°
 SLUGGISH, FRANTIC = 0.03, 10.0  # rad/s of turn for a full difference of the commands
@@ -107,10 +107,7 @@ def sign(e: Evidence) -> Iterator[Finding]:
 
 def runs(e: Evidence) -> Iterator[Finding]:
     """Logs whose commands, or whose speeds, are in another unit than those of the others."""
-    if len(e.recordings) < 2:
-        return
-    alone = [replace(e, recordings=[one]) for one in e.recordings]
-    moved = [own for own in alone if own.fastest > RESTING and own.has_position == e.has_position]
+    moved = [own for own in e.alone if own.fastest > RESTING and own.has_position == e.has_position]
     fastest = [own.fastest for own in moved]
     commands = [np.abs(np.concatenate([own.values[name] for name in COMMANDS])) for own in moved]
     sizes = [float(np.quantile(each, 0.995)) if len(each) else 0.0 for each in commands]
@@ -259,10 +256,9 @@ def heading_sense(e: Evidence) -> Iterator[Finding]:
     elif e.sense == 1 and abs(found.offset) > TURNED_AWAY:
         zero = e.settings("heading")["zero"] - found.offset / e.factor("heading")
         text = f"a course {math.degrees(found.offset):+.0f}° from the heading"
-        bound = f"within {math.degrees(TURNED_AWAY):.0f}°"
         other = half_turn_fix(e, found.offset)
         fix = " or ".join(filter(None, [override("heading", {"zero": float(zero)}), other]))
-        yield Finding(e.boat, "heading", "heading offset", text, bound, fix)
+        yield Finding(e.boat, "heading", "heading offset", text, f"within {math.degrees(TURNED_AWAY):.0f}°", fix)
     elif e.sense != -1 and e.has_position and (off := compass_error(*(e.series[name] for name in MOVED))):
         zero = e.settings("heading")["zero"] - off[0] / e.factor("heading")
         text = f"a heading that is {math.degrees(-off[0]):+.0f}° (± {math.degrees(off[1]):.1f}°) off on all courses"
@@ -294,13 +290,17 @@ def yaw_rate(e: Evidence) -> Iterator[Finding]:
                       override(wrong, {"unit": mirrored(angular(e, wrong))}))  # fmt: skip
     if not 1 / 3 < slope < 3:
         text = f"{slope:.2g} times the rate of the heading (r = {found.correlation:.2f})"
-        if 20 < slope < 160 and "rad/s" in unit:
-            fix = override("yaw_rate", {"unit": unit.replace("rad/s", "deg/s")})
-        elif 1 / 160 < slope < 1 / 20 and "deg/s" in unit:
-            fix = override("yaw_rate", {"unit": unit.replace("deg/s", "rad/s")})
-        else:
-            fix = without
+        wrong, right = ("rad/s", "deg/s") if slope > 1 else ("deg/s", "rad/s")
+        likely = 20 < max(slope, 1 / slope) < 160 and wrong in unit
+        fix = override("yaw_rate", {"unit": unit.replace(wrong, right)}) if likely else without
         yield Finding(e.boat, pair, "yaw rate unit", text, "1 times", fix)
+    apart, rate = (np.convolve(each, MEAN, "same") for each in (e.means("yaw_rate") - e.turn, e.turn))
+    ways = [apart[(way * rate > 0) & np.isfinite(apart)] for way in (1, -1)]
+    low, high = sorted(float(np.median(each)) if len(each) > FEWEST else 0.0 for each in ways)
+    if low > BIAS or high < -BIAS:
+        zero = e.settings("yaw_rate")["zero"] + (bias := (low + high) / 2) / e.factor("yaw_rate")
+        text = f"a gyro that reads {math.degrees(bias):+.2g}°/s where the heading stays"
+        yield Finding(e.boat, "yaw_rate", "yaw rate bias", text, "0", override("yaw_rate", {"zero": round(zero, 4)}))
     if abs(found.lag) >= 1.0:
         text = f"a yaw rate {abs(found.lag):g} s {'behind' if found.lag > 0 else 'before'} the heading"
         yield Finding(e.boat, pair, "yaw rate delay", text, "less than 1 s", without, NOTE)

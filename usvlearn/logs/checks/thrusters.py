@@ -23,6 +23,7 @@ from usvlearn.logs.checks.response import STEADY, implausible_lag
 TURN, MOVE, HALF = 3.0, 2.5, 2.0  # standard errors, of the turn, the speed, and in half of a log
 CLEAR_TURN, CLEAR_MOVE, STRONG = 0.3, 0.25, 0.6  # partial correlations
 LEVELS = 3  # values of a command, below which it is on or off
+SHOWN = 3  # names of logs
 USED = 0.01  # of full scale: a smaller range is no use of a thruster
 SHARED = ("name", "field", "unit", "zero", "span", "weight")  # options that belong to a thruster
 
@@ -64,6 +65,19 @@ def sides(e: Evidence) -> Iterator[Finding]:
         yield Finding(e.boat, about, kind, text, expected, " or ".join([*fixes, *([reverse] if reverse else [])]))
         return
     yield Finding(e.boat, ", ".join(turned), "side reversed", text, expected, reverse)
+
+
+def sides_of_runs(e: Evidence) -> Iterator[Finding]:
+    """Logs in which the boat turns against the commands, where it turns with them in others."""
+    told: dict[tuple[int, ...], list[str]] = {(-1, 1): [], (1, -1): []}
+    for own in e.alone:
+        turn = tuple(_sign(each, TURN, CLEAR_TURN) for each in own.sides()[0])
+        told.get(turn, []).append(own.recordings[0].run)
+    if odd := min(told.values(), key=len):
+        names = ", ".join(odd[:SHOWN]) + ", …" * (len(odd) > SHOWN)
+        text = f"a turn against the commands, unlike in other logs, in {names}"
+        expected = "one way in all logs: swap both commands there, or change the sense of the heading"
+        yield Finding(e.boat, ", ".join(COMMANDS), "sides of runs", text, expected)
 
 
 def _way(e: Evidence) -> int:

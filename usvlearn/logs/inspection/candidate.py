@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from usvlearn.logs.channels.series import Series
-from usvlearn.logs.formats.ardupilot.servos import FUNCTIONS, OUTPUTS
+from usvlearn.logs.formats.ardupilot.servos import OUTPUTS
 from usvlearn.logs.formats.csv.table import ROTATION
+from usvlearn.logs.formats.px4.actuators import DRIVEN, TOPICS
 from usvlearn.logs.inspection.vocabulary import fit, unit_word
 
 HELD = 7.0  # s, for which no measured speed of a boat that moves is the same, unless its sensor is slower
@@ -69,7 +70,7 @@ class Candidate:
     @property
     def by_parameters(self) -> bool:
         """Whether the parameters of an autopilot say what it drives, as a share of full scale."""
-        return self.field in FUNCTIONS and re.split(r"[\[@]", self.name)[0] in OUTPUTS
+        return self.field in DRIVEN and re.split(r"[\[@]", self.name)[0] in (*OUTPUTS, *TOPICS)
 
     @cached_property
     def intervals(self) -> np.ndarray:

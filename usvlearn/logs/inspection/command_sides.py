@@ -37,6 +37,7 @@ CLEAR = 4.0  # standard errors of a correlation, beyond which it is no chance
 STRONG = 0.35  # correlation that two unnamed series need to be taken as commands
 MOST_UNNAMED = 14  # series among which unnamed commands are sought
 UNSIGNED, ASTERN, SELDOM, POSITIONS = 0.02, 0.1, 0.01, 5  # of full scale, the greatest speed, the time; of a gear
+TEXTS = "gear", "hemisphere N"  # units of a column of texts that name gears
 MIXED = {"steer", "steering", "turn", "differential", "diff"}  # names of what a mixer adds to the throttle
 
 
@@ -105,7 +106,7 @@ def _with_gear(found: Commands, everything: Sequence[Candidate], speed: Pair | N
     if any(each.extent[0] < level.zero - UNSIGNED * abs(level.span) for each, level in thrusts):
         return found
     named = [each for each in everything if GEARS & set(words(each.label))]
-    gears = [each.label for each in named if 2 <= len(np.unique(each.value)) <= POSITIONS]
+    gears = [each.label for each in named if each.unit in TEXTS or 2 <= len(np.unique(each.value)) <= POSITIONS]
     astern = float((speed[1] < -ASTERN * np.quantile(np.abs(speed[1]), 0.95)).mean()) if speed and len(speed[1]) else 0
     why = f"the speed is astern in {astern:.0%} of the time: if they push astern, log them with a sign"
     why = f"{', '.join(gears)} may tell the sense: if so, make them negative where it says astern" if gears else why

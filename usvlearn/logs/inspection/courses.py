@@ -6,7 +6,7 @@ where the sway that they give follows the rate of position across the hull.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +23,7 @@ from usvlearn.logs.inspection.sway_channels import FOLLOWS, SURE
 from usvlearn.logs.inspection.vocabulary import OVER_GROUND, fit, words
 
 MOST = 4  # speeds that are tried
+BACK, ENOUGH = 0.15, 5.0  # of the greatest speed; s, from which a boat goes astern by its course
 SIGNED = 0.03  # share of the greatest size below zero, from which a speed is signed
 
 
@@ -56,7 +57,7 @@ def find_course(
         for speed in speeds[:MOST] if course.certainty == CERTAIN else ():
             if speed.candidate.extent[0] < -SIGNED * speed.candidate.size:
                 continue
-            sway = _across(speed.metres, course.radians, heading.radians)
+            sway = _part(np.sin, speed.metres, course.radians, heading.radians)
             relation = sway_on_positions(places.north, places.east, heading.radians, sway)
             follows = relation.correlation >= FOLLOWS and relation.certainty >= SURE
             if follows and 1 / RATIO < relation.slope < RATIO:
@@ -97,10 +98,18 @@ def reckoned(
     return track, (time[moving], angle[moving]), speed
 
 
-def _across(speed: Pair, course: Pair, heading: Pair) -> Pair:
-    """The sway at the times of the course, m/s; speed and heading are interpolated."""
+def seconds_back(found: Course, heading: Heading) -> float:
+    """How long a speed over ground without a sign is astern by its course, s."""
+    _, ahead = _part(np.cos, found.speed.metres, found.course.radians, heading.radians)
+    back = ahead < -BACK * np.quantile(np.append(np.abs(ahead), 0.0), 0.95)
+    seconds = float(found.course.candidate.interval * back.sum())
+    return seconds if seconds > ENOUGH and not found.speed.candidate.is_signed else 0.0
+
+
+def _part(of: Callable[[np.ndarray], np.ndarray], speed: Pair, course: Pair, heading: Pair) -> Pair:
+    """The speed ahead (cos) or across (sin) at the times of the course, m/s; speed and heading are interpolated."""
     (at, size), (time, angle), (stamps, turned) = map(cleaned, (speed, course, heading))
-    return time, np.interp(time, at, size) * np.sin(angle - np.interp(time, stamps, np.unwrap(turned)))
+    return time, np.interp(time, at, size) * of(angle - np.interp(time, stamps, np.unwrap(turned)))
 
 
 def tell_course(found: Course, channels: dict[str, dict[str, Any]], series: dict[str, Candidate]) -> list[Decision]:

@@ -29,6 +29,7 @@ ALONG = 0.8  # or that of local coordinates, from which it tells which of them i
 MARGIN = 0.25  # of that, over the next best unit
 FOLLOWS, SURE = 0.6, 4.0  # correlation of a yaw rate with the heading's derivative, and that in standard errors
 CLOSE, SHORT = 0.9, 20.0  # or a close correlation over so many seconds
+EXACT = 4.0  # three standard errors, degrees, up to which the error of a compass is probable
 RATIO = 1.6  # by which the slope may differ from that of a unit
 NORTH = {"heading", "hdg", "hdt", "compass", "steuerkurs", "kurs", "ned", "cap", "rumbo"}  # words of angles from north
 NORTH_FORMATS = {"MOOS", "ArduPilot DataFlash", "MAVLink telemetry", "PX4 ULog"}  # whose headings are from north
@@ -57,6 +58,7 @@ class Heading(NamedTuple):
     span: float = 1.0  # of the candidate's numbers in the unit
     zero: float = 0.0  # likewise: the error of the compass
     why_zero: str = ""
+    sure_zero: str = PROBABLE
 
     @property
     def radians(self) -> Pair:
@@ -215,9 +217,11 @@ def without_error(heading: Heading, track: tuple[Pair, Pair], course: Pair, spee
     read = read_any_turn(shifted, course, convention)
     if read.unit != heading.unit or read.agreement <= heading.agreement:
         return heading
-    off = f"{math.degrees(zero * factor):+.0f}° ± {math.degrees(found[1]):.1f}°"
-    why = f"it differs from the course by {off} on all courses, apart from current and drift"
-    return read._replace(candidate=heading.candidate, span=heading.span, score=heading.score, zero=zero, why_zero=why)
+    error = 3 * math.degrees(found[1])
+    off = f"{math.degrees(zero * factor):+.0f}° ± {error:.1f}°"
+    why = f"it differs from the course by {off} (three standard errors) on all courses, apart from current and drift"
+    zeroed = read._replace(zero=zero, why_zero=why, sure_zero=PROBABLE if error < EXACT else UNSURE)
+    return zeroed._replace(candidate=heading.candidate, span=heading.span, score=heading.score)
 
 
 def find_headings(pool: Sequence[Candidate], course: Pair | None, convention: str = "") -> list[Heading]:
@@ -318,7 +322,7 @@ def tell_heading(best: Heading, headings: Sequence[Heading], channels: dict, ser
     if best.span != 1:
         decisions.append(Decision("heading", "span", f"{best.span:g}", best.certainty, best.reason))
     if best.zero:
-        sure = least(PROBABLE, best.certainty)
+        sure = least(best.sure_zero, best.certainty)
         decisions.append(Decision("heading", "zero", f"{best.zero:g}", sure, best.why_zero, ("0",)))
     return decisions
 

@@ -78,6 +78,8 @@ def inspect_logs(
         decisions.append(Decision("boat", "path", name or logs.name, UNSURE, why))
     decisions += proposal.decisions
     if proposal.missing:
+        clocks = next((each for each in notes if "time zones differ" in each), "")
+        proposal = proposal._replace(unfit=proposal.unfit or clocks)
         return Inspected(logs, series, proposal, decisions, {}, "", [], None, notes, [])
     settings = settings_of(logs.path, name or logs.name, logs.reader, proposal.channels, USUAL)
     recordings, warned = _read(settings)

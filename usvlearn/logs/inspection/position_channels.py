@@ -60,6 +60,8 @@ def find_places(pool: Sequence[Candidate], convention: str = "") -> list[Places]
         for first in (each for each in pool if fit(role, each.label) >= 1):
             beside = [x for x in pool if x is not first and fit(other, x.label) >= 1 and _belong(first, x)]
             found += [_places(first, second, role == "latitude", True) for second in beside]
+            if role == "latitude" and 90 < first.size <= 180:  # which no latitude is
+                found += [_places(second, first, True, True) for second in beside if second.size <= 90]
     for x in pool:
         if "x" in words(x.label) and not NO_PLACE & set(words(x.label)):
             twin = tuple("y" if word == "x" else word for word in words(x.label))
@@ -75,9 +77,10 @@ def _order(places: Places, convention: str) -> tuple[int, bool, bool, bool, floa
 def in_degrees(found: Sequence[Candidate]) -> list[Candidate]:
     """The series, with degrees and minutes in one number as degrees; a column of N, S, E or W tells the sign."""
     letters, read = {each.unit[-1] for each in found if each.unit.startswith("hemisphere")}, []
-    for each in found:
-        role = next((role for role in ("latitude", "longitude") if fit(role, each.label) >= 1), "")
-        minutes = each.unit != "deg" and not (np.abs(each.value) % 100 >= 60).any()
+    roles = [next((role for role in ("latitude", "longitude") if fit(role, each.label) >= 1), "") for each in found]
+    beyond = any(role and 180 < each.size <= 18000 for role, each in zip(roles, found, strict=True))  # all degrees
+    for role, each in zip(roles, found, strict=True):
+        minutes = beyond and each.unit != "deg" and not (np.abs(each.value) % 100 >= 60).any()
         if role and minutes and 100 < each.size <= (9000 if role == "latitude" else 18000):
             sign = -1.0 if {"latitude": "S", "longitude": "W"}[role] in letters and each.extent[0] >= 0 else 1.0
             each = each.named(value=degrees(sign * each.value), unit="ddmm", span=sign)

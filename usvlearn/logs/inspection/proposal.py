@@ -11,7 +11,7 @@ from usvlearn.logs.inspection.candidate import Candidate
 from usvlearn.logs.inspection.command_sides import SWAPPED, Commands, doubted, find_commands, seconds_astern
 from usvlearn.logs.inspection.commands import SIDES, tell_commands
 from usvlearn.logs.inspection.config_writer import scalar
-from usvlearn.logs.inspection.courses import course_beside, find_course, reckoned, tell_course
+from usvlearn.logs.inspection.courses import course_beside, find_course, reckoned, seconds_back, tell_course
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.directions import (
     Heading,
@@ -181,11 +181,14 @@ def propose(everything: Sequence[Candidate], convention: str, exchanged: bool = 
         decisions = [_doubted(each, "its name or the sides say the opposite") for each in decisions]
     decisions = tell_commands(commands, channels, series) + decisions
     lost = seconds_astern(commands[0], beside.metres) if commands and beside else 0.0
+    by_course = course_beside(left, beside, heading) if beside else None
+    if by_course and heading and not track:
+        lost = max(lost, seconds_back(by_course, heading))
     signed = next((each for each in speeds[1:] if each.candidate.is_signed and not each.contradicted), None)
     if lost and signed:
         speeds, lost = [signed, *(each for each in speeds if each is not signed)], 0.0
     if lost:
-        over_ground = over_ground or course_beside(left, speeds[0], heading)
+        over_ground = over_ground or by_course
         decisions += tell_without_sign(speeds[0], lost, over_ground, bool(track))
     if lost and over_ground:
         decisions += tell_course(over_ground, channels, series)

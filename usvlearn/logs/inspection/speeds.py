@@ -357,7 +357,7 @@ def _why_better(best: Speed, other: Speed) -> str:
 
 def tell_without_sign(speed: Speed, seconds: float, course: object, placed: bool) -> list[Decision]:
     """The surge of a boat that goes astern, where its speed has no sign in some seconds, but a course or a position."""
-    why = f"{speed.candidate.label} has no sign, and in {seconds:.0f} s both commands push astern while it rises"
+    why = f"{speed.candidate.label} has no sign, and by commands or course the boat goes astern in {seconds:.0f} s"
     if not course and not placed:
         why += ": log velocities, a course or a position, too, or leave out the logs in which the boat goes astern"
         return [Decision("surge", "sign", "never astern", UNSURE, why)]

@@ -24,6 +24,7 @@ from usvlearn.logs.formats.csv.options import find_options, stamp_columns
 from usvlearn.logs.formats.csv.rows import Columns, Place, Quaternion, Rows, channels_of, quaternions, yaw_of
 from usvlearn.logs.formats.csv.stamps import HHMMSS, ORDERS, TIME_UNITS, spread
 
+GEAR = re.compile("f|fwd|for.*|ahead|d|drive|neutral.*|stop|r|rev.*|astern|back.*|vor.*|zurück|rück.*|avant|arrière")
 HEMISPHERES = ("N", "S", "E", "W")  # cells of a column beside a latitude or a longitude
 GRAIN = 0.864  # s, of days with five decimals, as a spreadsheet writes them
 ROTATION, ROS = "quaternion", "geometry_msgs"  # kinds of series
@@ -321,6 +322,9 @@ class Opened:
                 series.append(Series(name, None, time, value, order, unit, kind))
             elif not column.empty.all():
                 cell = "" if known.any() else f", as {column.first.strip()[:QUOTED]!r}"
+                if GEAR.fullmatch(column.first.strip().lower()):
+                    ones = np.ones(int(readable.sum()))
+                    series.append(Series(name, None, columns.time[readable], ones, columns.order[readable], "gear"))
                 left.append(f"{name[:QUOTED]!r} ({known.sum()} of {(~column.empty).sum()}{cell})")
         if left:
             told = f"left out columns whose cells are mostly no numbers: {', '.join(left[:8])}{', …' * (len(left) > 8)}"

@@ -125,8 +125,8 @@ def apart(folder: Path, spans: dict[str, Span]) -> LogFormatError:
     (one, first), (other, second) = list(spans.items())[:2]
     return LogFormatError(
         f"{folder}: expected tables of one run, whose times overlap, found {one} from {first} and {other} from "
-        f"{second}: their clocks differ, or they are of several runs: write the stamps of one clock, or give each run "
-        "a folder of its own"
+        f"{second}: their clocks or time zones differ, or they are of several runs: write the stamps of one clock, or "
+        "give each run a folder of its own"
     )
 
 

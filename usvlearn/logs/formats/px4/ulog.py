@@ -19,6 +19,7 @@ import numpy as np
 from usvlearn.errors import LogFormatError, MissingExtraError, printable
 from usvlearn.logs.channels.channel import QUOTED, Channel, Source, build_channel, match_name
 from usvlearn.logs.channels.series import ELEMENTS, Reader, Series, interleaved
+from usvlearn.logs.formats.px4.actuators import DRIVEN, actuators, command
 from usvlearn.logs.formats.ros.message_fields import yaw
 
 FIELDS = 50_000  # of all subscriptions of a log; a log of PX4 has some thousands
@@ -60,7 +61,8 @@ class Ulog(Reader):
 
     A topic is named as in `vehicle_attitude`, and its further instances as in `actuator_outputs[1]`. A field is named
     as in `vx` or `control[0]`; several, comma-separated, give their Euclidean norm. A field of four numbers, such as
-    `q`, is taken as a quaternion (w, x, y, z) and gives its yaw in rad, which is clockwise from north in PX4.
+    `q`, is taken as a quaternion (w, x, y, z) and gives its yaw in rad, which is clockwise from north in PX4. Where the
+    parameters tell what drives it, the topic of a command has the further fields of `actuators.DRIVEN`.
 
     >>> Ulog().suffixes
     ('.ulg', '.ulog')
@@ -109,7 +111,8 @@ class Ulog(Reader):
                 if array in QUATERNIONS and found and found[2] == "0" and arrays[array] == 4:
                     value = topic.value(array, topic.name)
                     series.append(Series(topic.name, array, topic.time, value, order, "rad", kind))
-                series.append(Series(topic.name, name, topic.time, _floats(numbers), order, "", kind))
+                unit = "1" if name in DRIVEN else ""
+                series.append(Series(topic.name, name, topic.time, _floats(numbers), order, unit, kind))
         return series
 
 
@@ -159,6 +162,13 @@ def _topics(path: Path, keep: Callable[[str], bool]) -> list[_Topic]:
             if kind != "char" and field and all(kinds.get(field) == kind for _, kinds in found)
         }
         topics.append(_Topic(name, (stamps - np.uint64(log.start_timestamp).astype(np.int64)) * 1e-6, fields))
+    logged = {topic.name: topic.fields for topic in topics}
+    for name, (kind, numbers) in actuators(log.initial_parameters).items():
+        with np.errstate(invalid="ignore", over="ignore"):  # damaged numbers
+            commands = [command(kind, number, log.initial_parameters, logged) for number in numbers]
+        for topic in topics:
+            if same := [values for place, values in commands if place == topic.name]:
+                topic.fields[name] = np.mean(same, axis=0)
     return topics
 
 
