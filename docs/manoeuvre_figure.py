@@ -14,8 +14,9 @@ import numpy as np
 import torch
 
 from usvlearn.display.figures import INK, LINE, SIDES, themed
+from usvlearn.simulate.fleet import simulate
 from usvlearn.simulate.plants import heron
-from usvlearn.simulate.vessel import VesselState, at_rest, simulate
+from usvlearn.simulate.vessel import VesselState, at_rest
 
 DT = 0.1  # s
 GAIN, TURN_MAX = 0.6, 0.35  # heading controller: share of the command per rad, and at most, as `Autopilot` has them

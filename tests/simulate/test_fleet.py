@@ -12,12 +12,12 @@ from tests.support.recordings import same
 from usvlearn.core.samples import tree_map
 from usvlearn.logs.alignment.align import align
 from usvlearn.simulate.autopilot import Autopilot
-from usvlearn.simulate.fleet import fleet, fleet_missions, fleet_vessels, sail
+from usvlearn.simulate.fleet import fleet, fleet_missions, fleet_vessels, sail, simulate
 from usvlearn.simulate.plants import PLANTS, plant
 from usvlearn.simulate.scenario import MISSIONS, USUAL, Mission, aborted, paused
 from usvlearn.simulate.sensors import Sensors, Truth, measure
 from usvlearn.simulate.truth import true_parameters
-from usvlearn.simulate.vessel import at_rest, over_ground, simulate, steady_surge
+from usvlearn.simulate.vessel import at_rest, over_ground, steady_surge
 
 pytestmark = pytest.mark.filterwarnings("error")
 
@@ -162,7 +162,7 @@ def test_autopilot_reaches_speed_and_heading():
 
 @pytest.mark.parametrize("name", PLANTS)
 def test_compiled_sailing_is_steering_and_stepping_one_after_the_other(name):
-    """Two missions of two boats, a current, a plant that changes on the way: against a loop over `vessel.simulate`."""
+    """Two missions of two boats, a current, a plant that changes on the way: against a loop over `simulate`."""
     pilot = Autopilot(lowest=-1.0)
     courses = [[mission(np.random.default_rng(k), 200, pilot.hz) for k in range(2)] for mission in (MISSIONS["convoy"],
                MISSIONS["station_keeping"])]  # fmt: skip

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 import torch
 
+from usvlearn.simulate.fleet import simulate
 from usvlearn.simulate.plants import PLANTS, plant
-from usvlearn.simulate.vessel import at_rest, drag, simulate, static_thrust, steady_surge, thrust
+from usvlearn.simulate.vessel import at_rest, drag, static_thrust, steady_surge, thrust
 
 pytestmark = pytest.mark.filterwarnings("error")
 

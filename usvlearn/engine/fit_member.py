@@ -37,7 +37,8 @@ def with_fit(leaves: Mapping[str, np.ndarray], description: Description, table: 
         if slots.shape[-1] != length:  # tracks under way end
             found["track.slots"] = np.full((*slots.shape[:-1], length), EMPTY)
         return found, description
-    made, members, found = description.get("forecasts") or {"members": []}, description.get("members", {}), dict(leaves)
+    made: Mapping[str, Any] = description.get("forecasts") or {"members": []}
+    members, found = description.get("members", {}), dict(leaves)
     weighed = {description["columns"][column]: column for column in made["members"]}
     name = next((name for name in weighed if members[name]["kind"] == "joint"), None)
     if name is None or FIT in members:

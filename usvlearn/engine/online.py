@@ -310,8 +310,9 @@ class Online:
         from usvlearn.engine.fit_member import with_fit
 
         assert self._template is None and self.description is not None, "expected what `open` has made"
-        leaves, self.description = with_fit(self._live.leaves, self.description, table)
-        current, self._live = self._live.current, live_of(self.description, leaves)
+        leaves, description = with_fit(self._live.leaves, self.description, table)
+        current, self._live = self._live.current, live_of(description, leaves)
+        self.description = dict(description)
         self._live.current = current
 
     def save(self, path: str | Path, **metadata: Any) -> Path:

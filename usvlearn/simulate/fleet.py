@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import torch
@@ -23,7 +24,7 @@ from usvlearn.simulate.gusts import Gusts
 from usvlearn.simulate.plants import plant as plant_named
 from usvlearn.simulate.scenario import MISSIONS, USUAL, Mission, aborted, paused
 from usvlearn.simulate.sensors import Sensors, Truth, measure
-from usvlearn.simulate.vessel import Vessel, at_rest, over_ground, scale_thrust, steady_surge
+from usvlearn.simulate.vessel import Vessel, VesselState, at_rest, over_ground, scale_thrust, steady_surge
 
 LEAK, WEAR, DRAG = 0.25, 0.3, 0.2  # spread 1: mass up to +25 %, thrust of a side +-30 %, drag +-20 %
 SUBSTEPS_HZ = 10.0  # least number of steps of the motion per second
@@ -283,3 +284,35 @@ def _wind(seed: int, gusts: Gusts, ticks: Sequence[int], n: int, hz: float) -> n
         for k in range(n):
             wind[:length, j, k] = gusts.course(_rng(seed, WIND, j, k), length, hz)
     return wind
+
+
+def simulate(vessel: Vessel, state: VesselState, commands: Tensor, dt: float) -> VesselState:
+    """The trajectory under a course of commands.
+
+    Args:
+        vessel: its parameters, leaves that broadcast against `(*batch,)`.
+        state: before the first step, leaves `(*batch, ...)`.
+        commands: left and right, share of full scale, `(time, *batch, 2)`, each held for `dt`.
+        dt: length of a step, s.
+
+    Returns:
+        States after each step: leaves `(time, *batch, ...)`.
+
+    >>> from usvlearn.simulate.plants import heron
+    >>> simulate(heron(), at_rest((3,)), torch.ones(5, 3, 2, dtype=torch.float64), 0.1).surge.shape
+    torch.Size([5, 3])
+    """
+    from usvlearn.core.jit import announced  # numba takes a moment to import
+    from usvlearn.simulate import missions_kernel as kernel
+
+    ticks, batch, none = len(commands), commands.shape[1:-1], torch.zeros((), dtype=torch.float64)
+    given = np.ascontiguousarray(commands.numpy()).reshape(ticks, -1, 2)
+    sizes: tuple[tuple[int, ...], ...] = ((), (), (), (2,))  # of the leaves, behind the batch
+    leaves = [leaf.broadcast_to((*batch, *own)).reshape(-1, *own) for leaf, own in zip(state, sizes, strict=True)]
+    now: Any = [leaf.clone().numpy() for leaf in leaves]
+    states: Any = [np.empty((ticks, *leaf.shape)) for leaf in now]
+    known = kernel.known(vessel, batch, dt, none, none, none, Gusts())
+    with announced(kernel.__file__, "simulator"):
+        kernel.drift(*known, dt, given, VesselState(*now), VesselState(*states))
+    found = (x.reshape(ticks, *batch, *own) for x, own in zip(states, sizes, strict=True))
+    return VesselState(*map(torch.from_numpy, found))

@@ -101,39 +101,6 @@ def thrust(vessel: Vessel, shaft: Tensor, surge: Tensor) -> Tensor:
     return static_thrust(vessel, shaft) + lift * abs(surge).unsqueeze(-1)
 
 
-def simulate(vessel: Vessel, state: VesselState, commands: Tensor, dt: float) -> VesselState:
-    """The trajectory under a course of commands.
-
-    Args:
-        vessel: its parameters, leaves that broadcast against `(*batch,)`.
-        state: before the first step, leaves `(*batch, ...)`.
-        commands: left and right, share of full scale, `(time, *batch, 2)`, each held for `dt`.
-        dt: length of a step, s.
-
-    Returns:
-        States after each step: leaves `(time, *batch, ...)`.
-
-    >>> from usvlearn.simulate.plants import heron
-    >>> simulate(heron(), at_rest((3,)), torch.ones(5, 3, 2, dtype=torch.float64), 0.1).surge.shape
-    torch.Size([5, 3])
-    """
-    from usvlearn.core.jit import announced  # numba takes a moment to import
-    from usvlearn.simulate import missions_kernel as kernel
-    from usvlearn.simulate.gusts import Gusts
-
-    ticks, batch, none = len(commands), commands.shape[1:-1], torch.zeros((), dtype=torch.float64)
-    given = np.ascontiguousarray(commands.numpy()).reshape(ticks, -1, 2)
-    sizes: tuple[tuple[int, ...], ...] = ((), (), (), (2,))  # of the leaves, behind the batch
-    leaves = [leaf.broadcast_to((*batch, *own)).reshape(-1, *own) for leaf, own in zip(state, sizes, strict=True)]
-    now: Any = [leaf.clone().numpy() for leaf in leaves]
-    states: Any = [np.empty((ticks, *leaf.shape)) for leaf in now]
-    known = kernel.known(vessel, batch, dt, none, none, none, Gusts())
-    with announced(kernel.__file__, "simulator"):
-        kernel.drift(*known, dt, given, VesselState(*now), VesselState(*states))
-    found = (x.reshape(ticks, *batch, *own) for x, own in zip(states, sizes, strict=True))
-    return VesselState(*map(torch.from_numpy, found))
-
-
 def over_ground(surge: Tensor, heading: Tensor, current: Tensor, direction: Tensor) -> Tensor:
     """Surge speed over ground, m/s: through the water, plus the current's part along the heading.
 

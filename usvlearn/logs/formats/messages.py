@@ -109,7 +109,7 @@ class MessageLog:
     servos: Servos
     vehicles: dict[str, Vehicle] = field(default_factory=dict)
     preferred: Sequence[str] = ("",)
-    skipped: Sequence[int] = (0, 0, 0, 0)  # see `binary_kernel.scan_tlog`
+    skipped: Sequence[int] | np.ndarray = (0, 0, 0, 0)  # see `binary_kernel.scan_tlog`
     start: float = math.nan
 
     def channels(self, sources: dict[str, Source], keep_disarmed: bool):
