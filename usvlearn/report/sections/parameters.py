@@ -24,7 +24,6 @@ from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.joint.curves import curves
 from usvlearn.estimators.joint.quantities import MEANING
 from usvlearn.estimators.regressors.terms import UNITS
-from usvlearn.estimators.wrappers.bank import Bank
 from usvlearn.evaluation.diagnostics import Truth as Quantities
 from usvlearn.evaluation.diagnostics import identified_boats, physical_members, unwrapped
 from usvlearn.evaluation.season import Season
@@ -188,11 +187,8 @@ def cost_section(ensemble: Ensemble) -> Section:
     for name, member in ensemble.members.items():
         inner, core = unwrapped(member, member.init(()))
         orders = next((ORDERS[k.__name__] for k in type(inner).__mro__ if k.__name__ in ORDERS), ("1", "1"))
-        elements = len(member.labels) if isinstance(member, Bank) else 1
-        kind = f"{type(inner).__name__}, {elements} settings" if elements > 1 else type(inner).__name__
-        alone = member if isinstance(member, Estimator) else Ensemble({name: member}, watched=False)
         total += (count := _parameters(core))
-        rows.append((name, kind, count, *(f"O({o})" for o in orders), *_times(alone, sample)))
+        rows.append((name, type(inner).__name__, count, *(f"O({o})" for o in orders), *_times(member, sample)))
     rows.append(("all together", "Ensemble", total, "–", "–", *_times(ensemble, sample)))
     columns = "method", "kind", "parameters", "to predict", "to learn", "predict, µs", "predict and learn, µs"
     machine = f"{platform.machine()}, Python {platform.python_version()}, one thread"
