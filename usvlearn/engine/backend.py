@@ -29,7 +29,8 @@ def choose(estimator: Estimator, state: Any, samples: Sample, backend: str) -> d
         return None
     own = [*estimator.parameters(), *estimator.buffers()]
     tensors = [*tensors_in(state), *tensors_in(samples), *own]
-    obstacle = out_of_reach(tensors) or _derivative(tensors)
+    device = "cuda" if backend == "kernel" and samples.surge.is_cuda else "cpu"
+    obstacle = out_of_reach(tensors, device) or _derivative(tensors)
     if not obstacle and samples.surge.numel() == 0:
         obstacle = "there are no batch elements"
     return description_of(estimator, obstacle, backend)
@@ -62,12 +63,12 @@ def description_of(estimator: Estimator, obstacle: str | None, backend: str) -> 
     return None if obstacle else description
 
 
-def out_of_reach(tensors: Sequence[Tensor]) -> str | None:
-    """Why the kernels cannot read these numbers, if they cannot."""
+def out_of_reach(tensors: Sequence[Tensor], device: str = "cpu") -> str | None:
+    """Why the kernels cannot read these numbers on a device, "cpu" or "cuda", if they cannot."""
     if any(map(is_transformed, tensors)):
         return "torch transforms this function"
-    if any(x.device.type != "cpu" for x in tensors):
-        return "not all tensors are on the CPU"
+    if any(x.device.type != device for x in tensors):
+        return f"not all tensors are on the {'GPU' if device == 'cuda' else 'CPU'}"
     dtypes = {x.dtype for x in tensors if x.is_floating_point()}
     if dtypes not in ({torch.float64}, {torch.float32}):
         return f"the numbers are {' and '.join(sorted(map(str, dtypes)))}"

@@ -21,6 +21,7 @@ Numba inlines such a chain; it could not inline a call through a table of functi
     factor    the factor by which a covariance is inflated
 """
 
+from collections.abc import Container
 from importlib import import_module
 from typing import Any
 
@@ -74,9 +75,10 @@ def bits(verb: str) -> int:
     return sum(1 << k for k in having(verb))
 
 
-def chain(verb: str) -> Any:
-    """The function of a verb."""
-    own = dict(enumerate(map(free_step_of, KERNELS))) if verb == "free_step" else having(verb)
+def chain(verb: str, families: Container[int] = range(len(KERNELS))) -> Any:
+    """The function of a verb, for some families."""
+    every = dict(enumerate(map(free_step_of, KERNELS))) if verb == "free_step" else having(verb)
+    own = {k: function for k, function in every.items() if k in families}
     lines = [f"def {verb}({VERBS[verb]}):"]
     for k in own:
         call = f"return {verb}_{k}({VERBS[verb]})"

@@ -37,8 +37,8 @@ def rollout(
         samples: leaves `(time, *batch)`, of the estimator's dtype, on the device of the state.
         record: names of leaves of the state (`named_leaves`), or a function that picks a tree of tensors from each new
             state.
-        backend: "kernel" makes the steps by compiled code, which has no gradients; "torch" by torch; "auto" by
-            compiled code where no gradient is asked for, all is on the CPU, and the estimator has a kernel.
+        backend: "kernel" makes the steps by compiled code, without gradients, also on a GPU; "torch" by torch; "auto"
+            by compiled code where no gradient is asked for, all is on the CPU, and the estimator has a kernel.
 
     Returns:
         The last state; the predictions, m/s, `(time, *batch)`; what `record` names or picked, stacked over time (or
@@ -264,21 +264,22 @@ def run(
     """`rollout`, or `simulate` (`free`), by the kernels."""
     from usvlearn.engine.run import roll
 
-    leaves, arrays = arrays_of(state), tree_map(array_of, samples)
+    leaves, arrays, device = arrays_of(state), tree_map(array_of, samples), samples.surge.device
     threads = torch.get_num_threads()
     if not callable(record):
-        leaves, predictions, kept = roll(description, leaves, arrays, free, record or (), threads)
-        named = {name: torch.from_numpy(x) for name, x in kept.items()}
-        return tree_of(state, leaves), torch.from_numpy(predictions), None if record is None else named
+        leaves, predictions, kept = roll(description, leaves, arrays, free, record or (), threads, device.type)
+        named = {name: torch.as_tensor(x, device=device) for name, x in kept.items()}
+        predicted = torch.as_tensor(predictions, device=device)
+        return tree_of(state, leaves, device), predicted, None if record is None else named
     parts, records = [], []
     steps = max(1, min(CHUNK, CELLS // sum(x.size for x in leaves.values())))
     for begin in range(0, len(arrays.surge), steps):
         part = tree_map(lambda x, b=begin: x[b : b + steps], arrays)
-        leaves, predictions, kept = roll(description, leaves, part, free, tuple(leaves), threads)
-        parts.append(torch.from_numpy(predictions))
+        leaves, predictions, kept = roll(description, leaves, part, free, tuple(leaves), threads, device.type)
+        parts.append(torch.as_tensor(predictions, device=device))
         for k in range(len(predictions)):
-            records.append(record(tree_of(state, {name: x[k] for name, x in kept.items()})))
-    return tree_of(state, leaves), torch.cat(parts), stack(records)
+            records.append(record(tree_of(state, {name: x[k] for name, x in kept.items()}, device)))
+    return tree_of(state, leaves, device), torch.cat(parts), stack(records)
 
 
 def stack(trees: Sequence[Any]) -> Any:

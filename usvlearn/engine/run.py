@@ -12,6 +12,7 @@ from usvlearn.core.prepared_samples import ROW, prepare_all
 from usvlearn.core.samples import PlanarSample, Sample, named_leaves, tree_map
 from usvlearn.engine import dispatch as step
 from usvlearn.engine.first_use import compile_runs
+from usvlearn.engine.lanes import Lanes
 from usvlearn.engine.leaves import Description
 from usvlearn.engine.planar_plan import program_for
 from usvlearn.engine.program import Program
@@ -32,6 +33,7 @@ def roll(
     free: bool = False,
     record: Sequence[str] = (),
     threads: int = 1,
+    device: str = "cpu",
 ) -> Result:
     """Run an estimator over samples, predicting before learning.
 
@@ -42,6 +44,7 @@ def roll(
         free: whether nothing is learned.
         record: names of leaves that are recorded after every step.
         threads: how many threads share the batch elements.
+        device: "cpu", or "cuda": a GPU (`engine.lanes`).
     """
     own = samples.sample if isinstance(samples, PlanarSample) else samples
     steps, *batch = own.surge.shape
@@ -59,12 +62,18 @@ def roll(
             first, last,
         )  # fmt: skip
 
-    compile_runs(plan.dtype)
+    if device == "cpu":
+        compile_runs(plan.dtype)
     rows, columns = prepared(own, plan)
     poses = np.zeros((1, 1, 0), plan.dtype)
     if isinstance(samples, PlanarSample):  # no batch elements share a pose
         rows, columns, poses = rows[columns], np.arange(plan.elements), _poses(samples, plan)
-    in_parallel(some, plan.elements, threads)
+    if device == "cuda":
+        lanes = Lanes(plan, states)
+        *_, predictions, picks = lanes.run(rows, columns, free, picked=picked)
+        states = lanes.ends()
+    else:
+        in_parallel(some, plan.elements, threads)
     kept, begin = {}, 0
     for name, place in places.items():
         part = picks[..., begin : begin + place.size].reshape(*batch, steps, *place.shape)

@@ -225,7 +225,7 @@ def over_seeds(one: Mapping[str, float], other: Mapping[str, float]) -> SeedDiff
     differences = np.array([one[seed] - other[seed] for seed in seeds])
     mean, low, high = float(differences.mean()), None, None
     if len(seeds) > 1 and np.ptp(differences) > EQUAL * max(abs(other[seed]) for seed in seeds):
-        half = _quantile(len(seeds)) * float(differences.std(ddof=1)) / math.sqrt(len(seeds))
+        half = quantile(len(seeds)) * float(differences.std(ddof=1)) / math.sqrt(len(seeds))
         low, high = mean - half, mean + half
     return SeedDifference(mean, low, high, len(seeds))
 
@@ -243,10 +243,10 @@ def _rounded(base: float) -> float | None:
 
 def _factor(count: int) -> float:
     """The factor of (2) for so many boats, or runs."""
-    return _quantile(count) * math.sqrt(count / (count - 1))
+    return quantile(count) * math.sqrt(count / (count - 1))
 
 
-def _quantile(count: int) -> float:
+def quantile(count: int) -> float:
     """Of Student's distribution, for a mean of so many: 97.5 %, with one degree of freedom less."""
     from scipy.special import stdtrit
 

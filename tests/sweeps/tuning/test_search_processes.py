@@ -86,7 +86,7 @@ def test_processes_that_are_killed_lose_no_trial_and_complete_none_twice(seed, t
     told = [json.loads(path.read_text()) for path in tmp_path.glob("found*.json")]
     assert max(used for _, used in told) == len(own)
     for found, used in told:
-        assert used == len(found) and {(setting["gain"], maes[0]) for setting, maes in found} <= set(own)
+        assert used == len(found) and {(setting["gain"], maes[0]) for setting, maes, _ in found} <= set(own)
 
 
 def test_a_line_that_a_killed_process_left_unfinished_is_removed_before_another_follows(tmp_path):

@@ -11,6 +11,7 @@ from tests.support.configured import request
 from tests.support.placement import read_as_ones
 from usvlearn import AID, BOA, RLS, RNN, Ensemble, RecursiveWeights
 from usvlearn.core.samples import named_leaves, tree_map
+from usvlearn.engine import lanes
 from usvlearn.evaluation.crossval import cross_validate
 from usvlearn.evaluation.objective import Measure
 from usvlearn.sweeps.tuning.batches import Objective, element_errors
@@ -46,6 +47,19 @@ def test_errors_of_elements_are_on_the_device_of_the_estimator(short, measure):
     assert found.errors.is_meta and found.errors.shape == found.steps.shape == (2, 3, 2)
     assert found.steps.is_meta and found.mae.is_meta
     assert {leaf.device.type for _, leaf in named_leaves(found.state)} == {"meta"}
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of the simulated GPU, whose numbers are Python's
+@pytest.mark.parametrize(
+    "measure", few([Measure(""), Measure("", "forecast", 2.0), Measure("", "free")], [Measure("")])
+)
+def test_errors_on_a_gpu_are_those_of_the_cpu(short, measure, monkeypatch):
+    monkeypatch.setattr(lanes, "LAUNCH", (1, 25, 10**6))
+    aid = AID(28.0, gain=[[0.1], [1.0], [10.0]])
+    found, expected = (element_errors(aid, short, (3,), measure=measure, device=each) for each in ("cuda", "cpu"))
+    for x, y in zip(found[:2], expected[:2], strict=True):
+        torch.testing.assert_close(x, y, rtol=1e-12, atol=0.0)
+    torch.testing.assert_close(found.state.theta, expected.state.theta, rtol=1e-12, atol=1e-14)
 
 
 def test_a_grid_runs_on_the_device_of_its_estimators(short, meta):

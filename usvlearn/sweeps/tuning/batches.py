@@ -13,13 +13,18 @@ from functools import partial
 from itertools import chain
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
 from usvlearn.core.hyperparameters import Positive, UnitInterval
-from usvlearn.core.protocol import Estimator, check_estimator, clean
+from usvlearn.core.protocol import Estimator, clean
 from usvlearn.core.samples import LIMIT, Fleet, named_leaves, tree_map
+from usvlearn.engine.backend import array_of, arrays_of, description_of, tree_of
+from usvlearn.engine.lanes import Lanes, most_lanes
+from usvlearn.engine.planar_plan import program_for
 from usvlearn.engine.rollouts import rollout, simulate, tensors
+from usvlearn.engine.run import prepared
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.ensemble.combiners.layer import Average
 from usvlearn.estimators.ensemble.forecasts.layer import ForecastSettings
@@ -51,19 +56,19 @@ class Hyperparameter(NamedTuple):
         """The value at a place on the scale."""
         return math.exp(min(x, 700.0)) if self.kind is Positive else 1 / (1 + math.exp(-x))
 
-    def from_scale(self, x: float) -> float:
-        """The legal value at a place on the scale, rounded to four digits, as it is evaluated and shown."""
+    def from_scale(self, x: float, digits: int = 4) -> float:
+        """The legal value at a place on the scale, rounded to so many digits, as it is evaluated and shown."""
         value = self.value(x)
         if self.kind is Positive or x < 0:
-            value = float(f"{value:.4g}")
-        else:  # four digits of the distance to 1
-            value = round(1 - float(f"{math.exp(-x) / (1 + math.exp(-x)):.4g}"), 15)
+            value = float(f"{value:.{digits}g}")
+        else:  # digits of the distance to 1
+            value = round(1 - float(f"{math.exp(-x) / (1 + math.exp(-x)):.{digits}g}"), 15)
         return min(max(value, self.low), self.high)
 
     def spaced(self, low: float, high: float, count: int) -> list[float]:
         """Values at equal distances from `low` to `high`, both on the scale; a single value is the middle."""
         places = [(low + high) / 2] if count == 1 else [low + (high - low) * k / (count - 1) for k in range(count)]
-        return [self.from_scale(x) for x in places]
+        return [self.from_scale(x, 4 if count <= 1000 else 8) for x in places]  # four would not tell more apart
 
     @property
     def span(self) -> tuple[float, float]:
@@ -76,6 +81,7 @@ class Evaluation(NamedTuple):
 
     setting: Mapping[str, Any]
     maes: tuple[float, ...]  # m/s, one for each boat; infinite if a prediction was not finite
+    runs: list[list[float]] | None = None  # m/s, of each run and boat; NaN of one without steps that count
 
     @property
     def mae(self) -> float:
@@ -123,11 +129,6 @@ def hyperparameters(estimator: Estimator) -> dict[str, Positive | UnitInterval]:
     return {path: part for path, part in estimator.named_modules() if isinstance(part, Positive | UnitInterval)}
 
 
-def check_one_estimator(name: str, value: Any) -> Estimator:
-    """Return `value` if it is an estimator that can be tuned, else raise a ConfigError."""
-    return check_estimator(name, value)
-
-
 class BatchErrors(NamedTuple):
     """Sums over the steps of each run, and the state at the end."""
 
@@ -150,6 +151,7 @@ def element_errors(
     settings: Sequence[int] = (),
     advance: Callable[[float], None] = lambda share: None,
     measure: Measure = NEXT,
+    device: str = "cpu",
 ) -> BatchErrors:
     """Errors of each setting on each run and boat; the state is carried from run to run.
 
@@ -159,22 +161,28 @@ def element_errors(
         settings: the batch before the boats.
         advance: receives the fraction completed since the last call.
         measure: which error counts.
+        device: "cpu", or "cuda": the kernels make the steps on a GPU.
     """
     batch, first = (*settings, len(fleet.boats)), middle(fleet.runs) if measure.kind == FREE else 0
     if measure.kind == FORECAST:
-        own = next(chain(estimator.parameters(), estimator.buffers()), torch.zeros(()))
+        like = next(chain(estimator.parameters(), estimator.buffers()), torch.zeros(()))
         ahead = ForecastSettings((measure.horizon,))
         top = max(LIMIT, getattr(estimator, "surge_max", LIMIT))  # a fast boat's
         estimator = Ensemble({"member": estimator}, {"own": Average()}, surge_max=top, watched=False, forecasts=ahead)
-        ahead.to(own.device)
+        ahead.to(like.device)
     length = max(1, min(CHUNK_STEPS, CHUNK_CELLS // math.prod(batch)))
     with torch.no_grad():
         state = estimator.init(batch)
         like = next(leaf for _, leaf in named_leaves(state) if leaf.is_floating_point())
+        lanes, due = None, np.array([-1, -1])
+        if device == "cuda":
+            plan = program_for(description_of(estimator, None, "kernel") or {}, batch, array_of(like).dtype)
+            lanes = Lanes(plan, plan.pack(arrays_of(state)))
+            length, due = lanes.steps, plan.places(DUE)[0, :2] if DUE in plan.leaves else due
         errors, steps = [], []
         for index, run in enumerate(fleet.runs):
             free = measure.kind == FREE and index >= first
-            own = state
+            own: Any = state if lanes is None else lanes.copied() if free else lanes
             total, count = like.new_zeros(batch), like.new_zeros(batch)
             samples = tensors(run.samples, like.dtype, like.device)
             for begin in range(0, len(run.time), length):
@@ -182,7 +190,10 @@ def element_errors(
                 step = clean(part, estimator.surge_limit)
                 wide = tree_map(lambda x: x.reshape(len(x), *(1 for _ in settings), -1).expand(len(x), *batch), part)
                 learns, surge = (x.reshape(len(x), *(1 for _ in settings), -1) for x in (step.learns, step.surge))
-                if free:  # from the parameters at the end of the first half
+                if lanes is not None:
+                    sums = own.run(*prepared(tree_map(array_of, wide), plan), free, due)[:2]
+                    error, counted = (torch.from_numpy(x).reshape(batch) for x in sums)
+                elif free:  # from the parameters at the end of the first half
                     own, predicted, _ = simulate(estimator, own, wide)
                 elif measure.kind == FORECAST:
                     state, _, kept = rollout(estimator, state, wide, record=[DUE])
@@ -190,14 +201,26 @@ def element_errors(
                     learns = learns & persistence.isfinite()  # a forecast became due
                 else:
                     state, predicted, _ = rollout(estimator, state, wide)
+                if lanes is None:
+                    error = torch.where(learns, (predicted - surge).abs(), 0.0).sum(0)
+                    counted = learns.expand(len(surge), *batch).sum(0)
                 if index >= first:
-                    total += torch.where(learns, (predicted - surge).abs(), 0.0).sum(0)
-                    count += learns.expand(len(surge), *batch).sum(0)
+                    total, count = total + error, count + counted
                 advance(len(step.surge) / fleet.steps)
             errors.append(total)
             steps.append(count)
         made = torch.stack(errors), torch.stack(steps)
+        state = state if lanes is None else tree_of(state, plan.unpack(lanes.ends()))
     return BatchErrors(*made, state.members["member"] if measure.kind == FORECAST else state)
+
+
+def spread(estimator: Estimator, settings: Sequence[Setting]) -> Estimator:
+    """The estimator with the settings as batch elements, `(settings, 1)`; a configuration of many takes minutes."""
+    for path in settings[0]:
+        old = estimator.get_submodule(path)
+        made = type(old)([[setting[path]] for setting in settings], old.name)
+        estimator.set_submodule(path, made.to(next(old.parameters())))
+    return estimator
 
 
 class Objective:
@@ -207,8 +230,9 @@ class Objective:
         build: makes the estimator.
         fleet: aligned runs.
         advance: receives the number of evaluations completed since the last call, as a float.
-        batch elements: settings × boats in one batch, at most.
+        elements: settings × boats in one batch, at most; on a GPU as many as fit.
         measure: which error counts.
+        device: "cpu" or "cuda".
     """
 
     def __init__(
@@ -218,8 +242,11 @@ class Objective:
         advance: Callable[[float], None] = lambda evaluations: None,
         elements: int = BATCH,
         measure: Measure = NEXT,
+        device: str = "cpu",
     ):
-        self.build, self.fleet, self.advance, self.measure = build, fleet, advance, measure
+        self.build, self.fleet, self.advance, self.measure, self.device = build, fleet, advance, measure, device
+        if device == "cuda" and measure.kind != FORECAST:
+            elements = most_lanes(description_of(build({}), None, "kernel") or {})
         self.batch = max(1, elements // len(fleet.boats))  # settings
 
     def __call__(self, settings: Sequence[Setting]) -> list[Evaluation]:
@@ -227,10 +254,11 @@ class Objective:
         found = []
         for begin in range(0, len(settings), self.batch):
             part = settings[begin : begin + self.batch]
-            estimator = self.build({path: [[setting[path]] for setting in part] for path in part[0]})
-            advance = partial(self._advance, len(part))
-            maes = element_errors(estimator, self.fleet, (len(part),), advance, measure=self.measure).mae
-            found += [Evaluation(setting, tuple(row)) for setting, row in zip(part, maes.tolist(), strict=True)]
+            estimator, advance = spread(self.build({}), part), partial(self._advance, len(part))
+            device = self.device if len(part) > 1 else "cpu"  # numbers of a lane alone would be constants of its kernel
+            errors = element_errors(estimator, self.fleet, (len(part),), advance, self.measure, device)
+            maes, runs = errors.mae.tolist(), (errors.errors / errors.steps).moveaxis(1, 0).tolist()
+            found += [Evaluation(x, tuple(y), z) for x, y, z in zip(part, maes, runs, strict=True)]
         return found
 
     def _advance(self, settings: int, share: float) -> None:

@@ -74,8 +74,8 @@ def grid(objective: Objective, parameters: Sequence[Hyperparameter], evaluations
             each.path: list(dict.fromkeys(each.spaced(*ends, n)))
             for each, ends, n in zip(parameters, inner, sizes, strict=True)
         }
-        seen = [each.setting for each in found]
-        settings = [setting for setting in product(values) if setting not in seen and setting != default]
+        seen = {tuple(each.setting.values()) for each in found} | {tuple(default.values())}
+        settings = [setting for setting in product(values) if tuple(setting.values()) not in seen]
         found += objective([default, *settings] if k == 0 else settings)
         best = min(found, key=lambda each: each.mae).setting
         centres = [each.to_scale(best[each.path]) for each in parameters]

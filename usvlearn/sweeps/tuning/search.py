@@ -53,7 +53,7 @@ def search(
     objective: Objective,
     parameters: Sequence[Hyperparameter],
     evaluations: int,
-    folder: str | Path,
+    folder: Path,
     facts: Mapping[str, Any],
     batch: int = 16,
     seed: int = 0,
@@ -80,7 +80,6 @@ def search(
         raise MissingExtraError("optuna", "tune", "search") from error
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     batch = max(1, min(batch, objective.batch - 1))
-    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     lock: Any = _JournalLock(folder / JOURNAL)
     backend = journal.JournalFileBackend(str(folder / JOURNAL), lock)
@@ -111,11 +110,13 @@ def search(
         found = found or evaluated[-1:]
         for trial, evaluation in zip(trials, evaluated, strict=False):
             trial.set_user_attr("maes", [mae if math.isfinite(mae) else None for mae in evaluation.maes])
+            trial.set_user_attr("runs", evaluation.runs)
             study.tell(trial.number, evaluation.mae)
         complete = _complete(study)
     for trial in complete:
         maes = tuple(math.inf if mae is None else mae for mae in trial.user_attrs["maes"])
-        found.append(Evaluation(check_setting(str(folder / JOURNAL), trial.user_attrs["setting"]), maes))
+        setting = check_setting(str(folder / JOURNAL), trial.user_attrs["setting"])
+        found.append(Evaluation(setting, maes, trial.user_attrs.get("runs")))
     return Fitted(found, len(complete))
 
 

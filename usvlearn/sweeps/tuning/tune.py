@@ -1,6 +1,7 @@
 """Tuning one estimator of an ensemble: three methods with the same budget, and the files that they write.
 
-tuning.json       everything: method, command, ranges, default and best, every evaluation with its MAE per boat
+tuning.json       method, command, ranges, default, best; evaluations with MAE per boat, of more than MANY the best
+evaluations.npz   every evaluation, with its errors on each run; landscape.png draws them (`tuning.landscape`)
 experiment.yaml   the best setting, ready for configs/experiment
 results.json      the objective, and the default, the tuned setting and persistence, in the form of a replay
 tensorboard       the best settings side by side; for `learn` the curves
@@ -21,9 +22,11 @@ import yaml
 from rich.console import Console
 
 from usvlearn.core.checkpoint import write_atomically
+from usvlearn.core.protocol import check_estimator
 from usvlearn.core.samples import Fleet
 from usvlearn.display.tensorboard import TensorBoardWriter, folder_name
 from usvlearn.display.terminal import Activity, Blocks, show
+from usvlearn.engine.lanes import chosen_device
 from usvlearn.errors import ConfigError, under
 from usvlearn.estimators.baselines.persistence.layer import Persistence
 from usvlearn.evaluation.free_simulation import check_halves
@@ -39,10 +42,10 @@ from usvlearn.sweeps.tuning.batches import (
     Evaluation,
     Hyperparameter,
     Objective,
-    check_one_estimator,
     hyperparameter,
     hyperparameters,
 )
+from usvlearn.sweeps.tuning.landscape import explore
 from usvlearn.sweeps.tuning.methods import Fitted, descend, grid, product
 from usvlearn.sweeps.tuning.search import search
 
@@ -74,11 +77,10 @@ def request(configuration: Mapping[str, Any], instantiate: Callable[[Any], Any])
     if (way := asked(configuration)) is None:
         raise ConfigError(f"experiment: found no tuning, expected one of {', '.join(WAYS)}: add {WAYS[0]}=MEMBER")
     given, options, members = configuration[way], configuration["tuning"], configuration["estimators"]
-    for key in ("evaluations", "rounds", "trials"):
-        if isinstance(options[key], bool) or not isinstance(options[key], int) or options[key] < 1:
-            raise ConfigError(f"tuning.{key}: found {options[key]!r}, expected a whole number, 1 or more")
-    if isinstance(options["seed"], bool) or not isinstance(options["seed"], int) or options["seed"] < 0:
-        raise ConfigError(f"tuning.seed: found {options['seed']!r}, expected a whole number, 0 or more")
+    options = {**options, "device": chosen_device(options["device"])}
+    for key, least in {"evaluations": 1, "rounds": 1, "trials": 1, "seed": 0}.items():
+        if isinstance(options[key], bool) or not isinstance(options[key], int) or options[key] < least:
+            raise ConfigError(f"tuning.{key}: found {options[key]!r}, expected a whole number, {least} or more")
     if options["rounds"] > options["evaluations"]:
         raise ConfigError(f"tuning.rounds: found {options['rounds']}, expected at most tuning.evaluations")
     explicit = way == "grid" and isinstance(given, Mapping)
@@ -90,7 +92,7 @@ def request(configuration: Mapping[str, Any], instantiate: Callable[[Any], Any])
         raise ConfigError(f"{way}: found {member!r}, expected one of the members {', '.join(members)}")
 
     build = builder(members, member, instantiate)
-    estimator = check_one_estimator(f"{way}={member}", build({}))
+    estimator = check_estimator(f"{way}={member}", build({}))
     if explicit:
         values = {str(key).partition(".")[2]: _listed(key, each) for key, each in given.items()}
         parameters = [
@@ -188,8 +190,7 @@ def tune(
     """
     set_threads(configuration["threads"])
     asked_for, console = request(configuration, instantiate), console or Console(quiet=True)
-    if configuration.get("resume") is not None:
-        found = configuration["resume"]
+    if (found := configuration.get("resume")) is not None:
         raise ConfigError(f"resume: found {found!r} with {asked_for.way}, which cannot resume: leave it out")
     check_folder(folder, asked_for.way, asked_for.member)
     with Activity(console), under("data", configuration["data"]):
@@ -205,14 +206,17 @@ def tune(
         "member": asked_for.member,
         "way": asked_for.way,
         "measure": str(asked_for.measure),
+        "device": asked_for.options["device"],
         "command": shlex.join(["python", "train.py", *overrides]),
         "evaluations": used,
         "ranges": asked_for.ranges,
         "seconds": time.perf_counter() - began,
     }
+    facts["landscape"] = explore(folder, asked_for.parameters, found)
     made = record(facts, fleet.boats, found, persistence)
     write(folder, made, curve)
     console.print(report(made))
+    show(made["landscape"]["told"], to=console)
     show(f"The best setting, for configs/experiment: {folder / EXPERIMENT}", to=console)
     return math.inf if made["best"]["mae"] is None else made["best"]["mae"]
 
@@ -225,8 +229,8 @@ def run(
     Returns:
         The evaluations, the default first; their number without it; for `learn` the curve.
     """
-    objective = Objective(request.build, fleet, advance, measure=request.measure)
     options, parameters = request.options, request.parameters
+    objective = Objective(request.build, fleet, advance, measure=request.measure, device=options["device"])
     if request.values is not None:
         default = {each.path: each.default for each in parameters}
         settings = [setting for setting in product(request.values) if setting != default]
@@ -237,12 +241,11 @@ def run(
         return descend(objective, parameters, request.evaluations, options["start"])
     samples = [digest(run, element) for run in fleet.runs for element in range(len(fleet.boats))]
     facts = {"member": request.member, "configuration": request.node, "ranges": request.ranges, "samples": samples}
-    trials, seed = options["trials"], options["seed"]
-    return search(objective, parameters, request.evaluations, folder, facts, trials, seed)
+    return search(objective, parameters, request.evaluations, folder, facts, options["trials"], options["seed"])
 
 
 EXPERIMENT = "experiment.yaml"
-SHOWN, MOST_RECORDS = 10, 20  # settings in the terminal, and on the HPARAMS page
+SHOWN, MOST_RECORDS, MANY, BEST = 10, 20, 1000, 20  # settings in the terminal, on the HPARAMS page, in files
 
 
 def gain(mae: float, base: float) -> float | None:
@@ -269,20 +272,19 @@ def record(
                 "gain": gain(each.mae, default.mae)}  # fmt: skip
 
     best = min(found, key=lambda each: each.mae)
+    kept = found if len(found) <= MANY else [default, *sorted(found[1:], key=lambda each: each.mae)[:BEST]]
     return {
         **facts,
         "default": row(default),
         "best": row(best),
         PERSISTENCE: {key: value for key, value in row(persistence).items() if key in ("mae", "boats")},
         "diverged": sum(not math.isfinite(each.mae) for each in found),
-        "evaluated": [row(each) for each in found],
+        "evaluated": [row(each) for each in kept],
     }
 
 
-def write(folder: str | Path, record: Mapping[str, Any], curve: Sequence[Mapping[str, float]] = ()) -> None:
+def write(folder: Path, record: Mapping[str, Any], curve: Sequence[Mapping[str, float]] = ()) -> None:
     """Write all files, `results.json` last."""
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
     write_atomically(folder / TUNING, json.dumps(record, indent=2, allow_nan=False).encode())
     write_atomically(folder / EXPERIMENT, experiment(record).encode())
     with TensorBoardWriter(folder / TENSORBOARD) as board:

@@ -163,7 +163,7 @@ def bernstein(weights, losses, squares, ranges, prior, costs, kept, scale, share
     slope = 2 * error if square else np.sign(error)
     for k in range(m):
         loss = slope * (x[k] - combined)
-        ranges[k] = max(kept * ranges[k], scale, abs(loss))  # (1)
+        ranges[k] = max(max(kept * ranges[k], scale), abs(loss))  # (1)
         c = costs[k]
         least = c * ranges[k] * ranges[k]
         surprising = np.sqrt(c / max(squares[k], least)) * loss
