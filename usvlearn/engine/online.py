@@ -306,7 +306,17 @@ class Online:
         return found if batch else found[0]
 
     def take_fit(self, table: Sequence[float]) -> None:
-        """Let the batch fit of a table (`usvlearn.model.fit.hand_over`) forecast, too, in place of an earlier one."""
+        """Let a batch fit forecast, too, in place of an earlier one. An ensemble without a joint EKF stays as it is.
+
+        Args:
+            table: of the fit, SI units, from `usvlearn.model.fit.hand_over.table_of`; zeros: none.
+
+        >>> import tempfile
+        >>> from usvlearn import Ensemble, Persistence
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = Online(Ensemble({"still": Persistence()})).save(f"{folder}/still.safetensors")
+        ...     Online.open(path).take_fit([0.0] * 151)
+        """
         from usvlearn.engine.fit_member import with_fit
 
         assert self._template is None and self.description is not None, "expected what `open` has made"

@@ -99,8 +99,8 @@ def test_a_set_without_a_reader_is_said(saved, tmp_path, monkeypatch, capsys):
 )
 def test_bad_options_are_said_in_one_sentence(arguments, said, saved, tmp_path, monkeypatch, capsys):
     assert run(monkeypatch, saved, *arguments, "--out", tmp_path / "next") == 2
-    error = capsys.readouterr().err.strip()
-    assert said in error and len(error.splitlines()) == 1 and not (tmp_path / "next").exists()
+    lines = [line for line in capsys.readouterr().err.strip().splitlines() if "compiling" not in line]
+    assert len(lines) == 1 and said in lines[0] and not (tmp_path / "next").exists()
 
 
 @pytest.mark.thorough
