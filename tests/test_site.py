@@ -57,7 +57,7 @@ def test_examples_of_docstrings_become_blocks():
 
 
 def test_the_star_of_an_optimum_begins_no_emphasis():
-    griffe = pytest.importorskip("griffe", reason="needs the extra docs")
+    pytest.importorskip("griffe", reason="needs the extra docs")
     from doctests import starred
 
     assert starred("x* and *a* word.\n\n    x* = 1") == "x\\* and *a* word.\n\n    x* = 1"

@@ -25,7 +25,7 @@ class Room(NamedTuple):
 
 
 PRODUCT = {
-    "logs": Room(14_260, 12_600, ("usvlearn/logs/",)),
+    "logs": Room(14_262, 12_600, ("usvlearn/logs/",)),
     "estimators": Room(10_613, 9_600, ("usvlearn/estimators/",)),
     "certify": Room(6_468, 6_500, ("certify/",)),
     "live": Room(5_970, 5_900, ("usvlearn/live/",)),

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +29,8 @@ def compass(e: Evidence) -> Iterator[Finding]:
     edges = e.moving_edges(STEP, e.series["heading"])
     if len(edges) <= FEWEST:
         return
-    way, turn = bin_directions(e.series["heading"], edges), bin_rates(e.series["heading"], edges, wraps=True)
+    way: np.ndarray[Any, np.dtype[np.complex128]] = bin_directions(e.series["heading"], edges)
+    turn = bin_rates(e.series["heading"], edges, wraps=True)
     north, east = e.velocity(edges)
     left, right = (bin_means(e.series[name], edges, held=True) for name in COMMANDS)
     thrust = np.convolve(left + right, (0.5, 0.3, 0.2))[: len(way)]  # the boat answers within some seconds
