@@ -21,7 +21,7 @@ from usvlearn.logs.checks.finding import NOTE, Finding, see
 
 STEP, FEWEST, BLOCKS = 2.0, 120, 6  # s, of the bins; bins; blocks of the jackknife
 SURE, LEAST, ACROSS = 5.0, 0.15, 0.15  # standard errors; m/s along; share of that across
-OFF, CLEAR, LONG = math.radians(6), 2.5, 270  # of what changes with the heading; standard errors; bins
+OFF, CLEAR, LONG = math.radians(12), 2.5, 270  # of what changes with the heading; standard errors; bins
 
 
 def compass(e: Evidence) -> Iterator[Finding]:
