@@ -124,7 +124,9 @@ def test_a_table_of_another_clock_is_left_out(tmp_path):
     assert found.settings["data"]["channels"]["heading"]["name"] == "odom.field.pose.pose.orientation"
     told = " ".join(found.notes)
     assert (
-        "found imu from 0." in told and "cmd_drive from 2023-07-22 04:26:40" in told and "their clocks or time zones differ" in told
+        "found imu from 0." in told
+        and "cmd_drive from 2023-07-22 04:26:40" in told
+        and "their clocks or time zones differ" in told
     )
     assert "empty.csv" in told and "header.csv" in told
 
