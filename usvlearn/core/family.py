@@ -1,6 +1,6 @@
 """The schema of a family: state arrays, parameters, options, legal ranges.
 
-The layer reads the names, the kernel the places, the engine both, and `engine.check` the ranges. A family is an
+The layer reads the names, the kernel the places, the engine both, and `engine.validate` the ranges. A family is an
 estimator, a wrapper, a combiner, or another part of an ensemble. It declares in its `state.py`
 
     class Number(Parameters):       numbers, by name; each has its legal range
@@ -15,7 +15,7 @@ estimator, a wrapper, a combiner, or another part of an ensemble. It declares in
 `engine.program` writes a row of integers for each part: the places of its leaves, numbers and vectors, and its choices.
 A kernel receives this row as `node`, and the state `s` and the numbers `q` of one batch element:
 
-    numbers = q[node[Node.NUMBERS] :]
+    numbers = q[node[Row.NUMBERS] :]
     numbers[Number.GAIN], s[node[AT.surge]], q[node[Vector.SPREAD] + i], node[Choice.FEEDBACK]
 """
 

@@ -90,9 +90,8 @@ class Online:
         ...     Online.open(Online(AID(mass=28.0)).save(f"{folder}/aid.safetensors")).description["kind"]
         'aid'
         """
-        return cls.of(
-            *(checkpoint.newest(path, read_checkpoint) if Path(path).is_dir() else read_checkpoint(Path(path)))
-        )
+        found = checkpoint.newest(path, read_checkpoint) if Path(path).is_dir() else read_checkpoint(Path(path))
+        return cls.of(*found)
 
     @classmethod
     def of(cls, leaves: Mapping[str, np.ndarray], facts: Mapping[str, Any]) -> Online:

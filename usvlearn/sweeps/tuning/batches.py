@@ -33,7 +33,7 @@ from usvlearn.evaluation.free_simulation import middle
 from usvlearn.evaluation.objective import FORECAST, FREE, Measure
 
 Setting = dict[str, float]  # dotted path -> value
-Build = Callable[[Mapping[str, Any]], Estimator]  # from values by dotted path; numbers, or a list (settings, 1) of them
+Build = Callable[[Mapping[str, Any]], Estimator]  # from numbers by dotted path
 NEXT, DUE = Measure(""), "forecasts.predictions"  # the error one step ahead; the leaf with forecasts that are due
 BATCH = 4096  # settings × boats in one batch, at most
 CHUNK_STEPS, CHUNK_CELLS = 500, 2**20  # steps, and steps × elements, after which errors are added up
