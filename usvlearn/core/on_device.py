@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 from numba.core.dispatcher import Dispatcher
-from numpy.lib.stride_tricks import as_strided
 
 SIMULATED = os.environ.get("NUMBA_ENABLE_CUDASIM") == "1"  # numba computes in Python, for tests
 SAME = ("sqrt", "exp", "expm1", "log", "floor", "sin", "cos", "isnan", "isfinite")  # of `math` as of NumPy
@@ -55,7 +54,7 @@ class Device(dict):
     def __init__(self, inline: bool):
         self.inline, self.np = inline, _numbers(np, "nan", "inf", "pi", "finfo", "int64", "float64")
         self.names = {name: self.jit(function, True) for name, function in FUNCTIONS.items()}
-        self.names["view"] = as_strided if SIMULATED else import_module("numba.cuda.np.arrayobj").reshape_unchecked
+        self.names["matrix"] = self.jit(lambda x, n, m: x.reshape(n, m), True) if SIMULATED else _matrix()
         vars(self.np).update({name: getattr(math, name) for name in SAME}, sign=self.names["sign"])
 
     def jit(self, function: Any, inline: bool) -> Any:
@@ -84,7 +83,7 @@ def _numbers(source: Any, *names: str) -> ModuleType:
 
 
 def _code(function: FunctionType) -> Any:
-    """The code of a function, with views for `x.reshape(n, m)`: CUDA's is a slow call, and takes no strided array."""
+    """The code of a function, with `matrix(x, n, m)` for `x.reshape(n, m)`."""
     if "reshape" not in function.__code__.co_names:
         return function.__code__
     names: dict[str, Any] = {}
@@ -92,8 +91,34 @@ def _code(function: FunctionType) -> Any:
     tree.body[0].decorator_list = []  # type: ignore[attr-defined]  # a function
     for node in ast.walk(tree):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "reshape":
-            x, (n, m) = ast.unparse(node.func.value), map(ast.unparse, node.args)
-            made = ast.parse(f"view({x}, ({n}, {m}), ({x}.strides[0] * ({m}), {x}.strides[0]))", mode="eval").body
-            node.func, node.args = made.func, made.args  # type: ignore[attr-defined]  # a call
+            node.func, node.args = ast.Name("matrix", ast.Load()), [node.func.value, *node.args]
     exec(compile(ast.fix_missing_locations(tree), function.__code__.co_filename, "exec"), names)
     return names[function.__name__].__code__
+
+
+def _matrix() -> Any:
+    """A function that views a vector as a matrix: CUDA's `reshape` is a slow call, and takes no strided array.
+
+    Of a vector without gaps the stride is a constant, so that small matrices stay in registers.
+    """
+    from numba.cuda import types
+    from numba.cuda.extending import intrinsic
+    from numba.cuda.np.arrayobj import make_array, populate_array
+
+    @intrinsic
+    def matrix(context, x, n, m):
+        found = types.Array(x.dtype, 2, "C" if x.layout == "C" else "A", readonly=not x.mutable)
+
+        def code(target, builder, signature, arguments):
+            source, made = make_array(x)(target, builder, arguments[0]), make_array(found)(target, builder)
+            wide = [target.cast(builder, x, y, types.intp) for x, y in zip(arguments[1:], (n, m), strict=True)]
+            stride = builder.extract_value(source.strides, 0)
+            if x.layout == "C":
+                stride = target.get_constant(types.intp, target.get_abi_sizeof(target.get_data_type(x.dtype)))
+            strides = [builder.mul(stride, wide[1]), stride]
+            populate_array(made, source.data, wide, strides, source.itemsize, source.meminfo, source.parent)
+            return made._getvalue()
+
+        return found(x, n, m), code
+
+    return matrix

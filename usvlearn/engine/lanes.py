@@ -35,7 +35,7 @@ INLINED, THREAD = 512, 6_000  # most numbers of state and work of a lane that is
 LAUNCH, THREADS = (200, 20_000, 10**6), 64  # least and most steps of a launch, and steps × numbers; threads of a block
 
 KERNEL = """
-def lanes(table, values, states, works, rows, columns, due, picked, free, totals, counts, predictions, picks):
+def lanes(table, values, states, works, rows, columns, free, totals, counts, predictions, picks):
     lane = cuda.grid(1)
     if lane < len(columns):
         q = cuda.local.array(NUMBERS, number)
@@ -44,7 +44,7 @@ def lanes(table, values, states, works, rows, columns, due, picked, free, totals
         for i in range(COUNT):
             q[OWN[i]] = values[i, lane]
         PLACED
-        total, count, column, instead, when = 0.0, 0, columns[lane], due[0], due[1]
+        total, count, column = 0.0, 0, columns[lane]
         for k in range(rows.shape[1]):
             row = rows[column, k]
             mode = row[MODE]
@@ -53,16 +53,16 @@ def lanes(table, values, states, works, rows, columns, due, picked, free, totals
                 mode = mode - LEARN + PREDICT
             STEP
             found = predicted
-            if instead >= 0:
-                found = s[instead]
-                learned = learned and isfinite(s[when])
+            if DUE >= 0:
+                found = s[DUE]
+                learned = learned and isfinite(s[WHEN])
             if learned:
                 total += abs(found - row[SURGE])
                 count += 1
             if predictions.shape[1] > 0:
                 predictions[lane, k] = predicted
-                for i in range(len(picked)):
-                    picks[lane, k, i] = s[picked[i]]
+                for i in range(PICKS):
+                    picks[lane, k, i] = s[PICKED[i]]
         totals[lane], counts[lane] = total, count
         KEPT
 """
@@ -107,9 +107,9 @@ class Lanes:
             raise ConfigError("found a Planar estimator on a GPU, whose kernels know the surge alone: use the CPU")
         self.order = np.arange(plan.elements).reshape(-1, *plan.batch[-1:]).T.ravel()  # element of a lane, boat by boat
         self.steps = max(LAUNCH[0], min(LAUNCH[1], LAUNCH[2] // (plan.size + plan.work)))
-        self.cuda, self.dtype, (self.name, own, self.kernel) = imported(), plan.dtype, kernel_of(plan)
+        self.cuda, self.plan, self.dtype = imported(), plan, plan.dtype
         numbers = np.broadcast_to(plan.numbers, (plan.elements, plan.numbers.shape[1]))[self.order]
-        self.inputs = [self._sent(x) for x in (plan.program, numbers[:, own].T)]
+        self.inputs = [self._sent(x) for x in (plan.program, numbers[:, own_numbers(plan)].T)]
         self.states = self._sent(states[self.order].T)
         wide = plan.elements if plan.size + plan.work > THREAD else 1
         self.works = self.cuda.device_array((plan.work, wide), plan.dtype)
@@ -129,13 +129,14 @@ class Lanes:
         places in the state: of the prediction that counts instead, and of a number that is finite where it does.
         """
         count, steps = len(columns), 0 if picked is None else rows.shape[1]
-        places = np.array([] if picked is None else picked, np.int64)
+        places = np.array([*due, *([] if picked is None else picked)], np.int64)
+        name, kernel = kernel_of(self.plan, places)
         found = [self.cuda.device_array(count, kind) for kind in (np.float64, np.int64)]
-        found += [self.cuda.device_array((count, steps, *each), self.dtype) for each in ((), (len(places),))]
-        read = [self._sent(x) for x in (rows, columns[self.order], np.array(due, np.int64), places)]
-        with announced(__file__, f"kernel {self.name} for the GPU"), warnings.catch_warnings():
+        found += [self.cuda.device_array((count, steps, *each), self.dtype) for each in ((), (len(places) - 2,))]
+        read = [self._sent(x) for x in (rows, columns[self.order])]
+        with announced(__file__, f"kernel {name} for the GPU"), warnings.catch_warnings():
             warnings.filterwarnings("ignore", "Grid size")  # few lanes leave a part of the GPU idle
-            launched = self.kernel[-(-count // THREADS), THREADS]
+            launched = kernel[-(-count // THREADS), THREADS]
             launched(*self.inputs, self.states, self.works, *read, free, *found)
             self.cuda.synchronize()
         return [self._by_element(x.copy_to_host()) for x in found]
@@ -158,18 +159,28 @@ def most_lanes(description: Description) -> int:
     return max(1, min(MOST_LANES, MOST_NUMBERS // max(1, program_for(description, (), np.dtype(float)).size)))
 
 
-def kernel_of(plan: Program) -> tuple[str, np.ndarray, Any]:
-    """The name of a program's kernel, the numbers that differ by lane, and the kernel, compiled when it is called."""
-    own = np.flatnonzero((plan.numbers != plan.numbers[0]).any(0))
+def own_numbers(plan: Program) -> np.ndarray:
+    """The places of the numbers that differ by lane."""
+    return np.flatnonzero((plan.numbers != plan.numbers[0]).any(0))
+
+
+def kernel_of(plan: Program, places: np.ndarray) -> tuple[str, Any]:
+    """The name of a program's kernel, and the kernel, compiled when it is called.
+
+    Places in the state are constants, too: of `due` and of what is picked. A state that is read at any place would be
+    kept in memory, not in registers.
+    """
+    own = own_numbers(plan)
     numbers = np.append(plan.numbers[:1], plan.dtype.type(0))  # no array may be empty
     numbers[own] = 0.0
-    parts = np.array([plan.size, plan.work, *plan.program.shape, plan.dtype.itemsize]), plan.program, numbers, own
+    sizes = np.array([plan.size, plan.work, *plan.program.shape, plan.dtype.itemsize, len(own)])
+    parts = sizes, plan.program, numbers, own, places
     if (name := sha256(b"".join(each.tobytes() for each in parts)).hexdigest()[:16]) not in MADE:
-        MADE[name] = _written(plan, numbers, own, folder(Path(__file__)) / f"lanes_{name}.py")
-    return name, own, MADE[name]
+        MADE[name] = _written(plan, numbers, own, places, folder(Path(__file__)) / f"lanes_{name}.py")
+    return name, MADE[name]
 
 
-def _written(plan: Program, numbers: np.ndarray, own: np.ndarray, path: Path) -> Any:
+def _written(plan: Program, numbers: np.ndarray, own: np.ndarray, places: np.ndarray, path: Path) -> Any:
     """The kernel of a program, as a file beside which numba-cuda keeps the machine code."""
     whole, alone, device = plan.program[0], plan.program[0, Whole.RULES] == 0, Device(plan.size + plan.work <= INLINED)
     families = {int(row[Row.FAMILY]) for row in plan.program[1 : 1 + whole[Whole.ESTIMATORS]]}
@@ -179,6 +190,7 @@ def _written(plan: Program, numbers: np.ndarray, own: np.ndarray, path: Path) ->
         "cuda": imported(), "number": plan.dtype.type, "NAN": np.nan, "isfinite": device.np.isfinite,
         "OWN": np.append(own, 0), "COUNT": len(own), "TABLE": plan.program,
         "BASE": numbers, "NUMBERS": len(numbers), "SIZE": plan.size, "WORK": plan.work, "COPY": int(whole[Whole.KEPT]),
+        "DUE": int(places[0]), "WHEN": int(places[1]), "PICKED": np.append(places[2:], 0), "PICKS": len(places) - 2,
     }  # fmt: skip
     names |= {name: device[getattr(dispatch, name)] for name in (("start", "advance") if alone else ("step",))}
     placed, kept = (IN_THREAD, KEPT) if plan.size + plan.work <= THREAD else (IN_COLUMNS, "")
