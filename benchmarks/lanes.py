@@ -109,7 +109,7 @@ def measured(name: str, dtype: str, samples: Sample, counts: tuple[int, ...]) ->
 
 def command(folder: str) -> tuple[float, float]:
     """The wall time of a whole sweep of AID by the command line, s, and that of its replays."""
-    given = ["grid=aid", "tuning.device=cuda", f"tuning.evaluations={MANY}", f"data.hours={HOURS}"]
+    given = ["grid=aid", "tuning.device=cuda", f"tuning.evaluations={MANY}", "tuning.rounds=1", f"data.hours={HOURS}"]
     whole, began = [sys.executable, "-m", "usvlearn", "train", *given, f"hydra.run.dir={folder}"], time.perf_counter()
     done = subprocess.run(whole, cwd=Path(__file__).parents[1], capture_output=True, text=True, check=False)
     print(done.stdout[-3000:], done.stderr[-3000:], flush=True)
@@ -162,8 +162,9 @@ CPU's predictions over {CHECK_STEPS} steps. Machine code is kept, so it is compi
 
 {chr(10).join(table(head, body))}
 
-`usvlearn train grid=aid tuning.device=cuda tuning.evaluations=65536 data.hours=30` takes {taken[0][0]:.0f} s with data,
-checks and files, and {taken[1][0]:.0f} s again; of these {taken[1][1]:.0f} s are the replays.
+`usvlearn train grid=aid tuning.device=cuda tuning.evaluations=65536 tuning.rounds=1 data.hours=30` takes
+{taken[0][0]:.0f} s with data, checks and files, and {taken[1][0]:.0f} s again; of these {taken[1][1]:.0f} s are the
+replays.
 """
 
 

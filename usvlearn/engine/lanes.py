@@ -135,7 +135,7 @@ class Lanes:
         found += [self.cuda.device_array((count, steps, *each), self.dtype) for each in ((), (len(places) - 2,))]
         read = [self._sent(x) for x in (rows, columns[self.order])]
         with announced(__file__, f"kernel {name} for the GPU"), warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "Grid size")  # few lanes leave a part of the GPU idle
+            warnings.filterwarnings("ignore", ".*Grid size")  # few lanes leave a part of the GPU idle
             launched = kernel[-(-count // THREADS), THREADS]
             launched(*self.inputs, self.states, self.works, *read, free, *found)
             self.cuda.synchronize()

@@ -49,7 +49,10 @@ def test_few_runs_and_settings_that_diverged(tmp_path):
 def test_files_of_very_many_evaluations(tmp_path, monkeypatch):
     pytest.importorskip("matplotlib")
     monkeypatch.setattr(tune, "MANY", 30)
+    monkeypatch.setattr(tune, "BEST", 20)
     found, boats = evaluations(1e-3), ["heron"]
+    best = min(found, key=lambda each: each.mae)
+    found += [best._replace(setting={path: x * (1 + 1e-9) for path, x in best.setting.items()})]
     facts = {"member": "aid", "way": "grid", "command": "", "evaluations": 81, "seconds": 1.0, "ranges": {}}
     made = tune.record(facts, boats, found, Evaluation({}, (0.2,)))
     tune.write(tmp_path, made)
@@ -57,9 +60,10 @@ def test_files_of_very_many_evaluations(tmp_path, monkeypatch):
         explore(tmp_path, parameters, found)
         assert (tmp_path / PICTURE).read_bytes().startswith(b"\x89PNG")
     assert len(made["evaluated"]) == 21  # the default, and the best 20
+    assert len({tune.label(each["setting"]) for each in made["evaluated"][1:]}) == 20  # no two that read alike
     assert made["best"]["mae"] == min(each.mae for each in found)
     arrays = np.load(tmp_path / ARRAYS)
-    assert arrays["mae"].shape == arrays["gain"].shape == (82,) and arrays["runs"].shape == (82, 6)
+    assert arrays["mae"].shape == arrays["gain"].shape == (83,) and arrays["runs"].shape == (83, 6)
 
 
 def test_a_grid_of_very_many_settings_repeats_none():

@@ -64,8 +64,6 @@ def explore(folder: Path, parameters: Sequence[Hyperparameter], found: Sequence[
 
 def _picture(parameters: Sequence[Hyperparameter], places: np.ndarray, maes: np.ndarray) -> bytes:
     """A PNG: the least error over each pair of hyperparameters, whatever the others are; of one alone a curve."""
-    from scipy.stats import binned_statistic_2d
-
     pairs = list(itertools.combinations(range(len(parameters)), 2))[:MOST_PANELS] or [(0, 0)]
     with themed() as Figure:
         across, down = min(ACROSS, len(pairs)), -(-len(pairs) // ACROSS)
@@ -80,6 +78,8 @@ def _picture(parameters: Sequence[Hyperparameter], places: np.ndarray, maes: np.
                 panel.plot(*np.array(sorted(zip(x, maes, strict=True))).T, ".-", markersize=3)
                 panel.set_ylabel("MAE, m/s")
             elif len(maes):
+                from scipy.stats import binned_statistic_2d
+
                 counts: Any = [min(CELLS, len({*each})) for each in (x, y)]
                 cells, *ends, _ = binned_statistic_2d(x, y, maes, "min", counts)
                 image = panel.pcolormesh(*ends, cells.T, cmap="cividis", vmax=np.percentile(maes, WORST))

@@ -245,7 +245,7 @@ def run(
 
 
 EXPERIMENT = "experiment.yaml"
-SHOWN, MOST_RECORDS, MANY, BEST = 10, 20, 1000, 20  # settings in the terminal, on the HPARAMS page, in files
+SHOWN, MANY, BEST = 20, 1000, 200  # settings in the terminal; of more than MANY, in files; on the HPARAMS page
 
 
 def gain(mae: float, base: float) -> float | None:
@@ -272,7 +272,10 @@ def record(
                 "gain": gain(each.mae, default.mae)}  # fmt: skip
 
     best = min(found, key=lambda each: each.mae)
-    kept = found if len(found) <= MANY else [default, *sorted(found[1:], key=lambda each: each.mae)[:BEST]]
+    kept = found
+    if len(found) > MANY:
+        unlike = {label(each.setting): each for each in sorted(found[1:], key=lambda each: each.mae, reverse=True)}
+        kept = [default, *sorted(unlike.values(), key=lambda each: each.mae)[:BEST]]
     return {
         **facts,
         "default": row(default),
@@ -290,7 +293,7 @@ def write(folder: Path, record: Mapping[str, Any], curve: Sequence[Mapping[str, 
     with TensorBoardWriter(folder / TENSORBOARD) as board:
         for k, numbers in enumerate(curve):
             board.scalars({f"learn/{name}": x for name, x in numbers.items()}, k)
-        best = [each for each in ranked(record)[:MOST_RECORDS] if each["mae"] is not None]
+        best = [each for each in ranked(record)[:BEST] if each["mae"] is not None]
         tag = f"MAE of {record['member']} (m/s)"
         if best:
             paths = dict.fromkeys(path for each in best for path in each["setting"])
@@ -322,7 +325,7 @@ def label(setting: Mapping[str, Any]) -> str:
 
 
 def report(record: Mapping[str, Any]) -> Blocks:
-    """For the terminal: the best ten, the default, persistence."""
+    """For the terminal: the best settings, the default, persistence."""
     rows = [(f"{k}", label(each["setting"]), each) for k, each in enumerate(ranked(record)[:SHOWN], 1)]
     rows.append(("default", label(record["default"]["setting"]), record["default"]))
     rows.append((PERSISTENCE, "", record[PERSISTENCE]))
