@@ -62,7 +62,8 @@ def ptx(name: str, capability: tuple[int, int] = (9, 0)) -> str:
         return types.Array(kind, axes, "C")
 
     whole, number = types.int64, types.float64
-    *_, kernel = lanes.kernel_of(program_for(spec_of(EVERY[name]()), (), np.float64), np.array([-1, -1]))
+    plan = program_for(spec_of(EVERY[name]()), (), np.float64)
+    _, kernel = lanes.kernel_of(plan, lanes.own_numbers(plan), np.array([-1, -1]))
     signature = (
         *(array(whole, 2), array(number, 2), array(number, 2), array(number, 2), array(number, 3)),
         *(array(whole, 1), types.boolean, array(number, 1), array(whole, 1)),

@@ -91,7 +91,8 @@ def _code(function: FunctionType) -> Any:
     tree.body[0].decorator_list = []  # type: ignore[attr-defined]  # a function
     for node in ast.walk(tree):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "reshape":
-            node.func, node.args = ast.Name("matrix", ast.Load()), [node.func.value, *node.args]
+            node.args.insert(0, node.func.value)
+            node.func = ast.Name("matrix", ast.Load())
     exec(compile(ast.fix_missing_locations(tree), function.__code__.co_filename, "exec"), names)
     return names[function.__name__].__code__
 
@@ -101,9 +102,10 @@ def _matrix() -> Any:
 
     Of a vector without gaps the stride is a constant, so that small matrices stay in registers.
     """
-    from numba.cuda import types
     from numba.cuda.extending import intrinsic
     from numba.cuda.np.arrayobj import make_array, populate_array
+
+    types: Any = import_module("numba.cuda.types")
 
     @intrinsic
     def matrix(context, x, n, m):

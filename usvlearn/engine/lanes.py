@@ -107,9 +107,9 @@ class Lanes:
             raise ConfigError("found a Planar estimator on a GPU, whose kernels know the surge alone: use the CPU")
         self.order = np.arange(plan.elements).reshape(-1, *plan.batch[-1:]).T.ravel()  # element of a lane, boat by boat
         self.steps = max(LAUNCH[0], min(LAUNCH[1], LAUNCH[2] // (plan.size + plan.work)))
-        self.cuda, self.plan, self.dtype = imported(), plan, plan.dtype
+        self.cuda, self.plan, self.own, self.dtype = imported(), plan, own_numbers(plan), plan.dtype
         numbers = np.broadcast_to(plan.numbers, (plan.elements, plan.numbers.shape[1]))[self.order]
-        self.inputs = [self._sent(x) for x in (plan.program, numbers[:, own_numbers(plan)].T)]
+        self.inputs = [self._sent(x) for x in (plan.program, numbers[:, self.own].T)]
         self.states = self._sent(states[self.order].T)
         wide = plan.elements if plan.size + plan.work > THREAD else 1
         self.works = self.cuda.device_array((plan.work, wide), plan.dtype)
@@ -130,7 +130,7 @@ class Lanes:
         """
         count, steps = len(columns), 0 if picked is None else rows.shape[1]
         places = np.array([*due, *([] if picked is None else picked)], np.int64)
-        name, kernel = kernel_of(self.plan, places)
+        name, kernel = kernel_of(self.plan, self.own, places)
         found = [self.cuda.device_array(count, kind) for kind in (np.float64, np.int64)]
         found += [self.cuda.device_array((count, steps, *each), self.dtype) for each in ((), (len(places) - 2,))]
         read = [self._sent(x) for x in (rows, columns[self.order])]
@@ -164,13 +164,12 @@ def own_numbers(plan: Program) -> np.ndarray:
     return np.flatnonzero((plan.numbers != plan.numbers[0]).any(0))
 
 
-def kernel_of(plan: Program, places: np.ndarray) -> tuple[str, Any]:
-    """The name of a program's kernel, and the kernel, compiled when it is called.
+def kernel_of(plan: Program, own: np.ndarray, places: np.ndarray) -> tuple[str, Any]:
+    """The name of a program's kernel, and the kernel, compiled when it is called; `own` are `own_numbers`.
 
     Places in the state are constants, too: of `due` and of what is picked. A state that is read at any place would be
     kept in memory, not in registers.
     """
-    own = own_numbers(plan)
     numbers = np.append(plan.numbers[:1], plan.dtype.type(0))  # no array may be empty
     numbers[own] = 0.0
     sizes = np.array([plan.size, plan.work, *plan.program.shape, plan.dtype.itemsize, len(own)])

@@ -35,7 +35,7 @@ def explore(folder: Path, parameters: Sequence[Hyperparameter], found: Sequence[
     runs = np.stack(known).reshape(len(found), -1) if len(known) == len(found) else np.empty((len(found), 0))
     folder.mkdir(parents=True, exist_ok=True)
     columns, content = {each.path: column for each, column in zip(parameters, settings.T, strict=True)}, io.BytesIO()
-    np.savez_compressed(content, mae=maes, runs=runs.astype(np.float32), **columns)
+    np.savez(content, mae=maes, runs=runs.astype(np.float32), **columns)
     write_atomically(folder / ARRAYS, content.getvalue())
     with suppress(MissingExtraError):
         write_atomically(folder / PICTURE, _picture(parameters, places[np.isfinite(maes)], maes[np.isfinite(maes)]))
