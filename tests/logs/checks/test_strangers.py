@@ -8,6 +8,7 @@ import pytest
 from tests.support.strangers import sail
 from usvlearn.core.samples import Fleet
 from usvlearn.logs.channels.channel import SURGE, Channel, Recording
+from usvlearn.logs.checks.course import compass_of_runs
 from usvlearn.logs.checks.data_check import check_data
 from usvlearn.logs.checks.delivery import rejected
 from usvlearn.logs.checks.evidence import Evidence
@@ -217,3 +218,32 @@ def test_a_compass_whose_error_changes_with_the_heading_is_found(size, at, off):
     told = float(re.search(r"is (\d+)° off", found.found)[1])
     assert told == pytest.approx(abs(size), abs=4)
     assert "compass" not in told_of(stranger(boat, heading=boat["psi"] + np.radians(off), **moved))
+    twice = boat["psi"] + np.radians(size * np.sin(2 * boat["psi"] + at) + off)
+    assert "a quarter of a turn" in told_of(stranger(boat, heading=twice, **moved))["compass"].found
+
+
+def placed(seed, off=0.0, minutes=6):
+    """A log with a position in a current; the heading is `off` degrees off, which may change."""
+    boat = sail(minutes, seed)
+    moved = {"north": boat["n"] + 0.2 * boat["time"], "east": boat["e"] - 0.2 * boat["time"]}
+    return stranger(boat, heading=(boat["psi"] + np.radians(off)) % (2 * np.pi), **moved)._replace(run=f"r{seed}")
+
+
+@pytest.mark.parametrize("channels", [{SURGE: {"name": "u"}}, {"north": {"name": "n"}, "east": {"name": "e"}}])
+@pytest.mark.parametrize(("offs", "odd"), [((0, 90, 0), "r2"), ((-30, 0), "r1"), ((10, 10, 10, 35), "r4")])
+def test_the_log_whose_heading_is_off_unlike_in_others_is_named(offs, odd, channels):
+    def kinds(offs):
+        logs = [placed(seed, off) for seed, off in enumerate(offs, 1)]
+        return {each.kind: each.found for each in compass_of_runs(Evidence("a", logs, None, {}, 2.5, channels))}
+
+    assert re.findall(r"° off in (r\d)", kinds(offs)["compass of runs"]) == [odd]
+    assert "compass of runs" not in kinds([offs[-2]] * len(offs))
+
+
+@pytest.mark.parametrize(
+    "change", [lambda share: 60 * share, lambda share: -25 * (share > 0.5), lambda share: 120 * share]
+)
+def test_a_heading_whose_error_changes_during_a_log_is_found(change):
+    share = np.linspace(0, 1, len(sail(9)["time"]))
+    assert "off in the thirds of r1" in told_of(placed(1, change(share), 9))["compass drift"].found
+    assert not {"compass drift", "compass"} & told_of(placed(1, 20, 9)).keys()

@@ -436,3 +436,11 @@ def test_the_error_of_a_compass_is_unsure_where_it_is_not_exact(noise, sure, off
     )
     (zero,) = (each for each in found.decisions if each[:2] == ("heading", "zero"))
     assert float(zero.value) == pytest.approx(off, abs=4) and zero.certainty == sure and "° ± " in zero.reason
+
+
+@pytest.mark.parametrize("names", [("lat", "lon"), ("sog", "cog")])
+def test_a_heading_that_follows_the_course_loosely_is_not_certain(names):
+    boat = sail(6)
+    for error, certainty in ((0.0, "certain"), (30 * np.sin(2 * boat["psi"]), "probable")):
+        own = {**boat, "hdg": (boat["hdg"] + error) % 360}
+        assert tell(own, "heading series", speed=boat["u"], **{name: boat[name] for name in names})[1] == certainty

@@ -17,6 +17,7 @@ LEG, BLOCKS, AHEAD = 2.0, 6, 40  # s, of the bins of a compass; blocks; bins
 ALIKE, ASTERN = 0.6, math.cos(math.radians(165))  # of the mean direction of the course from the heading, if it is known
 MOVES, ONE_WAY = 0.3, 0.9  # of the greatest speed; length of the mean heading, beyond which there is one course alone
 OFF, SURE, EXACT = math.radians(6), 4.0, math.radians(2.5)  # errors that are told; in, and of standard errors
+FEWEST_LEGS = 120
 MINUTE, IMAGE, BETTER = 60.0, 0.9, 5.0  # s, correlation and ratio of squares of a mirror image
 
 
@@ -124,21 +125,45 @@ def _plane(parts: list[np.ndarray]) -> np.ndarray:
     return share * (parts[0] + 1j * parts[1])
 
 
-def compass_error(north: Series, east: Series, heading: Series, speed: Series) -> tuple[float, float] | None:
-    """What has to be added to a heading, and its standard error, rad; None unless it is surely more than `OFF`.
+class Legs(NamedTuple):
+    """What a boat did in bins of `LEG` s, `(bins,)`; NaN where it is not known."""
+
+    over_ground: np.ndarray  # velocity, north + i east, m/s
+    along: np.ndarray  # mean of exp(iψ) with its heading ψ
+    ahead: np.ndarray  # speed, m/s
+    turn: np.ndarray  # rad/s
+
+
+def compass_error(legs: Legs) -> tuple[float, float] | None:
+    """What has to be added to a heading, and its standard error, rad; None unless it is surely more than `OFF`."""
+    found = offset(legs, AHEAD)
+    return found if found and abs(found[0]) > max(OFF, SURE * found[1]) and found[1] < EXACT else None
+
+
+def legs_on(north: Series, east: Series, heading: Series, speed: Series) -> Legs:
+    """The same by positions."""
+    edges = bin_edges(LEG, north, east, heading, speed)
+    return legs_of(bin_rates(north, edges) + 1j * bin_rates(east, edges), heading, speed, edges)
+
+
+def legs_of(over_ground: np.ndarray, heading: Series, speed: Series, edges: np.ndarray) -> Legs:
+    """The same in bins in which the velocity over ground is known."""
+    turn = bin_rates(heading, edges, wraps=True)
+    return Legs(over_ground, bin_directions(heading, edges), bin_means(speed, edges), turn)
+
+
+def offset(legs: Legs, fewest: int) -> tuple[float, float] | None:
+    """What has to be added to a heading, and its standard error, rad; None with fewer bins, or on one course alone.
 
     The velocity over ground w, north + i east, is that through the water, turned by the error δ of the heading ψ, and a
-    current c; in a turn r the hull drifts outwards:
+    current c; in a turn r the hull drifts outwards (None if this explains less than half of w):
 
         w = u (a + b r) exp(i ψ) + c,    δ = arg a
 
     a, b and c are complex, and fitted by least squares over bins in which the boat moves ahead, on several courses. The
     error of δ is that of a jackknife over blocks of the log, so that a current that changes makes δ uncertain.
     """
-    edges = bin_edges(LEG, north, east, heading, speed)
-    along = bin_directions(heading, edges)
-    over_ground = bin_rates(north, edges) + 1j * bin_rates(east, edges)
-    ahead, turn = bin_means(speed, edges), bin_rates(heading, edges, wraps=True)
+    over_ground, along, ahead, turn = legs
     fastest = np.nanquantile(np.abs(ahead), 0.98) if np.isfinite(ahead).any() else 0.0
     with np.errstate(invalid="ignore"):
         fast = (ahead > MOVES * fastest) & np.isfinite(over_ground * along * turn)
@@ -146,12 +171,34 @@ def compass_error(north: Series, east: Series, heading: Series, speed: Series) -
     whole = float(np.angle(off)) if abs(off) > ALIKE and off.real > ASTERN * abs(off) else 0.0
     for _ in range(3):  # each leaves out bins of a boat that goes astern, by the error that is known so far
         known = fast & ((over_ground * along.conj() * np.exp(-1j * whole)).real > 0)
-        if known.sum() < AHEAD or abs(np.mean(along[known])) > ONE_WAY:
+        if known.sum() < fewest or abs(np.mean(along[known])) > ONE_WAY:
             return None
         push, goal = ahead[known] * along[known], over_ground[known]
         rows = np.stack([push, push * turn[known], np.ones(len(push))], 1)
         whole = float(np.angle(np.linalg.lstsq(rows, goal)[0][0]))
+    rest = goal - rows @ np.linalg.lstsq(rows, goal)[0]
+    if np.var(rest) > np.var(goal) / 2:
+        return None
     block = np.arange(len(push)) * BLOCKS // len(push)
-    parts = [np.angle(np.linalg.lstsq(rows[block != k], goal[block != k])[0][0]) for k in range(BLOCKS)]
-    error = math.sqrt((BLOCKS - 1) / BLOCKS * float(np.sum(np.square(np.array(parts) - np.mean(parts)))))
-    return (whole, error) if abs(whole) > max(OFF, SURE * error) and error < EXACT else None
+    parts = [np.linalg.lstsq(rows[block != k], goal[block != k])[0][0] * np.exp(-1j * whole) for k in range(BLOCKS)]
+    return whole, math.sqrt((BLOCKS - 1) * float(np.var(np.angle(parts))))
+
+
+def deviations(legs: Legs) -> list[tuple[float, float]]:
+    """The errors of a heading that change with it once, and twice, in a turn, and their standard errors, rad.
+
+    An error A sin(ψ + φ) of a compass adds u times as much to the velocity across the heading, with the speed u; a
+    current c adds Im(c exp(−iψ)). Both are fitted, beside the drift in a turn; there are none in too few bins.
+    """
+    over_ground, along, ahead, turn = legs
+    across = over_ground * along.conj()
+    with np.errstate(invalid="ignore"):
+        known = np.isfinite(across + ahead + turn) & (across.real * ahead >= 0)
+    if known.sum() < FEWEST_LEGS:
+        return []
+    ways = [np.stack([way.real, way.imag]) for way in (along, ahead * along, ahead * along**2)]
+    rows = np.concatenate([[np.ones(len(turn)), ahead, turn * ahead], *ways])[:, known].T
+    goal, block = across.imag[known], np.arange(known.sum()) * BLOCKS // known.sum()
+    fits = np.stack([np.linalg.lstsq(rows[block != k], goal[block != k])[0][-4:] for k in range(-1, BLOCKS)])
+    errors = (BLOCKS - 1) * fits[1:].var(0)
+    return [(math.hypot(*fits[0, k : k + 2]), math.sqrt(errors[k : k + 2].sum())) for k in (0, 2)]

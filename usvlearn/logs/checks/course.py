@@ -1,9 +1,8 @@
-"""A course over ground in place of a heading, and iron near a compass, by the velocity over ground along and across it.
+"""A course over ground in place of a heading, and errors of a heading that change, by the velocity over ground.
 
 A current c adds Re(c exp(−iψ)) to the speed along a heading ψ, and Im(c exp(−iψ)) across it. Both are fitted by least
 squares over bins of 2 s: the speed along beside the thrust, the speed across beside the turn. Only along a course, the
-velocity has no part across. An error A sin(ψ + φ) of a compass adds u times as much across, with the speed u. Without a
-current or wind, a course cannot be told from the heading of a boat without sway.
+velocity has no part across. Without a current or wind, a course cannot be told from the heading of a boat without sway.
 """
 
 from __future__ import annotations
@@ -14,34 +13,32 @@ from typing import Any
 
 import numpy as np
 
-from usvlearn.logs.channels.bins import bin_directions, bin_means, bin_rates
+from usvlearn.logs.channels.bins import bin_means
 from usvlearn.logs.channels.channel import COMMANDS, SURGE
+from usvlearn.logs.channels.position_rates import LEG, Legs, deviations, legs_of, offset
 from usvlearn.logs.checks.evidence import Evidence
 from usvlearn.logs.checks.finding import NOTE, Finding, see
 
-STEP, FEWEST, BLOCKS = 2.0, 120, 6  # s, of the bins; bins; blocks of the jackknife
+FEWEST, BLOCKS = 120, 6  # bins; blocks of the jackknife
 SURE, LEAST, ACROSS = 5.0, 0.15, 0.15  # standard errors; m/s along; share of that across
-OFF, CLEAR, LONG = math.radians(12), 2.5, 270  # of what changes with the heading; standard errors; bins
+OFF, CLEAR, LONG = math.radians(12), 2.5, 270  # errors of two headings, or of one on two courses; their errors; bins
+PART, WHOLE = 15, 25  # fewest bins of a third, and of a log
 
 
 def compass(e: Evidence) -> Iterator[Finding]:
     """A heading along which there is a current, and across which there is none; or off by what changes with it."""
-    edges = e.moving_edges(STEP, e.series["heading"])
-    if len(edges) <= FEWEST:
+    edges, legs = _legs(e)
+    over_ground, way, _, turn = legs
+    if len(way) < FEWEST:
         return
-    way: np.ndarray[Any, np.dtype[np.complex128]] = bin_directions(e.series["heading"], edges)
-    turn = bin_rates(e.series["heading"], edges, wraps=True)
-    north, east = e.velocity(edges)
     left, right = (bin_means(e.series[name], edges, held=True) for name in COMMANDS)
     thrust = np.convolve(left + right, (0.5, 0.3, 0.2))[: len(way)]  # the boat answers within some seconds
-    velocity, one = (north + 1j * east) * way.conj(), np.ones(len(way))
-    speed, current = bin_means(e.series[SURGE], edges), (way.real, way.imag)
+    velocity, one, current = over_ground * way.conj(), np.ones(len(way)), (way.real, way.imag)
     parts = (
         (velocity.real, thrust, thrust * np.abs(thrust), *current),
         (velocity.imag, turn, turn * thrust, *current),
-        (velocity.imag, speed, turn * speed, *current, speed * way.real, speed * way.imag),
     )
-    known = np.isfinite(velocity + thrust + turn + speed)
+    known = np.isfinite(velocity + thrust + turn)
     if known.sum() < FEWEST:
         return
     block, found = np.arange(known.sum()) * BLOCKS // known.sum(), []
@@ -50,11 +47,59 @@ def compass(e: Evidence) -> Iterator[Finding]:
         fits = [np.linalg.lstsq(rows[block != k], goal[known][block != k])[0][-2:] for k in range(-1, BLOCKS)]
         error = math.sqrt((BLOCKS - 1) / BLOCKS * float(np.square(fits[1:] - np.mean(fits[1:], 0)).sum()))
         found.append((float(np.hypot(*fits[0])), error))
-    (along, error), (across, _), (off, doubt) = found
+    (along, error), (across, _) = found
     if along > max(LEAST, SURE * error) and across < ACROSS * along:
         text = f"a current of {along:.2f} m/s along the heading, and {across:.2f} m/s across it: it may be a course"
         expected = "as much across a compass's heading, unless the position is computed from it"
         yield Finding(e.boat, "heading", "course", text, see(expected, "heading"), severity=NOTE)
-    if e.sense != -1 and off > max(OFF, CLEAR * doubt) and known.sum() > LONG:
-        text = f"a heading that is {math.degrees(off):.0f}° off on one course, and the other way on the opposite one"
-        yield Finding(e.boat, "heading", "compass", text, "the same on all courses: calibrate the compass on board")
+    if e.sense == -1:
+        return
+    sure = (CLEAR, known.sum() > LONG, "on the opposite one"), (SURE, True, "a quarter of a turn from it")
+    for (off, doubt), (errors, enough, where) in zip(deviations(legs), sure, strict=False):
+        if enough and off > max(OFF, errors * doubt):
+            text = f"a heading that is {math.degrees(off):.0f}° off on one course, and the other way {where}"
+            expected = "the same on all courses: calibrate the compass on board"
+            yield Finding(e.boat, "heading", "compass", text, expected)
+            return
+
+
+def compass_of_runs(e: Evidence) -> Iterator[Finding]:
+    """A heading whose error is not the same in all logs, or in all thirds of one of them."""
+    each = {own.recordings[0].run: _legs(own)[1] for own in e.alone or [e] if own.sense != -1}
+    told = {run: off for run, legs in each.items() if (off := offset(legs, WHOLE))}
+    far = {off: sum(_apart(off, other) for other in told.values()) for off in told.values()}
+    usual = min(far, key=lambda off: (far[off], abs(off[0])), default=(0.0, 0.0))
+    odd = [f"{math.degrees(-off[0]):+.0f}° off in {run}" for run, off in told.items() if _differ(off, usual)]
+    if odd:
+        text = f"a heading that is {', '.join(odd)}, and {math.degrees(-usual[0]):+.0f}° off in other logs"
+        expected = "one error in all logs: read those by a configuration with a heading.zero of their own"
+        yield Finding(e.boat, "heading", "compass of runs", text, expected)
+    for run, legs in each.items():
+        thirds = [Legs(*parts) for parts in zip(*(np.array_split(each, 3) for each in legs), strict=True)]
+        offs = [off for third in thirds if (off := offset(third, PART))]
+        if any(_differ(one, other) for one in offs for other in offs):
+            shown = ", then ".join(f"{math.degrees(-off):+.0f}°" for off, _ in offs)
+            text = (
+                f"a heading that is {shown} off in the thirds of {run}: a gyro that drifts, or a compass that was moved"
+            )
+            expected = "one error from begin to end: correct it, or leave out the log"
+            yield Finding(e.boat, "heading", "compass drift", text, expected)
+
+
+def _legs(e: Evidence) -> tuple[np.ndarray, Legs]:
+    """The edges of bins, s, and what tells the error of a heading; the size of a speed from positions needs none."""
+    heading = e.series["heading"]
+    edges = e.moving_edges(LEG, heading)
+    north, east = e.velocity(edges)
+    legs = legs_of(north + 1j * east, heading, e.series[SURGE], edges)
+    return edges, legs if e.speeds == (SURGE,) else legs._replace(ahead=np.hypot(north, east))
+
+
+def _apart(one: tuple[float, float], other: tuple[float, float]) -> float:
+    """The angle between two errors of a heading, rad."""
+    return abs(math.remainder(one[0] - other[0], 2 * math.pi))
+
+
+def _differ(one: tuple[float, float], other: tuple[float, float]) -> bool:
+    """Whether they surely differ, by their standard errors."""
+    return _apart(one, other) > max(OFF, SURE * math.hypot(one[1], other[1]))

@@ -22,9 +22,11 @@ CHECKS: tuple[Callable[[Evidence], Iterator[Finding]], ...] = (
     scales.zeros, scales.rest, scales.speed_scale, scales.sign, scales.command_scale, scales.heading_unit,
     scales.heading_sense, scales.yaw_rate, track.degrees, track.axes, track.follows, track.sway,
     thrusters.sides, response.delay, response.clock_drift, thrusters.excitation, response.clocks, course.compass,
+    course.compass_of_runs,
     frozen.frozen, delivery.rejected, delivery.stale, delivery.copies, delivery.clock, delivery.horizons,
     delivery.together, delivery.jumps, scales.runs, thrusters.sides_of_runs,
 )  # fmt: skip
+COMPASS = "compass", "compass of runs", "compass drift"
 # kind of a finding -> kinds that follow from it, and are left out beside it
 CONSEQUENCES = {
     **dict.fromkeys(("speed unit", "speed scale", "yaw rate unit"), ("rejected", "stale")),
@@ -32,6 +34,8 @@ CONSEQUENCES = {
     "sides of runs": ("sides or heading", "sides swapped", "side reversed"),
     "commands of runs": ("command scale", "thrust", "delay", "excitation"),
     "heading unit": ("rejected", "stale", "position", "position axes", "jumps"),
+    **dict.fromkeys(COMPASS[1:], ("compass", "heading offset", "course", "clocks", "position")),
+    "position axes": COMPASS,
     "command scale": ("rejected", "stale", "excitation"),
     "constant": ("thrust", "position"),
     "side reversed": ("thrust", "speed sign"),
@@ -39,7 +43,7 @@ CONSEQUENCES = {
     "clock drift": ("delay", "clocks", "stale", "position"),
     "delay": ("stale", "position"),
     "frozen": ("delay", "position"),
-    "position unit": ("speed unit", "heading sense", "heading offset", "position", "position axes", "jumps"),
+    "position unit": ("speed unit", "heading sense", "heading offset", "position", "position axes", "jumps", *COMPASS),
     "velocity axes": ("speed unit", "speed scale", "sides or heading", "side reversed", "thrust"),
 }
 LEVELS = ("warn", "strict", "off")

@@ -16,7 +16,7 @@ import numpy as np
 from usvlearn.logs.channels.bins import HUGE
 from usvlearn.logs.channels.channel import COMMANDS, METRES, SPEEDS, SURGE, UNITS
 from usvlearn.logs.channels.correlations import rate_slope, without_sign
-from usvlearn.logs.channels.position_rates import compass_error, speed_on_positions
+from usvlearn.logs.channels.position_rates import compass_error, legs_on, speed_on_positions
 from usvlearn.logs.checks.evidence import STEP, Evidence, angular, mirrored, spread, without
 from usvlearn.logs.checks.finding import NOTE, WARNING, Finding, override, see
 from usvlearn.logs.checks.track import half_turn_fix, heading_is_right, mirror_fix, position_unit
@@ -259,7 +259,7 @@ def heading_sense(e: Evidence) -> Iterator[Finding]:
         other = half_turn_fix(e, found.offset)
         fix = " or ".join(filter(None, [override("heading", {"zero": float(zero)}), other]))
         yield Finding(e.boat, "heading", "heading offset", text, f"within {math.degrees(TURNED_AWAY):.0f}°", fix)
-    elif e.sense != -1 and e.has_position and (off := compass_error(*(e.series[name] for name in MOVED))):
+    elif e.sense != -1 and e.has_position and (off := compass_error(legs_on(*(e.series[name] for name in MOVED)))):
         zero = e.settings("heading")["zero"] - off[0] / e.factor("heading")
         text = f"a heading that is {math.degrees(-off[0]):+.0f}° (± {math.degrees(off[1]):.1f}°) off on all courses"
         yield Finding(e.boat, "heading", "heading offset", text, "the course on straight legs, less current and drift",

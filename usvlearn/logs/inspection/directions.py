@@ -7,15 +7,16 @@ tells the unit, and the range of the values may. A yaw rate is what follows the 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from usvlearn.logs.channels.bins import cleaned
 from usvlearn.logs.channels.channel import AUTO, UNITS
 from usvlearn.logs.channels.correlations import rate_slope
-from usvlearn.logs.channels.position_rates import compass_error
+from usvlearn.logs.channels.position_rates import OFF, compass_error, deviations, legs_on
+from usvlearn.logs.channels.position_rates import SURE as CLEAR
 from usvlearn.logs.inspection.candidate import ANGLES, Candidate
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.known import rank
@@ -26,6 +27,7 @@ HEADINGS = ("deg", "rad", "enu_deg", "enu_rad")
 ENOUGH = 30  # courses, below which they decide nothing
 AGREES = 0.6  # mean cosine of heading and course, from which they agree
 ALONG = 0.8  # or that of local coordinates, from which it tells which of them is north
+CLOSELY = 0.9  # median of the cosine, from which they do so closely
 MARGIN = 0.25  # of that, over the next best unit
 FOLLOWS, SURE = 0.6, 4.0  # correlation of a yaw rate with the heading's derivative, and that in standard errors
 CLOSE, SHORT = 0.9, 20.0  # or a close correlation over so many seconds
@@ -59,6 +61,7 @@ class Heading(NamedTuple):
     zero: float = 0.0  # likewise: the error of the compass
     why_zero: str = ""
     sure_zero: str = PROBABLE
+    loose: bool = False  # whether it follows the course so loosely that its error may change
 
     @property
     def radians(self) -> Pair:
@@ -75,7 +78,7 @@ class Heading(NamedTuple):
         return convention in NORTH_FORMATS or self.candidate.unit.startswith("enu_")
 
 
-def agreement(heading: Pair, course: Pair) -> float:
+def agreement(heading: Pair, course: Pair, of: Callable[[np.ndarray], Any] = np.mean) -> float:
     """The mean cosine of the difference between a heading and a course; NaN with too few courses.
 
     >>> time = np.arange(0.0, 100.0)
@@ -87,7 +90,7 @@ def agreement(heading: Pair, course: Pair) -> float:
         return math.nan
     place = np.searchsorted(time, course[0]).clip(0, len(time) - 1)
     near = np.abs(time[place] - course[0]) < 3.0
-    return float(np.cos(angle[place][near] - course[1][near]).mean()) if near.sum() >= ENOUGH else math.nan
+    return float(of(np.cos(angle[place][near] - course[1][near]))) if near.sum() >= ENOUGH else math.nan
 
 
 def read_heading(candidate: Candidate, course: Pair | None, convention: str = "") -> Heading:
@@ -109,7 +112,9 @@ def read_heading(candidate: Candidate, course: Pair | None, convention: str = ""
         margin = agree[best] - agree[ranked[1]]
         sentence = f"agrees with the course over ground (mean cosine {agree[best]:.2f})"
         if margin >= MARGIN:
-            return Heading(candidate, best, CERTAIN, sentence, (), agree[best], name + 2 * agree[best])
+            typical = agreement(candidate.scaled(*UNITS[best]), course, np.median) if course else 1.0
+            score = name + 2 * agree[best]
+            return Heading(candidate, best, CERTAIN, sentence, (), agree[best], score, loose=typical < CLOSELY)
         close = tuple(unit for unit in ranked[1:] if agree[best] - agree[unit] < MARGIN)
         choice = next((unit for unit in (best, *close) if unit == (declared or by_size)), best)
         sure = PROBABLE if declared or (by_size and not choice.startswith("enu")) else UNSURE
@@ -208,8 +213,10 @@ def read_any_turn(candidate: Candidate, course: Pair | None, convention: str = "
 
 def without_error(heading: Heading, track: tuple[Pair, Pair], course: Pair, speed: Pair, convention: str) -> Heading:
     """The same with the error of the compass as its zero, if positions to the north and to the east surely tell one."""
-    found = compass_error(*track, heading.radians, speed)
-    if found is None:
+    legs = legs_on(*track, heading.radians, speed)
+    if any(size > max(OFF, CLEAR * error) for size, error in deviations(legs)[1:]):
+        heading = heading._replace(loose=True)
+    if (found := compass_error(legs)) is None:
         return heading
     factor = UNITS[heading.unit][0] / heading.span
     zero = float(f"{heading.zero - found[0] / factor:.3g}")
@@ -312,6 +319,8 @@ def tell_heading(best: Heading, headings: Sequence[Heading], channels: dict, ser
         agreed = best.agreement == best.agreement and best.agreement > 0.6
         sure = CERTAIN if agreed and not close else PROBABLE
         why = "by name" + (", and it follows the course over ground" if agreed else "")
+        if best.loose:
+            sure, why = PROBABLE, f"{why} loosely: the boat drifts much, or the error of the compass changes"
     else:
         sure, why = UNSURE, best.reason
     why += f"; others: {', '.join(close[:3])}" if close else ""
