@@ -444,3 +444,24 @@ def test_a_heading_that_follows_the_course_loosely_is_not_certain(names):
     for error, certainty in ((0.0, "certain"), (30 * np.sin(2 * boat["psi"]), "probable")):
         own = {**boat, "hdg": (boat["hdg"] + error) % 360}
         assert tell(own, "heading series", speed=boat["u"], **{name: boat[name] for name in names})[1] == certainty
+
+
+@pytest.mark.parametrize("place", [("lat", "lon"), ()])
+@pytest.mark.parametrize("ramp", [False, True])
+def test_a_heading_that_is_set_is_no_measured_one(place, ramp):
+    boat = sail(6)
+    step = np.floor(boat["time"] / 12)
+    goal = boat["hdg"][(48 * step).astype(int)]
+    if ramp:
+        goal = np.interp(boat["time"], [k * 12 + d for k in range(30) for d in (0, 8)], np.repeat(goal[::48], 2)[:60])
+    own, where = {**boat, "hdg": np.round(goal, 3)}, {name: boat[name] for name in place}
+    assert tell(own, "heading series", speed=boat["u"], **where) == ("heading", "unsure")
+    assert tell(own, "heading series", speed=boat["u"], compass=boat["hdg"], **where)[0] == "compass"
+
+
+@pytest.mark.parametrize(("change", "sure"), [(1, "certain"), (0.8, "unsure"), (1.3, "unsure"), ("early", "unsure")])
+@pytest.mark.parametrize("unit", [1, -1, 180 / np.pi])
+def test_a_yaw_rate_of_another_scale_or_before_the_turn_is_not_certain(change, sure, unit):
+    boat = sail(6)
+    rate = np.roll(boat["turn"], -3) if change == "early" else change * boat["turn"]
+    assert tell(boat, "yaw_rate series", speed=boat["u"], yaw_rate=unit * rate) == ("yaw_rate", sure)

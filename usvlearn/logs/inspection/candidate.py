@@ -18,6 +18,7 @@ from usvlearn.logs.formats.px4.actuators import DRIVEN, TOPICS
 from usvlearn.logs.inspection.vocabulary import fit, unit_word
 
 HELD = 7.0  # s, for which no measured speed of a boat that moves is the same, unless its sensor is slower
+IS_SET = "is constant for long, and jumps or rises evenly in between, as a setpoint does and nothing that is measured"
 EVIDENCE_HZ = 10.0  # values a second that relations look at
 WRAP = 0.1  # by how much a jump of a heading may differ from a full turn
 TURNS = {"deg": 360.0, "rad": 2 * math.pi}
@@ -163,9 +164,9 @@ class Candidate:
         lasts = time[np.append(first[1:], len(time)) - 1] - time[first] + self.interval
         steps, moves = np.abs(np.diff(value[first])), np.abs(value[first]) > some
         long = moves & (lasts > HELD)
-        if long.sum() < 3 or lasts[long].sum() < lasts[moves].sum() / 2:
+        if long.sum() < 3 or lasts[long].sum() < 0.4 * lasts[moves].sum():
             return False
-        even = bool(np.quantile(steps, 0.25) > 0.8 * np.quantile(steps, 0.75)) and np.median(np.diff(first)) == 1
+        even = np.mean(np.abs(np.diff(steps)) < 0.2 * steps[1:]) > 0.8 and np.median(np.diff(first)) == 1
         return bool(even or (len(first) < 3 * long.sum() and np.median(steps) > 5 * some))
 
     @cached_property

@@ -17,7 +17,7 @@ from usvlearn.logs.channels.channel import AUTO, UNITS
 from usvlearn.logs.channels.correlations import rate_slope
 from usvlearn.logs.channels.position_rates import OFF, compass_error, deviations, legs_on
 from usvlearn.logs.channels.position_rates import SURE as CLEAR
-from usvlearn.logs.inspection.candidate import ANGLES, Candidate
+from usvlearn.logs.inspection.candidate import ANGLES, IS_SET, Candidate
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.known import rank
 from usvlearn.logs.inspection.position_channels import Pair, Places, course_of
@@ -32,7 +32,7 @@ MARGIN = 0.25  # of that, over the next best unit
 FOLLOWS, SURE = 0.6, 4.0  # correlation of a yaw rate with the heading's derivative, and that in standard errors
 CLOSE, SHORT = 0.9, 20.0  # or a close correlation over so many seconds
 EXACT = 4.0  # three standard errors, degrees, up to which the error of a compass is probable
-RATIO = 1.6  # by which the slope may differ from that of a unit
+RATIO, SCALE = 1.6, 1.1  # by which the slope may differ from that of a unit, and from that of a gyro
 NORTH = {"heading", "hdg", "hdt", "compass", "steuerkurs", "kurs", "ned", "cap", "rumbo"}  # words of angles from north
 NORTH_FORMATS = {"MOOS", "ArduPilot DataFlash", "MAVLink telemetry", "PX4 ULog"}  # whose headings are from north
 FULL_TURN = 6.6  # a heading in rad, within ±2π, is smaller
@@ -249,6 +249,8 @@ def find_headings(pool: Sequence[Candidate], course: Pair | None, convention: st
             sentence = "a course over ground, in place of a heading: wrong where the boat drifts or backs up; "
             sentence += read.reason
             found.append(read._replace(score=read.score - 6, certainty=UNSURE, reason=sentence))
+    measured = [each for each in found if not each.candidate.is_set]
+    found = [each if each in measured else each._replace(score=each.score - 6, certainty=UNSURE) for each in found]
     return sorted(found, key=lambda each: 0.5 * rank(each.candidate, "heading", convention) - each.score)
 
 
@@ -284,6 +286,13 @@ def find_yaw_rate(pool: Sequence[Candidate], heading: Heading) -> tuple[YawRate 
             sure = CERTAIN if name >= 1 and abs(relation.correlation) >= 0.75 else PROBABLE
             if each.unit and not unit.endswith(each.unit.removeprefix("enu_")):
                 sentence, sure = f"{sentence}, but declared as {each.unit}", UNSURE
+            doubt, ratio, noise = "", relation.slope * UNITS[unit][0], abs(relation.correlation)
+            if ratio * noise > SCALE or ratio < noise / SCALE:  # noise makes a slope steeper
+                doubt = f"{ratio:.2f} times what it says"
+            elif relation.lag < 0:
+                doubt = f"{-relation.lag:g} s before it, as the setpoint of a turn, or with a compass that is late"
+            if doubt:
+                sentence, sure = f"{sentence}: {doubt}; name: null takes it from the heading", UNSURE
             close = abs(relation.correlation) + 0.2 * name
             found.append((close, YawRate(each, unit, sure, sentence, relation.correlation)))
         elif name >= 2:
@@ -319,7 +328,9 @@ def tell_heading(best: Heading, headings: Sequence[Heading], channels: dict, ser
         agreed = best.agreement == best.agreement and best.agreement > 0.6
         sure = CERTAIN if agreed and not close else PROBABLE
         why = "by name" + (", and it follows the course over ground" if agreed else "")
-        if best.loose:
+        if candidate.is_set:
+            sure, why = UNSURE, f"by name, but it {IS_SET}: log the latter"
+        elif best.loose:
             sure, why = PROBABLE, f"{why} loosely: the boat drifts much, or the error of the compass changes"
     else:
         sure, why = UNSURE, best.reason

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from usvlearn.logs.channels.channel import UNITS
 from usvlearn.logs.channels.correlations import heading_rate
-from usvlearn.logs.inspection.candidate import Candidate
+from usvlearn.logs.inspection.candidate import IS_SET, Candidate
 from usvlearn.logs.inspection.command_sides import SWAPPED, Commands, doubted, find_commands, seconds_astern
 from usvlearn.logs.inspection.commands import SIDES, tell_commands
 from usvlearn.logs.inspection.config_writer import scalar
@@ -37,7 +37,6 @@ from usvlearn.logs.inspection.position_channels import (
 )
 from usvlearn.logs.inspection.sign_hypotheses import LIKELY
 from usvlearn.logs.inspection.speeds import (
-    IS_SET,
     along_hull,
     by_reaction,
     find_speeds,

@@ -17,7 +17,7 @@ from usvlearn.logs.channels.channel import AUTO, RARE, SPEEDS, UNITS, Channel
 from usvlearn.logs.channels.correlations import Relation, speed_on_thrust
 from usvlearn.logs.channels.position_rates import speed_on_positions
 from usvlearn.logs.channels.repeated_values import find_period
-from usvlearn.logs.inspection.candidate import Candidate
+from usvlearn.logs.inspection.candidate import IS_SET, Candidate
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.position_channels import CLOSE as FOLLOWED
 from usvlearn.logs.inspection.position_channels import Pair, Places, crossed, moved_along
@@ -36,7 +36,6 @@ MOST, UNLIKE, LIKE = 4, 0.35, 0.5  # series that are compared; correlations with
 ASTERN = 0.8  # correlation of the velocity with that of speed and heading, below whose opposite the speed is reversed
 PLAUSIBLE = 15.0  # m/s, of a boat of this kind
 FOLLOWS_NOT = "it does not follow the rate of position"
-IS_SET = "is constant for long, and jumps or rises evenly in between, as a setpoint does and no measured speed"
 LATER = (0.0, 10.0)  # s, by which a speed follows its setpoint
 METRIC = ("geometry_msgs", "nav_msgs", "MOOS", "ArduPilot DataFlash", "MAVLink telemetry", "PX4 ULog")  # all m/s
 
