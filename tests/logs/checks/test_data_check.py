@@ -214,6 +214,16 @@ def test_a_copied_speed_rejected_and_stale_messages_and_a_clock_that_jumps_are_t
     assert found(yaw_rate=rate)["rejected"].key == "align.yaw_rate_max=5"
 
 
+@pytest.mark.parametrize("every", [5, 10])
+def test_a_sensor_that_is_repeated_in_a_faster_table_serves_all_steps_that_it_can(logs, every):
+    one = logs["heron"][0]
+    surge = one.channels[SURGE]
+    times = np.arange(surge.time[0], surge.time[-1], 1 / every)
+    order = np.linspace(surge.order[0], surge.order[-1], len(times)).astype(int)
+    held = Channel(times, np.interp(np.floor(times), surge.time, surge.value), order, period=1.0)
+    assert "stale" not in warned([one._replace(channels=one.channels | {SURGE: held})], "heron")
+
+
 def test_horizons_without_a_step_are_told(logs):
     (finding,) = check_data(logs["heron"], None, ALIGN, TOP["heron"], horizons=(0.1, 0.4, 2.0))
     assert (finding.kind, finding.severity) == ("horizons", NOTE)

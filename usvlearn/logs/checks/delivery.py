@@ -81,7 +81,8 @@ def stale(e: Evidence) -> Iterator[Finding]:
             for leaf in (lambda x: x.inputs.dt > 0, lambda x: x.fresh, lambda x: x.measured)
         )
         shares = {name: counts.get(name, Counter())["stale"] / max(steps, 1) for name in CHANNELS}
-        period = max(_interval(e, SURGE, 0.5), _dt(e))
+        measures = [float(each.period) for each in e.logs(SURGE) if each.period != AUTO]
+        period = max(_interval(e, SURGE, 0.5), _dt(e), *measures)
         possible = fresh * min(1.0, _dt(e) / period)
         shares[SURGE] = 1 - measured / possible if possible else 0.0
     for name, share in shares.items():
