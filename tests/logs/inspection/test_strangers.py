@@ -465,3 +465,12 @@ def test_a_yaw_rate_of_another_scale_or_before_the_turn_is_not_certain(change, s
     boat = sail(6)
     rate = np.roll(boat["turn"], -3) if change == "early" else change * boat["turn"]
     assert tell(boat, "yaw_rate series", speed=boat["u"], yaw_rate=unit * rate) == ("yaw_rate", sure)
+
+
+@pytest.mark.parametrize(("pause", "away"), [(1500.0, 0.004), (20.0, -0.002), (86400.0, 0.01)])
+def test_a_boat_that_was_carried_in_a_pause_has_one_unit_of_its_speed(pause, away):
+    boat = sail(6)
+    half = np.arange(len(boat["time"])) > 600
+    moved = {"time": boat["time"] + pause * half, "lat": boat["lat"] + away * half}
+    own = {**boat, **moved}
+    assert tell(own, "surge unit", speed=own["u"], lat=own["lat"], lon=own["lon"]) == ("m/s", "certain")

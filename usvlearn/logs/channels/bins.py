@@ -43,8 +43,8 @@ def bin_edges(step: float, *series: Series) -> np.ndarray:
     return np.concatenate([*parts, np.empty(0)])[:MOST_BINS]
 
 
-def _gaps(time: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Which bins lie half or more in a gap of a channel, `(bins,)`."""
+def gaps(time: np.ndarray, edges: np.ndarray, share: float = 0.5) -> np.ndarray:
+    """Which bins lie in a gap of a channel by more than a share of their length, `(bins,)`."""
     if len(time) < 2 or len(edges) < 2:
         return np.ones(max(len(edges) - 1, 0), dtype=bool)
     passed = np.diff(time)
@@ -52,7 +52,7 @@ def _gaps(time: np.ndarray, edges: np.ndarray) -> np.ndarray:
     silent = np.append(0.0, np.cumsum(np.where(passed > limit, passed, 0.0)))
     length = np.diff(edges)
     outside = (edges[:-1] < time[0] - length) | (edges[1:] > time[-1] + length)
-    return outside | (np.diff(np.interp(edges, time, silent)) > length / 2)
+    return outside | (np.diff(np.interp(edges, time, silent)) > share * length)
 
 
 def bin_means(series: Series, edges: np.ndarray, held: bool = False) -> np.ndarray:
@@ -66,7 +66,7 @@ def bin_means(series: Series, edges: np.ndarray, held: bool = False) -> np.ndarr
     level = value[:-1] if held else (value[:-1] + value[1:]) / 2
     total = np.concatenate([[0.0], np.cumsum(passed * (level - level.mean()))])
     means = np.diff(np.interp(edges, time, total)) / np.diff(edges) + level.mean()
-    means[edges[1:] < time[0] if held else _gaps(time, edges)] = np.nan
+    means[edges[1:] < time[0] if held else gaps(time, edges)] = np.nan
     return means
 
 
@@ -98,5 +98,5 @@ def bin_rates(series: Series, edges: np.ndarray, wraps: bool = False) -> np.ndar
         change[np.abs(change) > np.ptp(value) / 2] = 0.0
         value = np.cumsum(change)
     rates = np.diff(np.interp(edges, time, value)) / np.diff(edges)
-    rates[_gaps(time, edges)] = np.nan
+    rates[gaps(time, edges)] = np.nan
     return rates

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from usvlearn.logs.channels.bins import Series, bin_directions, bin_edges, bin_means, bin_rates, cleaned, clipped
+from usvlearn.logs.channels.bins import Series, bin_directions, bin_edges, bin_means, bin_rates, cleaned, clipped, gaps
 from usvlearn.logs.channels.correlations import FEWEST, NO_LAG, Relation, relate, residual
 
 STRAIGHT = 0.9, 0.7  # share of the way by which a boat that turns comes on, at least, where its speed is compared
@@ -70,8 +70,9 @@ def _sum(series: Series) -> Series:
 
 
 def _moved(series: Series, edges: np.ndarray) -> np.ndarray:
-    """The rate of change from the mean of one bin to that of the next one, `(bins - 1,)`."""
-    return np.diff(bin_means(series, edges)) / np.diff(edges[:-1])
+    """The rate of change from the mean of one bin to that of the next one, `(bins - 1,)`; NaN beside a gap."""
+    means = np.where(gaps(cleaned(series)[0], edges, 0.0), np.nan, bin_means(series, edges))
+    return np.diff(means) / np.diff(edges[:-1])
 
 
 def _ratio(rate: np.ndarray, size: np.ndarray, step: float) -> Relation:
