@@ -13,6 +13,7 @@ from usvlearn.logs.checks.data_check import check_data
 from usvlearn.logs.checks.delivery import rejected
 from usvlearn.logs.checks.evidence import Evidence
 from usvlearn.logs.checks.finding import NOTE, WARNING
+from usvlearn.logs.checks.response import delay_of_runs
 from usvlearn.logs.checks.scales import runs
 
 
@@ -247,3 +248,13 @@ def test_a_heading_whose_error_changes_during_a_log_is_found(change):
     share = np.linspace(0, 1, len(sail(9)["time"]))
     assert "off in the thirds of r1" in told_of(placed(1, change(share), 9))["compass drift"].found
     assert not {"compass drift", "compass"} & told_of(placed(1, 20, 9)).keys()
+
+
+@pytest.mark.parametrize(("lates", "odd"), [((0, 4, 0), "r2"), ((-4, 0), "r1"), ((0, 0, 0, 18), "r4")])
+def test_the_log_whose_clocks_differ_unlike_in_others_is_named(lates, odd):
+    def told(lates):
+        logs = [stranger(sail(6, seed), late)._replace(run=f"r{seed}") for seed, late in enumerate(lates, 1)]
+        return [each.found for each in delay_of_runs(Evidence("a", logs, None, {}, 2.5, {}))]
+
+    assert re.findall(r"commands in (r\d)", *told(lates)) == [odd]
+    assert told([0] * len(lates)) == []

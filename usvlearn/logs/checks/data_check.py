@@ -22,7 +22,7 @@ CHECKS: tuple[Callable[[Evidence], Iterator[Finding]], ...] = (
     scales.zeros, scales.rest, scales.speed_scale, scales.sign, scales.command_scale, scales.heading_unit,
     scales.heading_sense, scales.yaw_rate, track.degrees, track.axes, track.follows, track.sway,
     thrusters.sides, response.delay, response.clock_drift, thrusters.excitation, response.clocks, course.compass,
-    course.compass_of_runs,
+    course.compass_of_runs, response.delay_of_runs,
     frozen.frozen, delivery.rejected, delivery.stale, delivery.copies, delivery.clock, delivery.horizons,
     delivery.together, delivery.jumps, scales.runs, thrusters.sides_of_runs,
 )  # fmt: skip
@@ -42,6 +42,7 @@ CONSEQUENCES = {
     "sides or heading": ("speed sign",),
     "clock drift": ("delay", "clocks", "stale", "position"),
     "delay": ("stale", "position"),
+    "delay of runs": ("delay",),
     "frozen": ("delay", "position"),
     "position unit": ("speed unit", "heading sense", "heading offset", "position", "position axes", "jumps", *COMPASS),
     "velocity axes": ("speed unit", "speed scale", "sides or heading", "side reversed", "thrust"),

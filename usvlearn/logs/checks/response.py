@@ -48,6 +48,7 @@ COURSE_STEP, FARTHEST = 2.0, 25  # s, of bins of the course; bins of lag that ar
 EARLIER, LATER = 5.0, 2.0  # s, of a heading that is early, and of one that is late
 FITS, CLOSE = ((4.0, 0.5), (2.4, 0.25)), 0.3  # standard errors, and of the dispersion that is left; dispersion
 COURSE_BLOCK, FEWEST = 10, 3  # bins: 20 s; blocks
+ODD = 0.4  # ratio of squares of a delay unlike that of other logs; simulated boats without one reach 0.5
 DRIFTING = 0.55, 0.6  # share explained in each third of a log, and the ratio of squares in one, of a delay that changes
 
 
@@ -163,6 +164,21 @@ def clock_drift(e: Evidence) -> Iterator[Finding]:
         side = "faster" if lags[2] > lags[0] else "slower"
         expected = f"one delay in all thirds of the log: its clock runs {side} than that of the commands: correct one"
         yield Finding(e.boat, "commands, heading" if "speed" not in told else PAIR, "clock drift", text, expected)
+
+
+def delay_of_runs(e: Evidence) -> Iterator[Finding]:
+    """A delay in some logs that is another one than in the others: their clocks differ."""
+    fits = {own.recordings[0].run: fit for own in e.alone if (fit := best_delay(own)) and fit.explained >= CLEAR[1]}
+    lags = [each.delay for each in fits.values()]
+    usual = min(lags, key=lambda lag: (sum(abs(lag - other) for other in lags), abs(lag)), default=0)
+    odd = [
+        f"{_side(fit.delay)} the commands in {run}"
+        for run, fit in fits.items()
+        if abs(fit.delay - usual) >= LATE and fit.certainty > SURE[1][0] and fit.ratio <= ODD
+    ]
+    if odd:
+        text = f"changes of speed {', '.join(odd)}, and {_side(usual)} them in other logs"
+        yield Finding(e.boat, PAIR, "delay of runs", text, f"one delay in all logs: {CLOCKS} there")
 
 
 def _is_told(found: Fit, given: float) -> bool:
