@@ -28,7 +28,7 @@ PART, WHOLE = 15, 25  # fewest bins of a third, and of a log
 def compass(e: Evidence) -> Iterator[Finding]:
     """A heading along which there is a current, and across which there is none; or off by what changes with it."""
     edges, legs = _legs(e)
-    over_ground, way, _, turn = legs
+    over_ground, way, ahead, turn = legs
     if len(way) < FEWEST:
         return
     left, right = (bin_means(e.series[name], edges, held=True) for name in COMMANDS)
@@ -38,7 +38,7 @@ def compass(e: Evidence) -> Iterator[Finding]:
         (velocity.real, thrust, thrust * np.abs(thrust), *current),
         (velocity.imag, turn, turn * thrust, *current),
     )
-    known = np.isfinite(velocity + thrust + turn)
+    known = np.isfinite(velocity + thrust + turn + ahead)
     if known.sum() < FEWEST:
         return
     block, found = np.arange(known.sum()) * BLOCKS // known.sum(), []
@@ -79,9 +79,7 @@ def compass_of_runs(e: Evidence) -> Iterator[Finding]:
         offs = [off for third in thirds if (off := offset(third, PART))]
         if any(_differ(one, other) for one in offs for other in offs):
             shown = ", then ".join(f"{math.degrees(-off):+.0f}°" for off, _ in offs)
-            text = (
-                f"a heading that is {shown} off in the thirds of {run}: a gyro that drifts, or a compass that was moved"
-            )
+            text = f"a heading that is {shown} off in the thirds of {run}: a gyro drifts, or a compass was moved"
             expected = "one error from begin to end: correct it, or leave out the log"
             yield Finding(e.boat, "heading", "compass drift", text, expected)
 

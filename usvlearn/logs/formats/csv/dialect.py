@@ -23,6 +23,7 @@ AUTO = "auto"
 HEAD = 1 << 18  # bytes that are looked at
 LINES = 1000  # and lines
 FEWEST, MIXED = 8, 0.05  # steps, and share of them that go back in time, from which rows are in no order
+KEYED = re.compile(r"\b([A-Za-z_]\w*)\s*[=:]\s*(?=[-.\d])")  # a name beside its number, as in t=12.5
 DELIMITERS = (",", ";", "\t", "|", " ")
 COMMENTS = ("#", "%", "//")
 NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|nan|[+-]?inf", re.IGNORECASE)
@@ -77,6 +78,11 @@ class Dialect(NamedTuple):
     body: int  # lines up to the end of the header
     sample: list[list[str]]  # the first rows of cells, as many as the header has
     doubts: dict[str, str]  # option that was not decidable -> what was found
+
+    @property
+    def lacks_header(self) -> bool:
+        """Whether no line, or each one, names the columns."""
+        return not self.names if self.sample else bool(KEYED.search(" ".join(self.names)))
 
 
 def split_unit(name: str) -> tuple[str, str]:
@@ -140,12 +146,19 @@ def _dialect(
 
 
 def no_header(path: Path, dialect: Dialect) -> LogFormatError:
-    """The error for a table of numbers without names of columns."""
-    first = dialect.delimiter.join(dialect.sample[0])[:60]
-    return LogFormatError(
-        f"{path}: expected a header, a line with the names of the columns, found none above the first numbers "
-        f"{first!r}: add such a line, as by sed '1i time,left,right,heading,speed' {path.name} > named.csv"
-    )
+    """The error for a table of numbers without names of columns, or with one beside each number, or each row."""
+    first = dialect.delimiter.join(dialect.names or dialect.sample[0])
+    found, edit = "none above the first numbers", "'1i time,left,right,heading,speed'"
+    if keys := KEYED.findall(first):
+        found = "one beside each number of"
+        edit = rf"-E 's/\b[A-Za-z_]\w*\s*[=:]\s*//g; s/[ ,;]+/,/g; 1i {','.join(keys)}'"
+    way, rows = f"add such a line, as by sed {edit}", dialect.sample
+    if not keys and all(not is_value(row[0]) and len(row) > len(rows) for row in rows):
+        found = "one at the begin of each row, as"
+        way = "turn the table, as by python -c 'import csv, sys; "
+        way += "csv.writer(sys.stdout).writerows(zip(*csv.reader(sys.stdin)))' <"
+    expected = "a header, a line with the names of the columns"
+    return LogFormatError(f"{path}: expected {expected}, found {found} {first[:60]!r}: {way} {path.name} > named.csv")
 
 
 def not_sorted(path: Path, dialect: Dialect, stamps: list[str], time: np.ndarray) -> LogFormatError | None:

@@ -67,7 +67,7 @@ def find_options(path: Path, boat: str | None, beside: Sequence[Path]) -> tuple[
     if path.is_dir():
         return _of_topics(path)
     dialect = find_dialect(path, AUTO, AUTO, AUTO, AUTO, AUTO)
-    if not dialect.names and dialect.sample:
+    if dialect.lacks_header:
         raise no_header(path, dialect)
     unsure = [f"decimal: found {doubt}; '.' is assumed" for doubt in dialect.doubts.values()]
     if (count := len(dialect.sample)) < 2:

@@ -198,7 +198,7 @@ class Table(Reader):
                 f"{path}: expected to find the decimal sign from the numbers, found {found.doubts['decimal']}: set "
                 "data.reader.decimal"
             )
-        if not found.names and found.sample:
+        if found.lacks_header:
             raise no_header(path, found)
         return found
 
