@@ -330,7 +330,7 @@ def tell_heading(best: Heading, headings: Sequence[Heading], channels: dict, ser
         why = "by name" + (", and it follows the course over ground" if agreed else "")
         if candidate.is_set:
             sure, why = UNSURE, f"by name, but it {IS_SET}: log the latter"
-        elif best.loose:
+        elif agreed and best.loose:
             sure, why = PROBABLE, f"{why} loosely: the boat drifts much, or the error of the compass changes"
     else:
         sure, why = UNSURE, best.reason
