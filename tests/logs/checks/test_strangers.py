@@ -13,7 +13,7 @@ from usvlearn.logs.checks.data_check import check_data
 from usvlearn.logs.checks.delivery import rejected
 from usvlearn.logs.checks.evidence import Evidence
 from usvlearn.logs.checks.finding import NOTE, WARNING
-from usvlearn.logs.checks.response import delay_of_runs
+from usvlearn.logs.checks.response import delays
 from usvlearn.logs.checks.scales import runs
 
 
@@ -254,7 +254,7 @@ def test_a_heading_whose_error_changes_during_a_log_is_found(change):
 def test_the_log_whose_clocks_differ_unlike_in_others_is_named(lates, odd):
     def told(lates):
         logs = [stranger(sail(6, seed), late)._replace(run=f"r{seed}") for seed, late in enumerate(lates, 1)]
-        return [each.found for each in delay_of_runs(Evidence("a", logs, None, {}, 2.5, {}))]
+        return [each.found for each in delays(Evidence("a", logs, None, {}, 2.5, {}))]
 
     assert re.findall(r"commands in (r\d)", *told(lates)) == [odd]
     assert told([0] * len(lates)) == []

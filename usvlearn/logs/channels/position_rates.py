@@ -109,8 +109,7 @@ def sway_on_positions(north: Series, east: Series, heading: Series, sway: Series
     a part of the rate along, and left out.
     """
     edges = bin_edges(step, north, east, heading, sway)
-    time, angle = cleaned(heading)
-    along = bin_means((time, np.cos(angle)), edges) + 1j * bin_means((time, np.sin(angle)), edges)
+    along = bin_directions(heading, edges)
     with np.errstate(invalid="ignore"):
         along /= np.abs(along)
     rate = _plane([bin_rates(north, edges), bin_rates(east, edges)]) * along.conj()
@@ -177,12 +176,16 @@ def offset(legs: Legs, fewest: int) -> tuple[float, float] | None:
         push, goal = ahead[known] * along[known], over_ground[known]
         rows = np.stack([push, push * turn[known], np.ones(len(push))], 1)
         whole = float(np.angle(np.linalg.lstsq(rows, goal)[0][0]))
-    rest = goal - rows @ np.linalg.lstsq(rows, goal)[0]
-    if np.var(rest) > np.var(goal) / 2:
+    fits = jackknife(rows, goal)
+    if np.var(goal - rows @ fits[0]) > np.var(goal) / 2:
         return None
-    block = np.arange(len(push)) * BLOCKS // len(push)
-    parts = [np.linalg.lstsq(rows[block != k], goal[block != k])[0][0] * np.exp(-1j * whole) for k in range(BLOCKS)]
-    return whole, math.sqrt((BLOCKS - 1) * float(np.var(np.angle(parts))))
+    return whole, math.sqrt((BLOCKS - 1) * float(np.var(np.angle(fits[1:, 0] * np.exp(-1j * whole)))))
+
+
+def jackknife(rows: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """Coefficients by least squares, of all rows and without each of `BLOCKS` blocks, `(1 + BLOCKS, columns)`."""
+    block = np.arange(len(goal)) * BLOCKS // len(goal)
+    return np.stack([np.linalg.lstsq(rows[block != k], goal[block != k])[0] for k in range(-1, BLOCKS)])
 
 
 def deviations(legs: Legs) -> list[tuple[float, float]]:
@@ -199,7 +202,6 @@ def deviations(legs: Legs) -> list[tuple[float, float]]:
         return []
     ways = [np.stack([way.real, way.imag]) for way in (along, ahead * along, ahead * along**2)]
     rows = np.concatenate([[np.ones(len(turn)), ahead, turn * ahead], *ways])[:, known].T
-    goal, block = across.imag[known], np.arange(known.sum()) * BLOCKS // known.sum()
-    fits = np.stack([np.linalg.lstsq(rows[block != k], goal[block != k])[0][-4:] for k in range(-1, BLOCKS)])
+    fits = jackknife(rows, across.imag[known])[:, -4:]
     errors = (BLOCKS - 1) * fits[1:].var(0)
     return [(math.hypot(*fits[0, k : k + 2]), math.sqrt(errors[k : k + 2].sum())) for k in (0, 2)]

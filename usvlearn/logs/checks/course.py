@@ -9,17 +9,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
 from usvlearn.logs.channels.bins import bin_means
 from usvlearn.logs.channels.channel import COMMANDS, SURGE
-from usvlearn.logs.channels.position_rates import LEG, Legs, deviations, legs_of, offset
+from usvlearn.logs.channels.position_rates import BLOCKS, LEG, Legs, deviations, jackknife, legs_of, offset
 from usvlearn.logs.checks.evidence import Evidence
 from usvlearn.logs.checks.finding import NOTE, Finding, see
 
-FEWEST, BLOCKS = 120, 6  # bins; blocks of the jackknife
+FEWEST = 120  # bins
 SURE, LEAST, ACROSS = 5.0, 0.15, 0.15  # standard errors; m/s along; share of that across
 OFF, CLEAR, LONG = math.radians(12), 2.5, 270  # errors of two headings, or of one on two courses; their errors; bins
 PART, WHOLE = 15, 25  # fewest bins of a third, and of a log
@@ -41,12 +40,10 @@ def compass(e: Evidence) -> Iterator[Finding]:
     known = np.isfinite(velocity + thrust + turn + ahead)
     if known.sum() < FEWEST:
         return
-    block, found = np.arange(known.sum()) * BLOCKS // known.sum(), []
+    found = []
     for goal, *others in parts:
-        rows = np.stack([one, *others], 1)[known]
-        fits = [np.linalg.lstsq(rows[block != k], goal[known][block != k])[0][-2:] for k in range(-1, BLOCKS)]
-        error = math.sqrt((BLOCKS - 1) / BLOCKS * float(np.square(fits[1:] - np.mean(fits[1:], 0)).sum()))
-        found.append((float(np.hypot(*fits[0])), error))
+        fits = jackknife(np.stack([one, *others], 1)[known], goal[known])[:, -2:]
+        found.append((float(np.hypot(*fits[0])), math.sqrt((BLOCKS - 1) * float(fits[1:].var(0).sum()))))
     (along, error), (across, _) = found
     if along > max(LEAST, SURE * error) and across < ACROSS * along:
         text = f"a current of {along:.2f} m/s along the heading, and {across:.2f} m/s across it: it may be a course"

@@ -21,8 +21,8 @@ from usvlearn.logs.checks.finding import WARNING, Finding
 CHECKS: tuple[Callable[[Evidence], Iterator[Finding]], ...] = (
     scales.zeros, scales.rest, scales.speed_scale, scales.sign, scales.command_scale, scales.heading_unit,
     scales.heading_sense, scales.yaw_rate, track.degrees, track.axes, track.follows, track.sway,
-    thrusters.sides, response.delay, response.clock_drift, thrusters.excitation, response.clocks, course.compass,
-    course.compass_of_runs, response.delay_of_runs,
+    thrusters.sides, response.delays, thrusters.excitation, response.clocks, course.compass,
+    course.compass_of_runs,
     frozen.frozen, delivery.rejected, delivery.stale, delivery.copies, delivery.clock, delivery.horizons,
     delivery.together, delivery.jumps, scales.runs, thrusters.sides_of_runs,
 )  # fmt: skip

@@ -19,7 +19,7 @@ in a turn makes the course late, too. Nothing makes a heading late, so that one 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -67,33 +67,50 @@ class Fit(NamedTuple):
         return self.delay if self.ratio <= CLEAR[0] and self.explained >= CLEAR[1] and self.certainty > 2.4 else 0
 
 
-def best_delay(e: Evidence, of_turn: bool = False, within: tuple[float, float] = (0.0, 1.0)) -> Fit | None:
-    """Fit the equation of motion for each delay; None if there is too little evidence."""
+class Response(NamedTuple):
+    """Changes of a speed or a turn over h, and what makes them, over the times at which an h begins, `(…, times)`."""
+
+    change: np.ndarray
+    motion: np.ndarray  # (4, times): its own terms
+    forces: Mapping[int, np.ndarray]  # (5, times): the terms of commands that act so many s later
+    known: np.ndarray
+
+
+def responses(e: Evidence) -> list[Response]:
+    """Those of the speed and of the turn; none if there is too little evidence."""
     edges = bin_edges(STEP, e.series[SURGE], e.series["heading"])
     bins = len(edges) - 1
     if bins < SHORT:
-        return None
+        return []
     speed = clipped(bin_means(e.series[SURGE], edges))
-    turned = clipped(bin_rates(e.series["heading"], edges, wraps=True))
+    turn = clipped(bin_rates(e.series["heading"], edges, wraps=True))
     left, right = (bin_means(e.series[name], edges, held=True) for name in COMMANDS)
-    speed, turn = (turned if of_turn else speed), np.abs(turned)
-    at = np.full(bins + 1, np.nan)  # speeds at the edges
-    at[1:-1] = (speed[:-1] + speed[1:]) / 2
-    forces = _means(left, left * np.abs(left), right, right * np.abs(right), np.abs(left - right))
-    motion = _means(speed, speed * np.abs(speed), turn * speed, np.ones(bins))
-    change, size = at[OVER:] - at[:-OVER], motion.shape[1]
-    ahead = round(DELAYS[-1] / STEP)
-    forces = np.pad(forces, ((0, 0), (ahead, round(-DELAYS[0] / STEP))), constant_values=np.nan)
-    parts = {delay: slice(ahead - round(delay / STEP), ahead - round(delay / STEP) + size) for delay in DELAYS}
-    unknown = ~np.isfinite(forces.sum(0))
-    known = np.isfinite(change + motion.sum(0)) & ~np.any([unknown[part] for part in parts.values()], axis=0)
+    terms = _means(left, left * np.abs(left), right, right * np.abs(right), np.abs(left - right))
+    size, before, after = terms.shape[1], round(DELAYS[-1] / STEP), round(-DELAYS[0] / STEP)
+    terms = np.pad(terms, ((0, 0), (before, after)), constant_values=np.nan)
+    places = {delay: slice(before - round(delay / STEP), before - round(delay / STEP) + size) for delay in DELAYS}
+    forces, unknown = {delay: terms[:, place] for delay, place in places.items()}, ~np.isfinite(terms.sum(0))
+    driven = ~np.any([unknown[place] for place in places.values()], axis=0)
+    found = []
+    for value in (speed, turn):
+        at = np.full(bins + 1, np.nan)  # at the edges
+        at[1:-1] = (value[:-1] + value[1:]) / 2
+        change = at[OVER:] - at[:-OVER]
+        motion = _means(value, value * np.abs(value), np.abs(turn) * value, np.ones(bins))
+        found.append(Response(change, motion, forces, driven & np.isfinite(change + motion.sum(0))))
+    return found
+
+
+def best_delay(response: Response, within: tuple[float, float] = (0.0, 1.0)) -> Fit | None:
+    """Fit the equation of motion for each delay, within a part of a log; None if there is too little evidence."""
+    known, size = response.known.copy(), len(response.known)
     known[: round(within[0] * size)] = known[round(within[1] * size) :] = False
-    goal, count = change[known], int(known.sum())
+    goal, count = response.change[known], int(known.sum())
     if count < (SHORT if within == (0.0, 1.0) else PIECE) or not np.ptp(goal) > 0:
         return None
     squares = {}
-    for delay, part in parts.items():
-        rows = np.concatenate([forces[:, part][:, known], motion[:, known]])
+    for delay, force in response.forces.items():
+        rows = np.concatenate([force[:, known], response.motion[:, known]])
         rows /= np.maximum(np.sqrt(np.mean(rows**2, axis=1, keepdims=True)), 1e-12)
         gram = rows @ rows.T + 1e-9 * count * np.eye(len(rows))
         squares[delay] = (goal - np.linalg.solve(gram, rows @ goal) @ rows) ** 2
@@ -119,9 +136,19 @@ def implausible_lag(e: Evidence) -> float | None:
     return found.lag if found.correlation > max(near.correlation, 0) + BETTER else None
 
 
-def delay(e: Evidence) -> Iterator[Finding]:
+def delays(e: Evidence) -> Iterator[Finding]:
+    """Delays of all logs together, of the thirds of the longest one, and of one log that has another."""
+    whole, each = responses(e), [responses(own) for own in e.alone]
+    yield from _delay(e, whole)
+    longest = max(zip(e.alone, each, strict=True), key=lambda pair: len(pair[0].values[SURGE]), default=(e, whole))
+    yield from _drift(e.boat, longest[1])
+    yield from _of_runs(e, each)
+
+
+def _delay(e: Evidence, whole: Sequence[Response]) -> Iterator[Finding]:
     """A speed or a turn that follows the commands too late, before them, or not at all."""
-    lag, found, turn = implausible_lag(e), best_delay(e), best_delay(e, of_turn=True)
+    found, turn = [best_delay(each) for each in whole] or (None, None)
+    lag = implausible_lag(e)
     given = float(max((each.delay for each in e.logs(COMMANDS[0])), default=0.0))
     turned, exact = (each.clear if each else 0 for each in (turn, found))
     late = LATE - bool(found and found.delay < LATE - 1)  # s, of a turn: less where the speed is not late, too
@@ -148,27 +175,32 @@ def delay(e: Evidence) -> Iterator[Finding]:
         yield Finding(e.boat, PAIR, "thrust", text, expected, without(e, SURGE))
 
 
-def clock_drift(e: Evidence) -> Iterator[Finding]:
-    """A delay that grows or falls from third to third of the longest log: the clock of one table runs faster."""
-    e, told = max(e.alone or [e], key=lambda own: len(own.values[SURGE])), {}
-    for of_turn, response in enumerate(("speed", "heading")):
-        fits = [best_delay(e, bool(of_turn), (k / 3, (k + 1) / 3)) for k in range(3)]
+def _drift(boat: str, longest: Sequence[Response]) -> Iterator[Finding]:
+    """A delay that grows or falls from third to third of a log: the clock of one table runs faster."""
+    told = {}
+    for name, response in zip(("speed", "heading"), longest, strict=False):
+        fits = [best_delay(response, (k / 3, (k + 1) / 3)) for k in range(3)]
         known = [each for each in fits if each and each.explained >= DRIFTING[0]]
         lags = [each.delay for each in known]
         sure = any(each.ratio <= DRIFTING[1] and each.certainty > 2 for each in known)
         if len(lags) == 3 and sure and abs(lags[2] - lags[0]) >= LATE and lags[1] == sorted(lags)[1]:
-            told[response] = lags
+            told[name] = lags
     if told:
         lags = next(iter(told.values()))
         text = f"changes of {' and '.join(told)} {', then '.join(f'{each} s' for each in lags)} behind the commands"
         side = "faster" if lags[2] > lags[0] else "slower"
         expected = f"one delay in all thirds of the log: its clock runs {side} than that of the commands: correct one"
-        yield Finding(e.boat, "commands, heading" if "speed" not in told else PAIR, "clock drift", text, expected)
+        yield Finding(boat, "commands, heading" if "speed" not in told else PAIR, "clock drift", text, expected)
 
 
-def delay_of_runs(e: Evidence) -> Iterator[Finding]:
+def _of_runs(e: Evidence, each: Sequence[Sequence[Response]]) -> Iterator[Finding]:
     """A delay in some logs that is another one than in the others: their clocks differ."""
-    fits = {own.recordings[0].run: fit for own in e.alone if (fit := best_delay(own)) and fit.explained >= CLEAR[1]}
+    both = [
+        (own.recordings[0].run, best_delay(response[0]))
+        for own, response in zip(e.alone, each, strict=True)
+        if response
+    ]
+    fits = {run: fit for run, fit in both if fit and fit.explained >= CLEAR[1]}
     lags = [each.delay for each in fits.values()]
     usual = min(lags, key=lambda lag: (sum(abs(lag - other) for other in lags), abs(lag)), default=0)
     odd = [
