@@ -133,12 +133,7 @@ class Candidate:
 
     @cached_property
     def wraps(self) -> str:
-        """The unit in which it jumps by full turns, "deg" or "rad"; "" if it does not.
-
-        >>> time = np.arange(0.0, 100.0)
-        >>> Candidate("a", None, "", "", time, (7.0 * time + 5) % 360).wraps
-        'deg'
-        """
+        """The unit in which it jumps by full turns, "deg" or "rad"; "" if it does not."""
         jumps = np.abs(np.diff(self.value))
         for unit, turn in TURNS.items():
             large = jumps > 0.6 * turn
@@ -149,15 +144,7 @@ class Candidate:
 
     @cached_property
     def is_set(self) -> bool:
-        """Whether it is constant for long, and jumps or rises evenly in between, as setpoints do and no boat.
-
-        >>> time = np.arange(0.0, 200.0)
-        >>> for value in (np.cos(time // 20), np.clip(time % 50, 10, 20), np.cos(time / 20)):
-        ...     Candidate("a", None, "", "", time, value).is_set
-        True
-        True
-        False
-        """
+        """Whether it is constant for long, and jumps or rises evenly in between, as setpoints do and no boat."""
         (time, value), some = self.evidence, 0.02 * self.size
         time, value = (each[np.argsort(time, kind="stable")] for each in (time, value))
         first = np.flatnonzero(np.append(True, np.diff(value) != 0))  # of each value that holds
@@ -221,9 +208,6 @@ def missing_values(value: np.ndarray, plain: float = 0.0, within: tuple[float, f
     """Numbers that mean "unknown": the same again and again, far beyond all others; none of a size up to `plain`.
 
     So is an integer below `within`, where all others lie.
-
-    >>> missing_values(np.append(np.sin(np.arange(300.0)), [-9999.0, 1e20, -9999.0, 1e20]))
-    (-9999.0, 1e+20)
     """
     found: list[float] = []
     values, counts = np.unique(value, return_counts=True)

@@ -98,14 +98,7 @@ def _by_size(candidate: Candidate, convention: str) -> Level:
 
 
 def _greatest(candidate: Candidate, what: str) -> tuple[str, str]:
-    """How sure the greatest force or moment is that of full scale: a limit is reached again and again.
-
-    >>> time, thrust = np.arange(0.0, 400.0), 30 * np.sin(np.arange(0.0, 400.0) / 20)
-    >>> _greatest(Candidate("a", None, "N", "", time, np.clip(thrust, -20, 20)), "force")
-    ('probable', 'the greatest force seen, several times')
-    >>> _greatest(Candidate("a", None, "N", "", time, thrust * np.exp(-time / 200)), "force")
-    ('unsure', 'the greatest force seen, once')
-    """
+    """How sure the greatest force or moment is that of full scale: a limit is reached again and again."""
     size = np.abs(candidate.value[np.argsort(candidate.time, kind="stable")])
     at = size >= LIMIT * size.max()
     times = int((at[1:] > at[:-1]).sum()) + bool(at[0])
@@ -113,16 +106,7 @@ def _greatest(candidate: Candidate, what: str) -> tuple[str, str]:
 
 
 def _at_mid_scale(level: Level, candidate: Candidate, speed: tuple[np.ndarray, np.ndarray] | None) -> Level:
-    """The zero of a command that is never negative: in the middle of its scale, if the numbers speak for it.
-
-    >>> time = np.arange(0.0, 400.0)
-    >>> thrust = np.clip(np.sin(time / 20), -0.5, 1) * (time % 100 < 60)
-    >>> command, speed = Candidate("a", None, "percent", "", time, 50 + 50 * thrust), (time, 2 * thrust)
-    >>> find_level(command, [], "", speed)[:2], find_level(command, [])[:2]
-    ((50.0, 50.0), (0.0, 100.0))
-    >>> find_level(command, []).zeros
-    ('50',)
-    """
+    """The zero of a command that is never negative: in the middle of its scale, if the numbers speak for it."""
     low, high = candidate.extent
     away = low > AWAY * high
     full = high if away and level.kind == "share" else level.span
@@ -251,10 +235,6 @@ def _rest(candidate: Candidate) -> float:
 
 
 def _round(size: float) -> float:
-    """Three digits, upwards.
-
-    >>> _round(36.4999), _round(0.98123)
-    (36.5, 0.982)
-    """
+    """Three digits, upwards."""
     scale = 10.0 ** (math.floor(math.log10(size)) - 2) if size > 0 else 1.0
     return float(f"{math.ceil(size / scale - 1e-9) * scale:.3g}") or 1.0

@@ -164,11 +164,7 @@ def _commands(sides: Sequence[Side], found: Decided, which: str, reason: str, na
 
 
 def _reversed(each: Senses) -> str:
-    """A hypothesis about signs in words.
-
-    >>> _reversed(Senses(False, -1, 1)), _reversed(Senses(True, 1, 1))
-    ('left reversed, right not', 'none reversed, and left and right swapped')
-    """
+    """A hypothesis about signs in words."""
     left, right = each[:0:-1] if each.swapped else each[1:]
     sentence = {(1, 1): "none reversed", (-1, -1): "both reversed", (-1, 1): "left reversed, right not"}
     swap = ", and left and right swapped" if each.swapped else ""

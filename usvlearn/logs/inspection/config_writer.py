@@ -48,11 +48,7 @@ def path_of(decision: Decision) -> str:
 
 
 def scalar(value: Any) -> str:
-    """A value as YAML in one line, quoted where it must be.
-
-    >>> scalar("no"), scalar("Schub: links"), scalar([1.0, "a"]), scalar(True), scalar("speed")
-    ("'no'", "'Schub: links'", '[1.0, a]', 'true', 'speed')
-    """
+    """A value as YAML in one line, quoted where it must be."""
     text = yaml.safe_dump(value, default_flow_style=True, allow_unicode=True, width=math.inf).strip()
     return text.removesuffix("...").strip()
 

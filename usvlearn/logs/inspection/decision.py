@@ -26,9 +26,5 @@ class Decision(NamedTuple):
 
 
 def least(*certainties: str) -> str:
-    """The least of several certainties.
-
-    >>> least(CERTAIN, UNSURE, PROBABLE)
-    'unsure'
-    """
+    """The least of several certainties."""
     return ORDER[max(map(ORDER.index, certainties))]

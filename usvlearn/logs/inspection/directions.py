@@ -79,12 +79,7 @@ class Heading(NamedTuple):
 
 
 def agreement(heading: Pair, course: Pair, of: Callable[[np.ndarray], Any] = np.mean) -> float:
-    """The mean cosine of the difference between a heading and a course; NaN with too few courses.
-
-    >>> time = np.arange(0.0, 100.0)
-    >>> round(agreement((time, 0.1 * time), (time, 0.1 * time + 0.5)), 2)
-    0.88
-    """
+    """The mean cosine of the difference between a heading and a course; NaN with too few courses."""
     time, angle = cleaned(heading)
     if len(course[0]) < ENOUGH or len(time) < ENOUGH:
         return math.nan
@@ -161,12 +156,6 @@ def full_turn(candidate: Candidate) -> float:
 
     Where the numbers go round, they jump by a turn. Values beyond a turn that do not are degrees that count on, if the
     boat then turns as a boat may. Whole numbers that go round below 256 are bytes.
-
-    >>> time = np.arange(0.0, 100.0)
-    >>> full_turn(Candidate("a", None, "", "", time, 10 * (7.0 * time % 360))), full_turn(
-    ...     Candidate("a", None, "", "", time, 7.0 * time)
-    ... )
-    (3600.0, 360.0)
     """
     low, high = candidate.extent
     spread, (_, value) = high - min(low, 0.0), candidate.evidence
@@ -303,11 +292,7 @@ def find_yaw_rate(pool: Sequence[Candidate], heading: Heading) -> tuple[YawRate 
 
 
 def _rate_unit(slope: float, tolerance: float = RATIO) -> str:
-    """The unit of a yaw rate whose slope against the heading's derivative in rad/s is known; "" if none fits.
-
-    >>> _rate_unit(1.02), _rate_unit(-55.0), _rate_unit(3400.0), _rate_unit(10.0)
-    ('rad/s', 'enu_deg/s', 'deg/min', '')
-    """
+    """The unit of a yaw rate whose slope against the heading's derivative in rad/s is known; "" if none fits."""
     for unit in ("rad/s", "deg/s", "deg/min"):
         ratio = abs(slope) * UNITS[unit][0]
         if 1 / tolerance < ratio < tolerance:

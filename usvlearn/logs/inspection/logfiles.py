@@ -229,11 +229,7 @@ def _common_path(given: Sequence[str], files: Sequence[Path]) -> str:
 
 
 def boats_of(files: Sequence[Path]) -> dict[str, str]:
-    """boat -> pattern of its logs, where the logs of one folder, or its folders, have several names; else {}.
-
-    >>> boats_of([Path(f"logs/{name}_{k}.csv") for name in ("heron", "otter") for k in (1, 2)])
-    {'heron': 'logs/heron_*', 'otter': 'logs/otter_*'}
-    """
+    """boat -> pattern of its logs, where the logs of one folder, or its folders, have several names; else {}."""
     folder = Path(os.path.commonpath([file.parent for file in files]))
     flat = len({file.parent for file in files}) == 1
     groups: dict[str, list[str]] = {}
@@ -250,11 +246,7 @@ def boats_of(files: Sequence[Path]) -> dict[str, str]:
 
 
 def _common(texts: Sequence[str]) -> str:
-    """What all texts begin with.
-
-    >>> _common(["run_1.csv", "run_12.csv"])
-    'run_1'
-    """
+    """What all texts begin with."""
     first, last = min(texts), max(texts)
     return first[: next((k for k, (a, b) in enumerate(zip(first, last, strict=False)) if a != b), len(first))]
 
@@ -300,10 +292,6 @@ def joined(surveyed: Iterable[Sequence[Series]]) -> list[Series]:
     """The series of several logs as one log; the logs follow each other with a pause between.
 
     A name that is not in every log is shortened to the pattern `*name`, if that finds one series in each.
-
-    >>> one = Series("a", None, np.arange(2.0), np.ones(2), np.arange(2))
-    >>> joined([[one], [one]])[0].time.tolist()
-    [0.0, 1.0, 1001.0, 1002.0]
     """
     logs = [list(each) for each in surveyed]
     names = _patterns(logs)

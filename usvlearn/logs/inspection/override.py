@@ -10,21 +10,13 @@ SPECIAL = set('"$`\\!')  # to a shell, within double quotes
 
 
 def hydra_text(value: str) -> str:
-    r"""A value of an override, quoted if need be.
-
-    >>> print(hydra_text("/a/my_boat.yaml"), hydra_text("my boat.yaml"), hydra_text("Jo's.yaml"))
-    /a/my_boat.yaml 'my boat.yaml' 'Jo\'s.yaml'
-    """
+    r"""A value of an override, quoted if need be."""
     if PLAIN.fullmatch(value):
         return value
     return "'{}'".format(re.sub(r"(\\*)'", r"\1\1\\'", value))  # Hydra halves backslashes before a quote only
 
 
 def shell_override(path: str) -> str:
-    """`data=PATH` for a command line.
-
-    >>> print(shell_override("my_boat.yaml"), shell_override("my boat.yaml"))
-    data=my_boat.yaml "data='my boat.yaml'"
-    """
+    """`data=PATH` for a command line."""
     text = f"data={hydra_text(path)}"
     return f'"{text}"' if "'" in text and not SPECIAL & set(text) else shlex.quote(text)

@@ -45,11 +45,7 @@ class Places(NamedTuple):
 
     @property
     def length(self) -> str:
-        """The unit of local coordinates that a name or the log tells; "" where they are metres by assumption.
-
-        >>> [_length(Candidate(name, None, "", "", *np.ones((2, 1)))) for name in ("north_ft", "y [km]", "east")]
-        ['ft', 'km', '']
-        """
+        """The unit of local coordinates that a name or the log tells; "" where they are metres by assumption."""
         return "m" if self.geographic else _length(self.first)
 
 
@@ -192,11 +188,7 @@ def _velocity(places: Places) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def even_times(time: np.ndarray) -> np.ndarray:
-    """Multiples of `SPAN` that have a stamp within the `SPAN` after them, however far apart the stamps are.
-
-    >>> even_times(np.array([0.0, 1.0, 2.5, 1e12])).tolist()
-    [0.0, 2.0, 1000000000000.0]
-    """
+    """Multiples of `SPAN` that have a stamp within the `SPAN` after them, however far apart the stamps are."""
     return np.unique(np.floor(time / SPAN)) * SPAN
 
 

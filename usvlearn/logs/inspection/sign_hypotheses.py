@@ -92,11 +92,6 @@ def fit_gains(
         response: speed, m/s, or yaw rate, rad/s; None if it is not known.
         times: constants that are tried, s.
         level: whether there is no constant.
-
-    >>> rng, time = np.random.default_rng(0), np.arange(0, 300, 0.25)
-    >>> left, right = (np.repeat(rng.uniform(0, 1, 60), 20) for _ in range(2))
-    >>> fit_gains((time, left), (time, -right), (time, 2 * left + right), (0.5,)).gains.round(1).tolist()
-    [2.0, -1.0]
     """
     if response is None:
         return None
@@ -193,14 +188,6 @@ def decide(
         level: whether the zeros of the commands are known.
         proved: whether the sense of the heading is; if it is not, a turn against the names does not swap the sides.
         named: whether the names tell the sides.
-
-    >>> rng, time = np.random.default_rng(0), np.arange(0, 300, 0.25)
-    >>> left, right = (np.repeat(rng.uniform(0, 1, 60), 20) for _ in range(2))
-    >>> motion = (time, left + right), (time, 0.3 * (left - right))
-    >>> decide((time, -left), (time, right), *motion, True, True).taken
-    Senses(swapped=False, first=-1, second=1)
-    >>> decide((time, right), (time, left), *motion, True, True).taken
-    Senses(swapped=True, first=1, second=1)
     """
     fits = tuple(
         tuple(fit for way in {True, level} if (fit := fit_gains(first, second, response, times, way)))
@@ -228,12 +215,6 @@ def pushes(command: Pair, speed: Pair | None, level: bool) -> tuple[int, float, 
 
     Returns:
         1, or -1 if it is reversed; the cost by which the motion speaks against the other sign; and this in words.
-
-    >>> rng, time = np.random.default_rng(0), np.arange(0, 300, 0.25)
-    >>> throttle = np.repeat(rng.uniform(0, 1, 60), 20)
-    >>> sign, cost, told = pushes((time, -throttle), (time, 2 * throttle), True)
-    >>> sign, cost > SURE, told
-    (-1, True, 'full throttle, as logged: -2 m/s')
     """
     fits = tuple(fit for way in {True, level} if (fit := fit_gains(command, command, speed, SPEED_TIMES, way)))
     if not fits:

@@ -284,11 +284,7 @@ def along_hull(pool: Sequence[Candidate]) -> list[Candidate]:
 
 
 def unit_of(slope: float, tolerance: float = RATIO, first: str = "") -> str:
-    """The unit in which a speed is `slope` times the speed in m/s, `first` where it fits; "" if there is none.
-
-    >>> unit_of(1.95), unit_of(3.7), unit_of(1.4)
-    ('knots', 'km/h', '')
-    """
+    """The unit in which a speed is `slope` times the speed in m/s, `first` where it fits; "" if there is none."""
     units = (first,) if first in RARE else SPEEDS
     ratios = {unit: abs(math.log(max(slope, 1e-9) * UNITS[unit][0])) for unit in units}
     best = min(ratios, key=lambda unit: ratios[unit])

@@ -70,12 +70,7 @@ def find_sway(
 
 
 def is_beside(surge: Candidate, other: Candidate) -> bool:
-    """Whether a series is the part across the hull of the vector whose part along the hull is the surge.
-
-    >>> u, v, w = (Candidate("odom", f"twist.linear.{axis}", "", "", [], []) for axis in "xyz")
-    >>> is_beside(u, v), is_beside(u, w), is_beside(v, u)
-    (True, False, False)
-    """
+    """Whether a series is the part across the hull of the vector whose part along the hull is the surge."""
     if surge.field not in (None, "data") and surge.name != other.name:
         return False
     one, two = words(surge.label), words(other.label)

@@ -150,11 +150,7 @@ def _asked(found: Inspected, output: str, reasons: int = 1000) -> Iterator[Text]
 
 
 def _short(value: float, low: float = 0.0, high: float = 0.0) -> str:
-    """Four digits, or as many as tell two values apart.
-
-    >>> _short(0.12345), _short(48.512345), _short(48.512345, 48.512, 48.513), _short(float("nan"))
-    ('0.1235', '48.51', '48.5123', '–')
-    """
+    """Four digits, or as many as tell two values apart."""
     if not math.isfinite(value):
         return "–"
     digits = next((k for k in range(4, 10) if low == high or f"{low:.{k}g}" != f"{high:.{k}g}"), 4)

@@ -54,11 +54,7 @@ def joined_tables(files: Sequence[Path]) -> tuple[list[Path], str]:
 
 
 def names_all(columns: Sequence[str]) -> bool:
-    """Whether the names of columns tell commands, a heading and a speed, or a position in place of it.
-
-    >>> names_all(["motor_l", "motor_r", "heading", "speed"]), names_all(["heading", "speed"])
-    (True, False)
-    """
+    """Whether the names of columns tell commands, a heading and a speed, or a position in place of it."""
     commands = [name for name in columns if fit("command", name) >= 1 or names_side_alone(name)]
     sides = {side(name) for name in commands}
     driven = {"left", "right"} <= sides or (commands and any(fit("rudder", name) >= 1 for name in columns))

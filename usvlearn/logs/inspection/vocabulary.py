@@ -86,13 +86,7 @@ UNIT_WORDS = {  # words of a name that tell a unit
 
 @cache
 def words(name: str) -> tuple[str, ...]:
-    """The words of a name, in lower case, without accents; of a topic those of its last two parts.
-
-    >>> words("NAV_SPEED_OVER_GROUND"), words("lpwm"), words("HeadingSet"), words("Kurs über Grund")
-    (('nav', 'speed', 'over', 'ground'), ('l', 'pwm'), ('heading', 'set'), ('kurs', 'ueber', 'grund'))
-    >>> words("motors.port")
-    ('motor', 'port')
-    """
+    """The words of a name, in lower case, without accents; of a topic those of its last two parts."""
     text = "/".join(unicodedata.normalize("NFC", name).split("/")[-2:])
     text = re.sub("St[Bb](?![a-z])", " stb ", text)  # not st, b
     text = re.sub(r"[^\W\d_]+", lambda found: _ascii(found[0]), text)
@@ -115,54 +109,32 @@ def _ascii(word: str) -> str:
 
 
 def names_azimuth(name: str) -> bool:
-    """Whether a name tells the angle of a thruster that turns.
-
-    >>> names_azimuth("azimuth_1"), names_azimuth("thruster_2_angle"), names_azimuth("sun_azimuth")
-    (True, True, False)
-    """
+    """Whether a name tells the angle of a thruster that turns."""
     found = set(words(name))
     turned = AZIMUTHS & found or ({"angle", "alpha", "winkel", "azimuth"} & found and {"thruster", "pod"} & found)
     return bool(turned) and not FOREIGN & found
 
 
 def is_lateral(name: str) -> bool:
-    """Whether a name tells a thruster that pushes sideways.
-
-    >>> [name for name in ("bow_thruster", "stern tunnel", "bow_thruster_left", "main_engine") if is_lateral(name)]
-    ['bow_thruster', 'stern tunnel']
-    """
+    """Whether a name tells a thruster that pushes sideways."""
     found = set(words(name))
     return bool(LATERAL & found or ({"bow", "stern"} & found and not SIDES & found))
 
 
 def names_force(name: str) -> bool:
-    """Whether a name tells the force ahead of all thrusters together.
-
-    >>> [each for each in ("tau_x", "wrench.force.x", "surge_force", "force.y", "thrust_left") if names_force(each)]
-    ['tau_x', 'wrench.force.x', 'surge_force']
-    """
+    """Whether a name tells the force ahead of all thrusters together."""
     found = set(words(name))
     return bool(FORCES & found and AHEAD & found) and not {"torque", "moment", "y", "v"} & found
 
 
 def names_moment(name: str) -> bool:
-    """Whether a name tells the moment of all thrusters about the vertical axis.
-
-    >>> [each for each in ("tau_n", "wrench.torque.z", "yaw_moment", "force.z", "yaw_rate") if names_moment(each)]
-    ['tau_n', 'wrench.torque.z', 'yaw_moment']
-    """
+    """Whether a name tells the moment of all thrusters about the vertical axis."""
     found = set(words(name))
     return bool(MOMENTS & found and ABOUT & found) and not {"force", "kraft"} & found
 
 
 def fit(role: str, name: str) -> float:
-    """How well a name fits a role: 3 names it plainly, 1 is a hint, 0 says nothing, less speaks against it.
-
-    >>> fit("heading", "NAV_HEADING"), fit("heading", "DESIRED_HEADING"), fit("yaw_rate", "angular_velocity.z")
-    (3, -3, 3)
-    >>> fit("course", "NAV_HEADING_OVER_GROUND"), fit("surge", "yaw_speed") < 0
-    (3, True)
-    """
+    """How well a name fits a role: 3 names it plainly, 1 is a hint, 0 says nothing, less speaks against it."""
     spoken = words(name)
     found = set(spoken)
     if len(spoken) > 1 and spoken[-1] == "d" and not spoken[-2].isdigit():
@@ -217,11 +189,7 @@ def fit(role: str, name: str) -> float:
 
 
 def side(name: str) -> str:
-    """The side that a name tells, "left", "right" or "" (none, or both).
-
-    >>> side("DESIRED_THRUST_L"), side("rpwm"), side("Schub steuerbord"), side("NAV_SPEED"), side("Motor StB [%]")
-    ('left', 'right', 'right', '', 'right')
-    """
+    """The side that a name tells, "left", "right" or "" (none, or both)."""
     found = set(words(name))
     left, right = bool(found & LEFT), bool(found & RIGHT)
     if found & WORDS["command"].keys():
@@ -230,27 +198,15 @@ def side(name: str) -> str:
 
 
 def names_side_alone(name: str) -> bool:
-    """Whether a name tells a side and, at most, a unit or the number of a table for each topic.
-
-    >>> names_side_alone("left"), names_side_alone("port.value"), names_side_alone("left eye")
-    (True, True, False)
-    """
+    """Whether a name tells a side and, at most, a unit or the number of a table for each topic."""
     return bool(side(name)) and all(word in UNIT_WORDS or word in NUMBER for word in without_side(name))
 
 
 def without_side(name: str) -> tuple[str, ...]:
-    """The words of a name without those of a side: equal for the two channels of a pair.
-
-    >>> without_side("PWM_L") == without_side("PWM_R")
-    True
-    """
+    """The words of a name without those of a side: equal for the two channels of a pair."""
     return tuple(word for word in words(name) if word not in SIDES)
 
 
 def unit_word(name: str) -> str:
-    """A unit that stands in a name, or "".
-
-    >>> unit_word("speed_kn"), unit_word("yaw_deg"), unit_word("speed_mps"), unit_word("speed")
-    ('knots', 'deg', 'm/s', '')
-    """
+    """A unit that stands in a name, or ""."""
     return next((UNIT_WORDS[word] for word in words(name) if word in UNIT_WORDS), "")
