@@ -94,6 +94,7 @@ class Vehicle(NamedTuple):
     parameters: Mapping[str, float] = MappingProxyType({})
     changes: np.ndarray = np.array([-1])  # (k,) from which messages on
     armed: np.ndarray = np.array([True])  # (k,) it was armed or not
+    former: Mapping[str, float] = MappingProxyType({})  # other values that parameters had within the log
 
 
 @dataclass(frozen=True)
@@ -176,15 +177,15 @@ class MessageLog:
     def values(self, key: Key, name: str | None, where: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Times in s, values and places in the log of a `Source.field`, `(n,)`; a LogFormatError if there is none."""
         if key.name in self.servos.outputs and name in FUNCTIONS:
-            parameters = self.vehicles.get(key.sender, Vehicle()).parameters
-            number = self.servos.find(name, parameters, where)
+            vehicle = self.vehicles.get(key.sender, Vehicle())
+            number = self.servos.find(name, vehicle.parameters, where)
             column = self.servos.column(number, self._fields(key))
             if column is None:
                 raise LogFormatError(
                     f"{where}: the {name.replace('_', ' ')} is servo {number}, which {key} does not hold: name another "
                     f"of {', '.join(self.servos.outputs)}, or the servo's own column"
                 )
-            limits = self.servos.limits(number, parameters, where)
+            limits = self.servos.limits(number, vehicle.parameters, vehicle.former, str(self.path))
             time, pwm, order = self._joined(key, [column])
             return time, limits.share(pwm), order
         names = [each.strip() for each in (name or "").split(",")]
@@ -241,8 +242,9 @@ class MessageLog:
                     values = self.values(key, name, f"{self.path}: {name}")
                 except LogFormatError:  # no servo has this function
                     continue
-                parameters = self.vehicles.get(key.sender, Vehicle()).parameters
-                known = self.servos.are_known(self.servos.find(name, parameters, ""), parameters)
+                vehicle = self.vehicles.get(key.sender, Vehicle())
+                number = self.servos.find(name, vehicle.parameters, "")
+                known = self.servos.are_known(number, vehicle.parameters, vehicle.former)
                 found.append(Series(str(plain), name, *values, "1" if known else "", key.sender))
         return found
 

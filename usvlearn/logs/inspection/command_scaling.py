@@ -74,7 +74,7 @@ def _by_size(candidate: Candidate, convention: str) -> Level:
     zero = 0.0, near, why
     if candidate.by_parameters:
         why, full = "by the parameters of the autopilot", 1.0 if size <= 1 + 1e-9 else _round(size)
-        lacking = f"by the defaults of ArduPilot: the log lacks some limits of this servo; values reach {size:.3g}"
+        lacking = f"the log lacks limits of this servo, or changes them; values reach {size:.3g}"
         sure, told = (CERTAIN, why) if unit == "1" and full == 1 else (UNSURE, lacking)
         return Level(0.0, full, "share", CERTAIN if unit == "1" else PROBABLE, why, sure, told, ())
     if unit == "percent" or (size > 2 and abs(size - 100) < 1e-6) or (convention == "MOOS" and 1.5 < size <= 100):

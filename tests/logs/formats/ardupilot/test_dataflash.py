@@ -133,8 +133,15 @@ def test_no_pulses_are_no_thrust_and_the_first_servo_stands_for_several(tmp_path
 
 def test_parameters_are_the_last_in_the_log(tmp_path):
     late = [(30, logged("PARM", 8_000_000, "SERVO1_MAX", 1600.0, 0.0))]
-    channel, _ = one(write(tmp_path, dataflash(events=late)), "RCOU", "throttle_left")
+    path = write(tmp_path, dataflash(events=late))
+    with pytest.warns(
+        UserWarning, match="SERVO1_MAX is 2000, and later 1600: the last value is taken for all of the log"
+    ):
+        channel, _ = one(path, "RCOU", "throttle_left")
     np.testing.assert_allclose(channel.value, 5 * STEPS / 100, rtol=1e-15)
+    with pytest.warns(UserWarning, match="SERVO1_MAX"):
+        units = {each.field: each.unit for each in DataFlash().survey(path)}
+    assert units["throttle_left"] == "" and units["throttle_right"] == "1"  # so that `inspect` asks for its span
 
 
 @pytest.mark.parametrize(

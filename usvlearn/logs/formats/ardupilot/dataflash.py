@@ -16,7 +16,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from usvlearn.errors import LogFormatError
-from usvlearn.logs.formats.ardupilot.servos import OUTPUTS, Servos
+from usvlearn.logs.formats.ardupilot.servos import OUTPUTS, Servos, last_and_former
 from usvlearn.logs.formats.messages import Field, Key, MessageLog, MessageReader, Messages, Vehicle
 
 LETTERS = {  # of a format: the type, and what it is divided by
@@ -191,7 +191,8 @@ def _vehicle(data: np.ndarray, found: list[tuple[Layout, Messages]]) -> Vehicle:
 
     A log without a change counts as armed: by default ArduPilot logs only then.
     """
-    parameters = {_text(name): value for name, value in _rows(data, found, "PARM", "Name", "Value")}
+    rows = ((_text(name), value) for name, value in _rows(data, found, "PARM", "Name", "Value"))
+    parameters, former = last_and_former(rows)
     for name, (column, meaning) in ARMING.items():
         states = {
             order: meaning[value]
@@ -203,5 +204,5 @@ def _vehicle(data: np.ndarray, found: list[tuple[Layout, Messages]]) -> Vehicle:
         if states:
             order = sorted(states)
             armed = [not states[order[0]], *(states[each] for each in order)]
-            return Vehicle(parameters, np.array([-1, *order]), np.array(armed))
-    return Vehicle(parameters)
+            return Vehicle(parameters, np.array([-1, *order]), np.array(armed), former)
+    return Vehicle(parameters, former=former)

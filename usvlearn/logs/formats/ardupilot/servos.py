@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import re
 import warnings
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -60,18 +60,22 @@ class Servos:
             return min(servos)
         raise LogFormatError(f"{where}: {_no_servo(name, found)}")
 
-    def are_known(self, number: int, parameters: Mapping[str, float]) -> bool:
-        """Whether a log holds all limits of a servo."""
-        return all(f"SERVO{number}_{each}" in parameters for each in DEFAULTS)
+    def are_known(self, number: int, parameters: Mapping[str, float], former: Mapping[str, float]) -> bool:
+        """Whether a log holds all limits of a servo, and changes none of them."""
+        names = {f"SERVO{number}_{each}" for each in DEFAULTS}
+        return names <= set(parameters) and not {*names, f"SERVO{number}_FUNCTION"} & set(former)
 
     def column(self, number: int, fields: Collection[str]) -> str | None:
         """The field that holds the pulse width of a servo; None if there is none."""
         pattern = re.compile(self.columns.format(n=number))
         return next((field for field in fields if pattern.fullmatch(field)), None)
 
-    def limits(self, number: int, parameters: Mapping[str, float], where: str) -> Limits:
+    def limits(self, number: int, parameters: Mapping[str, float], former: Mapping[str, float], where: str) -> Limits:
         """The pulse widths of a servo, by default ArduPilot's, with a warning; a LogFormatError if they do not rise."""
         names = {each: f"SERVO{number}_{each}" for each in DEFAULTS}
+        for name in sorted({*names.values(), f"SERVO{number}_FUNCTION"} & set(former)):
+            told = f"{where}: {name} is {former[name]:g}, and later {parameters[name]:g}: the last value is taken for "
+            warnings.warn(f"{told}all of the log: where it ran before, cut the log there", stacklevel=6)
         if missing := [name for each, name in names.items() if name not in parameters]:
             assumed = ", ".join(f"{name} {DEFAULTS[name.split('_')[1]]:g}" for name in missing)
             warnings.warn(
@@ -87,6 +91,17 @@ class Servos:
                 "column in place of its function, with its zero and span"
             )
         return Limits(low, trim, high, backward == 1)
+
+
+def last_and_former(given: Iterable[tuple[str, float]]) -> tuple[dict[str, float], dict[str, float]]:
+    """The last value of each parameter, and the value before of those that change."""
+    last: dict[str, float] = {}
+    former: dict[str, float] = {}
+    for name, value in given:
+        if name in last and last[name] != value:
+            former[name] = last[name]
+        last[name] = value
+    return last, former
 
 
 def _no_servo(name: str, found: Mapping[int, list[int]]) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.formats.ardupilot.mavlink_messages import MESSAGES
-from usvlearn.logs.formats.ardupilot.servos import OUTPUTS, Servos
+from usvlearn.logs.formats.ardupilot.servos import OUTPUTS, Servos, last_and_former
 from usvlearn.logs.formats.messages import Key, MessageLog, MessageReader, Messages, Vehicle
 
 CLOCK_LIMIT = 5.0  # s; a vehicle's stamp further from the receipt belongs to another boot, or to no clock
@@ -132,14 +132,14 @@ def _boots(delay: np.ndarray) -> np.ndarray:
 
 def _vehicle(data: np.ndarray, sent: dict[int, Messages]) -> Vehicle:
     """The last parameters of a sender, and when it was armed: before its first HEARTBEAT as in that."""
-    parameters = {}
+    parameters, former = last_and_former(())
     if one := sent.get(PARAM_VALUE):
         names = (name.decode("ascii", "replace") for name in one.column(data, "param_id").tolist())
-        parameters = dict(zip(names, one.numbers(data, "param_value").tolist(), strict=True))
+        parameters, former = last_and_former(zip(names, one.numbers(data, "param_value").tolist(), strict=True))
     if one := sent.get(HEARTBEAT):
         armed = one.column(data, "base_mode") & ARMED != 0
-        return Vehicle(parameters, np.append(-1, one.order), np.append(armed[0], armed))
-    return Vehicle(parameters)
+        return Vehicle(parameters, np.append(-1, one.order), np.append(armed[0], armed), former)
+    return Vehicle(parameters, former=former)
 
 
 def _is_autopilot(data: np.ndarray, sent: dict[int, Messages]) -> bool:
