@@ -30,6 +30,7 @@ def live() -> list[float | None]:
 
 @pytest.mark.parametrize(("found", "expected"), [
     (lambda: parse_numbers(["1.5", "", "nan", "off", "1_000"]), [1.5, *[np.nan] * 4]),
+    (lambda: parse_numbers(["\u22121.5", "(2)", "()"]), [-1.5, -2, np.nan]),
     (lambda: stamps.parse_cells(["1,5", "1.5", "1.234,5"], ","), [1.5, np.nan, np.nan]),
     (lambda: degrees(np.array([4218.0, -7106.0])), [42.3, -71.1]),
     (lambda: np.diff(stamps.unwrapped(np.array([4294967000.0, 4294967200.0, 104.0]))), [200, 200]),

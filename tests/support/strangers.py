@@ -12,8 +12,11 @@ STEP = 0.25  # s
 
 
 @cache
-def sail(minutes: float = 4.0, seed: int = 1, lowest: float = -0.8) -> dict[str, np.ndarray]:
-    """Shares of thrust `l` and `r`, heading `psi`, rate `turn`, surge `u`, and place `n`, `e`, every `STEP`."""
+def sail(minutes: float = 4.0, seed: int = 1, lowest: float = -0.8, dies: str = "") -> dict[str, np.ndarray]:
+    """Shares of thrust `l` and `r`, heading `psi`, rate `turn`, surge `u`, and place `n`, `e`, every `STEP`.
+
+    A thruster dies half-way.
+    """
     rng, rows, left_over, l, r = np.random.default_rng(seed), [], 0.0, 0.0, 0.0  # noqa: E741
     u = v = turn = psi = n = e = 0.0
     for k in range(int(minutes * 60 / 0.05)):
@@ -21,7 +24,8 @@ def sail(minutes: float = 4.0, seed: int = 1, lowest: float = -0.8) -> dict[str,
             left_over, base = rng.uniform(4, 12), rng.choice([rng.uniform(0.2, 1), 0.0, lowest], p=[0.7, 0.15, 0.15])
             way = rng.uniform(-0.4, 0.4) * (rng.random() < 0.6) * (base != 0)
             l, r = (float(np.clip(base + each, min(lowest, 0), 1)) for each in (way, -way))  # noqa: E741
-        push = [45 * (0.3 * c + 0.7 * c * abs(c)) for c in (l, r)]
+        left = dies and k > minutes * 600
+        push = [45 * (0.3 * c + 0.7 * c * abs(c)) * (not left or side != dies) for side, c in (("l", l), ("r", r))]
         u += 0.05 * ((sum(push) - 6 * u - 14 * u * abs(u)) / 32 + v * turn)
         v += 0.05 * ((-30 * v - 60 * v * abs(v)) / 51 - 0.6 * u * turn)
         turn += 0.05 * (0.55 * (push[0] - push[1]) - 8 * turn - 14 * turn * abs(turn)) / 9

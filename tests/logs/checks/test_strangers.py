@@ -258,3 +258,21 @@ def test_the_log_whose_clocks_differ_unlike_in_others_is_named(lates, odd):
 
     assert re.findall(r"commands in (r\d)", *told(lates)) == [odd]
     assert told([0] * len(lates)) == []
+
+
+@pytest.mark.parametrize(("side", "late"), [("left", 1.0), ("right", 0.8), ("left", 2.0), ("right", -1.0)])
+def test_a_side_whose_commands_are_of_another_clock_is_named(side, late):
+    found = told_of(stranger(sail(8), late, (f"command_{side}",)))["delay of a side"]
+    if late > 0:
+        assert found.about != f"command_{side}" and f"take {round(late)} s from the stamps of" in found.expected
+        assert found.expected.endswith(f"command_{side}")
+    else:
+        assert (found.about, found.key) == (f"command_{side}", f"data.channels.command_{side}.delay={-late:g}")
+    assert "delay of a side" not in told_of(stranger(sail(8)))
+
+
+@pytest.mark.parametrize("side", ["l", "r"])
+def test_a_thruster_that_stops_within_a_log_is_named(side):
+    found = told_of(stranger(sail(8, dies=side)))["thruster lost"]
+    assert found.severity == NOTE and found.about == {"l": "command_left", "r": "command_right"}[side]
+    assert "thruster lost" not in told_of(stranger(sail(8)))

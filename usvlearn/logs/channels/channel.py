@@ -204,11 +204,13 @@ def parse_numbers(cells: Sequence[str]) -> np.ndarray:
 
 
 def as_number(cell: str) -> float:
-    """A cell as a number, NaN where it is none; Python's own reading takes 20240603_0915 for one."""
+    """A cell as a number, NaN where it is none; Python's own reading takes 20240603_0915 for one, and not (5) for -5."""
+    text = cell.strip().replace("−", "-")
+    text = f"-{text[1:-1]}" if text[:1] == "(" and text[-1:] == ")" else text
     try:
-        return float(cell) if "_" not in cell else math.nan
+        return float(text) if "_" not in text else math.nan
     except ValueError:
-        found = HEMISPHERE.fullmatch(cell.strip())
+        found = HEMISPHERE.fullmatch(text)
         return (-1 if found[2] in "SW" else 1) * float(found[1]) if found else math.nan
 
 

@@ -66,16 +66,16 @@ def compass_of_runs(e: Evidence) -> Iterator[Finding]:
     told = {run: off for run, legs in each.items() if (off := offset(legs, WHOLE))}
     far = {off: sum(_apart(off, other) for other in told.values()) for off in told.values()}
     usual = min(far, key=lambda off: (far[off], abs(off[0])), default=(0.0, 0.0))
-    odd = [f"{math.degrees(-off[0]):+.0f}° off in {run}" for run, off in told.items() if _differ(off, usual)]
+    odd = [f"{round(math.degrees(-off[0])):+d}° off in {run}" for run, off in told.items() if _differ(off, usual)]
     if odd:
-        text = f"a heading that is {', '.join(odd)}, and {math.degrees(-usual[0]):+.0f}° off in other logs"
+        text = f"a heading that is {', '.join(odd)}, and {round(math.degrees(-usual[0])):+d}° off in other logs"
         expected = "one error in all logs: read those by a configuration with a heading.zero of their own"
         yield Finding(e.boat, "heading", "compass of runs", text, expected)
     for run, legs in each.items():
         thirds = [Legs(*parts) for parts in zip(*(np.array_split(each, 3) for each in legs), strict=True)]
         offs = [off for third in thirds if (off := offset(third, PART))]
         if any(_differ(one, other) for one in offs for other in offs):
-            shown = ", then ".join(f"{math.degrees(-off):+.0f}°" for off, _ in offs)
+            shown = ", then ".join(f"{round(math.degrees(-off)):+d}°" for off, _ in offs)
             text = f"a heading that is {shown} off in the thirds of {run}: a gyro drifts, or a compass was moved"
             expected = "one error from begin to end: correct it, or leave out the log"
             yield Finding(e.boat, "heading", "compass drift", text, expected)

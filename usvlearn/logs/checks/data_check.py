@@ -22,7 +22,7 @@ CHECKS: tuple[Callable[[Evidence], Iterator[Finding]], ...] = (
     scales.zeros, scales.rest, scales.speed_scale, scales.sign, scales.command_scale, scales.heading_unit,
     scales.heading_sense, scales.yaw_rate, track.degrees, track.axes, track.follows, track.sway,
     thrusters.sides, response.delays, thrusters.excitation, response.clocks, course.compass,
-    course.compass_of_runs,
+    course.compass_of_runs, thrusters.lost,
     frozen.frozen, delivery.rejected, delivery.stale, delivery.copies, delivery.clock, delivery.horizons,
     delivery.together, delivery.jumps, scales.runs, thrusters.sides_of_runs,
 )  # fmt: skip

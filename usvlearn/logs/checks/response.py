@@ -48,6 +48,7 @@ COURSE_STEP, FARTHEST = 2.0, 25  # s, of bins of the course; bins of lag that ar
 EARLIER, LATER = 5.0, 2.0  # s, of a heading that is early, and of one that is late
 FITS, CLOSE = ((4.0, 0.5), (2.4, 0.25)), 0.3  # standard errors, and of the dispersion that is left; dispersion
 COURSE_BLOCK, FEWEST = 10, 3  # bins: 20 s; blocks
+NEAR, BOTH, SIDES_APART = range(-2, 4), 0.3, 0.5  # s; correlation of the turn with each side; ratio of squares
 ODD = 0.4  # ratio of squares of a delay unlike that of other logs; simulated boats without one reach 0.5
 DRIFTING = 0.55, 0.6  # share explained in each third of a log, and the ratio of squares in one, of a delay that changes
 
@@ -108,19 +109,27 @@ def best_delay(response: Response, within: tuple[float, float] = (0.0, 1.0)) -> 
     goal, count = response.change[known], int(known.sum())
     if count < (SHORT if within == (0.0, 1.0) else PIECE) or not np.ptp(goal) > 0:
         return None
-    squares = {}
-    for delay, force in response.forces.items():
-        rows = np.concatenate([force[:, known], response.motion[:, known]])
-        rows /= np.maximum(np.sqrt(np.mean(rows**2, axis=1, keepdims=True)), 1e-12)
-        gram = rows @ rows.T + 1e-9 * count * np.eye(len(rows))
-        squares[delay] = (goal - np.linalg.solve(gram, rows @ goal) @ rows) ** 2
-    sums = {delay: float(each.sum()) for delay, each in squares.items()}
-    best = min(sums, key=sums.__getitem__)
-    usual = min(USUAL if best > 0 else AHEAD, key=sums.__getitem__)
-    gain = (squares[usual] - squares[best])[: count // BLOCK * BLOCK].reshape(-1, BLOCK).mean(1)
-    error = float(gain.std(ddof=1)) / math.sqrt(len(gain))
-    explained = 1 - sums[best] / float(((goal - goal.mean()) ** 2).sum())
-    return Fit(best, float(gain.mean()) / max(error, 1e-12), sums[best] / max(sums[usual], 1e-12), explained, count)
+    motion = response.motion[:, known]
+    squares = {delay: _squares(goal, force[:, known], motion) for delay, force in response.forces.items()}
+    best = min(squares, key=lambda delay: float(squares[delay].sum()))
+    usual = min(USUAL if best > 0 else AHEAD, key=lambda delay: float(squares[delay].sum()))
+    return Fit(best, *_better(goal, squares[best], squares[usual]), count)
+
+
+def _squares(goal: np.ndarray, *rows: np.ndarray) -> np.ndarray:
+    """The squares of residuals of a regression, `(times,)`."""
+    table = np.concatenate(rows)
+    table /= np.maximum(np.sqrt(np.mean(table**2, axis=1, keepdims=True)), 1e-12)
+    gram = table @ table.T + 1e-9 * len(goal) * np.eye(len(table))
+    return (goal - np.linalg.solve(gram, table @ goal) @ table) ** 2
+
+
+def _better(goal: np.ndarray, best: np.ndarray, usual: np.ndarray) -> tuple[float, float, float]:
+    """By how many standard errors the best squares are less, their ratio, and the share that they explain."""
+    gain = (usual - best)[: len(goal) // BLOCK * BLOCK].reshape(-1, BLOCK).mean(1)
+    error, left = float(gain.std(ddof=1)) / math.sqrt(len(gain)), float(best.sum())
+    explained = 1 - left / float(((goal - goal.mean()) ** 2).sum())
+    return float(gain.mean()) / max(error, 1e-12), left / max(float(usual.sum()), 1e-12), explained
 
 
 def _means(*values: np.ndarray) -> np.ndarray:
@@ -140,6 +149,8 @@ def delays(e: Evidence) -> Iterator[Finding]:
     """Delays of all logs together, of the thirds of the longest one, and of one log that has another."""
     whole, each = responses(e), [responses(own) for own in e.alone]
     yield from _delay(e, whole)
+    if whole:
+        yield from _apart(e, whole[1])
     longest = max(zip(e.alone, each, strict=True), key=lambda pair: len(pair[0].values[SURGE]), default=(e, whole))
     yield from _drift(e.boat, longest[1])
     yield from _of_runs(e, each)
@@ -191,6 +202,27 @@ def _drift(boat: str, longest: Sequence[Response]) -> Iterator[Finding]:
         side = "faster" if lags[2] > lags[0] else "slower"
         expected = f"one delay in all thirds of the log: its clock runs {side} than that of the commands: correct one"
         yield Finding(boat, "commands, heading" if "speed" not in told else PAIR, "clock drift", text, expected)
+
+
+def _apart(e: Evidence, turn: Response) -> Iterator[Finding]:
+    """A command that acts later than that of the other side, by the turn."""
+    known = turn.known
+    if known.sum() < SHORT or not all(abs(each.correlation) > BOTH for each in e.sides()[0]):
+        return
+    goal, motion = turn.change[known], turn.motion[:, known]
+    left, right = ({delay: turn.forces[delay][part][:, known] for delay in NEAR} for part in (slice(2), slice(2, 4)))
+    squares = {(one, other): _squares(goal, left[one], right[other], motion) for one in NEAR for other in NEAR}
+    best, usual = (
+        min(pairs, key=lambda pair: float(squares[pair].sum())) for pairs in (squares, [(each, each) for each in NEAR])
+    )
+    certainty, ratio, explained = _better(goal, squares[best], squares[usual])
+    if best[0] != best[1] and certainty > SURE[0][0] and ratio < SIDES_APART and explained > EXPLAINED:
+        late, later = int(best[1] > best[0]), abs(best[1] - best[0])
+        text = f"a turn that fits best if it acts {later} s later than the other side (squares × {ratio:.2f})"
+        delay = max((each.delay for each in e.logs(COMMANDS[late])), default=0.0) + later
+        fix = override(COMMANDS[late], {"delay": delay}) if min(best) >= 0 else ""
+        expected = f"both at once: take {later} s from the stamps of {COMMANDS[1 - late]}"
+        yield Finding(e.boat, COMMANDS[late], "delay of a side", text, expected, fix)
 
 
 def _of_runs(e: Evidence, each: Sequence[Sequence[Response]]) -> Iterator[Finding]:

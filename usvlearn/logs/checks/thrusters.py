@@ -24,6 +24,7 @@ TURN, MOVE, HALF = 3.0, 2.5, 2.0  # standard errors, of the turn, the speed, and
 CLEAR_TURN, CLEAR_MOVE, STRONG = 0.3, 0.25, 0.6  # partial correlations
 LEVELS = 3  # values of a command, below which it is on or off
 SHOWN = 3  # names of logs
+GONE = 0.2  # partial correlation of a turn with a thruster that has no effect
 USED = 0.01  # of full scale: a smaller range is no use of a thruster
 SHARED = ("name", "field", "unit", "zero", "span", "weight")  # options that belong to a thruster
 
@@ -65,6 +66,21 @@ def sides(e: Evidence) -> Iterator[Finding]:
         yield Finding(e.boat, about, kind, text, expected, " or ".join([*fixes, *([reverse] if reverse else [])]))
         return
     yield Finding(e.boat, ", ".join(turned), "side reversed", text, expected, reverse)
+
+
+def lost(e: Evidence) -> Iterator[Finding]:
+    """A command that turns the boat in one half of the time, and not in the other."""
+    half = len(e.speed) // 2
+    parts = [e.sides(part)[0] for part in (slice(half), slice(half, None))]
+    signs = [[_sign(each, TURN, CLEAR_TURN) for each in part] for part in parts]
+    for side, name in enumerate(COMMANDS):
+        other = [sign[1 - side] == 2 * side - 1 for sign in signs]
+        gone = [abs(part[side].correlation) < GONE and holds for part, holds in zip(parts, other, strict=True)]
+        if any(gone) and [1, -1] in signs:
+            text = "a turn that follows it by {:+.2f} in the first half of the time, and by {:+.2f} in the second one"
+            expected = "one partial correlation: leave out the time in which the thruster had stopped"
+            found = text.format(*(part[side].correlation for part in parts))
+            yield Finding(e.boat, name, "thruster lost", found, expected, severity=NOTE)
 
 
 def sides_of_runs(e: Evidence) -> Iterator[Finding]:
