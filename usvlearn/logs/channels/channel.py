@@ -204,7 +204,7 @@ def parse_numbers(cells: Sequence[str]) -> np.ndarray:
 
 
 def as_number(cell: str) -> float:
-    """A cell as a number, NaN where it is none; Python's own reading takes 20240603_0915 for one, and not (5) for -5."""
+    """A cell as a number, NaN where it is none; (5) is -5, and 20240603_0915 none, other than for Python itself."""
     text = cell.strip().replace("−", "-")
     text = f"-{text[1:-1]}" if text[:1] == "(" and text[-1:] == ")" else text
     try:
