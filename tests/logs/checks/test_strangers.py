@@ -194,6 +194,10 @@ def test_the_log_whose_sides_are_swapped_is_named(count, which):
         logs[which] = logs[which]._replace(channels=own | odd)
         found = {each.kind: each for each in check_data(logs, None, {}, 2.5)}["sides of runs"]
         assert found.found.endswith(f"unlike in other logs, in r{which + 1}") and found.severity == WARNING
+    one = {"command_left": own["command_left"]._replace(value=-own["command_left"].value)}
+    logs[which] = logs[which]._replace(channels=own | one)
+    found = {each.kind: each for each in check_data(logs, None, {}, 2.5)}["sides of runs"]
+    assert (found.about, found.found[-2:]) == ("command_left", f"r{which + 1}") and "reverse it" in found.expected
     lost = own["command_left"]._replace(value=0 * own["command_left"].value)
     logs[which] = logs[which]._replace(channels=own | {"command_left": lost})
     assert "sides of runs" not in {each.kind for each in check_data(logs, None, {}, 2.5)}

@@ -31,7 +31,7 @@ COMPASS = "compass", "compass of runs", "compass drift"
 CONSEQUENCES = {
     **dict.fromkeys(("speed unit", "speed scale", "yaw rate unit"), ("rejected", "stale")),
     "speeds of runs": ("speed unit", "speed scale", "rejected", "stale"),
-    "sides of runs": ("sides or heading", "sides swapped", "side reversed"),
+    "sides of runs": ("sides or heading", "sides swapped", "side reversed", "thruster lost"),
     "commands of runs": ("command scale", "thrust", "delay", "excitation"),
     "heading unit": ("rejected", "stale", "position", "position axes", "jumps"),
     **dict.fromkeys(COMPASS[1:], ("compass", "heading offset", "course", "clocks", "position")),

@@ -84,16 +84,22 @@ def lost(e: Evidence) -> Iterator[Finding]:
 
 
 def sides_of_runs(e: Evidence) -> Iterator[Finding]:
-    """Logs in which the boat turns against the commands, where it turns with them in others."""
-    told: dict[tuple[int, ...], list[str]] = {(-1, 1): [], (1, -1): []}
+    """Logs in which the boat turns by the commands of the sides in another way than in others."""
+    told: dict[tuple[int, ...], list[str]] = {}
     for own in e.alone:
-        turn = tuple(_sign(each, TURN, CLEAR_TURN) for each in own.sides()[0])
-        told.get(turn, []).append(own.recordings[0].run)
-    if odd := min(told.values(), key=len):
-        names = ", ".join(odd[:SHOWN]) + ", …" * (len(odd) > SHOWN)
-        text = f"a turn against the commands, unlike in other logs, in {names}"
-        expected = "one way in all logs: swap both commands there, or change the sense of the heading"
-        yield Finding(e.boat, ", ".join(COMMANDS), "sides of runs", text, expected)
+        turns = own.sides()[0]
+        signs = tuple(_sign(each, TURN, CLEAR_TURN) for each in turns)
+        strong = all(abs(each.correlation) > STRONG for each in turns)
+        if all(signs) and (sum(signs) == 0 or strong):
+            told.setdefault(signs, []).append(own.recordings[0].run)
+    usual = max(told, key=lambda signs: (len(told[signs]), signs == (1, -1)), default=())
+    for signs, odd in told.items():
+        wrong = [name for name, one, other in zip(COMMANDS, signs, usual, strict=True) if one != other]
+        if wrong:
+            names = ", ".join(odd[:SHOWN]) + ", …" * (len(odd) > SHOWN)
+            text = f"a turn against the commands, unlike in other logs, in {names}"
+            how = "reverse it there" if len(wrong) == 1 else "swap both there, or change the sense of the heading"
+            yield Finding(e.boat, ", ".join(wrong), "sides of runs", text, f"one way in all logs: {how}")
 
 
 def _way(e: Evidence) -> int:
