@@ -37,3 +37,12 @@ def test_a_heading_in_whole_degrees_stays_in_degrees(low, noise):
     raw = np.round((boat["hdg"] - low) % 360 + low) + noise * np.random.default_rng(0).normal(size=len(boat["hdg"]))
     own = concluded(boat, left=boat["l"], right=boat["r"], heading=raw, speed=boat["u"]).channels["heading"]
     assert (own["unit"], own.get("span", 1.0)) == ("deg", 1.0)
+
+
+@pytest.mark.parametrize("name", ["yaw_enu_rad", "heading_ENU", "att.enu.yaw"])
+def test_a_name_tells_that_a_heading_counts_from_east(name):
+    boat = sail(4)
+    yaw = (math.pi / 2 - boat["psi"] + math.pi) % (2 * math.pi) - math.pi
+    found = concluded(boat, left=boat["l"], right=boat["r"], speed=boat["u"], **{name: yaw})
+    assert told(found)["heading", "unit"] == ("enu_rad", "probable")
+    assert told(found)["command_left", "series"] == ("left", "certain")

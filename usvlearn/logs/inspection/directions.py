@@ -93,7 +93,7 @@ def read_heading(candidate: Candidate, course: Pair | None, convention: str = ""
     agree = {unit: agreement(candidate.scaled(*UNITS[unit]), course) if course else math.nan for unit in HEADINGS}
     usual = "rad" if convention == "PX4 ULog" else ""
     declared = candidate.unit if candidate.unit in ANGLES else usual
-    enu = declared.startswith("enu_")
+    enu = declared.startswith("enu_") or "enu" in words(candidate.label)
     ranked = sorted(HEADINGS, key=lambda unit: -agree[unit] if agree[unit] == agree[unit] else 0.0)
     best = ranked[0]
     known = declared or convention in NORTH_FORMATS or candidate.size > MOST_RADIANS
