@@ -222,14 +222,6 @@ def test_a_propeller_at_the_bow_is_no_heading_and_electrical_power_no_command():
     assert "command_left" in concluded(boat, **watts, heading=boat["hdg"], speed=boat["u"]).missing
 
 
-def test_a_declared_unit_of_an_angle_stands_above_its_size():
-    boat = sail(6)
-    found = concluded(
-        boat, pwm_left=pulses(boat["l"]), pwm_right=pulses(boat["r"]), yaw_rad=boat["psi"] + 40, u=boat["u"]
-    )
-    assert found.channels["heading"]["unit"] == "rad"
-
-
 def test_full_scale_and_a_wrap_are_not_taken_for_unknown():
     boat = sail()
     left = np.where(boat["l"] > 0.9, 255, 90 * boat["l"])
@@ -257,30 +249,6 @@ def test_degrees_and_minutes_with_their_letters_are_a_position(letters, tmp_path
     assert found.proposal.channels["surge"]["unit"] == "knots"
 
 
-@pytest.mark.parametrize("off", [20, -35, 9])
-def test_the_error_of_a_compass_is_proposed_as_its_zero(off):
-    boat = sail(6)
-    own = {**boat, "hdg": (boat["hdg"] + off) % 360}
-    found = driven(own, speed=boat["u"], lat=boat["lat"], lon=boat["lon"])
-    assert found.channels["heading"]["zero"] == pytest.approx(off, abs=1.5)
-    assert told(found)["heading", "zero"][1] == "probable"
-
-
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_a_current_is_no_error_of_the_compass(seed):
-    boat = sail(6, seed)
-    lat, lon = (boat[name] + way * boat["time"] / 111195 for name, way in (("lat", 0.5), ("lon", -0.4)))
-    assert "zero" not in driven(boat, speed=boat["u"], lat=lat, lon=lon).channels["heading"]
-
-
-def test_the_yaw_of_moos_counts_counter_clockwise_from_north():
-    boat = sail()
-    found = concluded(boat, "MOOS", NAV_YAW=-((boat["psi"] + np.pi) % (2 * np.pi) - np.pi), NAV_SPEED=boat["u"],
-                      DESIRED_THRUST_L=100 * boat["l"], DESIRED_THRUST_R=100 * boat["r"])  # fmt: skip
-    assert (found.channels["heading"]["unit"], found.channels["heading"]["span"]) == ("rad", -1)
-    assert told(found)["command_left", "series"] == ("DESIRED_THRUST_L", "certain")
-
-
 @pytest.mark.parametrize(
     "names", [("u_ref", "u_out"), ("v_soll", "v_ist"), ("speed_d", "speed_m"), ("u_cmd", "u_meas")]
 )
@@ -302,41 +270,6 @@ def test_where_no_name_tells_a_speed_those_that_may_be_it_are_named():
     assert found.missing == ["surge"] and found.unfit.startswith(
         "'w1' follows the commands: call it speed only if it is measured"
     )
-
-
-@pytest.mark.parametrize(("seed", "begin", "sign"), [(1, 0.0, 1), (2, 6.0, 1), (3, -3.0, -1)])
-def test_radians_that_count_on_are_radians_or_a_question_that_says_both(seed, begin, sign):
-    boat = sail(6, seed)
-    columns = {"yaw": sign * boat["psi"] + begin, "speed": boat["u"]}
-    found = concluded(boat, pwm_left=pulses(boat["l"]), pwm_right=pulses(boat["r"]), **columns)
-    unit = next(each for each in found.decisions if each[:2] == ("heading", "unit"))
-    assert unit.value == "rad" and (unit.certainty == "certain" or {"deg", "enu_rad"} <= {*unit.alternatives})
-    steady = concluded(boat, pwm_left=pulses(boat["l"]), pwm_right=pulses(boat["r"]), **columns | {
-        "yaw": 40 + 9 * np.sin(boat["time"] / 9)})  # fmt: skip
-    assert told(steady)["heading", "unit"] in (("deg", "unsure"), ("rad", "unsure"))
-
-
-@pytest.mark.parametrize("off", [20.0, -15.0])
-@pytest.mark.parametrize("names", [("cog", "sog"), ("course", "speed")])
-def test_a_compass_that_is_off_is_told_by_a_course_without_a_position(off, names):
-    boat = sail(8, 6)
-    along = dict(zip(names, (boat["cog"], boat["sog"]), strict=True))
-    found = concluded(
-        boat, pwm_left=pulses(boat["l"]), pwm_right=pulses(boat["r"]), heading=(boat["hdg"] + off) % 360, **along
-    )
-    value, sure = told(found)["heading", "zero"]
-    assert float(value) == pytest.approx(off, abs=2) and sure == "probable"
-    assert ("heading", "zero") not in told(driven(boat, **along))
-
-
-@pytest.mark.parametrize(("off", "certainty"), [(0.0, "certain"), (180.0, "unsure")])
-@pytest.mark.parametrize("sense", [1, -1])
-def test_a_course_confirms_a_right_heading_and_tells_one_that_points_astern(off, certainty, sense):
-    boat = sail(6, lowest=0.0)
-    yaw = (off + (boat["hdg"] if sense == 1 else 90 - boat["hdg"])) % 360
-    found = concluded(boat, left=boat["l"], right=boat["r"], yaw=yaw, sog=boat["sog"], cog=boat["cog"])
-    assert told(found)["heading", "unit"] == ("deg" if sense == 1 else "enu_deg", certainty)
-    assert found.channels["heading"].get("zero", 0.0) % 360 == pytest.approx(off % 360, abs=3)
 
 
 @pytest.mark.parametrize("idle", [800, 650.0])
@@ -371,44 +304,6 @@ def test_a_declared_unit_that_is_off_is_unsure_with_the_span_that_fits(name, fac
     assert asked == [False, True]
 
 
-def velocity(boat, names=("vn", "ve"), ways=(0.0, 0.0), factor=1.0):
-    """The velocity over ground, with a current, m/s."""
-    psi, u, v = boat["psi"], boat["u"], boat["v"]
-    north, east = u * np.cos(psi) - v * np.sin(psi) + ways[0], u * np.sin(psi) + v * np.cos(psi) + ways[1]
-    return dict(zip(names, (factor * north, factor * east), strict=True))
-
-
-@pytest.mark.parametrize(
-    ("off", "names", "factor", "place"),
-    [(90, ("vn", "ve"), 1.0, ()), (-30, ("vel_n", "vel_e"), 1.94, ()), (150, ("VN_kn", "VE_kn"), 1.94, ("x", "y"))],
-)
-def test_a_compass_that_is_off_is_told_by_velocities_without_a_position(off, names, factor, place):
-    boat = sail(6, lowest=-0.2)
-    local = dict(zip(place, (boat["n"], boat["e"]), strict=False))
-    own = velocity(boat, names, (0.2, -0.1), factor) | local
-    found = driven({**boat, "hdg": (boat["hdg"] + off) % 360}, **own)
-    assert found.channels["heading"]["zero"] == pytest.approx(off, abs=2)
-    assert told(found)["heading", "zero"][1] == "probable"
-    right = told(driven(boat, **own))
-    assert ("heading", "zero") not in right and right["heading", "series"][1] == "certain"
-
-
-@pytest.mark.parametrize("names", [("lat", "lon"), ("Breite", "Länge"), ("VN", "VE"), ("velN", "velE")])
-def test_a_track_that_may_be_a_mirror_image_proves_no_heading(names):
-    boat, sides = sail(6, lowest=-0.2), ("motor_l", "motor_r")
-    motors = dict(zip(sides, (boat["l"], boat["r"]), strict=True))
-    way = velocity(boat) if names[0].startswith(("V", "v")) else {"n": boat["lat"] - 32, "e": boat["lon"] + 80}
-    right = concluded(
-        boat, **motors, heading=boat["hdg"], speed=boat["u"], **dict(zip(names, way.values(), strict=True))
-    )
-    assert told(right)["heading", "unit"] == ("deg", "certain")
-    mirrored = dict(zip(names, list(way.values())[::-1], strict=True))
-    found = concluded(boat, **motors, heading=boat["hdg"], **mirrored)
-    assert [found.channels[f"command_{side}"]["name"] for side in ("left", "right")] == list(sides)
-    north = "velocity_north" if "v" in names[0].lower() else "latitude"
-    assert told(found)["heading", "unit"] == ("deg", "unsure") and told(found)[north, "series"] == (names[1], "unsure")
-
-
 @pytest.mark.parametrize(
     "words", [("forward", "neutral", "reverse"), ("F", "N", "R"), ("vorwärts", "stop", "rückwärts")]
 )
@@ -424,47 +319,6 @@ def test_gears_of_text_beside_a_throttle_without_a_sign_are_asked(tmp_path, word
     signs = [each for each in inspect_logs([str(path)]).proposal.decisions if each.what == "sign"]
     assert {each.certainty for each in signs} == {"unsure"}
     assert "gear_left, gear_right may tell the sense" in signs[0].reason
-
-
-@pytest.mark.parametrize(("noise", "sure"), [(0.0, "probable"), (0.6, "unsure")])
-@pytest.mark.parametrize("off", [20.0, -15.0, 100.0])
-def test_the_error_of_a_compass_is_unsure_where_it_is_not_exact(noise, sure, off):
-    boat, rng = sail(6, lowest=0.0), np.random.default_rng(1)
-    place = {x: boat[x] + noise * 1e-5 * rng.normal(size=len(boat["lat"])) for x in ("lat", "lon")}
-    found = concluded(
-        boat, left=boat["l"], right=boat["r"], heading=(boat["hdg"] + off) % 360, speed=boat["u"], **place
-    )
-    (zero,) = (each for each in found.decisions if each[:2] == ("heading", "zero"))
-    assert float(zero.value) == pytest.approx(off, abs=4) and zero.certainty == sure and "° ± " in zero.reason
-
-
-@pytest.mark.parametrize("names", [("lat", "lon"), ("sog", "cog")])
-def test_a_heading_that_follows_the_course_loosely_is_not_certain(names):
-    boat = sail(6)
-    for error, certainty in ((0.0, "certain"), (30 * np.sin(2 * boat["psi"]), "probable")):
-        own = {**boat, "hdg": (boat["hdg"] + error) % 360}
-        assert tell(own, "heading series", speed=boat["u"], **{name: boat[name] for name in names})[1] == certainty
-
-
-@pytest.mark.parametrize("place", [("lat", "lon"), ()])
-@pytest.mark.parametrize("ramp", [False, True])
-def test_a_heading_that_is_set_is_no_measured_one(place, ramp):
-    boat = sail(6)
-    step = np.floor(boat["time"] / 12)
-    goal = boat["hdg"][(48 * step).astype(int)]
-    if ramp:
-        goal = np.interp(boat["time"], [k * 12 + d for k in range(30) for d in (0, 8)], np.repeat(goal[::48], 2)[:60])
-    own, where = {**boat, "hdg": np.round(goal, 3)}, {name: boat[name] for name in place}
-    assert tell(own, "heading series", speed=boat["u"], **where) == ("heading", "unsure")
-    assert tell(own, "heading series", speed=boat["u"], compass=boat["hdg"], **where)[0] == "compass"
-
-
-@pytest.mark.parametrize(("change", "sure"), [(1, "certain"), (0.8, "unsure"), (1.3, "unsure"), ("early", "unsure")])
-@pytest.mark.parametrize("unit", [1, -1, 180 / np.pi])
-def test_a_yaw_rate_of_another_scale_or_before_the_turn_is_not_certain(change, sure, unit):
-    boat = sail(6)
-    rate = np.roll(boat["turn"], -3) if change == "early" else change * boat["turn"]
-    assert tell(boat, "yaw_rate series", speed=boat["u"], yaw_rate=unit * rate) == ("yaw_rate", sure)
 
 
 @pytest.mark.parametrize(("pause", "away"), [(1500.0, 0.004), (20.0, -0.002), (86400.0, 0.01)])
