@@ -14,12 +14,7 @@ class CertifyError(ValueError):
 
 
 def folded(text: str, columns: int | None) -> str:
-    """Lines that are broken between words for a terminal, which would break them within one; a long word stays whole.
-
-    >>> print(folded("6 of 6 certified", 10))
-    6 of 6
-    certified
-    """
+    """Lines that are broken between words for a terminal, which would break them within one; a long word stays whole."""
     if columns is None:
         return text
     fill = textwrap.TextWrapper(columns, break_long_words=False, break_on_hyphens=False).fill
@@ -54,19 +49,11 @@ def about(path: str) -> Iterator[None]:
 
 
 def quoted(value: object) -> str:
-    """At most 80 characters of a value, for a message: a value from a file can have any length.
-
-    >>> quoted("exact"), len(quoted("x" * 1000))
-    ("'exact'", 80)
-    """
+    """At most 80 characters of a value, for a message: a value from a file can have any length."""
     return shortened(repr(value))
 
 
 def shortened(text: object) -> str:
-    """At most 80 characters of a text, in one line.
-
-    >>> shortened("no such\\n file")
-    'no such file'
-    """
+    """At most 80 characters of a text, in one line."""
     line = " ".join(str(text).split())
     return line if len(line) <= 80 else f"{line[:79]}…"

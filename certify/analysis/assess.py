@@ -109,11 +109,7 @@ def _one_state(network: Network, u: np.ndarray, box: Box | None, seconds: float,
 
 
 def time_constant(K: Fraction) -> float | None:
-    """−1/ln K; None where K ≥ 1, or so near to 1 that no float holds it.
-
-    >>> time_constant(Fraction(1, 2)) == 1 / math.log(2), time_constant(1 - Fraction(1, 2**1113))
-    (True, None)
-    """
+    """−1/ln K; None where K ≥ 1, or so near to 1 that no float holds it."""
     room = float(1 - K) if K < 1 else 0.0
     if not room:
         return None
@@ -281,9 +277,6 @@ def judged(row: dict[str, Any], certificates: dict[str, dict[str, Any]], conditi
 
     Without one asked it is `exact`, and of a vector state that of `exact` and
     `quadratic` with the smaller rate.
-
-    >>> judged({"states": 2}, {"exact": {"contraction_rate": "1/2"}, "quadratic": {"contraction_rate": "1/3"}}, None)
-    'quadratic'
     """
     if "states" not in row:
         name = "exact" if condition in (None, "quadratic") else str(condition)

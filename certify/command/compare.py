@@ -28,11 +28,7 @@ RANDOM = "random"  # the name of networks that are no checkpoints
 
 
 def random_networks(count: int, n: int, rng: np.random.Generator, inputs: int = 4) -> list[ShallowWeights]:
-    """As torch.nn.Linear draws them: uniform within ±1/√(fan-in), the fan-in being 1 + m and n.
-
-    >>> len(random_networks(3, 5, np.random.default_rng(0))[0].a)
-    5
-    """
+    """As torch.nn.Linear draws them: uniform within ±1/√(fan-in), the fan-in being 1 + m and n."""
     width = 1 / math.sqrt(1 + inputs)
     return [
         ShallowWeights(

@@ -70,10 +70,6 @@ def equilibria_figure(
 
     Raises:
         CertifyError: matplotlib is not installed; several inputs without as many headings; input that does not fit.
-
-    >>> figure = equilibria_figure(ShallowWeights([2.0], [1.0], [[0.0]], [-0.25]), [0.0], "A tooth")
-    >>> [text.get_text() for text in figure.axes[0].get_legend().get_texts()][3:]
-    ['deadbeat\\nx = 0', 'unstable\\nx = 0.5']
     """
     figure = blank("the figure of equilibria", figsize=(8.4, 6.0), dpi=110)
     inputs = [u] if np.ndim(u) < 2 else u

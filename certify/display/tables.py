@@ -148,11 +148,7 @@ def _short(paths: Sequence[str]) -> tuple[list[str], str]:
 
 
 def _every_place(row: dict[str, Any]) -> str:
-    """The equilibria in [0, 1]; where there are none, those outside.
-
-    >>> _every_place({"equilibria": [], "equilibria_outside": [{"x": -0.5, "class": "stable"}]})
-    'none in 0…1; stable -0.5'
-    """
+    """The equilibria in [0, 1]; where there are none, those outside."""
     if row["equilibria"]:
         return _places(row["equilibria"])
     outside = _places(row.get("equilibria_outside", []))
@@ -247,11 +243,7 @@ def _proved_rate(row: dict[str, Any], name: str) -> Text:
 
 
 def _norm(row: dict[str, Any]) -> str:
-    """The norm of the exact rate: ∞ or 1, and whether the states are scaled one by one or mixed.
-
-    >>> _norm({"norm": "inf", "scaling": [["1", "0"], ["0", "1/2"]]})
-    '∞, scaled'
-    """
+    """The norm of the exact rate: ∞ or 1, and whether the states are scaled one by one or mixed."""
     scaling = row["scaling"]
     mixed = any(x != "0" for i, line in enumerate(scaling) for j, x in enumerate(line) if i != j)
     plain = not mixed and all(scaling[i][i] == scaling[0][0] for i in range(len(scaling)))

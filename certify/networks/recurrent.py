@@ -33,10 +33,6 @@ def of_torch(tensors: Mapping[str, Any], path: str) -> list[Recurrent]:
 
     Raises:
         CertifyError: an LSTM or a GRU; several layers, both directions, or a projection; missing or misshapen weights.
-
-    >>> (found,) = of_torch({"rnn.weight_ih_l0": np.ones((2, 1)), "rnn.weight_hh_l0": np.eye(2)}, "net.pt")
-    >>> found.prefix, found.W.shape, found.b
-    ('rnn', (2, 2), array([0., 0.]))
     """
     modules: dict[str, dict[str, Any]] = {}
     for name, tensor in tensors.items():

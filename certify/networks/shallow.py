@@ -62,9 +62,6 @@ def check(weights: ShallowWeights, name: str = "weights") -> ShallowWeights:
     Raises:
         CertifyError: shapes that do not fit, no neuron, a weight that is NaN, infinite or no number, or that is
             changed by the conversion: an integer beyond 2⁵³, a long double.
-
-    >>> check(ShallowWeights([0.5], [1.0], [[0.0, 1.0]], [0.0])).W2.shape
-    (1, 2)
     """
     arrays = ShallowWeights(**as_float64(dict(zip(NAMES, weights, strict=True)), name))
     shapes = {key: array.shape for key, array in zip(NAMES, arrays, strict=True)}
@@ -83,9 +80,6 @@ def as_float64(values: Mapping[str, Any], name: str) -> dict[str, np.ndarray]:
     Raises:
         CertifyError: a weight that is NaN, infinite or no number, or that is changed by the conversion: an integer
             beyond 2⁵³, a long double.
-
-    >>> as_float64({"a": [1, 2]}, "weights")["a"].dtype.name
-    'float64'
     """
     try:
         given = {key: np.asarray(x) for key, x in values.items()}
@@ -130,9 +124,6 @@ def from_tensors(tensors: Mapping[str, Any], path: str = "tensors", most: float 
     Names end in `a`, `w1`, `W2`, `b` after a common prefix (`members.rnn.weights.a`). Two linear layers are accepted,
     too: the first with (n, 1 + m) weights, those of the state in column 0, the second with (1, n) and no bias. There
     may be `most` networks.
-
-    >>> from_tensors({"net.a": [0.5], "net.w1": [1.0], "net.W2": [[0.0]], "net.b": [0.0]})[0].path
-    'tensors'
     """
     prefixes = [name.removesuffix("w1") for name in tensors if NAMED.search(name)]
     for prefix in prefixes:

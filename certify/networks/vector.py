@@ -136,9 +136,6 @@ def check(weights: VectorWeights, name: str = "weights") -> VectorWeights:
 
     Raises:
         CertifyError: shapes that do not fit, q above 6, a weight that is NaN or infinite or no float64.
-
-    >>> check(VectorWeights(None, [[0.5]], [[1.0]], [[0.0, 1.0]], [0.0])).R.tolist()
-    [[0.0]]
     """
     if weights.R is None:
         q = np.shape(weights.A)[-2] if np.ndim(weights.A) > 1 else 0
@@ -165,11 +162,7 @@ def check(weights: VectorWeights, name: str = "weights") -> VectorWeights:
 
 
 def is_recurrent(weights: VectorWeights) -> bool:
-    """Whether x⁺ = φ(W x + W₂ u + b): one hidden layer, A = I and R = 0; of checked weights.
-
-    >>> is_recurrent(check(VectorWeights(None, np.eye(2), np.ones((2, 2)), np.ones((2, 1)), np.zeros(2))))
-    True
-    """
+    """Whether x⁺ = φ(W x + W₂ u + b): one hidden layer, A = I and R = 0; of checked weights."""
     A, R = np.asarray(weights.A), np.asarray(weights.R)
     return weights.V is None and A.shape[-1] == A.shape[-2] and not R.any() and bool((A == np.eye(A.shape[-1])).all())
 
@@ -186,11 +179,7 @@ def refuse_large(weights: VectorWeights, name: str = "weights") -> None:
 
 
 def of_shallow(weights: ShallowWeights) -> VectorWeights:
-    """The paper's network as one with a vector state, q = 1.
-
-    >>> of_shallow(ShallowWeights([0.5], [1.0], [[0.0]], [0.0])).A.tolist()
-    [[0.5]]
-    """
+    """The paper's network as one with a vector state, q = 1."""
     a, w1 = np.asarray(weights.a, dtype=np.float64), np.asarray(weights.w1, dtype=np.float64)
     return check(VectorWeights(None, a[..., None, :], w1[..., None], weights.W2, weights.b))
 
@@ -215,10 +204,6 @@ def from_tensors(
     RNNCell, beside which linear layers are not read. There may be `most` networks.
 
     Without φ it is relu, and tanh of torch.nn.RNN, as in torch.
-
-    >>> net = {"net.A": [[0.5]], "net.W": [[1.0]], "net.W2": [[0.0]], "net.b": [0.0]}
-    >>> from_tensors(net)[0].states
-    1
     """
     recurrent = of_torch(tensors, path)
     found = [(each.prefix, VectorWeights(None, np.eye(len(each.b)), each.W, each.W2, each.b)) for each in recurrent]

@@ -38,24 +38,14 @@ class Planes(NamedTuple):
 
 
 def integers(values: Any) -> tuple[list[int], int]:
-    """Integers k and an exponent e such that the floats are k / 2^e.
-
-    >>> integers([0.5, 3.0])
-    ([1, 6], 1)
-    """
+    """Integers k and an exponent e such that the floats are k / 2^e."""
     ratios = [value.as_integer_ratio() for value in np.asarray(values, dtype=np.float64).ravel().tolist()]
     bits = max((below.bit_length() for _, below in ratios), default=1) - 1
     return [above << (bits + 1 - below.bit_length()) for above, below in ratios], bits
 
 
 def planes(weights: ShallowWeights, box: Box) -> Planes:
-    """The merged hyperplanes of the neurons that matter for the slope, those with a_i w_{1i} ≠ 0.
-
-    >>> twice = ShallowWeights(np.array([0.9, -0.9]), np.array([1.0, -1.0]), np.zeros((2, 0)), np.zeros(2))
-    >>> found = planes(twice, Box(np.zeros(1), np.ones(1)))
-    >>> len(found.rows), found.above == found.below
-    (1, True)
-    """
+    """The merged hyperplanes of the neurons that matter for the slope, those with a_i w_{1i} ≠ 0."""
     a, a_bits = integers(weights.a)
     rows, constants, z_bits = forms(weights, box)
     w, w_bits = integers(weights.w1)
@@ -88,23 +78,14 @@ def planes(weights: ShallowWeights, box: Box) -> Planes:
 
 
 def value_at(weights: ShallowWeights, point: Any) -> Fraction:
-    """f at a point (x, u), exactly; `(1 + m,)`.
-
-    >>> value_at(ShallowWeights(np.ones(1), np.ones(1), np.zeros((1, 0)), np.ones(1)), [0.5])
-    Fraction(3, 2)
-    """
+    """f at a point (x, u), exactly; `(1 + m,)`."""
     a, a_bits = integers(weights.a)
     z, bits = _preactivations(weights, point)
     return Fraction(sum(ai * max(zi, 0) for ai, zi in zip(a, z, strict=True)), 1 << (a_bits + bits))
 
 
 def slope_at(weights: ShallowWeights, point: Any) -> Fraction | None:
-    """(1) at a point (x, u), exactly; None where it is not defined. The point refutes every rate up to |slope|.
-
-    >>> net = ShallowWeights(np.array([0.5]), np.ones(1), np.zeros((1, 0)), np.array([-0.5]))
-    >>> slope_at(net, [0.75]), slope_at(net, [0.5])
-    (Fraction(1, 2), None)
-    """
+    """(1) at a point (x, u), exactly; None where it is not defined. The point refutes every rate up to |slope|."""
     (a, a_bits), (w, w_bits) = integers(weights.a), integers(weights.w1)
     total = 0
     for ai, wi, zi in zip(a, w, _preactivations(weights, point)[0], strict=True):
@@ -115,12 +96,7 @@ def slope_at(weights: ShallowWeights, point: Any) -> Fraction | None:
 
 
 def interval_rate(weights: ShallowWeights, box: Box) -> Fraction:
-    """The largest |slope| that interval arithmetic on the whole box does not exclude: `proves` holds just above it.
-
-    >>> half = ShallowWeights(np.array([0.5]), np.array([1.0]), np.zeros((1, 0)), np.zeros(1))
-    >>> interval_rate(half, Box(np.zeros(1), np.ones(1)))
-    Fraction(1, 2)
-    """
+    """The largest |slope| that interval arithmetic on the whole box does not exclude: `proves` holds just above it."""
     found, here = planes(weights, box), region(box)
     high = low = 0
     for row, constant, above, below in zip(found.rows, found.constants, found.above, found.below, strict=True):

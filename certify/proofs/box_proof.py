@@ -30,11 +30,6 @@ def proves(weights: ShallowWeights, box: Box, tree: str, rate: float | Fraction)
     """Whether a tree proves |slope| < rate at every point of the box where the slope is defined.
 
     The rate is then a Lipschitz constant of x ↦ f(x, u) on the box's interval of x, for every u of the box.
-
-    >>> half = ShallowWeights(np.array([0.5]), np.array([1.0]), np.zeros((1, 0)), np.zeros(1))
-    >>> unit = Box(np.zeros(1), np.ones(1))
-    >>> proves(half, unit, ".", 0.6), proves(half, unit, ".", 0.5), proves(half, unit, "x .", 0.6)
-    (True, False, False)
     """
     found = planes(weights, box)
     limit = math.ceil(Fraction(rate) * 2**found.slope_bits)  # an integer is below both or below neither
@@ -45,14 +40,6 @@ def proves_range(weights: ShallowWeights, box: Box, tree: str) -> bool:
     """Whether a tree, of box splits alone, proves that f maps the box into the box's interval of x.
 
     At a leaf relu(z) lies between αz, α = 0 or 1, and a chord; the bound is a linear function's extreme.
-
-    >>> identity = ShallowWeights(np.ones(1), np.ones(1), np.zeros((1, 0)), np.zeros(1))
-    >>> proves_range(identity, Box(np.zeros(1), np.ones(1)), ".")
-    True
-    >>> proves_range(identity, Box(-np.ones(1), np.zeros(1)), ".")
-    True
-    >>> proves_range(identity._replace(b=np.ones(1)), Box(np.zeros(1), np.ones(1)), ".")
-    False
     """
     return _replay(tree, box, _Range(weights, box))
 

@@ -51,11 +51,7 @@ class Verification(NamedTuple):
 
 
 def provable_rate(rate: Fraction | float) -> Fraction | None:
-    """A short decimal above a rate and below 1; None where there is none.
-
-    >>> provable_rate(Fraction(1, 3)), provable_rate(Fraction(9999999, 10**7)), provable_rate(1)
-    (Fraction(166667, 500000), Fraction(99999991, 100000000), None)
-    """
+    """A short decimal above a rate and below 1; None where there is none."""
     rate, scale = Fraction(rate), 10**DIGITS
     if rate >= 1:
         return None

@@ -125,23 +125,14 @@ def equilibria(weights: ShallowWeights, u: ArrayLike, lo: float = 0.0, hi: float
 
 
 def sweep(weights: ShallowWeights, inputs, lo: float = 0.0, hi: float = 1.0) -> list[list[Equilibrium]]:
-    """The equilibria at each of several constant inputs, `(k, m)`; otherwise as `equilibria`.
-
-    >>> unit = ShallowWeights([0.5], [1.0], [[1.0]], [0.0])
-    >>> [found.x for each in sweep(unit, [[0.25], [0.5]]) for found in each]
-    [0.25, 0.5]
-    """
+    """The equilibria at each of several constant inputs, `(k, m)`; otherwise as `equilibria`."""
     network = _integer_network(weights)
     _check_domain(lo, hi)
     return [_solve(_sweep(network, u, lo, hi)) for u in _check_inputs(network, inputs)]
 
 
 def piecewise(weights: ShallowWeights, u, lo: float = 0.0, hi: float = 1.0) -> PiecewiseLinear:
-    """f on [lo, hi] at the constant input u, `(m,)`: the critical points, f there, and the slopes between them.
-
-    >>> piecewise(ShallowWeights([2.0], [1.0], [[0.0]], [-0.25]), [0.0])
-    PiecewiseLinear(x=array([0.  , 0.25, 1.  ]), y=array([0. , 0. , 1.5]), slopes=array([0., 2.]))
-    """
+    """f on [lo, hi] at the constant input u, `(m,)`: the critical points, f there, and the slopes between them."""
     network = _integer_network(weights)
     _check_domain(lo, hi)
     points, lines, one = _sweep(network, _check_inputs(network, [u])[0], lo, hi)
@@ -159,20 +150,13 @@ def surge_inputs(headings, command_left=0.0, command_right=0.0) -> np.ndarray:
         headings: θ, rad, `(*k,)`.
         command_left: ξ_L; broadcasts against the headings.
         command_right: ξ_R.
-
-    >>> surge_inputs([0.0])
-    array([[0.5, 1. , 0. , 0. ]])
     """
     heading, left, right = np.broadcast_arrays(*(np.asarray(x, float) for x in (headings, command_left, command_right)))
     return np.stack([0.5 + 0.5 * np.sin(heading), 0.5 + 0.5 * np.cos(heading), left, right], -1)
 
 
 def classify(slope_left, slope_right) -> str:
-    """The class of an equilibrium from the slopes of f on its two sides; the numbers are compared exactly.
-
-    >>> classify(-3, -0.2), classify(0.5, 2), classify(-3, 0)
-    ('stable oscillatory', 'half-stable', 'deadbeat')
-    """
+    """The class of an equilibrium from the slopes of f on its two sides; the numbers are compared exactly."""
     if slope_left == 1 or slope_right == 1:
         return "continuum"
     if slope_left < 0 and slope_right < 0:

@@ -13,11 +13,7 @@ Matrix = list[list[Fraction]]
 
 
 def matrix(values: Any) -> Matrix:
-    """The exact values of a matrix of floats, or of fractions: a list of rows, see `certify.proofs.steps.stepped`.
-
-    >>> matrix([[0.5, 1.0]]), matrix([[Fraction(1, 3)]])
-    ([[Fraction(1, 2), Fraction(1, 1)]], [[Fraction(1, 3)]])
-    """
+    """The exact values of a matrix of floats, or of fractions: a list of rows, see `certify.proofs.steps.stepped`."""
     if isinstance(values, list) and any(isinstance(x, Fraction) for row in values for x in row):
         return [[Fraction(x) for x in row] for row in values]
     return [[Fraction(*x.as_integer_ratio()) for x in row] for row in np.asarray(values, dtype=np.float64).tolist()]
@@ -40,11 +36,7 @@ def transposed(X: Matrix) -> Matrix:
 
 
 def inverse(X: Matrix) -> Matrix | None:
-    """X⁻¹ by Gauss and Jordan; None of a singular matrix.
-
-    >>> inverse([[Fraction(2), ONE], [ZERO, ONE]])
-    [[Fraction(1, 2), Fraction(-1, 2)], [Fraction(0, 1), Fraction(1, 1)]]
-    """
+    """X⁻¹ by Gauss and Jordan; None of a singular matrix."""
     q = len(X)
     rows = [[*row, *unit] for row, unit in zip(X, identity(q), strict=True)]
     for k in range(q):

@@ -10,11 +10,7 @@ PLAIN = range(-6, 16)  # decimal exponents that are written without e
 
 
 def float_above(x: Fraction) -> float:
-    """The least float that is not below a number.
-
-    >>> float_above(Fraction(1, 10)) - 0.1, float_above(Fraction(1, 3)) > Fraction(1, 3)
-    (0.0, True)
-    """
+    """The least float that is not below a number."""
     try:
         near = float(x)
     except OverflowError:
@@ -23,29 +19,17 @@ def float_above(x: Fraction) -> float:
 
 
 def float_below(x: Fraction) -> float:
-    """The greatest float that is not above a number.
-
-    >>> float_below(Fraction(1, 10)) < Fraction(1, 10) < float_above(Fraction(1, 10)), float_below(Fraction(0))
-    (True, 0.0)
-    """
+    """The greatest float that is not above a number."""
     return 0.0 - float_above(-x)  # 0 is never −0
 
 
 def above(x: Fraction | float, digits: int = 6) -> str:
-    """A decimal that is not below a number. It has more digits where a number below 1 would be shown as 1.
-
-    >>> above(Fraction(1, 3)), above(0.5), above(1 - Fraction(1, 10**9))
-    ('0.333334', '0.5', '0.999999999')
-    """
+    """A decimal that is not below a number. It has more digits where a number below 1 would be shown as 1."""
     return _decimal(Fraction(x), digits, ROUND_CEILING)
 
 
 def below(x: Fraction | float, digits: int = 6) -> str:
-    """A decimal that is not above a number.
-
-    >>> below(Fraction(2, 3)), below(-0.25), below(1 + Fraction(1, 10**9))
-    ('0.666666', '-0.25', '1')
-    """
+    """A decimal that is not above a number."""
     return _decimal(Fraction(x), digits, ROUND_FLOOR)
 
 

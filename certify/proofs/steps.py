@@ -101,11 +101,7 @@ def stepped(weights: VectorWeights, eta: Fraction) -> VectorWeights:
 
 
 def short(largest: Fraction, bits: int = BITS) -> Fraction | None:
-    """A step below the supremum, with few digits: the η_max of a certificate. None where no step contracts.
-
-    >>> short(Fraction(8, 5), 4), short(Fraction(2), 4), short(Fraction(0))
-    (Fraction(25, 16), Fraction(31, 16), None)
-    """
+    """A step below the supremum, with few digits: the η_max of a certificate. None where no step contracts."""
     if largest <= 0:
         return None
     while largest * 2**bits <= 1:

@@ -184,12 +184,6 @@ def gershgorin_proof(weights: VectorWeights, kappa: Fraction) -> Proof | None:
     At the rate κ the lemma makes [2I − P, R/κ, A/κ; ·, P, −WᵀΛ; ·, ·, Λ] strictly dominated by its diagonal for some
     diagonal P and Λ: its sums leave a slack, which is shared by λ_i and both sides of p_r. As 2 − p ≤ 1/p, the matrix
     with P⁻¹ in place of 2I − P is positive definite, too. Scaled by P, κ I and κ I, it is (3) with κ²Λ/2 for Λ.
-
-    >>> from certify.networks.vector import RELU, check
-    >>> net = check(VectorWeights(None, [[0.5]], [[0.5]], [[]], [0.0]))
-    >>> found = gershgorin_proof(net, Fraction(3, 4))
-    >>> proves(net, RELU, found, Fraction(3, 4), Fraction(2)), gershgorin_proof(net, Fraction(1, 2))
-    (True, None)
     """
     half = None if weights.V is not None else gershgorin(weights)[1]
     if half is None or not half < kappa:
@@ -252,11 +246,6 @@ def effort(weights: VectorWeights, scaling: Matrix | None = None, norm: str = "i
 
     Raises:
         CertifyError: T is singular.
-
-    >>> from certify.networks.vector import check
-    >>> net = check(VectorWeights(None, [[0.5]], [[1.0]], [[]], [0.0]))
-    >>> effort(net), effort(net, [[Fraction(1)]]) < effort(net, [[Fraction(1, 3**40)]]) < WORK
-    (1350.0, True)
     """
     q, n, last = len(weights.R), len(weights.b), 0 if weights.c is None else len(weights.c)
     if is_recurrent(weights) and scaling is not None and (t := diagonal(scaling)) is not None:

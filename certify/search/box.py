@@ -84,9 +84,6 @@ def box(given: Any, m: int) -> Box:
 
     Raises:
         CertifyError: another count, no number, not finite, lo > hi, or x without a width.
-
-    >>> box("0:1,-1:1", 1).lo.tolist()
-    [0.0, -1.0]
     """
     parts = [part.split(":") for part in given.split(",")] if isinstance(given, str) else list(given)
     names = ["x", *(f"u{j}" for j in range(1, m + 1))]
@@ -113,11 +110,7 @@ def box(given: Any, m: int) -> Box:
 
 
 def operating_box(m: int) -> Box:
-    """x in [0, 1], and the inputs' own box: heading as (½ + ½ sin, ½ + ½ cos) and two commands if m = 4, else [−1, 1]ᵐ.
-
-    >>> operating_box(4).lo.tolist()
-    [0.0, 0.0, 0.0, -1.0, -1.0]
-    """
+    """x in [0, 1], and the inputs' own box: heading as (½ + ½ sin, ½ + ½ cos) and two commands if m = 4, else [−1, 1]ᵐ."""
     lo = np.full(1 + m, -1.0)
     lo[: 3 if m == 4 else 1] = 0.0
     return Box(lo, np.ones(1 + m))

@@ -47,11 +47,7 @@ class Found(NamedTuple):
 
 
 def perron(W: np.ndarray) -> np.ndarray:
-    """The left vector of Perron of |W|, positive, `(n,)`, its largest entry 1.
-
-    >>> perron(np.array([[0.0, 4.0], [-1.0, 0.0]])).round(3).tolist()
-    [0.5, 1.0]
-    """
+    """The left vector of Perron of |W|, positive, `(n,)`, its largest entry 1."""
     size = np.abs(W)
     size = size / max(size.max(), 1e-300) + FAINT
     u = np.ones(len(W))
@@ -64,21 +60,12 @@ def perron(W: np.ndarray) -> np.ndarray:
 
 
 def diagonal_scaling(W: np.ndarray) -> Matrix:
-    """T for the norm "one", of short fractions.
-
-    >>> diagonal_scaling(np.eye(2))[0]
-    [Fraction(1, 1), Fraction(0, 1)]
-    """
+    """T for the norm "one", of short fractions."""
     return _diagonal([_short(x, 26) for x in perron(W).tolist()])
 
 
 def balanced(W: np.ndarray) -> np.ndarray:
-    """The diagonal of D for which ‖D W D⁻¹‖ is smallest, nearly, `(n,)`.
-
-    >>> D = balanced(np.array([[0.5, 8.0], [0.0, 0.5]]))
-    >>> bool(np.linalg.norm(D[:, None] * np.array([[0.5, 8.0], [0.0, 0.5]]) / D, 2) < 0.51)
-    True
-    """
+    """The diagonal of D for which ‖D W D⁻¹‖ is smallest, nearly, `(n,)`."""
     d = np.sqrt(perron(W) / perron(W.T))
     best, least = d, math.inf
     for order in ORDERS:
@@ -95,12 +82,7 @@ def balanced(W: np.ndarray) -> np.ndarray:
 
 
 def by_spectral_norm(W: np.ndarray) -> Found | None:
-    """The smallest rate that a diagonal P proves.
-
-    >>> found = by_spectral_norm(np.array([[0.0, 0.5], [0.5, 0.0]]))
-    >>> 0.5 < found.kappa < 0.501
-    True
-    """
+    """The smallest rate that a diagonal P proves."""
     d = balanced(W)
     rate = float(np.linalg.norm(d[:, None] * W / d, 2))
     for bits in BITS:
@@ -112,12 +94,7 @@ def by_spectral_norm(W: np.ndarray) -> Found | None:
 
 
 def by_full_metric(W: np.ndarray, seconds: float) -> Found | None:
-    """The smallest rate that a full P proves, or one near it that is found in about so many s.
-
-    >>> turn = np.array([[0.9, 0.5], [-0.5, 0.9]]) / 1.1
-    >>> float(by_full_metric(turn, 5.0).kappa) < 0.95
-    True
-    """
+    """The smallest rate that a full P proves, or one near it that is found in about so many s."""
     d = np.exp2(np.round(np.log2(balanced(W))))  # powers of two: nothing is rounded
     V = d[:, None] * W / d
     size = float(np.linalg.norm(V, 2))

@@ -46,11 +46,6 @@ def balance(weights: VectorWeights) -> Balanced:
     """The equal network in which what enters and what leaves a state or a neuron have one size; of checked weights.
 
     A neuron that the state does not reach, or that does not reach the next state, is left out.
-
-    >>> from certify.networks.vector import check
-    >>> found = balance(check(VectorWeights(None, [[2.0**40]], [[2.0**-42]], [[0.0]], [0.0])))
-    >>> [X.item() for X in found.layers], found.size
-    ([1.0, 2.0], 0.125)
     """
     hidden = [weights.W] if weights.V is None else [weights.W, weights.V]
     reached, leads = [_largest(weights.W, 1) > 0], [_largest(weights.A, 0) > 0]

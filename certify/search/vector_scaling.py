@@ -87,14 +87,7 @@ class Values:
 
 
 def best_diagonal(values: Values) -> np.ndarray:
-    """The diagonal of T for which K is smallest, `(q,)`, with the geometric mean 1.
-
-    >>> from certify.networks.vector import RELU, check
-    >>> zero = np.zeros((1, 2))
-    >>> net = check(VectorWeights([[0.5, 1.0], [0.01, 0.5]], zero.T, zero, [[0.0]], [0.0]))
-    >>> best_diagonal(Values(net, RELU, "inf")).round(2).tolist()
-    [0.32, 3.16]
-    """
+    """The diagonal of T for which K is smallest, `(q,)`, with the geometric mean 1."""
     q = len(values.R)
     s, unit = np.ones(q), np.eye(q)
     for _ in range(ITERATIONS):

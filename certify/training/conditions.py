@@ -25,43 +25,26 @@ from certify.networks.shallow import ShallowWeights
 
 
 class Condition(NamedTuple):
-    """The result of a condition for each network.
-
-    >>> found = exact(torch.tensor([0.5]), torch.tensor([0.5]))
-    >>> found.margin, found.rate
-    (tensor(0.7500), tensor(0.2500))
-    """
+    """The result of a condition for each network."""
 
     margin: Tensor  # (*batch,) > 0 where it holds
     rate: Tensor  # (*batch,) the smallest rate at which it holds; inf if there is none
 
 
 def extreme_slopes(a: Tensor, w1: Tensor) -> tuple[Tensor, Tensor]:
-    """P and N: over all activation patterns the slope of x ↦ x⁺ lies in [−N, P].
-
-    >>> extreme_slopes(torch.tensor([0.5, -1.0]), torch.tensor([1.0, 0.75]))
-    (tensor(0.5000), tensor(0.7500))
-    """
+    """P and N: over all activation patterns the slope of x ↦ x⁺ lies in [−N, P]."""
     s = a * w1
     return s.clamp(min=0).sum(-1), (-s).clamp(min=0).sum(-1)  # not P − Σ s_i, which cancels
 
 
 def rate(a: Tensor, w1: Tensor) -> Tensor:
-    """K = max(P, N), the exact contraction rate over all activation patterns.
-
-    >>> rate(torch.tensor([0.5, -1.0]), torch.tensor([1.0, 0.75]))
-    tensor(0.7500)
-    """
+    """K = max(P, N), the exact contraction rate over all activation patterns."""
     P, N = extreme_slopes(a, w1)
     return P.maximum(N)
 
 
 def simple(a: Tensor, w1: Tensor) -> Condition:
-    """(1): the paper's theorem with p = 1, λ = 1/(n+1). It proves no rate K above ¼.
-
-    >>> simple(torch.tensor([0.25]), torch.tensor([0.25])).margin
-    tensor(0.2500)
-    """
+    """(1): the paper's theorem with p = 1, λ = 1/(n+1). It proves no rate K above ¼."""
     size, w = (a.shape[-1] + 1) * a.abs(), w1.abs()
     room = 1 - w
     each = torch.where(room > 0, size / torch.where(room > 0, room, 1.0), torch.inf)
@@ -69,11 +52,7 @@ def simple(a: Tensor, w1: Tensor) -> Condition:
 
 
 def gershgorin(a: Tensor, w1: Tensor) -> Condition:
-    """(2): the paper's lemma, with the best p and Λ. It proves no rate K above ½.
-
-    >>> gershgorin(torch.tensor([0.5]), torch.tensor([0.5]))
-    Condition(margin=tensor(0.5000), rate=tensor(0.5000))
-    """
+    """(2): the paper's lemma, with the best p and Λ. It proves no rate K above ½."""
     room = 1 - w1.abs()
     safe = torch.where(room > 0, room, 1.0)
     half = (torch.where(room > 0, a.abs(), 0.0) / safe).sum(-1) / 2
@@ -82,21 +61,13 @@ def gershgorin(a: Tensor, w1: Tensor) -> Condition:
 
 
 def lmi(a: Tensor, w1: Tensor) -> Condition:
-    """(3): the paper's LMI is feasible ⇔ 2K < 1. The factor is 2 because Λ in its corner allows slopes in [0, 2].
-
-    >>> lmi(torch.tensor([0.5]), torch.tensor([0.5])).margin
-    tensor(0.5000)
-    """
+    """(3): the paper's LMI is feasible ⇔ 2K < 1. The factor is 2 because Λ in its corner allows slopes in [0, 2]."""
     twice = 2 * rate(a, w1)
     return Condition(1 - twice, twice)
 
 
 def exact(a: Tensor, w1: Tensor) -> Condition:
-    """(4): all activation patterns; no condition on (a, w₁) alone is weaker.
-
-    >>> exact(torch.tensor([0.5]), torch.tensor([0.5])).margin
-    tensor(0.7500)
-    """
+    """(4): all activation patterns; no condition on (a, w₁) alone is weaker."""
     K = rate(a, w1)
     return Condition(1 - K, K)
 
@@ -105,10 +76,6 @@ def interval(weights: ShallowWeights, lo: Tensor, hi: Tensor) -> Condition:
     """(5): as `exact`, of the patterns that interval arithmetic cannot exclude on a box.
 
     lo and hi: the least and the greatest x, u₁ … u_m, `(1 + m,)` each.
-
-    >>> one = torch.ones(1)
-    >>> interval(ShallowWeights(one, -one, 0 * one[:, None], -one), torch.zeros(2), torch.ones(2)).rate
-    tensor(0.)
     """
     always, never = fixed_signs(weights, lo, hi)
     s = weights.a * weights.w1
@@ -119,12 +86,7 @@ def interval(weights: ShallowWeights, lo: Tensor, hi: Tensor) -> Condition:
 
 
 def fixed_signs(weights: ShallowWeights, lo: Tensor, hi: Tensor) -> tuple[Tensor, Tensor]:
-    """The neurons that are on everywhere in a box, and those that are off everywhere.
-
-    >>> one = torch.ones(1)
-    >>> fixed_signs(ShallowWeights(one, one, 0 * one[:, None], one), torch.zeros(2), torch.ones(2))
-    (tensor([True]), tensor([False]))
-    """
+    """The neurons that are on everywhere in a box, and those that are off everywhere."""
     centre, radius = (lo + hi) / 2, (hi - lo) / 2
     w1, W2, b = weights.w1, weights.W2, weights.b
     z = w1 * centre[0] + W2 @ centre[1:] + b
@@ -136,21 +98,13 @@ def fixed_signs(weights: ShallowWeights, lo: Tensor, hi: Tensor) -> tuple[Tensor
 
 
 def simple_best_gauge(a: Tensor, w1: Tensor) -> Condition:
-    """(1) of the best of the equal networks (a_i/c_i, c_i w_{1i}, …), c > 0: 4(n+1) max |s_i| < 1.
-
-    >>> simple_best_gauge(torch.tensor([10.0]), torch.tensor([0.01])).rate
-    tensor(0.8000)
-    """
+    """(1) of the best of the equal networks (a_i/c_i, c_i w_{1i}, …), c > 0: 4(n+1) max |s_i| < 1."""
     found = 4 * (a.shape[-1] + 1) * (a * w1).abs().amax(-1)
     return Condition(1 - found, found)
 
 
 def gershgorin_best_gauge(a: Tensor, w1: Tensor) -> Condition:
-    """(2) of the best of the equal networks: 2 Σ |s_i| < 1, at c_i = 1/(2|w_{1i}|).
-
-    >>> gershgorin_best_gauge(torch.tensor([10.0]), torch.tensor([0.01])).rate
-    tensor(0.2000)
-    """
+    """(2) of the best of the equal networks: 2 Σ |s_i| < 1, at c_i = 1/(2|w_{1i}|)."""
     found = 2 * (a * w1).abs().sum(-1)
     return Condition(1 - found, found)
 

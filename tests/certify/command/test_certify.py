@@ -171,12 +171,6 @@ def test_closed_forms_import_no_solver(files):
     assert found.returncode == 0, found.stderr + found.stdout
 
 
-def test_a_run_with_a_report_is_judged_by_its_checkpoints(files, capsys):
-    (files / "run/report").mkdir()
-    np.savez(files / "run/report/crossval.npz", errors=np.zeros(3))
-    assert told(capsys, files / "run")[0] == 0
-
-
 def test_what_is_printed_is_never_below_the_rate_or_above_a_margin(files, capsys, monkeypatch):
     monkeypatch.chdir(files)
     np.savez("edge.npz", **{**np.load("identity.npz"), "a": [1 - 4e-8]})

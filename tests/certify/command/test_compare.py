@@ -37,11 +37,3 @@ def test_checkpoints_and_random_networks_are_printed_and_drawn(files, capsys):
     assert "2 of 2" in text and "1 of 1" in text and "gershgorin" in text and (files / "c.png").stat().st_size > 5000
     code, rows = told(capsys, "compare", "--networks", "4", "--neurons", "4")
     assert code == 0 and {(row["networks"], row["of"]) for row in rows} == {(RANDOM, 4)}
-
-
-@pytest.mark.parametrize(
-    "arguments", [["--networks", "0"], ["--seed", "-1"], ["--seconds", "nan"], ["--page", "x"], ["nowhere"]]
-)
-def test_bad_options_are_one_sentence(arguments, capsys):
-    assert main(["compare", *arguments]) == 2
-    assert len(capsys.readouterr().err.splitlines()) == 1

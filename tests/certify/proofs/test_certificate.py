@@ -61,18 +61,6 @@ def test_what_does_not_hold_gets_no_certificate(condition):
     assert certificate.make(ShallowWeights(one, one, np.zeros((1, 2)), zero), condition) is None  # the identity
 
 
-@pytest.mark.parametrize("n", [1, 20, 100])
-@pytest.mark.parametrize("short", [1e-3, 1e-9, 2**-52])
-def test_a_hair_inside_the_edge(n, short):
-    """K = 1 − 2⁻⁵² is provable, K = 1 is not: floats are rationals."""
-    a = np.zeros(n)
-    a[0] = 1 - short
-    weights = ShallowWeights(a, np.ones(n), np.zeros((n, 1)), np.zeros(n))
-    assert certificate.verify(certificate.make(weights), weights).valid
-    a[0] = 1.0
-    assert certificate.make(weights._replace(a=a)) is None
-
-
 def test_box_and_interval():
     weights, made = boxed()
     assert certificate.verify(made, weights).valid and "for as long as x stays in it" in made["claim"]
@@ -135,17 +123,6 @@ def test_a_tampered_certificate_is_refused(name):
     assert json.dumps(made) != text
     assert not certificate.verify(made, weights).valid
     assert not certificate.verify(resigned(made), weights).valid
-
-
-def test_one_digit_anywhere_is_refused():
-    weights = network()
-    made = certificate.make(weights, path="net.npz")
-    digits = [k for k, letter in enumerate(json.dumps(made)) if letter.isdigit()]
-    for k in digits[:: max(1, len(digits) // 150)]:
-        text = json.dumps(made)
-        changed = json.loads(f"{text[:k]}{(int(text[k]) + 1) % 10}{text[k + 1 :]}")
-        if changed != made:
-            assert not certificate.verify(changed, weights).valid, text[k - 30 : k + 10]
 
 
 def test_other_weights_are_refused():

@@ -11,7 +11,7 @@ import pytest
 from certify.display.figures import MARKS, equilibria_figure
 from certify.errors import CertifyError
 from certify.networks.shallow import ShallowWeights
-from certify.proofs.equilibria import CLASSES, classify, equilibria, piecewise, surge_inputs, sweep
+from certify.proofs.equilibria import CLASSES, equilibria, piecewise, surge_inputs, sweep
 from tests.support import cases, few
 
 DOMAINS = ((0.0, 1.0), (0.0, 0.5), (-1.0, 1.0), (0.25, 0.25), (-3.0, 0.1))
@@ -175,15 +175,6 @@ def test_an_interval_and_what_happens_beside_it():
     for weights, attracts, slope in ((leaves, False, 3.0), (comes, True, 0.0)):
         (each,) = equilibria(weights, [0.0])
         assert each == (0.0, 0.5, "continuum", 0.0, slope, attracts)
-
-
-def test_classes_of_pairs_of_slopes():
-    """Each class by iterating the two-sided slope from either side, on a grid of slopes."""
-    grid = [Fraction(k, 4) for k in (-12, -4, -2, -1, 0, 1, 2, 4, 6, 12)]
-    for left in grid:
-        for right in grid:
-            kind, _ = class_by_simulation(lambda d, p=left, q=right: (p if d < 0 else q) * d, Fraction(0), Fraction(1))
-            assert classify(left, right) == kind, (left, right)
 
 
 def test_a_float_is_taken_literally():

@@ -76,38 +76,9 @@ def test_one_state_contracts_iff_the_two_inequalities_hold():
     assert seen == {True, False}
 
 
-def test_trajectories_of_all_steps_approach_each_other_at_the_rate_per_second():
-    rng = np.random.default_rng(2)
-    net = check(
-        VectorWeights(
-            0.2 * np.eye(2), rng.normal(size=(2, 5)) / 9, rng.normal(size=(5, 2)), np.ones((5, 1)), np.ones(5)
-        )
-    )
-    h, found = 0.5, steps(net, everywhere(net, RELU))
-    eta = found.fastest
-    kappa = found.rate(eta)
-    decay = float((1 - kappa) / eta) / h  # λ of (2), 1/s
-    assert decay == pytest.approx(-float(found.measure) / h) and decay > 0.1
-    for share in (0.05, 0.3, 1.0):
-        dt = share * float(eta) * h
-        x, y, time = np.array([1.0, -2.0]), np.array([-1.0, 0.5]), 0.0
-        start = np.abs(x - y).max()
-        for _ in range(40):
-            u = rng.uniform(-1, 1, 1)
-            x, y = (
-                s + dt / h * (net.R @ s + net.A @ np.maximum(net.W @ s + net.W2 @ u + net.b, 0) - s) for s in (x, y)
-            )
-            time += dt
-            assert np.abs(x - y).max() <= start * np.exp(-decay * time) * (1 + 1e-12)
-
-
 def test_a_metric_proves_all_smaller_steps_too():
     net = check(VectorWeights([[0.0]], [[0.5, -0.5]], [[1.0], [1.0]], np.zeros((2, 0)), [0.0, -0.5]))
     proof = Proof([[Fraction(1)]], [[Fraction(1, 2), Fraction(1, 2)]])
     assert all(
         proves_metric(stepped(net, eta), RELU, proof, Fraction(99, 100)) for eta in (Fraction(1), Fraction(1, 3))
     )
-
-
-def test_a_short_step_is_below_any_largest():
-    assert 0 < short(Fraction(1, 2**40)) < Fraction(1, 2**40)

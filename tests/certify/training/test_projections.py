@@ -184,21 +184,6 @@ def test_zero_and_dead_neurons_do_no_harm():
             assert all(g is None or g.isfinite().all() for g in gradients), (condition, gauge)
 
 
-def test_two_trajectories_contract_whatever_the_weights_do():
-    """|x_k − x'_k| ≤ κᵏ |x₀ − x'₀| under weights drawn anew at every step."""
-    kappa, generator = 0.95, torch.Generator().manual_seed(0)
-    x = torch.tensor([[-0.7], [0.9]], dtype=torch.float64).expand(2, 200)
-    distance = (x[1] - x[0]).abs()
-    for k in range(200):
-        near = project(networks((200,), n=20, size=2.0, seed=k), "exact", kappa)
-        u = torch.randn(200, 4, generator=generator, dtype=torch.float64)
-        drive = (near.W2 * u[:, None]).sum(-1) + near.b
-        x = torch.stack([(near.a * (near.w1 * each[:, None] + drive).relu()).sum(-1) for each in x])
-        after = (x[1] - x[0]).abs()
-        assert (after <= kappa * distance + 1e-13).all()
-        distance = after
-
-
 def test_bad_arguments():
     weights = networks(())
     for wrong, message in [({"condition": "loose"}, "simple"), ({"gauge": "worst"}, "best")]:
