@@ -24,28 +24,17 @@ def slowed(part: str, every: float, begin: float = 0.0, end: float = math.inf):
         yield name, 1.7e9 + stamp, value
 
 
-def told(session: Session, posts) -> list[tuple[float, str, str, tuple[str, ...]]]:
-    """Time, state, sentence and warnings, once a second of the stamps."""
-    found, begin = [], time.monotonic()
-    for name, stamp, value in posts:
-        session.push(name, stamp, value)
-        if stamp - 1.7e9 >= len(found) + 1:
-            session._listening.heard = dict.fromkeys(session._listening.heard, begin + len(found))
-            health = session.tick(clock=begin + len(found))
-            found.append((stamp - 1.7e9, health.state, health.sentence, health.warnings))
-    return found
-
-
-def told_with_ages(session: Session, posts) -> list[tuple[float, str, str, tuple[str, ...]]]:
-    """As `told`, where a channel that is silent in the stamps is as old as they say."""
+def told(session: Session, posts, ages: bool = False) -> list[tuple[float, str, str, tuple[str, ...]]]:
+    """Time, state, sentence and warnings, once a second of the stamps; with ages, by which channels are silent, too."""
     found, heard, begin = [], {}, time.monotonic()
     for name, stamp, value in posts:
         session.push(name, stamp, value)
         heard[name] = begin + stamp - 1.7e9
         if stamp - 1.7e9 >= len(found) + 1:
-            session._listening.heard = dict(heard)
-            health = session.tick(clock=begin + len(found) + 1)
-            found.append((len(found) + 1, health.state, health.sentence, health.warnings))
+            clock = begin + len(found) + ages
+            session._listening.heard = dict(heard) if ages else dict.fromkeys(session._listening.heard, clock)
+            health = session.tick(clock=clock)
+            found.append((stamp - 1.7e9, health.state, health.sentence, health.warnings))
     return found
 
 
@@ -83,7 +72,7 @@ def test_a_channel_that_comes_too_seldom_is_never_ok(tmp_path, start):
 def test_a_channel_that_becomes_too_seldom_stays_so_between_its_messages(tmp_path, start):
     """It was ok after each heading, and stale before the next one, because two of them had once come quickly."""
     with ready(tmp_path, start) as session:
-        found = told_with_ages(session, slowed("heading", 6.7, begin=40.0))
+        found = told(session, slowed("heading", 6.7, begin=40.0), ages=True)
     assert {state for at, state, *_ in found if 5 < at < 40} == {"ok"}
     late = [row for row in found if row[0] > 80]
     assert {row[1] for row in late} == {"stale", "sparse"}
@@ -106,14 +95,14 @@ def test_a_rate_that_changes_again_and_again_is_told_with_a_window_that_spans_it
             yield name, 1.7e9 + stamp, value
 
     with ready(tmp_path / "auto", start) as session:
-        (warning,) = told_with_ages(session, posts())[-1][3]
+        (warning,) = told(session, posts(), ages=True)[-1][3]
         learned = session._node.learned
         session._background.wait()
     window = re.search(r"rate changes again and again: set heading\.window=([\d.]+)$", warning)[1]
     assert 2.0 <= float(window) <= 5.0
     changes = channel_options({"heading.window": window})
     with ready(tmp_path / "wide", start, channels=changes) as session:
-        assert told_with_ages(session, posts())[-1][1] == "ok"
+        assert told(session, posts(), ages=True)[-1][1] == "ok"
         assert session._node.learned > 1.4 * learned
 
 

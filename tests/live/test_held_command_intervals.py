@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.support.live import boat, messages, sail
+from tests.support.live import messages, sail
 from usvlearn.core import checkpoint
 from usvlearn.engine.online import Online
 from usvlearn.live.held_command_intervals import HeldIntervals
@@ -17,30 +17,6 @@ from usvlearn.simulate.fleet import fleet
 
 def node(start) -> Node:
     return Node(Setup.of(checkpoint.load(start)[1]["setup"]), Online.open(start))
-
-
-def stays(log, begin: float, end: float) -> bool:
-    """Whether the commands of both sides stay as they are."""
-    both = (log.channels[name] for name in ("command_left", "command_right"))
-    parts = [each.value[(each.time >= begin) & (each.time <= end)] for each in both]
-    return all(len(part) > 0 and np.ptp(part) < 0.05 for part in parts)
-
-
-@pytest.mark.thorough
-def test_the_intervals_of_a_simulated_boat_hold(start):
-    """90 % intervals of this speed, and of that in 2 s where the commands stay, contain most speeds of a mission."""
-    one, log = node(start), boat(1.0, seed=3)
-    steps = sail(one, messages(log, 0.0))
-    seen = [step for step in steps if math.isfinite(step.measured) and math.isfinite(step.low)]
-    assert 0.85 < np.mean([step.low <= step.measured <= step.high for step in seen]) < 0.95
-    assert one.horizons == (0.4, 1.2, 2.0, 5.2, 10.0, 30.0)
-    speed, inside = {round(step.time, 1): step.measured for step in steps}, []
-    for step in steps[500:]:
-        later = speed.get(round(step.time + 2.0, 1), math.nan)
-        if step.forecasts and math.isfinite(later) and stays(log, step.time - 0.2, step.time + 2.0):
-            _, low, high = step.if_held[2.0]
-            inside.append(low <= later <= high)
-    assert len(inside) > 1000 and 0.85 < np.mean(inside) < 0.97
 
 
 @pytest.mark.thorough

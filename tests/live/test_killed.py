@@ -51,9 +51,11 @@ def killed(folder, start, after: float) -> list[tuple[float, int]]:
     return [(float(clock), int(steps)) for clock, steps in said]
 
 
-def check(folder, start, times: int) -> None:
+@pytest.mark.thorough
+def test_checkpoints_survive_kills(tmp_path):
+    folder, start = tmp_path / "node", learned_set(tmp_path)
     rng, before = np.random.default_rng(0), 0
-    for _ in range(times):
+    for _ in range(2):
         said = killed(folder, start, float(rng.uniform(0.8, 2.0)))
         _, facts, path, told = newest(folder)
         assert path == checkpoint.checkpoints(folder)[-1] and told == []
@@ -63,13 +65,3 @@ def check(folder, start, times: int) -> None:
         assert number >= before
         before = number
         assert len(checkpoint.checkpoints(folder)) <= 4
-
-
-@pytest.mark.thorough
-def test_checkpoints_survive_kills(tmp_path):
-    check(tmp_path / "node", learned_set(tmp_path), 2)
-
-
-@pytest.mark.slow
-def test_checkpoints_survive_200_kills(tmp_path):
-    check(tmp_path / "node", learned_set(tmp_path), 200)

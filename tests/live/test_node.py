@@ -230,42 +230,6 @@ def test_what_an_interval_does_not_tell_is_no_number(start):
     assert low < value < high < 2 * value
 
 
-@pytest.mark.thorough
-def test_commands_of_two_sources_and_velocities_make_the_same_steps(start):
-    """Two thrusters a side that run alike, and velocities in place of the speed."""
-    recording = boat(0.05)
-    plain = node(start)
-    expected = sail(plain, messages(recording))
-    mixed = Setup.of(
-        {
-            "channels": {
-                "command_left": {"name": ["a", "b"], "held": False, "window": 0.5},
-                "command_right": {"name": "r", "window": 0.5},
-                "heading": {"name": "psi", "window": 0.25},
-                "velocity_north": {"name": "vn", "window": 0.3},
-                "velocity_east": {"name": "ve", "window": 0.3},
-            },
-            "align": plain.setup.align,
-        }
-    )
-    one, heading, found = Node(mixed, Online.open(start)), None, []
-    for part, stamp, value in messages(recording):
-        if part == "command_left":
-            found += one.push("command_left[0]", stamp, value) + one.push("command_left[1]", stamp, value)
-        elif part == "surge":
-            if heading is not None:
-                found += one.push("velocity_north", stamp, value * math.cos(heading))
-                found += one.push("velocity_east", stamp, value * math.sin(heading))
-        else:
-            heading = value if part == "heading" else heading
-            found += one.push(part, stamp, value)
-    assert len(found) >= len(expected) - 3
-    speeds = {round(step.time, 3): step.speed for step in expected}
-    pairs = [(step.speed, speeds[round(step.time, 3)]) for step in found if round(step.time, 3) in speeds]
-    assert len(pairs) > 0.9 * len(expected)
-    np.testing.assert_allclose(*np.array(pairs[50:]).T, atol=0.02)
-
-
 def test_the_surge_is_computed_from_ground_speed_and_course(start):
     channels = {name: Source(name) for name in ("command_left", "command_right", "heading", *COURSES)}
     one = node(start, channels)

@@ -51,19 +51,6 @@ def test_the_boat_matters():
     assert one != other
 
 
-@pytest.mark.thorough
-def test_online_starts_from_it_and_learns_as_with_torch():
-    from usvlearn.composition.configuration import compose_train, ensemble_of, plain
-
-    settings = plain(compose_train([], {"vehicle": {"mass": 20.0, "surge_max": 1.7}}))
-    aboard, ashore = Online.of(*prior(20.0, 1.7)), Online(ensemble_of(settings))
-    rng = np.random.default_rng(3)
-    for k in range(300):
-        inputs = Inputs(*rng.uniform(-1, 1, 2), 0.01 * k, 0.01, 0.4)
-        sample = Sample(inputs, 1 + 0.3 * np.sin(0.05 * k) + 0.02 * rng.standard_normal(), True, True)
-        assert aboard.step(sample) == pytest.approx(ashore.step(sample), rel=1e-6, abs=1e-9), k
-
-
 def test_what_it_becomes_is_saved_and_opened(tmp_path):
     boat = Online.of(*prior(20.0, 1.7))
     boat.step(Sample(Inputs(0.5, 0.5, 0.0, 0.0, 0.4), 0.2, True, True))

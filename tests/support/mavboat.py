@@ -168,16 +168,11 @@ class OnTheAir(threading.Thread):
         port: of the node, on the loopback.
         seconds: how long, in the boat's time.
         warp: how much faster than real time.
-        meddle: is asked again and again, with the boat's time, for further datagrams; it may change the boat.
-
-    Attributes:
-        mute: nothing is sent.
     """
 
-    def __init__(self, boat: MavBoat, port: int, seconds: float, warp: float = 1.0, meddle=lambda time: []):
+    def __init__(self, boat: MavBoat, port: int, seconds: float, warp: float = 1.0):
         super().__init__(daemon=True)
-        self.boat, self.seconds, self.warp, self.time, self.mute = boat, seconds, warp, 0.0, False
-        self._node, self._meddle = ("127.0.0.1", port), meddle
+        self.boat, self.seconds, self.warp, self.time, self._node = boat, seconds, warp, 0.0, ("127.0.0.1", port)
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind(("127.0.0.1", 0))
         self.socket.setblocking(False)
@@ -188,11 +183,11 @@ class OnTheAir(threading.Thread):
         while self.time < self.seconds and not self.ended.is_set():
             now = self.warp * (time.monotonic() - first)
             self.time = min(now, self.time + 1.0)  # a busy computer skips no second of the boat
-            frames = self._meddle(self.time) + self.boat.due(self.time)
+            frames = self.boat.due(self.time)
             with contextlib.suppress(BlockingIOError):
                 while True:
                     frames += self.boat.hear(self.socket.recv(4096))
-            for frame in [] if self.mute else frames:
+            for frame in frames:
                 self.socket.sendto(frame, self._node)
             time.sleep(0.001)
         self.ended.set()

@@ -13,25 +13,19 @@ from usvlearn.live.ros2.messages import message_class
 ZERO = {"bool": False, "string": "", "byte": b"\x00", "float32": 0.0, "float64": 0.0}
 
 
-def rclpy_class(kind: str, store: Any = None) -> type:
-    """A class of messages as rclpy has it: default values, checked types, and a method that lists the fields.
-
-    Args:
-        kind: such as `nav_msgs/msg/Odometry`.
-        store: of rosbags; that of ROS 2 Jazzy by default.
-    """
+def rclpy_class(kind: str) -> type:
+    """A class of messages as rclpy has it: default values, checked types, and a method that lists the fields."""
     from rosbags.interfaces import Nodetype
     from rosbags.typesys import Stores, get_typestore
 
-    store = store or get_typestore(Stores.ROS2_JAZZY)
-    definitions = dict(store.fielddefs[kind][1])
+    definitions = dict(get_typestore(Stores.ROS2_JAZZY).fielddefs[kind][1])
 
     def zero(description: Any) -> Any:
         node, inner = description
         if node == Nodetype.BASE:
             return ZERO.get(inner[0], 0)
         if node == Nodetype.NAME:
-            return rclpy_class(inner, store)()
+            return rclpy_class(inner)()
         element, length = inner
         if element[0] == Nodetype.BASE and element[1][0].startswith("float"):
             return np.zeros(length) if node == Nodetype.ARRAY else []
@@ -62,12 +56,12 @@ def rclpy_class(kind: str, store: Any = None) -> type:
     return Message
 
 
-def like_rclpy(message: Any, store: Any) -> Any:
-    """A message of rosbags, of any ROS, as rclpy would have given it."""
-    made = rclpy_class(message.__msgtype__, store)()
+def like_rclpy(message: Any) -> Any:
+    """A message of rosbags as rclpy would have given it."""
+    made = rclpy_class(message.__msgtype__)()
     for name in made.get_fields_and_field_types():
         value = getattr(message, name)
-        object.__setattr__(made, name, like_rclpy(value, store) if hasattr(value, "__msgtype__") else value)
+        object.__setattr__(made, name, like_rclpy(value) if hasattr(value, "__msgtype__") else value)
     return made
 
 

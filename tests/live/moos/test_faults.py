@@ -1,9 +1,7 @@
 """Faults of messages, of the database, of clocks and of the disk: none stops the app."""
 
 import asyncio
-import errno
 import math
-import os
 
 import pytest
 
@@ -15,7 +13,6 @@ from usvlearn.live.moos import wire
 from usvlearn.live.moos.app import run
 from usvlearn.live.moos.block import MIDDLEWARE, Settings
 from usvlearn.live.moos.wire import Message
-from usvlearn.live.node_folder import NodeFolder
 from usvlearn.live.session import Session
 
 
@@ -92,27 +89,3 @@ async def test_faults_of_the_database_do_not_stop_it(tmp_path, monkeypatch):
         database.post("APPCAST_REQ", ASK)
         await until(lambda: "garbage 1" in str([each.text for each in sea.posted("APPCAST")[-1:]]))
         assert not client.counts["outbox"]
-
-
-@pytest.mark.thorough
-@awaited
-async def test_clocks_that_jump_by_an_hour(tmp_path):
-    async with at_sea(prior(tmp_path)) as sea:
-        await ready(sea)
-        for shift in (0.0, 3600.0, 0.0, -3600.0, 0.0):
-            await sea.steps(20, shift=shift)
-
-
-@pytest.mark.thorough
-@awaited
-async def test_a_full_disk_is_a_warning(tmp_path, monkeypatch):
-    def full(self, *_):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    async with at_sea(prior(tmp_path, save_period=0.1)) as sea:
-        await ready(sea)
-        monkeypatch.setattr(NodeFolder, "save", full)
-        await sea.steps(20)
-        sea.database.post("APPCAST_REQ", ASK)
-        await until(lambda: "run_warnings=1:no checkpoint can be saved" in str(sea.posted("APPCAST")[-1:]))
-        await sea.steps(20)

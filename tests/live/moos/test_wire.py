@@ -3,6 +3,7 @@
 import asyncio
 import struct
 
+import numpy as np
 import pytest
 
 from usvlearn.live.moos import wire
@@ -86,3 +87,24 @@ def test_every_cut_packet_is_an_error():
         if end >= 9:  # the same with the length of what is there
             with pytest.raises(WireError):
                 wire.decode(struct.pack("<i", end) + packet[4:end])
+
+
+def test_packets_of_another_implementation_are_ours():
+    """pymoos2 reads what we write, and we what it writes."""
+    packets = pytest.importorskip("pymoos2.core.MOOSCommPkt", reason="needs the package pymoos2")
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        texts = ["".join(chr(each) for each in rng.integers(32, 900, rng.integers(0, 9))) for _ in range(5)]
+        number = struct.unpack("<d", rng.bytes(8))[0]
+        number = number if number == number else 1.0
+        ours = [
+            Message("N", "K" + texts[0], "D", number, "", float(k), *texts[1:4], 2.0, int(rng.integers(-2, 99)))
+            if rng.random() < 0.5
+            else Message("R", texts[0], "S", number, "S" + texts[4], float(k), *texts[1:4], 2.0, 3)
+            for k in range(rng.integers(1, 5))
+        ]
+        read = packets.unpack(wire.encode(ours))
+        for mine, other in zip(ours, read, strict=True):
+            assert (chr(other.msg_type), other.key, chr(other.data_type), other.val, other.sval, other.time) == mine[:6]
+            assert (other.src, other.src_aux, other.community, other.val2, other.msg_id) == mine[6:]
+        assert wire.decode(packets.pack(read)) == ours

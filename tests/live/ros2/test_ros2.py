@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.support import over
+from tests.support.bags import ros2_types, write_ros2
 from tests.support.live import NotedSession, health
 from tests.support.ros2 import like_rclpy, rclpy_class
 from usvlearn.core.forecasts import Track
@@ -201,55 +202,31 @@ def test_a_message_of_another_kind_is_counted_and_told():
     assert not messages.sentences() and session.numbers("command_left") == [1.0]
 
 
-# a ROS 1 bag
+# a bag
 
 
-def test_a_bag_of_ros_1_gives_what_its_messages_would_have_given_live(tmp_path):
-    """Written with rosbags; the live node's stamps, fields and defaults are those of the reader of bags."""
+def test_a_bag_gives_what_its_messages_would_have_given_live(tmp_path):
+    """The live node's stamps, fields and defaults are those of the reader of bags."""
     from rosbags.highlevel import AnyReader
-    from rosbags.rosbag1 import Writer
-    from rosbags.typesys import Stores, get_typestore
 
-    store, rng = get_typestore(Stores.ROS1_NOETIC), np.random.default_rng(0)
-    types, path = store.types, tmp_path / "boat.bag"
-    vector, quaternion = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
-    header, when = types["std_msgs/msg/Header"], types["builtin_interfaces/msg/Time"]
-
-    def head(stamp: int):
-        return header(seq=0, stamp=when(sec=stamp // NS, nanosec=stamp % NS), frame_id="")
+    types, rng, posts = ros2_types(), np.random.default_rng(0), []
 
     def odom(stamp: int):
-        x, y, z, w = rng.normal(size=4)
-        pose = types["geometry_msgs/msg/Pose"](
-            position=types["geometry_msgs/msg/Point"](x=0.0, y=0.0, z=0.0), orientation=quaternion(x=x, y=y, z=z, w=w)
-        )
-        twist = types["geometry_msgs/msg/Twist"](
-            linear=vector(*rng.normal(size=3)), angular=vector(*rng.normal(size=3))
-        )
-        return types[ODOMETRY](
-            header=head(stamp), child_frame_id="base_link",
-            pose=types["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=np.zeros(36)),
-            twist=types["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=np.zeros(36)),
-        )  # fmt: skip
+        pose = types["Pose"](types["Point"](0.0, 0.0, 0.0), types["Quaternion"](*rng.normal(size=4)))
+        twist = types["Twist"](*(types["Vector3"](*rng.normal(size=3)) for _ in range(2)))
+        both = types["PoseWithCovariance"](pose, np.zeros(36)), types["TwistWithCovariance"](twist, np.zeros(36))
+        return types["Odometry"](types["Header"](types["Time"](stamp // NS, stamp % NS), ""), "base_link", *both)
 
-    with Writer(path) as bag:
-        connections = {}
-        for k in range(200):
-            received = START * NS + k * NS // 10 + int(rng.integers(1000))
-            late = {3: 2 * NS, 4: -2 * NS, 5: received}.get(k % 7, int(rng.integers(NS // 5)))  # also never set
-            messages = {
-                "/usv/odom": odom(received - late),
-                "/usv/left": types[NUMBER](data=float(rng.choice([0.5, math.nan, 1e308]))),
-                "/usv/thrust": types["std_msgs/msg/Float32MultiArray"](
-                    layout=types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0),
-                    data=rng.normal(size=3).astype(np.float32),
-                ),
-            }
-            for topic, message in messages.items():
-                if topic not in connections:
-                    connections[topic] = bag.add_connection(topic, message.__msgtype__, typestore=store)
-                data = store.serialize_ros1(message, message.__msgtype__)
-                bag.write(connections[topic], received, data)
+    for k in range(200):
+        received = k * NS // 10 + int(rng.integers(1000))
+        now = START * NS + received
+        late = {3: 2 * NS, 4: -2 * NS, 5: now}.get(k % 7, int(rng.integers(NS // 5)))  # also never set
+        left, thrust = rng.choice([0.5, math.nan, 1e308]), rng.normal(size=3).astype(np.float32)
+        posts += [
+            (received, "/usv/odom", odom(now - late)), (received, "/usv/left", types["Float64"](left)),
+            (received, "/usv/thrust", types["Float32MultiArray"](types["MultiArrayLayout"]([], 0), thrust)),
+        ]  # fmt: skip
+    path = write_ros2(tmp_path / "boat", posts)
     sources = {
         "command_left": Source("*left", span=2.0), "command_right": Source("/usv/thrust", field="data.2", zero=1.0),
         "heading": Source("*odom", unit="enu_rad"), "yaw_rate": Source("*odom", unit="enu_rad/s"),
@@ -258,13 +235,13 @@ def test_a_bag_of_ros_1_gives_what_its_messages_would_have_given_live(tmp_path):
     expected, _ = Rosbag().read(path, sources)
     session = NotedSession(sources)
     messages = Messages(session)
-    with AnyReader([path]) as bag:
+    with AnyReader([path.parent]) as bag:
         graph = {each.topic: [each.msgtype] for each in bag.connections}
         found = chosen(sources, graph)
         assert not found.problems
         start = bag.start_time
         for connection, received, data in bag.messages():
-            message = like_rclpy(bag.deserialize(data, connection.msgtype), store)
+            message = like_rclpy(bag.deserialize(data, connection.msgtype))
             messages.take(connection.topic, found.fields[connection.topic], message, received)
     assert session.restarts == 0
     for part, channel in expected.items():
