@@ -16,9 +16,7 @@ NUMBER = re.compile(r"\s{2,}\((\d+)\)$")
 RELATION = re.compile(r"[=←∝]")
 # Symbols with other letters on the page (docs/theory/notation.md): section -> {in the module: on the page, "" nowhere}.
 RENAMED = {
-    "simulation": {"tau": "T", "v": "w"},
     "tuning": {"S": "X", "dx": "ϖ"},
-    "controller": {"a": "J", "b": "J"},
     "batch-fit-simulation": {"loss": "L", "g": "L", "H": "Φ"},
     "batch-fit-turning": {"H": "Φ"},
     "batch-fit-wear": {"e": "θ"},

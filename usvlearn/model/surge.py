@@ -1,14 +1,8 @@
 """The surge dynamics of one identified boat: a step, a simulation, and all coefficients in units of force.
 
-With the speed v through the water, commands ξ as shares of full scale, the yaw rate r, and the sum over both sides:
-
-    m f = q v|v| + l v + c |r| v + Σ (α ξ + β ξ|ξ| + γ ξ|v| + κ ξ³) + e₀ v² + Σ (e₁|ξ| + e₂ ξ² + e₃ ξ v)      (1)
-    dv/dt = f,   J = ∂f/∂v,   z = min(h J, 1)
-    v⁺ = v + h φ₁(z) f,   φ₁(z) = (e^z − 1)/z                                                              (2)
-
-(2) is the step of the joint EKF (`usvlearn.estimators.joint.state`, equation (3)) without disturbance, current and
-lag of the commands. See `docs/theory/model.md#surge-model`. A batch fit (`usvlearn.model.fit`) adds tables of thrust
-and drag to (1), linear between their points.
+Equations (1) and (2): `docs/theory/model.md#surge-model`, with z = min(h J, 1). It is the step of the joint EKF without
+disturbance, current and lag of the commands. A batch fit (`usvlearn.model.fit`) adds tables of thrust and drag to (1),
+linear between their points.
 """
 
 from __future__ import annotations

@@ -1,12 +1,7 @@
-"""A thruster-driven vessel in surge and yaw (`docs/theory/model.md#simulation`); `missions_kernel` steps it.
+"""A thruster-driven vessel in surge and yaw; `missions_kernel` steps it.
 
-    m surge_dot = c_q |v| v + c_l v + c_x |r| v + sum_{i=L,R} tau_i          c_q, c_l, c_x <= 0       (1)
-    tau_i = table_i(xi_i) + alpha_i xi_i + beta_i xi_i |xi_i| + gamma_i xi_i |v|                      (2)
-    lag xi_dot = command - xi                                                                         (3)
-    yaw_lag r_dot = yaw_gain (tau_L - tau_R) - r,    heading_dot = r                                  (4)
-
-v is the surge speed through the water, r the yaw rate, xi the speed of a thruster as a share of full scale.
-(1) and (2) are the motion model of the estimators, with thrust tables. Parameters are leaves of `Vessel`.
+Equations (1) to (4): `docs/theory/model.md#simulation`. In the code v is the surge speed through the water, tau_i the
+thrust of a side, and xi the speed of a thruster as a share of full scale. Parameters are leaves of `Vessel`.
 """
 
 from __future__ import annotations

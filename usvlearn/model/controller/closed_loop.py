@@ -1,9 +1,6 @@
 """The closed loop over boats that are drawn from what was identified: a sampled controller, late commands, saturation.
 
-Each boat has parameters θ ~ N(θ̄, C) and its own delay. It moves straight ahead, by the step of `usvlearn.model.surge`:
-
-    v⁺ = v + h φ₁(h J) f,   f = q v|v| + (l + Γ ξ) v + Σ T(ξ),   J = 2 q |v| + l + Γ ξ
-
+Each boat has parameters θ ~ N(θ̄, C) and its own delay. It moves straight ahead, by the step of `usvlearn.model.surge`.
 The controller has the forms of ArduRover and of MOOS-IvP: their laws, parameters and files.
 
 ArduRover, with w the wanted speed after its limits of acceleration, and s = CRUISE_THROTTLE/100/CRUISE_SPEED:

@@ -4,22 +4,9 @@
 dead band of the thrusters to its greatest speed. A cubic thrust curve may bend down before full command. Where it loses
 no more than `FALL` of the greatest speed there, full command is taken as saturated, and otherwise the curve is refused.
 
-*Gains.* At a command ξ₀ the boat settles at v₀. Near it, with T = −1/a, and a delay L from the measured speed to the
-thrust,
-
-    d(v − v₀)/dt = a (v − v₀) + b (ξ(t − L) − ξ₀),   a = 2 q v₀ + l + Γ ξ₀,   b = Σ T'(ξ₀) + Γ v₀           (1)
-    ξ = base + k_p e + k_i ∫ e dt,   e = wanted − v                                                      (2)
-    s² + (b k_p − a) s + b k_i = s² + 2 ζ ω s + ω²   gives   k_p = (2 ζ ω + a)/b,   k_i = ω²/b              (3)
-
-With the wanted crossover ω_c, the default poles are those that give k_p = ω_c/b and an integral that takes out the
-boat's own pole, or 4/ω_c where that is faster (Skogestad 2003):
-
-    2 ζ ω = ω_c + 1/T,   ω² = ω_c/min(T, 4/ω_c),   ω_c = min(4/T, .5/L) or less                            (4)
-
-(3) takes the geometric means of a and b over all corners: the ends of their 90 % intervals, at each operating speed.
-The loop (k_p + k_i/s) b e^(−sL)/(s − a) is then judged at every corner.
-
-The derivation is in `docs/theory/identification.md#controller`.
+*Gains.* Equations (1) to (4): `docs/theory/identification.md#controller`. In the code a is J_v, b is J_ξ, T is τ, and L
+the delay τ_d. (3) takes the geometric means of a and b over all corners: the ends of their 90 % intervals, at each
+operating speed. The loop (k_p + k_i/s) b e^(−sL)/(s − a) is then judged at every corner.
 """
 
 from __future__ import annotations

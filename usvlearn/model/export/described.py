@@ -1,17 +1,7 @@
 """All that is known of an identified boat, as JSON values: the content of `BOAT.json`, `BOAT.mat`, `BOAT_planar.json`.
 
-`names` has the drag and the mass under the names and with the signs of other simulators. All three have a linear and a
-quadratic drag of motion ahead. Here (`docs/theory/model.md#surge-model`) and in Fossen's MSS a drag is a force and
-therefore negative. In Gazebo there are two plugins with opposite signs:
-
-    MSS                          (m − Xudot) du/dt = Xu u + Xuu |u| u + τ           Xu, Xuu, Xudot ≤ 0
-    gz-sim Hydrodynamics         m du/dt = xDotU du/dt + (xU + xUabsU |u|) u + τ    all ≤ 0
-    VRX SimpleHydrodynamics      m du/dt = −xDotU du/dt − (xU + xUU |u|) u + τ      all ≥ 0
-
-The last is also that of VRX of Gazebo Classic and of PX4's USV dynamics. Speeds tell only the sum of mass and added
-mass. So the added mass is given as 0: whoever knows the mass m of the boat alone sets it to the difference.
-
-References: Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control, 2021; the sources of MSS, gz-sim and VRX.
+`names` has the drag and the mass under the names and with the signs of other simulators, whose equations are those of
+`docs/export.md#gazebo-and-mss`: in MSS (Fossen 2021) and gz-sim a drag is a force and therefore negative, in VRX positive.
 """
 
 from __future__ import annotations

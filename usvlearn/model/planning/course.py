@@ -1,11 +1,7 @@
 """Courses for a next mission: commands and headings over time, within bounds of the commands and of the area.
 
-A course has a throttle ξ, the mean of both commands, and a wanted heading at each step. Turns are simple: the heading
-moves to the wanted one, the shortest way, at a steady yaw rate r, by a difference δ between the sides:
-
-    ψ⁺ = ψ + clip(wrap(ψ_wanted − ψ), ±r h),   left, right = clip(ξ ± δ sgn(ψ⁺ − ψ), least, most)            (1)
-
-The path follows from the speed w through the water and the current c: p⁺ = p + h (w [cos ψ, sin ψ] + c).
+A course has a throttle ξ, the mean of both commands, and a wanted heading at each step. Equation (1), and the path:
+`docs/theory/identification.md#input-design`.
 """
 
 from __future__ import annotations

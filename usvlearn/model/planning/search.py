@@ -1,16 +1,7 @@
 """The search for the course that shrinks the intervals most, and what is expected after a course.
 
-The criterion is the mean logarithm of the widths of the intervals that are still wide. With a normal distribution it is
-a compound of c-optimality criteria, one for each quantity (Atkinson, Donev & Tobias 2007, chapters 10 and 11); it has
-no unit, so that newtons and seconds can be added. Coordinate exchange (Meyer & Nachtsheim 1995) goes through the
-segments in turn, tries each throttle and each heading for one segment while the others stay, and keeps the best, until
-a whole round changes nothing. It finds a local optimum, so it begins from several courses. A course outside the area
-is worse than any inside it.
-
-The covariance recursion of the joint EKF (`usvlearn.estimators.joint.state`) depends on the inputs and on the mean,
-and not on what is measured. So each step predicts the speed and learns that prediction: the mean stays at the model's,
-and the covariance falls by the Fisher information of the step, as if the step had been measured. The noise σ² stays as
-it is. `identify` makes the intervals, as after a mission. See `docs/theory/identification.md#input-design`.
+Criterion, search and rehearsal: `docs/theory/identification.md#input-design`. The criterion has no unit, so that newtons
+and seconds can be added. `identify` makes the intervals, as after a mission.
 """
 
 from __future__ import annotations
