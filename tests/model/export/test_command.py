@@ -14,23 +14,6 @@ from usvlearn.core.checkpoint import checkpoints
 from usvlearn.model.export.formats import FORMATS
 
 
-@pytest.fixture(autouse=True)
-def arguments_of_the_program(monkeypatch):
-    """Those of the tests again afterwards: the command sets its own."""
-    monkeypatch.setattr(sys, "argv", ["usvlearn"])
-
-
-def told(capsys, *arguments) -> str:
-    """The one sentence of an error."""
-    with pytest.raises(SystemExit) as ended:
-        main(["export", *map(str, arguments)])
-    assert ended.value.code == 2
-    error = capsys.readouterr().err
-    *others, said = error.splitlines()
-    assert said.startswith("error: ") and all("compiling" in each for each in others), error
-    return said
-
-
 def test_files_are_written_beside_the_run_and_named(run, capsys):
     assert main(["export", str(run), "--to", "json,c"]) == 0
     paths = capsys.readouterr().out.split()
@@ -67,13 +50,13 @@ def test_all_leaves_out_what_is_not_there(run, tmp_path, capsys):
     assert str(tmp_path / "export" / "heron1.json") in made and not any(each.endswith(".csv") for each in made)
 
 
-def test_boats_whose_files_would_have_one_name_are_not_mixed(run, tmp_path, capsys):
+def test_boats_whose_files_would_have_one_name_are_not_mixed(run, tmp_path, told):
     for name, boat in (("a b", "heron1"), ("A_b", "heron2")):
         leaves, facts = checkpoint.load(checkpoints(run / "checkpoints" / boat)[-1])
         checkpoint.save(
             tmp_path / "checkpoints" / name / "00000_0000001.safetensors", leaves, **{**facts, "boat": name}
         )
-    assert "found A_b and a b, whose files would have one name" in told(capsys, tmp_path, "--to", "json")
+    assert "found A_b and a b, whose files would have one name" in told(tmp_path, "--to", "json")
     assert not (tmp_path / "export").exists()
 
 
@@ -86,24 +69,24 @@ def test_a_long_name_is_cut(run, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("package", ["mcap", "onnx"])
-def test_a_missing_package_names_the_extra_and_leaves_nothing(run, tmp_path, capsys, monkeypatch, package):
+def test_a_missing_package_names_the_extra_and_leaves_nothing(run, tmp_path, told, monkeypatch, package):
     monkeypatch.setitem(sys.modules, package, None)
     monkeypatch.setitem(sys.modules, f"{package}.writer", None)
-    assert "pip install 'usvlearn[export]'" in told(capsys, run, "--to", f"json,{package}", "--out", tmp_path / "out")
+    assert "pip install 'usvlearn[export]'" in told(run, "--to", f"json,{package}", "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
-def test_bad_input_is_told_in_one_sentence(run, tmp_path, capsys):
-    assert "did you mean json?" in told(capsys, run, "--to", "jsn")
-    assert "there is no such file or folder" in told(capsys, tmp_path / "none", "--to", "c")
-    assert f"give {run}" in told(capsys, run.parent, "--to", "c")
-    assert "expected one of heron1, heron2" in told(capsys, run, "--to", "c", "--boat", "anna")
+def test_bad_input_is_told_in_one_sentence(run, tmp_path, told):
+    assert "did you mean json?" in told(run, "--to", "jsn")
+    assert "there is no such file or folder" in told(tmp_path / "none", "--to", "c")
+    assert f"give {run}" in told(run.parent, "--to", "c")
+    assert "expected one of heron1, heron2" in told(run, "--to", "c", "--boat", "anna")
     (tmp_path / "text.safetensors").write_text("no checkpoint")
-    assert "text.safetensors" in told(capsys, tmp_path / "text.safetensors", "--to", "c")
+    assert "text.safetensors" in told(tmp_path / "text.safetensors", "--to", "c")
     alone = Online(AID(28.0)).save(tmp_path / "aid.safetensors")
-    assert "found no joint EKF with read_every" in told(capsys, alone, "--to", "c")
+    assert "found no joint EKF with read_every" in told(alone, "--to", "c")
     alone.write_bytes(checkpoints(run / "checkpoints" / "heron1")[-1].read_bytes())
-    assert "found no predictions of heron1" in told(capsys, alone, "--to", "csv")
+    assert "found no predictions of heron1" in told(alone, "--to", "csv")
 
 
 def test_a_foreign_name_of_a_boat_leads_nowhere_else(run, tmp_path, capsys):
@@ -114,19 +97,19 @@ def test_a_foreign_name_of_a_boat_leads_nowhere_else(run, tmp_path, capsys):
     assert len(made) == 4 and all(each.parent == tmp_path / "out" for each in made)
 
 
-def test_a_filter_that_diverged_is_no_boat(run, tmp_path, capsys):
+def test_a_filter_that_diverged_is_no_boat(run, tmp_path, told):
     leaves, facts = checkpoint.load(checkpoints(run / "checkpoints" / "heron1")[-1])
     broken = {
         name: leaf * float("nan") if name == "members.joint_averaged.mean" else leaf for name, leaf in leaves.items()
     }
     path = checkpoint.save(tmp_path / "a.safetensors", broken, **facts)
-    assert "The filter has diverged" in told(capsys, path, "--to", "c")
+    assert "The filter has diverged" in told(path, "--to", "c")
 
 
-def test_a_boat_that_is_not_physical_is_written_by_force_only(run, boat, tmp_path, capsys, monkeypatch):
+def test_a_boat_that_is_not_physical_is_written_by_force_only(run, boat, tmp_path, told, monkeypatch):
     wrong = boat._replace(found=dataclasses.replace(boat.found, unphysical="It goes astern."))
     monkeypatch.setattr(export, "read_boats", lambda *_: [wrong])
-    said = told(capsys, run, "--to", "json", "--out", tmp_path)
+    said = told(run, "--to", "json", "--out", tmp_path)
     assert said == f"error: {boat.name}: It goes astern. To write it all the same, add --force."
     assert not list(tmp_path.iterdir())
     assert main(["export", str(run), "--to", "json", "--out", str(tmp_path), "--force"]) == 0

@@ -2,10 +2,8 @@
 
 import dataclasses
 import json
-import math
 import shutil
 import subprocess
-import sys
 import warnings
 
 import numpy as np
@@ -36,12 +34,6 @@ int main(void) {
     return 0;
 }
 """
-
-
-@pytest.fixture(autouse=True)
-def arguments_of_the_program(monkeypatch):
-    """Those of the tests again afterwards: the command sets its own."""
-    monkeypatch.setattr(sys, "argv", ["usvlearn"])
 
 
 @pytest.fixture
@@ -112,49 +104,15 @@ def test_casadi_makes_the_simulation_and_has_its_jacobian(planar):
     assert smooth > 40
 
 
-def by_document(found: dict, x: list[float], left: float, right: float, dt: float, current) -> list[float]:
-    """A step in plain Python from the numbers of the JSON, as its sentences say."""
-
-    def added(f: float, J: float) -> float:
-        z = min(dt * J, 1)
-        return dt * f * (math.expm1(z) / z if z else 1.0)
-
-    def axis(name: str, y: float, other: float) -> float:
-        if found[name] is None:
-            return 0.0
-        a = {key: each["value"] for key, each in found[name]["model"].items()}
-        f = a["bias"] + a["linear"] * y + a["quadratic"] * y * abs(y) + a["cross"] * abs(u) * y
-        f += a["coupling"] * u * other + a["other"] * other + a["surge"] * u
-        for side, xi in (("left", left), ("right", right)):
-            f += a[f"linear_{side}"] * xi + a[f"quadratic_{side}"] * xi * abs(xi)
-            if name == "yaw":
-                f += a[f"speed_{side}"] * xi * abs(u) + a[f"cubic_{side}"] * xi**3
-                f += a[f"even_linear_{side}"] * abs(xi) + a[f"even_quadratic_{side}"] * xi**2
-        return y + added(f, a["linear"] + 2 * a["quadratic"] * abs(y) + a["cross"] * abs(u))
-
-    u, v, r, psi, north, east = x
-    surge = SurgeModel(
-        found["surge"]["mass"]["value"], {key: each["value"] for key, each in found["surge"]["model"].items()}
-    )
-    turned = axis("yaw", r, v)
-    after, aside = psi + dt * (r + turned) / 2, axis("sway", v, r)
-    along = float(surge.step(u, left, right, (r + turned) / 2, dt))
-    velocity = [
-        (u * math.cos(psi) - v * math.sin(psi), u * math.sin(psi) + v * math.cos(psi))
-        for u, v, psi in ((u, v, psi), (along, aside, after))
-    ]
-    place = [p + dt * c + dt * (a + b) / 2 for p, c, a, b in zip((north, east), current, *velocity, strict=True)]
-    return [along, aside, turned, after, *place]
-
-
-def test_the_json_makes_the_simulation(planar):
+def test_json_is_read_again_as_the_model(planar):
     (content,) = FORMATS["json"].planar(planar).values()
     found = json.loads(content, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
-    start, given, expected = simulated(planar.model)
-    state = list(start) if planar.model.sway is not None else list(start._replace(sway=0.0))
-    for (left, right, dt, *current), after in zip(given.T, expected, strict=True):
-        state = by_document(found, state, left, right, dt, current)
-        np.testing.assert_allclose(state, after, rtol=1e-12, atol=1e-12)
+
+    def numbers(part: str) -> dict | None:
+        return found[part] and {name: each["value"] for name, each in found[part]["model"].items()}
+
+    surge = SurgeModel(found["surge"]["mass"]["value"], numbers("surge"))
+    assert PlanarModel(surge, numbers("yaw"), numbers("sway")) == planar.model
     assert found["yaw"]["model"]["linear"]["unit"] == "1/s" and found["yaw"]["learned"]["updates"] == 100
     assert (found["sway"] is None) == (found["lacks"] != []) == (planar.model.sway is None)
     assert found["set"]["planar"]["file"] == planar.path.name and "to starboard" in found["signs"]
@@ -194,16 +152,6 @@ def test_a_yaw_rate_that_was_never_measured_makes_no_planar_model(folder, capsys
     assert not any("planar" in each for each in names)
 
 
-def told(capsys, *arguments) -> str:
-    """The one sentence of an error."""
-    with pytest.raises(SystemExit) as ended, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        main(["export", *map(str, arguments)])
-    assert ended.value.code == 2
-    *_, said = capsys.readouterr().err.splitlines()
-    return said
-
-
 def damaged(path):
     path.write_bytes(path.read_bytes()[:-100])
 
@@ -226,9 +174,9 @@ def diverged(path):
         (diverged, "yaw.bias: found nan, expected a finite number"),
     ],
 )
-def test_bad_checkpoints_are_told_in_one_sentence_and_all_leaves_them_out(folder, capsys, harm, words):
+def test_bad_checkpoints_are_told_in_one_sentence_and_all_leaves_them_out(folder, capsys, harm, words, told):
     harm(save_planar(folder, "heron1", learned(drawn_planar(np.random.default_rng(5)))))
-    said = told(capsys, folder, "--to", "json,c")
+    said = told(folder, "--to", "json,c")
     assert said.startswith("error: ") and words in said, said
     assert not (folder / "export").exists()
     with warnings.catch_warnings(record=True) as caught:
@@ -238,17 +186,17 @@ def test_bad_checkpoints_are_told_in_one_sentence_and_all_leaves_them_out(folder
     assert "heron1.json" in names and not any("planar" in each for each in names)
 
 
-def test_the_folder_of_what_was_learned_beside_names_the_run(folder, capsys):
+def test_the_folder_of_what_was_learned_beside_names_the_run(folder, told):
     save_planar(folder, "heron1", {})
     for given in (folder / "planar", folder / "planar" / "checkpoints" / "heron1"):
-        assert told(capsys, given, "--to", "c").endswith(f"that learned sway and yaw rate: give {folder}")
+        assert told(given, "--to", "c").endswith(f"that learned sway and yaw rate: give {folder}")
 
 
-def test_a_boat_named_like_the_planar_file_of_another_is_not_mixed(folder, capsys):
+def test_a_boat_named_like_the_planar_file_of_another_is_not_mixed(folder, told):
     shutil.copytree(folder / "checkpoints" / "heron1", folder / "checkpoints" / "heron1_planar")
     for path in checkpoints(folder / "checkpoints" / "heron1_planar"):
         leaves, facts = checkpoint.load(path)
         checkpoint.save(path, leaves, **{**facts, "boat": "heron1_planar"})
     save_planar(folder, "heron1", learned(drawn_planar(np.random.default_rng(5))))
-    assert "whose files would have one name, heron1_planar.json" in told(capsys, folder, "--to", "json")
+    assert "whose files would have one name, heron1_planar.json" in told(folder, "--to", "json")
     assert not (folder / "export").exists()

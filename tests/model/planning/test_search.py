@@ -88,12 +88,6 @@ def test_no_change_of_one_segment_is_better(rehearsal, plan):
     assert worse > 20
 
 
-@pytest.mark.thorough
-def test_a_plan_depends_on_its_seed_alone(rehearsal, plan):
-    again = search(rehearsal, SHORT, STEP, wide(rehearsal.found))
-    assert again.throttles.tolist() == plan.throttles.tolist() and again.quarters.tolist() == plan.quarters.tolist()
-
-
 def test_a_boat_that_may_go_astern_is_planned_within_its_bounds(rehearsal):
     limits = Limits(minutes=1.0, least=-0.5, most=0.5)
     found = search(rehearsal, limits, STEP, wide(rehearsal.found))
