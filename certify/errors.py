@@ -14,7 +14,7 @@ class CertifyError(ValueError):
 
 
 def folded(text: str, columns: int | None) -> str:
-    """Lines that are broken between words for a terminal, which would break them within one; a long word stays whole."""
+    """Lines broken between words for a terminal, which would break them within one; a long word stays whole."""
     if columns is None:
         return text
     fill = textwrap.TextWrapper(columns, break_long_words=False, break_on_hyphens=False).fill

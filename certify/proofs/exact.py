@@ -1,11 +1,8 @@
 """The conditions, and the definiteness of their matrices, in rational arithmetic: floats are rationals.
 
-A network is called certified only after these functions have proved it. With a rate κ and the corner c (1: the paper's
-matrix, slopes in [0, 2]; 2: the slope-restricted one, slopes in [0, 1]), for some p and a diagonal Λ,
-
-    M(p, Λ) = [2 − p,  0,        −aᵀ/κ  ]
-              [0,      p,        −w₁ᵀ Λ ]  ≻ 0   ⇒   |x₁⁺ − x₂⁺| ≤ (c/2) κ |x₁ − x₂|               (1)
-              [−a/κ,   −Λ w₁,    c Λ    ]
+A network is called certified only after these functions have proved it, by M(p, Λ) ≻ 0, equation (1) of
+`docs/certification.md#matrix`, with a rate κ and the corner c (1: the paper's matrix, slopes in [0, 2]; 2: the
+slope-restricted one, slopes in [0, 1]), for some p and a diagonal Λ.
 """
 
 from __future__ import annotations

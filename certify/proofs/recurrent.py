@@ -1,15 +1,6 @@
 """The contraction of h⁺ = φ(W h + W₂ u + b), slopes of φ in [0, 1], in integers.
 
-For equal inputs Δh⁺ = D W Δh with a diagonal 0 ≼ D ≼ I. The inputs, W₂ and b do not matter. In a norm ‖T h‖_∞ or
-‖T h‖₁ with a diagonal T, D commutes with T, so that the rate over all D is exact without any enumeration:
-
-    K_∞ = max_r Σ_k t_r |W_rk| / t_k,    K₁ = max_k Σ_r t_r |W_rk| / t_k                                     (1)
-
-In the norm √(hᵀ P h) it is at most κ if, with a diagonal Λ ≻ 0 (y = Δh⁺ satisfies Σ λ_i y_i (z_i − y_i) ≥ 0, z = W Δh),
-
-    [ κ² P    −WᵀΛ   ]
-    [ −ΛW     2Λ − P ]  ≻ 0                                                                                  (2)
-
+Equations (1) and (2): `docs/certification.md#torch-rnn`. The inputs, W₂ and b do not matter. (1) is exact over all D.
 With a diagonal P the best Λ is P, since λ²/(2λ − p) ≥ p. Then (2) is κ² P − WᵀPW ≻ 0: a scaled spectral norm.
 
 Proof of M ≻ 0: some X near the inverse of the Cholesky factor of M makes X M Xᵀ, an exact integer matrix, strictly
@@ -95,7 +86,7 @@ def positive_definite(M: np.ndarray) -> bool:
 
 
 def effort(W: ArrayLike, numbers: Sequence[Fraction], products: float) -> float:
-    """About how many ns so many products take, told before a check from the sizes of W and of the numbers of a proof."""
+    """About how many ns so many products take, told before a check from the sizes of W and of a proof's numbers."""
     bits, below = 0, 1
     for x in numbers:
         bits = max(bits, x.numerator.bit_length())

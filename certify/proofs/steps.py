@@ -1,21 +1,13 @@
 """One proof of contraction for all steps up to the largest: Euler steps of the flow that a network has learned.
 
-A network f is learned at the step h, so that (f(x, u) − x)/h is the speed at which x changes. With the step η h,
-
-    f_η(x, u) = x + η (f(x, u) − x),   Jacobian  J_η = I + η (J − I),   η = dt/h                             (1)
-
-is a network of the same kind: R_η = (1 − η) I + η R, A_η = η A.
-
-In any norm the rate K(η) is convex in η, and K(0) = 1. So one proof at η_max proves every smaller step:
-
-    K(η) ≤ 1 − (η/η_max)(1 − K(η_max)),    0 < η ≤ η_max                                                      (2)
-
+Equations (1) and (2): `docs/certification.md#all-steps`. f_η is a network of the same kind: R_η = (1 − η) I + η R,
+A_η = η A. In any norm the rate K(η) is convex in η, and K(0) = 1, so that one proof at η_max proves every smaller step.
 In the ∞-norm, with c_rε = max [J ε]_r over all slopes (`certify.proofs.vector_exact`),
 
     K(η) = max(1 + η μ, −1 + η (1 + ν)),   μ = max_{ε_r = 1} c_rε − 1,   ν = max_{ε_r = −1} c_rε              (3)
 
 So every η < 2/(1 + ν) contracts if μ < 0, and no step does if μ ≥ 0. Up to η = 2/(1 + ν − μ) the rate of (2) in time is
-the greatest possible, −μ/h. With two hidden layers (3) bounds K(η) from above. `docs/certification.md` derives this.
+the greatest possible, −μ/h. With two hidden layers (3) bounds K(η) from above.
 """
 
 from __future__ import annotations

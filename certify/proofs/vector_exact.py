@@ -1,28 +1,8 @@
 """The contraction of a network with a vector state, in rational arithmetic: floats are rationals.
 
-For equal inputs an increment of φ is D Δz with a diagonal D, whose entries lie between the least and the greatest slope
-of φ. So Δx⁺ = J Δx, and over all these D
-
-    J(D) = R + A D W,   with two hidden layers   J(D₀, D₁) = R + A D₁ V D₀ W                               (1)
-
-In a norm ‖T x‖ with a regular T, the rate is the largest ‖T J T⁻¹‖. For the ∞-norm and one hidden layer, with A, W, R
-standing for T A, W T⁻¹, T R T⁻¹, and with every slope d_i in [α_i, β_i], it is
-
-    K_∞ = max_r max_{ε ∈ {±1}^q}  [R ε]_r + Σ_i max(α_i A_ri (W ε)_i, β_i A_ri (W ε)_i)                    (2)
-
-since the ∞-norm of a matrix is its largest row sum of absolute values, that is max_r max_ε [J ε]_r, and each term of
-[J ε]_r is largest at one end of its d_i, whatever the other terms are. So (2) is exact over all activation patterns.
-K_1 is K_∞ of the transposed matrices. With two hidden layers the first layer's interval is propagated to the second,
-for each ε; the result bounds the rate from above.
-
-In the norm √(xᵀ P x), with diagonal Λ₀, Λ₁ ≻ 0 and slopes in [α, β], the rate is at most κ if
-
-    M = [ P   P R                     0                       P A          ]
-        [ ·   κ² P + 2αβ WᵀΛ₀W       −(α+β) WᵀΛ₀              0            ]  ≻ 0                          (3)
-        [ ·   ·                       2 Λ₀ + 2αβ VᵀΛ₁V       −(α+β) VᵀΛ₁   ]
-        [ ·   ·                       ·                       2 Λ₁         ]
-
-With one hidden layer the third row is missing, and so is V. `docs/certification.md` derives all of it.
+Equations (1) to (3): `docs/certification.md#vector-states`. (2) is exact over all activation patterns, since each term
+of [J ε]_r is largest at one end of its d_i, whatever the others are. K_1 is K_∞ of the transposed matrices. With two
+hidden layers the first layer's interval is propagated to the second, for each ε; the result bounds the rate from above.
 """
 
 from __future__ import annotations

@@ -110,7 +110,7 @@ def box(given: Any, m: int) -> Box:
 
 
 def operating_box(m: int) -> Box:
-    """x in [0, 1], and the inputs' own box: heading as (½ + ½ sin, ½ + ½ cos) and two commands if m = 4, else [−1, 1]ᵐ."""
+    """x in [0, 1], and the inputs' box: heading as (½ + ½ sin, ½ + ½ cos) and two commands if m = 4, else [−1, 1]ᵐ."""
     lo = np.full(1 + m, -1.0)
     lo[: 3 if m == 4 else 1] = 0.0
     return Box(lo, np.ones(1 + m))

@@ -1,16 +1,8 @@
 """Conditions for x⁺ = aᵀ relu(w₁ x + W₂ u + b), x scalar, to contract, each in closed form.
 
-With s_i = a_i w_{1i}, P = Σ max(s_i, 0), N = Σ max(−s_i, 0), the slope of x ↦ x⁺ is the sum of s_i over the active
-neurons, so that K = max(P, N) is the exact rate over all activation patterns. From the narrowest to the widest:
-
-    simple      (n+1)|a_i| + |w_{1i}| < 1 for all i                    paper, theorem IV.3 (RNNSimple)    (1)
-    gershgorin  |w_{1i}| < 1 for all i, Σ |a_i|/(1 − |w_{1i}|) < 2     paper, lemma IV.2                  (2)
-    lmi         2K < 1          the paper's matrix M(p, Λ) ≻ 0         paper, theorem IV.1                (3)
-    exact       K < 1           with 2Λ in the corner: slopes in [0, 1]    Revay & Manchester 2020        (4)
-    interval    (4) on a box, neurons whose sign is fixed there counted as such                           (5)
-
-A condition holds *at the rate* κ if it holds with a/κ in place of a. The smallest such κ is the rate that it proves.
-`docs/certification.md` derives the conditions. a and w₁ are `(*batch, n)` everywhere, margins and rates `(*batch,)`.
+Equations (1) to (4), from the narrowest to the widest: `docs/certification.md#one-state`; (5) is (4) on a box, where
+neurons whose sign is fixed count as such. s_i = a_i w_{1i}; P and −N are the sums of the positive and of the negative
+s_i. a and w₁ are `(*batch, n)` everywhere, margins and rates `(*batch,)`.
 """
 
 from __future__ import annotations

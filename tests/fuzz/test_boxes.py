@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from certify.networks.shallow import ShallowWeights
+from certify.proofs.box_planes import slope_at
 from certify.proofs.box_proof import proves
+from certify.proofs.rounding import float_below
 from certify.search.box import certify, operating_box, rate
 from tests.support.exact_cells import exact_rate
 
@@ -48,6 +50,9 @@ def decided(rng: np.random.Generator, cases: int) -> int:
         truth = exact_rate(weights, box)
         found = rate(weights, box, seconds=SECONDS)
         assert found.lower <= truth <= found.upper, (k, weights)
+        if found.lower:
+            slope = abs(slope_at(weights, np.r_[found.witness.x, found.witness.u]))
+            assert float_below(slope) == found.lower == abs(found.witness.slope), (k, weights)
         if not (truth and found.closed):
             continue
         above = float(truth) * (1 + 1e-9)
@@ -61,7 +66,6 @@ def decided(rng: np.random.Generator, cases: int) -> int:
     return certified
 
 
-@pytest.mark.thorough
 @pytest.mark.fuzz(cases=120, slow=10_000)
 def test_every_rate_is_decided_as_by_exact_cells(rng, cases):
     assert decided(rng, cases) > cases / 2

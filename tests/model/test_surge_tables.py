@@ -1,7 +1,6 @@
 """The step of a model with tables is the plain equation, and equals the curves of the fit."""
 
 import numpy as np
-import pytest
 
 from tests.support.fitted_boats import MASS, TOP, boat
 from usvlearn.model.fit.quantities import CurvedAhead
@@ -40,15 +39,6 @@ def test_the_step_is_the_plain_equation():
     rows = np.stack([rng.uniform(-2.9, 2.9, 500), *rng.uniform(-1, 1, (2, 500)), rng.normal(0, 0.3, 500),
                      rng.uniform(0.01, 8.0, 500)], -1)  # fmt: skip
     np.testing.assert_allclose(MODEL.step(*rows.T), [plain(*row) for row in rows], rtol=1e-12, atol=1e-12)
-
-
-def test_a_simulation_is_many_steps_and_ends_at_the_steady_speed():
-    speeds = MODEL.simulate(0.0, 0.7, 0.7, 0.0, np.full(600, 0.1))
-    speed = 0.0
-    for each in speeds[:20]:
-        speed = plain(speed, 0.7, 0.7, 0.0, 0.1) if speed else float(MODEL.step(0.0, 0.7, 0.7, 0.0, 0.1))
-        assert each == pytest.approx(speed, rel=1e-12)
-    assert speeds[-1] == pytest.approx(float(MODEL.ahead.steady_speed(0.7)), rel=1e-6)
 
 
 def test_parameters_and_tables_are_the_same():

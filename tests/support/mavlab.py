@@ -17,11 +17,11 @@ BASE = 50.0  # s; so long before did the boat boot
 class Lab:
     """A boat and a shell, joined without a network, in the boat's time."""
 
-    def __init__(self, boats=None, sources=SOURCES, system=None, hz=10.0, session=None):
+    def __init__(self, boats=None, sources=SOURCES, system=None, hz=10.0):
         self.boats = boats or [MavBoat(booted=-BASE)]
         self.boat, self.time, self.said = self.boats[0], 0.0, []
         self.places = [""] * len(self.boats)  # where each sends from
-        self.session = session or RecordingSession(sources)
+        self.session = RecordingSession(sources)
         self.vehicle = Vehicle(self.session, mavlink, hz, system, self.said.append)
         self.log, self.deaf, self.mute = b"", False, False
 

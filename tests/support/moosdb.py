@@ -1,15 +1,13 @@
 """A stand-in for a MOOSDB: what a client sees of one, on loopback, and the faults that it can have.
 
 It keeps one value a variable, fixes a variable's type at the first post, sends the last value to whoever registers,
-answers timing messages, disconnects whoever is silent, and refuses a second client of one name. An asynchronous client
-is told at once, a synchronous one in answer to each of its packets.
+answers timing messages, and refuses a second client of one name.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import fnmatch
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -22,34 +20,12 @@ from usvlearn.live.moos.wire import Message, WireError
 class _Link:
     """One connected client."""
 
-    def __init__(self, name: str, writer: asyncio.StreamWriter, synchronous: bool):
-        self.name, self.writer, self.heard = name, writer, time.monotonic()
-        self.mail: list[Message] | None = [] if synchronous else None
-        self.intervals: dict[str, float] = {}
-        self.patterns: dict[str, tuple[str, str]] = {}
-        self.sent: dict[str, float] = {}
+    def __init__(self, name: str, writer: asyncio.StreamWriter):
+        self.name, self.writer = name, writer
+        self.registered: set[str] = set()
 
-    def wants(self, message: Message) -> bool:
-        if message.key in self.intervals:
-            last, interval = self.sent.get(message.key), self.intervals[message.key]
-            return not interval or last is None or message.time - last >= interval
-        return any(
-            fnmatch.fnmatchcase(message.source, app) and fnmatch.fnmatchcase(message.key, variable)
-            for app, variable in self.patterns.values()
-        )
-
-    def send(self, *messages: Message) -> None:
-        self.sent |= {message.key: message.time for message in messages}
-        if self.mail is None:
-            self.writer.write(wire.encode(messages))
-        else:
-            self.mail += messages
-
-    def answer(self) -> None:
-        """Answer a packet of a synchronous client."""
-        if self.mail is not None:
-            self.writer.write(wire.encode(self.mail or [Message(".")]))
-            self.mail = []
+    def send(self, message: Message) -> None:
+        self.writer.write(wire.encode([message]))
 
 
 class Moosdb:
@@ -59,34 +35,29 @@ class Moosdb:
         posted: all that was accepted, in order.
         refused: posts of another type than the variable's first.
         values: variable -> its last post.
-        timeout: s of silence after which a client is disconnected.
     """
 
-    def __init__(self, warp: float = 1.0, clock: Callable[[], float] = time.time, timeout: float = 5.0):
-        self.port, self.warp, self.clock, self.timeout = 0, warp, clock, timeout
+    def __init__(self, warp: float = 1.0):
+        self.port, self.warp = 0, warp
         self.posted: list[Message] = []
         self.refused: list[Message] = []
         self.values: dict[str, Message] = {}
         self.links: dict[str, _Link] = {}
         self._loopback = Loopback(self._serve)
         self._awake: asyncio.Event | None = None
-        self._keeper: asyncio.Task[None] | None = None
 
     def now(self) -> float:
-        return self.warp * self.clock()
+        return self.warp * time.time()
 
     async def start(self) -> None:
         """Begin to listen, on the port of before if there was one."""
         self._awake = asyncio.Event()
         self._awake.set()
         self.port = self._loopback.start(self.port)
-        self._keeper = asyncio.create_task(self._keep())
 
     def kill(self) -> None:
         """End as after SIGKILL: all connections break, and all values are lost."""
-        assert self._keeper
         self._loopback.close()
-        self._keeper.cancel()
         self.links, self.values = {}, {}
 
     def freeze(self) -> None:
@@ -118,7 +89,7 @@ class Moosdb:
         self.values[message.key] = message
         self.posted.append(message)
         for link in self.links.values():
-            if link.wants(message):
+            if message.key in link.registered:
                 link.send(message)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -128,10 +99,8 @@ class Moosdb:
             while link is not None and self._awake:
                 messages = await wire.read(reader)
                 await self._awake.wait()
-                link.heard = time.monotonic()
                 for message in messages:
                     self._handle(link, message)
-                link.answer()
         except (OSError, asyncio.IncompleteReadError, WireError):
             pass
         finally:
@@ -151,10 +120,9 @@ class Moosdb:
             await writer.drain()
             writer.close()
             return None
-        link = self.links[hello.text] = _Link(hello.text, writer, hello.key.lower() != "asynchronous")
+        link = self.links[hello.text] = _Link(hello.text, writer)
         skew = self.now() - hello.time
         link.send(Message(wire.WELCOME, "", wire.NUMBER, skew, hello.key, self.now(), community="usv"))
-        link.answer()
         return link
 
     def _handle(self, link: _Link, message: Message) -> None:
@@ -162,27 +130,11 @@ class Moosdb:
         if kind == wire.NOTIFY:
             self._accept(message._replace(community=message.community or "usv"))
         elif kind == wire.REGISTER:
-            link.intervals[key] = message.value
+            link.registered.add(key)
             if key in self.values:
                 link.send(self.values[key])
-        elif kind == wire.UNREGISTER:
-            link.intervals.pop(key, None)
-        elif kind == wire.WILDCARD:
-            parts = dict(part.split("=", 1) for part in message.text.split(","))
-            app, variable = link.patterns[message.text] = parts["AppPattern"], parts["VarPattern"]
-            for value in self.values.values():
-                if fnmatch.fnmatchcase(value.source, app) and fnmatch.fnmatchcase(value.key, variable):
-                    link.send(value)
         elif kind == wire.TIMING:
             link.send(message._replace(value=self.now(), value2=0.0))
-
-    async def _keep(self) -> None:
-        """Disconnect clients that are silent."""
-        while True:
-            await asyncio.sleep(min(1.0, self.timeout / 5))
-            for link in list(self.links.values()):
-                if self._awake and self._awake.is_set() and time.monotonic() - link.heard > self.timeout:
-                    link.writer.transport.abort()
 
     async def _end(self) -> None:
         """Cancel what still runs in this loop, and let the transports close."""

@@ -36,15 +36,12 @@ def surge_alone(leaves: Mapping[str, Any], facts: Mapping[str, Any]) -> tuple[di
     return surge, {**facts, "estimator": "Ensemble", "kernel": facts["kernel"]["surge"]}
 
 
-def accommodated(description: Mapping[str, Any]) -> list[str]:
-    """The filters of a described ensemble that get what the monitor of the thrusters finds."""
-    given = description.get("accommodation")
-    return [description["columns"][column] for column in given["members"]] if given else []
-
-
 def event_watch(description: Mapping[str, Any]) -> EventWatch | None:
     """What finds the events, as `evaluation.diagnostics` does for a run; None if nobody watches the thrusters."""
-    return None if description.get("monitors") is None else EventWatch(accommodated(description))
+    if description.get("monitors") is None:
+        return None
+    given = description.get("accommodation")  # what the monitor finds, to these filters
+    return EventWatch([description["columns"][column] for column in given["members"]] if given else [])
 
 
 def event_row(online: Online, filters: Sequence[str]) -> np.ndarray:

@@ -1,6 +1,4 @@
-"""The rate on a box is that of the patterns that linear programs reach there; what is certified is so in rationals."""
-
-from fractions import Fraction
+"""Rates and invariance on a box where they are known; `tests/fuzz/test_boxes.py` compares rates with enumerations."""
 
 import numpy as np
 import pytest
@@ -8,11 +6,11 @@ from scipy.optimize import linprog
 
 from certify.errors import CertifyError
 from certify.networks.shallow import ShallowWeights
-from certify.proofs.box_planes import planes, slope_at, value_at
-from certify.proofs.box_proof import proves, proves_range
-from certify.proofs.rounding import float_below
+from certify.proofs.box_planes import planes, value_at
+from certify.proofs.box_proof import proves_range
 from certify.search.box import box, certify, invariance, operating_box, rate
 from tests.support import few
+from tests.support.exact_cells import exact_rate
 from tests.support.networks import network, star
 
 
@@ -48,46 +46,6 @@ def cells(weights: ShallowWeights, over, matters: np.ndarray) -> list[tuple]:
     for _ in c:
         patterns = [(*signs, v) for signs in patterns for v in (-1.0, 1.0) if reached((*signs, v))]
     return patterns
-
-
-def enumerated(weights: ShallowWeights, over) -> float:
-    s = weights.a * weights.w1
-    return max(abs(s[s != 0] @ (np.array(signs) > 0)) for signs in cells(weights, over, s != 0)) if s.any() else 0.0
-
-
-def agrees(weights: ShallowWeights, closed: bool = True) -> bool:
-    over = operating_box(weights.W2.shape[1])
-    truth = enumerated(weights, over)
-    found = rate(weights, over)
-    if not (found.closed or closed):  # hyperplanes through a point: a bracket
-        assert found.lower <= truth * (1 + 1e-12) and truth <= found.upper * (1 + 1e-12)
-        return True
-    assert found.closed and found.lower == pytest.approx(truth, abs=1e-12)
-    assert found.upper == pytest.approx(truth, rel=1e-6, abs=1e-9) and found.lower <= found.upper
-    if found.lower:
-        y = np.r_[found.witness.x, found.witness.u]
-        assert (over.lo <= y).all() and (y <= over.hi).all()
-        assert float_below(abs(slope_at(weights, y))) == found.lower == abs(found.witness.slope)
-        assert (weights.a * weights.w1) @ found.witness.active == pytest.approx(found.witness.slope, abs=1e-14)
-    if truth:  # the decision, on both sides of the rate
-        above = certify(weights, over, rate=truth * (1 + 1e-6))
-        assert above.verdict == "certified" and proves(weights, over, above.tree, truth * (1 + 1e-6))
-        assert not proves(weights, over, above.tree, truth * (1 - 1e-9))
-        at = certify(weights, over, rate=np.nextafter(abs(found.witness.slope), 0))
-        assert at.verdict == "refuted" and abs(slope_at(weights, np.r_[at.witness.x, at.witness.u])) >= Fraction(
-            at.rate
-        )
-    return True
-
-
-@pytest.mark.parametrize("seed", few(range(15), range(6), "thorough"))
-def test_the_rate_of_a_degenerate_network_is_that_of_its_patterns(seed):
-    assert agrees(degenerate(seed), closed=False)
-
-
-@pytest.mark.parametrize("seed", few(range(6), range(3), "thorough"))
-def test_the_rate_of_a_random_network_is_that_of_its_patterns(seed):
-    assert agrees(network(3 + seed % 4, 1 + seed % 2, seed))
 
 
 def test_neurons_on_one_hyperplane_count_once():
@@ -238,7 +196,7 @@ def test_hyperplanes_through_one_point_stay_open_and_nothing_false_is_said():
     rng = np.random.default_rng(0)
     a, w1 = rng.normal(size=(2, 12))
     weights, over = ShallowWeights(a, w1, rng.normal(size=(12, 2)), np.zeros(12)), operating_box(2)
-    truth = enumerated(weights, over)
+    truth = float(exact_rate(weights, over))
     found = rate(weights, over)
     assert found.lower <= truth * (1 + 1e-12) and truth <= found.upper and not found.closed
     verdict = certify(weights, over, truth * (1 + 1e-9))

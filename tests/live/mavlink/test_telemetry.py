@@ -10,7 +10,7 @@ from tests.support.mavboat import mavlink
 from usvlearn.live.health import COMPILING
 from usvlearn.live.mavlink.messages import BURST, INFO, ROOM, WRAP, Frames, Telemetry
 from usvlearn.live.node import Step
-from usvlearn.live.status import TABLE, Post
+from usvlearn.live.status import TABLE, Post, of_health, of_step
 
 
 def sent(telemetry: Telemetry) -> list:
@@ -36,10 +36,13 @@ def test_numbers_carry_the_time_of_the_vehicle_and_only_what_a_float_holds():
 
 def test_a_step_and_a_health_are_sent_as_numbers():
     telemetry, nan = Telemetry(mavlink), math.nan
-    telemetry.step(Step(10.0, 1.5, 1.25, 1.0, 1.5, 1.375, 1.0, 1.75, {0.4: (1.0, 0.5, 1.5)}, {}, {"aid": 1.0}, ()))
-    telemetry.step(Step(10.4, nan, nan, nan, nan, 1.5, nan, nan, {}, {}, {}, ()))
+    for step in (
+        Step(10.0, 1.5, 1.25, 1.0, 1.5, 1.375, 1.0, 1.75, {0.4: (1.0, 0.5, 1.5)}, {}, {"aid": 1.0}, ()),
+        Step(10.4, nan, nan, nan, nan, 1.5, nan, nan, {}, {}, {}, ()),
+    ):
+        telemetry.values(step.time, of_step(step))
     network = {"contracting": True, "condition": "l2", "rate": 0.75, "time_constant": 1.0, "equilibrium": -0.5}
-    telemetry.health(10.5, COMPILING._replace(contraction={"rnn": network}))
+    telemetry.values(10.5, of_health(COMPILING._replace(contraction={"rnn": network})))
     found = [(m.time_boot_ms, m.name, m.value) for m in sent(telemetry)]
     assert found[:7] == [
         (10_000, "USV_PRED", 1.25), (10_000, "USV_LOW", 1.0), (10_000, "USV_HIGH", 1.5), (10_000, "USV_ERR", 0.25),

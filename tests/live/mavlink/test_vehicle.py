@@ -1,19 +1,16 @@
 """The shell for MAVLink finds the vehicle, asks for what it needs, and gives the numbers that a log's reader gives."""
 
 import math
-import resource
-from collections import Counter
 
 import numpy as np
 import pytest
 
 pytest.importorskip("pymavlink", reason="needs the package pymavlink")
 
-from tests.support.mavboat import ARDUPILOT, MavBoat, RecordingSession, mavlink, turning
+from tests.support.mavboat import ARDUPILOT, MavBoat, mavlink, turning
 from tests.support.mavlab import BASE, RECEIPT, SOURCES, Lab
 from usvlearn.core.events import Event
 from usvlearn.errors import ConfigError
-from usvlearn.live.health import COMPILING
 from usvlearn.live.mavlink.messages import WRAP
 from usvlearn.live.node import Step
 from usvlearn.logs.channels.channel import Source
@@ -342,48 +339,3 @@ def test_stamps_of_32_bits_in_us_are_continued():
     stamps = lab.session.channel("command_left")[0]
     assert np.all(np.abs(np.diff(stamps) - 0.1) < 1e-3) and abs(stamps[-1] - 4304.0) < 0.2
     assert not lab.session.restarts
-
-
-# ---------------------------------------------------------------- a long time
-class Counting(RecordingSession):
-    """Counts messages, and those that are older than the one before."""
-
-    def __init__(self):
-        super().__init__(SOURCES)
-        self.count, self.late, self.last = Counter(), 0, {}
-
-    def push(self, part, stamp, raw):
-        self.count[part] += 1
-        self.late += stamp <= self.last.get(part, -1.0)
-        self.last[part] = stamp
-        return [Step(stamp, 1.5, 1.5, 1.0, 1.5, 1.3, 1.1, 1.4, {}, {}, {}, ())] if part == "heading" else []
-
-    def drop(self, part, cause):
-        self.count[part, cause] += 1
-
-    def restart(self):
-        self.count["restart"] += 1
-        self.last = {}
-        return []
-
-    def tick(self):
-        return COMPILING._replace(state="ok")
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize(("hours", "reboots"), [(0.05, 2), pytest.param(24.0, 100, marks=pytest.mark.slow)])
-def test_for_hours_nothing_is_lost_and_no_memory_used(hours, reboots):
-    lab, memory = Lab(session=Counting()), []
-    lab.give = lambda data, delay=0.03, place="": lab.vehicle.receive(data, RECEIPT + lab.time + delay, whole=True)
-    for _ in range(reboots):
-        before = lab.session.count["heading"], lab.session.count["heading", "no_time"]
-        lab.boat.reboot(lab.time)
-        lab.sail(3600 * hours / reboots, step=0.1)
-        lost = 3600 * hours / reboots * 10 - (lab.session.count["heading"] - before[0])
-        assert lost <= 80, lost  # two looks of 3 s, and two ticks, until it is asked for again
-        for told in (lab.boat.heard, lab.boat.values, lab.boat.texts, lab.boat.asked, lab.said):
-            told.clear()
-        memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)  # kB
-    assert lab.session.count["restart"] == reboots - 1 and lab.session.late == 0
-    assert lab.session.count["heading", "no_time"] <= reboots
-    assert memory[-1] - memory[len(memory) // 2 - 1] < 2000, memory

@@ -25,21 +25,17 @@ from collections import deque
 from collections.abc import Iterable, Mapping
 from fnmatch import fnmatchcase
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from usvlearn.errors import ConfigError, MissingExtraError, did_you_mean
-from usvlearn.live.status import TABLE, Post, of_health, of_step
+from usvlearn.live.status import TABLE, Post
 from usvlearn.logs.channels.channel import UNITS, Source
 from usvlearn.logs.formats.ardupilot.mavlink_messages import MESSAGES, Message
 from usvlearn.logs.formats.ardupilot.servos import FUNCTIONS
 from usvlearn.logs.formats.ardupilot.tlog import SERVOS
 from usvlearn.logs.formats.messages import NAME
-
-if TYPE_CHECKING:
-    from usvlearn.live.health import Health
-    from usvlearn.live.node import Step
 
 V1, V2 = 0xFE, 0xFD  # the first byte of a frame
 HEADS = {V1: 6, V2: 10}  # bytes before the payload
@@ -290,14 +286,6 @@ class Telemetry:
         for name, value in posts:
             if (short := SHORT.get(name)) and not isinstance(value, str) and abs(value) < LARGEST:
                 self._send(self._dialect.MAVLink_named_value_float_message(millis, short, value))
-
-    def step(self, step: Step) -> None:
-        """Send the numbers of a step."""
-        self.values(step.time, of_step(step))
-
-    def health(self, time: float, health: Health) -> None:
-        """Send the numbers that change seldom, with a time of the vehicle, s."""
-        self.values(time, of_health(health))
 
     def say(self, text: str, severity: int, now: float) -> bool:
         """Send a text, unless it or others were sent just before; returns whether it was sent."""

@@ -103,11 +103,6 @@ class Intervals:
         self.hz = hz
         self._wishes: dict[int, _Wish] = {}
 
-    @property
-    def micros(self) -> float:
-        """The interval, us."""
-        return 1e6 / self.hz
-
     def wish(self, number: int) -> None:
         """From now on, ask for this message."""
         self._wishes.setdefault(number, _Wish())

@@ -33,6 +33,7 @@ from usvlearn.live.mavlink.messages import (
     velocity_of,
 )
 from usvlearn.live.mavlink.requests import BootClock, Intervals, ServoParameters
+from usvlearn.live.status import of_health, of_step
 from usvlearn.logs.formats.ardupilot.mavlink_messages import MESSAGES
 from usvlearn.logs.formats.ardupilot.tlog import ARMED, GROUND_STATION, HEARTBEAT, NO_AUTOPILOT, PARAM_VALUE
 
@@ -243,7 +244,7 @@ class Vehicle:
     def _tell(self, steps: list[Step], now: float) -> None:
         for step in steps:
             if self.is_connected(now):
-                self.telemetry.step(step)
+                self.telemetry.values(step.time, of_step(step))
             for event in step.events:
                 self._announce(event.sentence, WARNING if event.kind == LOSS else INFO, now)
 
@@ -258,7 +259,7 @@ class Vehicle:
         if self.is_connected(now) and self.address is not None:
             self._wish_replacement(now)
             for number in self._intervals.due(now):
-                self.telemetry.ask_interval(self.address, number, self._intervals.micros)
+                self.telemetry.ask_interval(self.address, number, 1e6 / self._intervals.hz)
             for name in self._servos.to_ask():
                 self.telemetry.ask_parameter(self.address, name)
         self._report(health, now)
@@ -268,7 +269,7 @@ class Vehicle:
         """Tell what has changed since the last second, and the numbers that change seldom."""
         self._ticks += 1
         if self._ticks % SELDOM == 0 and self.is_connected(now):
-            self.telemetry.health(self._clock.now(now), health)
+            self.telemetry.values(self._clock.now(now), of_health(health))
         problems = [self._servos.problem] if self._servos.problem else self._servos.remarks
         for sentence in dict.fromkeys((*problems, *health.warnings)):
             if sentence not in self._told:

@@ -51,7 +51,7 @@ class Client:
         self.trouble = "not yet connected"  # why there is no connection; empty while there is one
         self.counts: Counter[str] = Counter()  # connections, ends by cause, and "outbox": posts that were dropped
         self.round_trip = float("nan")  # s, of the latest timing message
-        self.registered: dict[str, float] = {}  # variable -> least time between two posts, s
+        self.registered: set[str] = set()  # variables
         self._deliver, self._clock = deliver, clock
         self._offset = 0.0  # s, the database's MOOS time less ours, where they really differ
         self._outbox: deque[Message] = deque()
@@ -68,24 +68,18 @@ class Client:
     def _local(self) -> float:
         return self.warp * self._clock()
 
-    def register(self, variable: str, interval: float = 0.0) -> None:
-        """Ask for a variable, now and after each reconnection; `interval` is the least time between two posts, s."""
-        self.registered[variable] = interval
+    def register(self, variable: str) -> None:
+        """Ask for all posts of a variable, now and after each reconnection."""
+        self.registered.add(variable)
         self._send([self._registration(variable)])
 
-    def notify(self, variable: str, value: float | str, at: float | None = None) -> None:
-        """Post a variable; it waits in the outbox until there is a connection.
-
-        Args:
-            variable: its name, without blanks.
-            value: a number or a text; the database keeps the type of a variable's first post.
-            at: its stamp, MOOS time, s; now by default.
-        """
-        stamp = self.now() if at is None else at
+    def notify(self, variable: str, value: float | str) -> None:
+        """Post a number or a text to a variable, whose name has no blanks; it waits in the outbox for a connection."""
+        message = Message(wire.NOTIFY, variable, time=self.now(), source=self.name)
         if isinstance(value, str):
-            message = Message(wire.NOTIFY, variable, wire.TEXT, text=value, time=stamp, source=self.name)
+            message = message._replace(data=wire.TEXT, text=value)
         else:
-            message = Message(wire.NOTIFY, variable, value=float(value), time=stamp, source=self.name)
+            message = message._replace(value=float(value))
         if len(self._outbox) >= OUTBOX:
             self._outbox.popleft()
             self.counts["outbox"] += 1
@@ -107,7 +101,7 @@ class Client:
             self._writer.write(wire.encode(messages))
 
     def _registration(self, variable: str) -> Message:
-        return Message(wire.REGISTER, variable, value=self.registered[variable], time=self.now(), source=self.name)
+        return Message(wire.REGISTER, variable, value=0.0, time=self.now(), source=self.name)  # 0 s between two posts
 
     async def run(self) -> None:
         """Connect, and connect again, until this task is cancelled."""

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 PROTOCOL = b"ELKS CAN'T DANCE 2/8/10".ljust(32, b"\0")  # what a client sends first
 LARGEST = 1 << 22  # bytes of a packet; five variables at 100 Hz need 0.25 MB in 5 s
-NOTIFY, REGISTER, UNREGISTER, WILDCARD, TIMING, DATA, WELCOME, POISON = "NRU*TiWK"
+NOTIFY, REGISTER, TIMING, DATA, WELCOME, POISON = "NRTiWK"
 NUMBER, TEXT, BINARY = "DSB"
 NOTHING = -1.0  # a number that is not used
 

@@ -8,13 +8,16 @@ import importlib
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from usvlearn.core.forecasts import Track
 from usvlearn.display.json_values import finite
 from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.logs.channels.channel import Source, matching
 from usvlearn.logs.formats.ros.message_fields import CLOCK_LIMIT, default_field, read_field, stamp_of
+
+if TYPE_CHECKING:
+    from usvlearn.live.session import Session
 
 NS = 1_000_000_000
 SIMULATED_LIMIT = 60.0  # s between a stamp and a simulated clock, which may be published seldom, or have been reset
@@ -101,16 +104,6 @@ def _listing(topics: Sequence[str]) -> str:
     return ", ".join(topics[:LISTED]) + (f" and {len(topics) - LISTED} more" if len(topics) > LISTED else "")
 
 
-class Receiver(Protocol):
-    """What a session does with messages; see `usvlearn.live.session`."""
-
-    def push(self, part: str, stamp: float, raw: float) -> list[Any]: ...
-
-    def drop(self, part: str, cause: str) -> None: ...
-
-    def restart(self) -> list[Any]: ...
-
-
 class Messages:
     """Gives the numbers of messages to a session, with their times.
 
@@ -118,7 +111,7 @@ class Messages:
     node's clock steps back, the session begins a new segment. `clock` is "header" or "receive": where times come from.
     """
 
-    def __init__(self, session: Receiver, clock: str = "header", simulated: bool = False):
+    def __init__(self, session: Session, clock: str = "header", simulated: bool = False):
         self.problems: dict[str, dict[str, str]] = {}  # topic -> part -> what was wrong with the latest message
         self.off: dict[str, float] = {}  # topic -> s by which the latest stamp was too far from the node's clock
         self._session, self._clock, self._simulated = session, clock, simulated

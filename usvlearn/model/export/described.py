@@ -1,7 +1,8 @@
 """All that is known of an identified boat, as JSON values: the content of `BOAT.json`, `BOAT.mat`, `BOAT_planar.json`.
 
 `names` has the drag and the mass under the names and with the signs of other simulators, whose equations are those of
-`docs/export.md#gazebo-and-mss`: in MSS (Fossen 2021) and gz-sim a drag is a force and therefore negative, in VRX positive.
+`docs/export.md#gazebo-and-mss`. In MSS (Fossen 2021) and gz-sim a drag is a force and therefore negative, in VRX it is
+positive.
 """
 
 from __future__ import annotations

@@ -52,11 +52,7 @@ def _numeric(given: Any) -> bool:
 
 
 def _name(key: str) -> str:
-    """A key as the name of a field.
-
-    >>> _name("steady_speed"), _name("1/s")
-    ('steady_speed', 'x1_s')
-    """
+    """A key as the name of a field."""
     found = re.sub(r"\W", "_", key, flags=re.ASCII)[:LONGEST]
     return found if re.match(r"[A-Za-z]", found) else f"x{found}"[:LONGEST]
 

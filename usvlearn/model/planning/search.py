@@ -1,7 +1,7 @@
 """The search for the course that shrinks the intervals most, and what is expected after a course.
 
-Criterion, search and rehearsal: `docs/theory/identification.md#input-design`. The criterion has no unit, so that newtons
-and seconds can be added. `identify` makes the intervals, as after a mission.
+Criterion, search and rehearsal: `docs/theory/identification.md#input-design`. The criterion has no unit, so that N
+and s can be added. `identify` makes the intervals, as after a mission.
 """
 
 from __future__ import annotations
