@@ -58,9 +58,7 @@ def formats_of(given: Sequence[str]) -> list[str]:
 
 
 def run_of(path: Path) -> Path:
-    """The folder of the run to which a checkpoint or a boat's folder belongs; else the folder itself, or that of the
-    checkpoint.
-    """
+    """The folder of the run to which a checkpoint or a boat's folder belongs; else the path's own folder."""
     folder = path.resolve() if path.is_dir() else path.resolve().parent
     return folder.parent.parent if folder.parent.name == CHECKPOINTS else (path if path.is_dir() else path.parent)
 
@@ -68,15 +66,7 @@ def run_of(path: Path) -> Path:
 def export(
     boats: Sequence[IdentifiedBoat], formats: Sequence[str], run: Path, out: Path, lenient: bool = False
 ) -> list[Path]:
-    """Write the files, once all of them could be made; returns their paths.
-
-    Args:
-        boats: of `read_boats`.
-        formats: names.
-        run: the folder of the run, which has the predictions.
-        out: the folder of the files, which is made.
-        lenient: what a boat lacks, or a package that is missing, leaves a format out, with a warning.
-    """
+    """Write the files, once all of them could be made; if `lenient`, those that can be, with a warning."""
     made: dict[Path, bytes] = {}
     for boat in boats:
         for what, make in _makers(boat, formats, run).items():

@@ -11,12 +11,7 @@ from usvlearn.errors import ConfigError, columns_of, complain, exit_on_user_erro
 
 
 def run_command(work: Callable[[Sequence[str]], None], usage: str) -> int:
-    """Do the work of a command with the arguments of this program; returns the exit code.
-
-    Args:
-        work: receives the arguments.
-        usage: is printed if there are none.
-    """
+    """Do the work of a command with the arguments of this program, or print its usage; returns the exit code."""
     from usvlearn.cli.signals import Stopped, stoppable
 
     if not sys.argv[1:]:

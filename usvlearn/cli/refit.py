@@ -23,11 +23,7 @@ from usvlearn.model.fit.logs import fine, missions_of
 
 
 def refit(folder: Path) -> str:
-    """Fit all missions in a node's folder, and write its `fit`; returns which values are to be used, a sentence.
-
-    Raises:
-        UsvlearnError: no mission can be read, or they are too little for a fit; the node is told this, too.
-    """
+    """Fit all missions in a node's folder, and write its `fit`; returns which values are to be used, a sentence."""
     with Lock(folder / FIT, "folder of a node"):
         return _refit(folder)
 

@@ -19,13 +19,7 @@ WORDS = "float32 also compiles the estimators' kernels of that precision, reader
 
 
 def warm(float32: bool = False, readers: bool = False, live: bool = False) -> Path:
-    """Compile what is not compiled yet; returns the folder of the code. Without torch, the simulator is left out.
-
-    Args:
-        float32: compile the estimators' kernels for float32, too.
-        readers: compile what reads binary logs, and what computes speeds from positions.
-        live: compile only what a live node needs: neither open-loop simulations nor the simulator.
-    """
+    """Compile what is not compiled yet, the simulator only with torch; returns the folder of the code."""
     from usvlearn.core.jit import folder
     from usvlearn.engine import dispatch
     from usvlearn.engine.first_use import compile_planar, compile_plans

@@ -19,14 +19,10 @@ from usvlearn.report.tables import data_check_table
 
 
 class CheckedAlignment:
-    """Aligns like `align_fleet`, checks the data, and shows what is found.
+    """Aligns like `align_fleet`, checks the data, and shows each finding once; without a console nothing.
 
     With `check=strict` a warning is an error, with `check=off` nothing is checked. If nothing can be aligned, the error
     says what the check found. `findings` has those of all that was aligned; None if nothing was checked.
-
-    Args:
-        settings: the whole configuration.
-        console: shows each finding once; None shows nothing.
     """
 
     def __init__(self, settings: Mapping[str, Any], console: Console | None = None):

@@ -44,12 +44,7 @@ def configs_folder() -> Path:
 
 
 def recordings_of(data: str, changes: Mapping[str, Any]) -> tuple[Iterable[Recording], dict[str, Any]]:
-    """The recordings that a data configuration describes, and all that train.py composes with it.
-
-    Args:
-        data: name of a file in configs/data, or the path of a file of one's own that ends in .yaml.
-        changes: values by key, mappings of them where keys are nested, which replace those of the files or are added.
-    """
+    """The recordings that a data configuration (a name, or a .yaml file) describes, and all that it composes."""
     settings = compose_train([f"data={data}"], changes)
     return instantiate(settings.data), plain(settings)
 
@@ -129,9 +124,7 @@ def _reference(node: Any, key: str) -> str | None:
 
 
 def ensemble_of(cfg: Mapping[str, Any]) -> Ensemble:
-    """The ensemble that a configuration describes: its members, its combiners, the combiner that predicts, its
-    forecasts, and whether its intervals know the manoeuvre.
-    """
+    """The ensemble that a configuration describes, with its combiners, forecasts and intervals."""
     from usvlearn.estimators.ensemble.layer import Ensemble
 
     members, rules = instantiate(cfg["estimators"]), instantiate(cfg["combiners"], _convert_="all")
@@ -142,9 +135,7 @@ def ensemble_of(cfg: Mapping[str, Any]) -> Ensemble:
 
 
 def planar_of(cfg: Mapping[str, Any], ensemble: Ensemble) -> tuple[Planar | None, str]:
-    """What learns sway and yaw rate beside an ensemble, and makes tracks; None where none is asked for or none can be,
-    with the reason.
-    """
+    """What learns sway and yaw rate beside an ensemble, and makes tracks; or None, and why."""
     if not cfg.get("tracks"):
         return None, ""
     from usvlearn.estimators.planar.layer import Planar

@@ -97,12 +97,7 @@ class Track(NamedTuple):
 
 
 def track_of(found: np.ndarray, dt: np.ndarray) -> Track:
-    """A `Track` from what the kernel has written.
-
-    Args:
-        found: `(time, *batch, 9)`: surge, sway, yaw rate, heading, north, east, and the covariance's three numbers.
-        dt: lengths of the steps, s, `(time,)`.
-    """
+    """A `Track` from what the kernel wrote, `(time, *batch, 9)`: 3 speeds, heading, 2 of the place, covariance."""
     covariance = found[..., [6, 7, 7, 8]].reshape(*found.shape[:-1], 2, 2)
     surge, sway, yaw_rate, heading, north, east = (found[..., i] for i in range(6))
     return Track(np.cumsum(dt), surge, sway, yaw_rate, heading, north, east, covariance)
@@ -115,18 +110,11 @@ def plan_commands(commands: Any, dt: Any, batch: tuple[int, ...] = ()) -> tuple[
 
 
 def plan_inputs(commands: Any, headings: Any, yaw_rates: Any, dt: Any, batch: tuple[int, ...] = ()) -> Inputs:
-    """The inputs of a plan's steps, arrays `(time, *batch)`.
+    """The inputs of a plan's steps, arrays `(time, *batch)`, with `dt` in s of all steps.
 
-    Args:
-        commands: shares of full scale, −1 … 1, of left and right, `(time, 2)`, or `(time, *batch, 2)`.
-        headings: rad, at the beginning of each step: a number, `(time,)`, or `(time, *batch)`.
-        yaw_rates: rad/s, likewise; None: those of the headings.
-        dt: s, of all steps.
-        batch: of the boats.
-
-    Raises:
-        ShapeError: the arrays do not fit each other.
-        ConfigError: a number is outside its legal range.
+    Commands are `(time, 2)` or `(time, *batch, 2)`, shares of full scale, left and right. Headings, rad at the
+    beginning of each step, and yaw rates, rad/s, are a number, `(time,)` or `(time, *batch)`; without yaw rates, those
+    of the headings.
     """
     h = _numbers("dt", dt)
     if h.ndim or not LEAST_DT <= h <= MOST_DT:

@@ -51,11 +51,7 @@ def colours(names: Sequence[str]) -> dict[str, str]:
 
 @contextmanager
 def themed() -> Iterator[type]:
-    """A context with Matplotlib's Figure, in which text is INK, lines are LINE, and no name is read as a formula.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-    """
+    """A context with Matplotlib's Figure, in which text is INK, lines are LINE, and no name is read as a formula."""
     try:
         from matplotlib import rc_context
         from matplotlib.figure import Figure
@@ -123,12 +119,7 @@ def set_reach(panel: Any, low: float, high: float) -> None:
 
 
 def worst_stretch(time: np.ndarray, error: np.ndarray) -> slice:
-    """The steps of the WORST seconds with the largest mean error, of which half are known; all of a shorter run.
-
-    Args:
-        time: s, `(time,)`.
-        error: `(time,)`; NaN where unknown.
-    """
+    """The steps of the WORST seconds with the largest mean error, of which half are known; all of a shorter run."""
     sums, counts = (np.append(0.0, np.cumsum(x)) for x in (np.nan_to_num(error), np.isfinite(error)))
     ends = np.searchsorted(time, time + WORST, side="right")  # of the stretch that begins at each step
     begins = np.arange(len(time))

@@ -32,16 +32,11 @@ Setting = bool | float | str
 
 
 class TensorBoardWriter:
-    """TensorBoard runs in the folders below one. Each has a thread, which writes what comes at once.
+    """TensorBoard runs in the folders below one, coloured in their order. Each has a thread, which writes what comes at
+    once.
 
-    Args:
-        folder: of all the runs.
-        runs: relative paths of runs, in the order in which TensorBoard gives them colours; others follow as they come.
-        resumed: run -> the step from which on points of earlier files are no longer valid.
-        about: tag -> description.
-
-    Raises:
-        OSError: also from any method: something could not be written.
+    From the step in `resumed` on, points of earlier files of a run are no longer valid. `about` has descriptions by
+    tag.
     """
 
     def __init__(
@@ -91,14 +86,7 @@ class TensorBoardWriter:
     def session(
         self, settings: Mapping[str, Setting], run: str = ".", seconds: float | None = None, failed: bool = False
     ) -> None:
-        """Write a row of the HPARAMS page; its results are the first scalars of the same run.
-
-        Args:
-            settings: by key.
-            run: that the row names.
-            seconds: that it took.
-            failed: whether it has no results.
-        """
+        """Write a row of the HPARAMS page; its results are the first scalars of the same run."""
         api, data = _hparams_protos()
         start = data.SessionStartInfo(start_time_secs=self._began)
         for key, value in settings.items():
@@ -110,12 +98,7 @@ class TensorBoardWriter:
         self._hparams("session_end_info", data.HParamsPluginData(session_end_info=end), run)
 
     def columns(self, settings: Mapping[str, Sequence[Setting]], results: Mapping[str, str]) -> None:
-        """Write which settings and results the HPARAMS page shows, in this order; without it TensorBoard shows all.
-
-        Args:
-            settings: the values of each key.
-            results: tag -> title.
-        """
+        """Write which settings and results (tag -> title) the HPARAMS page shows, in this order."""
         api, data = _hparams_protos()
         experiment = api.Experiment(time_created_secs=self._began)
         for key, values in settings.items():

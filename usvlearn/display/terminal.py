@@ -38,11 +38,7 @@ class _Console(Console):
 
 
 def console(quiet: bool = False) -> Console:
-    """The standard output, as wide as the terminal. In a notebook it is text, too, and not HTML.
-
-    Args:
-        quiet: whether nothing is printed.
-    """
+    """The standard output, as wide as the terminal. In a notebook it is text, too, and not HTML."""
     found = _Console(markup=False, quiet=quiet, force_jupyter=False)
     if not found.is_terminal and "COLUMNS" not in os.environ:
         found.width = UNLIMITED
@@ -57,14 +53,7 @@ def show(*parts: str | Text | Blocks, to: Console | None = None) -> None:
 
 
 class Blocks:
-    """A table that rich prints in as many blocks as its width needs.
-
-    Args:
-        title: above the table.
-        names: headings of the columns that begin every block, left-aligned.
-        numbers: headings of the other columns, right-aligned.
-        folded: those of `names` that may take several lines, broken between words if possible.
-    """
+    """A table in as many blocks as the width needs, each with the columns `names`; `folded` may take several lines."""
 
     def __init__(self, title: str, names: Sequence[str], numbers: Sequence[str] = (), folded: Collection[str] = ()):
         self.title, self.head, self.names = title, (*names, *numbers), len(names)
@@ -157,13 +146,7 @@ BAR = 20  # columns
 
 
 class Activity:
-    """A context that shows what `usvlearn.display.activity.doing` tells; nothing is left of it, and nothing goes into a
-    file.
-
-    Args:
-        console: of the terminal.
-        what: is done first.
-    """
+    """Shows what `usvlearn.display.activity.doing` tells; nothing is left of it, and nothing goes into a file."""
 
     def __init__(self, console: Console, what: str = "starting"):
         text = TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis"))

@@ -149,12 +149,7 @@ class Difference(NamedTuple):
 
 
 def cells(errors: Mapping[str, Sequence[RunError]], measure: Measure) -> dict[Place, Cell]:
-    """The runs of a setting.
-
-    Args:
-        errors: by seed.
-        measure: which of them counts; coverage has none.
-    """
+    """The runs of a setting, of errors by seed; coverage has no measure."""
     if measure.kind == COVERAGE:
         return {}
     ahead = {FORECAST: f"{measure.horizon:g}", FREE: FREE}.get(measure.kind, STEP)
@@ -210,15 +205,7 @@ def compare(one: Mapping[Place, Cell], other: Mapping[Place, Cell], measure: Mea
 
 
 def over_seeds(one: Mapping[str, float], other: Mapping[str, float]) -> SeedDifference | None:
-    """Equation (3): the mean difference of two settings over the seeds that both have, and its interval.
-
-    Args:
-        one, other: the objective by seed.
-
-    Returns:
-        None if they have no seed in common. There is no interval over one seed. Nor is there one if all differences
-        are equal: then nothing was drawn that matters, and the seeds say nothing of chance.
-    """
+    """Equation (3). There is no interval over one seed, nor if all differences are equal: nothing was drawn then."""
     seeds = [seed for seed in one if seed in other]
     if not seeds:
         return None

@@ -79,15 +79,10 @@ def cross_validate(
     advance: Callable[[int], object] = lambda steps: None,
     backend: str = "auto",
 ) -> FreeErrors:
-    """Simulate every checkpoint free on every run.
+    """Simulate every checkpoint, leaves `(sets, ...)`, free on every run, leaves `(time,)`.
 
-    Args:
-        ensemble: to which the checkpoints belong.
-        state: the checkpoints, leaves `(sets, ...)`; torch simulates on its device.
-        runs: samples of one run each, leaves `(time,)`, NumPy arrays or tensors.
-        batch elements: simulations in a batch, at most, or all checkpoints on one run.
-        advance: receives the number of measured steps done, over all batch elements, for a progress bar.
-        backend: "kernel", "torch" or "auto", as of `rollout`.
+    At most so many `elements`, or all checkpoints on one run, are in a batch. `advance` receives the number of measured
+    steps done over all batch elements.
     """
     names = methods(ensemble)
     sets = next(leaf for _, leaf in named_leaves(state)).shape[0]

@@ -28,14 +28,7 @@ Truth = Mapping[str, Mapping[str, float]]  # boat -> quantity -> value
 def identified_boats(
     ensemble: Ensemble, state: Any, boats: Sequence[str], required: bool = False
 ) -> dict[str, Identified]:
-    """The quantities of each boat by name; {} if the ensemble has no averaged joint EKF.
-
-    Args:
-        ensemble: with its members.
-        state: leaves `(boats, …)`.
-        boats: their names.
-        required: whether a missing one raises a ConfigError.
-    """
+    """The quantities of each boat by name, leaves `(boats, …)`; {} or an error without an averaged joint EKF."""
     name = ensemble.averaged
     if name is None and not required:
         return {}
@@ -53,9 +46,7 @@ def identified_planars(planar: Planar, state: Any, boats: Sequence[str]) -> dict
 
 
 def as_results(found: Mapping[str, Identified], truth: Truth) -> dict[str, Any]:
-    """The entries of `results.json`: `identified`, boat -> quantity -> value, low, high, unit, and truth if known; and
-    `lacks`, boat -> what its log lacks. {} without an averaged joint EKF.
-    """
+    """The entries `identified` and `lacks` of `results.json`; {} without an averaged joint EKF."""
     if not found:
         return {}
     values = {boat: each.json() for boat, each in found.items()}
@@ -149,11 +140,6 @@ def events(fleet: Fleet, published: Iterable[Stretch], filters: Sequence[str] = 
 
     A loss has the effectiveness of 2 min after its alarm, or of its end; what goes on in the next run is told once.
     Changes of several filters within 30 s are one.
-
-    Args:
-        fleet: what was replayed.
-        published: stretches in order; none has `thrusters` and `health` where nobody watched.
-        filters: as `Ensemble.accommodated`.
     """
     watches = [EventWatch(filters) for _ in fleet.boats]
     found: list[Found] = [[] for _ in fleet.boats]

@@ -91,16 +91,7 @@ def horizon_sums(
     surge_limit: float = PLAUSIBLE,
     coverage: float = 0.9,
 ) -> HorizonSums:
-    """The sums of each run.
-
-    Args:
-        fleet: what was replayed.
-        published: stretches with `forecasts` and `forecast_halfwidths`, as `usvlearn.runs.prediction_files` says.
-        horizons: s.
-        names: of the columns of forecasts; the last is the ensemble's.
-        surge_limit: m/s, of the ensemble.
-        coverage: share that its intervals are to cover.
-    """
+    """The sums of each run from forecasts and their half-widths; horizons in s, the ensemble's column is last."""
     H, K = len(horizons), len(names)
     shape = (len(fleet.runs), len(fleet.boats), H)
     found = HorizonSums(
@@ -204,16 +195,11 @@ FEWEST = 10  # ellipses of a group, below which no share is stated
 def track_scores(
     parts: Iterable[np.ndarray], horizons: Sequence[float], boats: Sequence[str]
 ) -> dict[str, dict[str, dict[str, Any]]]:
-    """Mean errors and shares inside, by boat and horizon.
+    """Mean errors and shares inside from published `tracks` `(time, boats, horizons · 8)`, by boat and horizon (such as
+    "10", s).
 
-    Args:
-        parts: published `tracks` of consecutive stretches, `(time, boats, horizons · 8)`.
-        horizons: s.
-        boats: names.
-
-    Returns:
-        boat -> horizon, such as "10" -> position and position_constant_turn, position_held_rate, m; heading, rad;
-        inside; inside_stay, inside_move, inside_move_much; radius, m, the median; count. None where nothing was due.
+    Position and those of a constant turn and a held rate, m; heading, rad; inside, and by how the commands moved;
+    radius, m, the median; count. None where nothing was due.
     """
     found = [part.reshape(*part.shape[:2], len(horizons), DUE) for part in parts]
     whole = np.concatenate(found) if found else np.empty((0, len(boats), len(horizons), DUE))

@@ -27,20 +27,13 @@ Stretch = tuple[int, int, Mapping[str, np.ndarray]]  # index of a run, first ste
 def scores(
     predictions: np.ndarray, surge: np.ndarray, names: Sequence[str], halfwidths: np.ndarray | None = None
 ) -> dict[str, dict[str, float | int | None]]:
-    """Errors of each estimator over the steps that count, the same steps for all.
+    """Errors of each estimator over the steps that count, the same steps for all; `(time, estimators)`, m/s.
 
-    Args:
-        predictions: m/s, `(time, estimators)`.
-        surge: m/s, `(time,)`; NaN where the step does not count (`usvlearn.core.samples.masks`).
-        names: of the estimators.
-        halfwidths: of the predictions' intervals, m/s, `(time, estimators)`.
-
-    Returns:
-        Per estimator `mae`, `median`, `rmse` (m/s), `fit` (percent, see `fit`), `skill` = 1 − MAE/MAE(persistence)
-        (None where persistence was not run or is perfect), `steps`, and `diverged`, the number of predictions that are
-        not finite. An estimator with more than MISSING of such steps, or without a step, has no errors (None). So it
-        cannot win by its remaining steps. With half-widths also `coverage`, the share of the measurements inside the
-        intervals, and `halfwidth`, their mean, m/s, over the intervals that are finite.
+    `mae`, `median`, `rmse` (m/s), `fit` (percent), `skill` = 1 − MAE/MAE(persistence) (None where persistence was not
+    run or is perfect), `steps`, and `diverged`, the number of predictions that are not finite. An estimator with more
+    than MISSING of such steps, or without a step, has no errors (None), so it cannot win by its remaining steps. With
+    half-widths also `coverage`, the share of the measurements inside, and `halfwidth`, m/s, the mean of the finite
+    ones.
     """
     counted = ~np.isnan(surge)
     error = np.abs(predictions[counted] - surge[counted, None])
@@ -67,32 +60,14 @@ def scores(
 
 
 def fit(errors: float, spread: float) -> float | None:
-    """100 (1 − NRMSE), percent, as MATLAB's `compare` has it: 100 is perfect, 0 is as good as the mean measured speed.
-
-        100 (1 − √(Σ (v̂ − v)² / Σ (v − mean v)²))                                                     (1)
-
-    Args:
-        errors: Σ (v̂ − v)², m²/s².
-        spread: Σ (v − mean v)², m²/s².
-
-    Returns:
-        None if the speed never changed.
-    """
+    """100 (1 − √(Σ (v̂ − v)² / Σ (v − mean v)²)), percent, as of MATLAB's `compare`; None if no speed changed."""
     return 100 * (1 - float(np.sqrt(errors / spread))) if spread > 0 else None
 
 
 def fleet_scores(
     fleet: Fleet, published: Iterable[Stretch], names: Sequence[str], surge_limit: float = PLAUSIBLE
 ) -> dict[str, dict]:
-    """`scores` per boat over what was published of its runs.
-
-    Args:
-        fleet: what was replayed.
-        published: stretches in order, which are gone through again and again: medians need all errors of a boat, so
-            that so many boats are judged at a time as have AT_ONCE numbers.
-        names: of the estimators.
-        surge_limit: m/s, of the ensemble that made the predictions.
-    """
+    """`scores` per boat. A median needs all errors of a boat: as many boats at a time as have AT_ONCE numbers."""
     found, at_once = {}, max(1, AT_ONCE // max(1, 2 * fleet.steps * len(names)))
     nothing = np.empty((0, len(names)))
     for first in range(0, len(fleet.boats), at_once):
@@ -153,13 +128,7 @@ class Autocorrelation(NamedTuple):
 
 
 def autocorrelation(errors: Sequence[np.ndarray], segments: Sequence[np.ndarray], lags: int) -> Autocorrelation:
-    """Equation (2).
-
-    Args:
-        errors: of each run, `(time,)`; NaN where a step does not count.
-        segments: of each run, `(time,)`: numbers that are the same for the steps of a segment.
-        lags: the largest lag, in steps.
-    """
+    """Equation (2) within segments of equal numbers, `(time,)`; errors are NaN where a step does not count."""
     every = np.concatenate([e[np.isfinite(e)] for e in errors]) if errors else np.empty(0)
     mean, variance = (float(every.mean()), float(every.var())) if len(every) else (0.0, 0.0)
     sums, pairs = np.zeros(lags), np.zeros(lags, int)

@@ -60,9 +60,7 @@ class Season(NamedTuple):
 
     @property
     def later(self) -> np.ndarray:
-        """Which runs a checkpoint has not learned from, bool `(sets, runs)`: those after its own, or all if it has
-        none.
-        """
+        """Which runs a checkpoint has not learned from, bool `(sets, runs)`: those after its own, else all."""
         return self.own[:, None] < np.arange(len(self.runs))
 
     def set_before(self, run: int) -> tuple[int, bool]:

@@ -101,15 +101,7 @@ def evaluate(
     paper: bool = False,
     asked: Questions | None = None,
 ) -> Path:
-    """Judge every checkpoint of some runs and write the report; returns its page.
-
-    Args:
-        folders, tools, data: as of `read`.
-        report: its folder.
-        commands: that make the report again.
-        paper: whether the paper's results stand beside those found here.
-        asked: the open questions of the other logs.
-    """
+    """Judge every checkpoint of some runs and write the report, which names `commands`; returns its page."""
     with Lock(report, "report"):
         check_report_folder(report)
         found = [results(folder) for folder in folders]
@@ -160,9 +152,7 @@ def start_of(folder: Path, tools: Tools) -> Path:
 
 
 def simulations(ensemble: Ensemble, seasons: Sequence[Season]) -> int:
-    """The steps that are simulated: every checkpoint and one more on every run of its boat, and one checkpoint per boat
-    on all.
-    """
+    """The steps that are simulated: every checkpoint and one more on every run of its boat, and one per boat on all."""
     steps = {season.boat: sum(int(run.steps.sum()) for run in season.runs) for season in seasons}
     matrices = len(_compared(ensemble)) * len(seasons) * sum(steps.values()) if len(seasons) > 1 else 0
     return sum((len(season.own) + 1) * steps[season.boat] for season in seasons) + matrices
@@ -187,11 +177,7 @@ def assemble(
     fits: Mapping[str, SavedFit | str] | None = None,
     tracks: Mapping[str, BoatTracks] | None = None,
 ) -> tuple[list[Section], dict[str, FreeErrors]]:
-    """Simulate, compare and draw.
-
-    Returns:
-        The sections, what a boat's owner asks first, and the errors of every boat's cross-validation.
-    """
+    """Simulate, compare and draw: the sections, what is said first, and the errors of every cross-validation."""
     errors = {
         season.boat: cross_validate(ensemble, season.state, [run.samples for run in season.runs], advance=advance)
         for season in seasons

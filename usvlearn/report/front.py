@@ -72,14 +72,7 @@ class Overview(NamedTuple):
 def overviews(
     ensemble: Ensemble, seasons: Sequence[Season], free: Mapping[str, Sequence[FreeRun]], checks: Sequence[Any] = ()
 ) -> list[Overview]:
-    """What is said of each boat.
-
-    Args:
-        ensemble: that was replayed.
-        seasons: of all boats.
-        free: each boat's open-loop simulations.
-        checks: the lists of findings of data checks; None where there was none.
-    """
+    """What is said of each boat."""
     checks = [check for check in checks if isinstance(check, list)]
     findings = [each for check in checks for each in check if isinstance(each, Mapping)]
     return [

@@ -42,19 +42,7 @@ def write_report(
     errors: Mapping[str, FreeErrors] | None = None,
     front: Front | None = None,
 ) -> Path:
-    """Write `index.html`, `report.md`, `figures/*.svg` and `tables/*.csv`.
-
-    Args:
-        folder: of the report; files of an earlier report are replaced.
-        facts: the data on which it is based, one sentence each.
-        sections: in their order.
-        commands: that make the report again.
-        errors: of each boat's cross-validation, for `crossval.npz`: BOAT_mae `(sets, runs, methods)` …
-        front: what stands before the sections on the page.
-
-    Returns:
-        The path of the page.
-    """
+    """Write the page, the Markdown, figures, tables and `crossval.npz`; those of an earlier report go."""
     check_report_folder(folder)
     figures = {drawn.name: drawn.figure for section in sections for drawn in section.figures}
     drawings = {name: attempted(partial(_drawing, name, each), name, partial(_drawing, name))
@@ -81,12 +69,7 @@ def write_report(
 
 
 def check_report_folder(folder: Path) -> None:
-    """Make the folder of a report, which may contain only an earlier report, and check that figures can be drawn.
-
-    Raises:
-        ConfigError: it contains something else.
-        MissingExtraError: matplotlib is not installed.
-    """
+    """Make the folder of a report, which may contain only an earlier report, and check that figures can be drawn."""
     with themed():
         pass
     found = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
@@ -159,15 +142,7 @@ def page(
     drawings: Mapping[str, str],
     front: Front | None = None,
 ) -> str:
-    """The page.
-
-    Args:
-        facts: the data on which it is based, one sentence each.
-        sections: in their order. A section that states the paper's result is open, as are those of OPEN.
-        commands: that make the report again.
-        drawings: SVG of each figure.
-        front: what stands before the sections.
-    """
+    """The page, with the SVG of each figure. Open are sections with the paper's result, and those of OPEN."""
     heading, script = (title(front) if front else TITLE), SCRIPT if front else ""
     links = "".join(f'<li><a href="#{s.key}">{escape(s.title)}</a></li>' for s in sections)
     runs = '<li><a href="#runs">Run by run</a></li>' if front else ""

@@ -32,11 +32,7 @@ def make_study(
     run: Callable[[Sequence[str], Path], Any],
     choose: Callable[[Path], Path],
 ) -> tuple[Path, list[str]]:
-    """Make all stages; returns the folder of the season, and the commands that make them again.
-
-    Raises:
-        ConfigError: the folder holds a study of another plan, or another process is at work there.
-    """
+    """Make all stages; returns the folder of the season, and the commands that make them again."""
     commands: list[str] = []
 
     def stage(name: str, overrides: Sequence[str], results: str) -> Path:

@@ -167,9 +167,7 @@ def error_tables(
 
 
 def fit_lines(results: Mapping[str, Any]) -> list[str]:
-    """The fit of the combiner that predicts, one step ahead and in open-loop simulations, mean over boats; none without
-    a speed.
-    """
+    """The fit of the combiner that predicts, one step ahead and open loop, mean over boats; none without a speed."""
     name = results["output"]
     near = mean(rows[name]["fit"] for rows in results["boats"].values())
     free = mean(rows[name] for rows in results.get("free_fit", {}).values())
@@ -263,12 +261,7 @@ def program(name: str) -> str:
 
 
 def tuning_table(title: str, rows: Sequence[tuple[str, str, Mapping]]) -> Blocks:
-    """One row per setting: its rank or name, the setting, MAE in m/s, mean over boats, and the gain over the default.
-
-    Args:
-        title: of the table.
-        rows: rank, setting in words, and `mae` and `gain` (percent), None where it diverged.
-    """
+    """One row per setting: rank or name, the setting, MAE in m/s, and the gain in percent."""
     table = Blocks(title, ["", "setting"], ["MAE, m/s", "gain, %"], folded=["setting"])
     for k, (rank, setting, row) in enumerate(rows):
         mae = "diverged" if row["mae"] is None else f"{row['mae']:.5f}"

@@ -94,10 +94,6 @@ def last_mission(folder: Path, season: Season, fleets: Sequence[Fleet]) -> Missi
     """Replay a boat's last mission, and forecast tracks on the way; None if its logs tell no positions.
 
     It begins with the newest checkpoint that has not learned from the mission, or else with the newest.
-
-    Raises:
-        CheckpointError: no checkpoint can be read.
-        ConfigError: it forecasts no tracks.
     """
     long = [each for each in season.runs if each.time[-1] - each.time[0] >= LEAST]
     run = (long or season.runs)[-1]
@@ -125,13 +121,7 @@ def _poses(boat: str, key: str, fleets: Sequence[Fleet]) -> np.ndarray | None:
 
 
 def forecast_along(online: Online, run: SeasonRun, poses: np.ndarray) -> list[Ahead]:
-    """Learn from a run, and forecast a track at moments of it, to the longest horizon or the next gap of the log.
-
-    Args:
-        online: of a `Planar`; it learns.
-        run: of the boat.
-        poses: `(time, 5)`, of a `PlanarSample`.
-    """
+    """Learn from a run, and forecast tracks at moments of it, to the longest horizon or the next gap."""
     horizons = ((online.description or {}).get("vectors") or {}).get("horizons")
     if not horizons:
         raise ConfigError(f"{run.name}: found a checkpoint without tracks, expected one below {PLANAR}")

@@ -41,14 +41,7 @@ def viewer_data(
     free: Mapping[str, Sequence[FreeRun]],
     tracks: Mapping[str, BoatTracks] | None = None,
 ) -> dict[str, Any]:
-    """All that the viewer shows, for JSON.
-
-    Args:
-        ensemble: that was replayed.
-        seasons: of all boats.
-        free: each boat's open-loop simulations (`usvlearn.evaluation.free_simulation.free_runs`).
-        tracks: of the boats (`usvlearn.report.track_maps.saved_tracks`), shown with the missions that have them.
-    """
+    """All that the viewer shows, for JSON."""
     own = [*ensemble.weighed[:MOST_MEMBERS], ensemble.output]
     hidden = [name for name in PAPER if name in ensemble.names and name not in own]
     shown = [*hidden, *own]
@@ -112,9 +105,7 @@ def _ahead(run: SeasonRun, tracks: BoatTracks | None, path: np.ndarray) -> dict[
 
 
 def _track(each: Ahead, time: float, origin: np.ndarray) -> dict[str, Any]:
-    """A track, m, with a point at least each NEAR s, and its ellipses that fit on a map: horizon, index of the
-    centre, semi-axes and bearing.
-    """
+    """A track, m, with a point at least each NEAR s, and ellipses: horizon, centre's index, semi-axes, bearing."""
     ends, kept, last = {ellipse.step for ellipse in each.ellipses} | {len(each.time) - 1}, [], 0.0
     for k, t in enumerate(each.time):
         if k in ends or t - last >= NEAR - 1e-6:

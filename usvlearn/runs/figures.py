@@ -115,14 +115,7 @@ def _mae(error: np.ndarray) -> str:
 def identified_figure(
     seasons: Sequence[Mapping[str, Curve]], found: Identified, truth: Mapping[str, float], title: str
 ):
-    """Drag over speed, thrust over command, and steady speed over command, with bands, and known truths.
-
-    Args:
-        seasons: curves, the last ones at the end; earlier ones are fainter.
-        found: the quantities of the boat at the end.
-        truth: quantity -> value.
-        title: of the figure.
-    """
+    """Drag over speed, thrust and steady speed over command, with bands and known truths."""
     lines = {"drag": (0, READ), "thrust_left": (1, LEFT), "thrust_right": (1, RIGHT), "steady_speed": (2, READ)}
     labels = (
         ("speed, m/s", "drag, N"),
@@ -221,15 +214,7 @@ def course_of(
     surge: np.ndarray,
     published: Mapping[str, np.ndarray],
 ) -> Course:
-    """The course of a run from what was published of it (`usvlearn.runs.prediction_files`), arrays `(time, …)`.
-
-    Args:
-        names, output: of the predictions, and the one that is the ensemble's.
-        time: s.
-        inputs: of the steps.
-        surge: m/s, where it was measured.
-        published: by name. Older runs have no `health`: their deviations are unknown.
-    """
+    """The course of a run from what was published of it, arrays `(time, …)`; older runs have no `health`."""
     shown = [name for name in ("aid", output) if name in names]  # the ensemble is drawn last
     thrusters = published["thrusters"]
     health = published.get("health", np.full((len(time), 2), np.nan))
@@ -253,15 +238,7 @@ def event_figure(
     fault: float | None = None,
     title: str = "",
 ):
-    """Five panels over time, about the first mark if there is one.
-
-    Args:
-        course: what is drawn.
-        threshold: of the evidence.
-        marks: time, s, and kind of each event, in order.
-        fault: time of a simulated fault, s; None if there was none.
-        title: of the figure.
-    """
+    """Five panels over time, s, about the first mark if there is one; `fault` is when a simulated one begins."""
     if marks:
         course = course.about(marks[0][0] - BEFORE, marks[0][0] + AFTER)
         marks = [(time, kind) for time, kind in marks if time <= course.time[-1]]

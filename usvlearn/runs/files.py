@@ -123,12 +123,7 @@ def longest(boats: Mapping[str, Sequence[tuple[str, int, str]]]) -> list[int]:
 
 
 def check_own(folder: Path, option: str = "hydra.run.dir") -> None:
-    """Raise a ConfigError if a file in the folder of a run to come has a name of a run's, but is a link or of no run.
-
-    Args:
-        folder: it need not exist.
-        option: by which the user can choose another one.
-    """
+    """Refuse a folder for a run where a file has a name of a run's, but is a link or of no run."""
     for name in (*INDEXES, *INDEXED, HYDRA, WORKERS):
         for path in _all(folder / name):
             check_no_link(path, option)

@@ -88,11 +88,7 @@ class Published:
         return named(self._folder.parent, self._lengths)
 
     def read(self, run: int, step: int, end: int, names: Sequence[str] = PUBLISHED) -> Stretch:
-        """Read the arrays `names` of one of the `places`, as far as its file has them.
-
-        Raises:
-            CheckpointError: its file is damaged, much larger, or contains other steps, boats or widths.
-        """
+        """Read the arrays `names` of one of the `places`, as far as its file has them."""
         path = self._folder / f"{stem(Position(run, end))}.npz"
         steps, widths = min(end, self._lengths[run]) - step, self._widths
         most = (1 << 16) + (2048 + 4 * 8 * max(0, steps) * (sum(widths.values()) + 7)) * self._boats  # 2048: names

@@ -44,19 +44,12 @@ def replay(
     planar: Planar | None = None,
     beside: PlanarState | None = None,
 ) -> Iterator[Chunk]:
-    """Run a fleet's samples through an ensemble, all boats as batch elements, and yield it in chunks.
+    """Run a fleet's samples through an ensemble, all boats as batch elements, and yield it in chunks of at most `every`
+    steps.
 
-    The state is carried from run to run, as a boat carries its parameters from mission to mission.
-
-    Args:
-        ensemble: the estimators that predict and learn.
-        fleet: aligned runs.
-        state: to start from, leaves `(boats, ...)`.
-        begin: the place up to which the replay is already done.
-        every: steps in a chunk, at most.
-        save_every: steps between two checkpoints; others are saved at the end of each run.
-        planar: learns sway and yaw rate beside this ensemble, and makes tracks; None: without.
-        beside: its state to start from, of which `state` is the surge's; None: that before the first sample.
+    The state, leaves `(boats, ...)`, is carried from run to run, as a boat carries its parameters from mission to
+    mission. A chunk with a checkpoint ends after `save_every` steps, and at the end of each run. `planar` learns sway
+    and yaw rate beside the ensemble, and makes tracks, from the state `beside`.
     """
     places, filters = list(_places(fleet, begin, every, save_every)), ensemble.accommodated
     parts = (tree_map(lambda x, a=a, b=b: x[a:b], fleet.runs[run].samples) for run, a, b, _ in places)

@@ -123,12 +123,7 @@ class Resumption:
         return found
 
     def planar(self, source: Path | None, place: Position, continued: bool) -> tuple[PlanarState | None, str]:
-        """The state from which sway and yaw rate go on, None for a fresh start; and what to say of it.
-
-        Args:
-            source: a folder, or a checkpoint of an ensemble; None: nothing is resumed.
-            place: from which the ensemble is replayed; `continued`: as it was left there.
-        """
+        """The state from which sway and yaw rate go on, None for a fresh start; and what to say of it."""
         if self._planar is None or source is None:
             return None, ""
         template = tree_map(lambda x: x[0], self._planar.init((1,)))

@@ -81,13 +81,8 @@ class Unsaved(NamedTuple):
 class RunFolder:
     """Saves a replay while it runs, and finds where to resume. As a context manager, it waits until all is written.
 
-    Args:
-        path: the folder.
-        fleet, ensemble: the runs that are replayed, and what learns.
-        configuration: JSON values that every checkpoint contains.
-        planar: what learns sway and yaw rate beside it; None: nothing does.
-        data_check: what the data check found, for `results.json`; None if nothing was checked.
-        setups: boat -> `usvlearn.logs.setup.Setup.json`, which its checkpoints contain.
+    Every checkpoint contains the configuration, JSON values, and its boat's setup; `data_check` goes into
+    `results.json`.
     """
 
     def __init__(
@@ -116,12 +111,8 @@ class RunFolder:
         """Where to start: from `state`, or from what `resume` ("latest", a run's folder or a checkpoint) names.
 
         With unchanged samples and ensemble, a folder continues bit for bit from where it stopped. Otherwise learning
-        starts from its newest checkpoints, in another folder.
-
-        Raises:
-            ConfigError: the folder already holds checkpoints that this run would mix with its own, files of no run
-                under the names of its own, or links.
-            CheckpointError: nothing readable is found to resume from, or it does not fit.
+        starts from its newest checkpoints, in another folder. A ConfigError if this run would mix its files with
+        others'.
         """
         check_own(self.path)
         start, continued, source = Start(state, BEGIN, "learning from the start"), False, None
@@ -212,12 +203,7 @@ class RunFolder:
         self._wait()
 
     def finish(self, began: float, truth: Truth | None = None) -> dict[str, Any]:
-        """Score all predictions, and write `errors.csv` and `results.json`; returns the content of the latter.
-
-        Args:
-            began: `time.perf_counter()` at the start of the run.
-            truth: of simulated boats, to be written beside what was identified.
-        """
+        """Score all predictions, and write `errors.csv` and `results.json`; returns the content of the latter."""
         found, errors = self._judged(began, truth or {})
         write_atomically(self.path / ERRORS, errors.encode())
         save_results(self.path, found)

@@ -118,15 +118,7 @@ def _results_file(folder: Path) -> dict[str, Any]:
 
 
 def read_seasons(folders: Sequence[Path], ensemble: Ensemble, fleets: Sequence[Fleet]) -> list[Season]:
-    """Each boat's checkpoints from all folders, and its runs from all fleets.
-
-    A damaged checkpoint or file of predictions is skipped with a warning.
-
-    Args:
-        folders: of the runs, the oldest first.
-        ensemble: to which all checkpoints belong.
-        fleets: on which the checkpoints are evaluated; a run that is in several of them counts once.
-    """
+    """Each boat's checkpoints and runs, each run once; what is damaged is skipped with a warning."""
     runs: dict[str, dict[str, SeasonRun]] = {}
     for fleet in fleets:
         for element, boat in enumerate(fleet.boats):

@@ -85,18 +85,10 @@ class Point(NamedTuple):
 
 
 class TensorBoardLogger:
-    """Draws a replay's chunks in TensorBoard.
+    """Draws a replay's chunks in TensorBoard: of `log="main"` what people read, of "all" every number and figure.
 
-    Args:
-        folder: of the TensorBoard files.
-        fleet, ensemble: the runs that are replayed, and what learns.
-        begin: the place from which it is replayed.
-        differs: the settings in which the run differs from the default, by key.
-        truth: quantities of simulated boats.
-        log: "main", or "all" for every number and figure.
-        texts: Markdown by title, for the TEXT page.
-        alone: whether it is a run of its own, not a job of a sweep.
-        tracks: their horizons, s; none without.
+    `differs` are the settings that are not the default's, `texts` Markdown by title, `tracks` their horizons, s;
+    `alone` tells a run of its own from a job of a sweep.
     """
 
     def __init__(
@@ -310,14 +302,7 @@ class TensorBoardLogger:
         published: Published,
         networks: Sequence[str] = (),
     ) -> None:
-        """Write the run's results, and figures; a short run of a large fleet gets those of its first boats only.
-
-        Args:
-            settings: the run's configuration.
-            results: of `results.json`.
-            published: of the run.
-            networks: what is said of the RNNs, a sentence each.
-        """
+        """Write the run's results, and figures; a short run of a large fleet gets those of its first boats only."""
         if self.silent:
             return
         self._write()

@@ -24,13 +24,7 @@ DEEPEST = 50  # levels of settings
 
 
 def check_settings(where: str, settings: Any, trust: str | Sequence[str] | None = None) -> None:
-    """Raise an error unless settings are plain data and each `_target_` in them is allowed.
-
-    Args:
-        where: the file from which they were read, for the error.
-        settings: dictionaries, lists and scalars, as in JSON.
-        trust: modules of the user, whose classes and functions are also allowed, with those of their submodules.
-    """
+    """Raise an error unless settings are plain data, and each `_target_` is allowed or of a module in `trust`."""
     trusted = [trust] if isinstance(trust, str) else list(trust or ())
     for module in trusted:
         if not (isinstance(module, str) and all(part.isidentifier() for part in module.split("."))):

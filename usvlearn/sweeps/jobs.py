@@ -62,12 +62,7 @@ class SweepNote(NamedTuple):
 
 
 def check_sweep(folder: Path, load: Callable[[Path], Any], hydra: Mapping[str, Any]) -> None:
-    """Raise an error if a folder holds the jobs of another sweep, before its records are overwritten.
-
-    Raises:
-        ConfigError: the command, or the settings of its sweep, differ from those that began there, or it holds links or
-            files of nobody's job under the names of a job's.
-    """
+    """Refuse a folder with the jobs of another sweep, links, or files of no job under the names of a job's."""
     held = folder / "multirun.yaml"
     check_no_link(held, "hydra.sweep.dir")
     for path in sorted(folder.glob("*")):
@@ -103,17 +98,8 @@ def run_job(
     """Do one job of a sweep: nothing if it is finished, the rest if it was begun, everything if it failed before.
 
     A folder with a job of other settings, or in which another process works, is not changed. No error leaves this
-    function, so the other jobs continue.
-
-    Args:
-        folder: the job's own.
-        settings: all settings; a different value of any is a different job.
-        overrides: the settings of the command, for people who read the folder.
-        work: does the job, resuming from a folder or as its settings say (None); returns its own objective.
-        note: of the sweep.
-
-    Returns:
-        What ranks the job in the leaderboard, so that less is better; NaN if it failed, or if that is unknown.
+    function, so the other jobs continue. `work` resumes from a folder, or as its settings say (None). The result ranks
+    the job, less is better; NaN if it failed, or if that is unknown.
     """
     if settings.get("resume") == "latest":
         print("error: resume=latest: a sweep continues where it stopped without it: leave it out", file=sys.stderr)
@@ -194,15 +180,7 @@ def errors_of(job: Job) -> Sequence[RunError]:
 
 
 def jobs(folder: Path, load: Callable[[Path], Any]) -> list[Job]:
-    """The runs below a folder, in the order of their names.
-
-    Args:
-        folder: of a sweep, or any other folder with runs.
-        load: reads the YAML files of each run's configuration, as lists and dictionaries.
-
-    Raises:
-        ConfigError: there is none.
-    """
+    """The runs below a folder, in the order of their names; `load` reads a YAML file."""
     paths = [path.parents[1] for path in folder.glob("**/.hydra/overrides.yaml")]
     if not paths:
         raise ConfigError(f"runs: found no run below {str(folder)!r}, expected a folder that `train` has written")

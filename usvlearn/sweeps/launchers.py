@@ -20,12 +20,7 @@ LAUNCHERS = {  # name -> its plugin, and the extra that installs it
 
 
 def check_launcher(arguments: Sequence[str]) -> None:
-    """Raise unless the launcher that a command line names is known, installed, and can start jobs here.
-
-    Raises:
-        ConfigError: it is unknown, or needs Slurm, which is missing here.
-        MissingExtraError: its package is not installed.
-    """
+    """Raise unless the launcher that a command line names is known, installed, and can start jobs here."""
     for argument in arguments:
         key, _, name = argument.partition("=")
         if key.lstrip("+") != "hydra/launcher" or name == "basic":
@@ -49,11 +44,7 @@ def prepare_workers(root: Path) -> None:
 
 
 def set_threads(count: float) -> None:
-    """Set the number of threads of torch.
-
-    Raises:
-        ConfigError: the count is not positive.
-    """
+    """Set the number of threads of torch."""
     import torch
 
     torch.set_num_threads(max(1, int(check_positive("threads", count))))

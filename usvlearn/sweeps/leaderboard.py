@@ -63,12 +63,7 @@ def result_table(folder: Path, found: Sequence[Standing], keys: Sequence[str]) -
 
 
 def printed(folder: Path, found: Sequence[Standing], keys: Sequence[str], measure: Measure | None) -> Group:
-    """The table for the terminal: settings, objective ± deviation, difference, seconds, contraction rate; failures.
-
-    Args:
-        folder, found, keys: as of `result_table`.
-        measure: what ranks them; None if each job's own output does.
-    """
+    """The table for the terminal: settings, objective ± deviation, difference, seconds, contraction rate; failures."""
     shown = [each for each in found if each.done]
     most = max((each.done for each in shown), default=0)
     heads, values = short_keys(keys), [_value(each, most) for each in shown]
@@ -232,9 +227,6 @@ def settings_figure(ranks: Sequence[Standing], keys: Sequence[str], measure: Mea
 
     Small points are jobs, the large one is their mean. A bar is where the mean is by the paired difference to the
     reference, with its 95 % interval: over seeds, or over runs if there is none over seeds.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
     """
     known = [each for each in ranks if each.value is not None]
     shown = known[:MOST_ROWS]
@@ -293,16 +285,7 @@ FOLDER, TABLE, TEXT, FIGURE = "leaderboard", "leaderboard.csv", "leaderboard.md"
 
 
 def leaderboard(folder: Path, load: Callable[[Path], Any], objective: Any = None) -> bool:
-    """Print and write the leaderboard of the runs below a folder; returns whether all are finished.
-
-    Args:
-        folder: of a sweep, or any other folder with runs.
-        load: see `usvlearn.sweeps.jobs.jobs`.
-        objective: that ranks; by default that of the sweep (`usvlearn.evaluation.objective.ranked_by`).
-
-    Raises:
-        ConfigError: there is no run, none has measured the objective, or the folder cannot be written to.
-    """
+    """Print and write the leaderboard of the runs below a folder; returns whether all are finished."""
     found, note = jobs(folder, load), noted_sweep(folder)
     keys = differing([job.settings for job in found])
     done = [job.results for job in found if job.finished]
@@ -326,18 +309,9 @@ def leaderboard(folder: Path, load: Callable[[Path], Any], objective: Any = None
 def write_leaderboard(
     folder: Path, jobs: Sequence[Job], ranks: Sequence[Standing] | None = None, measure: Measure | None = None
 ) -> list[str]:
-    """Write all files into a folder; earlier ones are replaced. Nothing is written if the folder is itself a run.
+    """Write all files into a folder, and return their names without the page of TensorBoard; earlier ones are replaced.
 
-    Returns the names of the files, without the page of TensorBoard.
-
-    Args:
-        folder: of the sweep.
-        jobs: see `usvlearn.sweeps.jobs.jobs`; with results from `usvlearn.evaluation.objective.scored`.
-        ranks: see `usvlearn.sweeps.ranking.standings`; by default those without known default values.
-        measure: what ranks them; None if each job's own output does.
-
-    Raises:
-        ConfigError: the folder cannot be written to, or a file there with the name of one of these is another's.
+    Nothing is written if the folder is itself a run. The results are those of `usvlearn.evaluation.objective.scored`.
     """
     if any(job.folder == folder for job in jobs):
         return []
@@ -358,11 +332,7 @@ def write_leaderboard(
 
 
 def check_own_board(folder: Path, option: str) -> None:
-    """Check before anything is written that a leaderboard's files may be written into a folder.
-
-    Raises:
-        ConfigError: one of these files is a link, or the folder holds one, but no leaderboard and no sweep.
-    """
+    """Raise a ConfigError if a leaderboard's file is a link here, or exists without a leaderboard or a sweep."""
     files = [folder / name for name in (TABLE, TEXT, FIGURE)]
     for path in files:
         check_no_link(path, option)

@@ -50,11 +50,6 @@ def standings(jobs: Sequence[Job], measure: Measure | None, defaults: Mapping[st
 
     Fewer seeds are other data, so that such a setting may seem better than it is. The reference is the setting that has
     the values of `defaults`, else the best.
-
-    Args:
-        jobs: with results as of `usvlearn.evaluation.objective.scored`.
-        measure: what ranks them; None if each job's own output does.
-        defaults: the values that the swept keys have without the sweep; empty if they are unknown.
     """
     keys = [key for key in differing([job.settings for job in jobs]) if key != SEED]
     groups: dict[tuple[tuple[str | None, ...], int], list[Job]] = {}

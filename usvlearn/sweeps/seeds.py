@@ -15,11 +15,7 @@ MOST = 1000
 
 
 def seeded(configuration: Mapping[str, Any]) -> dict[str, Any]:
-    """A configuration in which `seed` is added to every seed of the data, the estimators and the tuning; `seed` is 0.
-
-    Raises:
-        ConfigError: the seed is no whole number from 0 on.
-    """
+    """A configuration in which `seed` is added to every seed of the data, the estimators and the tuning."""
     seed = configuration.get(SEED, 0)
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise ConfigError(f"seed: found {seed!r}, expected a whole number, 0 or more")
@@ -36,11 +32,7 @@ def seeded(configuration: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def with_seeds(arguments: Sequence[str]) -> list[str]:
-    """A command line in which `seeds=N` is a sweep over N seeds.
-
-    Raises:
-        ConfigError: N is no whole number from 1 to MOST, or `seed` is given, too.
-    """
+    """A command line in which `seeds=N` is a sweep over N seeds."""
     found, several = [], False
     for argument in arguments:
         key, equals, value = argument.partition("=")

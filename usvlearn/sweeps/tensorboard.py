@@ -34,10 +34,6 @@ def write_board(board: Path, ranks: Sequence[Standing], figures: Mapping[str, by
 
     The columns are the settings that differ, then the results that are known, of the ranking member where it has them,
     else of the output. The page shows five settings at first, so of more than five the rest share the last column.
-
-    Raises:
-        ConfigError: the folder is a link.
-        OSError: it cannot be written to.
     """
     _clear(board)
     width = len(str(len(ranks)))  # TensorBoard sorts the rows by their names

@@ -121,9 +121,7 @@ def _less(boats: Mapping[str, Mapping[str, Box]], name: str, others: Sequence[st
 
 
 def best_checkpoints(seasons: Sequence[Season], errors: Mapping[str, FreeErrors], method: str) -> list[int]:
-    """Each boat's checkpoint with the least MSE on the boat's other runs, equal weight per step; its last, if it has no
-    other.
-    """
+    """Each boat's checkpoint with the least MSE on its other runs, by steps; its last without another run."""
     chosen = []
     for season in seasons:
         found = errors[season.boat]
@@ -142,13 +140,7 @@ def fleet_matrices(seasons: Sequence[Season], between: Mapping[str, FreeErrors],
 def fleet_section(
     seasons: Sequence[Season], matrices: Mapping[str, np.ndarray], best: Mapping[str, Sequence[float]]
 ) -> Section:
-    """The matrices, and how far each boat's own checkpoint is ahead of the others'.
-
-    Args:
-        seasons: of all boats.
-        matrices: of `fleet_matrices`; the first is the paper's.
-        best: hours at which each boat's best checkpoint was saved, by method.
-    """
+    """The matrices, the paper's first, and how far each boat's own checkpoint is ahead of the others'."""
     boats = [season.boat for season in seasons]
     here: list[str] = []
     rows: list[tuple[str | float, ...]] = []
@@ -175,15 +167,7 @@ def fleet_section(
 
 @guarded
 def matrix_figure(matrices: Mapping[str, np.ndarray], boats: Sequence[str]):
-    """MSE of the best checkpoint of each boat (rows) on the runs of each boat (columns); the least of a column is
-    framed.
-
-    The colours of all methods have one scale.
-
-    Args:
-        matrices: `(boats, boats)`, m²/s², by method.
-        boats: their names.
-    """
+    """MSE, m²/s², of each boat's checkpoint (rows) on each boat's runs; the least of a column is framed."""
     from matplotlib.colors import LogNorm
     from matplotlib.patches import Rectangle
     from matplotlib.ticker import LogLocator

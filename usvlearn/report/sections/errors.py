@@ -269,13 +269,7 @@ def boxes_figure(
 ):
     """A panel per boat, a row per method: quartiles, 5 and 95 %, mean, values beyond, and the number of diverged runs.
 
-    Args:
-        boats: the boxes of each boat, by method, the same methods for all.
-        subtitles: under each boat's name.
-        xlabel: of the errors, with their unit; the axis is logarithmic.
-        points: whether values beyond 5 and 95 % are drawn.
-        reference: the method whose mean is drawn as a line.
-        least: lowest possible start of the axis, in the errors' unit.
+    The axis is logarithmic and starts at `least` or above; the mean of `reference` is a line.
     """
     names = list(next(iter(boats.values())))
     palette, across = colours(names), min(BOXES_ACROSS, len(boats))

@@ -124,11 +124,7 @@ def saved_fits(folders: Sequence[Path], boats: Sequence[str]) -> dict[str, Saved
 
 
 def read_fit(path: Path) -> SavedFit:
-    """One file.
-
-    Raises:
-        OSError, ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError: it is damaged.
-    """
+    """One file; any exception of reading or of its content if it is damaged."""
     if path.stat().st_size > LARGEST:
         raise ValueError(f"found more than {LARGEST // 10**6} MB")
     facts = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refused)

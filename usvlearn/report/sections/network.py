@@ -34,15 +34,7 @@ FAR = 2.0  # times the error of the combiner that predicts: open-loop simulation
 
 
 def network_section(seasons: Sequence[Season], ensemble: Ensemble, errors: Mapping[str, FreeErrors]) -> Section | None:
-    """Margins at every saved checkpoint, in rational arithmetic, and the equilibria of each boat's last network.
-
-    None where the ensemble has no network.
-
-    Args:
-        seasons: of all boats.
-        ensemble: to which the checkpoints belong; its first RNN is looked at.
-        errors: of each boat's cross-validation.
-    """
+    """Margins of the first RNN at every checkpoint, in fractions, and the equilibria of the last networks."""
     members = {name: member for name, member in ensemble.members.items() if isinstance(member, RNN)}
     if not members:
         return None
@@ -129,13 +121,8 @@ def stability(
 ) -> list[str]:
     """A line for each RNN and boat, decided in rational arithmetic; for large fleets only the first boats.
 
-    Beside the proof stands the error of its open-loop simulations: a network that is contracting may still be wrong.
-
-    Args:
-        ensemble: to which the state belongs.
-        state: leaves `(boats, …)`.
-        boats: their names.
-        free: MAE of open-loop simulations, m/s, by boat and estimator; None if they are unknown.
+    Beside the proof stands the error of its open-loop simulations, MAE in m/s: a network that is contracting may be
+    wrong.
     """
     found = verdicts(ensemble, state, boats[:SHOWN])
     lines = []
@@ -149,15 +136,10 @@ def stability(
 
 
 def free_words(name: str, free: Mapping[str, float | None], output: str) -> str:
-    """How good a network's open-loop simulations are, in words; "" if that is unknown.
+    """How good a network's open-loop simulations are, in words, from MAE in m/s by estimator; "" if that is unknown.
 
     They are far off if they err FAR times as much as the combiner that predicts, or no less than persistence, which
     keeps the speed at which a segment starts.
-
-    Args:
-        name: of the network.
-        free: MAE of open-loop simulations, m/s, by estimator.
-        output: the combiner that predicts.
     """
     if (own := free.get(name)) is None:
         return ""
@@ -184,12 +166,7 @@ def _sentence(judged: Judged) -> str:
 
 @guarded
 def rates_figure(hours: Mapping[str, np.ndarray], rates: Mapping[str, np.ndarray]):
-    """The contraction rate K at every saved checkpoint, a line per boat: certified where it is below one.
-
-    Args:
-        hours: of the checkpoints, `(sets,)`, by boat.
-        rates: K, `(sets,)`, by boat.
-    """
+    """The contraction rate K at every saved checkpoint `(sets,)`, a line per boat: certified where it is below one."""
     from matplotlib import colormaps
 
     shades = colormaps["viridis"](np.linspace(0.25, 0.92, max(2, len(hours))))  # hues are reserved for methods

@@ -69,12 +69,7 @@ def identified_section(seasons: Sequence[Season], ensemble: Ensemble, truth: Qua
 
 
 def course(hours: np.ndarray, state: Any, k: int) -> Course:
-    """Parameter k over the checkpoints and, if the state has a covariance, its standard deviation √(σ² P_kk).
-
-    Args:
-        hours: `(sets,)`.
-        state: with `theta` `(sets, p)`, and for least squares `factor` and `noise`.
-    """
+    """Parameter k over the checkpoints' hours and, with a covariance, its deviation √(σ² P_kk)."""
     deviation = None
     if hasattr(state, "factor"):
         deviation = (state.noise * state.factor[..., k, :].square().sum(-1)).sqrt().numpy()
@@ -82,10 +77,7 @@ def course(hours: np.ndarray, state: Any, k: int) -> Course:
 
 
 def parameters_section(seasons: Sequence[Season], ensemble: Ensemble, truth: Quantities) -> Section | None:
-    """A figure per boat, and a table of the parameters at the end and of the true ones.
-
-    None if no member identifies the surge dynamics.
-    """
+    """A figure per boat, and a table of the parameters at the end and of the true ones, if any."""
     every = physical_members(ensemble)
     shown = list(dict.fromkeys(name for name in (*SHOWN, *every) if name in every))[:2]
     if not shown:

@@ -9,11 +9,7 @@ WAYS = ("grid", "learn", "search")
 
 
 def asked(configuration: Mapping[str, Any]) -> str | None:
-    """The method that a configuration asks for, or None.
-
-    Raises:
-        ConfigError: it asks for several methods, or for a study.
-    """
+    """The method that a configuration asks for, or None."""
     if "study" in configuration:
         raise ConfigError("experiment: found a study, expected settings: run `python evaluate.py experiment=…`")
     found = [way for way in WAYS if configuration.get(way) is not None]

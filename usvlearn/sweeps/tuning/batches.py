@@ -92,17 +92,7 @@ class Evaluation(NamedTuple):
 def hyperparameter(
     estimator: Estimator, path: str, low: float | None = None, high: float | None = None, key: str | None = None
 ) -> Hyperparameter:
-    """The hyperparameter at a path of an estimator, with the range in which it is tuned.
-
-    Args:
-        estimator: with the default settings.
-        path: dotted, as in its configuration.
-        low, high: the range; by default only the default value.
-        key: its name in an error; by default the path.
-
-    Raises:
-        ConfigError: there is no tunable number at the path, or the range is not legal.
-    """
+    """The hyperparameter at a dotted path, with its range; `key` is its name in an error."""
     key, known = key or path, hyperparameters(estimator)
     if path not in known:
         raise ConfigError(
@@ -138,9 +128,7 @@ class BatchErrors(NamedTuple):
 
     @property
     def mae(self) -> Tensor:
-        """m/s, `(*settings, boats)`; infinite if a prediction was not finite, so that a batch element cannot win by the
-        rest.
-        """
+        """m/s, `(*settings, boats)`; infinite if a prediction was not finite, so that it cannot win by the rest."""
         found = self.errors.sum(0) / self.steps.sum(0)
         return torch.where(found.isfinite(), found, math.inf)
 
@@ -155,13 +143,8 @@ def element_errors(
 ) -> BatchErrors:
     """Errors of each setting on each run and boat; the state is carried from run to run.
 
-    Args:
-        estimator: its hyperparameters broadcast against the batch `(*settings, boats)`; all is done on its device.
-        fleet: aligned runs.
-        settings: the batch before the boats.
-        advance: receives the fraction completed since the last call.
-        measure: which error counts.
-        device: "cpu", or "cuda": the kernels make the steps on a GPU.
+    Its hyperparameters broadcast against the batch `(*settings, boats)`. `advance` receives the fraction completed
+    since the last call. With the device "cuda" the kernels make the steps on a GPU.
     """
     batch, first = (*settings, len(fleet.boats)), middle(fleet.runs) if measure.kind == FREE else 0
     if measure.kind == FORECAST:
@@ -224,16 +207,7 @@ def spread(estimator: Estimator, settings: Sequence[Setting]) -> Estimator:
 
 
 class Objective:
-    """Evaluates settings of one estimator over a fleet, as batch elements.
-
-    Args:
-        build: makes the estimator.
-        fleet: aligned runs.
-        advance: receives the number of evaluations completed since the last call, as a float.
-        elements: settings × boats in one batch, at most; on a GPU as many as fit.
-        measure: which error counts.
-        device: "cpu" or "cuda".
-    """
+    """Evaluates settings over a fleet as batch elements, at most `elements` at once; on a GPU as many as fit."""
 
     def __init__(
         self,

@@ -56,10 +56,7 @@ def product(values: Mapping[str, Sequence[float]]) -> list[Setting]:
 
 
 def grid(objective: Objective, parameters: Sequence[Hyperparameter], evaluations: int, rounds: int) -> Fitted:
-    """Coarse, then refined around the best.
-
-    A round uses its share of the remaining evaluations, and is one pass. No setting is evaluated twice.
-    """
+    """Coarse, then refined around the best: a round is one pass with its share; no setting is evaluated twice."""
     default = {each.path: each.default for each in parameters}
     spans = [each.span for each in parameters]
     found: list[Evaluation] = []
@@ -109,15 +106,8 @@ def gradient(
 def descend(
     objective: Objective, parameters: Sequence[Hyperparameter], evaluations: int, start: str = "default"
 ) -> Fitted:
-    """Follow the gradient from the default, or from the middle of the ranges.
-
-    It ends within the budget, or earlier if no further step is expected to help.
-
-    Returns:
-        The evaluations, the default first, then those of the passes; the curve has a point for each pass.
-
-    Raises:
-        ConfigError: fewer evaluations than two passes cost, or an unknown start.
+    """Follow the gradient from the default, or from the middle of the ranges, until the budget ends or no step is
+    expected to help; the default is evaluated first, and the curve has a point for each pass.
     """
     check_choice("tuning.start", start, STARTS)
     cost = 4 * len(parameters) + 1

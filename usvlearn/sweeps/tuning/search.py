@@ -60,18 +60,8 @@ def search(
 ) -> Fitted:
     """Run trials of a tree-structured Parzen estimator until all processes together have completed the budget.
 
-    Args:
-        objective: evaluates settings.
-        parameters: the hyperparameters that are searched.
-        evaluations: the budget.
-        folder: of the journal.
-        facts: JSON values that identify the search; another search must not continue in the same folder.
-        batch: trials that are evaluated as elements of one batch.
-        seed: of the sampler; that of a process differs by the number of its first trial.
-
-    Raises:
-        MissingExtraError: Optuna is not installed.
-        ConfigError: the folder holds another search.
+    `facts` identify the search: another one must not continue in the folder. The seed of a process differs by the
+    number of its first trial.
     """
     try:
         import optuna

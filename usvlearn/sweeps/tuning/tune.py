@@ -69,11 +69,7 @@ class Request(NamedTuple):
 
 
 def request(configuration: Mapping[str, Any], instantiate: Callable[[Any], Any]) -> Request:
-    """The tuning that a configuration asks for, checked.
-
-    Raises:
-        ConfigError: something is not legal.
-    """
+    """The tuning that a configuration asks for, checked."""
     if (way := asked(configuration)) is None:
         raise ConfigError(f"experiment: found no tuning, expected one of {', '.join(WAYS)}: add {WAYS[0]}=MEMBER")
     given, options, members = configuration[way], configuration["tuning"], configuration["estimators"]
@@ -183,11 +179,7 @@ def tune(
     overrides: Sequence[str] = (),
     console: Console | None = None,
 ) -> float:
-    """Tune as a configuration asks, and write the results into the folder.
-
-    Returns:
-        The best MAE, m/s, averaged over boats; infinite if all settings diverge.
-    """
+    """Tune as a configuration asks, and write the results; returns the best MAE, m/s; infinite if all diverge."""
     set_threads(configuration["threads"])
     asked_for, console = request(configuration, instantiate), console or Console(quiet=True)
     if (found := configuration.get("resume")) is not None:
@@ -224,11 +216,7 @@ def tune(
 def run(
     request: Request, fleet: Fleet, folder: Path, advance: Callable[[float], None] = lambda evaluations: None
 ) -> Fitted:
-    """Run the requested search.
-
-    Returns:
-        The evaluations, the default first; their number without it; for `learn` the curve.
-    """
+    """Run the requested search; its evaluations, the default first."""
     options, parameters = request.options, request.parameters
     objective = Objective(request.build, fleet, advance, measure=request.measure, device=options["device"])
     if request.values is not None:
@@ -256,14 +244,7 @@ def gain(mae: float, base: float) -> float | None:
 def record(
     facts: Mapping[str, Any], boats: Sequence[str], found: Sequence[Evaluation], persistence: Evaluation
 ) -> dict[str, Any]:
-    """The content of `tuning.json`; an error that is not finite is None.
-
-    Args:
-        facts: the request.
-        boats: their names.
-        found: evaluations, the default first; the best setting may be the default.
-        persistence: its evaluation on the same steps.
-    """
+    """The content of `tuning.json`, the default first in `found`; an error that is not finite is None."""
     default = found[0]
 
     def row(each: Evaluation) -> dict[str, Any]:
