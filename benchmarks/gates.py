@@ -209,8 +209,8 @@ def compare(prefixes: Sequence[str], shared: Path) -> bool:
             states[name] = ABSENT if own == ABSENT else "not recorded"
         elif states[name] == "differs":
             present[name] = found
-    if not states:
-        raise SystemExit(f"--only: found {', '.join(prefixes)}, expected the beginning of a case, such as steps/aid")
+    if unknown := [each for each in prefixes if not any(name.startswith(each) for name in (*known, *states))]:
+        raise SystemExit(f"--only: found {', '.join(unknown)}, expected the beginning of a case, such as steps/aid")
     gone = [name for name in known if name.startswith(tuple(prefixes)) and name not in states]
     states |= dict.fromkeys(gone, "gone")
     before = recorded_values(recorded, list(present), shared) if present else {}

@@ -10,9 +10,8 @@ import pytest
 from tests.support import ROOT
 from tests.support.reference import listed
 
-SOURCES = [
-    path for folder in ("certify", "usvlearn", "tests/support") for path in sorted((ROOT / folder).rglob("*.py"))
-]
+FOLDERS = "certify", "usvlearn", "tests/support", "benchmarks"
+SOURCES = [path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*.py"))]
 MODULES = [
     ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
     for path in SOURCES

@@ -122,6 +122,7 @@ def test_the_command_records_compares_and_names_what_a_change_changed(tmp_path):
     assert gates("record").stderr == ""
     equal = gates("--only", "")
     assert equal.returncode == 0 and "steps         equal (1 equal)" in equal.stdout and "away" in equal.stdout
+    assert "--only: found step/, expected" in gates("--only", "steps", "--only", "step/").stderr
     toy.write_text(toy.read_text().replace("0.5 * k", "0.5 * k if k < 4 else 2.5"))
     expected = "steps/toy: replay by step: surge, step 4: recorded 2.0, now 2.5"
     changed = gates("--only", "steps")  # nothing is committed: `record` has kept the source
