@@ -21,7 +21,7 @@ settings.load_profile("loaded")  # drawing cases may take long on a loaded machi
 
 TIERS = ("thorough", "slow", "slurm", "docs")
 WITHOUT_KERNELS = ("tests/certify", "tests/logs", "tests/core", "tests/display", "tests/simulate")
-BUT_WITH_KERNELS = "tests/core/test_lock.py"
+BUT_WITH_KERNELS = "tests/core/test_lock.py", "tests/core/test_checkpoint.py"
 FIRST = "tests/report/test_build.py"  # of the thorough tests: several modules wait for the report that it makes
 
 
