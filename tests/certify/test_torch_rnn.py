@@ -19,6 +19,7 @@ from certify.proofs import recurrent, vector_certificate, vector_exact
 from certify.proofs.certificate import described
 from certify.proofs.exact import definiteness
 from certify.search.recurrent import by_full_metric, by_spectral_norm, diagonal_scaling
+from tests.support import few
 from tests.support.vector_networks import spectral
 
 
@@ -172,7 +173,7 @@ def test_definite_matrices_alone_are_proved_definite(n):
 # Certificates
 
 
-@pytest.mark.parametrize("n", [10, 30, *(pytest.param(n, marks=pytest.mark.thorough) for n in (100, 200))])
+@pytest.mark.parametrize("n", [10, 30, *few([100], (), "thorough"), *few([200], ())])
 def test_many_states_are_certified_by_numbers_that_verification_accepts(n):
     W = 0.4 * random(n)
     for condition, given in (
@@ -252,7 +253,7 @@ def test_the_command_judges_writes_and_verifies(tmp_path, capsys, monkeypatch):
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("n, seconds", [(32, 15), (64, 120)])
+@pytest.mark.parametrize("n, seconds", few([(32, 15), (64, 120)], [(32, 15)]))
 def test_a_full_metric_of_many_states_is_found_in_time(n, seconds):
     W, began = 0.7 * random(n), time.process_time()
     net = nn.RNN(1, n)

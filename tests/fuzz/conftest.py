@@ -3,7 +3,7 @@
     @pytest.mark.fuzz(cases=300, slow=10_000)
     def test_something(rng, cases): ...
 
-draws 100 cases by default, all 300 among the thorough tests, and 10,000 with `pytest -m slow`.
+draws 100 cases by default, the other 200 among the thorough tests, and 10,000 with `pytest -m slow`.
 `FUZZ_SEED=7 pytest -m slow tests/fuzz` draws other cases.
 """
 
@@ -18,7 +18,7 @@ def pytest_generate_tests(metafunc):
     if mark := metafunc.definition.get_closest_marker("fuzz"):
         counts = {
             mark.kwargs["cases"] // 3: (),
-            mark.kwargs["cases"]: pytest.mark.thorough,
+            mark.kwargs["cases"] - mark.kwargs["cases"] // 3: pytest.mark.thorough,
             mark.kwargs["slow"]: pytest.mark.slow,
         }
         metafunc.parametrize(
