@@ -187,13 +187,13 @@ def with_fits(given: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray] | None:
             with suppress(UsvlearnError):
                 missions = missions_of(small._replace(runs=small.runs[:k]), boat)
                 fits[k] = fit_boat(boat, missions, cfg.vehicle.mass, cfg.vehicle.surge_max)
-    first = min((k for k, found in fits.items() if not found.against), default=0)
+    first = min((k for k, found in fits.items() if not found.doubts), default=0)
     errors: list[list[np.ndarray]] = [[], []]
     for with_them, kept in enumerate(errors):
         description, leaves = model.description(), arrays_of(model.init((1,)))
         for k, run in enumerate(fleet.runs):
             if with_them and k in fits and k >= first:
-                table = [0.0] * TABLE if fits[k].against else table_of(fits[k])
+                table = [0.0] * TABLE if fits[k].doubts else table_of(fits[k])
                 leaves, description = with_fit(leaves, description, table)
             samples = tree_map(lambda x: np.ascontiguousarray(x), run.samples)
             leaves, _, record = roll(description, leaves, samples, record=["forecasts.predictions"])

@@ -37,11 +37,15 @@ class Started:
 
     pid, code, count = 2**31, 0, 0
 
-    def __init__(self, command, **_):
+    def __init__(self, command, stderr, **_):
         Started.count, Started.command = Started.count + 1, command
+        stderr.write(b"warning: a mission is left out")
 
     def poll(self):
         return self.code
+
+    def kill(self):
+        Started.code = -9
 
     wait = poll
 
@@ -238,10 +242,39 @@ def test_a_fit_that_fails_is_a_warning_and_is_not_tried_again_before_the_next_mi
         for k in range(3):
             health = silence(session, 62.0 + k)
         assert "the fit of the missions ended with signal 9" in " ".join(health.warnings) and process.count == 1
+        assert "is left out" in (tmp_path / "fit" / "fit.log").read_text()
         process.code = 0
         sail(session, shift=100.0)
         silence(session)
         assert process.count == 2 and "fit" not in " ".join(silence(session, 63.0).warnings)
+
+
+def test_a_fit_that_takes_too_long_is_ended(tmp_path, start, process, monkeypatch):
+    process.code = None
+    with ready(tmp_path, start, refit=True) as session:
+        sail(session)
+        silence(session)
+        silence(session, 61.0)
+        assert "fit" not in " ".join(silence(session, 62.0).warnings) and process.count == 1
+        monkeypatch.setattr(missions, "LONGEST", -1.0)
+        assert "ended with nothing after" in " ".join(silence(session, 63.0).warnings)
+        assert process.code == -9 and session._missions._process is None
+
+
+def test_every_end_of_a_mission_is_written_before_the_first_is_reported(tmp_path, start, process):
+    with ready(tmp_path, start, refit=True) as session:
+        for k in range(3):
+            sail(session, shift=1000.0 * k)
+            session.restart()
+    assert len(checkpoint.checkpoints(tmp_path / "missions")) == 3
+
+
+def test_a_mission_that_is_removed_meanwhile_is_left_out(tmp_path, start, process):
+    with ready(tmp_path, start, refit=True) as session:
+        sail(session)
+    (tmp_path / "missions" / "00000000.safetensors").symlink_to("nowhere")
+    with pytest.raises(ConfigError, match="at least 600"):
+        refit(tmp_path)
 
 
 def test_what_is_no_mission_or_of_another_boat_is_left_out_with_a_warning(tmp_path, start, process, capsys):

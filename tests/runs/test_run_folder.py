@@ -123,6 +123,19 @@ def test_another_interval_of_saving_resumes_too(tmp_path, fleet):
         np.testing.assert_array_equal(ours, theirs)
 
 
+def test_a_fit_is_forgotten_where_logs_come(tmp_path, fleet):
+    first = fleet._replace(runs=fleet.runs[:1])
+    path = session(tmp_path / "run", first).path
+    fits = [path / "fit" / each for each in ("a.fit.json", "checkpoints/a/fit.safetensors", "my.txt")]
+    for each in fits:
+        each.parent.mkdir(parents=True, exist_ok=True)
+        each.write_text("{}")
+    session(path, first, "latest")
+    assert all(each.exists() for each in fits)
+    session(path, fleet, "latest")
+    assert [each.exists() for each in fits] == [False, False, True]
+
+
 def test_runs_are_never_mixed(tmp_path, fleet):
     run = session(tmp_path / "run", fleet)
     other = align_fleet([recording("a", "one", 6.0, speed=0.5), recording("b", "one", 9.0)])

@@ -249,7 +249,7 @@ def _add_to_results(folder: Path, fitted: Sequence[Fitted]) -> None:
     if not (folder / RESULTS).exists() or not (known := results(folder)):
         return
     kept = ["terms", "doubts", "quantities"] + ["simulation"] * all(each.simulation for each in fitted)
-    new = {x.boat: {"use": not x.against, **{k: x.json()[k] for k in kept}} for x in fitted}
+    new = {x.boat: {"use": not x.doubts, **{k: x.json()[k] for k in kept}} for x in fitted}
     save_results(folder, known | {"fit": known.get("fit", {}) | new})
 
 

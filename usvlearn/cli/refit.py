@@ -13,7 +13,7 @@ from usvlearn.core.lock import Lock
 from usvlearn.display.json_values import finite
 from usvlearn.errors import CheckpointError, ConfigError, UsvlearnError, complain
 from usvlearn.live.message_buffer import recording_of
-from usvlearn.live.missions import FIT, MISSIONS, RESULT, settings_of
+from usvlearn.live.missions import FIT, MISSIONS, RESULT, settings_of, sizes_of
 from usvlearn.logs.channels.channel import Recording
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.logs.setup import KEY, Setup
@@ -29,8 +29,8 @@ def refit(folder: Path) -> str:
 
 
 def _refit(folder: Path) -> str:
-    paths = checkpoint.checkpoints(folder / MISSIONS)
-    seen = {path.name: path.stat().st_size for path in paths}
+    sizes = sizes_of(folder / MISSIONS)
+    seen, paths = {path.name: size for path, size in sizes.items()}, [*sizes]
     told: dict[str, Any] = {"seen": seen, "use": False, "missions": 0, "quantities": {}}
     try:
         boat, setup, recordings = _read(paths)
@@ -41,7 +41,7 @@ def _refit(folder: Path) -> str:
         missions = missions_of(align_fleet(recordings, **fine(setup.align)), boat)
         found = fit_boat(boat, missions, setup.mass, setup.surge_max, online=None if last is None else last.online)
         write(folder / FIT, found, last, float(setup.align["dt"]))
-        against = " ".join(found.against)
+        against = " ".join(found.doubts)
         many = f"the fit of {found.missions.number} mission{'s' * (found.missions.number != 1)}"
         told |= {
             "use": not against, "missions": found.missions.number, "table": table_of(found),

@@ -21,11 +21,14 @@ WORDS = "float32 also compiles the estimators' kernels of that precision, reader
 def warm(float32: bool = False, readers: bool = False, live: bool = False) -> Path:
     """Compile what is not compiled yet, the simulator only with torch; returns the folder of the code."""
     from usvlearn.core.jit import folder
+    from usvlearn.core.prepared_samples import ROW
     from usvlearn.engine import dispatch
     from usvlearn.engine.first_use import compile_planar, compile_plans
     from usvlearn.engine.open_loop_scores import compile_free_runs
     from usvlearn.logs.alignment.align import Aligner
     from usvlearn.logs.channels.channel import REQUIRED, Source
+    from usvlearn.model.fit import turning
+    from usvlearn.model.fit.gauss_newton import compile_fit
 
     Aligner({name: Source(name) for name in REQUIRED})
     if not live and importlib.util.find_spec("torch") is not None:
@@ -37,6 +40,8 @@ def warm(float32: bool = False, readers: bool = False, live: bool = False) -> Pa
         compile_planar(dtype)
         if not live:
             compile_free_runs(dtype)
+    compile_fit()
+    turning.evaluate(turning.MEAN, [np.empty((0, ROW))])
     if readers:
         _compile_readers()
     return folder(Path(dispatch.__file__)).parent

@@ -10,6 +10,7 @@ import os
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
@@ -32,13 +33,23 @@ from usvlearn.live.start import Options
 from usvlearn.logs.channels.channel import COMMANDS, SURGE
 from usvlearn.logs.setup import KEY, Setup
 
-MISSIONS, FIT, RESULT = "missions", "fit", "refit.json"  # in the folder of a node, and in `fit`
+MISSIONS, FIT, RESULT, SAID = "missions", "fit", "refit.json", "fit.log"  # in the folder of a node, and in `fit`
 MOST, SHORTEST, MOVES = 32_000_000, 60.0, 0.01  # bytes of all missions; s of one, and a command in it, at least
+LONGEST = 3600.0  # s, of a fit
 
 
 def settings_of(setup: Setup) -> Any:
     """What a fit depends on, as JSON values: not what nobody has confirmed."""
     return finite({key: each for key, each in setup.json().items() if key != SECTION})
+
+
+def sizes_of(folder: Path) -> dict[Path, int]:
+    """The bytes of each mission in a folder, from the oldest; without those that are removed meanwhile."""
+    found = {}
+    for path in checkpoint.checkpoints(folder):
+        with suppress(FileNotFoundError):
+            found[path] = path.stat().st_size
+    return found
 
 
 def read_refit(folder: Path, setup: Setup | None = None) -> Refit:
@@ -68,6 +79,7 @@ class Missions:
         numbers = [int(each.stem) for each in checkpoint.checkpoints(self._folder) if each.stem.isdecimal()]
         self._path = self._folder / f"{1 + max(numbers, default=0):08d}{checkpoint.SUFFIX}"  # of this mission
         self._process: subprocess.Popen[bytes] | None = None
+        self._began = 0.0  # of the process, on the monotonic clock, s
         self._problem, self._due, self._tried = "", True, dict[str, int]()  # sizes of the missions that were fitted
         self._found = read_refit(options.folder, setup)
         self.told = self._found if options.refit else None
@@ -77,10 +89,15 @@ class Missions:
         mission with a loss of thrust is not kept, nor a fit used meanwhile. Returns why the last fit failed, or "".
         """
         self._lost |= loss is not None
+        if late := self._process is not None and time.monotonic() - self._began > LONGEST:
+            self._process.kill()
+            self._process.wait()
         if self._process is not None and (code := self._process.poll()) is not None:
             self._process, self._found = None, read_refit(self._options.folder, self._setup)
             how = "" if code in (0, 2) else f"signal {-code}" if code < 0 else f"exit code {code}"  # 2: too little data
-            self._problem = how and f"the fit of the missions ended with {how}: the next mission tries again"
+            how = f"nothing after {LONGEST / 60:g} min" if late else how
+            why = f"the next mission tries again, see {self._options.folder / FIT / SAID}"
+            self._problem = how and f"the fit of the missions ended with {how}: {why}"
             self._due = True  # of missions that have ended meanwhile
         if self._options.refit:
             self.told = Refit(sentence=f"use those learned online: {loss.sentence}") if loss else self._found
@@ -96,7 +113,8 @@ class Missions:
         moves = any(np.abs(columns[name][1]).max() > MOVES for name in COMMANDS if name in columns)
         long = SURGE in columns and np.ptp(columns[SURGE][0]) > SHORTEST
         if long and moves and self._options.refit and not self._lost:
-            self._background.submit(f"mission{' end' * ended}", self._write, self._path, columns)
+            name = f"mission {self._path.stem} end" if ended else "mission"  # each end is written
+            self._background.submit(name, self._write, self._path, columns)
         if anew or (ended and (SURGE in columns or self._recent.full)):
             self._recent.clear(keep_held=not anew)
             if self._lost:
@@ -112,23 +130,28 @@ class Missions:
     def _write(self, path: Path, columns: Columns) -> None:
         leaves = {name: np.stack(each) for name, each in columns.items()}
         checkpoint.save(path, leaves, boat=self._options.boat, **{KEY: self._setup.json()})
-        kept = checkpoint.checkpoints(self._folder)
-        while sum(each.stat().st_size for each in kept) > MOST:
-            kept.pop(0).unlink()
+        kept = sizes_of(self._folder)
+        while sum(kept.values()) > MOST:
+            kept.pop(oldest := next(iter(kept)))
+            oldest.unlink(missing_ok=True)
 
     def _start(self) -> None:
         """Fit all missions in a process, unless that was tried."""
-        sizes = {path.name: path.stat().st_size for path in checkpoint.checkpoints(self._folder)}
+        sizes = {path.name: size for path, size in sizes_of(self._folder).items()}
         with suppress(CheckpointError, TypeError, ValueError):
             self._tried |= status_of(self._options.folder / FIT, RESULT).get("seen", {})
         if self._options.refit and not sizes.items() <= self._tried.items():
             self._tried = sizes
             search = os.pathsep.join(filter(None, (str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH"))))
-            self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "usvlearn", "fit", str(self._options.folder.absolute())],
-                start_new_session=True, env={**os.environ, "PYTHONPATH": search}, stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-            )  # fmt: skip
+            said = self._options.folder / FIT / SAID
+            said.parent.mkdir(exist_ok=True)
+            with said.open("wb") as file:
+                self._process = subprocess.Popen(
+                    [sys.executable, "-P", "-m", "usvlearn", "fit", str(self._options.folder.absolute())],
+                    start_new_session=True, env={**os.environ, "PYTHONPATH": search}, stdin=subprocess.DEVNULL,
+                    stdout=file, stderr=file,
+                )  # fmt: skip
+            self._began = time.monotonic()
             threading.Thread(target=self._process.wait, daemon=True).start()  # ends behind the node, too
             with suppress(OSError, AttributeError):  # not on Windows; where memory is short, this process ends first
                 os.setpriority(os.PRIO_PROCESS, self._process.pid, 19)

@@ -284,7 +284,7 @@ class RunFolder:
             "estimator": ESTIMATOR, "boat": boat, "run": run.names[element], "step": place.step,
             "time": float(run.time[place.step - 1, element]) if place.step else 0.0,
             "version": usvlearn.__version__, "configuration": self._configuration,
-            "kernel": select_element(self._resumption.kernel, len(self.fleet.boats), element),
+            "kernel": select_element(self.ensemble.description(), len(self.fleet.boats), element),
         }  # fmt: skip
         if boat in self._setups:
             facts["setup"] = self._setups[boat]
@@ -308,10 +308,12 @@ class RunFolder:
         return {"boats": boats, "ensemble": ensemble_digest(self._configuration)}
 
     def _forget(self, own: Sequence[Path], place: Position) -> None:
-        """Remove this run's results, and those of its own predictions after `place`, the last first."""
+        """Remove this run's results, its fit if logs come, and its own predictions after `place`, the last first."""
         self.path.mkdir(parents=True, exist_ok=True)
-        for name in (RESULTS, ERRORS):
-            (self.path / name).unlink(missing_ok=True)
+        more = self.fleet.steps_before(*place) < self.fleet.steps
+        fits = [*self.path.glob("fit/*.fit.json"), *self.path.glob(f"fit/{CHECKPOINTS}/*/fit{SUFFIX}")] if more else []
+        for path in [self.path / RESULTS, self.path / ERRORS, *fits]:
+            path.unlink(missing_ok=True)
         for old in reversed(own):
             if (found := position(old)) is not None and found > place:
                 old.unlink()

@@ -1,11 +1,14 @@
 """What speaks against the use of a fit."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from tests.support.fitted_boats import TOP
 from tests.support.saved_fits import facts
 from usvlearn.estimators.joint.excitation_warnings import Quantity
+from usvlearn.model.fit import fitted
 from usvlearn.model.fit.diagnostics import doubts
 from usvlearn.model.fit.gauss_newton import LAGS, Missions
 from usvlearn.model.fit.terms import AT, PLACE_LAG, PLACE_TIME, prior
@@ -44,3 +47,11 @@ def test_nothing_speaks_against_a_good_fit():
 def test_each_doubt_is_one_sentence_with_what_to_do(given, words):
     (sentence,) = said(**given)
     assert words in sentence and sentence.endswith(".") and len(sentence) < 300
+
+
+def test_quantities_that_no_boat_can_have_are_a_doubt(monkeypatch):
+    monkeypatch.setattr(fitted, "doubts", lambda *_: ("It hardly brakes.",))
+    for wrong in ("", "It goes astern."):
+        one = SimpleNamespace(found=SimpleNamespace(unphysical=wrong), fit=None, diagnostics={"cross_correlation": {}},
+                              online=None, lag=0.0)  # fmt: skip
+        assert fitted.Fitted.doubts.func(one) == (*filter(None, [wrong]), "It hardly brakes.")

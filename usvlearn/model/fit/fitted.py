@@ -66,13 +66,9 @@ class Fitted:
 
     @cached_property
     def doubts(self) -> tuple[str, ...]:
-        """What speaks against the use of its values, one sentence each."""
-        return doubts(self.fit, self.found, self.diagnostics["cross_correlation"], self.online, self.lag)
-
-    @property
-    def against(self) -> tuple[str, ...]:
-        """Why those learned online are to be used, and not its values: it is unphysical, or doubted."""
-        return (*filter(None, [self.found.unphysical]), *self.doubts)
+        """Why its values are not to be used, but those learned online, one sentence each."""
+        found = doubts(self.fit, self.found, self.diagnostics["cross_correlation"], self.online, self.lag)
+        return (*filter(None, [self.found.unphysical]), *found)
 
     @property
     def fit(self) -> Fit:

@@ -41,6 +41,6 @@ def tables(found: Fitted, online: Identified | None) -> list[RenderableType]:
         f"In open loop, {many} by {found.errors[found.chosen]:.4f} m/s; speeds are {found.found.late:.1f} s late.",
         *([] if found.simulation is None else [found.simulation.sentence]),
         found.found.scale,
-        *found.found.lacks,
+        *(each for each in found.found.lacks if each not in found.doubts),
     ]
     return [table, Text(), sets, *map(Text, lines)]

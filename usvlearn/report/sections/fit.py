@@ -128,7 +128,7 @@ def _findings(season: Season, fit: SavedFit) -> list[str]:
             f"{boat}: the report has {_count(len(season.runs), 'run')}, less than the fit: run usvlearn fit again."
         )
     here += [f"{boat}: do not use these values before this is settled: {each}" for each in fit.doubts]
-    here += [f"{boat}: {each}" for each in fit.lacks]
+    here += [f"{boat}: {each}" for each in fit.lacks if each not in fit.doubts]
     if fit.diagnostics is None:
         return [*here, f"{boat}: this fit is of an older version without diagnostics: run usvlearn fit again."]
     return here + [f"{boat}: {each}" for each in _diagnosed(fit.diagnostics)]
