@@ -28,15 +28,15 @@ from usvlearn.runs import saved
 pytestmark = pytest.mark.thorough  # the set-up of its tests takes long
 
 SCRIPT = "usvlearn/__main__.py"
+QUICKER = [each for each in QUICK[1:] if each != "~estimators.joint_averaged"]  # which tells the parameters
+MISSIONS = ["data.hours=0.5", "data.mission_minutes=10", "data.n=2", "hydra.run.dir=run", "refit=true", *QUICKER]
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A run of two boats, half an hour each, three missions, which was fitted at its end."""
     folder = tmp_path_factory.mktemp("fit")
-    missions = ["data.hours=0.5", "data.mission_minutes=10", "data.n=2"]
-    quick = [each for each in QUICK[1:] if each != "~estimators.joint_averaged"]  # which tells the parameters
-    done = run(*missions, *quick, "hydra.run.dir=run", "refit=true", folder=folder)
+    done = run(*MISSIONS, folder=folder)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("(used)") == 2 and "report: " not in done.stdout
     return folder
@@ -60,6 +60,32 @@ def test_it_is_nearer_to_the_truth_than_online_learning_and_says_how_sure_it_is(
             found["quantities"][k]["low"] <= truth[boat][k]["truth"] <= found["quantities"][k]["high"] for k in known
         ]
     assert np.mean(inside) >= 0.8 and np.mean(nearer) > 0.5
+
+
+def predictions(folder: Path) -> list[dict[str, np.ndarray]]:
+    return [dict(np.load(path)) for path in sorted((folder / "predictions").glob("*.npz"))]
+
+
+@pytest.mark.parametrize("last", ["00000_*", "00001_0000300*"], ids=["where a mission has ended", "under way"])
+def test_a_fit_of_the_missions_so_far_forecasts_too_and_a_resumed_run_is_the_same(folder, tmp_path, last):
+    tables = []
+    for k in range(3):
+        path = max((folder / "run" / "checkpoints" / "heron2").glob(f"{k:05d}_*"))
+        tables.append(np.array(Online.open(path).description["forecasts"]["fit"]["table"]))
+    assert not tables[0].any() and tables[1].any() and (tables[2] != tables[1]).any()
+    whole = predictions(folder / "run")
+    made = [each["forecasts"].reshape(*each["forecasts"].shape[:2], 6, -1)[..., -3] for each in whole]
+    assert not np.isfinite(made[0]).any() and np.isfinite(made[-1]).any()
+    shutil.copytree(folder / "run", tmp_path / "run")
+    kept = max((tmp_path / "run" / "predictions").glob(f"{last}.npz"))
+    for path in (tmp_path / "run" / "predictions").glob("*.npz"):
+        if path.name > kept.name:
+            path.unlink()
+    done = run(*MISSIONS, "resume=latest", folder=tmp_path)
+    assert done.returncode == 0 and "resuming after" in done.stdout, done.stderr
+    for one, other in zip(whole, predictions(tmp_path / "run"), strict=True):
+        for name in ("predictions", "forecasts", "forecast_halfwidths"):
+            np.testing.assert_array_equal(one[name], other[name])
 
 
 def test_a_run_is_fitted_on_the_way_of_another_command_which_goes_on_without_a_fit(folder, tmp_path, capsys):

@@ -14,6 +14,7 @@ from rich.console import Console
 
 from usvlearn.cli.fit import fit_on_the_way
 from usvlearn.cli.hydra_command import command
+from usvlearn.cli.replay_fits import FITTED, fits_of, replay_with_fits, takes_fits
 from usvlearn.cli.signals import until_stopped
 from usvlearn.cli.sweep import do_job
 from usvlearn.composition.alignment import CheckedAlignment
@@ -81,6 +82,10 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
         planar, without = planar_of(cfg, ensemble)
         recordings = list(instantiate(cfg.data))
         fleet = align(recordings, **cfg.align)
+        if refits := bool(cfg.get("refit")) and len(fleet.runs) > 1 and takes_fits(ensemble):
+            cfg.forecasts._target_ = FITTED  # from now on, as it is in what is saved
+            ensemble, settings = ensemble_of(cfg), {**plain(cfg), "resume": None}
+            planar, without = planar_of(cfg, ensemble)
     if (rejected := rejection_table(fleet.rejected)) is not None:
         console.print(rejected)
     check_measure(measure_of(cfg.get("objective"), ensemble.output), ensemble, fleet)
@@ -95,7 +100,10 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
     )  # fmt: skip
     with run, logger, Activity(console) as activity:
         activity.begin("replaying", total=fleet.steps)
-        chunks = replay(ensemble, fleet, start.state, start.position, logger.every, save_every, planar, run.beside)
+        if refits:
+            chunks = replay_with_fits(run, start.position, fits_of(run, recordings, cfg), logger.every, save_every)
+        else:
+            chunks = replay(ensemble, fleet, start.state, start.position, logger.every, save_every, planar, run.beside)
         for chunk in until_stopped(chunks, lambda: run.stop(began)):
             run.save(chunk)
             logger.show(chunk)

@@ -38,9 +38,11 @@ def select_element(description: Any, elements: int, element: int) -> Any:
                 name: x if np.ndim(x) <= axes else (x[element] if len(x) == elements else x[0])
                 for name, x in value.items()
             }
-        elif key == "inner":
+        elif key in ("inner", "forecasts", "fit"):
             own[key] = select_element(value, elements, element)
-        elif key in ("members", "rules"):
+        elif key == "table":
+            own[key] = value if np.ndim(value) == 1 else value[element]
+        elif key in ("members", "rules") and isinstance(value, Mapping):
             own[key] = {name: select_element(x, elements, element) for name, x in value.items()}
         else:
             own[key] = value

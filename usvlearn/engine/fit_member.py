@@ -8,7 +8,7 @@ A table of zeros makes it inactive (its forecasts are NaN); after that its weigh
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -20,13 +20,13 @@ from usvlearn.estimators.ensemble.forecasts.state import EMPTY, FIT, FIT_WEIGHT
 Leaves = dict[str, np.ndarray]
 
 
-def with_fit(leaves: Mapping[str, np.ndarray], description: Description, table: Sequence[float]) -> tuple[Leaves, Any]:
+def with_fit(leaves: Mapping[str, np.ndarray], description: Description, table: Any) -> tuple[Leaves, Any]:
     """The leaves and the description with the table of a fit; as they are where no joint EKF is weighed.
 
     Args:
         leaves: of the state of an ensemble or of a boat in the plane, by dotted name.
         description: of it.
-        table: of `usvlearn.model.fit.hand_over.table_of`.
+        table: of `usvlearn.model.fit.hand_over.table_of`, of all batch elements or of each.
     """
     if description["kind"] == "planar":
         own = {name[6:]: leaf for name, leaf in leaves.items() if name.startswith("surge.")}
@@ -43,18 +43,22 @@ def with_fit(leaves: Mapping[str, np.ndarray], description: Description, table: 
     name = next((name for name in weighed if members[name]["kind"] == "joint"), None)
     if name is None or FIT in members:
         return found, description
-    new = {**made, FIT: {"column": weighed[name], "table": list(table)}}
+    new = {**made, FIT: {"column": weighed[name], "table": np.asarray(table).tolist()}}
     first, place = FIT not in made, len(weighed)
-    if first or not any(made[FIT]["table"]):
+    anew = np.array(True) if first else ~np.any(made[FIT]["table"], -1)
+    if anew.any():
         rule = {key: leaves[f"forecasts.rule.{key}"][..., :place] for key in ("weights", "losses", "squares", "ranges")}
         weights = rule["weights"] / rule["weights"].sum(-1, keepdims=True)
         more = {key: (weights * rule[key]).sum(-1) for key in ("losses", "squares")}
         more |= {"weights": FIT_WEIGHT, "ranges": rule["ranges"].max(-1)}
         rule["weights"] = (1 - FIT_WEIGHT) * weights
-        found |= {f"forecasts.rule.{key}": np.insert(each, place, more[key], -1) for key, each in rule.items()}
+        begun = {f"forecasts.rule.{key}": np.insert(each, place, more[key], -1) for key, each in rule.items()}
         begin = f"forecasts.frozen.{name}."
         under_way = {leaf: x for leaf, x in leaves.items() if leaf.startswith(begin)}
-        found |= {leaf.replace(begin, f"forecasts.frozen.{FIT}."): x for leaf, x in under_way.items()}
+        begun |= {leaf.replace(begin, f"forecasts.frozen.{FIT}."): x for leaf, x in under_way.items()}
+        for leaf, x in begun.items():
+            where = anew.reshape(anew.shape + (1,) * (x.ndim - anew.ndim))
+            found[leaf] = x if first else np.where(where, x, leaves[leaf])
     if first:
         new["vectors"] = made["vectors"] | at.with_fit(made["vectors"]["prior"])
         for leaf, value in (("forecasts.weights", 0.0), ("forecasts.predictions", math.nan)):

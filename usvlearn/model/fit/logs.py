@@ -77,20 +77,21 @@ def missions_of(fleet: Fleet, boat: str, dt: float = DT) -> dict[str, np.ndarray
 
 
 def without_losses(
-    boat: str, missions: Mapping[str, np.ndarray], events: Sequence[Mapping[str, Any]], dt: float = DT
+    boat: str, missions: Mapping[str, np.ndarray], events: Sequence[Mapping[str, Any]], tell: bool = True
 ) -> dict[str, np.ndarray]:
-    """The missions without the times in which a thruster lacked thrust, with a warning of each.
+    """The missions without the times in which a thruster lacked thrust.
 
     Args:
-        boat, missions, dt: see `missions_of`.
+        boat, missions: see `missions_of`.
         events: of the boat, as `results.json` has them.
+        tell: whether to warn of each.
 
     Raises:
         ConfigError: too little is left.
     """
     found, lost, said = dict[str, np.ndarray](), set[str](), ""
     for name, rows in missions.items():
-        found[name], place = rows.copy(), np.arange(len(rows)) * dt
+        found[name], place = rows.copy(), np.arange(len(rows)) * DT
         found[name][:, MODE] = HOLD if lost else rows[:, MODE]
         for each in (each for each in events if each["run"] == name and each["kind"] in (LOSS, RECOVERY)):
             begins, side = each["kind"] == LOSS, {each["side"]}
@@ -101,7 +102,8 @@ def without_losses(
                 said = (
                     f"{boat}: the {each['side']} thruster lost thrust at {each['time']:.0f} s of {name} (run's events)"
                 )
-                complain(f"warning: {said}: the fit leaves out what follows until its recovery")
+                if tell:
+                    complain(f"warning: {said}: the fit leaves out what follows until its recovery")
     if said and (left := sum(int(scored(rows).sum()) for rows in found.values())) < FEWEST:
         raise ConfigError(
             f"{said}: found {left} measured steps with both thrusters whole, expected at least {FEWEST}: fit logs from "

@@ -16,13 +16,15 @@ from usvlearn.estimators.joint.layer import JointEKF
 
 
 class FittedForecasts(ForecastSettings):
-    """`ForecastSettings` with the table of a batch fit (`usvlearn.model.fit.hand_over.table_of`)."""
+    """`ForecastSettings` with the table of a batch fit (`usvlearn.model.fit.hand_over.table_of`), of each boat or of
+    all; zeros, the default: none yet.
+    """
 
-    def __init__(self, fit: Sequence[float], **settings: Any):
+    def __init__(self, fit: Any = (0.0,) * at.TABLE, **settings: Any):
         super().__init__(**settings)
-        self.fit = [float(x) for x in fit]
-        if len(self.fit) != at.TABLE or not np.isfinite(self.fit).all():
-            raise ConfigError(f"forecasts.fit: found {len(fit)} numbers, expected {at.TABLE}, all finite")
+        self.fit = np.asarray(fit, float)
+        if self.fit.shape[-1:] != (at.TABLE,) or not np.isfinite(self.fit).all():
+            raise ConfigError(f"forecasts.fit: found {self.fit.size} numbers, expected {at.TABLE}, all finite")
 
     def bind(self, names: Sequence[str], members: Mapping[str, Any], *given: Any) -> None:
         super().bind(names, members, *given)
@@ -41,6 +43,6 @@ class FittedForecasts(ForecastSettings):
 
     def description(self, columns: Sequence[str]) -> dict[str, Any]:
         found = super().description([*columns, at.FIT])
-        fit = {"column": list(columns).index(self.copied), "table": self.fit}
+        fit = {"column": list(columns).index(self.copied), "table": self.fit.tolist()}
         vectors = found["vectors"] | at.with_fit(self.prior)
         return {**found, "members": found["members"][:-1], "vectors": vectors, at.FIT: fit}
