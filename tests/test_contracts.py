@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.support import ESTIMATORS, FAMILIES, at, each_family, few, leaves, over, random_samples
+from tests.support import ESTIMATORS, FAMILIES, at, each_family, few, layers, leaves, over, random_samples
 from tests.support.kernel_cases import mission
 from usvlearn import Inputs, Online, Sample, rollout
 from usvlearn.core.samples import tree_map
@@ -16,7 +16,9 @@ from usvlearn.errors import ShapeError
 
 BATCHES = [(), (2, 3)]
 every_family = pytest.mark.parametrize("name", FAMILIES)
+each_layer = pytest.mark.parametrize("name", layers(FAMILIES))
 each_setting = each_family(ESTIMATORS)  # where another setting of a family has other equations
+each_layer_setting = each_family(layers(ESTIMATORS))
 each_batch = over("batch", BATCHES)
 BAD_INPUTS = [
     ("command_left", math.nan), ("command_right", math.inf), ("heading", -math.inf), ("yaw_rate", math.nan),
@@ -72,7 +74,7 @@ def test_elements_equal_single_runs(name):
         assert_same(tree_map(lambda x, i=element: x[i], end), end1, rtol=1e-12, atol=1e-12)
 
 
-@every_family
+@each_layer
 @each_batch
 def test_vmap_equals_batch(name, batch):
     estimator, samples = ESTIMATORS[name](), random_samples(3, 4, *batch)
@@ -149,7 +151,7 @@ def test_a_start_is_the_speed_to_depart_from(name):
     assert speeds and all(torch.equal(leaf, torch.full_like(leaf, 1.3)) for leaf in speeds.values())
 
 
-@each_setting
+@each_layer_setting
 @each_batch
 def test_gradients_through_bad_samples_are_finite_and_reach_every_hyperparameter(name, batch):
     estimator, samples = ESTIMATORS[name](), troubled(*batch)
@@ -166,7 +168,7 @@ def test_gradients_through_bad_samples_are_finite_and_reach_every_hyperparameter
         assert parameter.grad.abs().max() > 0, key
 
 
-@each_setting
+@each_layer_setting
 def test_gradients_of_hyperparameters_equal_differences(name):
     estimator, samples = ESTIMATORS[name](), random_samples(6)
     scalars = {key: p for key, p in estimator.named_parameters() if p.ndim == 0 and p.requires_grad}
@@ -237,9 +239,7 @@ def test_steps_are_pure(name, batch):
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize(
-    "name", few([*FAMILIES, "joint_trial", "rnn_penalty"], {"robust_sift", "rnn_replay", "joint", "boa"})
-)
+@pytest.mark.parametrize("name", few([*layers(FAMILIES), "rnn_penalty"], {"rnn_replay", "boa"}))
 def test_compiles_without_graph_breaks(name):
     estimator, samples = ESTIMATORS[name](), random_samples(1, 3)
     state = tree_map(torch.Tensor.detach, estimator.init((3,)))

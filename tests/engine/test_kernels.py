@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.support import ESTIMATORS, FAMILIES, each_family, few
+from tests.support import ESTIMATORS, FAMILIES, each_family, few, layers
 from tests.support.kernel_cases import CONDITIONS, LONG, VARIANTS, difference, failing_thrusters, mission
 from usvlearn import RNN, Ensemble, Persistence, Robust, rollout
 from usvlearn.core.samples import named_leaves, tree_map
@@ -22,11 +22,11 @@ from usvlearn.estimators.ensemble.conformal.layer import LEAST
 from usvlearn.estimators.ensemble.monitors.layer import THRESHOLD
 from usvlearn.estimators.rnn.projection_kernel import threshold
 
-EVERY = ESTIMATORS | VARIANTS
+EVERY = layers(ESTIMATORS | VARIANTS)
 every_setting = pytest.mark.parametrize("name", EVERY)
-every_family = pytest.mark.parametrize("name", FAMILIES)
+every_family = pytest.mark.parametrize("name", layers(FAMILIES))
 each_batch = pytest.mark.parametrize("batch", [(2, 3), pytest.param((), marks=pytest.mark.thorough)], ids=str)
-IN_CI = ("rls", "sift", "robust", "rnn")  # in the thorough tests; all others are slow
+IN_CI = ("rls", "sift", "rnn")  # in the thorough tests; all others are slow
 AMPLIFYING = ("ensemble",)  # the covariance of a member is inflated: torch, started one rounding away, ends 4e-7 away
 
 
@@ -62,7 +62,7 @@ def assert_windows_equal(estimator, samples, window, tolerance, run=rollout):
 
 @pytest.mark.parametrize("steps", few([2_000, 10_000], [2_000]))
 @pytest.mark.thorough
-@pytest.mark.parametrize("name", few(LONG, IN_CI))
+@pytest.mark.parametrize("name", few(layers(LONG), IN_CI))
 def test_thousands_of_steps(name, steps):
     estimator, samples = LONG[name](), mission(steps, 4)
     if name in AMPLIFYING:
@@ -106,7 +106,7 @@ def test_alarms_and_intervals_of_a_steady_boat():
     assert float(expected[2]["halfwidths"].min()) == pytest.approx(LEAST, rel=1e-12)  # a mean of two that are this
 
 
-@pytest.mark.parametrize("name", (*FAMILIES, "forecasts"))
+@pytest.mark.parametrize("name", layers(FAMILIES))
 @each_batch
 def test_batches(name, batch):
     assert_windows_equal(EVERY[name](), mission(40, *batch, seed=1), 20, 1e-9)
@@ -134,7 +134,7 @@ def test_free_runs(name):
 
 @pytest.mark.parametrize("run", [rollout, simulate], ids=lambda run: run.__name__)
 @each_batch
-@pytest.mark.parametrize("name", ["boa", "robust_sift"])
+@pytest.mark.parametrize("name", ["boa", "dynamic_sift"])
 def test_records(name, batch, run):
     """By names of leaves, or by a function; over more steps than are held at a time."""
     estimator, samples = ESTIMATORS[name](), mission(300 if batch == () else 30, *batch)

@@ -9,14 +9,14 @@ import pytest
 import torch
 from hypothesis import given, settings
 
-from tests.support import ESTIMATORS, few
+from tests.support import ESTIMATORS, few, layers
 from tests.support.kernel_cases import VARIANTS, difference, mission
 from usvlearn import Inputs, Sample, rollout
 from usvlearn.core.protocol import clean
 from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.engine.rollouts import simulate
 
-EVERY = ESTIMATORS | VARIANTS
+EVERY = layers(ESTIMATORS | VARIANTS)
 FAR = [math.nan, math.inf, -math.inf, 1e300, -1e300, 5e-324, 99.9, -100.0, 1e6, -0.0]
 numbers = st.floats(-1.5, 1.5) | st.sampled_from(FAR) | st.floats()
 spans = (

@@ -24,7 +24,6 @@ from usvlearn import (
     Inputs,
     Online,
     Persistence,
-    Robust,
     Sample,
     SIFtRLS,
     SurgeDynamics,
@@ -78,8 +77,6 @@ NO_KERNEL = "OBSTACLE, or a part of it, has no compiled kernel"
 OBSTACLES = {
     "subclass": (lambda: OwnAID(), NO_KERNEL.replace("OBSTACLE", "OwnAID")),
     "model": (lambda: RLS(OwnModel()), NO_KERNEL.replace("OBSTACLE", "RLS")),
-    "inner": (lambda: Robust(OwnAID()), NO_KERNEL.replace("OBSTACLE", "Robust")),
-    "twice": (lambda: Robust(Robust(AID())), NO_KERNEL.replace("OBSTACLE", "Robust")),
     "member": (lambda: Ensemble({"a": AID(), "b": OwnAID()}), NO_KERNEL.replace("OBSTACLE", "Ensemble")),
     "nested": (lambda: Ensemble({"a": Ensemble({"b": AID()})}), NO_KERNEL.replace("OBSTACLE", "Ensemble")),
     "rule": (lambda: Ensemble({"a": AID()}, {"own": OwnRule()}), NO_KERNEL.replace("OBSTACLE", "Ensemble")),

@@ -9,8 +9,7 @@ import pytest
 import torch
 from torch.utils._pytree import tree_leaves
 
-from tests.support import ESTIMATORS, at, few, over, random_samples
-from tests.support.configured import default_ensemble
+from tests.support import ESTIMATORS, at, few, layers, over, random_samples
 from tests.support.kernel_cases import VARIANTS
 from tests.support.placement import on_device, read_as_ones
 from usvlearn import (
@@ -40,16 +39,14 @@ def small() -> Ensemble:
     return Ensemble({"aid": AID(28.0), "rnn": RNN(6)}, {"boa": BOA()}, forecasts=ForecastSettings((0.4,)))
 
 
-CASES = ESTIMATORS | {"default": lambda: default_ensemble(torch.float64), "small": small}
-KINDS = ("robust_sift", "aid", "rnn_replay", "joint", "arx", "weighted", "small", "sift", "rnn",
-         "persistence")  # fmt: skip
+CASES = layers(ESTIMATORS)
+KINDS = ("sift", "aid", "rnn_replay", "weighted", "rnn", "persistence")
 some_cases = pytest.mark.parametrize(  # one by default, the rest of KINDS thorough, all others slow
     "name", [*few(KINDS, KINDS[:1], "thorough"), *few([name for name in CASES if name not in KINDS], ())]
 )
 CALLS = {  # of an estimator with its state and a run
     "learn": lambda estimator, state, run: estimator.learn(state, at(run, 0).inputs, run.surge[0]),
     "free_step": lambda estimator, state, run: estimator.free_step(state, at(run, 0).inputs),
-    "inflate": lambda estimator, state, run: estimator.inflate_covariance(state, run.surge[0]),
     # Values are unknown on `meta`, so that each step of a rollout there calls `start`, `predict` and `update`.
     "rollout": lambda estimator, state, run: rollout(estimator, state, run, lambda state: state, "torch"),
     "forecast": lambda estimator, state, run: estimator.forecast(state, run.inputs),

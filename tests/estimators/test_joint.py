@@ -9,7 +9,7 @@ import torch
 from scipy.integrate import solve_ivp
 
 from tests.support import few, over
-from tests.support.kernel_cases import mission
+from tests.support.kernel_cases import inflated, mission
 from usvlearn import Inputs, JointEKF, Online, Sample, rollout
 from usvlearn.core import checkpoint
 from usvlearn.core.protocol import clean
@@ -294,13 +294,14 @@ def test_a_prior_in_newtons():
     assert [round(float(found[name]), 9) for name in joint.names[:9]] == theta0
 
 
+@pytest.mark.thorough
 def test_a_larger_covariance_has_a_limit():
     joint = JointEKF(2.0, 28.0)
     state, _, _ = rollout(joint, joint.init(), mission(100))
-    twice = joint.inflate_covariance(state, tensor(2.0)[0])
+    twice = inflated(joint, state, 2.0)
     torch.testing.assert_close(twice.covariance, 2 * state.covariance)
     for _ in range(50):
-        twice = joint.inflate_covariance(twice, tensor(1e6)[0])
+        twice = inflated(joint, twice, 1e6)
     mean = (twice.covariance.diagonal()[4:] / joint.variance).mean()
     assert mean == pytest.approx(100.0)
 

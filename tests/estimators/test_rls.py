@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from tests.support import at, random_samples
+from tests.support.kernel_cases import inflated
 from usvlearn import RLS, QuasiStatic, SIFtRLS, SurgeDynamics, rollout
 from usvlearn.core.samples import tree_map
 from usvlearn.estimators.least_squares.rls import NOISE, NOISE_LEAST, NOISE_SHARE, RLSState, rls_step, spread
@@ -160,16 +161,17 @@ def test_noise_is_moved_little_by_one_outlier_and_comes_back_from_rest():
     assert NOISE_LEAST < NOISE
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", [RLS, SIFtRLS])
-def test_loosen_inflates_the_covariance_alone(kind):
-    samples, rls = random_samples(20, 2), kind(SurgeDynamics(28.0))
-    state, _, _ = rollout(rls, rls.init((2,)), samples)
-    factor = torch.tensor([1.0, 9.0], dtype=torch.float64)
-    loose = rls.inflate_covariance(state, factor)
-    torch.testing.assert_close(loose.covariance, factor[:, None, None] * state.covariance)
-    assert torch.equal(loose.factor[0], state.factor[0])
+def test_inflation_is_of_the_covariance_alone(kind):
+    samples, rls = random_samples(20), kind(SurgeDynamics(28.0))
+    state, _, _ = rollout(rls, rls.init(), samples)
+    loose = inflated(rls, state, 9.0)
+    torch.testing.assert_close(loose.covariance, 9 * state.covariance)
     for name in set(RLSState._fields) - {"factor"}:
-        assert getattr(loose, name) is getattr(state, name)
+        assert torch.equal(getattr(loose, name), getattr(state, name))
+    wide = state._replace(factor=1e6 * state.factor)  # beyond the limit it is not deflated
+    assert torch.equal(inflated(rls, wide, 4.0).factor, wide.factor)
 
 
 @pytest.mark.parametrize("feedback", ["measured", "estimate"])
@@ -190,9 +192,3 @@ def test_learn_is_update_and_predict_also_beyond_the_physical_limit(kind, feedba
         limited += int((surge.abs() == 1.0).sum())
         state = learned
     assert limited > 0 and math.isfinite(float(state.theta.detach().sum()))
-
-
-def test_a_covariance_beyond_the_limit_is_not_deflated():
-    rls = RLS()
-    wide = rls.init()._replace(factor=1e6 * rls.init().factor)
-    assert torch.equal(rls.inflate_covariance(wide, torch.tensor(4.0, dtype=torch.float64)).factor, wide.factor)

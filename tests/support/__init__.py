@@ -90,6 +90,13 @@ ESTIMATORS = FAMILIES | {  # and other settings of them
     ),
 }
 
+KERNEL_ALONE = ("robust", "joint", "yaw", "sway", "arx", "forecasts")  # how names begin of those without torch's steps
+
+
+def layers(estimators: dict[str, Callable]) -> dict[str, Callable]:
+    """The estimators whose steps torch makes, too."""
+    return {name: make for name, make in estimators.items() if not name.startswith(KERNEL_ALONE)}
+
 
 def random_samples(steps: int, *batch: int, seed: int = 0, dtype=torch.float64) -> Sample:
     """Random inputs and speeds, all fresh and measured."""

@@ -13,6 +13,7 @@ from usvlearn import (
     RNN,
     Average,
     Ensemble,
+    Estimator,
     ExponentialWeights,
     FixedWeights,
     ForecastSettings,
@@ -29,6 +30,9 @@ from usvlearn import (
     YawEKF,
 )
 from usvlearn.core.samples import named_leaves, tree_map
+from usvlearn.engine.backend import arrays_of, tree_of
+from usvlearn.engine.dispatch_tables import inflate_covariance
+from usvlearn.engine.planar_plan import program_for
 
 PRIOR = [-3.0, -6.0, -4.0, 20.0, 15.0, -3.0, 16.0, 18.0, -2.0]
 STIFF = [-9e3, -9e3, 0, 500, 500, -200, 500, 500, -200]  # dt Ĵ far below −20
@@ -110,6 +114,14 @@ def difference(found, expected) -> float:
         error, largest = (np.abs(z).max(initial=0.0) for z in (x[known] - y[known], y[known]))
         worst = max(worst, float(error / largest) if largest > 0 else (math.inf if error > 0 else 0.0))
     return worst
+
+
+def inflated(estimator: Estimator, state, factor: float):
+    """The state whose covariance `Robust` inflates where it accepts a change, of one boat."""
+    plan = program_for(estimator.description(), (), np.dtype(np.float64))
+    states = plan.pack(arrays_of(state))
+    inflate_covariance(plan.program[1], states[0], plan.numbers[0], factor)
+    return tree_of(state, plan.unpack(states))
 
 
 def _three() -> dict:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import abc
 import math
 from collections.abc import Iterable, Sequence
+from importlib import import_module
 from typing import Any, NamedTuple, final
 
 import torch
@@ -125,23 +126,6 @@ class Estimator(nn.Module, abc.ABC):
         """
         return self.predict(state, inputs)
 
-    def inflate_covariance(self, state: State, factor: Tensor) -> State:
-        """Make the parameters less certain; by default, for estimators without a covariance, nothing changes.
-
-        Args:
-            state: before.
-            factor: of the covariance, no unit, `(*batch,)`.
-
-        Returns:
-            The state with its covariance times the factor; an estimator may bound it.
-
-        >>> from usvlearn import RLS
-        >>> state = RLS(covariance=10.0).inflate_covariance(RLS(covariance=10.0).init(), torch.tensor(4.0))
-        >>> round(float(state.covariance[0, 0].detach()), 6)
-        40.0
-        """
-        return state
-
     def learn(self, state: State, inputs: Inputs, surge: Tensor) -> tuple[State, Tensor]:
         """A step on which nothing is masked.
 
@@ -198,6 +182,36 @@ class Estimator(nn.Module, abc.ABC):
         Returns the next state and the predicted surge, m/s, `(*batch,)`: NaN where no step was made.
         """
         return advance(self, state, clean(sample, self.surge_limit), EVERY)
+
+
+class KernelEstimator(Estimator):
+    """An estimator whose steps its kernel alone makes: no gradient passes through them, and no torch function.
+
+    A subclass defines `init`, `description` and `monitor`. Its hyperparameters are not learnable.
+
+    >>> from usvlearn import ARX
+    >>> arx, one = ARX(), torch.tensor(1.0).double()
+    >>> state, predicted = arx.learn(arx.init(), Inputs(one, one, 0 * one, 0 * one, 0.4 * one), one)
+    >>> float(state.surge), float(predicted)
+    (1.0, 0.0)
+    """
+
+    def predict(self, state: State, inputs: Inputs) -> tuple[State, Tensor]:
+        return self._step(state, inputs, torch.full_like(inputs.dt, math.nan), True, False)
+
+    def update(self, state: State, inputs: Inputs, surge: Tensor) -> State:
+        return self.learn(state, inputs, surge)[0]
+
+    def learn(self, state: State, inputs: Inputs, surge: Tensor) -> tuple[State, Tensor]:
+        return self._step(state, inputs, surge, True, True)
+
+    def start(self, state: State, surge: Tensor) -> State:
+        return self._step(state, Inputs(*[torch.zeros_like(surge)] * len(Inputs._fields)), surge, False, False)[0]
+
+    def _step(self, state: State, inputs: Inputs, surge: Tensor, fresh: bool, measured: bool) -> tuple[State, Tensor]:
+        yes = torch.ones_like(surge, dtype=torch.bool)
+        sample = Sample(inputs, surge, yes & fresh, yes & measured)
+        return import_module("usvlearn.engine.rollouts").kernel_step(self, state, sample)  # of a layer above this one
 
 
 def check_estimator(name: str, value: Any) -> Estimator:
@@ -264,7 +278,7 @@ def advance(estimator: Estimator, state: State, step: Step, some: Kinds) -> tupl
 
 def spec_of(part: Any) -> dict[str, Any] | None:
     """The description of an estimator, or of a part of one; None where its class has none, or a method was replaced."""
-    changed = vars(part).keys() & {"predict", "update", "learn", "start", "inflate_covariance", "combine", "forward"}
+    changed = vars(part).keys() & {"predict", "update", "learn", "start", "combine", "forward"}
     return part.description() if "description" in vars(type(part)) and not changed else None
 
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.autograd.forward_ad import unpack_dual
 
-from usvlearn.core.protocol import Estimator, spec_of
+from usvlearn.core.protocol import Estimator, KernelEstimator, spec_of
 from usvlearn.core.samples import Sample, named_leaves, rebuild
 from usvlearn.engine.registry import compilable
 from usvlearn.errors import ConfigError, check_choice
@@ -27,13 +27,29 @@ def choose(estimator: Estimator, state: Any, samples: Sample, backend: str) -> d
     """
     if check_choice("backend", backend, BACKENDS) == "torch":
         return None
+    if samples.surge.numel() == 0:
+        return description_of(estimator, "there are no batch elements", backend)
+    obstacle = obstacle_of(
+        estimator, state, samples, "cuda" if backend == "kernel" and samples.surge.is_cuda else "cpu"
+    )
+    return description_of(estimator, obstacle, backend)
+
+
+def obstacle_of(estimator: Estimator, state: Any, samples: Sample, device: str) -> str | None:
+    """Why the kernels on a device cannot make steps of this state, if they cannot.
+
+    Raises:
+        ConfigError: no other code can make them.
+    """
     own = [*estimator.parameters(), *estimator.buffers()]
     tensors = [*tensors_in(state), *tensors_in(samples), *own]
-    device = "cuda" if backend == "kernel" and samples.surge.is_cuda else "cpu"
     obstacle = out_of_reach(tensors, device) or _derivative(tensors)
-    if not obstacle and samples.surge.numel() == 0:
-        obstacle = "there are no batch elements"
-    return description_of(estimator, obstacle, backend)
+    if obstacle and isinstance(estimator, KernelEstimator):
+        raise ConfigError(
+            f"{type(estimator).__name__}: {obstacle}, expected tensors on the CPU and no derivative: only its kernel "
+            "makes its steps. Torch makes those of AID, RLS, SIFtRLS, RNN, Persistence, and of combiners"
+        )
+    return obstacle
 
 
 def array_of(x: Tensor) -> np.ndarray:

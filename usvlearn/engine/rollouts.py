@@ -13,7 +13,7 @@ from torch import Tensor
 from usvlearn.core.forecasts import NONE, Forecast, Track, check_plan
 from usvlearn.core.protocol import EVERY, Estimator, Kinds, State, Step, advance, clean
 from usvlearn.core.samples import Inputs, Sample, named_leaves, tree_map
-from usvlearn.engine.backend import array_of, arrays_of, choose, is_transformed, tensors_in, tree_of
+from usvlearn.engine.backend import array_of, arrays_of, choose, is_transformed, obstacle_of, tensors_in, tree_of
 from usvlearn.engine.leaves import afresh
 from usvlearn.errors import ConfigError, ShapeError
 
@@ -280,6 +280,21 @@ def run(
         for k in range(len(predictions)):
             records.append(record(tree_of(state, {name: x[k] for name, x in kept.items()}, device)))
     return tree_of(state, leaves, device), torch.cat(parts), stack(records)
+
+
+def kernel_step(estimator: Estimator, state: State, sample: Sample) -> tuple[State, Tensor]:
+    """The state after one sample, leaves `(*batch,)`, and the prediction, m/s, of a `KernelEstimator`.
+
+    Raises:
+        ConfigError: its kernel cannot make this step.
+    """
+    if sample.surge.numel() == 0:
+        return state, sample.surge
+    obstacle_of(estimator, state, sample, "cuda" if sample.surge.is_cuda else "cpu")
+    description = estimator.description()
+    assert description is not None, "expected the description of a kernel"
+    state, surge, _ = run(description, state, tree_map(lambda x: x[None], sample), None, free=False)
+    return state, surge[0]
 
 
 def stack(trees: Sequence[Any]) -> Any:

@@ -1,4 +1,4 @@
-"""The ARX filter in torch: equations (1) to (4) of `state`."""
+"""The ARX filter: its arguments, its first state, and its diagnostics."""
 
 from __future__ import annotations
 
@@ -10,37 +10,14 @@ import torch
 from torch import Tensor
 
 from usvlearn.core.hyperparameters import Hyper, Positive, as_tensor, check_broadcast
-from usvlearn.core.protocol import Estimator, describe
-from usvlearn.core.samples import Inputs, tree_map, where
+from usvlearn.core.protocol import KernelEstimator, describe
 from usvlearn.errors import ConfigError, check_positive
-from usvlearn.estimators.arx.state import (
-    COMMANDS,
-    FAMILY,
-    LONGEST,
-    MOST_LAGS,
-    RATES,
-    REST_SQUARE,
-    REST_TIME,
-    STEP,
-    ARXState,
-    deviations,
-)
-from usvlearn.estimators.least_squares.state import LOOSEST, NOISE, NOISE_LEAST, NOISE_SHARE
-from usvlearn.estimators.ud_factorization.layer import (
-    added,
-    inflate_covariance,
-    measured,
-    packed,
-    projected,
-    rotated,
-    unpacked,
-    variances,
-)
-
-GROUP = len(COMMANDS)
+from usvlearn.estimators.arx.state import FAMILY, MOST_LAGS, ARXState, deviations
+from usvlearn.estimators.least_squares.state import NOISE
+from usvlearn.estimators.ud_factorization.layer import unpacked, variances
 
 
-class ARX(Estimator):
+class ARX(KernelEstimator):
     """Predicts the increment of the speed from the last increments and commands; learns by a Kalman filter.
 
     The weights of outliers are those of West 1981; the filter is derived in `docs/theory/estimators.md`.
@@ -66,7 +43,6 @@ class ARX(Estimator):
     """
 
     ratios: Tensor  # (p,) prior deviations over `scale`
-    drags: Tensor  # (3, p) each d of the drag
 
     frozen = FAMILY.frozen
 
@@ -91,14 +67,12 @@ class ARX(Estimator):
                 raise ConfigError(f"{name}: found {value!r}, expected true or false")
         self.lags, self.even, self.turning, self.thrust_speed, self.project = lags, *options.values()
         self.surge_max = check_positive("surge_max", surge_max, "of m/s")
-        self.scale, self.walk = Positive(scale, "scale"), Positive(walk, "walk")
+        self.scale, self.walk = Positive(scale, "scale", learnable=False), Positive(walk, "walk", learnable=False)
         degrees = None if isinstance(degrees, float) and degrees == math.inf else degrees
-        self.degrees = None if degrees is None else Positive(degrees, "degrees")
+        self.degrees = None if degrees is None else Positive(degrees, "degrees", learnable=False)
         found = deviations(lags, even, turning, thrust_speed)
         self.names = tuple(found)
         self.register_buffer("ratios", as_tensor(list(found.values())))
-        drags = [{"speed": 1.0}, *({"speed_square": 1.0, "even_speed_square": sign} for sign in (1.0, -1.0))]
-        self.register_buffer("drags", as_tensor([[row.get(name, 0.0) for name in found] for row in drags]))
 
     def init(self, batch: Sequence[int] = ()) -> ARXState:
         check_broadcast(self, tuple(batch))
@@ -108,59 +82,8 @@ class ARX(Estimator):
         started = torch.ones_like(zero, dtype=torch.bool)
         return ARXState(zeros, factor, zeros, zero, noise, zero, zero, zero, started)
 
-    def predict(self, state: ARXState, inputs: Inputs) -> tuple[ARXState, Tensor]:
-        h, features, estimate = self._estimate(state, inputs)
-        predicted = self._limit(estimate)
-        _, _, _, spread = self._spread(state, h[..., None] * features)
-        state = state._replace(deviation=(state.noise * spread).sqrt())
-        return self._remember(state, features, predicted, h), predicted
-
-    def free_step(self, state: ARXState, inputs: Inputs) -> tuple[ARXState, Tensor]:
-        """As `predict`, without the deviation."""
-        h, features, estimate = self._estimate(state, inputs)
-        predicted = self._limit(estimate)
-        return self._remember(state, features, predicted, h), predicted
-
-    def update(self, state: ARXState, inputs: Inputs, surge: Tensor) -> ARXState:
-        return self.learn(state, inputs, surge)[0]
-
-    def learn(self, state: ARXState, inputs: Inputs, surge: Tensor) -> tuple[ARXState, Tensor]:
-        h, features, estimate = self._estimate(state, inputs)
-        error, tails = surge - estimate, self._tails()
-        U, D, g, spread = self._spread(state, h[..., None] * features)
-        state = state._replace(deviation=(state.noise * spread).sqrt())
-        seen = error * error / spread
-        weight = (1 + tails) / (1 + tails * seen / state.noise)  # (2)
-        U, D, gain, S = measured(U, D, g, 1 / weight)
-        noise = (state.noise + NOISE_SHARE * (weight * seen - state.noise)).clamp(min=NOISE_LEAST**2)  # (3)
-        theta = state.theta + gain * (error / S)[..., None]
-        if self.project:
-            for d in self.drags.unbind(0):
-                theta = projected(theta, U, D, d)
-        # A member that diverged may hold any number.
-        turn = torch.where((state.turn >= 0) & (state.turn < len(self.names)), state.turn, 0.0).floor()
-        learned = state._replace(
-            theta=theta,
-            factor=packed(*self._walked(U, D, turn, h)),
-            noise=noise,
-            turn=torch.where(turn + 1 < len(self.names), turn + 1, 0.0),
-        )
-        rests = inputs.command_left**2 + inputs.command_right**2 + features[..., 1] ** 2 < REST_SQUARE
-        rest = torch.where(rests, state.rest + inputs.dt, 0.0)
-        state = tree_map(lambda new, old: where(rest <= REST_TIME, new, old), learned, state)
-        return self._remember(state._replace(rest=rest), features, surge, h), self._limit(estimate)
-
-    def start(self, state: ARXState, surge: Tensor) -> ARXState:
-        past, started = torch.zeros_like(state.past), torch.ones_like(state.started)
-        return state._replace(past=past, surge=surge, started=started)
-
-    def inflate_covariance(self, state: ARXState, factor: Tensor) -> ARXState:
-        """P times `factor`, up to `LOOSEST` times P₀, in trace."""
-        trace = variances(*unpacked(state.factor)).sum(-1)
-        return state._replace(factor=inflate_covariance(state.factor, factor, LOOSEST * self.prior.sum(-1) / trace))
-
     def description(self) -> dict[str, Any]:
-        return describe(FAMILY, self, size=len(self.names), tails=self._tails())
+        return describe(FAMILY, self, size=len(self.names), tails=0.0 if self.degrees is None else 1 / self.degrees())
 
     def monitor(self, state: ARXState) -> dict[str, Tensor]:
         trace = variances(*unpacked(state.factor)).sum(-1)
@@ -171,57 +94,3 @@ class ARX(Estimator):
     def prior(self) -> Tensor:
         """The diagonal of P₀, `(p,)` or `(*batch, p)`."""
         return (self.scale()[..., None] * self.ratios) ** 2
-
-    def _tails(self) -> Tensor:
-        """1/ν."""
-        return self.ratios.new_zeros(()) if self.degrees is None else 1 / self.degrees()
-
-    def _limit(self, x: Tensor) -> Tensor:
-        return x.clamp(-self.surge_max, self.surge_max)
-
-    def _estimate(self, state: ARXState, inputs: Inputs) -> tuple[Tensor, Tensor, Tensor]:
-        """h and f of (1), and the speed before its limits."""
-        h = (inputs.dt / STEP).clamp(max=LONGEST)
-        features = self._features(state, inputs)
-        return h, features, state.surge + h * (features * state.theta).sum(-1)
-
-    def _spread(self, state: ARXState, phi: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """U, D, g = Uᵀφ and S of (2)."""
-        U, D = unpacked(state.factor)
-        g = rotated(U, phi)
-        return U, D, g, 1 + (D * g * g).sum(-1)
-
-    def _features(self, state: ARXState, inputs: Inputs) -> Tensor:
-        """f of (1), `(*batch, p)`."""
-        left, right, _, yaw_rate, _ = inputs
-        v, past, started = self._limit(state.surge), state.past, state.started[..., None]
-        begin, end = RATES + self.lags, RATES + self.lags + GROUP * (self.lags + 1)
-        total = left + right
-        now = torch.stack([total, left - right, left * left.abs(), right * right.abs()], -1)
-        before = torch.where(started, now.repeat(*[1] * (now.ndim - 1), self.lags), past[..., begin : end - GROUP])
-        found = [torch.ones_like(v), v, v * v.abs(), yaw_rate.abs() * v]
-        rest = []
-        if self.even:
-            rest += [left.abs() + right.abs(), left * left + right * right, v * v, total * v]
-        if self.turning:
-            r = past[..., end + len(rest)]
-            rest += [yaw_rate, torch.where(state.started, 0.0, yaw_rate - r)]
-        if self.thrust_speed:
-            rest += [left * v.abs(), right * v.abs()]
-        groups = [torch.stack(found, -1), past[..., RATES:begin], now, before]
-        return torch.cat([*groups, torch.stack(rest, -1)] if rest else groups, -1)
-
-    def _walked(self, U: Tensor, D: Tensor, turn: Tensor, h: Tensor) -> tuple[Tensor, Tensor]:
-        """U and D after the walk (4) of the weight whose turn it is."""
-        here = (torch.arange(len(self.names), device=turn.device) == turn[..., None]).to(D.dtype)
-        prior, own = (here * self.prior).sum(-1), (here * variances(U, D)).sum(-1)
-        share = len(self.names) * (h * self.walk())
-        return added(U, D, here, torch.minimum(share * prior, (prior - own).clamp(min=0)))
-
-    def _remember(self, state: ARXState, features: Tensor, surge: Tensor, h: Tensor) -> ARXState:
-        """The state that keeps f and the increment to the speed from which the next step departs."""
-        past, end = features, RATES + self.lags
-        if self.lags:
-            rate = self._limit((surge - state.surge) / torch.where(h > 0, h, 1.0))[..., None]
-            past = torch.cat([past[..., :RATES], rate, past[..., RATES : end - 1], past[..., end:]], -1)
-        return state._replace(past=past, surge=surge, started=torch.zeros_like(state.started))

@@ -15,12 +15,10 @@ from usvlearn.estimators.augmented_ekf import state as at
 from usvlearn.estimators.augmented_ekf.state import B, FilterState, Y
 from usvlearn.estimators.ud_factorization.layer import (
     added,
-    inflate_covariance,
     measured,
     packed,
     projected,
     unit,
-    unpacked,
     variances,
 )
 
@@ -151,19 +149,6 @@ def corrected(
     mean = torch.cat([mean[..., :-1], mean[..., -1:].clamp(at.LAG_LEAST, at.LAG_MOST)], -1)
     noise = torch.where(moves, heard.clamp(min=at.NOISE_LEAST**2), noise)
     return state._replace(mean=mean, factor=packed(U, D), noise=noise, updates=updates), S
-
-
-def inflated(state: State, factor: Tensor, variance: Tensor) -> State:
-    """P times `factor`, up to `LOOSEST` times the prior: a direction without excitation would not shrink again.
-
-    Args:
-        state: of the filter.
-        factor: `(*batch,)`.
-        variance: prior variances of the parameters, `(m,)` or `(*batch, m)`.
-    """
-    m = variance.shape[-1]
-    total = (variances(*unpacked(state.factor))[..., -m:] / variance).sum(-1)
-    return state._replace(factor=inflate_covariance(state.factor, factor, at.LOOSEST * m / total))
 
 
 def _eye(D: Tensor) -> Tensor:

@@ -16,7 +16,6 @@ from usvlearn.estimators.augmented_ekf.layer import (
     advanced,
     corrected,
     decay,
-    inflated,
     initial,
     isolated,
     limited,
@@ -112,10 +111,6 @@ class AxisEKF(Estimator):
 
     def start(self, state: FilterState, surge: Tensor) -> FilterState:
         return state._replace(surge=surge, started=torch.ones_like(state.started))
-
-    def inflate_covariance(self, state: FilterState, factor: Tensor) -> FilterState:
-        """P times `factor`, up to its limit."""
-        return inflated(state, factor, self.variance)
 
     def description(self) -> dict[str, Any]:
         return describe(FAMILY, self, kind=self.kind, size=SIZES[self.kind])

@@ -216,12 +216,6 @@ class Ensemble(Estimator):
             raise ConfigError(NONE)
         return self.forecasts.plan(state.forecasts, self.members, state.members, inputs)
 
-    def inflate_covariance(self, state: EnsembleState, factor: Tensor) -> EnsembleState:
-        members = {
-            name: member.inflate_covariance(state.members[name], factor) for name, member in self.members.items()
-        }
-        return state._replace(members=members)
-
     def description(self) -> dict[str, Any] | None:
         members = {name: spec_of(member) for name, member in self.members.items()}
         rules = {

@@ -18,7 +18,6 @@ from usvlearn.estimators.augmented_ekf.layer import (
     advanced,
     corrected,
     decay,
-    inflated,
     initial,
     isolated,
     limited,
@@ -229,10 +228,6 @@ class JointEKF(Estimator):
     def start(self, state: JointState, surge: Tensor) -> JointState:
         state = state._replace(surge=surge, started=torch.ones_like(state.started))
         return state if self.trial is None else self.trial.started(state)
-
-    def inflate_covariance(self, state: JointState, factor: Tensor) -> JointState:
-        """P times `factor`, up to its limit."""
-        return inflated(state, factor, self.variance)
 
     def description(self) -> dict[str, Any]:
         even = self.even is not None

@@ -130,13 +130,6 @@ class LeastSquares(Estimator):
     def start(self, state: RLSState, surge: Tensor) -> RLSState:
         return state._replace(surge=surge)
 
-    def inflate_covariance(self, state: RLSState, factor: Tensor) -> RLSState:
-        """P times `factor`, up to `LOOSEST` times P₀: a direction without excitation would never shrink again."""
-        prior = len(self.model.names) * self.covariance() * self.model.scale**2
-        trace = (state.factor * state.factor).sum((-2, -1))
-        factor = torch.minimum(factor, (LOOSEST * prior / trace).clamp(min=1))
-        return state._replace(factor=state.factor * factor.sqrt()[..., None, None])
-
     def _spec(self, kind: str, **own: Any) -> dict[str, Any] | None:
         """`description` of a kind, whose numbers are `own`."""
         if (terms := spec_of(self.model)) is None:

@@ -74,9 +74,3 @@ def projected(x: Tensor, U: Tensor, D: Tensor, d: Tensor) -> Tensor:
     G = D * f
     step = torch.where(value > 0, value / (f * G).sum(-1), 0.0)
     return x - step[..., None] * (U * G[..., None, :]).sum(-1)
-
-
-def inflate_covariance(factor: Tensor, growth: Tensor, limit: Tensor) -> Tensor:
-    """The leaf `factor` of P times `growth`, `(*batch,)`, up to `limit`, `(*batch,)`; a limit below 1 counts as 1."""
-    U, D = unpacked(factor)
-    return packed(U, D * torch.minimum(growth, limit.clamp(min=1))[..., None])

@@ -1,4 +1,4 @@
-"""Robust learning around any estimator in torch: equations (1) and (2) of `state`."""
+"""Robust learning around an estimator: its arguments, its first state, and its diagnostics."""
 
 from __future__ import annotations
 
@@ -6,12 +6,10 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from usvlearn.core.hyperparameters import Hyper, Positive, check_broadcast
-from usvlearn.core.protocol import Estimator, check_estimator, numbers_of, spec_of
-from usvlearn.core.samples import Inputs, named_leaves, tree_map, where
+from usvlearn.core.protocol import Estimator, KernelEstimator, check_estimator, numbers_of, spec_of
 from usvlearn.errors import ConfigError, check_positive
 from usvlearn.estimators.wrappers.robust.state import FAMILY, RobustState
 
@@ -22,13 +20,13 @@ def clipped_moment(c: float) -> float:
     return 1 - tail - c * math.sqrt(2 / math.pi) * math.exp(-c * c / 2) + c * c * tail
 
 
-class Robust(Estimator):
-    """Huber-clips the innovations of any estimator.
+class Robust(KernelEstimator):
+    """Huber-clips the innovations of an estimator.
 
     Huber 1964; the escape and the gate are derived in `docs/theory/estimators.md`.
 
     Args:
-        estimator: any.
+        estimator: one of this package, not an ensemble; no gradient reaches its hyperparameters any more.
         threshold: c, a number of standard deviations. 4 clips gross outliers only, and not the errors of an imperfect
             model. Huber's 1.345 is for regressions: an estimator that departs from the last speed would replace a sixth
             of all samples by its own predictions (`docs/benchmarks/stress.md`).
@@ -41,7 +39,7 @@ class Robust(Estimator):
         scale_min: least scale, m/s, so that a log without noise is not all outliers.
 
     Raises:
-        ConfigError: no estimator, or a number outside its range.
+        ConfigError: no estimator, one without a kernel, or a number outside its range.
 
     >>> from usvlearn import AID
     >>> robust = Robust(AID(mass=28.0))
@@ -60,13 +58,18 @@ class Robust(Estimator):
         scale_min: float = 1e-3,
     ):
         super().__init__()
-        self.estimator = check_estimator("estimator of Robust", estimator)
+        self.estimator = check_estimator("estimator of Robust", estimator).requires_grad_(False)
+        if (spec_of(estimator) or {"kind": "robust"})["kind"] in ("robust", "ensemble"):
+            raise ConfigError(
+                f"estimator of Robust: found {type(estimator).__name__}, expected one with a kernel, and no "
+                "Robust or Ensemble: learn without Robust"
+            )
         self.threshold = check_positive("threshold", threshold, "of standard deviations")
         if not (isinstance(patience, int) and patience >= 1):
             raise ConfigError(f"patience: found {patience!r}, expected a whole number of samples, 1 or more")
         self.patience = patience
         self.inflation = Positive(inflation, "inflation", learnable=False)  # not every estimator has a covariance
-        self.scale = Positive(scale, "scale")
+        self.scale = Positive(scale, "scale", learnable=False)
         if not bool((self.inflation() >= 1 - 1e-9).all()):
             raise ConfigError(f"inflation: found {inflation}, expected 1 or more")
         self.share = 1 / check_positive("memory", memory, "of samples, 1 or more")
@@ -81,56 +84,10 @@ class Robust(Estimator):
         zero = self.scale.log.new_zeros(tuple(batch))
         return RobustState(inner, (self.scale() ** 2).expand(tuple(batch)).clone(), zero, zero, zero, zero)
 
-    def predict(self, state: RobustState, inputs: Inputs) -> tuple[RobustState, Tensor]:
-        inner, surge = self.estimator.predict(state.inner, inputs)
-        return state._replace(inner=inner), surge
-
     @property
     def frozen(self) -> tuple[str, ...] | None:  # type: ignore[override]  # of the estimator within
         inner = self.estimator.frozen
         return None if inner is None else tuple(f"inner.{name}" for name in inner)
-
-    def open_loop(self, state: RobustState) -> RobustState:
-        return state._replace(inner=self.estimator.open_loop(state.inner))
-
-    def free_step(self, state: RobustState, inputs: Inputs) -> tuple[RobustState, Tensor]:
-        inner, surge = self.estimator.free_step(state.inner, inputs)
-        return state._replace(inner=inner), surge
-
-    def update(self, state: RobustState, inputs: Inputs, surge: Tensor) -> RobustState:
-        return self.learn(state, inputs, surge)[0]
-
-    def learn(self, state: RobustState, inputs: Inputs, surge: Tensor) -> tuple[RobustState, Tensor]:
-        predicted = self.estimator.predict(state.inner, inputs)[1]
-        innovation = surge - predicted
-        bound = self.threshold * state.variance.sqrt()
-        beyond = innovation.abs() > bound
-        escapes = beyond & (state.run >= self.patience)
-        first = escapes & (state.run < self.patience + 1)
-        clips = beyond & ~escapes
-        within = torch.where(clips, innovation.clamp(-bound, bound), innovation)  # (1)
-        inner = self.estimator.inflate_covariance(state.inner, torch.where(first, self.inflation(), 1.0))
-        inner = self.estimator.update(inner, inputs, torch.where(clips, predicted + within, surge))
-        seen = torch.minimum(innovation * innovation, bound * bound) / self.moment
-        variance = torch.lerp(state.variance, seen, self.share).clamp(min=self.variance_min)  # (2)
-        learned = RobustState(
-            inner,
-            variance,
-            torch.where(beyond, state.run + 1, 0.0),
-            state.clipped + clips,
-            state.rejected,
-            state.escaped + first,
-        )
-        refused = state._replace(rejected=state.rejected + 1)
-        sane = finite(inner, surge.ndim) | ~finite(state.inner, surge.ndim)
-        keep = sane & (innovation * innovation).isfinite()
-        return tree_map(lambda new, old: where(keep, new, old), learned, refused), predicted
-
-    def start(self, state: RobustState, surge: Tensor) -> RobustState:
-        return state._replace(inner=self.estimator.start(state.inner, surge), run=torch.zeros_like(state.run))
-
-    def inflate_covariance(self, state: RobustState, factor: Tensor) -> RobustState:
-        return state._replace(inner=self.estimator.inflate_covariance(state.inner, factor))
 
     def description(self) -> dict[str, Any] | None:
         inner = spec_of(self.estimator)
@@ -139,12 +96,3 @@ class Robust(Estimator):
     def monitor(self, state: RobustState) -> dict[str, Tensor]:
         counts = {"clipped": state.clipped, "rejected": state.rejected, "escaped": state.escaped}
         return {**self.estimator.monitor(state.inner), **counts, "scale": state.variance.sqrt()}
-
-
-def finite(tree: Any, batch_dims: int) -> Tensor:
-    """Whether all numbers of each batch element are finite, `(*batch,)` bool."""
-    total: Tensor | float = 0.0
-    for _, leaf in named_leaves(tree):
-        if leaf.is_floating_point():  # a sum is finite where all its terms are, short of 1e308
-            total = total + (leaf.flatten(batch_dims).sum(-1) if leaf.ndim > batch_dims else leaf)
-    return torch.as_tensor(total).isfinite()
