@@ -24,7 +24,7 @@ from usvlearn.core.protocol import spec_of
 from usvlearn.core.samples import Inputs, Sample, tree_map
 from usvlearn.engine.backend import arrays_of
 from usvlearn.engine.lanes import Lanes
-from usvlearn.engine.planar_plan import program_for
+from usvlearn.engine.program import program_for
 from usvlearn.engine.run import prepared, roll
 from usvlearn.sweeps.tuning.batches import spread
 

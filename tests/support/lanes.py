@@ -19,7 +19,7 @@ from usvlearn.core.protocol import spec_of
 from usvlearn.core.samples import tree_map
 from usvlearn.engine import lanes
 from usvlearn.engine.backend import array_of, arrays_of, tree_of
-from usvlearn.engine.planar_plan import program_for
+from usvlearn.engine.program import program_for
 from usvlearn.engine.run import roll
 from usvlearn.estimators.ensemble.forecasts.fit_layer import FittedForecasts
 from usvlearn.estimators.ensemble.forecasts.state import TABLE

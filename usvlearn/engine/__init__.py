@@ -5,17 +5,16 @@ steps. A table describes the parts of an estimator, and the kernels interpret it
 compilation. A state is one row of numbers per batch element; its leaves are views of that row. The files, in the order
 in which they build on each other:
 
-    registry      the families that have a kernel; whether a description consists of them alone
     dispatch_tables    one function for each verb, which calls the kernel of the right family
     dispatch      one estimator, one ensemble, one step; runs over (time, elements)
-    leaves        the leaves of the state of a described estimator
-    program       from a description (`Estimator.description`) to the table, the numbers and the places of the leaves
+    parts         one walk of a description: its parts, their leaves and numbers
+    program       from the parts to the table, the numbers and the places of the leaves
     validate      checks a description and a state from a file
     first_use, background_compile    compile what runs and live steps need together, in a second process
     run, single_steps, open_loop_scores    runs over samples, single steps, scored simulations, of arrays
     lanes, fit_member    runs on a GPU; a batch fit joins the forecasts
     planar, planar_ellipses    surge, sway and yaw rate together, their tracks, and the ellipses of these
-    planar_plan, planar_steps, planar_runs    as program, single_steps and rollouts, of these three
+    planar_steps, planar_runs    as single_steps and rollouts, of these three
     backend, torch_steps    who makes the steps, and single steps by torch
     rollouts, online, identified    what the rest of the library calls
 """

@@ -13,7 +13,7 @@ from torch.autograd.forward_ad import unpack_dual
 
 from usvlearn.core.protocol import Estimator, KernelEstimator, spec_of
 from usvlearn.core.samples import Sample, named_leaves, rebuild
-from usvlearn.engine.registry import compilable
+from usvlearn.engine.parts import compilable
 from usvlearn.errors import ConfigError, check_choice
 
 BACKENDS = ("auto", "torch", "kernel")

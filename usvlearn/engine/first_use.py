@@ -15,8 +15,7 @@ from usvlearn.core.jit import NUMBA, announced
 from usvlearn.core.prepared_samples import ROW, prepare_all
 from usvlearn.engine import dispatch, forecasting, planar
 from usvlearn.engine.background_compile import RUNS, STEPS, TRACKS, kernels
-from usvlearn.engine.planar_plan import program_for
-from usvlearn.engine.program import Program
+from usvlearn.engine.program import Program, program_for
 from usvlearn.estimators.planar.state import PLACES
 
 COMPILING = threading.RLock()  # a fork waits for it

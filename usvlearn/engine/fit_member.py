@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from usvlearn.engine.leaves import Description, track_size
+from usvlearn.engine.parts import Description, leaves_of
 from usvlearn.estimators.ensemble.forecasts import state as at
 from usvlearn.estimators.ensemble.forecasts.state import EMPTY, FIT, FIT_WEIGHT
 
@@ -32,7 +32,7 @@ def with_fit(leaves: Mapping[str, np.ndarray], description: Description, table: 
         own = {name[6:]: leaf for name, leaf in leaves.items() if name.startswith("surge.")}
         own, surge = with_fit(own, description["surge"], table)
         description = {**description, "surge": surge}
-        length, slots = track_size(description)[2], leaves["track.slots"]
+        length, slots = leaves_of(description)["track.slots"].shape[-1], leaves["track.slots"]
         found = {**leaves, **{f"surge.{name}": leaf for name, leaf in own.items()}}
         if slots.shape[-1] != length:  # tracks under way end
             found["track.slots"] = np.full((*slots.shape[:-1], length), EMPTY)

@@ -25,9 +25,8 @@ from usvlearn.core.jit import announced, folder
 from usvlearn.core.on_device import SIMULATED, Device, imported, obstacle
 from usvlearn.engine import dispatch, dispatch_tables
 from usvlearn.engine.dispatch import Whole
-from usvlearn.engine.leaves import Description
-from usvlearn.engine.planar_plan import program_for
-from usvlearn.engine.program import Program
+from usvlearn.engine.parts import Description
+from usvlearn.engine.program import Program, program_for
 from usvlearn.errors import ConfigError, check_choice
 
 MOST_LANES, MOST_NUMBERS = 262_144, 2**27  # lanes in one pass, and numbers in their states

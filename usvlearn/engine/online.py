@@ -381,7 +381,8 @@ def read_checkpoint(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     Raises:
         CheckpointError: it cannot be read, or its description of the estimator is missing or not legal.
     """
-    from usvlearn.engine.validate import check, wrong
+    from usvlearn.engine.parts import wrong
+    from usvlearn.engine.validate import check
 
     leaves, facts = checkpoint.load(path)
     torch = "Online(ESTIMATOR).restore(path), with torch"

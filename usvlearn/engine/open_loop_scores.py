@@ -16,8 +16,8 @@ from usvlearn.core.prepared_samples import DT, LEARN, MODE, ROW, START, SURGE
 from usvlearn.core.samples import Sample
 from usvlearn.engine.dispatch import Whole, mask_diverged, run, surge_max
 from usvlearn.engine.first_use import compile_runs
-from usvlearn.engine.leaves import Description
-from usvlearn.engine.planar_plan import program_for
+from usvlearn.engine.parts import Description
+from usvlearn.engine.program import program_for
 from usvlearn.engine.run import in_parallel, prepared
 from usvlearn.estimators.ensemble.combiners.kernel import combine, fill_inactive, learn_rule
 

@@ -12,7 +12,7 @@ import torch
 from usvlearn.core.forecasts import Track
 from usvlearn.core.samples import Inputs, PlanarSample, Sample, tree_map
 from usvlearn.engine.backend import arrays_of, tree_of
-from usvlearn.engine.leaves import afresh
+from usvlearn.engine.validate import afresh
 from usvlearn.errors import ConfigError
 
 if TYPE_CHECKING:

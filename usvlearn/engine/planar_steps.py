@@ -13,9 +13,9 @@ from usvlearn.core.forecasts import Track, plan_commands, track_of
 from usvlearn.core.samples import PlanarSample, Sample, check_sample, one_number
 from usvlearn.engine import dispatch
 from usvlearn.engine.first_use import compile_planar
-from usvlearn.engine.leaves import Description
+from usvlearn.engine.parts import Description
 from usvlearn.engine.planar import FOUND, track_plan
-from usvlearn.engine.planar_plan import PlanarProgram
+from usvlearn.engine.program import Program
 from usvlearn.engine.single_steps import CompiledStepper
 from usvlearn.errors import ShapeError
 from usvlearn.estimators.planar.state import POSE
@@ -30,8 +30,6 @@ class PlanarLive(CompiledStepper):
         description: of a `Planar` (`Planar.description`).
         leaves: of its state.
     """
-
-    plan: PlanarProgram
 
     def __init__(self, description: Description, leaves: Mapping[str, np.ndarray]):
         super().__init__(description, leaves)
@@ -105,7 +103,7 @@ class PlanarLive(CompiledStepper):
         return predictions, widths
 
 
-def _wide(name: str, value: Any, plan: PlanarProgram) -> np.ndarray:
+def _wide(name: str, value: Any, plan: Program) -> np.ndarray:
     """A measured number for each batch element."""
     try:
         found = np.asarray(one_number(value), float)

@@ -1,34 +1,47 @@
 """Lowers a description to what the kernels interpret: a table, numbers, and the places of the leaves.
 
-A description (`Estimator.description`) has JSON values only: `kind`, `size`, `numbers` and `vectors` by name
-(hyperparameters broadcast against the batch), the choices, and the description of the estimator that it wraps.
+The table has a row for the whole, for each estimator, for each combiner, and for each other part, in this order. A boat
+in the plane has those of its three ensembles one behind the other, and the places of its tracks.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from functools import lru_cache
+from math import prod
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from usvlearn.core.family import LEAVES, WIDTH, Family, Field, Row
+from usvlearn.core.family import LEAVES, WIDTH, Field, Row
 from usvlearn.core.prepared_samples import ROW
 from usvlearn.engine.dispatch import Whole
-from usvlearn.engine.leaves import KNOWN, Description, Part, copied, forecast_size, frozen, unwrapped
-from usvlearn.engine.registry import ESTIMATORS, KINDS
+from usvlearn.engine.parts import ESTIMATORS, Description, Entry, Part, parts
 from usvlearn.errors import ShapeError
-from usvlearn.estimators.ensemble import state as ensemble
-from usvlearn.estimators.ensemble.accommodation import state as accommodation
 from usvlearn.estimators.ensemble.combiners.state import RULES
-from usvlearn.estimators.ensemble.conformal import state as conformal
-from usvlearn.estimators.ensemble.forecasts import state as forecasts
-from usvlearn.estimators.ensemble.manoeuvre_intervals import state as conditional
-from usvlearn.estimators.ensemble.monitors import state as monitors
-from usvlearn.estimators.planar.state import PLACES
-from usvlearn.estimators.wrappers.robust.state import FAMILY as ROBUST
+from usvlearn.estimators.ensemble.forecasts.state import Choice as ForecastChoice
+from usvlearn.estimators.ensemble.manoeuvre_intervals.state import PATH
+from usvlearn.estimators.planar import state as at
+from usvlearn.estimators.planar.state import AXES, PLACES, filter_of
 
 if TYPE_CHECKING:
     from numpy.typing import DTypeLike
+
+OTHERS = {  # what the first row says of a part of this role, if there is one: its row
+    "conformal": Whole.CONFORMAL, "monitors": Whole.MONITORS, "forecasts": Whole.FORECASTS,
+    "conditional": Whole.KNOWN, "accommodation": Whole.ACCOMMODATION,
+}  # fmt: skip
+
+
+def program_for(description: Description, batch: Sequence[int], dtype: DTypeLike) -> Program:
+    """The `Program`, cached, because a replay needs the same one for every chunk."""
+    return _program(json.dumps(description), tuple(batch), np.dtype(dtype))
+
+
+@lru_cache(maxsize=8)
+def _program(description: str, batch: tuple[int, ...], dtype: np.dtype) -> Program:
+    return Program(json.loads(description), batch, dtype)
 
 
 class Leaf(NamedTuple):
@@ -44,17 +57,18 @@ class Program:
     """A table, its numbers and the places of the leaves, for one estimator and batch.
 
     Args:
-        description: of an estimator, as `Estimator.description` gives it.
+        description: of an estimator, as `Estimator.description` gives it, or of a `Planar`.
         batch: of its state.
         dtype: of the state, float64 or float32.
 
     Attributes:
         program: the table, int64.
-        head: of the surge alone zeros; else the places of the axes (`estimators.planar.state`).
+        head: of the surge alone zeros; else the places of the axes and of the tracks (`estimators.planar.state`).
         numbers: `(1, …)`, or `(elements, …)` where some differ by batch element.
         leaves: where each leaf lies, by dotted name.
         size: of a batch element's row.
-        slot: length of a slot of forecasts.
+        slot: length of a slot of forecasts, of the surge.
+        length: of a slot of tracks.
         work: length of the array that the kernels work in.
 
     Raises:
@@ -63,28 +77,22 @@ class Program:
 
     def __init__(self, description: Description, batch: Sequence[int] = (), dtype: DTypeLike = np.float64):
         self.batch, self.dtype = tuple(batch), np.dtype(dtype)
-        self.elements = int(np.prod(self.batch, dtype=int))
+        self.elements = prod(self.batch)
         self.leaves: dict[str, Leaf] = {}
-        self.size = self.slot = 0
+        self.size = self.slot = self.length = 0
         self._columns: list[np.ndarray] = []  # (1,) or (elements,) each
-        self._largest, self._kept = 0, 1
-        self._estimators: list[list[int]] = []
-        self._rules: list[list[int]] = []
-        self._others: list[list[int]] = []
-        whole = self._ensemble(description) if description["kind"] == "ensemble" else self._alone(description)
-        whole[Whole.KEPT] = self._largest
-        self.program, self.head = self._table(whole), np.zeros((1, PLACES), np.int64)
-        self.work = self._largest + self._kept + ROW
+        self._copies: list[int] = []  # of each leaf that is copied: see `engine.forecasting`
+        self._copied: dict[str, Field] = {}
+        if description["kind"] == "planar":
+            self._side_by_side(description)
+        else:
+            self._alone(list(parts(description)))
         elements = max((len(column) for column in self._columns), default=1)
         self.numbers = np.empty((elements, len(self._columns)), self.dtype)
         for place, column in enumerate(self._columns):
             self.numbers[:, place] = column
-        self._lay_out()
-
-    def _lay_out(self) -> None:
-        """Find the places of all leaves in the states of a batch."""
         item = self.dtype.itemsize
-        rows = [item * self.size * int(np.prod(self.batch[k + 1 :], dtype=int)) for k in range(len(self.batch))]
+        rows = [item * self.size * stride for stride in _strides(self.batch)]
         self._layout = {
             name: ((*self.batch, *leaf.shape), item * leaf.place, (*rows, *(item * x for x in leaf.strides)))
             for name, leaf in self.leaves.items()
@@ -129,176 +137,151 @@ class Program:
     def _views(self, states: np.ndarray) -> dict[str, np.ndarray]:
         return {name: self.view(states, name) for name in self._layout}
 
-    def _table(self, whole: list[int]) -> np.ndarray:
-        """The table of all rows; indices of wrappers and other parts become row numbers."""
-        rows = [whole, *self._estimators, *self._rules, *self._others]
-        first = len(rows) - len(self._others)
-        estimators = list(self._estimators)
-        if whole[Whole.FORECASTS] >= 0:
-            made = self._others[whole[Whole.FORECASTS]]
-            for k in range(WIDTH + 1, WIDTH + 1 + made[forecasts.Choice.MEMBERS]):
-                estimators.append(self._others[made[k]])
-                made[k] += first
-        for row in estimators:
-            row[Row.ROBUST] += first if row[Row.ROBUST] >= 0 else 0
-        for part in (Whole.CONFORMAL, Whole.MONITORS, Whole.FORECASTS, Whole.KNOWN, Whole.ACCOMMODATION):
-            whole[part] += first if whole[part] >= 0 else 0
-        table = np.full((len(rows), max(map(len, rows))), -1, np.int64)
-        for place, row in zip(table, rows, strict=True):
-            place[: len(row)] = row
-        return table
+    def _alone(self, found: Sequence[Part]) -> None:
+        """Lay out an estimator, or an ensemble."""
+        estimators: list[list[int]] = []
+        rules: list[list[int]] = []
+        others: list[list[int]] = []
+        copies: list[tuple[int, int]] = []  # the number of the row of each, and the column
+        forecasts: list[int] = []
+        members = [part for part in found if part.role == "estimator"]
+        first = 1 + len(members) + sum(part.role == "rule" for part in found)
+        whole, links, largest = [-1] * WIDTH, dict[Whole, int](), 0
+        for part in found:
+            role, columns, work = part.role, part.columns, part.family.work(part.size)
+            column = columns[0] if role == "copy" else 0
+            row = self._copy(part, members[column], estimators[column]) if role == "copy" else self._row(part)
+            if role == "estimator":
+                row[Row.FAMILY] = ESTIMATORS.index(part.family)
+                row[Row.KIND] = part.family.kinds.index(part.own["kind"])
+                estimators.append(row)
+            elif role == "rule":
+                row[Row.FAMILY], work = list(RULES).index(part.own["kind"]), 2 * len(members) + work
+                rules.append([*row, *columns])
+            elif role == "ensemble":
+                whole = row
+                whole[Whole.OUTPUT] = len(members) + list(part.own["rules"]).index(part.own["output"])
+            else:
+                number = first + len(others)
+                others.append(row)
+                if role in OTHERS:
+                    links[OTHERS[role]] = number
+            if role == "robust":
+                estimators[-1][Row.ROBUST] = number
+            elif role == "copy":
+                copies.append((number, columns[0]))
+            elif role == "forecasts":
+                forecasts, work = row, largest + 2 * part.size[2] + PATH
+            elif role == "accommodation":
+                row += [len(columns), *(1 + column for column in columns)]
+            elif role in ("conformal", "monitors"):
+                work += part.size
+            largest = max(largest, work)
+        if copies:
+            forecasts += [self._place_copies(), *(row for row, _ in copies), *(column for _, column in copies)]
+            forecasts += [len(self._copies) // 5, *self._copies]
+            forecasts[Row.SIZE] = self.slot
+        for place, number in links.items():
+            whole[place] = number
+        whole[Whole.ESTIMATORS], whole[Whole.RULES] = len(estimators), len(rules)
+        whole[Whole.NAMES] = len(estimators) + len(rules) if rules else 0
+        whole[Whole.HEADS] = any(part.family.heading(part.own) for part in members)
+        whole[Whole.KEPT], self.work = largest, largest + max(row[Row.END] - row[Row.BEGIN] for row in estimators) + ROW
+        self.program, self.head = _stacked([whole, *estimators, *rules, *others]), np.zeros((1, PLACES), np.int64)
 
-    def _part(self, family: Family[Any], own: Description, size: Any, prefix: str, name: str) -> list[int]:
-        """Add the leaves, numbers and choices of one part with the entries `own`; returns its row."""
+    def _side_by_side(self, description: Description) -> None:
+        """Lay out the ensembles of a boat in the plane one behind the other, and the tracks."""
+        (part,) = (part for part in parts(description) if part.role == "track")
+        slots, count, self.length = part.size
+        self.head, self.work = np.zeros((len(AXES) + 1, PLACES), np.int64), 0
+        block, tables = at.slot_length(count, ()), list[np.ndarray]()
+        for row, axis in zip(self.head, AXES, strict=False):
+            own, program = description[axis], program_for(description[axis], self.batch, self.dtype)
+            name, leaves, table = filter_of(axis, own), program.leaves, program.program
+            member, made = f"members.{name}.", table[table[0, Whole.FORECASTS]]
+            weights = block + program.slot
+            row[: at.DEVIATION + 1] = (
+                sum(map(len, tables)), self.size, len(self._columns), leaves[f"{member}mean"].place,
+                0 if axis == "surge" else leaves[f"{member}updates"].place, block, weights,
+                leaves["predictions"].place + own["columns"].index(name), leaves[f"{member}deviation"].place,
+            )  # fmt: skip
+            block = weights + made[ForecastChoice.HORIZONS] * made[ForecastChoice.MEMBERS]
+            for leaf, each in leaves.items():
+                self.leaves[f"{axis}.{leaf}"] = each._replace(place=each.place + self.size)
+            tables.append(table)
+            self._columns += list(program.numbers.T)
+            self.size, self.work = self.size + program.size, max(self.work, program.work + 4 * ROW)
+            self.slot = self.slot or program.slot
+        tracks = self._row(part)
+        places, sizes = tracks[LEAVES : LEAVES + at.LEARNED + 6], (slots, count, self.length, tracks[Row.NUMBERS])
+        self.head[-1] = *places[: at.DUES], places[-1], *places[at.DUES : -1], *sizes
+        self.program = _stacked([row for table in tables for row in table])
+
+    def _row(self, part: Part) -> list[int]:
+        """Add the leaves, numbers and choices of a part; returns its row."""
         row = [-1] * WIDTH
-        row[Row.SIZE], row[Row.BEGIN], row[Row.NUMBERS] = size, self.size, len(self._columns)
-        for place, (leaf, field) in enumerate(family.leaves(size, prefix, own).items(), LEAVES):
-            row[place] = self._place(leaf, field)
+        row[Row.SIZE] = part.size if isinstance(part.size, int) else 0
+        row[Row.BEGIN], row[Row.NUMBERS] = self.size, len(self._columns)
+        for place, (name, field) in enumerate(part.leaves().items(), LEAVES):
+            self.leaves[name] = Leaf(self.size, field.shape, _strides(field.shape), field.flag)
+            row[place] = self.size
+            self.size += prod(field.shape)
         row[Row.END] = self.size
-        for number in family.numbered(own):
-            value = np.asarray(own["numbers"][number.key], float)[..., None]
-            self._vector(value, 1, f"{name}: {number.key}")
-        for vector in family.vectors:
-            value = own["vectors"][vector.key]
-            row[vector] = self._vector(value, vector.length(size), f"{name}: {vector.key}")
-        for choice in family.chosen(own):
-            value = own[choice.key]
+        for choice in part.family.chosen(part.own):
+            value = part.own[choice.key]
             row[choice] = value if choice.whole else choice.allowed.index(value)
-        self._largest = max(self._largest, family.work(size))
+        for each in part.numbers:
+            if each.vector is not None:
+                row[each.vector] = len(self._columns)
+            self._add(each)
         return row
 
-    def _place(self, name: str, field: Field) -> int:
-        """Add a leaf; returns its place."""
-        first, shape = self.size, field.shape
-        strides = tuple(int(np.prod(shape[k + 1 :], dtype=int)) for k in range(len(shape)))
-        self.leaves[name] = Leaf(first, shape, strides, field.flag)
-        self.size += int(np.prod(shape, dtype=int))
-        return first
-
-    def _vector(self, value: Any, length: int, name: str) -> int:
-        """Add a vector, `(*batch, length)`; returns the place of its first number."""
-        first = len(self._columns)
+    def _add(self, entry: Entry) -> None:
+        """Add numbers, `(*batch,)`, or `(*batch, length)` of a vector."""
+        value = np.asarray(entry.value, float)
         try:
-            array = np.broadcast_to(np.asarray(value, float), (*self.batch, length))
+            array = np.broadcast_to(
+                value if entry.vector is not None else value[..., None], (*self.batch, entry.length)
+            )
         except ValueError as error:
-            raise ShapeError(f"{name}: found the shape {np.shape(value)}, expected one for {self.batch}") from error
-        array = array.reshape(self.elements, length)
+            raise ShapeError(f"{entry.name}: found the shape {value.shape}, expected one for {self.batch}") from error
+        array = array.reshape(self.elements, entry.length)
         self._columns += list((array[:1] if (array == array[:1]).all() else array).T)
+
+    def _copy(self, part: Part, member: Part, row: Sequence[int]) -> list[int]:
+        """The row of a copy of a member: its leaves lie in a slot of forecasts; `row` is the member's."""
+        names = [name.removeprefix(member.prefix) for name in member.leaves()]
+        places = dict.fromkeys(names, -1)
+        for name, field in part.leaves().items():
+            leaf, length = name.removeprefix(part.prefix), prod(field.shape[1:])
+            pair = [f"{member.prefix}{each}" for each in part.family.instead.get(leaf, ())]
+            instead = [self.leaves[each].place for each in pair if each in self.leaves] or [-1, -1]
+            self._copies += [self.leaves[member.prefix + leaf].place, self.slot, length, *instead]
+            places[leaf] = self.slot
+            self._copied[name], self.leaves[name] = field, Leaf(self.slot, (), (), field.flag)  # its place in a slot
+            self.slot += length
+        copy = [*row[:LEAVES], *places.values(), *row[LEAVES + len(names) :]]
+        copy[Row.ROBUST] = -1
+        return copy
+
+    def _place_copies(self) -> int:
+        """Place the leaves of the copies in their slots; returns the place of the first slot."""
+        first, slots = self.size, 0
+        for name, field in self._copied.items():
+            slots, place = field.shape[0], first + self.leaves[name].place
+            self.leaves[name] = Leaf(place, field.shape, (self.slot, *_strides(field.shape[1:])), field.flag)
+        self.size += slots * self.slot
         return first
 
-    def _alone(self, description: Description) -> list[int]:
-        """Add one estimator; returns the row of the whole."""
-        heads = self._estimator(description, "")
-        return self._whole([-1] * WIDTH, names=0, heads=heads)
 
-    def _whole(self, row: list[int], names: int, heads: bool) -> list[int]:
-        row[Whole.ESTIMATORS], row[Whole.RULES] = len(self._estimators), len(self._rules)
-        row[Whole.NAMES], row[Whole.HEADS] = names, int(heads)
-        return row
+def _strides(shape: Sequence[int]) -> tuple[int, ...]:
+    """How many numbers lie from one to the next along each axis."""
+    return tuple(prod(shape[k + 1 :]) for k in range(len(shape)))
 
-    def _estimator(self, description: Description, outer: str) -> bool:
-        """Add one estimator, and the `Robust` around it; returns whether it needs the heading."""
-        own, prefix, robust = unwrapped(description, outer)
-        kind, family = own["kind"], KINDS[own["kind"]]
-        row = self._part(family, own, own["size"], prefix, prefix.rstrip(".") or kind)
-        row[Row.FAMILY], row[Row.KIND] = ESTIMATORS.index(family), family.kinds.index(kind)
-        if robust is not None:
-            row[Row.ROBUST] = len(self._others)
-            self._others.append(self._part(ROBUST, robust, 0, outer, outer))
-        self._estimators.append(row)
-        self._kept = max(self._kept, row[Row.END] - row[Row.BEGIN])
-        return family.heading(own)
 
-    def _ensemble(self, description: Description) -> list[int]:
-        """Add members, combiners, intervals and monitors; returns the row of the whole."""
-        heads = [self._estimator(member, f"members.{name}.") for name, member in description["members"].items()]
-        count, rules = len(self._estimators), description["rules"]
-        names = count + len(rules)
-        for name, rule in rules.items():
-            self._rules.append(self._rule(rule, name, count))
-        row = self._part(ensemble.FAMILY, description, names, "", "ensemble")
-        self._whole(row, names, any(heads))
-        row[Whole.OUTPUT] = count + list(rules).index(description["output"])
-        own = {"conditional": description.get("conditional", 0)}
-        for place, part, name in (
-            (Whole.CONFORMAL, conformal.FAMILY, "conformal"), (Whole.MONITORS, monitors.FAMILY, "monitors"),
-        ):  # fmt: skip
-            if (numbers := description[name]) is not None:
-                row[place] = len(self._others)
-                self._others.append(self._part(part, own | {"numbers": numbers}, names, f"{name}.", name))
-                self._largest = max(self._largest, names + part.work(names))
-        if made := description.get("forecasts"):
-            forecast = self._forecasts(description, made)
-            row[Whole.FORECASTS] = len(self._others)
-            self._others.append(forecast)
-            if description.get("conditional"):
-                row[Whole.KNOWN] = len(self._others)
-                known = self._part(conditional.FAMILY, {}, forecast_size(made)[:2], KNOWN, "forecasts")
-                known[Row.SIZE] = 0  # the table has whole numbers only
-                self._others.append(known)
-        if given := description.get("accommodation"):
-            row[Whole.ACCOMMODATION] = len(self._others)
-            own_row = self._part(accommodation.FAMILY, given, 0, "accommodation.", "accommodation")
-            self._others.append([*own_row, len(given["members"]), *(1 + column for column in given["members"])])
-        return row
-
-    def _forecasts(self, description: Description, made: Description) -> list[int]:
-        """Add the forecasts; returns their row, and what follows it (`engine.forecasting`)."""
-        slots, horizons, members = size = forecast_size(made)
-        place = self._vector(made[forecasts.FIT]["table"], forecasts.TABLE, "fit") if forecasts.FIT in made else -1
-        own = {**made, "horizons": horizons, "members": members, forecasts.FIT: place}
-        row = self._part(forecasts.FAMILY, own, size, "forecasts.", "forecasts")
-        begin, columns, block = self.size, [column for _, column in copied(description)], 0
-        rows: list[int] = []
-        copies: list[int] = []
-        for name, column in copied(description):
-            member = description["columns"][column]
-            node, block = self._frozen(self._estimators[column], description, member, name, block, copies)
-            rows.append(node)
-        for name, (place, shape, strides, flag) in list(self.leaves.items()):
-            if name.startswith("forecasts.frozen."):
-                self.leaves[name] = Leaf(begin + place, (slots, *shape), (block, *strides), flag)
-        self.size += slots * block
-        row[Row.SIZE] = self.slot = block
-        self._largest += 2 * members + conditional.PATH
-        return [*row, begin, *rows, *columns, len(copies) // 5, *copies]
-
-    def _instead(self, part: Part, prefix: str, leaf: str) -> tuple[int, int]:
-        """The place of the leaf that is copied instead of this one, and of the flag that tells when; −1 without."""
-        own = leaf.removeprefix(part.prefix)
-        pair = KINDS[part.own["kind"]].instead.get(own, ("", "")) if leaf.startswith(part.prefix) else ("", "")
-        found = [self.leaves.get(f"{prefix}{part.prefix}{name}") for name in pair]
-        other, flag = (each.place if name and each else -1 for name, each in zip(pair, found, strict=True))
-        return other, flag
-
-    def _frozen(
-        self, row: list[int], whole: Description, member: str, name: str, block: int, copies: list[int]
-    ) -> tuple[int, int]:
-        """Add the row of a member in a slot, whose leaves are at places in the slot; returns its index, and the end."""
-        description = whole["members"][member]
-        part, places = unwrapped(description), {}
-        for leaf, field in frozen(description).items():
-            source, length = self.leaves[f"members.{member}.{leaf}"], int(np.prod(field.shape, dtype=int))
-            places[leaf] = block
-            self.leaves[f"forecasts.frozen.{name}.{leaf}"] = source._replace(place=block)
-            copies += [source.place, block, length, *self._instead(part, f"members.{member}.", leaf)]
-            block += length
-
-        family = KINDS[part.own["kind"]]
-        leaves = [places.get(leaf, -1) for leaf in family.leaves(part.own["size"], part.prefix, part.own)]
-        frozen_row = [*row[:LEAVES], *leaves, *row[LEAVES + len(leaves) :]]
-        frozen_row[Row.ROBUST] = -1
-        self._others.append(frozen_row)
-        return len(self._others) - 1, block
-
-    def _rule(self, rule: Description, name: str, count: int) -> list[int]:
-        """Add a combiner of an ensemble of `count` columns; returns its row, followed by the columns of its members."""
-        family, columns = RULES[rule["kind"]], rule["columns"]
-        vectors, begin = {}, 0
-        for vector in family.vectors:
-            end = begin + vector.length(len(columns))
-            vectors[vector.key], begin = rule["vector"][begin:end], end
-        row = self._part(family, {**rule, "vectors": vectors}, len(columns), f"combiners.{name}.", name)
-        row[Row.FAMILY] = list(RULES).index(rule["kind"])
-        self._largest = max(self._largest, 2 * count + family.work(len(columns)))
-        return [*row, *columns]
+def _stacked(rows: Sequence[Sequence[int] | np.ndarray]) -> np.ndarray:
+    """Rows as a table, filled up with −1."""
+    table = np.full((len(rows), max(map(len, rows))), -1, np.int64)
+    for place, row in zip(table, rows, strict=True):
+        place[: len(row)] = row
+    return table

@@ -14,7 +14,7 @@ from usvlearn.core.forecasts import NONE, Forecast, Track, check_plan
 from usvlearn.core.protocol import EVERY, Estimator, Kinds, State, Step, advance, clean
 from usvlearn.core.samples import Inputs, Sample, named_leaves, tree_map
 from usvlearn.engine.backend import array_of, arrays_of, choose, is_transformed, obstacle_of, tensors_in, tree_of
-from usvlearn.engine.leaves import afresh
+from usvlearn.engine.validate import afresh
 from usvlearn.errors import ConfigError, ShapeError
 
 CHUNK = 256  # most steps whose whole states are held at a time, for a `record` that is a function,

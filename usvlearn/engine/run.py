@@ -13,9 +13,8 @@ from usvlearn.core.samples import PlanarSample, Sample, named_leaves, tree_map
 from usvlearn.engine import dispatch as step
 from usvlearn.engine.first_use import compile_runs
 from usvlearn.engine.lanes import Lanes
-from usvlearn.engine.leaves import Description
-from usvlearn.engine.planar_plan import program_for
-from usvlearn.engine.program import Program
+from usvlearn.engine.parts import Description
+from usvlearn.engine.program import Program, program_for
 
 
 class Result(NamedTuple):

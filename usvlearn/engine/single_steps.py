@@ -16,8 +16,8 @@ from usvlearn.core.samples import Inputs, PlanarSample, Sample, check_sample, on
 from usvlearn.engine import dispatch as step
 from usvlearn.engine.first_use import COMPILING, compile_plans, compile_steps
 from usvlearn.engine.forecasting import forecast_plan
-from usvlearn.engine.leaves import Description, batch_of, leaves_of
-from usvlearn.engine.planar_plan import program_for
+from usvlearn.engine.parts import Description, batch_of, leaves_of
+from usvlearn.engine.program import program_for
 from usvlearn.errors import ConfigError
 
 LIVE = step.step_once

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import usvlearn
 from usvlearn.core.lock import Lock
-from usvlearn.engine.leaves import afresh
+from usvlearn.engine.validate import afresh
 from usvlearn.errors import ConfigError
 from usvlearn.live import diagnostics
 from usvlearn.live.background import Background

@@ -16,7 +16,7 @@ from usvlearn.core.jit import announced, jit
 from usvlearn.core.prepared_samples import COS, DT, LEARN, LEFT, MODE, RIGHT, ROW
 from usvlearn.engine import select_element
 from usvlearn.engine.identified import reader_leaves
-from usvlearn.engine.planar_plan import program_for
+from usvlearn.engine.program import program_for
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.joint.kernel import forecast, learn, start
 from usvlearn.estimators.joint.periodic_estimates import Identified, identify, tells_sides

@@ -22,7 +22,7 @@ from usvlearn.core.protocol import Estimator, clean
 from usvlearn.core.samples import LIMIT, Fleet, named_leaves, tree_map
 from usvlearn.engine.backend import array_of, arrays_of, description_of, tree_of
 from usvlearn.engine.lanes import Lanes, most_lanes
-from usvlearn.engine.planar_plan import program_for
+from usvlearn.engine.program import program_for
 from usvlearn.engine.rollouts import rollout, simulate, tensors
 from usvlearn.engine.run import prepared
 from usvlearn.errors import ConfigError
