@@ -8,7 +8,6 @@ are told the speed with which each segment starts, and the current to expect aft
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -103,7 +102,6 @@ def _flat(run: Run) -> Sample:
 
 def free_mae(fit: Fit, runs: Halves) -> float:
     """MAE, m/s, of the open-loop simulations of the later runs, as of `truths.free_run_mae`."""
-    last = replace(fit, by_mission=None)  # these are whole missions, not pieces
-    current = usual_current(np.array([end for _, end in Missions(list(runs.rows.values()), fit.top).simulate(last)]))
+    current = usual_current(np.array([end for _, end in Missions(list(runs.rows.values()), fit.top).simulate(fit)]))
     found = [open_loop(fit, each.rows, current)[each.places] for each in runs.ahead]
     return free_run_mae(found, runs.later)

@@ -32,6 +32,7 @@ def test_the_boat_of_the_last_mission_is_found():
     fits = {"nine": missions.fit("nine")}
     chosen, scores = choose(missions, fits, wear=worn)
     assert chosen == f"nine{WEAR}" and scores["nine"].gain < -0.05 and fits[chosen].terms == "nine"
+    assert len(Missions(missions.rows[:2], TOP).simulate(fits[chosen])) == 2  # others, by the boat of the last one
     true = quantities(last, TOP, MASS)
     plain, found = (quantities(fits[name].theta, TOP, MASS) for name in ("nine", chosen))
     for name, least in (("drag_half_speed", 0.01), ("steady_speed_full", 0.015)):

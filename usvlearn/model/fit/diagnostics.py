@@ -74,7 +74,7 @@ def diagnostics(missions: Missions, fit: Fit, mass: float, others: Sequence[Fit]
         others: fits of other sets of terms that do about as well, which widen the bands of the curves.
     """
     pieces: dict[str, list[tuple[np.ndarray, np.ndarray, np.ndarray]]] = {}  # of each mission
-    for name, part, (speed, current) in zip(missions.names, missions.rows, missions.simulate(fit), strict=True):
+    for name, part, (speed, current) in zip(missions.names, missions.rows, missions.simulate(fit, True), strict=True):
         pieces.setdefault(name, []).append((part, speed, current))
     every = [
         simulated(name, np.concatenate([x[0] for x in each]), np.concatenate([x[1] for x in each]), each[-1][2])

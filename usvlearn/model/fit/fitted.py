@@ -160,7 +160,7 @@ def fit_boat(
         errors = {each: float(np.mean(np.abs(missions.errors(fits[each])))) for each in last}
         made, lag = FittedBoat.of(missions, fits, scores, name, mass, lacks, steps * DT), 0.0
         if turning is not None:
-            both = zip(missions.rows, missions.simulate(fits[name]), strict=True)
+            both = zip(missions.rows, missions.simulate(fits[name], True), strict=True)
             turns = fitted((prepared(each, top, end) for each, (_, end) in both), turning.theta)
             made = with_ground(with_turning(made, turns), rows)
             lag = 0.0 if HARDLY in made.lacks else float(natural(turns.theta)[LAG_OF_TURNS])

@@ -153,8 +153,13 @@ class Missions:
         places = range(len(self.rows)) if k is None else [k]
         return float(sum(self._one(place, theta, deviation)[0] for place in places))
 
-    def simulate(self, fit: Fit) -> list[tuple[np.ndarray, np.ndarray]]:
-        """The speed of each mission, m/s, `(time,)`, NaN without a step; its current at the end, m/s north and east."""
+    def simulate(self, fit: Fit, wears: bool = False) -> list[tuple[np.ndarray, np.ndarray]]:
+        """The speed of each mission, m/s, `(time,)`, NaN without a step; its current at the end, m/s north and east.
+
+        `wears`: with the parameters of each mission, of those to which the boat was fitted.
+        """
+        if fit.by_mission is not None and not wears:
+            return [self._one(k, fit.theta, fit.deviation)[2:] for k in range(len(self.rows))]
         if self._simulated[0] is not fit:
             thetas = [fit.theta] * len(self.rows) if fit.by_mission is None else fit.by_mission
             self._simulated = fit, [self._one(k, theta, fit.deviation)[2:] for k, theta in enumerate(thetas)]
@@ -174,8 +179,8 @@ class Missions:
         return loss, steps, predicted, work[-2:]
 
     def errors(self, fit: Fit) -> np.ndarray:
-        """Errors of the simulation at all measured steps of a boat that moves, m/s."""
-        simulated = zip(self.rows, self.simulate(fit), strict=True)
+        """Errors of the simulation at all measured steps of a boat that moves, m/s, of the missions of the fit."""
+        simulated = zip(self.rows, self.simulate(fit, wears=True), strict=True)
         return np.concatenate([(speed - rows[:, SPEED])[scored(rows)] for rows, (speed, _) in simulated])
 
     def fit(self, terms: str, start: np.ndarray | None = None, deviation: float | None = None) -> Fit:

@@ -10,7 +10,6 @@ else; the current is that to expect after the learned missions.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -64,7 +63,6 @@ def open_loop(fit: Fit, rows: np.ndarray, current: np.ndarray) -> np.ndarray:
         rows: prepared samples of a mission on the grid of the fit, `(time, ROW)`.
         current: towards north and east, m/s.
     """
-    fit = replace(fit, by_mission=None)  # the boat of the last mission
     rows, steps = rows.copy(), rows[:, MODE] >= PREDICT
     along = rows[:, [COS, SIN]] @ current
     rows[steps, MODE] = PREDICT
