@@ -17,11 +17,6 @@ RELATION = re.compile(r"[=←∝]")
 # Symbols with other letters on the page (docs/theory/notation.md): section -> {in the module: on the page, "" nowhere}.
 RENAMED = {
     "tuning": {"S": "X", "dx": "ϖ"},
-    "batch-fit-simulation": {"loss": "L", "g": "L", "H": "Φ"},
-    "batch-fit-turning": {"H": "Φ"},
-    "batch-fit-wear": {"e": "θ"},
-    "batch-fit-choice": {"ₘ": "θ"},
-    "batch-fit-residuals": {"r": "ρ"},
 }
 NAMES = {"surge": "v", "heading": "ψ", "xi": "ξ"}  # words of docstrings in ASCII
 GREEK = {

@@ -1,18 +1,8 @@
 """Which terms a log supports, by leaving out one mission, or piece of one, at a time.
 
-A set of terms is fitted to all missions, which gives each mission's g and H at θ. Without mission m one Gauss-Newton
-step leads to
-
-    θ₋ₘ = θ + (Σ H − H_m + I₀)⁻¹ g_m                                                                   (1)
-
-and the loss of mission m is then that of a mission which nothing has learned. So a set costs one pass more over the
-missions, not one fit for each. Where missions are few, one step would be too far, and a fit is made. Missions, never
-single steps, are left out: errors of neighbouring steps are alike. Long missions are cut before (`pieces`). The
-smallest set is taken whose losses are higher than those of the best by at most one standard error over the missions
-(Breiman et al. 1984, section 3.4.3). Of one or two missions the set with the largest evidence is taken, which is a
-weaker reason.
-
-The derivation is in `docs/theory/identification.md#batch-fit-choice`.
+Equation (1): `docs/theory/identification.md#batch-fit-choice`; g and H are ∇L and Φ there. So a set costs one pass more
+over the missions, not one fit for each. Missions, never single steps, are left out: errors of neighbouring steps are
+alike. Of one or two the set with the largest evidence is taken, which is a weaker reason.
 """
 
 from __future__ import annotations

@@ -1,20 +1,8 @@
 """What is left in the errors of a simulation: their autocorrelation, and their correlation with the commands.
 
-The grid of the fit is uniform, so a lag is a time, also across a gap. With the errors e of the scored steps and the
-commands u of all steps, less their means over each mission, and n_k pairs of steps of one mission that are k apart,
-
-    r_eu(k) = (Σ e_(t+k) u_t / n_k) / √((Σ e²/n) (Σ u²/m)),   r_e = r_ee                                (1)
-
-and pairs never join two missions. For k > 0 the error follows the command. If e does not depend on itself, r_e(k) has
-the deviation 1/√n_k. If e does not depend on u, the sum Σ e_(t+k) u_t has the variance Σ_l R_e(l) R_u(l) over all pairs
-of errors (Ljung 1999, section 16.6: P = Σ_l R_e(l) R_u(l)), hence
-
-    var r_eu(k) = Σ_l n_l r_e(l) r_u(l) / (n₀ n_k),   |l| ≤ REACH                                       (2)
-
-where n_l is the number of pairs of errors. It is at least that of white errors, 1/n_k. 99 % are within 2.58 deviations.
-Lags with few pairs, as those near the length of short missions, are left out: r is no correlation there, and large.
-
-The derivation is in `docs/theory/identification.md#batch-fit-residuals`.
+Equations (1) and (2): `docs/theory/identification.md#batch-fit-residuals`; r is ρ there, R a sum in place of a mean.
+The grid of the fit is uniform, so a lag is a time, also across a gap. 99 % are within 2.58 deviations. Lags with few
+pairs, as those near the length of short missions, are left out: r is no correlation there, and large.
 """
 
 from __future__ import annotations

@@ -1,16 +1,8 @@
 """The batch fit: the parameters that simulate all missions best, by Gauss-Newton steps on (2) of `motion_kernel`.
 
-With the prior mean θ₀ and its information I₀, the fit minimises
-
-    Σ_missions loss(θ) + ½ (θ − θ₀)ᵀ I₀ (θ − θ₀)                                                       (1)
-
-by the steps −(Σ H + I₀)⁻¹ (Σ g + I₀ (θ − θ₀)), each shortened until (1) falls. Drag that pushes and
-thrust that grows with speed have no boat: after each step the parameters go to the nearest with q, l, c, γ ≤ 0,
-q ± e₀ ≤ 0 and γ + e₃ ≤ 0, in the metric of Σ H + I₀. The variance of a speed comes from the errors of the simulation
-itself, between rounds (`scale_of`). The median of their sizes would be too small where a boat lies still for long: its
-moving hours would count as outliers.
-
-The derivation is in `docs/theory/identification.md#batch-fit-minimum`.
+Equation (1): `docs/theory/identification.md#batch-fit-minimum`; g, H and I₀ are ∇L, Φ and P₀⁻¹ there. Drag that pushes
+and thrust that grows with speed have no boat. The variance of a speed comes from the errors of the simulation itself
+(`scale_of`): the median of their sizes would be too small where a boat lies still for long.
 """
 
 from __future__ import annotations

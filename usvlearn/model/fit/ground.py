@@ -1,14 +1,6 @@
 """The offset of the compass and the current, from the velocity over ground across the hull.
 
-With the measured heading ψ, too large by δ, the speed over ground S along it, the yaw rate r, and the current c of a
-mission, turned by δ and divided by cos δ, c', the velocity over ground across it, to starboard, is
-
-    y = −S tan δ + (k S + l) r + c'·(−sin ψ, cos ψ)                                                     (1)
-
-where k is the drift of a turn, and what a late speed makes of it, and l the place of the receiver. (1) is linear, and
-solved by least squares over all missions, with variances from the scatter of their pieces (White 1982).
-
-The derivation is in `docs/theory/identification.md#batch-fit-ground`.
+Equation (1): `docs/theory/identification.md#batch-fit-ground`.
 """
 
 from __future__ import annotations

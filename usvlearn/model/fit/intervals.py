@@ -1,18 +1,8 @@
 """90 % intervals of what was fitted: from the scatter of the missions' pieces and from the sets of terms.
 
-With A = (Σ H + I₀)⁻¹ and the scatter B of the scores g_m of the M pieces about their mean, M/(M − 1) Σ (g_m − ḡ)(g_m −
-ḡ)ᵀ, a quantity q with gradient ∇q has the variance
-
-    ∇qᵀ (A + (SCATTER + FEW/M) · A B A) ∇q + (q' − q)² + (own error)²                                  (1)
-
-A alone supposes that the model is true and that errors are independent; A B A, the sandwich, sees what differs from
-piece to piece (White 1982), and is too small for few of them. q' is the value, farthest from q, by another set of terms
-that does about as well on pieces which it has not learned. The own error is what no log shows, such as what every set
-lacks: gusts make drag and thrust look more linear than they are. Where the logs hardly have full command, what depends
-on it is an extrapolation. SCATTER, FEW and the own errors were chosen on
-simulated boats.
-
-The derivation is in `docs/theory/identification.md#batch-fit-intervals`.
+Equation (1): `docs/theory/identification.md#batch-fit-intervals`; A and B are P and C there, M pieces, q a quantity.
+The own error is what no log shows, such as what every set lacks: gusts make drag and thrust look more linear than they
+are. SCATTER, FEW and the own errors were chosen on simulated boats.
 """
 
 from __future__ import annotations

@@ -1,24 +1,8 @@
 """Missions simulated with the parameters of `terms`, with their sensitivities, compiled.
 
-The state of a mission is x = (w, c_N, c_E): the speed through the water and a constant current. w follows the step of
-`usvlearn.model.surge`, (2), without noise. Either the command acts late by a share μ of a step, or its thrust follows
-with the time constant τ: with T of a step, and a its state,
-
-    ξ = u + μ (u_before − u),   or   T̄ = T + (a − T)(τ/h)(1 − e^(−h/τ)),   a⁺ = T + (a − T) e^(−h/τ)    (1)
-
-What multiplies γ |w| and e₃ w, Σ γ ξ and Σ e₃ ξ, follows likewise.
-
-v = w + c_N cos ψ + c_E sin ψ is measured. w at the start of a segment and the current are not parameters: a Kalman
-filter without process noise has them, and is told each speed. Once it knows them its gain is 0, and the simulation is
-an open loop. With the innovation e, its variance S and the sensitivity J = ∂v/∂θ (the gain is taken as known), a
-mission has
-
-    loss = ½ Σ (ρ(e²/S) + log S/σ²),   g = −Σ ω e J/S,   H = Σ ω J Jᵀ/S                                (2)
-
-with the variance σ² of a speed, Huber's ρ, quadratic up to `robust` deviations and linear beyond, and its weight ω
-(Huber 1964). Relative to σ², a step that the simulation takes as one at rest hardly changes the loss.
-
-The derivation is in `docs/theory/identification.md#batch-fit-simulation`.
+Equations (1) and (2): `docs/theory/identification.md#batch-fit-simulation`; g, H and J are ∇L, Φ and X there. What
+multiplies γ |w| and e₃ w, Σ γ ξ and Σ e₃ ξ, follows as the thrust does. Relative to σ², a step that the simulation
+takes as one at rest hardly changes the loss.
 """
 
 import numpy as np

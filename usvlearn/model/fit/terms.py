@@ -1,19 +1,8 @@
 """The parameters of the batch fit: the terms of the joint EKF, and curves of thrust and drag on nodes.
 
-With the speed through the water w, the commands ξ and the yaw rate r, all per unit mass,
-
-    f = q w|w| + l w + c |r| w + Σ (α ξ + β ξ|ξ| + γ ξ|w| + κ ξ³) + e₀ w² + Σ (e₁|ξ| + e₂ ξ² + e₃ ξ w)
-        + Σ_sides Σ_j a_j Λ_j(ξ) + Σ_j d_j Δ_j(w)                                                      (1)
-
-The sums over sides are those of `usvlearn.model.surge`, (1). Λ_j is a hat function: 1 at its node, 0 at and beyond its
-neighbours, linear between; the nodes are at every eighth of full command, apart for each side and for ahead and astern,
-and Λ_j(−ξ) = −Λ_j(ξ) for those astern. Δ_j is the same for the drag, odd in w, with nodes at every fifth of the top
-speed. The a of one curve, and the d, have a Gaussian prior whose correlation falls with the distance of their nodes, so
-that a curve without data between two nodes is straight.
-
-A set of terms says which parameters are fitted; the others are 0. The time constant of the thrust is in all of them:
-with steering, a set without it takes drag, thrust and the boat's time constant for wrong. Its prior is a thrust that
-follows at once.
+Equation (1) and the prior: `docs/theory/identification.md#batch-fit`. A set of terms says which parameters are fitted;
+the others are 0. The time constant of the thrust is in all of them: with steering, a set without it takes drag, thrust
+and the boat's time constant for wrong.
 """
 
 from __future__ import annotations

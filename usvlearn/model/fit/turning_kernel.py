@@ -1,18 +1,9 @@
 """The yaw rate by the headings themselves: a Kalman filter, with the exact derivatives of its loss.
 
-With the commands ξ of both sides, LATE seconds ago, and the speed u as a share of the top speed, heading ψ and yaw rate
-r follow
-
-    τ = ± (K1 c + K2 c² + LOSS |u| c),   c = max(|ξ ∓ ZERO| − DEAD, 0)/(1 − DEAD);   astern −ASTERN times it
-    f ← f + (1 − exp(−h/LAG)) (τ − f)                                             the thrust of a side, per inertia
-    ṙ = f_left − SIDE f_right + RUDDER u|u| (ξ_left − ξ_right) + BIAS − (D0 + D1|r| + D2|u|) r + w,   ψ̇ = r   (1)
-
-in exponential Rosenbrock steps. w is white, of the intensity PROCESS; compass and gyro have the variances COMPASS and
-GYRO, a gyro has an OFFSET. With the errors z of the predictions and their variances S,
-
-    L = ½ Σ [log S + huber(z²/S)],   H = Σ [ω ∂z ∂zᵀ/S + ½ ∂S ∂Sᵀ/S²]                                   (2)
-
-The derivation is in `docs/theory/identification.md#batch-fit-turning`.
+Equations (1) and (2): `docs/theory/identification.md#batch-fit-turning`. The parameters k₁, k₂, k_u, k_δ, b, d₀ … d₂,
+τ_ξ, ξ₀ and ρ there are K1, K2, LOSS, RUDDER, BIAS, D0 … D2, LATE, DEAD and SIDE; τ_T is LAG, the factor astern ASTERN,
+and H is Φ. PROCESS, COMPASS and GYRO are variances, OFFSET is that of a gyro, ZERO of the commands. Steps are
+exponential.
 """
 
 import numpy as np

@@ -1,15 +1,7 @@
 """Thrust and drag that change from mission to mission, as a boat fouls, wears, or carries another load.
 
-Long missions are several stretches here (`Missions.stretches`), whose g and H are sums over their pieces. In stretch k
-the thrust of the left side, that of the right side and the drag are multiplied by 1 + δ_k, three numbers that walk at
-random by `WALK` from a stretch to the next, and are 0 in the last one, whose boat the parameters θ describe. With the
-columns B = ∂θ/∂δ, and g_k and H_k of `motion_kernel` at the fit θ̂ without wear, θ = θ̂ + Δ and all δ minimise
-
-    Σ_k [g_kᵀ e_k + ½ e_kᵀ H_k e_k] + ½ (θ − θ₀)ᵀ I₀ (θ − θ₀) + ½ Σ_k |δ_{k+1} − δ_k|²/WALK²,   e_k = Δ + B δ_k   (1)
-
-which is a linear system. Without the terms of stretch k it predicts that stretch, and its loss says whether wear helps.
-
-The derivation is in `docs/theory/identification.md#batch-fit-wear`.
+Equation (1): `docs/theory/identification.md#batch-fit-wear`; g and H are ∇L and Φ there, δ is υ, and B = ∂θ/∂δ. The
+parameters are those of the last stretch.
 """
 
 from __future__ import annotations
