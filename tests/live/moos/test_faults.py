@@ -63,23 +63,15 @@ def test_a_pattern_is_no_variable(tmp_path):
 @awaited
 async def test_faults_of_the_database_do_not_stop_it(tmp_path, monkeypatch):
     monkeypatch.setattr(link, "FIRST", 0.02)
-    monkeypatch.setattr(link, "SILENCE", 2.0)
     async with at_sea(prior(tmp_path)) as sea:
         database, client = sea.database, sea.app.client
         await ready(sea)
         await sea.steps()
-        for fault in ("killed", "restarted", "frozen", "garbage", "cut"):
+        for fault in ("restarted", "cut"):  # others: `test_client.py`
             count = client.counts["connected"]
-            if fault in ("killed", "restarted"):
+            if fault == "restarted":
                 database.kill()
-                await asyncio.sleep(0.3 if fault == "killed" else 0.0)
                 await database.start()
-            elif fault == "frozen":
-                database.freeze()
-                await until(lambda: client.counts["silent"])
-                database.thaw()
-            elif fault == "garbage":
-                database.inject(b"\xff" * 99)
             else:
                 database.inject(wire.encode([Message("N", "NAV_SPEED", value=1.0)])[:30])
                 database.links["pUSVLearn"].writer.close()
@@ -87,5 +79,5 @@ async def test_faults_of_the_database_do_not_stop_it(tmp_path, monkeypatch):
             await asyncio.sleep(0.05)
             await sea.steps()
         database.post("APPCAST_REQ", ASK)
-        await until(lambda: "garbage 1" in str([each.text for each in sea.posted("APPCAST")[-1:]]))
+        await until(lambda: "lost 2" in str([each.text for each in sea.posted("APPCAST")[-1:]]))
         assert not client.counts["outbox"]
