@@ -1,6 +1,8 @@
 """A real MOOSDB as a process, with the methods of the stand-in that make sense for one.
 
-A MOOSDB listens on every interface. It is started only where loopback is the only one, as in a network namespace.
+A MOOSDB listens on every interface. It is started only where loopback is the only one, as in a network namespace:
+
+    unshare --map-root-user --net sh -c "ip link set lo up && pytest -k real tests/live/moos/test_client.py"
 """
 
 from __future__ import annotations
@@ -11,14 +13,8 @@ import shutil
 import signal
 import socket
 import subprocess
-import sys
-
-import pytest
-
-from tests.support import ROOT
 
 PORT = 9100
-ISOLATED = ("unshare", "--map-root-user", "--net")  # runs a command in a network namespace of its own
 
 
 def why_not() -> str:
@@ -26,28 +22,8 @@ def why_not() -> str:
     if shutil.which("MOOSDB") is None:
         return "no MOOSDB is on PATH"
     if {name for _, name in socket.if_nameindex()} - {"lo"}:
-        return "a MOOSDB listens on every interface, and here is one beside loopback; another test isolates it"
+        return "a MOOSDB listens on every interface, and here is one beside loopback: see tests/support/real_moosdb.py"
     return ""
-
-
-def run_isolated(file: str) -> None:
-    """Run the tests of a file that use a real database in a network namespace of their own; skip where that cannot be.
-
-    Args:
-        file: the test module.
-    """
-    if shutil.which("MOOSDB") is None:
-        pytest.skip("no MOOSDB is on PATH")
-    if not why_not():
-        pytest.skip("this is the run in a network of its own")
-    if shutil.which("unshare") is None or subprocess.run([*ISOLATED, "true"], capture_output=True).returncode:
-        pytest.skip("no network namespace can be made here, and a MOOSDB listens on every interface")
-    tests = f"'{sys.executable}' -m pytest -q -p no:cacheprovider -m '' -k 'real and not against' '{file}'"
-    done = subprocess.run(
-        [*ISOLATED, "sh", "-c", f"ip link set lo up && {tests}"], cwd=ROOT, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert " passed" in done.stdout
 
 
 class RealMoosdb:
