@@ -247,7 +247,7 @@ class Telemetry:
 
     def __init__(self, dialect: ModuleType, system: int = 1):
         self._dialect = dialect
-        self._link = dialect.MAVLink(None, srcSystem=system, srcComponent=COMPONENT)
+        self.link = dialect.MAVLink(None, srcSystem=system, srcComponent=COMPONENT)  # of pymavlink
         self.queue: deque[bytes] = deque(maxlen=ROOM)
         self.old = False  # whether the vehicle speaks MAVLink 1
         self.left_out = 0  # texts that came too fast
@@ -255,17 +255,9 @@ class Telemetry:
         self._said: dict[str, float] = {}  # text -> when it was said last
         self._text = 0  # number of the last text in parts
 
-    @property
-    def system(self) -> int:
-        return self._link.srcSystem
-
-    @system.setter
-    def system(self, number: int) -> None:
-        self._link.srcSystem = number
-
     def _send(self, message: Any) -> None:
-        self.queue.append(bytes(message.pack(self._link, force_mavlink1=self.old)))
-        self._link.seq = (self._link.seq + 1) % 256
+        self.queue.append(bytes(message.pack(self.link, force_mavlink1=self.old)))
+        self.link.seq = (self.link.seq + 1) % 256
 
     def heartbeat(self) -> None:
         """That this component is alive."""

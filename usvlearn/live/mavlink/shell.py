@@ -79,7 +79,7 @@ def run(
         while not stopped.is_set():
             now = clock()
             if link.open(now):
-                vehicle.new_link()
+                vehicle.frames.clear()
             link.wait(due - now)
             _listen(link, vehicle, clock)
             if (now := clock()) >= due:

@@ -56,7 +56,7 @@ class Vehicle:
         self, session: Session, dialect: ModuleType, hz: float, system: int | None, say: Callable[[str], None]
     ):
         self._session, self._wanted, self._say = session, system, say
-        self._frames, self.telemetry = Frames(dialect), Telemetry(dialect, system or 1)
+        self.frames, self.telemetry = Frames(dialect), Telemetry(dialect, system or 1)
         self._routes: dict[int, list[Route]] = {}
         routes = find_routes(session.sources)
         for route in routes:
@@ -102,7 +102,7 @@ class Vehicle:
             place: where it came from, if several can send.
         """
         heard = False
-        for message in self._frames.take(data, whole):
+        for message in self.frames.take(data, whole):
             sender = message.get_srcSystem(), message.get_srcComponent()
             number = message.get_msgId()
             if sender == self.address and not self._is_from(place, now):
@@ -137,17 +137,13 @@ class Vehicle:
             self._sender = place
         return not other
 
-    def new_link(self) -> None:
-        """The link was opened anew."""
-        self._frames.clear()
-
     def _hear_heartbeat(self, message: Any, sender: tuple[int, int], now: float, place: str) -> None:
         if message.autopilot == NO_AUTOPILOT or message.type == GROUND_STATION:
             return
         system = sender[0]
         if self.address is None and system == (self._wanted or system):
             self.address, self._came[NED], self._beat = sender, now, now
-            self.telemetry.system = system
+            self.telemetry.link.srcSystem = system
             where = f", from {place}" if place else ""
             self._announce(f"listening to system {system}, component {sender[1]}{where}", INFO, now)
         if sender == self.address:
