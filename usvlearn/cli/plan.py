@@ -193,17 +193,10 @@ def _written(boat: IdentifiedBoat, limits: Limits, plan: BestCourse, folder: Pat
     from usvlearn.core.checkpoint import write_atomically
     from usvlearn.model.planning.search import csv_lines
 
-    def write(suffix: str, text: str) -> Path:
-        path = folder / f"{boat.stem}{suffix}"
-        write_atomically(path, text.encode())
-        return path
-
-    yield f"{write('.csv', _text(csv_lines(plan)))}: commands, headings and expected speeds, a row for each change"
+    path = folder / f"{boat.stem}.csv"
+    write_atomically(path, "".join(f"{line}\n" for line in csv_lines(plan)).encode())
+    yield f"{path}: commands, headings and expected speeds, a row for each change"
     yield (
         f"A controller or a person must hold the headings. Turns are planned with {math.degrees(limits.turn_rate):.0f} "
         f"degrees/s, and the current as the checkpoint has it: keep room beside the {limits.area:g} m."
     )
-
-
-def _text(lines: Iterator[str]) -> str:
-    return "\n".join(lines) + "\n"

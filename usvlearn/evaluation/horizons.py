@@ -18,6 +18,7 @@ from usvlearn.estimators.ensemble.forecasts.state import PERSISTENCE
 from usvlearn.estimators.ensemble.manoeuvre_intervals.state import LITTLE, MUCH
 from usvlearn.estimators.planar.state import CONSTANT, DUE, ERROR, GROUP, HEADING_ERROR, HELD_RATE, RADIUS, RHO
 from usvlearn.evaluation.metrics import MISSING, Stretch
+from usvlearn.evaluation.season import measured
 
 if TYPE_CHECKING:
     from usvlearn.estimators.ensemble.layer import Ensemble
@@ -105,7 +106,7 @@ def horizon_sums(
         made, widths = arrays["forecasts"], arrays["forecast_halfwidths"]
         part = slice(step, step + len(made))
         samples = tree_map(lambda x, part=part: x[part], fleet.runs[run].samples)
-        surge = np.where(masks(samples, surge_limit).learns, samples.surge, np.nan)[..., None]
+        surge = measured(samples, surge_limit)[..., None]
         made = made.reshape(*made.shape[:2], H, K)
         due = np.isfinite(made[..., -1]) & np.isfinite(surge)
         errors = np.where(due[..., None], np.abs(made - surge[..., None]), 0.0)

@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from usvlearn.core.samples import PLAUSIBLE, Fleet, masks, tree_map
-from usvlearn.evaluation.season import SeasonRun
+from usvlearn.core.samples import PLAUSIBLE, Fleet, tree_map
+from usvlearn.evaluation.season import SeasonRun, measured
 
 PERSISTENCE = "persistence"  # the estimator that skill refers to
 MISSING = 0.01  # share of the steps, the most without a prediction of an estimator that has errors
@@ -77,7 +77,7 @@ def fleet_scores(
             predictions, widths = arrays["predictions"], arrays.get("halfwidths")
             part = slice(step, step + len(predictions))
             samples = tree_map(lambda x, part=part: x[part], fleet.runs[run].samples)
-            surge = np.where(masks(samples, surge_limit).learns, samples.surge, np.nan)
+            surge = measured(samples, surge_limit)
             for element in elements:
                 width = None if widths is None else widths[:, element].copy()
                 parts[element].append((predictions[:, element].copy(), surge[:, element], width))
@@ -144,5 +144,5 @@ def autocorrelation(errors: Sequence[np.ndarray], segments: Sequence[np.ndarray]
 
 def autocorrelation_of_runs(runs: Sequence[SeasonRun], column: int, lags: int) -> Autocorrelation:
     """That of the published errors one step ahead of one estimator."""
-    errors = [np.where(run.steps, run.published["predictions"][:, column] - run.samples.surge, np.nan) for run in runs]
-    return autocorrelation(errors, [np.cumsum(masks(run.samples, run.surge_limit).starts) for run in runs], lags)
+    errors = [run.published["predictions"][:, column] - run.measured for run in runs]
+    return autocorrelation(errors, [np.cumsum(run.masks.starts) for run in runs], lags)

@@ -9,8 +9,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.core.samples import PLAUSIBLE, Fleet, Run, Sample, masks, tree_map
+from usvlearn.core.samples import PLAUSIBLE, Fleet, Masks, Run, Sample, masks, tree_map
 from usvlearn.errors import ConfigError, did_you_mean
+
+
+def measured(samples: Sample, surge_limit: float) -> np.ndarray:
+    """The measured speed where a step is learned from and scored, m/s, else NaN."""
+    return np.where(masks(samples, surge_limit).learns, samples.surge, np.nan)
 
 
 class SeasonRun(NamedTuple):
@@ -25,9 +30,19 @@ class SeasonRun(NamedTuple):
     surge_limit: float = PLAUSIBLE  # m/s, of the ensemble that is judged
 
     @property
+    def masks(self) -> Masks:
+        """Which steps are made, count and start a segment, and which speeds are known, `(time,)`."""
+        return masks(self.samples, self.surge_limit)
+
+    @property
+    def measured(self) -> np.ndarray:
+        """The speed where the step counts, m/s, else NaN, `(time,)`."""
+        return measured(self.samples, self.surge_limit)
+
+    @property
     def steps(self) -> np.ndarray:
         """Which steps count, `(time,)` bool."""
-        return masks(self.samples, self.surge_limit).learns
+        return self.masks.learns
 
     @property
     def spacing(self) -> float:

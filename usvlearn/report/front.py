@@ -149,7 +149,7 @@ def _ahead(ensemble: Ensemble, season: Season) -> tuple[list[Ahead], float | Non
     names = list(dict.fromkeys(name for name in (PERSISTENCE, ensemble.output) if name in ensemble.names))
     places = [ensemble.names.index(name) for name in names]
     predictions = np.concatenate([run.published["predictions"][:, places] for run in runs])
-    surge = np.concatenate([np.where(run.steps, run.samples.surge, np.nan) for run in runs])
+    surge = np.concatenate([run.measured for run in runs])
     widths = [run.published["halfwidths"][:, places] for run in runs if "halfwidths" in run.published]
     row = scores(predictions, surge, names, np.concatenate(widths) if len(widths) == len(runs) else None)[names[-1]]
     found = [Ahead("the next step", row["mae"], row["skill"], row.get("coverage"))]

@@ -10,7 +10,7 @@ import numpy as np
 
 from usvlearn.core.checkpoint import checkpoints
 from usvlearn.core.forecasts import Track
-from usvlearn.core.samples import Fleet, PlanarSample, Sample, masks
+from usvlearn.core.samples import Fleet, PlanarSample, Sample
 from usvlearn.engine.online import Online, read_checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.planar.state import HEADING, NORTH, TURN
@@ -126,7 +126,7 @@ def forecast_along(online: Online, run: SeasonRun, poses: np.ndarray) -> list[Ah
     if not horizons:
         raise ConfigError(f"{run.name}: found a checkpoint without tracks, expected one below {PLANAR}")
     inputs, usual = run.samples.inputs, run.spacing
-    even = masks(run.samples, run.surge_limit).steps & (np.abs(inputs.dt - usual) <= UNEVEN * usual)
+    even = run.masks.steps & (np.abs(inputs.dt - usual) <= UNEVEN * usual)
     gaps = np.append(np.flatnonzero(~even), len(even))
     commands = np.clip(np.stack([inputs.command_left, inputs.command_right], -1), -1, 1)
     columns = [x.tolist() for x in (*inputs, run.samples.surge, run.samples.fresh, run.samples.measured)]

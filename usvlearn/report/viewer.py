@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 
-from usvlearn.core.samples import masks
 from usvlearn.display.figures import PAPER, SIDES, colours
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.free_simulation import FreeRun
@@ -61,9 +60,9 @@ def viewer_data(
 def _run(
     run: SeasonRun, free: FreeRun, shown: Sequence[str], columns: Sequence[int], size: int, tracks: BoatTracks | None
 ) -> dict[str, Any]:
-    known = masks(run.samples, run.surge_limit)
+    known = run.masks
     surge = np.where(run.samples.measured & known.known, run.samples.surge, np.nan)
-    counted = np.where(run.steps, run.samples.surge, np.nan)
+    counted = run.measured
     left, right, *_ = (np.where(run.samples.fresh, x, np.nan) for x in run.samples.inputs)
     lines = {"measured": surge, "left": left, "right": right}
     largest = {"free error": free.predictions[:, columns[-1]] - counted}
@@ -157,7 +156,7 @@ def reckoned(run: SeasonRun) -> np.ndarray:
 
     Where no speed was measured, the boat keeps the last one.
     """
-    made = masks(run.samples, run.surge_limit)
+    made = run.masks
     known = made.known & run.samples.measured
     last = np.maximum.accumulate(np.where(known, np.arange(len(known)), -1))
     speed = np.where(last >= 0, run.samples.surge[np.maximum(last, 0)], 0.0)

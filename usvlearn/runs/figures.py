@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.core.events import NINETY
-from usvlearn.core.samples import Fleet, Inputs, masks, tree_map
+from usvlearn.core.samples import Fleet, Inputs, tree_map
 from usvlearn.display.figures import (
     INK,
     KNOWN,
@@ -31,6 +31,7 @@ from usvlearn.estimators.joint.quantities import COMMANDS
 from usvlearn.evaluation.diagnostics import Truth
 from usvlearn.evaluation.horizons import Scores
 from usvlearn.evaluation.metrics import PERSISTENCE
+from usvlearn.evaluation.season import measured
 from usvlearn.runs.prediction_files import Published, joined
 
 READ, LEFT, RIGHT = KNOWN["joint_averaged"], *SIDES.values()  # colours: of what is identified, of the thrusters
@@ -337,7 +338,7 @@ def _of(replayed: Replayed, boat: str, index: int, names: Sequence[str]) -> tupl
     found = joined([replayed.published.read(*place, names).arrays for place in places])
     run, element = replayed.fleet.runs[index], replayed.fleet.boats.index(boat)
     part = slice(0, run.lengths[element])
-    surge = np.where(masks(run.samples, replayed.ensemble.surge_limit).learns, run.samples.surge, np.nan)[part, element]
+    surge = measured(run.samples, replayed.ensemble.surge_limit)[part, element]
     return run.time[part, element], surge, {name: array[part, element] for name, array in found.items()}
 
 

@@ -72,15 +72,13 @@ def printed(folder: Path, found: Sequence[Standing], keys: Sequence[str], measur
     paired = [_over_seeds(each, measure) for each in shown]
     by_seeds = any(paired)
     networks = _networks_differ(shown, measure)
-    what = measure.title() if measure else "MAE of each job's output"
-    unit = f", {measure.unit}" if measure and measure.unit else "" if measure else ", m/s"
     columns = [
         measure.kind if measure and not measure.unit else "MAE",
         *(["by runs" if by_seeds else "difference"] if differ else []),
     ]
     columns += [*(["by seeds"] if by_seeds else []), "s"]
     columns += ["K"] if networks else []
-    table = Blocks(f"{what}{unit}, mean over boats{_deviation(shown)}", ["job", *heads], columns, folded=heads)
+    table = Blocks(f"{_words(measure)}, mean over boats{_deviation(shown)}", ["job", *heads], columns, folded=heads)
     for each, value, difference, pair in zip(shown, values, compared, paired, strict=True):
         cells = [value, *([difference] if differ else []), *([pair] if by_seeds else [])]
         cells.append(DASH if each.seconds is None else f"{each.seconds:.1f}")

@@ -42,7 +42,7 @@ def online_section(
         if not runs:
             continue
         predictions = np.concatenate([run.published["predictions"] for run in runs])
-        surge = np.concatenate([np.where(run.steps, run.samples.surge, np.nan) for run in runs])
+        surge = np.concatenate([run.measured for run in runs])
         widths = [run.published["halfwidths"] for run in runs if "halfwidths" in run.published]
         halfwidths = np.concatenate(widths) if len(widths) == len(runs) else None
         table = scores(predictions, surge, names, halfwidths)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from usvlearn.core.events import event_of
 from usvlearn.display.terminal import ResultTable
 from usvlearn.estimators.ensemble.layer import Ensemble
@@ -43,7 +41,7 @@ def _drawn(season: Season, ensemble: Ensemble, found: Sequence[dict]) -> Drawn:
     """The figure of a boat's first event."""
     name = found[0]["run"]
     run = next(each for each in season.runs if each.name == name and each.published)
-    surge = np.where(run.steps, run.samples.surge, np.nan)
+    surge = run.measured
     course = course_of(ensemble.names, ensemble.output, run.time, run.samples.inputs, surge, run.published)
     marks = [(each["time"], each["kind"]) for each in found if each["run"] == name]
     caption = (
