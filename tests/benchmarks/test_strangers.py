@@ -7,9 +7,6 @@ import other_boat
 import pytest
 import strangers
 
-from usvlearn.core.samples import Inputs, Sample
-from usvlearn.estimators.regressors.terms import SURGE
-
 
 def test_without_other_boats_there_is_one_whose_log_has_its_truth(monkeypatch, tmp_path):
     monkeypatch.setenv("USVLEARN_STRANGERS", str(tmp_path / "none.py"))
@@ -23,19 +20,6 @@ def test_without_other_boats_there_is_one_whose_log_has_its_truth(monkeypatch, t
     assert truth["steady_speed_quarter"] < truth["steady_speed_half"] < truth["steady_speed_full"]
     u = truth["steady_speed_full"]
     assert 2 * other_boat.thrust(boat, 1.0, u) == pytest.approx(other_boat.drag(u), rel=1e-3)
-
-
-def test_least_squares_finds_a_boat_of_its_own_equations():
-    rng, n, theta = np.random.default_rng(0), 400, np.array([-0.1, -0.3, -0.2, 0.5, 0.2, -0.05, 0.4, 0.3, -0.02])
-    left, right, r = (np.repeat(rng.uniform(-0.5, 1, n // 10), 10) for _ in range(3))
-    v, yes = np.zeros(n), np.ones(n, bool)
-    for k in range(1, n):
-        u = v[k - 1]
-        columns = [abs(u) * u, u, abs(r[k]) * u]
-        columns += [y for x in (left[k], right[k]) for y in (x, x * abs(x), x * abs(u))]
-        v[k] = u + 0.4 * theta @ columns
-    run = Sample(Inputs(left, right, 0 * v, r, np.where(np.arange(n) == 0, 0.0, 0.4)), v, yes, yes)
-    assert strangers.squares([run]) == pytest.approx(dict(zip(SURGE, theta, strict=True)), abs=1e-6)
 
 
 def test_the_page_counts_what_is_told_and_what_holds():

@@ -121,15 +121,6 @@ def test_first_words_and_errors_fit_a_terminal_and_a_pipe_is_clean(program, tmp_
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize(
-    ("arguments", "first"), [(["evaluate"], "evaluate"), (["export", "RUN"], "export"), (["certify", "RUN"], "certify")]
-)
-def test_a_command_that_lacks_an_argument_says_so_within_the_width(arguments, first, tmp_path):
-    said = at_a_terminal(*USVLEARN, *arguments, folder=tmp_path).splitlines()
-    assert said[0] == f"usvlearn {first}: loading …" and max(map(len, said)) <= COLUMNS
-
-
-@pytest.mark.thorough
 @pytest.mark.parametrize("name", few(HELP, ["evaluate"], "thorough"))
 def test_help_fits_a_screen_and_the_rest_is_asked_for(name, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(sys, "argv", [])
@@ -225,14 +216,3 @@ def test_a_path_without_its_key_is_told_what_it_is(case, folder, monkeypatch, ca
 def test_a_path_without_its_key_is_understood(program, folder):
     done = run(program, *["run"][program == "train" :], "my_boat.yaml", "--cfg", "job", folder=folder, script=SCRIPT)
     assert f"path: {folder}/logs" in done.stdout and ("runs: run\n" in done.stdout) == (program == "evaluate")
-
-
-@pytest.mark.thorough
-def test_a_path_without_its_key_does_what_is_meant(folder, tmp_path):
-    for arguments in (
-        ["evaluate", "run", "my_boat.yaml", f"report={tmp_path}/report"],
-        ["export", "runs=run", "--to", "json", "--out", str(tmp_path)],
-    ):  # fmt: skip
-        done = run(*arguments, folder=folder, script=SCRIPT)
-        assert done.returncode == 0, done.stderr
-    assert (tmp_path / "report" / "index.html").exists() and list(tmp_path.glob("*.json"))

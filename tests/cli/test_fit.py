@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from tests.support.commands import QUICK, run
-from usvlearn.__main__ import main
 from usvlearn.cli.fit import fit_on_the_way, work
 from usvlearn.cli.signals import Stopped
 from usvlearn.core.samples import Inputs, Sample
@@ -226,10 +225,3 @@ def test_a_fit_that_is_stopped_keeps_the_sets_that_are_done(folder, tmp_path, mo
     assert end.value.code == 130
     assert "Stopped after 3 of 6 sets of terms." in " ".join(capsys.readouterr().out.split())
     assert list(json.loads((tmp_path / "heron1.fit.json").read_text())["sets"])[:3] == ["nine", "cubic", "even"]
-
-
-def test_help_fits_a_screen(capsys, monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["usvlearn"])
-    with pytest.raises(SystemExit) as end:
-        main(["fit", "--help"])
-    assert end.value.code == 0 and "--terms" in capsys.readouterr().out

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.support import few
-from tests.support.commands import ENVIRONMENT, GOOD, SMALL, assert_equal_runs, command, predictions, results, run
+from tests.support.commands import ENVIRONMENT, SMALL, assert_equal_runs, command, predictions, results, run
 from usvlearn.core import checkpoint
 from usvlearn.estimators.axis.turning_quantities import QUANTITIES as TURNING
 
@@ -84,16 +84,6 @@ def test_parameter_sets(whole):
         assert {"members.aid.theta", "members.rnn.weights.w1", "members.rnn.moment2"} <= leaves.keys()
 
 
-def test_tensorboard(whole):
-    """A run for each estimator of each boat; tests/runs/test_tensorboard.py has the tags, steps and HPARAMS row."""
-    (top,) = (whole / "tensorboard").iterdir()  # named after the settings that differ
-    assert top.name == "rnn.neurons=4"
-    assert {path.name for path in top.iterdir()} == {"heron1", "heron2", "fleet", "results"}
-    assert {path.name for path in (top / "fleet").iterdir()} == NAMES
-    beside = {"identified", "identified low", "identified high", "truth"}
-    assert {path.name for path in (top / "heron2").iterdir()} == NAMES | beside
-
-
 def test_everything_lies_in_the_runs_folder(whole):
     assert sorted(p.name for p in whole.parent.iterdir()) == ["output.txt", "run"]
     files = {"errors.csv", "results.json", "runs.json"}
@@ -134,13 +124,6 @@ def test_killed_and_resumed_equals_uninterrupted(whole, tmp_path, sets):
 
 
 @pytest.mark.thorough
-def test_resumed_into_another_folder_is_complete(whole, tmp_path):
-    finished = run(*SMALL, "data.n=2", f"resume={whole}", f"hydra.run.dir={tmp_path}/run", folder=tmp_path)
-    assert finished.returncode == 0, finished.stderr
-    assert_equal_runs(tmp_path / "run", whole)
-
-
-@pytest.mark.thorough
 def test_resume_carries_parameters_to_other_runs(whole, tmp_path):
     """A new season starts from the parameters of the last one."""
     season = [*SMALL, "data.n=2", "data.seed=5", f"hydra.run.dir={tmp_path}/run"]
@@ -153,43 +136,3 @@ def test_resume_carries_parameters_to_other_runs(whole, tmp_path):
     single = run(*SMALL, f"resume={max((whole / 'checkpoints' / 'heron2').iterdir())}",
                  f"hydra.run.dir={tmp_path}/one", folder=tmp_path)  # fmt: skip
     assert single.returncode == 0 and "starting from heron2" in single.stdout
-
-
-@pytest.mark.thorough
-def test_other_samples_or_another_ensemble_are_never_mixed_in(whole, tmp_path):
-    """In the same folder they are refused; in another they start from the parameters, at the first run."""
-    for other in ("estimators.aid.gain=3", "data.sensors.surge_noise=0.3"):
-        arguments = [*SMALL, "data.n=2", other]
-        refused = run(*arguments, "resume=latest", f"hydra.run.dir={whole}", folder=tmp_path)
-        assert refused.returncode == 2 and "another hydra.run.dir" in refused.stderr, refused.stderr
-    elsewhere = run(*arguments, f"resume={whole}", "hydra.run.dir=run", folder=tmp_path)
-    assert elsewhere.returncode == 0 and "from the first run on" in elsewhere.stdout
-    assert results(tmp_path / "run")["boats"]["heron1"]["persistence"]["mae"] > 0.2  # of the noise, not the old one
-
-
-CSV = ["data=csv", "data.channels.command_left.name=L", "data.channels.command_right.name=R",
-       "data.channels.surge.name=speed"]  # fmt: skip
-
-
-@pytest.mark.thorough
-def test_a_table_of_ones_own(tmp_path):
-    (tmp_path / "log.csv").write_text(GOOD)
-    done = run(*CSV, "data.path=log.csv", "hydra.run.dir=run", folder=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert results(tmp_path / "run")["boats"]["log"]["aid"]["steps"] == 24
-
-
-@pytest.mark.thorough
-def test_a_checkpoint_of_another_estimator_schema_or_with_a_flipped_bit(whole, tmp_path):
-    good = max((whole / "checkpoints" / "heron1").iterdir())
-    other = checkpoint.save(tmp_path / "other.safetensors", {"theta": np.ones(9)}, estimator="AID")
-    flipped = tmp_path / "flipped.safetensors"
-    content = bytearray(good.read_bytes())
-    content[-5] ^= 1
-    flipped.write_bytes(content)
-    for path, words in ((other, ["'AID'", "'Ensemble'"]), (flipped, ["damaged", "checksum"])):
-        done = run(*SMALL, f"resume={path}", "hydra.run.dir=run", folder=tmp_path)
-        assert done.returncode == 2 and "Traceback" not in done.stderr
-        assert all(word in done.stderr for word in [path.name, *words]), done.stderr
-    larger = run(*SMALL, "estimators.rnn.neurons=5", f"resume={good}", "hydra.run.dir=run", folder=tmp_path)
-    assert larger.returncode == 2 and "expected (5,)" in larger.stderr

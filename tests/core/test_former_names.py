@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from omegaconf import OmegaConf
 
-import usvlearn
 from usvlearn import AID, Inputs, Online, Sample
 from usvlearn.composition.configuration import check_settings
 from usvlearn.core import checkpoint, former_names
@@ -79,10 +78,3 @@ def test_a_configuration_and_a_boat_with_former_names_are_read(tmp_path, monkeyp
     check_settings(cfg)
     assert cfg.data.reader._target_ == new
     assert former_names.today({"fleet": [old]}) == {"data": [new]}
-
-
-def test_former_modules_and_methods_are_gone():
-    with pytest.raises(ModuleNotFoundError):
-        import_module("usvlearn.rollouts")
-    with pytest.raises(AttributeError, match="no attribute 'Forecasts'"):
-        _ = usvlearn.Forecasts

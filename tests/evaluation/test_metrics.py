@@ -96,22 +96,18 @@ def test_a_fleets_scores_count_the_steps_that_an_ensemble_learns_from():
     assert stopped["steps"] == 1
 
 
-def test_steps_at_which_nobody_has_a_prediction_are_not_passed_over():
-    row = scores(np.array([[1.0], [np.nan]]), np.ones(2), ["aid"])["aid"]
-    assert (row["mae"], row["steps"], row["diverged"]) == (None, 1, 1)
+INTERVALS = (  # predictions, measured, half-widths; coverage, half-width, MAE, steps
+    ([1.5, 2.0], [1.0, 2.5], [0.5, 0.25], (0.5, 0.375, 0.5, 2)),  # an error as large as the interval is inside
+    ([9.0, 1.5, 2.0], [1.0, 1.0, 2.5], [np.inf, 0.5, 0.25], (0.5, 0.375, 3.0, 3)),  # one that is infinite yet
+    ([1.0], [1.0], [np.inf], (None, None, 0.0, 1)),
+    ([1.0, np.nan], [1.0, 1.0], [1.0, 1.0], (None, None, None, 1)),  # a step at which nobody has a prediction
+)
 
 
-def test_an_error_as_large_as_the_interval_is_inside():
-    table = scores(np.array([[1.5], [2.0]]), np.array([1.0, 2.5]), ["aid"], np.array([[0.5], [0.25]]))
-    assert (table["aid"]["coverage"], table["aid"]["halfwidth"]) == (0.5, 0.375)
-
-
-def test_an_interval_that_is_infinite_yet_is_not_counted():
-    widths = np.array([[np.inf], [0.5], [0.25]])
-    table = scores(np.array([[9.0], [1.5], [2.0]]), np.array([1.0, 1.0, 2.5]), ["aid"], widths)
-    assert (table["aid"]["coverage"], table["aid"]["halfwidth"], table["aid"]["steps"]) == (0.5, 0.375, 3)
-    table = scores(np.ones((1, 1)), np.ones(1), ["aid"], np.array([[np.inf]]))
-    assert table["aid"]["coverage"] is None and table["aid"]["halfwidth"] is None
+@pytest.mark.parametrize(("made", "surge", "widths", "expected"), INTERVALS)
+def test_intervals_and_steps_without_a_prediction(made, surge, widths, expected):
+    row = scores(np.array(made)[:, None], np.array(surge), ["aid"], np.array(widths)[:, None])["aid"]
+    assert tuple(row[name] for name in ("coverage", "halfwidth", "mae", "steps")) == expected
 
 
 def test_diverged_predictions_are_counted_and_missing_persistence_is_told():

@@ -5,8 +5,6 @@ import json
 import re
 import shutil
 import sys
-import warnings
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +13,12 @@ from hydra.utils import instantiate
 from rich.console import Console
 
 from tests.support.commands import run
-from tests.support.seasons import boats
 from usvlearn import AID, Ensemble
 from usvlearn.cli.evaluate import main
 from usvlearn.core.checkpoint import checkpoints, load
 from usvlearn.errors import CheckpointError, ConfigError, MissingExtraError
 from usvlearn.logs.recordings import align_fleet
-from usvlearn.report.build import Tools, assemble, known_quantities, read
+from usvlearn.report.build import Tools, known_quantities, read
 from usvlearn.report.page import check_report_folder, write_report
 from usvlearn.report.sections.parameters import identified_section, parameters_section
 from usvlearn.runs.saved import configuration, is_sweep, read_seasons, results, run_folders
@@ -48,24 +45,8 @@ def test_every_file_is_there_and_replaced(saved):
              "identified_heron1", "identified_heron2", "tracks", "tracks_heron1", "tracks_heron2",
              *(f"fit_{kind}_heron{k}" for kind in ("curves", "residuals", "worst") for k in (1, 2))}  # fmt: skip
     assert figures == {f"{name}.svg" for name in names}
-    tables = {
-        "online",
-        "online_fleet",
-        "forecast",
-        "crossval",
-        "crossval_fleet",
-        "fleet",
-        "equilibria",
-        "certificates",
-        "identified",
-        "parameters",
-        "cost",
-        "residuals",
-        "tracks",
-        "fit",
-        "fit_sets",
-        "fit_missions",
-    }
+    tables = {"online", "online_fleet", "forecast", "crossval", "crossval_fleet", "fleet", "equilibria", "certificates",
+              "identified", "parameters", "cost", "residuals", "tracks", "fit", "fit_sets", "fit_missions"}  # fmt: skip
     assert {path.name for path in (report / "tables").iterdir()} == {f"{name}.csv" for name in tables}
     text = (report / "report.md").read_text()
     assert "The paper found" not in text  # it stands where a study is judged
@@ -204,19 +185,6 @@ def test_one_damaged_set_is_passed_over(copy):
     assert list(seasons[0].paths) == sets[1:] and len(seasons[0].own) == len(sets) - 1
 
 
-def test_damaged_predictions_are_passed_over(copy):
-    path = sorted((copy / "predictions").glob("00001_*"))[0]
-    path.write_bytes(path.read_bytes()[:-20])
-    with pytest.warns(UserWarning, match="has no predictions here"):
-        _, seasons = read([copy], tools())
-    assert [bool(each.published) for each in seasons[0].runs] == [True, False]
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:  # much in few bytes
-        archive.writestr("predictions.npy", bytes(10**7))
-    with pytest.warns(UserWarning, match=r"unpacks to 10 MB, expected .*has no predictions here"):
-        _, seasons = read([copy], tools())
-    assert [bool(each.published) for each in seasons[0].runs] == [True, False]
-
-
 def test_other_logs_of_a_boat_are_all_other_runs(saved):
     data = {**configuration(saved)["data"], "seed": 77, "hours": 0.05}
     _, seasons = read([saved], tools(), data)
@@ -319,19 +287,6 @@ def test_no_band_of_parameters_stands_without_its_caveat(saved):
             assert true == known.get(boat, {}).get(parameter) and bool(known) == (true is not None)
     section = parameters_section(seasons, Ensemble({"aid": ensemble.members["aid"]}), {})
     assert not any("±" in text or "Band" in text for text in (*section.here, *(d.caption for d in section.figures)))
-
-
-@pytest.mark.slow
-def test_a_report_is_written_twice_without_leftovers(tmp_path):
-    ensemble, seasons = boats(np.ones((2, 9)))
-    sections, errors = assemble(ensemble, seasons)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        write_report(tmp_path, ["One"], sections, ["python train.py"], errors)
-        page = write_report(tmp_path, ["Two <i>"], sections[:2])
-    assert {path.name for path in (tmp_path / "figures").iterdir()} == {"crossval.svg"}
-    assert "Two &lt;i&gt;</p>" in page.read_text() and "python train.py" not in page.read_text()
-    assert not list(tmp_path.glob(".*"))
 
 
 def test_identified_boats_are_drawn_with_their_truth_and_their_sentences(saved):

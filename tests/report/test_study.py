@@ -1,17 +1,12 @@
 """The study: its stages, that it goes on where it stopped, and the same whether it was stopped or not."""
 
 import json
-import os
-import re
-import signal
-import subprocess
-import time
 
 import pytest
 from hydra import compose, initialize_config_dir
 
 from tests.support import ROOT
-from tests.support.commands import ENVIRONMENT, command, run
+from tests.support.commands import run
 from tests.support.studies import PLAN, STAGES, Recorder, made
 from usvlearn.errors import ConfigError
 
@@ -89,24 +84,3 @@ TINY = [
     "study.common=['data.n=2','data.mission_minutes=2','estimators.rnn.neurons=4','save_minutes=0.5','tuning.rounds=1']",
     "study.tuning=['data.seed=1','data.hours=0.0667']", "study.season=['data.seed=2','data.hours=0.0667']",
 ]  # fmt: skip
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seconds", [4.0, 12.0, 25.0])
-def test_a_killed_study_equals_an_uninterrupted_one(tmp_path, seconds):
-    whole = run(*TINY, f"folder={tmp_path}/whole", folder=tmp_path, script="evaluate.py")
-    assert whole.returncode == 0, whole.stderr
-    arguments = command(*TINY, f"folder={tmp_path}/killed", script="evaluate.py")
-    process = subprocess.Popen(arguments, cwd=tmp_path, env=ENVIRONMENT, start_new_session=True,
-                               stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)  # fmt: skip
-    time.sleep(seconds)
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-    again = run(*TINY, f"folder={tmp_path}/killed", folder=tmp_path, script="evaluate.py")
-    assert again.returncode == 0, again.stderr
-    for name in ("online", "crossval", "fleet", "parameters", "certificates", "equilibria"):
-        tables = [(tmp_path / kind / "report" / "tables" / f"{name}.csv").read_text() for kind in ("whole", "killed")]
-        assert tables[0] == tables[1], name
-    pages = [(tmp_path / kind / "report" / "report.md").read_text() for kind in ("whole", "killed")]
-    commands = [re.findall(r"python train.py .*", page.replace("/killed/", "/whole/")) for page in pages]
-    assert len(commands[0]) == 4 and commands[0] == commands[1]

@@ -17,7 +17,6 @@ from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.report.build import read
 from usvlearn.runs.files import begun
 from usvlearn.runs.saved import results, run_folders
-from usvlearn.sweeps.jobs import jobs
 from usvlearn.sweeps.leaderboard import leaderboard
 
 
@@ -185,21 +184,3 @@ def test_settings_of_allowed_classes_that_make_no_sense_are_one_sentence(copy, e
     with pytest.raises((CheckpointError, ConfigError)) as caught:
         read([copy], tools()._replace(instantiate=instantiate))
     assert len(str(caught.value)) < 1000
-
-
-@pytest.mark.parametrize(
-    ("name", "content"),
-    [
-        ("results.json", {"boats": [1]}),
-        ("results.json", {"boats": {"heron": {"aid": {"mae": "low"}}}}),
-        ("job.json", {"settings": "x"}),
-    ],
-)
-def test_notes_of_a_job_that_make_no_sense_are_told_in_its_row(tmp_path, name, content):
-    job = tmp_path / "0"
-    (job / ".hydra").mkdir(parents=True)
-    (job / ".hydra" / "overrides.yaml").write_text("- estimators.aid.gain=1\n")
-    (job / ".hydra" / "config.yaml").write_text("a: 1\n")
-    (job / name).write_text(json.dumps(content))
-    (found,) = jobs(tmp_path, load)
-    assert ("is damaged" in found.results["error"]) if name == "results.json" else found.results == {}

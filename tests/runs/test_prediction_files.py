@@ -5,11 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from tests.support.recordings import recording
 from usvlearn import AID, Ensemble, Persistence
 from usvlearn.errors import CheckpointError
 from usvlearn.evaluation import metrics
-from usvlearn.logs.recordings import align_fleet
 from usvlearn.runs.prediction_files import PUBLISHED
 from usvlearn.runs.replay import replay
 from usvlearn.runs.run_folder import RunFolder
@@ -23,12 +21,6 @@ def session(path, fleet, resume=None) -> tuple[RunFolder, dict]:
         for chunk in replay(ensemble, fleet, start.state, start.position, every=7, save_every=10):
             folder.save(chunk)
         return folder, folder.finish(0.0)
-
-
-@pytest.fixture(scope="module")
-def fleet():
-    """Boat a has two runs, boat b one longer one."""
-    return align_fleet([recording("a", "one", 6.0), recording("a", "two", 4.0), recording("b", "one", 9.0, speed=0.3)])
 
 
 def test_a_run_is_scored_from_its_predictions_alone(tmp_path, fleet):

@@ -24,14 +24,7 @@ SETUP = Setup.of({"channels": CHANNELS, "align": {"dt": 0.4}})
 
 
 def known_boat(spread: float = 0.04, vague: bool = False, lacks=(), **parameters: float) -> IdentifiedBoat:
-    """A boat without fore-aft asymmetry terms.
-
-    Args:
-        spread: standard deviation of each parameter relative to its value.
-        vague: whether the log did not excite it.
-        lacks: what its log lacks.
-        **parameters: in place of those of HERON.
-    """
+    """A boat without fore-aft asymmetry terms."""
     theta = np.array([{**HERON, **parameters}[name] for name in names(even=False)])
     covariance = np.diag((spread * theta) ** 2)
     beside = IntervalTerms(0.0, theta, theta, np.maximum(theta**2, 1e-4), vague)

@@ -52,21 +52,7 @@ def record(receipt: float, frame: bytes) -> bytes:
 
 
 class MavBoat:
-    """An autopilot: it answers requests, and sends what it was asked for.
-
-    Args:
-        motion: time, s -> what the boat does.
-        parameters: those of its servos.
-        sender: system and component.
-        version: of MAVLink.
-        booted: the boat's time, s, at which its clock began.
-        sends: ids of the messages that it has.
-
-    Attributes:
-        intervals: id -> s between two messages; empty until it is asked.
-        texts, values: what it was told, STATUSTEXT and NAMED_VALUE_FLOAT.
-        asked: names of parameters, one for each request.
-    """
+    """An autopilot: it answers requests, and sends what it was asked for, by ids; its clock began at `booted`, s."""
 
     def __init__(
         self,
@@ -161,14 +147,7 @@ class MavBoat:
 
 
 class OnTheAir(threading.Thread):
-    """A boat that sails in real time, or faster, and sends datagrams to a node.
-
-    Args:
-        boat: what sails.
-        port: of the node, on the loopback.
-        seconds: how long, in the boat's time.
-        warp: how much faster than real time.
-    """
+    """A boat that sails in real time, or faster, and sends datagrams to a node."""
 
     def __init__(self, boat: MavBoat, port: int, seconds: float, warp: float = 1.0):
         super().__init__(daemon=True)

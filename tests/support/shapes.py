@@ -190,13 +190,7 @@ class Score(NamedTuple):
 
 
 def score(channels: Mapping[str, Mapping[str, Any]], certainty: Callable[[str, str], str], truth: Truth) -> Score:
-    """Compare proposed channels with the truth, key by key.
-
-    Args:
-        channels: channel -> arguments of a `Source`.
-        certainty: of a channel's key.
-        truth: what is right; a name of None means that the channel comes from others.
-    """
+    """Compare proposed channels with the truth, key by key."""
     found = Score([], [], [])
     for channel, allowed in truth.items():
         own = channels.get(channel) or {"name": None}

@@ -55,11 +55,7 @@ class Unavailable(Exception):
 
 
 class Slurm:
-    """A cluster that runs from `start` to `stop`; nothing of it is outside its folder.
-
-    Args:
-        folder: of its state, logs and key; the path must be short enough for a socket.
-    """
+    """A cluster that runs from `start` to `stop`; nothing of it is outside its folder."""
 
     def __init__(self, folder: Path):
         self.folder = folder
@@ -70,11 +66,7 @@ class Slurm:
         }
 
     def start(self) -> None:
-        """Start the daemons and wait until the node is idle.
-
-        Raises:
-            Unavailable: with the reason.
-        """
+        """Start the daemons and wait until the node is idle."""
         missing = [name for name in NEEDED if shutil.which(name, path=self.environment["PATH"]) is None]
         if missing:
             raise Unavailable(f"found no {', '.join(missing)}: apt-get install slurm-wlm munge")

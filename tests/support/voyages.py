@@ -60,18 +60,7 @@ def voyage(
     commands: str = "periodic",
     surge_quantum: float = 0.01,
 ) -> Voyage:
-    """Sail one mission, and measure it.
-
-    Args:
-        seed: of boat, mission and sensors.
-        plant: of `usvlearn.simulate.plants`.
-        minutes: length of the mission.
-        kind: of `usvlearn.simulate.scenario.MISSIONS`.
-        current: m/s; its direction is drawn.
-        lowest: least command, share of full scale.
-        commands: "periodic" or "on_change".
-        surge_quantum: resolution of the speed, m/s.
-    """
+    """Sail one mission, and measure it; the current and the resolution of the speed are in m/s."""
     autopilot = Autopilot(lowest=lowest)
     sensors = Sensors(commands=commands, surge_quantum=surge_quantum)
     rng = np.random.default_rng([seed, 99])

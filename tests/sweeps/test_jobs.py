@@ -294,6 +294,7 @@ def test_results_of_others_may_be_of_any_form(k, tmp_path, capsys):
         (tmp_path / name / "results.json").write_text(json.dumps(found))
     (tmp_path / "sweep.json").write_text('{"jobs": "x", "swept": 3, "defaults": [], "objective": {}}')
     (tmp_path / "1" / "errors.csv").write_text("boat,run\n\0")
+    (tmp_path / "1" / "job.json").write_text('{"settings": "x"}')
     assert not leaderboard(tmp_path, load)
     rows = {row["job"]: row["error"] for row in table(tmp_path)}
     assert "0/results.json is damaged" in rows["0"] and rows["1"] == ""

@@ -1,14 +1,11 @@
 """Searching with Optuna: it goes on where it broke off, and processes share a budget."""
 
-import json
-import subprocess
 import sys
 
 import numpy as np
 import pytest
 
-from tests.support.commands import ENVIRONMENT, command
-from tests.support.configured import TWO_BOATS, replayed, request
+from tests.support.configured import replayed, request
 from usvlearn.errors import ConfigError, MissingExtraError
 from usvlearn.sweeps.tuning import search
 from usvlearn.sweeps.tuning.batches import Objective
@@ -53,16 +50,6 @@ def test_a_journal_that_names_code_is_refused(fleet, tmp_path):
     assert journal.read_text() != text
     with pytest.raises(ConfigError, match=r"optuna\.log: found the setting '_target_'"):
         searched(fleet, tmp_path, 2)
-
-
-@pytest.mark.slow
-def test_two_processes_share_the_budget(tmp_path):
-    arguments = command(*TWO_BOATS, "search=aid", "tuning.evaluations=24", "tuning.trials=2", "hydra.run.dir=run")
-    both = [subprocess.Popen(arguments, cwd=tmp_path, env=ENVIRONMENT, stdout=subprocess.DEVNULL) for _ in range(2)]
-    assert [process.wait(120) for process in both] == [0, 0]
-    found = json.loads((tmp_path / "run" / "tuning.json").read_text())
-    assert found["evaluations"] == len(found["evaluated"]) - 1 and 24 <= found["evaluations"] <= 26
-    assert len({each["setting"]["gain"] for each in found["evaluated"][1:]}) > 20  # not twice the same random start
 
 
 def test_without_optuna_the_extra_is_named(fleet, tmp_path, monkeypatch):
