@@ -20,6 +20,7 @@ import torch
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from pages import publish
+from timing import table
 
 from usvlearn import Ensemble, Estimator, Persistence, SurgeDynamics, rollout
 from usvlearn.composition.configuration import ensemble_of
@@ -128,11 +129,8 @@ def one_step(logs: Sequence[tuple[str, Log]]) -> Iterator[str]:
 
 def every_member(logs: Sequence[tuple[str, Log]]) -> Iterator[str]:
     names = replayed(logs[0][1].overrides)[0]
-    yield "| boat | " + " | ".join(names) + " |"
-    yield "|---|" + "---:|" * len(names)
-    for label, log in logs:
-        found = rows(log)
-        yield f"| {label} | " + " | ".join(f"{found[name]['skill']:.3f}" for name in names) + " |"
+    found = {label: rows(log) for label, log in logs}
+    yield from table(["boat", *names], [[x, *(f"{y[name]['skill']:.3f}" for name in names)] for x, y in found.items()])
 
 
 class Fixed(Persistence):
@@ -202,15 +200,15 @@ def least_squares(model: SurgeDynamics, runs: Sequence[Sample]) -> Fixed:
 
 def free_runs(logs: Sequence[tuple[str, Log]]) -> Iterator[str]:
     names = replayed(logs[0][1].overrides)[0]
-    yield "| boat | batch least squares, m/s | " + " | ".join(names) + " |"
-    yield "|---|" + "---:|" * (len(names) + 1)
+    lines = []
     for label, log in logs:
         before, after = halves(log)
         model = ensemble(log.overrides)
         fit = least_squares(SurgeDynamics(configuration(log.overrides).vehicle.mass), before)
         base = free_run(fit, fit.init((1,)), after)[0]
         ratios = free_run(model, learned(model, before), after) / base
-        yield f"| {label} | {base:.4f} | " + " | ".join(f"{r:.2f}" for r in ratios) + " |"
+        lines.append([label, f"{base:.4f}", *(f"{r:.2f}" for r in ratios)])
+    yield from table(["boat", "batch least squares, m/s", *names], lines)
 
 
 class SecondHalf(NamedTuple):

@@ -99,26 +99,32 @@ def ours_by_free_run(log: Log) -> dict[str, float]:
 
 
 @torch.no_grad()
-def ours_by_horizon(log: Log) -> dict[str, Skills]:
-    """Skill of our own forecasts of the later runs, which are learned online meanwhile, by name and horizon."""
-    model = accuracy.ensemble(log.overrides)
-    state = accuracy.learned(model, [tensors(run, torch.float64) for run in log.learned])
-    made: dict[str, list[np.ndarray]] = {name: [] for name in OURS}
-    for run in log.later:
-        aim = targets(run)
+def online_forecasts(
+    model: Ensemble, learned: Sequence[Sample], later: Sequence[Sample], horizons: Sequence[int] = HORIZONS
+) -> list[np.ndarray]:
+    """Of each later run, which is learned online meanwhile, forecasts `(horizons, origins, columns)`, m/s."""
+    state, made = accuracy.learned(model, [tensors(run, torch.float64) for run in learned]), []
+    for run in later:
+        aim = targets(run, horizons)
         state, _, states = rollout(model, state, tensors(run, torch.float64), record=lambda state: state)
         at_origins = tree_map(lambda leaf, o=aim.origins: leaf[o].contiguous(), states)
-        predicted = free_from(model, at_origins, run, aim)[np.array(HORIZONS) - 1]
-        for name, each in made.items():
-            each.append(predicted[..., model.names.index(name)].T)
-    return {name: skills(errors(log.later, each)) for name, each in made.items()}
+        made.append(free_from(model, at_origins, run, aim, max(horizons))[np.array(horizons) - 1])
+    return made
 
 
-def free_from(model: Ensemble, states, run: Sample, aim: Targets) -> np.ndarray:
+def ours_by_horizon(log: Log) -> dict[str, Skills]:
+    """Skill of our own forecasts of the later runs, by name and horizon."""
+    model = accuracy.ensemble(log.overrides)
+    made = online_forecasts(model, log.learned, log.later)
+    columns = {name: model.names.index(name) for name in OURS}
+    return {name: skills(errors(log.later, [each[..., k].T for each in made])) for name, k in columns.items()}
+
+
+def free_from(model: Ensemble, states, run: Sample, aim: Targets, longest: int) -> np.ndarray:
     """Predictions `(time, origins, columns)`, m/s, of open-loop simulations from all origins; a row without a step is
     held.
     """
-    rows = aim.origins + np.arange(1, max(HORIZONS) + 1)[:, None]
+    rows = aim.origins + np.arange(1, longest + 1)[:, None]
     inside, rows = rows < len(run.surge), rows.clip(max=len(run.surge) - 1)
     ahead = tree_map(lambda x: x[rows], run)
     blind = ahead._replace(

@@ -39,11 +39,7 @@ class Halves(NamedTuple):
 
 
 def season(first: int, **given) -> dict[str, Halves]:
-    """Simulated boats by name, and their runs; the `first` missions are to learn from.
-
-    Args:
-        **given: of `usvlearn.simulate.fleet.fleet`.
-    """
+    """Simulated boats by name, and their runs; the `first` missions are to learn from."""
     logs = fleet(**given)
     grids = [align_fleet(logs, dt=dt, patience=1.0) for dt in (DT, FINE)]
 

@@ -5,7 +5,7 @@ Of simulated boats the truth is known: `study`. Recorded boats have later runs: 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,6 +20,7 @@ from peers.batch import Held, free_run_errors
 from truths import MINUTES, NOMINAL, free_run_mae
 
 from usvlearn import SurgeDynamics
+from usvlearn.core.samples import Sample
 from usvlearn.estimators.joint.excitation_warnings import Quantity
 from usvlearn.estimators.joint.state import NORTH, THETA
 from usvlearn.model.fit.fitted import fit_boat
@@ -60,10 +61,10 @@ def polynomial(parameters: Mapping[str, float], top: float, mass: float) -> Valu
     return {name: Quantity(float(x), nan, nan, "") for name, x in quantities(theta, top, mass).items()}
 
 
-def squares(runs: Halves, mass: float) -> dict[str, float]:
+def squares(runs: Sequence[Sample], mass: float) -> dict[str, float]:
     """Least squares of the increments between measured speeds, per mass."""
     model = SurgeDynamics(mass)
-    theta = accuracy.least_squares(model, [accuracy.tensors(run) for run in runs.learned]).theta
+    theta = accuracy.least_squares(model, [accuracy.tensors(run) for run in runs]).theta
     return dict(zip(model.names, (theta.double() / mass).tolist(), strict=True))
 
 
@@ -85,7 +86,7 @@ def study(plant: str, seed: int, n: int = N, hours: float = HOURS, later: float 
     for boat, runs in season(first, **given).items():
         fitted = fit_boat(boat, runs.rows, mass, top)
         values, frozen = online(runs, plant)
-        nine, plain = output_error.fit(runs.learned, top), squares(runs, mass)
+        nine, plain = output_error.fit(runs.learned, top), squares(runs.learned, mass)
         found = {FIT: fitted.quantities, ONLINE: values, BATCH: polynomial(nine.parameters, top, mass),
                  SQUARES: polynomial(plain, top, mass)}  # fmt: skip
         models = {ONLINE: frozen, BATCH: nine, SQUARES: output_error.Fit(plain, 0.0, np.zeros((1, 2)), 0.0)}

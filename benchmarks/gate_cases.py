@@ -62,11 +62,7 @@ LOGS = ("blueboat", "vtec", "dalian", "pearl")
 
 
 def cases(shared: Path) -> dict[str, Callable[[], Case | None]]:
-    """All cases, in the order in which they are compared.
-
-    Args:
-        shared: the folder with recorded logs (`data`) and logs of strangers (`strangers`), which may be absent.
-    """
+    """All cases, in the order in which they are compared."""
     torch.set_num_threads(1)
     single, vector = range(ONE // GROUP), range(VECTOR // GROUP)
     return {

@@ -96,11 +96,7 @@ def cache() -> Path:
 
 
 def keep(source: str) -> Path:
-    """The recorded source as a folder: kept before, or out of the commit that wrote gates.json, or out of HEAD.
-
-    Raises:
-        SystemExit: neither has it, as in a shallow clone.
-    """
+    """The recorded source as a folder: kept before, or out of the commit that wrote gates.json, or out of HEAD."""
     kept = cache() / source
     if kept.exists():
         return kept

@@ -27,6 +27,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(Path(__file__).parent))
 
 from output_error import Fit, fit, free_runs  # noqa: E402
+from timing import table  # noqa: E402
 from truths import MINUTES, NOMINAL, PLANTS, Boat, Truths, boats, errors, free_run_mae, model_acceleration, truths  # noqa: E402
 
 from usvlearn.core.samples import Sample  # noqa: E402
@@ -140,38 +141,35 @@ def covered(intervals, after: int, names=None) -> list[bool]:
 def report(seed: int) -> str:
     found, intervals = study(seed)
     batch = [each.free for each in found["output error, batch"]]
-    rows = [
-        "| | drag | thrust | steady speed | time constant | bias of drag | open-loop simulation/batch |",
-        "|---|--:|--:|--:|--:|--:|--:|",
-    ]
+    rows = []
     for name, each in found.items():
         wrong = [statistics.median(abs(getattr(one.errors, key)) for one in each) for key in AIMS]
         bias = statistics.median(one.errors.drag for one in each)
         ratio = statistics.median(one.free / other for one, other in zip(each, batch, strict=True))
-        rows.append(f"| {name} | " + " | ".join(f"{x:.1%}" for x in wrong) + f" | {bias:+.1%} | {ratio:.2f} |")
-    rows.append("| aim | " + " | ".join(f"{x:.1%}" for x in AIMS.values()) + " | | 1.02 |")
-    when = ["| after | " + " | ".join(f"{k * MINUTES:.0f} min" for k in AT) + " |", "|---|" + "--:|" * len(AT)]
-    when.append(
-        "| five main quantities | " + " | ".join(f"{np.mean(covered(intervals, k, MAIN)):.0%}" for k in AT) + " |"
-    )
-    when.append("| all quantities | " + " | ".join(f"{np.mean(covered(intervals, k)):.0%}" for k in AT) + " |")
-    each = ["| quantity | holds | half-width | median error |", "|---|--:|--:|--:|"]
+        rows.append([name, *(f"{x:.1%}" for x in wrong), f"{bias:+.1%}", f"{ratio:.2f}"])
+    rows.append(["aim", *(f"{x:.1%}" for x in AIMS.values()), "", "1.02"])
+    head = ["", *(key.replace("_", " ") for key in AIMS), "bias of drag", "open-loop simulation/batch"]
+    groups = {"five main quantities": MAIN, "all quantities": None}
+    held = [[name, *(f"{np.mean(covered(intervals, k, own)):.0%}" for k in AT)] for name, own in groups.items()]
+    each = []
     for name in intervals[0][1]:
         at_end = [(one[AT[-1]][name], truth[name]) for one, truth in intervals]
         wide = statistics.median((one.high - one.low) / 2 / abs(true) if true else np.nan for one, true in at_end)
         wrong = statistics.median(abs(one.value - true) / abs(true) if true else np.nan for one, true in at_end)
         shown = [f"{x:.0%}" if np.isfinite(x) and x < 10 else "–" for x in (wide, wrong)]
-        each.append(f"| {name} | {np.mean(covered(intervals, AT[-1], [name])):.0%} | " + " | ".join(shown) + " |")
+        each.append([name, f"{np.mean(covered(intervals, AT[-1], [name])):.0%}", *shown])
     opening = (
         f"Made by `python benchmarks/identify.py --seed {seed}`: {len(PLANTS)} plants, {N} boats each, {HOURS:.0f} h "
         f"to learn from, then {LATER:.0f} h of open-loop simulations. Settings and widths were chosen on seeds 5 and "
         "11."
     )
     parts = [
-        ["# Identified parameters against the truth"], [opening], ["## Errors"], [ERRORS], rows,
+        ["# Identified parameters against the truth"], [opening], ["## Errors"], [ERRORS], table(head, rows),
         ["## Intervals of 90 %"],
         [f"Share of the truths that the intervals hold, over all boats. The main quantities are {', '.join(MAIN)}."],
-        when, [f"After {AT[-1] * MINUTES:.0f} min, by quantity, relative to the truth:"], each,
+        table(["after", *(f"{k * MINUTES:.0f} min" for k in AT)], held),
+        [f"After {AT[-1] * MINUTES:.0f} min, by quantity, relative to the truth:"],
+        table(["quantity", "holds", "half-width", "median error"], each),
     ]  # fmt: skip
     return "\n\n".join("\n".join(part) for part in parts) + "\n"
 

@@ -135,12 +135,7 @@ def completing(rows: list[Row], start: float) -> list[int]:
 
 
 class Voyage:
-    """A node, and what it publishes.
-
-    Args:
-        folder: of the node.
-        block: more lines of its mission.
-    """
+    """A node, and what it publishes."""
 
     def __init__(self, folder: Path, block: Sequence[str] = ()):
         self._block = [*block, *(f"{name} = {variable}" for name, variable in NAMES.items())]

@@ -115,12 +115,7 @@ def simulate(rows, theta, current, speeds, sensitivity):
 
 
 def rows_of(runs: Sequence[Sample], restart: bool) -> np.ndarray:
-    """Rows of all runs, `(steps, 13)`.
-
-    Args:
-        runs: leaves `(time,)`.
-        restart: whether a segment also starts at the first measured speed after a step without fresh inputs.
-    """
+    """Rows of all runs, `(steps, 13)`."""
     found = []
     for index, run in enumerate(runs):
         use, x = masks(run, 10.0), run.inputs
@@ -147,15 +142,7 @@ def first_guess(top: float) -> np.ndarray:
 
 
 def fit(runs: Sequence[Sample], top: float, cubic: bool = True, current: bool = True, lag: bool = True) -> Fit:
-    """The parameters that simulate all runs best.
-
-    Args:
-        runs: leaves `(time,)`.
-        top: top speed, m/s, as a user states it; it sets the first guess.
-        cubic: fit the cubic terms of the thrust too.
-        current: fit the current of each run too; without it, it is 0.
-        lag: fit μ too; without it, it is 0.
-    """
+    """The parameters that simulate all runs best."""
     rows = rows_of(runs, restart=True)
     learns, run = rows[:, LEARNS] > 0, rows[:, RUN].astype(int)
     measured, places, count = rows[learns, SURGE_NOW], run[learns], len(runs)

@@ -13,7 +13,7 @@ import torch
 from families import initial_networks, random_networks
 from history import Figure, timed
 from peers.online import MODULES
-from speed_steps import WAYS, costs, costs_of_others, estimators, loop, median, times
+from speed_steps import WAYS, costs, costs_of_others, estimators, loop, median, steps_table, times
 from timing import Effort, Work, in_turn, micro, ratio, table, three_digits
 
 from certify.proofs import exact
@@ -84,11 +84,6 @@ def speed(amount: Amount, logs: Path | None) -> Part:
                 timed(f"speed: {name}, {label}", by_round(ways[way], ways["loop"]), LOOP)
                 for way, label in (("call", "called"), ("torch", "eager torch"))
             ]
-    rows = [
-        [name, *(micro(median(ways, way)) for way in WAYS), times(ways, "streamed", "C"),
-         times(ways, "torch", "streamed")]
-        for name, ways in spent.items()
-    ]  # fmt: skip
     others = costs_of_others(amount.effort)
     called, streamed = "ours, RLS", "ours, RLS, streamed"
     beside = [
@@ -96,7 +91,7 @@ def speed(amount: Amount, logs: Path | None) -> Part:
         for name in others
     ]
     lines = [
-        *table(["µs a step", *WAYS.values(), "streamed / C", "torch / streamed"], rows), "",
+        *steps_table(spent), "",
         *table(["p = 9", "µs a step", "over our RLS, called", "over our RLS, streamed"], beside), "",
         *speed_in_words(spent, others, called, streamed), "",
         f"Medians of {amount.effort.repeats} rounds, in which all works of a row are timed in turn: time of the "

@@ -99,13 +99,7 @@ def library() -> ctypes.CDLL:
 
 @torch.no_grad()
 def reference(estimator: Estimator, samples: Sample) -> Reference | None:
-    """The same estimator in C, or None where there is none.
-
-    Args:
-        estimator: an AID, RLS, SIFtRLS, RNN, YawEKF, SwayEKF, or JointEKF without periodic estimates; all but the
-            RNN's size, the model and the numbers that are tuned as by default.
-        samples: `(time,)`, as arrays or tensors; of a YawEKF or SwayEKF with the inputs that `axis_inputs` gives.
-    """
+    """The same estimator in C, or None where there is none."""
     makes = {AID: adaptive, RLS: least_squares, SIFtRLS: least_squares, RNN: network, JointEKF: joint, YawEKF: axis,
              SwayEKF: axis}  # fmt: skip
     make = makes.get(type(estimator))

@@ -12,9 +12,9 @@ import speed_jobs
 import speed_steps
 import torch
 from pages import publish
-from timing import QUICK, WHOLE, Effort, Section, machine
+from timing import QUICK, WHOLE, Effort, machine
 
-SECTIONS: dict[str, tuple[str, Callable[[Effort], Section]]] = {
+SECTIONS: dict[str, tuple[str, Callable[[Effort], list[str]]]] = {
     "steps": ("A step", speed_steps.steps),
     "others": ("Other libraries", speed_steps.others),
     "elements": ("Batch elements", speed_jobs.elements),
@@ -37,7 +37,7 @@ def page(effort: Effort, names: list[str]) -> str:
     for name in names:
         title, measure = SECTIONS[name]
         print(f"{title} …", flush=True)
-        text += [f"## {title}", "", *measure(effort).lines, ""]
+        text += [f"## {title}", "", *measure(effort), ""]
     return "\n".join(text)
 
 

@@ -10,7 +10,7 @@ from functools import cache, partial
 import accuracy
 import torch
 from speed_steps import estimators, samples, streamed
-from timing import Effort, Section, counted, in_turn, micro, once, table
+from timing import Effort, counted, in_turn, micro, once, table
 
 from usvlearn import AID, Ensemble, Estimator, SIFtRLS, SurgeDynamics
 from usvlearn.core.samples import Fleet, Sample, tree_map
@@ -45,7 +45,7 @@ def grid_of(kind: str, settings: int) -> Estimator:
     return AID(MASS, values) if kind == "aid" else SIFtRLS(SurgeDynamics(MASS), 10 * values)
 
 
-def elements(effort: Effort) -> Section:
+def elements(effort: Effort) -> list[str]:
     """Each boat a batch element; the same samples."""
     known = estimators()
     chosen = {"aid": "aid", "sift": "sift", "rnn": "rnn, n = 20", "ensemble": "default ensemble"}
@@ -68,10 +68,10 @@ def elements(effort: Effort) -> Section:
         for (name, threads), by_elements in found.items()
     ]
     head = ["µs an element-step", *(counted(n, "batch element") for n in effort.elements)]
-    return Section(table(head, rows))
+    return table(head, rows)
 
 
-def jobs(effort: Effort) -> Section:
+def jobs(effort: Effort) -> list[str]:
     """From aligned samples in memory to the end."""
     short, long = effort.hours
     ensemble = accuracy.ensemble(())
@@ -99,13 +99,13 @@ def jobs(effort: Effort) -> Section:
     work = partial(cross_validate, ensemble, ensemble.init((effort.sets,)), runs)
     row(title, work, effort.sets * one.steps)
     note = f"Medians of 3, of jobs beyond {MANY // 1_000_000} million element-steps once. One thread."
-    return Section([*table(["job", "element-steps", "s", "µs an element-step"], rows), "", note])
+    return [*table(["job", "element-steps", "s", "µs an element-step"], rows), "", note]
 
 
-def around(effort: Effort) -> Section:
+def around(effort: Effort) -> list[str]:
     """What a replay is surrounded by, as a share of it."""
     hours = min(1.0, effort.hours[1])
-    return Section([logging(season(1, hours), effort), logging(season(8, hours), effort)])
+    return [logging(season(1, hours), effort), logging(season(8, hours), effort)]
 
 
 def logging(fleet: Fleet, effort: Effort) -> str:

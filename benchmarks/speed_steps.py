@@ -9,7 +9,7 @@ import numpy as np
 import peers
 import torch
 from reference import compiler, reference
-from timing import Effort, Section, Work, in_turn, micro, ratio, table, three_digits
+from timing import Effort, Work, in_turn, micro, ratio, table, three_digits
 
 from usvlearn import (
     ARX,
@@ -60,12 +60,7 @@ def estimators() -> dict[str, Estimator]:
 
 @cache
 def samples(steps: int, kind: str = "surge") -> Sample:
-    """One boat, what can be learned from, `(steps,)`, again and again: C knows no other.
-
-    Args:
-        steps: any number.
-        kind: "surge", or that of an axis EKF.
-    """
+    """One boat, what can be learned from, `(steps,)`, again and again: C knows no other."""
     every = surge_samples() if kind == "surge" else axis_samples(kind)
     learned = masks(every).learns
     places = torch.arange(steps) % int(learned.sum())
@@ -157,16 +152,20 @@ def times(spent: Mapping[str, Sequence[float]], way: str, reference: str) -> str
     return f"{three_digits(ratio(spent[way], spent[reference]))}×" if reference in spent else ""
 
 
-def steps(effort: Effort) -> Section:
+def steps(effort: Effort) -> list[str]:
     found = {name: costs(estimator, effort, list(WAYS)) for name, estimator in estimators().items()}
+    note = "C is `benchmarks/reference.c`, equal to ours to rounding; called from Python is `Online.step`."
+    return [*steps_table(found), "", note]
+
+
+def steps_table(found: Mapping[str, Mapping[str, Sequence[float]]]) -> list[str]:
+    """The times of steps, by estimator and way."""
     rows = [
         [name, *(micro(median(spent, way)) for way in WAYS), times(spent, "streamed", "C"),
          times(spent, "torch", "streamed")]
         for name, spent in found.items()
     ]  # fmt: skip
-    head = ["µs a step", *WAYS.values(), "streamed / C", "torch / streamed"]
-    note = "C is `benchmarks/reference.c`, equal to ours to rounding; called from Python is `Online.step`."
-    return Section([*table(head, rows), "", note])
+    return table(["µs a step", *WAYS.values(), "streamed / C", "torch / streamed"], rows)
 
 
 def costs_of_others(effort: Effort) -> dict[str, list[float]]:
@@ -189,7 +188,7 @@ def costs_of_others(effort: Effort) -> dict[str, list[float]]:
     return {name: [s / counts[name] for s in each] for name, each in spent.items()}
 
 
-def others(effort: Effort) -> Section:
+def others(effort: Effort) -> list[str]:
     spent = costs_of_others(effort)
     rows = [
         [
@@ -204,4 +203,4 @@ def others(effort: Effort) -> Section:
         "A prediction, then a measurement, p = 9, from Python unless streamed. Others are handed the regressor; ours "
         "make it, and keep the limits and the noise's variance."
     )
-    return Section([*table(["", "µs a step", "over our SIFt-RLS, called", "over our RLS, streamed"], rows), "", note])
+    return [*table(["", "µs a step", "over our SIFt-RLS, called", "over our RLS, streamed"], rows), "", note]

@@ -24,26 +24,23 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import ModuleType
 
+import batch
 import numpy as np
 import output_error
 import torch
+from fit_study import polynomial, squares
 from pages import publish
 from peers import narmax, physics, state_space
-from peers.batch import cut, errors, targets
+from peers.batch import cut, errors
 from timing import table
 
-from usvlearn import learn, read, rollout
+from usvlearn import learn, read
 from usvlearn.composition.configuration import ensemble_of
-from usvlearn.core.samples import Sample, masks, tree_map
-from usvlearn.engine.rollouts import simulate, tensors
+from usvlearn.core.samples import Sample
 from usvlearn.errors import UsvlearnError
 from usvlearn.estimators.axis.turning_quantities import OF_FIT
 from usvlearn.estimators.axis.turning_quantities import QUANTITIES as TURNING
-from usvlearn.estimators.joint.excitation_warnings import Quantity
 from usvlearn.estimators.joint.quantities import QUANTITIES
-from usvlearn.estimators.regressors.terms import SURGE
-from usvlearn.model.fit.quantities import quantities
-from usvlearn.model.fit.terms import by_name
 
 ROOT = Path(__file__).parents[1]
 SEEDS, MINUTES, KINDS = (30,), 45.0, {3: "three missions", 1: "one log"}
@@ -85,27 +82,6 @@ def logged(boats: ModuleType, name: str, seed: int, missions: int, folder: Path,
     return Log(name, missions, sensors, boat.mx, top, truth, found, runs)
 
 
-def squares(runs: Sequence[Sample]) -> dict[str, float]:
-    """Least squares of the increments between measured speeds, per mass."""
-    parts = []
-    for run in runs:
-        use, x = masks(run), run.inputs
-        step = use.learns[1:] & (use.learns | use.starts)[:-1]
-        v, r, dt = run.surge[:-1], np.abs(x.yaw_rate[1:]), x.dt[1:]
-        columns = [np.abs(v) * v, v, r * v]
-        for xi in (x.command_left[1:], x.command_right[1:]):
-            columns += [xi, xi * np.abs(xi), xi * np.abs(v)]
-        parts.append(np.column_stack([np.stack(columns, -1) * dt[:, None], np.diff(run.surge)])[step])
-    rows = np.concatenate(parts)
-    return dict(zip(SURGE, np.linalg.lstsq(rows[:, :-1], rows[:, -1])[0].tolist(), strict=True))
-
-
-def polynomial(parameters: dict[str, float], log: Log) -> dict[str, Quantity]:
-    """The quantities of parameters per mass."""
-    found = quantities(by_name(list(parameters), np.array(list(parameters.values()))), log.top, log.mass)
-    return {name: Quantity(float(value), math.nan, math.nan, "") for name, value in found.items()}
-
-
 def rows_of(log: Log, said: list[str]) -> Iterator[Row]:
     """Every quantity by every method; adds to `said` what the fit said."""
     learned, began = learn(log.read), time.process_time()
@@ -115,8 +91,9 @@ def rows_of(log: Log, said: list[str]) -> Iterator[Row]:
     except UsvlearnError as error:
         found, doubts = {FIT: {}}, str(error)
     said.append(f"{log.name}, {KINDS[log.missions]}: {time.process_time() - began:.1f} s; {doubts}")
-    found |= {ONLINE: learned.identified()[log.name], SQUARES: polynomial(squares(log.runs), log),
-              BATCH: polynomial(output_error.fit(log.runs, log.top).parameters, log)}  # fmt: skip
+    found |= {ONLINE: learned.identified()[log.name],
+              SQUARES: polynomial(squares(log.runs, log.mass), log.top, log.mass),
+              BATCH: polynomial(output_error.fit(log.runs, log.top).parameters, log.top, log.mass)}  # fmt: skip
     for method, values in found.items():
         for name, true in log.truth.items():
             each, scale = values.get(name), 1.0 if name in ABSOLUTE else abs(true)
@@ -131,22 +108,8 @@ def forecasts(log: Log) -> dict[str, list[float]]:
     before, after = cut(log.runs, LEARNED)
     after = [run for run in after if len(run.surge) > max(AHEAD)]
     model = ensemble_of(log.read.settings)
-    state, made = model.init(()), []
-    for run in before:
-        state, *_ = rollout(model, state, tensors(run, torch.float64))
-    for run in after:
-        aim = targets(run, AHEAD)
-        state, _, states = rollout(model, state, tensors(run, torch.float64), record=lambda state: state)
-        places = aim.origins + np.arange(1, max(AHEAD) + 1)[:, None]
-        inside, places = places < len(run.surge), places.clip(max=len(run.surge) - 1)
-        blind = tree_map(lambda x, at=places: x[at], run)._replace(
-            surge=np.full(places.shape, np.nan), fresh=masks(run).steps[places] & inside,
-            measured=np.zeros(places.shape, bool),
-        )  # fmt: skip
-        begun = tree_map(lambda leaf, at=aim.origins: leaf[at].contiguous(), states)
-        predicted = simulate(model, begun, tensors(blind, torch.float64), ["predictions"])[2]["predictions"].numpy()
-        made.append(predicted[np.array(AHEAD) - 1][..., model.names.index("ensemble")].T)
-    found = {"ours, online": skills(after, made)}
+    made, own = batch.online_forecasts(model, before, after, AHEAD), model.names.index("ensemble")
+    found = {"ours, online": skills(after, [each[..., own].T for each in made])}
     for name, module in PEERS.items():
         try:
             peer = module.fit(before, log.top).model

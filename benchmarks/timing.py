@@ -35,12 +35,6 @@ WHOLE = Effort()
 QUICK = Effort(2, 1000, 20, 100, (1, 8), 2000, (0.2, 0.4), 8, 4)
 
 
-class Section(NamedTuple):
-    """A part of the page."""
-
-    lines: Sequence[str]
-
-
 def once(work: Work, clock: Clock = time.perf_counter) -> float:
     """Seconds of a call."""
     start = clock()

@@ -111,11 +111,7 @@ def errors(found: Truths, truth: Truths) -> Truths:
 
 
 def boats(plant: str, seed: int, n: int = 3, hours: float = 3.0, later: float = 1.0, **options) -> list[Boat]:
-    """`n` boats of a plant: the first `hours` of their season to learn from, and the `later` ones after them.
-
-    Args:
-        **options: of `usvlearn.simulate.fleet.fleet`; the season is that of `configs/data/simulated.yaml` otherwise.
-    """
+    """`n` boats of a plant: the first `hours` of their season to learn from, and the `later` ones after them."""
     season = {"n": n, "plant": plant, "seed": seed, "hours": hours + later, "mission_minutes": MINUTES, **options}
     aligned = align_fleet(fleet(**season), dt=DT, patience=1.0)
     missions, last = math.ceil((hours + later) * 60 / MINUTES), round(hours * 60 / MINUTES) - 1
@@ -135,12 +131,7 @@ def boats(plant: str, seed: int, n: int = 3, hours: float = 3.0, later: float = 
 
 
 def free_run_mae(predictions: Sequence[np.ndarray], runs: Sequence[Sample]) -> float:
-    """The mean absolute error of open-loop simulations, m/s, over all steps whose speed was measured.
-
-    Args:
-        predictions: of each run, `(time,)`, m/s; one that is not finite counts as 10 m/s wrong.
-        runs: leaves `(time,)`.
-    """
+    """The mean absolute error of open-loop simulations, m/s, over all steps whose speed was measured."""
     wrong = [
         np.nan_to_num(np.abs(predicted - run.surge)[masks(run).learns], nan=10.0, posinf=10.0).clip(max=10.0)
         for predicted, run in zip(predictions, runs, strict=True)

@@ -238,10 +238,6 @@ def choose(settings: Mapping[str, Callable[[Sequence[Sample]], Model]], runs: Se
 
 
 def need(module: str, package: str) -> None:
-    """Raise unless a peer's library can be imported.
-
-    Raises:
-        ModuleNotFoundError: it cannot; the message names the extra.
-    """
+    """Raise unless a peer's library can be imported."""
     if importlib.util.find_spec(module) is None:
         raise ModuleNotFoundError(f"{package} is not installed: pip install 'usvlearn[bench]'")
