@@ -1,25 +1,22 @@
 """The section on a batch fit: its numbers, what it says of the log, files that are damaged or forged, and the page."""
 
 import json
-import shutil
 from copy import deepcopy
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from tests.support import few
 from tests.support.pages import BAD, Page
 from tests.support.runs import tools
 from tests.support.saved_fits import facts
-from usvlearn.cli.fit import renew_report
 from usvlearn.estimators.joint.excitation_warnings import Quantity
 from usvlearn.report.build import read
 from usvlearn.report.front import MAIN, Front, Overview, first_page
 from usvlearn.report.page import write_report
 from usvlearn.report.sections.fit import DOUBTED, UNKNOWN, USES, fit_section
-from usvlearn.report.sections.fit_file import FEW, SavedFit, read_fit, saved_fits
+from usvlearn.report.sections.fit_file import FEW, saved_fits
 from usvlearn.report.sections.section import Section
 
 pytestmark = pytest.mark.thorough  # the set-up of its tests takes long
@@ -253,21 +250,3 @@ def test_the_first_page_has_the_values_of_the_fit_before_those_learned_online():
     assert [MAIN["steady_speed_full"], "2.00 m/s", "1.90 to 2.10"] in Page(text).rows
     assert text.index('href="#fit"') < text.index("1.90 to 2.10") < text.index("Learned online")
     assert "The log does not determine: drag at half of that speed." in text
-
-
-@pytest.mark.usefixtures("drawn_once")
-def test_the_report_of_a_run_is_renewed_with_the_fit(saved, tmp_path, capsys):
-    shutil.copytree(saved, tmp_path / "run")
-    write(tmp_path / "run", facts())
-    write(tmp_path / "run", "{", "heron2")
-    assert isinstance(read_fit(tmp_path / "run" / "fit" / "heron1.fit.json"), SavedFit)
-    page = renew_report(tmp_path / "run", Console(quiet=True))
-    assert page == tmp_path / "run" / "report" / "index.html"
-    text = page.read_text()
-    assert text.count('<div id="fit">') == 1 and text.count('<a href="#fit">The batch fit</a>') == 1
-    assert "fit/heron2.fit.json: is damaged" in text
-    shutil.rmtree(tmp_path / "run" / "report")
-    (tmp_path / "run" / "report").mkdir()
-    (tmp_path / "run" / "report" / "mine.txt").touch()
-    assert renew_report(tmp_path / "run", Console(quiet=True)) is None
-    assert "warning: no report was made" in capsys.readouterr().err

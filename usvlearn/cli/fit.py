@@ -25,7 +25,6 @@ USAGE = (
     "usage: usvlearn fit RUN [--boat NAME] [--terms SET] [--out FOLDER] [data.KEY=VALUE …]; more: usvlearn fit --help"
 )
 SHOWN = 4  # names in a warning
-REPORT = "report"  # in a run's folder, as `usvlearn evaluate` names it
 
 
 def parser() -> argparse.ArgumentParser:
@@ -41,7 +40,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def work(arguments: Sequence[str], console: Console | None = None) -> None:
-    """Fit each boat, print, and write; on the way of another command, on its console, and no report is renewed."""
+    """Fit each boat, print, and write; on the way of another command, on its console."""
     given = parser().parse_intermixed_args(list(arguments))
     folder = Path(given.run).expanduser()
     out = folder / "fit" if given.out is None else out_folder(given.out)
@@ -55,7 +54,7 @@ def work(arguments: Sequence[str], console: Console | None = None) -> None:
     from usvlearn.display import terminal
     from usvlearn.display.terminal import Activity
 
-    renews, console = console is None, console or terminal.console()
+    alone, console = console is None, console or terminal.console()
     with Activity(console, "loading"):
         from usvlearn.core.unconfirmed import open_questions, unconfirmed
         from usvlearn.model.fit.fitted import check_terms, fit_boat
@@ -111,16 +110,14 @@ def work(arguments: Sequence[str], console: Console | None = None) -> None:
     if stopped is not None and not done:
         raise stopped
     for number, (found, last, files) in enumerate(done):
-        if number or not renews:
+        if number or not alone:
             console.print()
         console.print(*tables(found, None if last is None else last.online), sep="\n")
         terminal.show(f"Written to {', '.join(map(str, files))}", to=console)
-    terminal.show(*unconfirmed(open_questions({**settings, "data": data})) if renews else (), to=console)
+    terminal.show(*unconfirmed(open_questions({**settings, "data": data})) if alone else (), to=console)
     if out == folder / "fit":
         _add_to_results(folder, [found for found, _, _ in done])
-        if renews and stopped is None and (folder / REPORT).exists():
-            renew_report(folder, console, data)
-        elif renews and not given.data:
+        if alone and not given.data:
             terminal.show(f"report: usvlearn evaluate runs={folder}")
     if stopped is not None:
         raise SystemExit(stopped.code)
@@ -251,32 +248,3 @@ def _add_to_results(folder: Path, fitted: Sequence[Fitted]) -> None:
     kept = ["terms", "doubts", "quantities"] + ["simulation"] * all(each.simulation for each in fitted)
     new = {x.boat: {"use": not x.doubts, **{k: x.json()[k] for k in kept}} for x in fitted}
     save_results(folder, known | {"fit": known.get("fit", {}) | new})
-
-
-def renew_report(folder: Path, console: Console, data: Mapping[str, Any] | None = None) -> Path | None:
-    """Write `RUN/report`, with the section on the fit, as `usvlearn evaluate runs=RUN` does; returns its page.
-
-    Without a report, such as without matplotlib, there is a warning, and None is returned: the fit itself is saved.
-    `data` is the configuration of the run's logs, where they have moved.
-    """
-    from functools import partial
-
-    from usvlearn.composition.alignment import CheckedAlignment
-    from usvlearn.composition.configuration import instantiate
-    from usvlearn.logs.recordings import align_fleet
-    from usvlearn.report.build import Tools, evaluate
-    from usvlearn.runs.saved import configuration
-    from usvlearn.sweeps.launchers import set_threads
-
-    set_threads(1)
-    try:
-        own = configuration(folder)["data"]
-
-        def made(node: Any, **options: Any) -> Any:
-            return instantiate(dict(data) if data is not None and node == own else node, **options)
-
-        checked = partial(CheckedAlignment, console=console)
-        return evaluate([folder], folder / REPORT, Tools(made, align_fleet, console, None, checked))
-    except UsvlearnError as error:
-        complain(f"warning: no report was made: {error}")
-        return None
