@@ -100,7 +100,7 @@ INTERVALS = (  # predictions, measured, half-widths; coverage, half-width, MAE, 
     ([1.5, 2.0], [1.0, 2.5], [0.5, 0.25], (0.5, 0.375, 0.5, 2)),  # an error as large as the interval is inside
     ([9.0, 1.5, 2.0], [1.0, 1.0, 2.5], [np.inf, 0.5, 0.25], (0.5, 0.375, 3.0, 3)),  # one that is infinite yet
     ([1.0], [1.0], [np.inf], (None, None, 0.0, 1)),
-    ([1.0, np.nan], [1.0, 1.0], [1.0, 1.0], (None, None, None, 1)),  # a step at which nobody has a prediction
+    ([1.0, np.nan], [1.0, 1.0], [1.0, 1.0], (1.0, 1.0, None, 1)),  # a step at which nobody has a prediction
 )
 
 
