@@ -123,15 +123,6 @@ def test_sentences_say_what_the_figures_show(season, folder):
     assert any("the report has 2 runs, less than the fit" in each for each in here)
 
 
-def test_a_fit_of_before_has_its_tables(season, folder):
-    found = deepcopy(facts())
-    del found["diagnostics"], found["lacks"], found["simulation"], found["sets"]["nine"]["parameters"]
-    write(folder, found)
-    section = section_of(season, folder)
-    assert not section.figures and {each.name for each in section.sheets} == {"fit", "fit_sets"}
-    assert any("without diagnostics: run usvlearn fit again" in each for each in section.here)
-
-
 def test_files_of_other_boats_and_folders_are_not_read(season, tmp_path):
     (tmp_path / "run").mkdir()
     write(tmp_path, facts(), "heron3")
@@ -168,6 +159,7 @@ SAILED, WHITE = ("diagnostics", "sailed", "left"), ("diagnostics", "autocorrelat
         changed("quantities", "drag_linear", value=3),
         changed("quantities", "drag_linear", "low", value=1e300), changed("terms", value="x" * 10_000),
         changed("terms", value=["nine"]), changed("lacks", value=["x"] * (FEW + 1)), changed("lacks", value="x"),
+        changed("diagnostics", value=None),
         changed("simulation", "sentence", value=3), changed("simulation", "sentence", value=[]),
         changed("simulation", value=1), changed("simulation", "sentence", value=None), changed("diagnostics", value=[]),
         changed(*MISSIONS, value={}), changed(*MISSIONS, 0, "worst", value=5),

@@ -69,11 +69,8 @@ def fit_section(
         ]
         held += [each.low <= known[name] <= each.high for name, each in fit.quantities.items() if name in known]
         here += _findings(season, fit)
-        if fit.diagnostics is not None:
-            rows["fit_missions"] += [
-                (season.boat, each.name, *map(_known, each[1:])) for each in fit.diagnostics.missions
-            ]
-            drawn += _figures(season.boat, fit.diagnostics, known)
+        rows["fit_missions"] += [(season.boat, each.name, *map(_known, each[1:])) for each in fit.diagnostics.missions]
+        drawn += _figures(season.boat, fit.diagnostics, known)
     if rows["fit"]:
         here += [*([] if any(DOUBTED in row for row in rows["fit"]) else [USES]), MEANING, MEANING_OF_FIT]
     if held:
@@ -129,8 +126,6 @@ def _findings(season: Season, fit: SavedFit) -> list[str]:
         )
     here += [f"{boat}: do not use these values before this is settled: {each}" for each in fit.doubts]
     here += [f"{boat}: {each}" for each in fit.lacks if each not in fit.doubts]
-    if fit.diagnostics is None:
-        return [*here, f"{boat}: this fit is of an older version without diagnostics: run usvlearn fit again."]
     return here + [f"{boat}: {each}" for each in _diagnosed(fit.diagnostics)]
 
 

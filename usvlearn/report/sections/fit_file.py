@@ -103,8 +103,8 @@ class SavedFit(NamedTuple):
     lacks: Sequence[str]  # what the logs lack, one sentence each
     sets: Mapping[str, SetOfTerms]
     simulation: str  # which open-loop simulation to use, a sentence; "" where that was not compared
-    diagnostics: Diagnostics | None  # None in files of before
-    doubts: Sequence[str] = ()  # what speaks against the use of its values
+    diagnostics: Diagnostics
+    doubts: Sequence[str]  # what speaks against the use of its values
 
 
 def saved_fits(folders: Sequence[Path], boats: Sequence[str]) -> dict[str, SavedFit | str]:
@@ -140,14 +140,14 @@ def read_fit(path: Path) -> SavedFit:
         int(_number(facts["missions"])),
         _number(facts["mass"]),
         quantities,
-        [_text(each) for each in _some(facts.get("lacks", []), FEW)],
+        [_text(each) for each in _some(facts["lacks"], FEW)],
         {
             _text(name): SetOfTerms(*(_number(each.get(key), True) for key in SetOfTerms._fields))
             for name, each in list(facts["sets"].items())[:FEW]
         },
         _text(facts["simulation"]["sentence"]) if facts.get("simulation") is not None else "",
-        _diagnostics(facts["diagnostics"]) if facts.get("diagnostics") is not None else None,
-        [_text(each) for each in _some(facts.get("doubts", []), FEW)],
+        _diagnostics(facts["diagnostics"]),
+        [_text(each) for each in _some(facts["doubts"], FEW)],
     )
 
 
