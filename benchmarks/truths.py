@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from peers.batch import bounded
 
 from usvlearn.core.samples import Sample, masks, tree_map
 from usvlearn.logs.recordings import align_fleet
@@ -132,11 +133,8 @@ def boats(plant: str, seed: int, n: int = 3, hours: float = 3.0, later: float = 
 
 def free_run_mae(predictions: Sequence[np.ndarray], runs: Sequence[Sample]) -> float:
     """The mean absolute error of open-loop simulations, m/s, over all steps whose speed was measured."""
-    wrong = [
-        np.nan_to_num(np.abs(predicted - run.surge)[masks(run).learns], nan=10.0, posinf=10.0).clip(max=10.0)
-        for predicted, run in zip(predictions, runs, strict=True)
-    ]
-    return float(np.concatenate(wrong).mean())
+    pairs = zip(predictions, runs, strict=True)
+    return float(np.concatenate([bounded(made - run.surge)[masks(run).learns] for made, run in pairs]).mean())
 
 
 def _one(vessels: Vessel, mission: int, boat: int) -> Vessel:

@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hydra.utils import instantiate
-from rich.console import Console
 
 from tests.support.commands import run
+from tests.support.runs import tools
 from usvlearn import AID, Ensemble
 from usvlearn.cli.evaluate import main
 from usvlearn.core.checkpoint import checkpoints, load
 from usvlearn.errors import CheckpointError, ConfigError, MissingExtraError
 from usvlearn.logs.recordings import align_fleet
-from usvlearn.report.build import Tools, known_quantities, read
+from usvlearn.report.build import known_quantities, read
 from usvlearn.report.page import check_report_folder, write_report
 from usvlearn.report.sections.parameters import identified_section, parameters_section
 from usvlearn.runs.saved import configuration, is_sweep, read_seasons, results, run_folders
@@ -98,10 +98,6 @@ def test_cross_validation_counts_every_other_run(saved):
         assert counts == {sets}  # two runs: each checkpoint has one other
     arrays = np.load(saved / "report" / "crossval.npz")
     assert arrays["heron1_mae"].shape[1:] == (2, len(methods))
-
-
-def tools() -> Tools:
-    return Tools(instantiate, align_fleet, Console(quiet=True))
 
 
 def test_sets_know_their_run_and_their_hours(saved):

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support.runs import tools
+from tests.support.runs import forge, tools
 from usvlearn.cli.sweep import load
 from usvlearn.composition.configuration import instantiate
 from usvlearn.core import checkpoint
@@ -153,14 +153,6 @@ def test_settings_of_a_job_that_are_damaged_or_unfold_are_refused(tmp_path, text
         load(path)
 
 
-def forged(copy: Path, edit) -> None:
-    """Change the settings in all sets of a run; their checksums are right."""
-    for path in sets(copy):
-        leaves, facts = checkpoint.load(path)
-        edit(facts["configuration"])
-        checkpoint.save(path, leaves, **facts)
-
-
 FORGERIES = {
     "an unknown option": lambda c: c["align"].update(evil=1),
     "an option twice": lambda c: c["align"].update(channels={}),
@@ -180,7 +172,7 @@ FORGERIES = {
 
 @pytest.mark.parametrize("edit", FORGERIES.values(), ids=FORGERIES)
 def test_settings_of_allowed_classes_that_make_no_sense_are_one_sentence(copy, edit):
-    forged(copy, edit)
+    forge(copy, edit)
     with pytest.raises((CheckpointError, ConfigError)) as caught:
         read([copy], tools()._replace(instantiate=instantiate))
     assert len(str(caught.value)) < 1000

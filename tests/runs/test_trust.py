@@ -2,6 +2,7 @@
 
 import ast
 import json
+import shutil
 import sys
 import types
 from pathlib import Path
@@ -12,9 +13,8 @@ from omegaconf import OmegaConf
 
 from tests.support import ROOT
 from tests.support.commands import run
-from tests.support.runs import tools
+from tests.support.runs import forge, tools
 from usvlearn import Persistence
-from usvlearn.core import checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.report.build import read
 from usvlearn.runs.saved import configuration
@@ -25,17 +25,9 @@ CODE = "__import__('pathlib').Path({!r}).touch()"
 
 
 def forged(saved: Path, folder: Path, change) -> Path:
-    """A copy of a run, `change` made to the configuration in each of its checkpoints; their checksums fit."""
-    for old in saved.rglob("*"):
-        if old.is_file():
-            new = folder / old.relative_to(saved)
-            new.parent.mkdir(parents=True, exist_ok=True)
-            new.write_bytes(old.read_bytes())
-    for path in folder.glob("checkpoints/*/*"):
-        leaves, facts = checkpoint.load(path)
-        change(facts["configuration"])
-        facts.pop("schema")
-        checkpoint.save(path, leaves, **facts)
+    """A copy of a run with other settings in all of its checkpoints."""
+    shutil.copytree(saved, folder)
+    forge(folder, change)
     return folder
 
 

@@ -102,7 +102,13 @@ def load(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
 
 
 def restore(path: str | Path, template: Any, estimator: str | None = None) -> tuple[Any, dict[str, Any]]:
-    """Read a checkpoint into the structure of `template`, a state of the estimator that goes on from it."""
+    """Read a checkpoint into the structure of `template`, a state of the estimator that will continue from it.
+
+    Args:
+        path: of the checkpoint.
+        template: a state whose leaves give names, shapes and dtypes; NumPy or torch.
+        estimator: name that the metadata must carry.
+    """
     leaves, facts = load(path)
     found = facts.get("estimator")
     if estimator is not None and found != estimator:

@@ -27,10 +27,16 @@ PERIOD = 0.002  # s between two attempts to lock
 
 
 class Lock:
-    """Holds the lock of a folder, which is made, until `release`, the end of a `with`, or the end of the process.
+    """Holds the lock of a folder until `release`, the end of a `with`, or the end of the process.
 
-    Another process that holds it is a ConfigError, which names the setting `other` by which the user can choose another
-    folder. With `shared` others that share it may hold it too; with `wait` it is waited for.
+    Args:
+        folder: the folder to write to; it is created.
+        other: the setting by which the user can choose another folder, for the error.
+        shared: whether other processes that share it may hold it at the same time.
+        wait: whether to wait until another process releases it.
+
+    Raises:
+        ConfigError: another process holds it, and `wait` is false.
     """
 
     def __init__(self, folder: Path, other: str, shared: bool = False, wait: bool = False):
