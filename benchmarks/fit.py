@@ -48,7 +48,6 @@ EACH, ALL = (0.82, 0.97), (0.88, 0.93)  # aims: share of the truths inside, of a
 NARROW = ("steady_speed_full", "steady_speed_half", "steady_speed_quarter", "drag_half_speed")
 SPLIT = ("drag_linear", "drag_quadratic")
 NARROWER, WIDEST = 0.6, 1.3  # aims: half-width over that of the online estimate, of NARROW and of the others
-WORSE = 1.05  # aim: MAE over that of the ensemble
 
 SCOPE = """\
 Nothing was chosen on these boats. The fit learns on its own grid of 0.1 s, all other methods on steps of 0.4 s. The

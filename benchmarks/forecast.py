@@ -11,7 +11,7 @@ simulated boats of seeds 5 and 11. The second halves and seed 77 are reported.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -21,6 +21,7 @@ import torch
 from accuracy import Log, configuration, ensemble, first_half, fleet_of, measured, recorded
 from hydra.utils import instantiate
 from pages import publish
+from timing import table
 from truths import NOMINAL, PLANTS
 
 from usvlearn.core.samples import masks, tree_map
@@ -83,35 +84,33 @@ def simulated(seed: int = SEED) -> list[Log]:
     return logs
 
 
-def cells(values: Sequence[float], digits: int = 3) -> str:
-    return " | ".join("–" if not np.isfinite(x) else f"{x:.{digits}f}" for x in values)
+def shown(values: Sequence[float], digits: int = 3) -> list[str]:
+    return ["–" if not np.isfinite(x) else f"{x:.{digits}f}" for x in values]
 
 
-def head(first: str) -> Iterator[str]:
-    yield f"| {first} | " + " | ".join(f"{h:g} s" for h in HORIZONS) + " |"
-    yield "|---|" + "---:|" * len(HORIZONS)
+def by_horizons(first: str, rows: Mapping[str, Sequence[str]]) -> list[str]:
+    """A table with a column for each horizon."""
+    return table([first, *(f"{h:g} s" for h in HORIZONS)], [[name, *cells] for name, cells in rows.items()])
 
 
-def reported(real: Sequence[Log], boats: Sequence[Log]) -> Iterator[str]:
-    yield from head("skill")
+def reported(real: Sequence[Log], boats: Sequence[Log]) -> list[str]:
+    every, skills = np.stack([by_horizon(log) for log in boats]), {}
+    second = {log.name: by_horizon(log, (), ~first_half(log)) for log in real}
     for log in real:
-        yield f"| {log.name}, second half | {cells(by_horizon(log, (), ~first_half(log))[0])} |"
-        yield f"| {log.name}, first half | {cells(by_horizon(log, (), first_half(log))[0])} |"
-    every = np.stack([by_horizon(log) for log in boats])
-    yield f"| {len(boats)} simulated boats, mean | {cells(every[:, 0].mean(0))} |"
-    yield f"| the least of them | {cells(every[:, 0].min(0))} |"
-    yield ""
-    yield from head("share of the speeds within the intervals of 90 %")
-    for log in real:
-        yield f"| {log.name}, second half | {cells(by_horizon(log, (), ~first_half(log))[1], 2)} |"
-    yield f"| simulated boats, mean | {cells(every[:, 1].mean(0), 2)} |"
-    yield f"| simulated boats, least | {cells(every[:, 1].min(0), 2)} |"
-    yield f"| simulated boats, greatest | {cells(every[:, 1].max(0), 2)} |"
-    yield ""
-    yield from head("forecasts")
-    for log in real:
-        yield f"| {log.name}, second half | {cells(by_horizon(log, (), ~first_half(log))[2], 0)} |"
-    yield f"| a simulated boat, median | {cells(np.median(every[:, 2], 0), 0)} |"
+        halves = {"second": second[log.name], "first": by_horizon(log, (), first_half(log))}
+        skills |= {f"{log.name}, {name} half": shown(each[0]) for name, each in halves.items()}
+    skills |= {f"{len(boats)} simulated boats, mean": shown(every[:, 0].mean(0))}
+    skills |= {"the least of them": shown(every[:, 0].min(0))}
+    covers, counts = ({f"{name}, second half": shown(x[k], digits) for name, x in second.items()}
+                      for k, digits in ((1, 2), (2, 0)))  # fmt: skip
+    covers |= {f"simulated boats, {name}": shown(reduce(every[:, 1], 0), 2)
+               for name, reduce in (("mean", np.mean), ("least", np.min), ("greatest", np.max))}  # fmt: skip
+    counts |= {"a simulated boat, median": shown(np.median(every[:, 2], 0), 0)}
+    return [
+        *by_horizons("skill", skills), "",
+        *by_horizons("share of the speeds within the intervals of 90 %", covers), "",
+        *by_horizons("forecasts", counts),
+    ]  # fmt: skip
 
 
 def manoeuvres(real: Sequence[Log], boats: Sequence[Log]) -> Iterator[str]:
@@ -123,26 +122,18 @@ def manoeuvres(real: Sequence[Log], boats: Sequence[Log]) -> Iterator[str]:
     yield f"manoeuvre. Whole logs; – : fewer than {MANY} forecasts. Settings were chosen on boats of seed 9301 and on"
     yield "the recorded boats; seed 77 is reported."
     yield ""
-    yield from head("share inside")
     found = {label: [by_manoeuvre(log) for log in logs] for label, logs in _groups(real, boats).items()}
+    inside, scores = {}, {}
     for label, each in found.items():
-        shares = np.stack([x[:3] for x in each])
-        for what, reduce in (("", np.nanmean), (", least", np.nanmin), (", greatest", np.nanmax))[
-            : 3 if len(each) > 1 else 1
-        ]:
-            rows = reduce(shares, 0)
-            yield (
-                f"| {label}{what} | "
-                + " | ".join(" / ".join(_share(x) for x in rows[:, k]) for k in range(len(HORIZONS)))
-                + " |"
-            )
+        shares, score = np.stack([x[:3] for x in each]), np.stack([x[3] for x in each])
+        several = {", least": np.nanmin, ", greatest": np.nanmax} if len(each) > 1 else {}
+        for what, reduce in {"": np.nanmean, **several}.items():
+            inside[label + what] = [" / ".join(_share(x) for x in column) for column in reduce(shares, 0).T]
+        scores[label] = shown(np.nanmean(score, 0))
+        scores |= {f"{label}, worst": shown(np.nanmax(score, 0))} if several else {}
+    yield from by_horizons("share inside", inside)
     yield ""
-    yield from head("score")
-    for label, each in found.items():
-        scores = np.stack([x[3] for x in each])
-        yield f"| {label} | {cells(np.nanmean(scores, 0))} |"
-        if len(each) > 1:
-            yield f"| {label}, worst | {cells(np.nanmax(scores, 0))} |"
+    yield from by_horizons("score", scores)
 
 
 def _groups(real: Sequence[Log], boats: Sequence[Log]) -> dict[str, Sequence[Log]]:
@@ -216,8 +207,7 @@ def fitted(folder: Path) -> Iterator[str]:
     yield f"20 min, seed {FIT_SEED}. Skill after the first fit without doubts, without → with it."
     yield "– : too few forecasts, or no such fit. The prior weight was chosen on other seeds."
     yield ""
-    yield from head("")
-    boats = {name: (f"data={name}", f"data.path={folder / name}") for name in REAL}
+    boats, rows = {name: (f"data={name}", f"data.path={folder / name}") for name in REAL}, {}
     for plant in PLANTS:
         mass, top = NOMINAL[plant]
         boats[f"{plant}, simulated"] = (
@@ -226,8 +216,8 @@ def fitted(folder: Path) -> Iterator[str]:
         )  # fmt: skip
     for name, given in boats.items():
         pair = with_fits(given) or np.full((2, len(HORIZONS)), np.nan)
-        cells = ("–" if not np.isfinite(a) else f"{a:.3f} → {b:.3f}" for a, b in zip(*pair, strict=True))
-        yield f"| {name} | {' | '.join(cells)} |"
+        rows[name] = ["–" if not np.isfinite(a) else f"{a:.3f} → {b:.3f}" for a, b in zip(*pair, strict=True)]
+    yield from by_horizons("", rows)
 
 
 def main() -> None:
