@@ -13,9 +13,10 @@ from usvlearn.engine.fit_member import with_fit
 from usvlearn.engine.online import read_checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.ensemble.forecasts.fit_layer import FittedForecasts
-from usvlearn.estimators.ensemble.forecasts.state import FIT_WEIGHT, TABLE
+from usvlearn.estimators.ensemble.forecasts.state import FIT_WEIGHT, LATE, TABLE
+from usvlearn.estimators.regressors.terms import LAG
 from usvlearn.model.fit.hand_over import table_of
-from usvlearn.model.fit.terms import AT, NAMES
+from usvlearn.model.fit.terms import AT, NAMES, TIME_CONSTANT
 from usvlearn.model.surge import SurgeModel
 
 MASS, TOP, DT = 28.0, 2.7, 0.4
@@ -85,6 +86,12 @@ def test_thrust_follows_a_command_late():
         one.step(Sample(Inputs(1.2, 1.2, 0.0, 0.0, DT), 1.0, True, True))
         found.append(one.leaf("forecasts.frozen.fit.mean")[slot, 0] - before)
     assert found[0] > found[1] > found[2] and np.isfinite(found[2])
+
+
+def test_its_thrust_is_late_by_all_that_the_fit_has_found():
+    theta = theta_of()
+    theta[AT[LAG]], theta[AT[TIME_CONSTANT]] = 0.7, 0.4  # the lag is a share of a step of the fit's grid, 0.1 s
+    assert table(theta, late=0.3)[LATE] == pytest.approx(0.77)
 
 
 def test_the_next_steps_and_what_is_under_way_stay_as_they_are():

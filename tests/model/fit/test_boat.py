@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support.fitted_boats import MASS, TOP, boat, mission, simulated
-from usvlearn import JointEKF
+from usvlearn import JointEKF, Trial
 from usvlearn.core.prepared_samples import COS, LEARN, LEFT, MODE, RIGHT, SIN, SURGE, YAW_RATE
 from usvlearn.core.samples import named_leaves
 from usvlearn.errors import CheckpointError, ConfigError
@@ -134,6 +134,18 @@ def test_joint_filters_go_on_from_the_fit(fitted):
     for name in ("steady_speed_full", "drag_half_speed", "thrust_full_left"):
         each = online[name]
         assert each.low <= fitted.quantities[name].value <= each.high, name
+
+
+def test_a_filter_that_goes_on_from_a_fit_makes_no_trial(fitted):
+    joint = JointEKF(surge_max=TOP, mass=MASS, trial=Trial())
+    leaves = {name: leaf.detach().numpy() for name, leaf in named_leaves(joint.init())}
+    begun = {name: leaf + 3.0 for name, leaf in leaves.items() if name.startswith("trial.")}
+    found, _ = handed_over(leaves | begun, joint.description(), fitted, dt=0.4)
+    for name in ("statistic", "last", "usual", "evidence", "best", "run", "tried", "leads", "early"):
+        assert found[f"trial.{name}"] == 0.0
+    for name, own in (("mean", "mean"), ("factor", "factor"), ("kept", "reading"), ("before", "reading")):
+        np.testing.assert_array_equal(found[f"trial.{name}"], found[own])
+    assert (found["trial.past_mean"] == found["mean"]).all()
 
 
 def test_a_covariance_is_factored_and_back():
