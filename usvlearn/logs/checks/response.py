@@ -49,7 +49,7 @@ EARLIER, LATER = 5.0, 2.0  # s, of a heading that is early, and of one that is l
 FITS, CLOSE = ((4.0, 0.5), (2.4, 0.25)), 0.3  # standard errors, and of the dispersion that is left; dispersion
 COURSE_BLOCK, FEWEST = 10, 3  # bins: 20 s; blocks
 NEAR, BOTH, SIDES_APART = range(-2, 4), 0.3, 0.5  # s; correlation of the turn with each side; ratio of squares
-ODD = 0.4  # ratio of squares of a delay unlike that of other logs; simulated boats without one reach 0.5
+ODD = 3.0, 0.4  # standard errors and ratio of squares of a delay unlike that of other logs
 DRIFTING = 0.55, 0.6  # share explained in each third of a log, and the ratio of squares in one, of a delay that changes
 
 
@@ -238,7 +238,7 @@ def _of_runs(e: Evidence, each: Sequence[Sequence[Response]]) -> Iterator[Findin
     odd = [
         f"{_side(fit.delay)} the commands in {run}"
         for run, fit in fits.items()
-        if abs(fit.delay - usual) >= LATE and fit.certainty > SURE[1][0] and fit.ratio <= ODD
+        if abs(fit.delay - usual) >= LATE and fit.certainty > ODD[0] and fit.ratio <= ODD[1]
     ]
     if odd:
         text = f"changes of speed {', '.join(odd)}, and {_side(usual)} them in other logs"

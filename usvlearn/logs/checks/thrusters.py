@@ -21,7 +21,7 @@ from usvlearn.logs.checks.finding import NOTE, Finding, override, see
 from usvlearn.logs.checks.response import STEADY, implausible_lag
 
 TURN, MOVE, HALF = 3.0, 2.5, 2.0  # standard errors, of the turn, the speed, and in half of a log
-CLEAR_TURN, CLEAR_MOVE, STRONG = 0.3, 0.25, 0.6  # partial correlations
+CLEAR_TURN, CLEAR_MOVE, STRONG, SURELY = 0.3, 0.25, 0.6, 0.8  # partial correlations
 LEVELS = 3  # values of a command, below which it is on or off
 SHOWN = 3  # names of logs
 GONE = 0.2  # partial correlation of a turn with a thruster that has no effect
@@ -89,8 +89,8 @@ def sides_of_runs(e: Evidence) -> Iterator[Finding]:
     for own in e.alone:
         turns = own.sides()[0]
         signs = tuple(_sign(each, TURN, CLEAR_TURN) for each in turns)
-        strong = all(abs(each.correlation) > STRONG for each in turns)
-        if all(signs) and (sum(signs) == 0 or strong):
+        surely = min(abs(each.correlation) for each in turns) > SURELY  # a dead thruster can turn one sign
+        if all(signs) and (sum(signs) == 0 or surely):
             told.setdefault(signs, []).append(own.recordings[0].run)
     usual = max(told, key=lambda signs: (len(told[signs]), signs == (1, -1)), default=())
     for signs, odd in told.items():

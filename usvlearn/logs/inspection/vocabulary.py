@@ -74,7 +74,7 @@ GEARS = {"gear", "direction", "dir", "reverse", "rev", "astern", "ahead", "forwa
 DRIVES = {"rpm", "thrust", "thruster", "motor", "pwm", "esc", "servo", "throttle", "prop", "propeller",
           "tau", "force", "wrench", "torque", "moment"} | languages.DRIVES  # fmt: skip
 COMMANDED = {"cmd", "command", "commanded"}
-NUMBER = {"value", "data", "field"}  # names of the only column of a topic
+NUMBER = {"value", "data", "field", "log"}  # names of the only column of a topic, or of a whole log
 UNIT_WORDS = {  # words of a name that tell a unit
     "deg": "deg", "degree": "deg", "degrees": "deg", "rad": "rad", "radian": "rad", "radians": "rad",
     "kn": "knots", "kt": "knots", "kts": "knots", "knot": "knots", "kmh": "km/h", "kph": "km/h", "mps": "m/s",
