@@ -280,3 +280,13 @@ def test_a_thruster_that_stops_within_a_log_is_named(side):
     found = told_of(stranger(sail(8, dies=side)))["thruster lost"]
     assert found.severity == NOTE and found.about == {"l": "command_left", "r": "command_right"}[side]
     assert "thruster lost" not in told_of(stranger(sail(8)))
+
+
+def test_a_position_that_freezes_on_a_boat_that_turns_is_found():
+    boat = sail(9, 7)
+    place = {"north": boat["n"], "east": boat["e"]}
+    assert "frozen" not in told_of(stranger(boat, **place))
+    stopped = np.minimum(np.arange(len(boat["n"])), int(0.7 * len(boat["n"])))
+    logs = [stranger(boat, **{name: value[stopped] for name, value in place.items()})]
+    found = check_data(logs, None, {}, 2.5, {name: {"name": name} for name in logs[0].channels})
+    assert {each.about for each in found if each.kind == "frozen"} == {"north", "east"}

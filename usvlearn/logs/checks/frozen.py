@@ -26,7 +26,7 @@ FOLLOWS, CERTAIN = 0.3, 2.5  # correlation of the turn or the speed with the com
 USED = 0.2  # of full scale, the range of the other command
 TURNING = 0.03  # rad/s, standard deviation of a turn
 UNLIKE = 4.0  # times the squares of residuals elsewhere
-FAR = 10.0  # m
+FAR = 15.0  # m
 EDGE = 0.02  # of the range of a command, from its ends
 
 Witness = Callable[[Evidence, str, float, slice], str | None]
@@ -62,7 +62,7 @@ def frozen(e: Evidence) -> Iterator[Finding]:
         lasted, first, value, why = max(found)
         run, began = e.place(first)
         share = sum(each[0] for each in found) / max(STEP * np.isfinite(e.means(name)).sum(), lasted)
-        number = f"{math.degrees(value):.4g}°" if name == "heading" else f"{value:.4g}"
+        number = f"{math.degrees(value):.4g}°" if name == "heading" else f"{value:.4g}" + " m" * (name in METRES)
         about = dict(zip(METRES, e.places, strict=True)).get(name, name)
         text = f"{number} from {began:.0f} to {began + lasted:.0f} s of {run} ({share:.0%} of the time) while {why}"
         also = f", one of {len(found)} such stretches" if len(found) > 1 else ""
@@ -136,7 +136,7 @@ def _coordinate(e: Evidence, name: str, value: float, part: slice) -> str | None
     speed = bin_means(e.over_ground[METRES.index(name)], e.edges)[part]
     way = np.cumsum(speed[np.isfinite(speed)]) * STEP
     moved = float(np.ptp(way)) if len(way) else 0.0
-    if _middle(np.abs(speed)) > CHANGE * min(e.surge_max, e.fastest) and moved > FAR:
+    if _middle(np.abs(e.speed[part])) > CHANGE * min(e.surge_max, e.fastest) and moved > FAR:
         return f"speed and heading say that the boat moves by {moved:.0f} m"
     return None
 

@@ -185,7 +185,7 @@ class MessageLog:
                     f"{where}: the {name.replace('_', ' ')} is servo {number}, which {key} does not hold: name another "
                     f"of {', '.join(self.servos.outputs)}, or the servo's own column"
                 )
-            limits = self.servos.limits(number, vehicle.parameters, vehicle.former, str(self.path))
+            limits = self.servos.limits(number, vehicle.parameters, str(self.path), vehicle.former)
             time, pwm, order = self._joined(key, [column])
             return time, limits.share(pwm), order
         names = [each.strip() for each in (name or "").split(",")]

@@ -70,12 +70,17 @@ class Servos:
         pattern = re.compile(self.columns.format(n=number))
         return next((field for field in fields if pattern.fullmatch(field)), None)
 
-    def limits(self, number: int, parameters: Mapping[str, float], former: Mapping[str, float], where: str) -> Limits:
+    def limits(
+        self, number: int, parameters: Mapping[str, float], where: str, former: Mapping[str, float] | None = None
+    ) -> Limits:
         """The pulse widths of a servo, by default ArduPilot's, with a warning; a LogFormatError if they do not rise."""
         names = {each: f"SERVO{number}_{each}" for each in DEFAULTS}
-        for name in sorted({*names.values(), f"SERVO{number}_FUNCTION"} & set(former)):
-            told = f"{where}: {name} is {former[name]:g}, and later {parameters[name]:g}: the last value is taken for "
-            warnings.warn(f"{told}all of the log: where it ran before, cut the log there", stacklevel=6)
+        for name in (*names.values(), f"SERVO{number}_FUNCTION"):
+            if former and name in former:
+                told = (
+                    f"{where}: {name} is {former[name]:g}, and later {parameters[name]:g}: the last value is taken for "
+                )
+                warnings.warn(f"{told}all of the log: where it ran before, cut the log there", stacklevel=6)
         if missing := [name for each, name in names.items() if name not in parameters]:
             assumed = ", ".join(f"{name} {DEFAULTS[name.split('_')[1]]:g}" for name in missing)
             warnings.warn(
