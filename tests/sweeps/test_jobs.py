@@ -337,7 +337,7 @@ def test_a_leaderboard_that_cannot_be_written_is_told(tmp_path):
     assert bad_input(caught.value) is not None
 
 
-@pytest.mark.parametrize("name", ["leaderboard.csv", "settings.png"])
+@pytest.mark.parametrize("name", ["leaderboard.csv", "leaderboard.md", "settings.png"])
 @pytest.mark.parametrize("link", [False, True], ids=["file", "link"])
 def test_a_leaderboard_replaces_and_removes_no_files_of_others(tmp_path, name, link):
     mine, one = tmp_path / "mine", [Job(tmp_path / "sweep" / "0", {}, {})]

@@ -1,6 +1,6 @@
-"""The leaderboard of a sweep: printed, and written as CSV, a figure and a page of TensorBoard.
+"""The leaderboard of a sweep: printed, and written as CSV, Markdown, figures and a page of TensorBoard.
 
-leaderboard.csv   one row per setting, all digits
+leaderboard.csv   one row per setting, all digits      leaderboard.md    the same with four digits
 settings.png      a row per setting, sorted: its jobs, its mean, its interval (extra plot)
 leaderboard/      one row per setting, for TensorBoard
 """
@@ -279,7 +279,7 @@ def shortened(text: str, most: int = 16) -> str:
     return text if len(text) <= most else f"…{text[1 - most :]}"
 
 
-FOLDER, TABLE, FIGURE = "leaderboard", "leaderboard.csv", "settings.png"
+FOLDER, TABLE, TEXT, FIGURE = "leaderboard", "leaderboard.csv", "leaderboard.md", "settings.png"
 
 
 def leaderboard(folder: Path, load: Callable[[Path], Any], objective: Any = None) -> bool:
@@ -316,20 +316,22 @@ def write_leaderboard(
     check_own_board(folder, "folder")
     keys = [key for key in differing([job.settings for job in jobs]) if key != SEED]
     ranks = standings(jobs, measure, {}) if ranks is None else ranks
+    made = result_table(folder, ranks, keys)
     try:
-        write_atomically(folder / TABLE, result_table(folder, ranks, keys).csv().encode())
+        write_atomically(folder / TABLE, made.csv().encode())
+        write_atomically(folder / TEXT, made.markdown().encode())
         (folder / FIGURE).unlink(missing_ok=True)
         if (png := _figure(ranks, keys, measure)) is not None:
             write_atomically(folder / FIGURE, png)
         write_board(folder / FOLDER, ranks, {} if png is None else {"settings": png})
     except OSError as cause:
         raise ConfigError(f"{folder}: cannot hold the leaderboard ({cause}): make it writable") from cause
-    return [TABLE, *([FIGURE] if png else [])]
+    return [TABLE, TEXT, *([FIGURE] if png else [])]
 
 
 def check_own_board(folder: Path, option: str) -> None:
     """Raise a ConfigError if a leaderboard's file is a link here, or exists without a leaderboard or a sweep."""
-    files = [folder / name for name in (TABLE, FIGURE)]
+    files = [folder / name for name in (TABLE, TEXT, FIGURE)]
     for path in files:
         check_no_link(path, option)
     if (folder / SWEEP).is_file() or (files[0].is_file() and files[0].read_bytes().startswith(b"rank,job,")):
