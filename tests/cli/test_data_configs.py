@@ -40,17 +40,10 @@ def test_a_file_anywhere_configures_the_data(mine, monkeypatch, place):
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize(
-    ("way", "folder"),
-    [
-        (["hydra.run.dir=run"], "run"),
-        (["-m", "estimators.aid.gain=1,2", "hydra.sweep.dir=sweep"], "sweep/1"),
-    ],
-)
-def test_a_run_and_a_sweep_use_it(way, folder, mine):
-    done = run("data=my_boat.yaml", *QUICK[1:], *way, folder=mine)
+def test_the_jobs_of_a_sweep_use_it(mine):
+    done = run("-m", "data=my_boat.yaml", *QUICK[1:], "estimators.aid.gain=1,2", "hydra.sweep.dir=sweep", folder=mine)
     assert done.returncode == 0, done.stderr
-    assert "log" in results(mine / folder)["boats"]
+    assert "log" in results(mine / "sweep" / "1")["boats"]
 
 
 @pytest.mark.parametrize(

@@ -114,18 +114,6 @@ def test_a_simulation_that_leaves_the_limit_backwards_or_is_no_number_counts_as_
         assert found.diverged[k, 0, m]
 
 
-def test_a_free_run_sees_no_speed_but_that_of_a_start(ensemble, sets):
-    run = spoilt(60, 1)
-    other = run._replace(surge=torch.where(run.inputs.dt == 0, run.surge, run.surge + 3.0))
-    expanded, changed = (tree_map(lambda x: x[:, None].expand(-1, 3), each) for each in (run, other))
-    with torch.no_grad():
-        first = simulate(ensemble, sets, expanded, lambda s: s.predictions)[2]
-        second = simulate(ensemble, sets, changed, lambda s: s.predictions)[2]
-        started = simulate(ensemble, sets, expanded._replace(surge=expanded.surge + 1.0), lambda s: s.predictions)[2]
-    assert torch.equal(first, second)
-    assert not torch.equal(first, started)
-
-
 def test_simulate_equals_rollout_without_measurements(ensemble, sets):
     run = tree_map(lambda x: x[:, None].expand(-1, 3), spoilt(60, 2))
     with torch.no_grad():
