@@ -19,7 +19,7 @@ from typing import NamedTuple
 import pytest
 import yaml
 
-from tests.support import ROOT, over
+from tests.support import ROOT, made_once, over
 from usvlearn.logs.channels.channel import AUXILIARY, CHANNELS, Source
 
 PAGES = sorted(
@@ -97,17 +97,18 @@ def shows(block: str, printed: str) -> bool:
 @pytest.fixture(scope="session")
 def prepared(tmp_path_factory) -> Path:
     """The folder in which a page's blocks run, before the first of them."""
-    folder = tmp_path_factory.mktemp("pages") / "prepared"
-    folder.mkdir()
-    for script in ("train.py", "evaluate.py"):
-        shutil.copy(ROOT / script, folder)
-    commands = (
-        "usvlearn example logs",
-        "usvlearn inspect logs --name heron",
-        "usvlearn train my_boat.yaml hydra.run.dir=outputs/heron",
-    )
-    shell("\n".join(commands), folder, "before all pages")
-    return folder
+
+    def make(folder: Path) -> None:
+        for script in ("train.py", "evaluate.py"):
+            shutil.copy(ROOT / script, folder)
+        commands = (
+            "usvlearn example logs",
+            "usvlearn inspect logs --name heron",
+            "usvlearn train my_boat.yaml hydra.run.dir=outputs/heron",
+        )
+        shell("\n".join(commands), folder, "before all pages")
+
+    return made_once(tmp_path_factory, "prepared", make)
 
 
 def shell(commands: str, folder: Path, where: str) -> str:
