@@ -29,8 +29,9 @@ from usvlearn.estimators.joint.excitation_warnings import (
 from usvlearn.estimators.joint.quantities import QUANTITIES, SIDES, Ahead, gradients, steps_of
 from usvlearn.estimators.joint.quantities import quantities as quantities_of
 from usvlearn.estimators.joint.state import DROPPED, THETA, names
+from usvlearn.estimators.regressors.terms import SURGE as COEFFICIENTS
 
-FEW_P, FEW_C, MODEL = 2.0, 1.0, 0.1  # of (1)
+FEW_P, FEW_C, MODEL, FEW_SINGLE = 2.0, 1.0, 0.1, 6.0  # of (1); in place of FEW_P for single coefficients
 FIRST, FADES = 600.0, 300.0  # s, of (2)
 POSITIVE = ("time_constant", "stopping_distance", "thrust_ratio")
 WIDEST = math.log(1000)  # exponent of an interval on the log scale
@@ -254,6 +255,7 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
     values, slopes = gradients(theta, mass, inverse, steps_of(variance))
     top = values["steady_speed_full"]
     total *= astray(top, variance)
+    single = total + (FEW_SINGLE - FEW_P) / used * P[THETA:, THETA:] if used else total
     speed = max(abs(top), 1e-9) if math.isfinite(top) else stated_top(variance)
     beside = IntervalTerms(
         math.hypot(2 * found.blind / speed, MODEL if used else 0.0), now, prior, variance, found.vague
@@ -265,7 +267,8 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
 
     def interval(name: str) -> tuple[float, float]:
         each = values[name], float(present[name]), first[name]
-        return beside.interval(name, each, slopes[name], first_slopes[name], total)
+        covariance = single if name in COEFFICIENTS else total
+        return beside.interval(name, each, slopes[name], first_slopes[name], covariance)
 
     said = misstated(top, *interval("steady_speed_full"), variance)
     signed = {name: Quantity(values[name], *interval(name), QUANTITIES[name]) for name in POSITIVE_OF_BOATS}
