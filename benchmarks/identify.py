@@ -3,8 +3,8 @@
 python benchmarks/identify.py [--seed 77]        writes docs/benchmarks/identify.md
 
 Five plants, three boats each, 3 h to learn from and 1 h for open-loop simulations (`benchmarks/truths.py`). The
-filter's settings and the widths of its intervals were chosen on seeds 5, 11 and 78 to 80. Seed 77 was only reported, whenever the
-filter had changed.
+filter's settings and the widths of its intervals were chosen on seeds 5, 11 and 78 to 80. Seed 77 was only reported,
+whenever the filter had changed.
 """
 
 from __future__ import annotations
