@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.support import ESTIMATORS, FAMILIES, at, each_family, few, layers, leaves, over, random_samples
+from tests.support import ESTIMATORS, FAMILIES, at, each_family, few, layers, leaves, over, random_samples, unaided
 from tests.support.kernel_cases import mission
 from usvlearn import Inputs, Online, Sample, rollout
 from usvlearn.core.samples import tree_map
@@ -77,7 +77,7 @@ def test_elements_equal_single_runs(name):
 @each_layer
 @each_batch
 def test_vmap_equals_batch(name, batch):
-    estimator, samples = ESTIMATORS[name](), random_samples(3, 4, *batch)
+    estimator, samples = unaided(ESTIMATORS[name]()), random_samples(3, 4, *batch)
     state = estimator.init((4, *batch))
     for k in range(3):
         mapped = torch.vmap(lambda s, x: estimator(s, x))(state, at(samples, k))
@@ -241,7 +241,7 @@ def test_steps_are_pure(name, batch):
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", few([*layers(FAMILIES), "rnn_penalty"], {"rnn_replay", "boa"}))
 def test_compiles_without_graph_breaks(name):
-    estimator, samples = ESTIMATORS[name](), random_samples(1, 3)
+    estimator, samples = unaided(ESTIMATORS[name]()), random_samples(1, 3)
     state = tree_map(torch.Tensor.detach, estimator.init((3,)))
     torch.compiler.reset()
     compiled = torch.compile(estimator, backend="eager", fullgraph=True)(state, at(samples, 0))

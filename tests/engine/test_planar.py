@@ -112,8 +112,6 @@ def plain_track(own: Planar, state, commands: np.ndarray, dt: float) -> np.ndarr
     """A track by the members in torch, step for step as (2) of `estimators.planar.state`; north, east, heading."""
     axes = {name: getattr(own, name) for name in ("surge", "sway", "yaw")}
     members = {name: dict(getattr(state, name).members) for name in axes}
-    for name, ensemble in axes.items():
-        members[name] = {m: ensemble.members[m].open_loop(each) for m, each in members[name].items()}
     mean = state.surge.members["joint"].mean
     north, east = mean[2], mean[3]
     w, v, r, _, _, psi = state.track.before
@@ -122,7 +120,7 @@ def plain_track(own: Planar, state, commands: np.ndarray, dt: float) -> np.ndarr
     def predicted(name: str, inputs: Inputs) -> torch.Tensor:
         forecasts, xs = axes[name].forecasts, []
         for m in forecasts.names:
-            members[name][m], x = axes[name].members[m].free_step(members[name][m], inputs)
+            members[name][m], x = axes[name].members[m].predict(members[name][m], inputs)
             xs.append(x)
         horizons, weights = forecasts.horizons.tolist(), getattr(state, name).forecasts.rule.weights
         k = max(i for i, h in enumerate(horizons) if i == 0 or h <= elapsed)

@@ -17,16 +17,21 @@ from tests.support.commands import python
 from tests.support.kernel_cases import difference, mission
 from usvlearn import (
     AID,
+    ARX,
+    BOA,
     RLS,
     Average,
     Ensemble,
     ForecastSettings,
     Inputs,
+    JointEKF,
     Online,
     Persistence,
     Sample,
     SIFtRLS,
     SurgeDynamics,
+    Trial,
+    forecast,
     rollout,
 )
 from usvlearn.core import checkpoint as store
@@ -79,7 +84,10 @@ OBSTACLES = {
     "model": (lambda: RLS(OwnModel()), NO_KERNEL.replace("OBSTACLE", "RLS")),
     "member": (lambda: Ensemble({"a": AID(), "b": OwnAID()}), NO_KERNEL.replace("OBSTACLE", "Ensemble")),
     "nested": (lambda: Ensemble({"a": Ensemble({"b": AID()})}), NO_KERNEL.replace("OBSTACLE", "Ensemble")),
-    "rule": (lambda: Ensemble({"a": AID()}, {"own": OwnRule()}), NO_KERNEL.replace("OBSTACLE", "Ensemble")),
+    "rule": (
+        lambda: Ensemble({"a": AID()}, {"own": OwnRule()}, watched=False, conditional=False),
+        NO_KERNEL.replace("OBSTACLE", "Ensemble"),
+    ),
 }
 
 
@@ -92,6 +100,45 @@ def test_torch_where_there_is_no_kernel(what):
         assert rollout(estimator, estimator.init(), random_samples(3))[1].isfinite().all()
         with pytest.raises(ConfigError, match=f"backend: found kernel, but {reason}.*use auto or torch"):
             rollout(estimator, estimator.init(), random_samples(3), backend="kernel")
+
+
+def test_beside_a_member_without_a_kernel_the_others_step_by_theirs():
+    """Members and combiners by torch, the rest by kernels, to rounding."""
+
+    def make(aid):
+        members = {"aid": aid, "joint": JointEKF(2.0, 28.0, trial=Trial()), "arx": ARX(), "still": Persistence()}
+        return Ensemble(members, {"boa": BOA()}, forecasts=ForecastSettings((0.4, 1.2), ["joint", "still"]))
+
+    samples, start = mission(120, 2), make(AID(28.0)).init((2,))
+    with torch.no_grad():
+        expected = rollout(make(AID(28.0)), start, samples, backend="kernel")
+        found = rollout(make(OwnAID(28.0)), start, samples)
+        assert difference(found[0], expected[0]) < 1e-9 and difference(found[1], expected[1]) < 1e-9
+        plan = tree_map(lambda x: x.nan_to_num(0.0).clamp(-1, 1), mission(5, 2, faults=False)).inputs
+        ahead = [forecast(make(aid), found[0], plan) for aid in (AID(28.0), OwnAID(28.0))]
+    assert torch.equal(ahead[0].surge, ahead[1].surge) and torch.equal(ahead[0].high, ahead[1].high)
+    with pytest.raises(ConfigError, match=r"combiners.own: found OwnRule, which has no kernel, expected watched"):
+        Ensemble({"a": AID()}, {"own": OwnRule()})
+
+
+def test_gradients_pass_through_members_and_combiners_of_torch_alone():
+    aid, samples = AID(28.0), random_samples(12)
+    mixed = Ensemble({"aid": aid, "arx": ARX()}, forecasts=ForecastSettings((0.4,)))
+    slopes = []
+    for ensemble in (mixed, Ensemble({"aid": aid, "arx": ARX()}, watched=False, conditional=False)):
+        surge = rollout(ensemble, ensemble.init(), samples)[1]
+        slopes += torch.autograd.grad(surge.sum(), aid.gain.log)
+    assert slopes[0] != 0 and torch.isclose(*slopes)
+    for estimator in (ARX(), mixed):
+        wanted = samples._replace(surge=samples.surge.clone().requires_grad_())
+        with pytest.raises(ConfigError, match=r"ARX: a gradient is asked for .*only its kernel makes its steps"):
+            rollout(estimator, tree_map(torch.Tensor.detach, estimator.init()), wanted)
+    with (
+        pytest.raises(ConfigError, match="torch transforms this function, and kernels make this step"),
+        torch.no_grad(),
+    ):
+        aided = Ensemble({"aid": AID(28.0)})
+        torch.vmap(lambda x: rollout(aided, aided.init(), samples._replace(surge=x))[1])(samples.surge[None])
 
 
 @pytest.mark.filterwarnings("ignore:.torch.jit.script:DeprecationWarning")  # of torch's own forward mode
@@ -237,8 +284,8 @@ def test_no_elements_are_no_steps():
 
 
 @pytest.mark.parametrize("make", [
-    lambda: AID(28.0), lambda: Ensemble({"aid": AID(28.0), "rls": RLS()}, forecasts=ForecastSettings((0.4, 1.0))),
-], ids=["aid", "forecasts"])  # fmt: skip
+    lambda: AID(28.0), lambda: Ensemble({"aid": AID(28.0), "rls": RLS()}, watched=False, conditional=False),
+], ids=["aid", "ensemble"])  # fmt: skip
 def test_hyperparameters_are_mapped_over(make):
     """vmap hands over parameters that no kernel can read."""
 

@@ -8,8 +8,8 @@ from tests.support.kernel_cases import difference
 from usvlearn import Ensemble, Inputs, JointEKF, Persistence, Robust, Sample, Trial
 from usvlearn.core.samples import tree_map
 from usvlearn.engine.rollouts import rollout
-from usvlearn.estimators.ensemble.accommodation.layer import accommodate
 from usvlearn.estimators.ensemble.accommodation.state import AFTER, WAIT
+from usvlearn.estimators.ensemble.monitors.layer import effectiveness
 from usvlearn.estimators.joint.state import KAPPA, THETA
 
 DT, BOATS, FAILS, HEALS, END = 0.4, 3, 1500, 2100, 2700
@@ -116,23 +116,6 @@ def test_a_run_is_resumed_within_a_fault_bit_for_bit(course):
     assert difference(again, state) == 0.0
 
 
-def test_what_is_given_before_there_are_two_copies_is_the_same_in_torch():
-    """The older parameters are the prior then, some of which are 0."""
-    one, samples = ensemble(), sail(4)
-    state = rollout(one, one.init((BOATS,)), part(samples, 0, FAILS + 60))[0]
-    trial, fresh = state.members["joint"].trial, one.init((BOATS,)).members["joint"].trial
-    trial = trial._replace(**{name: getattr(fresh, name) for name in ("past_mean", "past_factor", "past_noise")})
-    state = state._replace(members={**state.members, "joint": state.members["joint"]._replace(trial=trial)})
-    handed = state.accommodation.handed.clone()
-    handed[1:] = 0  # the other boats get it now
-    state = state._replace(accommodation=state.accommodation._replace(handed=handed))
-    some = part(samples, FAILS + 60, FAILS + 70)
-    found, expected = (rollout(one, state, some, LEAVES, backend=b) for b in ("kernel", "torch"))
-    assert (expected[0].accommodation.handed[:, 0] == 1).all()
-    for x, y in zip(found, expected, strict=True):
-        assert difference(x, y) <= 1e-9
-
-
 def test_an_alarm_that_ends_is_a_recovery_only_if_the_filters_agree(course):
     _, samples, _, _ = course
     one = ensemble()
@@ -173,16 +156,21 @@ def test_only_joint_filters_with_trials_that_nothing_wraps_are_accommodated():
 
 def test_a_second_fault_leaves_the_share_of_the_first(course):
     """The older parameters are healthy ones: of both sides their share of them is given."""
-    _, _, state, _ = course
+    one, _, state, _ = course
     surge, two = torch.ones(BOATS, dtype=torch.float64), torch.ones(BOATS, 2, dtype=torch.float64)
     thrusters = state.monitors.thrusters._replace(
         raised=two, since=12 * surge, evidence=30 * two, sums=torch.tensor([-60.0, 90.0]).double() * two[..., None]
     )
     handed, share = (two * two.new_tensor(both) for both in ([1.0, 0.0], [0.3, 1.0]))
     first = state.accommodation._replace(handed=handed, share=share)
-    given, found = accommodate(first, {"joint": state.members["joint"]}, thrusters, 0.4 * surge, surge)
-    assert (given.handed == 1).all()
-    past, now = found["joint"].trial.past_mean[:, 0], found["joint"].mean
-    torch.testing.assert_close((now / past)[:, THETA + 3], 0.3 * surge)
-    torch.testing.assert_close((now / past)[:, THETA + 6], 0.4 * surge)  # 1 − 60/(90 + 10)
-    assert (found["joint"].started).all() and (found["joint"].trial.run == 0).all()
+    state = state._replace(accommodation=first, monitors=state.monitors._replace(thrusters=thrusters))
+    row, yes = surge[None], surge[None] > 0
+    some = Sample(Inputs(0.5 * row, 0.5 * row, 0 * row, 0 * row, 0.4 * row), row, yes, yes)
+    after = rollout(one, state, some)[0]
+    joint, past = after.members["joint"], after.members["joint"].trial.past_mean[:, 0]
+    assert (after.accommodation.handed == 1).all()
+    torch.testing.assert_close((joint.mean / past)[:, THETA + 3], 0.3 * surge)
+    share = effectiveness(after.monitors.thrusters)[0][:, 1]  # some 1 − 60/(90 + 10)
+    torch.testing.assert_close((joint.mean / past)[:, THETA + 6], share)
+    torch.testing.assert_close(share, 0.4 * surge, rtol=0, atol=0.1)
+    assert joint.started.all() and (joint.trial.run == 0).all()

@@ -5,8 +5,7 @@ import torch
 from tests.support.forecasts import ensemble, plain
 from usvlearn import Online, rollout
 from usvlearn.core.samples import named_leaves, tree_map
-from usvlearn.estimators.ensemble.manoeuvre_intervals import layer
-from usvlearn.estimators.ensemble.manoeuvre_intervals.state import HIGH, LOW
+from usvlearn.estimators.ensemble.manoeuvre_intervals.state import FAR, HIGH, LOW
 
 
 def test_predictions_are_the_same_and_old_states_go_on(tmp_path):
@@ -45,7 +44,7 @@ def test_a_path_is_the_commands_since_the_last_measured_speed():
     for path in (state.conformal.conditional.path, state.forecasts.conditional.path):
         assert path[LOW] == ((left + right) / 2).min() and path[HIGH] == ((left + right) / 2).max()
         far = torch.maximum((left - left[0]).abs(), (right - right[0]).abs()).max()
-        assert layer.far_of(path) == far
+        assert path[FAR] == far
 
 
 def test_no_gradient_passes_through_half_widths():

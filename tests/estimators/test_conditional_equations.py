@@ -75,20 +75,6 @@ def first() -> dict:
     }  # fmt: skip
 
 
-def test_torch_learns_by_the_equations():
-    state, expected = layer.init((), 1, torch.zeros((), dtype=torch.float64)), first()
-    for k, (e, width, *facts) in enumerate(samples(), 1):
-        told = [torch.tensor([float(x)], dtype=torch.float64) for x in (k, e, width, *facts)]
-        s = expected_error(expected, *facts[:2])
-        v, a = max(expected["factors"][facts[2]] * s, 0.005), share(expected, k - 1)
-        held = layer.hold(state, told[0] - 1)
-        assert float(layer.halfwidth_held(held, told[2], *told[3:])) == pytest.approx(width ** (1 - a) * v**a, rel=1e-8)
-        state = layer.learn_error(state, *told, OVERLAP, ALPHA)
-        expected = learned(expected, k, e, width, *facts)
-        same({name: leaf[0].numpy() for name, leaf in state._asdict().items()}, expected, k)
-    assert share(expected, k) == 1 and float(layer.hold(state, told[0])[0, -1]) == 1
-
-
 def test_the_kernel_learns_by_the_equations():
     expected, at = first(), np.array([0, 3, 12, 15, 16, 19])
     s = np.concatenate([np.ravel(each) for each in expected.values()])
@@ -116,17 +102,13 @@ def test_a_path_remembers_the_farthest_command_after_it_has_come_back():
     """far is that of either side, and the group that of the range of the mean command."""
     commands = [(0.5, 0.1), (0.5, 0.9), (0.2, 0.1), (0.5, 0.1), (0.5, 0.12)]
     far, low, high = [0.0, 0.8, 0.8, 0.8, 0.8], [0.3, 0.3, 0.15, 0.15, 0.15], [0.3, 0.7, 0.7, 0.7, 0.7]
-    path, other = np.zeros(PATH), torch.zeros(PATH, dtype=torch.float64)
+    path = np.zeros(PATH)
     for k, (left, right) in enumerate(commands):
-        sides = [torch.tensor(x, dtype=torch.float64) for x in (left, right)]
-        other = layer.extend_path(other, *sides) if k else layer.begin_path(*sides)
         plain(kernel.extend_path if k else kernel.begin_path)(path, left, right)
-        for found in (path, other.numpy()):
-            np.testing.assert_allclose(found, [0.5, 0.1, low[k], high[k], far[k]], atol=1e-12)
-        assert layer.far_of(other) == path[-1]
+        np.testing.assert_allclose(path, [0.5, 0.1, low[k], high[k], far[k]], atol=1e-12)
     for moved, group in ((0.0, 0), (0.049, 0), (0.05, 1), (0.25, 1), (0.251, 2)):
         path[2], path[3] = 0.0, moved
-        assert plain(kernel.group_of)(path) == float(layer.group_of(torch.from_numpy(path))) == group
+        assert plain(kernel.group_of)(path) == group
 
 
 def test_leaves_have_the_shapes_that_the_state_declares():

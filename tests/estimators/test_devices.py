@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch.utils._pytree import tree_leaves
 
-from tests.support import ESTIMATORS, at, few, layers, over, random_samples
+from tests.support import ESTIMATORS, at, few, layers, over, random_samples, unaided
 from tests.support.kernel_cases import VARIANTS
 from tests.support.placement import on_device, read_as_ones
 from usvlearn import (
@@ -17,13 +17,10 @@ from usvlearn import (
     BOA,
     RNN,
     Ensemble,
-    ForecastSettings,
     Inputs,
-    JointEKF,
     Online,
     Persistence,
     Sample,
-    forecast,
     rollout,
 )
 from usvlearn.core.samples import named_leaves, tree_map
@@ -34,22 +31,16 @@ from usvlearn.estimators.least_squares.sift import sift_step
 STEPS = 2
 
 
-def small() -> Ensemble:
-    """With forecasts."""
-    return Ensemble({"aid": AID(28.0), "rnn": RNN(6)}, {"boa": BOA()}, forecasts=ForecastSettings((0.4,)))
-
-
-CASES = layers(ESTIMATORS)
+CASES = {name: lambda make=make: unaided(make()) for name, make in layers(ESTIMATORS).items()}
 KINDS = ("sift", "aid", "rnn_replay", "weighted", "rnn", "persistence")
 some_cases = pytest.mark.parametrize(  # one by default, the rest of KINDS thorough, all others slow
     "name", [*few(KINDS, KINDS[:1], "thorough"), *few([name for name in CASES if name not in KINDS], ())]
 )
 CALLS = {  # of an estimator with its state and a run
     "learn": lambda estimator, state, run: estimator.learn(state, at(run, 0).inputs, run.surge[0]),
-    "free_step": lambda estimator, state, run: estimator.free_step(state, at(run, 0).inputs),
+    "predict": lambda estimator, state, run: estimator.predict(state, at(run, 0).inputs),
     # Values are unknown on `meta`, so that each step of a rollout there calls `start`, `predict` and `update`.
     "rollout": lambda estimator, state, run: rollout(estimator, state, run, lambda state: state, "torch"),
-    "forecast": lambda estimator, state, run: estimator.forecast(state, run.inputs),
 }
 
 
@@ -75,9 +66,7 @@ def test_every_step_stays_on_the_device_of_the_state(name):
     with on_device():
         state_there = there.init(batch)
     assert_away(state_there, state)
-    for what, call in CALLS.items():
-        if what == "forecast" and getattr(here, "forecasts", None) is None:
-            continue
+    for call in CALLS.values():
         expected = call(here, state, run)
         with on_device():
             found = call(there, state_there, away(run))
@@ -126,32 +115,22 @@ def test_samples_on_another_device_than_the_state_are_refused():
 
 @pytest.mark.thorough
 def test_a_boat_learns_on_the_device_of_its_estimator(tmp_path):
-    ensemble = Ensemble(
-        {"aid": AID(28.0), "joint": JointEKF(2.7, 28.0)}, {"boa": BOA()}, forecasts=ForecastSettings((0.4, 0.8))
-    )
+    ensemble = Ensemble({"aid": AID(28.0), "rnn": RNN(6)}, {"boa": BOA()}, watched=False, conditional=False)
     with read_as_ones():
         boat = Online(ensemble.to("meta"), (2,))
         assert boat.step(Sample(Inputs(0.5, 0.5, 0.0, 0.0, 0.4), 1.0, True, True)).tolist() == [1.0, 1.0]
         assert boat.predict_members(Inputs(0.5, 0.5, 0.0, 0.0, 0.4))["aid"][0].tolist() == [1.0, 1.0]
-        assert boat.forecast([[0.5, 0.5]] * 3, headings=0.0).surge.shape == (3, 2)
         boat.restore(boat.save(tmp_path / "boat.safetensors"))
         assert {leaf.device.type for _, leaf in named_leaves(boat.state)} == {"meta"}
 
 
 @pytest.mark.thorough
 def test_stretches_of_arrays_are_sent_to_the_device_of_the_state():
-    ensemble = Ensemble({"aid": AID(28.0)}).to("meta")
+    ensemble = Ensemble({"aid": AID(28.0)}, watched=False, conditional=False).to("meta")
     parts = [tree_map(lambda x: x.numpy(), random_samples(STEPS, 2))] * 2
     with read_as_ones():
         for state, kept in chunked_rollout(ensemble, ensemble.init((2,)), parts, ["predictions"]):
             assert state.predictions.is_meta and isinstance(kept["predictions"], np.ndarray)
-
-
-def test_a_forecast_is_on_the_device_of_the_state():
-    ensemble = Ensemble({"aid": AID(28.0)}, forecasts=ForecastSettings((0.4,))).to("meta")
-    with read_as_ones():
-        ahead = forecast(ensemble, ensemble.init((2,)), away(random_samples(STEPS, 2)).inputs)
-    assert all(x.is_meta and x.shape == (STEPS, 2) for x in ahead)
 
 
 def test_a_step_of_sift_alone_takes_every_sample_as_informative():

@@ -14,6 +14,7 @@ from tests.support.forecasts import HORIZONS, ensemble, plain
 from usvlearn import AID, BOA, Ensemble, ForecastSettings, Inputs, Online, Persistence, Sample, rollout
 from usvlearn.core.samples import Fleet, Run, named_leaves, tree_map
 from usvlearn.engine.rollouts import simulate
+from usvlearn.errors import ConfigError
 from usvlearn.estimators.ensemble.conformal.state import FEW
 from usvlearn.estimators.ensemble.forecasts.state import DELAY, EMPTY, FIRST, MOST
 from usvlearn.evaluation.horizons import LEAST, horizon_scores, horizon_sums
@@ -21,9 +22,9 @@ from usvlearn.evaluation.horizons import LEAST, horizon_scores, horizon_sums
 STEPS = (1, 5, 10)  # of 0.4 s: HORIZONS
 
 
-def made(model: Ensemble, samples: Sample, backend: str = "auto") -> tuple[torch.Tensor, torch.Tensor]:
+def made(model: Ensemble, samples: Sample) -> tuple[torch.Tensor, torch.Tensor]:
     leaves = ["forecasts.predictions", "forecasts.halfwidths"]
-    kept = rollout(model, model.init(samples.surge.shape[1:]), samples, leaves, backend)[2]
+    kept = rollout(model, model.init(samples.surge.shape[1:]), samples, leaves)[2]
     return kept[leaves[0]], kept[leaves[1]]
 
 
@@ -47,21 +48,20 @@ def test_a_forecast_is_the_free_run_from_its_origin():
         assert not found[origin + 1, 0].isnan().any() and not found[origin + 5, 1].isnan().any()
 
 
-@pytest.mark.parametrize("backend", few(["kernel", "torch"], ["kernel"], "thorough"))
-def test_no_forecast_uses_a_command_or_a_speed_after_its_time(backend):
+def test_no_forecast_uses_a_command_or_a_speed_after_its_time():
     """What is due at a step is unchanged by all samples after it, and by speeds after its origin."""
     model, samples, k = ensemble(), plain(60), 40
-    found, widths = made(model, samples, backend)
+    found, widths = made(model, samples)
     later = tree_map(torch.clone, samples)
     later.surge[k + 1 :] += 3.0
     for x in later.inputs[:4]:
         x[k + 1 :] = 0.9 - x[k + 1 :]
-    other, other_widths = made(model, later, backend)
+    other, other_widths = made(model, later)
     torch.testing.assert_close(other[: k + 1], found[: k + 1], rtol=0, atol=0, equal_nan=True)
     torch.testing.assert_close(other_widths[: k + 1], widths[: k + 1], rtol=0, atol=0, equal_nan=True)
     speeds = tree_map(torch.clone, samples)
     speeds.surge[k + 1 :] += 3.0
-    other, other_widths = made(model, speeds, backend)
+    other, other_widths = made(model, speeds)
     for j, steps in enumerate(STEPS):
         due = slice(k + 1, k + steps + 1)  # their origins are k and before
         torch.testing.assert_close(other[due, j], found[due, j], rtol=0, atol=0, equal_nan=True)
@@ -103,6 +103,13 @@ def test_missing_speeds_are_neither_origins_nor_targets():
     assert kept["forecasts.predictions"][31:41, 0].isnan().all()  # no origin without a speed
 
 
+def weights_after(model: Ensemble, state, time: float) -> torch.Tensor:
+    """The weights of the horizons, between which they are interpolated; those published are of the horizons."""
+    told, labels = model.forecasts.monitor(state), model.forecasts.labels
+    at = [[float(told[f"weight_{name}_at_{h}"]) for h in labels] for name in model.forecasts.names]
+    return torch.tensor([np.interp(time, list(map(float, labels)), own) for own in at], dtype=torch.float64)
+
+
 def test_after_an_outage_the_ensemble_predicts_with_the_weights_of_that_time():
     model, samples = ensemble(), plain(80)
     before = rollout(model, model.init(), tree_map(lambda x: x[:70], samples))[0]
@@ -112,9 +119,7 @@ def test_after_an_outage_the_ensemble_predicts_with_the_weights_of_that_time():
     weights = model.combiners["boa"].combine(before.combiners["boa"], kept["predictions"][0, [0, 1]])
     assert own[0] == pytest.approx(float(weights), abs=1e-12)  # the first step is the ordinary prediction
     for k in range(1, 10):
-        expected = model.forecasts.combine(
-            before.forecasts, members[k], torch.tensor(0.4 * (k + 1), dtype=torch.float64)
-        )
+        expected = weights_after(model, before.forecasts, 0.4 * (k + 1)) @ members[k]
         assert own[k] == pytest.approx(float(expected), abs=1e-12)
 
 
@@ -148,9 +153,7 @@ def test_a_horizon_that_was_hardly_judged_has_the_weights_of_a_shorter_one():
     model = ensemble(horizons=(0.4, 2.0, 30.0))
     state = rollout(model, model.init(), plain(60))[0].forecasts
     assert state.errors[1] >= FEW > state.errors[2]
-    at = lambda t: model.forecasts.weights_after(state, torch.tensor(t, dtype=torch.float64))  # noqa: E731
-    torch.testing.assert_close(at(30.0), state.rule.weights[1])
-    torch.testing.assert_close(at(1.2), 0.5 * (state.rule.weights[0] + state.rule.weights[1]))
+    torch.testing.assert_close(weights_after(model, state, 30.0), state.rule.weights[1])
 
 
 def test_intervals_cover_what_they_say():
@@ -188,19 +191,14 @@ def test_a_state_goes_on_where_it_was(dtype, tmp_path):
         np.testing.assert_array_equal(online.state[name], leaf[1].numpy(), err_msg=name)
 
 
-def test_a_custom_estimator_is_forecast_in_torch():
+def test_an_estimator_without_a_kernel_is_not_forecast():
     class Slow(Persistence):
-        def predict(self, state, inputs):
-            state, surge = super().predict(state, inputs)
-            return state._replace(surge=0.9 * state.surge), 0.9 * surge
+        pass
 
-        def update(self, state, inputs, surge):
-            return state._replace(surge=surge)
-
-    model = Ensemble({"slow": Slow()}, forecasts=ForecastSettings((2.0,)))
-    samples = plain(20)
-    found, _ = made(model, samples)
-    assert found[7, 0, 0] == pytest.approx(0.9**5 * float(samples.surge[2]))
+    members = {"slow": Slow(), "persistence": Persistence()}
+    assert Ensemble(members, forecasts=ForecastSettings((2.0,))).forecasts.names == ("persistence",)
+    with pytest.raises(ConfigError, match=r"forecasts.members: found slow, expected some of .* kernel, persistence,"):
+        Ensemble(members, forecasts=ForecastSettings((2.0,), ["slow"]))
 
 
 def test_scores_by_horizon_against_a_plain_loop():

@@ -12,12 +12,13 @@ from tests.support import few, over
 from tests.support.kernel_cases import inflated, mission
 from usvlearn import Inputs, JointEKF, Online, Sample, rollout
 from usvlearn.core import checkpoint
+from usvlearn.core.prepared_samples import DT, LEFT, RIGHT, ROW, YAW_RATE
 from usvlearn.core.protocol import clean
 from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.errors import CheckpointError
 from usvlearn.estimators.augmented_ekf import state as augmented
 from usvlearn.estimators.axis.state import FAMILY as AXIS
-from usvlearn.estimators.joint.flow import flow as moved_by
+from usvlearn.estimators.joint.kernel import flow as compiled_flow
 from usvlearn.estimators.joint.state import AT, SIZES, JointState
 
 SETTINGS = {
@@ -35,6 +36,14 @@ def tensor(*numbers) -> torch.Tensor:
 def size(x):
     """|x|, with the slope 1 at 0."""
     return x if x >= 0 else -x
+
+
+def moved_by(mean, w, b, before, inputs, even):
+    """w⁺ of (3) and its gradient to x, by the kernel."""
+    row, g = np.zeros(ROW), np.empty(len(mean))
+    row[[LEFT, RIGHT, YAW_RATE, DT]] = inputs[0], inputs[1], inputs.yaw_rate, inputs.dt
+    moved = compiled_flow(even, mean.numpy(), float(w), float(b), *map(float, before), row, g)
+    return tensor(moved)[0], torch.from_numpy(g)
 
 
 def force(p, w, b, xi, yaw_rate):

@@ -13,6 +13,7 @@ from usvlearn.core.family import WIDTH, Row
 from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.estimators.ensemble.monitors import kernel as compiled
 from usvlearn.estimators.ensemble.monitors import layer as monitors
+from usvlearn.estimators.ensemble.monitors import state as at
 from usvlearn.estimators.ensemble.monitors.state import AT, Number
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -26,11 +27,37 @@ def normal(*shape, seed=0):
 # ---- innovations
 
 
-def watched(innovations, memory=500.0):
-    state = monitors.init(innovations.shape[1:-1], innovations.shape[-1], innovations).innovations
-    for e in innovations:
-        state = monitors.observe_innovations(state, e, memory)
-    return state
+NUMBERS = np.array([monitors.description()[number.key] for number in Number])
+
+
+def row_of(state, places):
+    """A state as the kernels have it: a row of its leaves, and the node that tells their places."""
+    leaves = [leaf.numpy() for leaf in state]
+    node = np.full(WIDTH, -1)
+    node[Row.NUMBERS], node[list(places)] = 0, np.cumsum([0, *(leaf.size for leaf in leaves[:-1])])
+    return node, np.concatenate([leaf.reshape(-1) for leaf in leaves])
+
+
+def state_of(state, row):
+    """The state like another one from its row."""
+    parts = np.split(row.copy(), np.cumsum([leaf.numel() for leaf in state])[:-1])
+    return type(state)(*(torch.from_numpy(x.reshape(tuple(leaf.shape))) for x, leaf in zip(parts, state, strict=True)))
+
+
+def observed(state, innovation):
+    node, row = row_of(state, AT.innovations)
+    node[Row.SIZE] = len(state.last)
+    compiled.observe_innovations(node, row, NUMBERS, innovation.numpy())
+    return state_of(state, row)
+
+
+def watched(innovations):
+    state = monitors.init((), innovations.shape[-1], innovations).innovations
+    node, row = row_of(state, AT.innovations)
+    node[Row.SIZE] = innovations.shape[-1]
+    for e in innovations.numpy():
+        compiled.observe_innovations(node, row, NUMBERS, e)
+    return state_of(state, row)
 
 
 @pytest.mark.parametrize("phi", [-0.5, 0.0, 0.3, 0.8])
@@ -58,8 +85,8 @@ def test_white_noise_lies_in_its_band_95_times_in_100(steps):
 def test_a_column_without_a_number_is_left_bit_identical_and_the_others_are_not_touched():
     e = 0.05 * normal(50, 3)
     state = watched(e)
-    broken = monitors.observe_innovations(state, torch.tensor([0.01, math.nan, math.inf], dtype=torch.float64))
-    whole = monitors.observe_innovations(state, torch.tensor([0.01, 0.01, 0.01], dtype=torch.float64))
+    broken = observed(state, torch.tensor([0.01, math.nan, math.inf], dtype=torch.float64))
+    whole = observed(state, torch.tensor([0.01, 0.01, 0.01], dtype=torch.float64))
     for (name, new), (_, fresh), (_, old) in zip(*map(named_leaves, (broken, whole, state)), strict=True):
         assert torch.equal(new[0], fresh[0]) and torch.equal(new[1:], old[1:]) and not torch.equal(new[0], old[0]), name
 
@@ -70,33 +97,6 @@ def test_gross_outliers_hardly_move_scale_and_whiteness():
     clean, dirty = watched(e), watched(struck)
     assert (dirty.scale / clean.scale).sqrt().mean().item() == pytest.approx(1.0, abs=0.05)
     assert monitors.whiteness(dirty).correlation.mean().abs() < 0.02
-
-
-# ---- the CUSUM
-
-
-def looped(effect, error, loss=monitors.LOSS):
-    """Page's test of a loss on one side, sample by sample: g after each, and the estimate of the share that is left."""
-    g, moment, weight, course = 0.0, 0.0, 0.0, []
-    for f, e in zip(effect, error, strict=True):
-        f, e = np.clip(f, -monitors.EFFECT, monitors.EFFECT), np.clip(e, -monitors.CLIP, monitors.CLIP)
-        g += (e**2 - (e + loss * f) ** 2) / 2  # log-likelihood of mean −loss·f less that of mean 0, unit variance
-        moment, weight = moment + f * e, weight + f * f
-        if g <= 0:
-            g = moment = weight = 0.0
-        g = min(g, 40.0)
-        course.append((g, moment, weight))
-    return course
-
-
-def test_cusum_is_the_loop():
-    effect, error = 2 * normal(300, 2, seed=5), 2 * normal(300, 1, seed=6) - 0.5
-    g, sums = torch.zeros(2).double(), torch.zeros(2, 2).double()
-    expected = [looped(effect[:, side].tolist(), error[:, 0].tolist()) for side in (0, 1)]
-    for k in range(300):
-        g, sums = monitors.cusum(g, sums, effect[k], error[k], 40.0)
-        for side in (0, 1):
-            assert [g[side].item(), *sums[side].tolist()] == pytest.approx(expected[side][k], abs=1e-9)
 
 
 # ---- a boat that loses a thruster
@@ -116,13 +116,63 @@ def boat(steps, elements, left, seed=0, noise=0.06):
     return Inputs(commands[..., 0], commands[..., 1], zero, rate, zero + 0.4)
 
 
-def run(inputs, dtype=torch.float64):
-    state = monitors.init(inputs.dt.shape[1:], 1, ONE.to(dtype)).thrusters
-    course = []
-    for each in zip(*inputs, strict=True):
-        state = monitors.observe_thrusters(state, Inputs(*(x.to(dtype) for x in each)))
-        course.append(state)
-    return course
+def observe(node, row, inputs):
+    """One step of one boat's thrusters by the kernel, in place."""
+    sample = np.zeros(samples.ROW, row.dtype)
+    sample[[samples.LEFT, samples.RIGHT, samples.YAW_RATE, samples.DT]] = inputs[0], inputs[1], inputs[3], inputs[4]
+    compiled.observe_thrusters(node, row, NUMBERS.astype(row.dtype), sample, np.empty(256, row.dtype))
+
+
+def run(inputs):
+    """The states of all boats after each step."""
+    one, (steps, boats) = monitors.init((), 1, ONE).thrusters, inputs.dt.shape
+    node, first = row_of(one, AT.thrusters)
+    rows, told = np.empty((steps, boats, len(first))), torch.stack(tuple(inputs), -1).numpy()
+    for boat in range(boats):
+        row = first.copy()
+        for k in range(steps):
+            observe(node, row, told[k, boat])
+            rows[k, boat] = row
+    parts = np.split(rows, np.cumsum([leaf.numel() for leaf in one])[:-1], -1)
+    shaped = (x.reshape(steps, boats, *leaf.shape) for x, leaf in zip(parts, one, strict=True))
+    course = type(one)(*map(torch.from_numpy, shaped))
+    return [type(one)(*(leaf[k] for leaf in course)) for k in range(steps)]
+
+
+def test_each_step_is_that_of_the_equations():
+    """(3) to (7), written out, of a boat that loses its left thruster."""
+    inputs = boat(400, 1, torch.where(torch.arange(400) < 250, 1.0, 0.2).double(), seed=3)
+    M, variance, before = np.zeros((10, 10)), at.YAW_SCALE**2, [0.0, 0.0]
+    g, sums, raised = np.zeros(2), np.zeros((2, 2)), np.zeros(2)
+    for k, state in enumerate(run(inputs)):
+        left, right, rate = (float(x[k, 0]) for x in (inputs[0], inputs[1], inputs[3]))
+        z = np.array([rate, 1, *before, left, right, left * abs(left), right * abs(right), left**3, right**3])
+        P = np.linalg.inv(M[1:, 1:] + at.YAW_RIDGE * np.eye(9))
+        theta, x = P @ M[1:, 0], z[1:]
+        thrust = theta[3:].reshape(3, 2)
+        full, effect, e = thrust.sum(0), (x[3:].reshape(3, 2) * thrust).sum(0), rate - x @ theta
+        sigma = math.sqrt((1 + at.HORIZON * x @ P @ x) * variance + 0.5 * at.MISFIT**2 * (full @ full))
+        calm = math.exp(-g.max() / at.CALM)
+        if M[4, 4] + M[5, 5] - 2 * M[4, 5] <= at.APART * (M[4, 4] + M[5, 5]):
+            effect = 0 * effect
+        f, d = (
+            np.clip(effect / sigma, -at.EFFECT, at.EFFECT),
+            np.clip(e / sigma, -at.CLIP, at.CLIP),
+        )
+        loss = at.LOSS  # the likelihood of an error of −loss·f less that of 0
+        g = np.clip(g + (d**2 - (d + loss * f) ** 2) / 2, 0, 2 * at.THRESHOLD)
+        sums = (sums + np.stack([f * d, f * f], -1)) * (g > 0)[:, None]
+        plausible = 1 + sums[:, 0] / (sums[:, 1] + at.DOUBT) > at.BACKWARDS
+        g, sums = g * plausible, sums * plausible[:, None]
+        raised = (g > at.THRESHOLD * np.where(raised > 0, at.CLEARED, 1)).astype(float)
+        light = variance / (variance + e * e / at.KNEE**2)
+        keep = math.exp(-min(abs(left) + abs(right), 1) * 0.4 / at.YAW_MEMORY)
+        M = keep * M + calm * math.sqrt(light) * np.outer(z, z)
+        moved = variance + calm * at.YAW_RATE * (e * e * light * at.YAW_SPREAD - variance)
+        variance, before = max(moved, at.YAW_FLOOR**2), [rate, before[0]]
+        for found, expected in zip(state[:6], (M, variance, before, g, sums, raised), strict=True):
+            np.testing.assert_allclose(found[0], expected, rtol=1e-7, atol=1e-9, err_msg=f"step {k}")
+    assert raised.tolist() == [1.0, 0.0]
 
 
 def test_a_lost_thruster_raises_one_alarm_that_names_side_and_share_and_ends_when_it_is_mended():
@@ -130,7 +180,7 @@ def test_a_lost_thruster_raises_one_alarm_that_names_side_and_share_and_ends_whe
     left = torch.where((steps >= 1500) & (steps < 2400), 0.4, 1.0).double()
     course = run(boat(3000, 20, left))
     before, during, after = course[1499], course[2399], course[-1]
-    assert before.alarms.max() == 0 and before.evidence.max() < monitors.THRESHOLD / 2
+    assert before.alarms.max() == 0 and before.evidence.max() < at.THRESHOLD / 2
     assert (course[1500 + 75].alarms == 1).all()  # 30 s
     assert (during.raised == torch.tensor([1.0, 0.0])).all()
     share, deviation = monitors.effectiveness(during)
@@ -151,7 +201,7 @@ def test_effectiveness_is_as_unsure_as_the_thrust_that_it_is_a_share_of():
     state = state._replace(moments=moments, sums=sums, evidence=evidence, variance=0.0025 * ONE)
     share, deviation = monitors.effectiveness(state)
     assert share.tolist() == [pytest.approx(0.4), 1.0]
-    inverse = 1 / (1 + monitors.YAW_RIDGE)
+    inverse = 1 / (1 + at.YAW_RIDGE)
     spread, full = math.sqrt(0.0025 * 3 * inverse), 3 * 0.1 * inverse
     assert deviation[0].item() == pytest.approx(math.sqrt(1 / 100 + (0.6 * 2 * spread / full) ** 2))
     assert deviation[1].item() == pytest.approx(math.sqrt(1 / 10))
@@ -170,21 +220,6 @@ def test_a_healthy_boat_with_outliers_idle_minutes_and_straight_courses_raises_n
     assert all(leaf.isfinite().all() for _, leaf in named_leaves(course[-1]))
 
 
-def kernel_step(state, inputs):
-    """`observe_thrusters` of one boat by the compiled kernel."""
-    leaves = [leaf.numpy() for leaf in state]
-    row = np.concatenate([leaf.reshape(-1) for leaf in leaves])
-    sample = np.zeros(samples.ROW, row.dtype)
-    sample[[samples.LEFT, samples.RIGHT, samples.YAW_RATE, samples.DT]] = inputs.command_left, inputs.command_right, \
-        inputs.yaw_rate, inputs.dt  # fmt: skip
-    numbers = np.array([monitors.description()[number.key] for number in Number], row.dtype)
-    places, node = np.cumsum([0, *(leaf.size for leaf in leaves[:-1])]), np.full(WIDTH, -1)
-    node[Row.NUMBERS], node[list(AT.thrusters)] = 0, places
-    compiled.observe_thrusters(node, row, numbers, sample, np.empty(256, row.dtype))
-    parts = np.split(row, places[1:])
-    return type(state)(*(torch.from_numpy(x.reshape(leaf.shape)) for x, leaf in zip(parts, leaves, strict=True)))
-
-
 @pytest.mark.parametrize("steps", [100, 2250, 90_000])
 def test_rounded_sums_of_a_steady_cruise_keep_the_model_finite(steps):
     """Constant commands: the sums have rank one, and what rounding adds in `steps` steps makes them indefinite."""
@@ -194,26 +229,22 @@ def test_rounded_sums_of_a_steady_cruise_keep_the_model_finite(steps):
     error = error + np.tril(error, -1).transpose(0, 2, 1)
     exact = steps * np.outer(z, z)
     moments = torch.from_numpy(exact * (1 + np.finfo(np.float32).eps * steps * error)).float()
-    assert (torch.linalg.eigvalsh(moments[:, 1:, 1:].double()).amin(-1) < -monitors.YAW_RIDGE).any() == (steps > 100)
-    state = monitors.init((200,), 1, single).thrusters._replace(moments=moments)
-    inputs = Inputs(*(x.expand(200) for x in single))
-    after = monitors.observe_thrusters(state, inputs)
-    assert all(leaf.isfinite().all() for leaf in after)
-    assert (after.evidence == 0).all()
-    for element in range(0, 200, 20):
-        one = kernel_step(tree_map(lambda x, i=element: x[i], state), Inputs(*single))
-        for name, x, y in zip(after._fields, one, tree_map(lambda x, i=element: x[i], after), strict=True):
-            torch.testing.assert_close(x, y, rtol=1e-4, atol=1e-6, msg=name)
+    assert (torch.linalg.eigvalsh(moments[:, 1:, 1:].double()).amin(-1) < -at.YAW_RIDGE).any() == (steps > 100)
+    for element in range(0, 200, 10):
+        state = monitors.init((), 1, single).thrusters._replace(moments=moments[element])
+        node, row = row_of(state, AT.thrusters)
+        observe(node, row, single.tolist())
+        after = state_of(state, row)
+        assert all(leaf.isfinite().all() for leaf in after) and (after.evidence == 0).all()
 
 
 def test_sums_that_cannot_be_solved_tell_nothing():
     state = monitors.init((), 1, ONE).thrusters
     state = state._replace(moments=state.moments - 5.0, evidence=torch.tensor([3.0, 1.0]).double())
-    inputs = Inputs(*torch.tensor([0.5, 0.9, 0.0, 0.3, 0.4]).double())
-    after = monitors.observe_thrusters(state, inputs)
+    node, row = row_of(state, AT.thrusters)
+    observe(node, row, (0.5, 0.9, 0.0, 0.3, 0.4))
+    after = state_of(state, row)
     assert torch.equal(after.evidence, state.evidence) and all(leaf.isfinite().all() for leaf in after)
-    for name, x, y in zip(after._fields, kernel_step(state, inputs), after, strict=True):
-        torch.testing.assert_close(x, y, rtol=1e-12, atol=1e-12, msg=name)
 
 
 # ---- excitation

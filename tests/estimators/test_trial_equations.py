@@ -1,15 +1,16 @@
-"""The trial of the joint EKF: each verdict on a trial, by torch and compiled, and the sums that lead to it."""
+"""The trial of the joint EKF: each verdict on a trial, and the sums that lead to it."""
 
 import numpy as np
 import pytest
 import torch
 
+from tests.support.kernel_cases import mission
 from usvlearn import Inputs, JointEKF, Sample, Trial
-from usvlearn.core.samples import named_leaves
+from usvlearn.engine.backend import arrays_of
+from usvlearn.engine.planar_plan import program_for
 from usvlearn.engine.rollouts import rollout
 from usvlearn.estimators.joint import change_detection_kernel
-from usvlearn.estimators.joint.change_detection import side_of
-from usvlearn.estimators.joint.state import AT_TRIAL, THETA, WARM, names
+from usvlearn.estimators.joint.state import AT_TRIAL, ROOM, THETA, WARM, names
 
 
 def plain(function):
@@ -77,15 +78,12 @@ def samples() -> Sample:
 @pytest.fixture(scope="module")
 def judged():
     estimator = JointEKF(2.5, 28.0, trial=Trial(), read_every=600.0)
-    before, found = state_before(estimator), {}
-    for backend in ("torch", "kernel"):
-        found[backend] = rollout(estimator, before, samples(), backend=backend)[0]
-    return before, found
+    before = state_before(estimator)
+    return before, rollout(estimator, before, samples())[0]
 
 
-@pytest.mark.parametrize("backend", ["torch", "kernel"])
-def test_every_verdict(judged, backend):
-    before, state = judged[0], judged[1][backend]
+def test_every_verdict(judged):
+    before, state = judged
     for k, (name, (_, expected)) in enumerate(VERDICTS.items()):
         for leaf, value in expected.items():
             found = getattr(state.trial if leaf in state.trial._fields else state, leaf)[k]
@@ -101,27 +99,16 @@ def test_every_verdict(judged, backend):
             torch.testing.assert_close(state.reading[k], before.reading[k])
 
 
-def test_torch_and_kernel_leave_the_same_state(judged):
-    for (name, one), (_, other) in zip(*(named_leaves(each) for each in judged[1].values()), strict=True):
-        torch.testing.assert_close(one, other, rtol=1e-9, atol=1e-12, equal_nan=True, msg=name)
-
-
 def test_the_sum_of_innovations_is_that_of_page():
     """(8), with the numbers of the docstring."""
     rng = np.random.default_rng(1)
     statistic, usual, run = rng.uniform(0, 30, 400), rng.uniform(0, 2, 400), rng.integers(0, 9, 400)
     last, z = rng.uniform(-7, 7, (2, 400))
     statistic[:40] = rng.uniform(0, 3, 40)
-    estimator = JointEKF(2.5, trial=Trial())
-    told = {"statistic": statistic, "usual": usual, "last": last, "run": run.astype(float)}
-    trial = estimator.init((400,)).trial._replace(**{name: torch.from_numpy(x) for name, x in told.items()})
-    found = estimator.trial._detected(trial, torch.from_numpy(z))
     m = np.minimum(np.minimum(np.abs(z), np.abs(last)) ** 2, 25)
     keeps = z * last > 0
     g = np.maximum(0, statistic + np.where(keeps, m, -m) - 0.5 - 2 * usual)
-    np.testing.assert_allclose(found.statistic, g)
-    np.testing.assert_allclose(found.usual, usual + 0.005 * (np.where(keeps, np.minimum(m, 4), 0) - usual))
-    assert (found.last.numpy() == z).all() and (found.run.numpy() == np.where(g > 2, run, 0)).all()
+    after = usual + 0.005 * (np.where(keeps, np.minimum(m, 4), 0) - usual)
     s, node = np.zeros(4), np.arange(4)
     places = AT_TRIAL._replace(usual=0, last=1, statistic=2, run=3)
     with pytest.MonkeyPatch.context() as patched:
@@ -129,7 +116,7 @@ def test_the_sum_of_innovations_is_that_of_page():
         for k in range(400):
             s[:] = usual[k], last[k], statistic[k], run[k]
             begins = plain(change_detection_kernel.detect)(node, s, z[k])
-            expected = [found.usual[k], z[k], g[k], run[k] if g[k] > 2 else 0]
+            expected = [after[k], z[k], g[k], run[k] if g[k] > 2 else 0]
             np.testing.assert_allclose(s, expected, atol=1e-12)
             assert begins == (g[k] > 2 and run[k] == 0)
 
@@ -139,12 +126,34 @@ def test_the_sum_of_innovations_is_that_of_page():
 def test_the_parameters_of_a_side_are_those_of_its_name(even, side):
     own = names(even)
     expected = [0.0] * THETA + [1.0 if name.endswith(("_left", "_right")[side]) else 0.0 for name in own]
-    mean = torch.ones(len(expected), dtype=torch.float64)
-    assert side_of(side, mean).double().tolist() == expected and sum(expected) == (7 if even else 4)
+    assert sum(expected) == (7 if even else 4)
     found = np.full(len(expected), 9.0)
     node = np.full(64, 1 if even else 0)
-    plain(change_detection_kernel.side_of)(node, mean.numpy(), side, found)
+    plain(change_detection_kernel.side_of)(node, np.ones(len(expected)), side, found)
     assert found.tolist() == expected
+
+
+def test_the_second_filter_begins_with_a_larger_covariance():
+    """(9), dense: each side's parameters are in doubt together, and each parameter alone, up to ten times the prior."""
+    estimator = JointEKF(2.5, 28.0, trial=Trial())
+    state = rollout(estimator, estimator.init(), mission(100))[0]
+    trial = state.trial._replace(mean=state.mean, factor=state.factor)
+    plan = program_for(estimator.description(), (), np.dtype(np.float64))
+    row, n = plan.pack(arrays_of(state._replace(trial=trial))), len(state.mean)
+    change_detection_kernel.loosen_sides(plan.program[1], row[0], plan.numbers[0], np.empty(n))
+    found = plan.unpack(row)
+    mean, P, prior = state.mean.numpy(), state.covariance.numpy().copy(), estimator.variance.numpy()
+    for ending in ("_left", "_right"):
+        d = np.array(
+            [0.0] * THETA
+            + [x if name.endswith(ending) else 0.0 for name, x in zip(names(True), mean[THETA:], strict=True)]
+        )
+        P += 0.6**2 * np.outer(d, d)
+    for i in range(THETA, n - 1):
+        P[i, i] += min((0.3 * mean[i]) ** 2, max(ROOM * prior[i - THETA] - P[i, i], 0.0))
+    U = np.tril(found["trial.factor"], -1).T + np.eye(n)
+    np.testing.assert_allclose((U * found["trial.factor"].diagonal()) @ U.T, P, rtol=1e-8, atol=1e-12)
+    np.testing.assert_array_equal(found["trial.kept"], mean[THETA:])
 
 
 def test_a_new_segment_forgets_the_sum_but_not_the_trial():

@@ -94,7 +94,7 @@ def test_the_acceleration_is_that_of_the_filter():
         mean = torch.from_numpy(np.concatenate([[y, 0.0], theta]))
         commands = torch.tensor([left, right], dtype=torch.float64)
         inputs = axis_inputs(*(torch.tensor(x, dtype=torch.float64) for x in (left, right, other, u, h)))
-        _, ahead = axis.free_step(state._replace(mean=mean, commands=commands), inputs)
+        _, ahead = axis.predict(state._replace(mean=mean, commands=commands), inputs)
         expected = acceleration(kind, theta, y, other, u, left, right)
         assert (float(ahead) - y) / h == pytest.approx(expected, rel=1e-3)
 

@@ -1,4 +1,4 @@
-"""The planar model: its axes are those of the filters in torch, its step is that of a track and of the equations."""
+"""The planar model: its axes are those of the filters, its step is that of a track and of the equations."""
 
 import numpy as np
 import pytest
@@ -7,9 +7,9 @@ from scipy.integrate import solve_ivp
 
 from tests.support.planar_models import commanded, drawn_planar, learned, lone_filters, mean_of, moving
 from tests.support.surge_models import by_torch
-from usvlearn import Online
+from usvlearn import Online, SwayEKF, YawEKF
 from usvlearn.errors import ConfigError
-from usvlearn.estimators.axis.layer import flow
+from usvlearn.estimators.augmented_ekf.state import Y
 from usvlearn.estimators.axis.state import axis_inputs
 from usvlearn.estimators.joint.state import THETA
 from usvlearn.model.planar import COEFFICIENTS, UNITS, Motion, PlanarModel
@@ -19,14 +19,16 @@ STILL = Motion(*[0.0] * 6)
 
 
 def by_filters(model: PlanarModel, kind: str, y, other, surge, left, right, dt) -> np.ndarray:
-    """y⁺ of the axis EKF in torch."""
+    """y⁺ of the axis EKF."""
     given = [torch.tensor(x) for x in (left, right, other, surge, dt)]
-    mean, before = torch.tensor(mean_of(model, kind)).expand(len(dt), -1), torch.stack(given[:2], -1)
-    return flow(kind == "yaw", mean, torch.tensor(y), torch.zeros(len(dt)), before, axis_inputs(*given))[0].numpy()
+    axis, mean = {"yaw": YawEKF, "sway": SwayEKF}[kind](2.7), np.tile(mean_of(model, kind), (len(dt), 1))
+    mean[:, Y] = y
+    state = axis.init((len(dt),))._replace(mean=torch.from_numpy(mean), commands=torch.stack(given[:2], -1))
+    return axis.predict(state, axis_inputs(*given))[1].numpy()
 
 
 @pytest.mark.parametrize("sways", [True, False])
-def test_a_step_is_that_of_the_filters_in_torch(sways):
+def test_a_step_is_that_of_the_filters(sways):
     rng = np.random.default_rng(1)
     model, (left, right, dt, north, east) = drawn_planar(rng, sways), commanded(rng, 300)
     before = moving(rng, 300)

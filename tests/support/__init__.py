@@ -37,6 +37,7 @@ from usvlearn import (
     YawEKF,
 )
 from usvlearn.core.lock import Lock
+from usvlearn.core.protocol import KernelEstimator
 from usvlearn.core.samples import named_leaves, tree_map
 
 ROOT = Path(__file__).parents[2]
@@ -90,12 +91,18 @@ ESTIMATORS = FAMILIES | {  # and other settings of them
     ),
 }
 
-KERNEL_ALONE = ("robust", "joint", "yaw", "sway", "arx", "forecasts")  # how names begin of those without torch's steps
-
 
 def layers(estimators: dict[str, Callable]) -> dict[str, Callable]:
-    """The estimators whose steps torch makes, too."""
-    return {name: make for name, make in estimators.items() if not name.startswith(KERNEL_ALONE)}
+    """The estimators whose steps torch makes, too; an ensemble with forecasts takes it too long."""
+    own = {name: make for name, make in estimators.items() if not name.startswith("forecasts")}
+    return {name: make for name, make in own.items() if not isinstance(make(), KernelEstimator)}
+
+
+def unaided(estimator):
+    """The estimator; an ensemble without what the kernels alone make of its steps."""
+    if not isinstance(estimator, Ensemble):
+        return estimator
+    return Ensemble(estimator.members, estimator.combiners, watched=False, conditional=False)
 
 
 def random_samples(steps: int, *batch: int, seed: int = 0, dtype=torch.float64) -> Sample:

@@ -32,4 +32,4 @@ def by_torch(model: SurgeModel, rows: torch.Tensor) -> torch.Tensor:
     parameters = torch.tensor(model.per_mass).expand(len(rows), -1)
     mean = torch.cat([rows[:, :1], torch.zeros(len(rows), THETA - 1, dtype=torch.float64), parameters], -1)
     state = joint.init((len(rows),))._replace(mean=mean, commands=rows[:, 1:3])
-    return joint.free_step(state, Inputs(rows[:, 1], rows[:, 2], zero, rows[:, 3], rows[:, 4]))[1]
+    return joint.predict(state, Inputs(rows[:, 1], rows[:, 2], zero, rows[:, 3], rows[:, 4]))[1]

@@ -94,38 +94,6 @@ class Estimator(nn.Module, abc.ABC):
         """
         return state
 
-    def open_loop(self, state: State) -> State:
-        """The state from which an open-loop simulation departs.
-
-        Args:
-            state: after a sample.
-
-        Returns:
-            By default the state itself.
-
-        >>> from usvlearn import Persistence
-        >>> float(Persistence().open_loop(Persistence().init()).surge)
-        0.0
-        """
-        return state
-
-    def free_step(self, state: State, inputs: Inputs) -> tuple[State, Tensor]:
-        """One step of an open-loop simulation: as `predict`, but only the leaves `frozen` of the state are needed.
-
-        Args:
-            state: before the step.
-            inputs: of the step, leaves `(*batch,)`.
-
-        Returns:
-            The state after the step, and the predicted surge, m/s, `(*batch,)`.
-
-        >>> from usvlearn import AID
-        >>> aid, zero = AID(mass=28.0), torch.tensor(0.0).double()
-        >>> float(aid.free_step(aid.init(), Inputs(zero, zero, zero, zero, zero + 0.4))[1])
-        0.0
-        """
-        return self.predict(state, inputs)
-
     def learn(self, state: State, inputs: Inputs, surge: Tensor) -> tuple[State, Tensor]:
         """A step on which nothing is masked.
 
@@ -209,9 +177,26 @@ class KernelEstimator(Estimator):
         return self._step(state, Inputs(*[torch.zeros_like(surge)] * len(Inputs._fields)), surge, False, False)[0]
 
     def _step(self, state: State, inputs: Inputs, surge: Tensor, fresh: bool, measured: bool) -> tuple[State, Tensor]:
-        yes = torch.ones_like(surge, dtype=torch.bool)
-        sample = Sample(inputs, surge, yes & fresh, yes & measured)
-        return import_module("usvlearn.engine.rollouts").kernel_step(self, state, sample)  # of a layer above this one
+        self.check_step(state, inputs, surge)
+        description = self.description()
+        assert description is not None, "expected the description of a kernel"
+        return kernel_step(description, state, inputs, surge, fresh, measured)
+
+    def check_step(self, state: State, inputs: Inputs, surge: Tensor) -> None:
+        """Raise a ConfigError where the kernel cannot make a step: not on the CPU, or for a gradient."""
+        sample = Sample(inputs, surge, surge == 0, surge == 0)
+        import_module("usvlearn.engine.backend").obstacle_of(self, state, sample, "cpu")
+
+
+def kernel_step(
+    description: dict[str, Any], state: State, inputs: Inputs, surge: Tensor, fresh: bool = True, measured: bool = True
+) -> tuple[State, Tensor]:
+    """One step by the kernels of a described estimator, without gradients: the state, and the prediction."""
+    yes = torch.ones_like(surge, dtype=torch.bool)
+    sample = Sample(inputs, surge, yes & fresh, yes & measured)
+    return import_module("usvlearn.engine.rollouts").kernel_step(
+        description, state, sample
+    )  # of a layer above this one
 
 
 def check_estimator(name: str, value: Any) -> Estimator:
@@ -280,6 +265,12 @@ def spec_of(part: Any) -> dict[str, Any] | None:
     """The description of an estimator, or of a part of one; None where its class has none, or a method was replaced."""
     changed = vars(part).keys() & {"predict", "update", "learn", "start", "combine", "forward"}
     return part.description() if "description" in vars(type(part)) and not changed else None
+
+
+def has_kernel(member: Any) -> bool:
+    """Whether compiled code makes the steps of a member of an ensemble."""
+    found = spec_of(member) if isinstance(member, Estimator) else None
+    return found is not None and found["kind"] != "ensemble"
 
 
 def describe(family: Family[Any], part: Any, **own: Any) -> dict[str, Any]:

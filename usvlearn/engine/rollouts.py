@@ -13,7 +13,7 @@ from torch import Tensor
 from usvlearn.core.forecasts import NONE, Forecast, Track, check_plan
 from usvlearn.core.protocol import EVERY, Estimator, Kinds, State, Step, advance, clean
 from usvlearn.core.samples import Inputs, Sample, named_leaves, tree_map
-from usvlearn.engine.backend import array_of, arrays_of, choose, is_transformed, obstacle_of, tensors_in, tree_of
+from usvlearn.engine.backend import array_of, arrays_of, choose, is_transformed, out_of_reach, tensors_in, tree_of
 from usvlearn.engine.validate import afresh
 from usvlearn.errors import ConfigError, ShapeError
 
@@ -282,19 +282,36 @@ def run(
     return tree_of(state, leaves, device), torch.cat(parts), stack(records)
 
 
-def kernel_step(estimator: Estimator, state: State, sample: Sample) -> tuple[State, Tensor]:
-    """The state after one sample, leaves `(*batch,)`, and the prediction, m/s, of a `KernelEstimator`.
+def kernel_step(description: dict[str, Any], state: State, sample: Sample) -> tuple[State, Tensor]:
+    """The state after one sample, leaves `(*batch,)`, and the prediction, m/s, without gradients.
 
     Raises:
-        ConfigError: its kernel cannot make this step.
+        ConfigError: the kernels cannot read these tensors.
     """
+    device = sample.surge.device
     if sample.surge.numel() == 0:
         return state, sample.surge
-    obstacle_of(estimator, state, sample, "cuda" if sample.surge.is_cuda else "cpu")
-    description = estimator.description()
-    assert description is not None, "expected the description of a kernel"
-    state, surge, _ = run(description, state, tree_map(lambda x: x[None], sample), None, free=False)
-    return state, surge[0]
+    state, one = tree_map(_here, state), tree_map(lambda x: _here(x)[None], sample)
+    if obstacle := out_of_reach([*tensors_in(state), *tensors_in(one)]):
+        raise ConfigError(
+            f"{obstacle}, and kernels make this step: for steps by torch alone, an Ensemble needs watched=False, "
+            "conditional=False and no forecasts"
+        )
+    after, surge, _ = run(description, state, one, None, free=False)
+    return tree_map(lambda x: x.to(device), after), surge[0].to(device)
+
+
+def _here(x: Tensor) -> Tensor:
+    return x.detach().cpu()
+
+
+def kernel_forecast(description: dict[str, Any], state: State, inputs: Inputs) -> tuple[Tensor, Tensor]:
+    """Predictions and half-widths of a plan, m/s, `(time, *batch)`, of a described ensemble, without gradients."""
+    from usvlearn.engine.single_steps import CompiledStepper
+
+    found = CompiledStepper(description, arrays_of(state)).forecast(Inputs(*map(array_of, inputs)))
+    surge, width = (torch.as_tensor(x, device=inputs.dt.device) for x in found)
+    return surge, width
 
 
 def stack(trees: Sequence[Any]) -> Any:

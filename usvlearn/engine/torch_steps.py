@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from usvlearn.core.forecasts import NONE
-from usvlearn.core.protocol import Estimator
+from usvlearn.core.protocol import Estimator, Kinds, advance, clean
 from usvlearn.core.samples import Inputs, Sample, check_inputs, check_sample, one_number, tree_map
 from usvlearn.engine.backend import BACKENDS, array_of, arrays_of, description_of, out_of_reach, tensors_in, tree_of
 from usvlearn.errors import ConfigError, check_choice
@@ -46,7 +46,10 @@ class TorchStepper:
         check_sample(sample, self.batch)
         inputs, surge, fresh, measured = sample
         sample = Sample(Inputs(*map(self._float, inputs)), self._float(surge), self._bool(fresh), self._bool(measured))
-        self.state, predicted = self.estimator(self.state, sample)
+        step = clean(sample, self.estimator.surge_limit)
+        masks = step.learns, step.steps & ~step.learns, step.starts, ~(step.steps | step.starts)
+        some = Kinds(*(bool(mask.any()) for mask in masks))
+        self.state, predicted = advance(self.estimator, self.state, step, some)
         return _plain(predicted)
 
     def leaf(self, name: str) -> np.ndarray:

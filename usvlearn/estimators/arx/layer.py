@@ -14,7 +14,6 @@ from usvlearn.core.protocol import KernelEstimator, describe
 from usvlearn.errors import ConfigError, check_positive
 from usvlearn.estimators.arx.state import FAMILY, MOST_LAGS, ARXState, deviations
 from usvlearn.estimators.least_squares.state import NOISE
-from usvlearn.estimators.ud_factorization.layer import unpacked, variances
 
 
 class ARX(KernelEstimator):
@@ -86,7 +85,9 @@ class ARX(KernelEstimator):
         return describe(FAMILY, self, size=len(self.names), tails=0.0 if self.degrees is None else 1 / self.degrees())
 
     def monitor(self, state: ARXState) -> dict[str, Tensor]:
-        trace = variances(*unpacked(state.factor)).sum(-1)
+        D, one = state.factor.diagonal(dim1=-2, dim2=-1), torch.eye(len(self.names), dtype=state.factor.dtype)
+        U = state.factor.mT.triu(1) + one.to(state.factor.device)
+        trace = (U * U * D[..., None, :]).sum(-1).sum(-1)  # of P = U D Uᵀ
         weights = dict(zip(self.names, state.theta.unbind(-1), strict=True))
         return {**weights, "covariance_trace": trace, "deviation": state.deviation}
 

@@ -1,25 +1,28 @@
-"""An ensemble in torch."""
+"""An ensemble."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from importlib import import_module
 from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
 
 from usvlearn.core.forecasts import NONE
-from usvlearn.core.protocol import Estimator, numbers_of, spec_of
+from usvlearn.core.protocol import Estimator, KernelEstimator, has_kernel, kernel_step, numbers_of, spec_of
 from usvlearn.core.samples import Inputs, named_leaves
 from usvlearn.errors import ConfigError, check_positive, did_you_mean, under
+from usvlearn.estimators.baselines.persistence.layer import Persistence
+from usvlearn.estimators.baselines.persistence.state import PersistenceState
 from usvlearn.estimators.ensemble.accommodation import layer as accommodation
 from usvlearn.estimators.ensemble.combiners.layer import Average, Combiner
 from usvlearn.estimators.ensemble.conformal.layer import (
     conformal_numbers,
     conformal_start,
-    intervals_after,
-    intervals_of,
+    conformal_step,
+    published,
 )
 from usvlearn.estimators.ensemble.forecasts.layer import ForecastSettings
 from usvlearn.estimators.ensemble.monitors import layer as monitors
@@ -30,6 +33,7 @@ class Ensemble(Estimator):
     """Estimators side by side; predicts by one of its combiners and publishes every prediction in its state.
 
     A member whose prediction is not finite, or at `surge_max` and beyond, is inactive: the combiners leave it out.
+    Gradients pass through members whose steps torch makes, and through the combiners.
 
     The combiners are from Wintenberger 2017 and the paper, section V; the intervals from Gibbs and Candès 2021. All are
     derived in `docs/theory/ensemble.md`.
@@ -50,9 +54,11 @@ class Ensemble(Estimator):
         names: those and the combiners'.
         averaged: name of the first averaged joint EKF (`read_every`), or None.
         accommodated: names of the members that are given what the monitor of the thrusters finds.
+        aided: whether kernels make a part of each step: intervals by manoeuvre, monitors or forecasts.
 
     Raises:
-        ConfigError: no members, a name that is used twice, or a combiner of members that do not exist.
+        ConfigError: no members, a name that is used twice, a combiner of members that do not exist, or one of another
+            class than those of this package together with `watched`, `conditional` or `forecasts`.
 
     >>> from usvlearn import AID, Persistence
     >>> ensemble = Ensemble({"aid": AID(), "persistence": Persistence()})
@@ -110,8 +116,15 @@ class Ensemble(Estimator):
             with under(f"combiners.{name}"):
                 combiner.bind(chosen)
         self.forecasts = forecasts
+        self.aided = watched or self.conditional or forecasts is not None  # by kernels, in each step
+        if self.aided and (own := [name for name, rule in rules.items() if spec_of(rule) is None]):
+            raise ConfigError(
+                f"combiners.{own[0]}: found {type(rules[own[0]]).__name__}, which has no kernel, expected "
+                "watched: false, conditional: false and forecasts: null beside it"
+            )
         if forecasts is not None:
-            chosen = self.weighed if forecasts.members is None else forecasts.members
+            own = [name for name in self.weighed if has_kernel(members[name])] or self.weighed
+            chosen = own if forecasts.members is None else forecasts.members
             forecasts.bind(chosen, members, coverage, self.surge_max, self.conditional)
 
     def _named(self, members: Sequence[str] | None, combiner: str) -> list[str]:
@@ -152,40 +165,59 @@ class Ensemble(Estimator):
         return EnsembleState(members, combiners, conformal, torch.zeros_like(width), width, watched, made, given)
 
     def predict(self, state: EnsembleState, inputs: Inputs) -> tuple[EnsembleState, Tensor]:
-        coasted = {name: member.predict(state.members[name], inputs) for name, member in self.members.items()}
-        predictions, _, output = self._publish(state, {name: surge for name, (_, surge) in coasted.items()}, inputs.dt)
-        members, made = {name: new for name, (new, _) in coasted.items()}, state.forecasts
-        if self.forecasts is not None:
-            made = self.forecasts.step(made, self.members, members, inputs, None)
-        intervals = intervals_of(state.conformal, predictions, len(self.columns), self.surge_max, inputs)
-        new = state._replace(
-            members=members, conformal=intervals.state, predictions=predictions, halfwidths=intervals.halfwidths,
-            forecasts=made,
-        )  # fmt: skip
-        return new, output
+        return self._stepped(state, inputs, None)
 
     def update(self, state: EnsembleState, inputs: Inputs, surge: Tensor) -> EnsembleState:
         return self.learn(state, inputs, surge)[0]
 
     def learn(self, state: EnsembleState, inputs: Inputs, surge: Tensor) -> tuple[EnsembleState, Tensor]:
-        learned = {name: member.learn(state.members[name], inputs, surge) for name, member in self.members.items()}
-        surges = {name: predicted for name, (_, predicted) in learned.items()}
-        predictions, seen, output = self._publish(state, surges, inputs.dt)
-        combiners = self.reweigh(state.combiners, seen, surge, inputs.dt)
-        innovations = surge[..., None] - predictions
-        intervals = intervals_of(state.conformal, predictions, len(self.columns), self.surge_max, inputs)
-        conformal = intervals_after(intervals, innovations, self.coverage, inputs)
-        watched: Any = monitors.observe(state.monitors, innovations, inputs) if self.watched else {}
-        members = {name: new for name, (new, _) in learned.items()}
-        given, made = state.accommodation, state.forecasts
-        if self.accommodated:
-            joints = {name: members[name] for name in self.accommodated}
-            given, joints = accommodation.accommodate(given, joints, watched.thrusters, inputs.dt, surge)
-            members |= joints
-        if self.forecasts is not None:
-            made = self.forecasts.step(made, self.members, members, inputs, surge)
-        width = intervals.halfwidths
-        return EnsembleState(members, combiners, conformal, predictions, width, watched, made, given), output
+        return self._stepped(state, inputs, surge)
+
+    def _stepped(self, state: EnsembleState, inputs: Inputs, surge: Tensor | None) -> tuple[EnsembleState, Tensor]:
+        """One step on; nothing is learned where `surge` is None.
+
+        Members and combiners step by torch, so that gradients pass; the kernels make the rest.
+        """
+        members, surges = dict(state.members), {}
+        for name, member in self.members.items():
+            if self.aided and isinstance(member, KernelEstimator):
+                member.check_step(members[name], inputs, inputs.dt if surge is None else surge)
+            elif surge is None:
+                members[name], surges[name] = member.predict(members[name], inputs)
+            else:
+                members[name], surges[name] = member.learn(members[name], inputs, surge)
+        new = state
+        if self.aided:
+            target = torch.full_like(inputs.dt, math.nan) if surge is None else surge
+            new, _ = kernel_step(*self.for_kernels(state, surges), inputs, target, True, surge is not None)
+            members = {name: members[name] if name in surges else own for name, own in new.members.items()}
+        columns = new.predictions.unbind(-1)
+        single = torch.stack([surges.get(name, columns[k]) for k, name in enumerate(self.columns)], -1)
+        seen = self.seen(single)
+        predictions = torch.cat([single, torch.stack(list(self.combine(state.combiners, seen).values()), -1)], -1)
+        if self.forecasts is not None:  # after steps without measured speed the output is a forecast
+            predictions = torch.where(state.forecasts.coasted[..., None] > 0, new.predictions, predictions)
+        if surge is not None:
+            new = new._replace(combiners=self.reweigh(state.combiners, seen, surge, inputs.dt))
+        if not self.aided:
+            new = new._replace(halfwidths=published(state.conformal))
+            if surge is not None:
+                innovations = surge[..., None] - predictions
+                new = new._replace(conformal=conformal_step(state.conformal, innovations, self.coverage))
+        return new._replace(members=members, predictions=predictions), predictions[..., self.names.index(self.output)]
+
+    def for_kernels(self, state: EnsembleState, surges: Mapping[str, Tensor]) -> tuple[dict[str, Any], EnsembleState]:
+        """A description that compiled code can run, and a state of it.
+
+        Args:
+            state: of this ensemble.
+            surges: predictions, m/s; those of a member without a kernel are persistence's, which stands in its place.
+        """
+        own = {name: member for name, member in self.members.items() if has_kernel(member)}
+        others = {name: PersistenceState(surges[name]) for name in self.columns if name not in own}
+        described = self._described({name: spec_of(own.get(name, Persistence())) for name in self.columns})
+        assert described is not None, "expected combiners with kernels, as `__init__` does"
+        return described, state._replace(members={**state.members, **others})
 
     def start(self, state: EnsembleState, surge: Tensor) -> EnsembleState:
         members = {name: member.start(state.members[name], surge) for name, member in self.members.items()}
@@ -214,10 +246,14 @@ class Ensemble(Estimator):
         """
         if self.forecasts is None:
             raise ConfigError(NONE)
-        return self.forecasts.plan(state.forecasts, self.members, state.members, inputs)
+        given = self.for_kernels(state, dict(zip(self.columns, state.predictions.unbind(-1), strict=False)))
+        return import_module("usvlearn.engine.rollouts").kernel_forecast(*given, inputs)  # of a layer above this one
 
     def description(self) -> dict[str, Any] | None:
-        members = {name: spec_of(member) for name, member in self.members.items()}
+        return self._described({name: spec_of(member) for name, member in self.members.items()})
+
+    def _described(self, members: Mapping[str, dict[str, Any] | None]) -> dict[str, Any] | None:
+        """The description with these descriptions of the members."""
         rules = {
             name: (own := spec_of(rule)) and {**own, "columns": self._places[name]}
             for name, rule in self.combiners.items()
@@ -297,17 +333,3 @@ class Ensemble(Estimator):
             The states by name.
         """
         return {name: rule.learn(combiners[name], seen[name], surge, dt) for name, rule in self.combiners.items()}
-
-    def _publish(
-        self, state: EnsembleState, surges: Mapping[str, Tensor], dt: Tensor
-    ) -> tuple[Tensor, dict[str, Tensor], Tensor]:
-        """All predictions, `(*batch, names)`; the predictions that each combiner sees; the ensemble's own."""
-        single = torch.stack(list(surges.values()), -1)
-        seen = self.seen(single)
-        combined = self.combine(state.combiners, seen)
-        if self.forecasts is not None:  # after steps without measured speed it is a forecast
-            coasted = state.forecasts.coasted
-            own = torch.stack([surges[name] for name in self.forecasts.names], -1)
-            forecast = self.forecasts.combine(state.forecasts, own, coasted + dt)
-            combined[self.output] = torch.where(coasted > 0, forecast, combined[self.output])
-        return torch.cat([single, torch.stack(list(combined.values()), -1)], -1), seen, combined[self.output]

@@ -1,9 +1,8 @@
-"""The joint EKF in torch: equations (1) to (7) of `state`."""
+"""The joint EKF: its arguments, its first state, and its diagnostics."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,33 +10,21 @@ import torch
 from torch import Tensor
 
 from usvlearn.core.hyperparameters import Hyper, Positive, as_tensor, check_broadcast
-from usvlearn.core.protocol import Estimator, describe
-from usvlearn.core.samples import Inputs, where
+from usvlearn.core.protocol import KernelEstimator, describe
 from usvlearn.errors import ConfigError, check_positive
-from usvlearn.estimators.augmented_ekf.layer import (
-    advanced,
-    corrected,
-    decay,
-    initial,
-    isolated,
-    limited,
-    moved,
-    noisy,
-)
-from usvlearn.estimators.augmented_ekf.state import FIRST_DISTURBANCE, LONGEST, MOST, REST
+from usvlearn.estimators.augmented_ekf.layer import initial
+from usvlearn.estimators.augmented_ekf.state import FIRST_DISTURBANCE
 from usvlearn.estimators.joint import state as at
-from usvlearn.estimators.joint.change_detection import Stepped, Trial, chosen, exchanged, of
-from usvlearn.estimators.joint.flow import flow
+from usvlearn.estimators.joint.change_detection import Trial, of
 from usvlearn.estimators.joint.quantities import KNOWN_SIGNS, sums
-from usvlearn.estimators.joint.state import EAST, FAMILY, NORTH, THETA, B, E, JointState, W, names
+from usvlearn.estimators.joint.state import EAST, FAMILY, NORTH, THETA, B, JointState, names
 from usvlearn.estimators.mass import known_rows
 from usvlearn.estimators.regressors.terms import CURRENT, DISTURBANCE, LAG
-from usvlearn.estimators.ud_factorization.layer import added, measured, packed, rotated, unpacked
 
 TIME = 2.5  # s, time constant of the prior's boat
 
 
-class JointEKF(Estimator):
+class JointEKF(KernelEstimator):
     """Speed, slow disturbance, current and parameters in one extended Kalman filter, which measures its own noise.
 
     The prior is a boat that reaches `surge_max` with both sides at full, with a time constant of 2.5 s.
@@ -81,7 +68,6 @@ class JointEKF(Estimator):
     scale: Tensor  # (m,) or (*batch, m): their standard deviations where `lag`, `cubic` and `even` are 1
     outlier: Tensor  # () or as given
     chosen: Tensor  # (4, m): 1 where the parameter's deviation is its scale, and times `cubic`, `even`, `lag`
-    signs: Tensor  # (3 or 5, n): each d of (7)
     inverse_mass: Tensor  # (m,) g of 1/m = gᵀθ, with equal weight for every known force; zeros where none is known
 
     frozen = FAMILY.frozen
@@ -106,13 +92,13 @@ class JointEKF(Estimator):
     ):
         super().__init__()
         self.trial = trial
-        self.disturbance = Positive(disturbance, "disturbance")
-        self.disturbance_time = Positive(disturbance_time, "disturbance_time")
-        self.current = Positive(current, "current")
-        self.current_time = Positive(current_time, "current_time")
-        self.drift_time = Positive(drift_time, "drift_time")
-        self.lag, self.cubic = Positive(lag, "lag"), Positive(cubic, "cubic")
-        self.even = None if even is None else Positive(even, "even")
+        self.disturbance = Positive(disturbance, "disturbance", learnable=False)
+        self.disturbance_time = Positive(disturbance_time, "disturbance_time", learnable=False)
+        self.current = Positive(current, "current", learnable=False)
+        self.current_time = Positive(current_time, "current_time", learnable=False)
+        self.drift_time = Positive(drift_time, "drift_time", learnable=False)
+        self.lag, self.cubic = Positive(lag, "lag", learnable=False), Positive(cubic, "cubic", learnable=False)
+        self.even = None if even is None else Positive(even, "even", learnable=False)
         self.read_every = torch.inf if read_every is None else check_positive("read_every", read_every, "of s")
         self.register_buffer("outlier", as_tensor(torch.inf if outlier is None else outlier, "outlier"))
         self.register_buffer("mass", as_tensor(mass, "mass"))
@@ -139,11 +125,6 @@ class JointEKF(Estimator):
         kinds = torch.tensor([0] * 9 + [1] * 2 + [2] * len(odd) + [3])
         self.register_buffer("chosen", (kinds == torch.arange(4)[:, None]).to(v.dtype))
         self.register_buffer("prior", torch.cat([mean, mean.new_zeros((*mean.shape[:-1], len(odd) + 3))], -1))
-        held = torch.eye(THETA + len(self.names), dtype=v.dtype)[THETA : THETA + 3]
-        if odd:
-            pair = torch.eye(THETA + len(self.names), dtype=v.dtype)[E]
-            held = torch.cat([held, held[:1] + pair, held[:1] - pair])
-        self.register_buffer("signs", held)
         rows = sums(even is not None)
         inverse = torch.zeros(len(self.names), dtype=v.dtype)
         if known is not None:
@@ -185,50 +166,6 @@ class JointEKF(Estimator):
         )
         return state if self.trial is None else state._replace(trial=self.trial.init(state))
 
-    def predict(self, state: JointState, inputs: Inputs) -> tuple[JointState, Tensor]:
-        after, predicted, *_ = self._advanced(state, inputs)
-        if self.trial is not None:
-            after = self.trial.coasted(state, after, self._advanced(exchanged(state), inputs)[0])
-        return after, predicted
-
-    def open_loop(self, state: JointState) -> JointState:
-        """With the mean of the first filter, while the second one is too young."""
-        if self.trial is None:
-            return state
-        trial = of(state)
-        return state._replace(mean=where(trial.early > 0, trial.mean, state.mean))
-
-    def free_step(self, state: JointState, inputs: Inputs) -> tuple[JointState, Tensor]:
-        """As `predict`, of the mean alone."""
-        mean, predicted, *_ = self._ahead(state, inputs)
-        return advanced(state, mean, inputs), predicted
-
-    def update(self, state: JointState, inputs: Inputs, surge: Tensor) -> JointState:
-        return self.learn(state, inputs, surge)[0]
-
-    def learn(self, state: JointState, inputs: Inputs, surge: Tensor) -> tuple[JointState, Tensor]:
-        first = self._learned(state, inputs, surge)
-        after, jumps = first.state, inputs.dt > LONGEST
-        due = ~jumps
-        if self.trial is not None:
-            step = partial(self._learned, inputs=inputs, surge=surge)
-            after = self.trial.learned(state, first, step, inputs.dt, self.variance)
-            due = due & ~(of(after).leads > 0)
-        after = chosen(due, self._read(after), after)
-        return chosen(jumps, self.start(after, surge), after), first.predicted
-
-    def _learned(self, state: JointState, inputs: Inputs, surge: Tensor) -> Stepped:
-        """One filter after a measurement; after a step of more than 10 s, which is predicted only, before it."""
-        state, predicted, U, D, f, moves = self._advanced(state, inputs)
-        error = surge - predicted
-        learned, S = corrected(state, U, D, f, error, self.outlier, self.signs, moves)
-        learned = learned._replace(learned=state.learned + torch.where(moves, inputs.dt, 0.0))
-        return Stepped(chosen(inputs.dt > LONGEST, state, learned), predicted, error / S.sqrt(), S, moves)
-
-    def start(self, state: JointState, surge: Tensor) -> JointState:
-        state = state._replace(surge=surge, started=torch.ones_like(state.started))
-        return state if self.trial is None else self.trial.started(state)
-
     def description(self) -> dict[str, Any]:
         even = self.even is not None
         found = describe(FAMILY, self, size=THETA + len(self.names), even=even)
@@ -246,65 +183,3 @@ class JointEKF(Estimator):
             trial = of(state)
             numbers |= {"evidence": trial.evidence, "changes": trial.changes, "since_change": trial.since}
         return numbers
-
-    def _advanced(self, state: JointState, inputs: Inputs) -> tuple[JointState, Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """The state after the time update, the prediction, U, D and f = UᵀH, and whether the boat was not at rest."""
-        h, zero = inputs.dt, torch.zeros_like(inputs.dt)
-        H = torch.stack([zero + 1, zero, inputs.heading.cos(), inputs.heading.sin(), *[zero] * len(self.names)], -1)
-        U, D = unpacked(state.factor)
-        opened = self._begun(U, D, H, state.noise)
-        U, D = (where(state.started, new, old) for new, old in zip(opened, (U, D), strict=True))
-        mean, predicted, speed, g, w, slow, current = self._ahead(state, inputs)
-        decays = torch.stack([torch.ones_like(h), slow, current, current, *[zero + 1] * len(self.names)], -1)
-        moves = inputs.command_left**2 + inputs.command_right**2 + w * w > REST
-        g = torch.cat([g[..., :THETA], torch.where(moves[..., None], g[..., THETA:], 0.0)], -1)
-        U, D = moved(U, D, g, decays)
-        drift = self.current() ** 2 * (1 - current * current)
-        eye = torch.eye(D.shape[-1], dtype=D.dtype, device=D.device)
-        for place in (EAST, NORTH):
-            U, D = added(U, D, eye[place], drift)
-        U, D, turn = noisy(U, D, state, self.variance, self.disturbance(), self.drift_time(), h, moves)
-        U, D = limited(U, D, speed)
-        f = rotated(U, H)
-        deviation = ((D * f * f).sum(-1) + state.noise).sqrt()
-        ahead = advanced(state, mean, inputs)._replace(factor=packed(U, D), turn=turn, deviation=deviation)
-        return ahead, predicted, U, D, f, moves
-
-    def _ahead(self, state: JointState, inputs: Inputs) -> tuple[Tensor, ...]:
-        """x after (3), the prediction (4), w⁺, its gradient, the w from which it departs, and the decays of b and c."""
-        h, started, mean = inputs.dt, state.started, state.mean
-        along = inputs.heading.cos() * mean[..., NORTH] + inputs.heading.sin() * mean[..., EAST]
-        w = torch.where(started, state.surge - along, mean[..., W])
-        b = torch.where(started, 0.0, mean[..., B])
-        commands = torch.stack([inputs.command_left, inputs.command_right], -1)
-        speed, g = flow(mean, w, b, where(started, commands, state.commands), inputs, self.even is not None)
-        current, slow = decay(h, self.current_time()), decay(h, self.disturbance_time())
-        ahead = speed.clamp(-MOST, MOST)
-        states = torch.stack([ahead, b * slow, mean[..., NORTH] * current, mean[..., EAST] * current], -1)
-        return torch.cat([states, mean[..., THETA:]], -1), ahead + current * along, speed, g, w, slow, current
-
-    def _begun(self, U: Tensor, D: Tensor, H: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
-        """The covariance at the start of a segment, after its speed was measured."""
-        eye = torch.eye(D.shape[-1], dtype=D.dtype, device=D.device)
-        U, D = isolated(U, D, torch.full_like(noise, at.SPEED_VARIANCE))
-        for place in (EAST, NORTH):
-            U, D = added(U, D, eye[place], torch.full_like(noise, at.CURRENT_VARIANCE))
-        return measured(U, D, rotated(U, H), noise)[:2]
-
-    def _read(self, state: JointState) -> JointState:
-        """With one periodic estimate of the parameters more, where it is time for one."""
-        due = state.learned >= self.read_every
-        readings = state.readings + due
-        counts = due & (readings > at.DROPPED)
-        weight = torch.where(counts, at.AGEING * state.weight + 1, state.weight)
-        share = torch.where(counts, 1 / torch.where(counts, weight, 1.0), 0.0)
-        away = state.mean[..., THETA:] - state.reading
-        product = away[..., :, None] * away[..., None, :]
-        spread = (1 - share)[..., None, None] * (state.spread + share[..., None, None] * product)
-        return state._replace(
-            learned=torch.where(due, 0.0, state.learned),
-            readings=readings,
-            weight=weight,
-            reading=state.reading + share[..., None] * away,
-            spread=torch.where(counts[..., None, None], spread, state.spread),
-        )

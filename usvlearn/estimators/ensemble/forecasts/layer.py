@@ -1,4 +1,4 @@
-"""Forecasts over several horizons in torch: equations (1) to (3) of `state`."""
+"""Forecasts over several horizons: their arguments, their first state, and what their state tells."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from usvlearn.core.protocol import Estimator, spec_of
-from usvlearn.core.samples import Inputs, named_leaves, rebuild, tree_map, where
+from usvlearn.core.protocol import has_kernel
+from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.errors import ConfigError, check_not_negative, check_positive
-from usvlearn.estimators.ensemble.combiners.layer import BOA, fill_inactive
+from usvlearn.estimators.ensemble.combiners.layer import BOA
 from usvlearn.estimators.ensemble.combiners.state import TINY
 from usvlearn.estimators.ensemble.conformal.state import FEW
 from usvlearn.estimators.ensemble.forecasts import state as at
@@ -90,15 +90,17 @@ class ForecastSettings(nn.Module):
         manoeuvre.
         """
         for name in names:
-            if name not in members or not isinstance(members[name], Estimator):
-                known = ", ".join(key for key, each in members.items() if isinstance(each, Estimator))
-                raise ConfigError(f"forecasts.members: found {name}, expected some of {known}, or forecasts: null")
+            if name not in members or not has_kernel(members[name]):
+                known = ", ".join(key for key, each in members.items() if has_kernel(each))
+                raise ConfigError(
+                    f"forecasts.members: found {name}, expected some of those with a kernel, {known or 'none'}, or "
+                    "forecasts: null"
+                )
         if not names or len(set(names)) < len(names):
             raise ConfigError(f"forecasts.members: found {', '.join(names) or 'none'}, expected each member once")
         self.names, self.coverage, self.surge_max, self.knows = tuple(names), coverage, surge_max, knows
         self.rule.bind(names)
-        # A subclass may need other leaves than its class. `spec_of` reads hyperparameters, which waits for a device.
-        self._frozen = {name: None if spec_of(members[name]) is None else members[name].frozen for name in names}
+        self._frozen = {name: members[name].frozen for name in names}
 
     def init(self, batch: Sequence[int], members: Mapping[str, Any], states: Mapping[str, Any]) -> ForecastState:
         """The state before the first sample, of an ensemble whose members have these states."""
@@ -142,118 +144,6 @@ class ForecastSettings(nn.Module):
             coasted=torch.zeros_like(state.coasted),
         )
 
-    def step(
-        self,
-        state: ForecastState,
-        members: Mapping[str, Any],
-        states: Mapping[str, Any],
-        inputs: Inputs,
-        surge: Tensor | None,
-    ) -> ForecastState:
-        """One step of all that is under way; learns from what became due, and opens an origin, if `surge` is given.
-
-        Args:
-            state: before the step.
-            members: of the ensemble, by name.
-            states: of the members after the step.
-            inputs: of the step.
-            surge: measured after it, m/s, `(*batch,)`; None where it was not.
-        """
-        dt, under_way = inputs.dt[..., None], state.elapsed >= 0
-        moved = {name: self._free(members[name], states[name], state.frozen[name], inputs) for name in self.names}
-        x = self._awake(torch.stack([predicted for _, predicted in moved.values()], -1))  # (*batch, slots, M)
-        frozen = {name: _where(under_way, moved[name][0], state.frozen[name]) for name in self.names}
-        before, after, half = state.elapsed[..., None], (state.elapsed + dt)[..., None], dt[..., None] / 2
-        horizons = self.horizons.to(dt.dtype)
-        due = under_way[..., None] & (before + half < horizons) & (horizons <= after + half)
-        combined = (state.weights * fill_inactive(x[..., None, :], state.weights)).sum(-1)  # (1)
-        wide = [x[..., None, :].expand(*combined.shape, -1), state.origin[..., None].expand_as(combined), combined]
-        rows = torch.cat([wide[0], wide[1][..., None], wide[2][..., None]], -1)  # (*batch, slots, H, M + 2)
-        predictions = torch.full_like(state.predictions, math.nan)
-        halfwidths = torch.full_like(state.halfwidths, math.nan)
-        widths, facts, known = state.widths, None, state.conditional
-        if known:
-            sides = (x[..., None].expand_as(state.elapsed) for x in (inputs.command_left, inputs.command_right))
-            paths = where(under_way, conditional.extend_path(known.paths, *sides), known.paths)
-            spread = _spread(state.weights, x[..., None, :], combined)
-            far, group = (f(paths)[..., None].expand_as(spread) for f in (conditional.far_of, conditional.group_of))
-            widths = conditional.halfwidth_held(known.held, widths, spread, far, group)
-            facts, found = torch.stack([spread, far, group], -1), torch.full_like(known.due, math.nan)
-        for slot in range(self.slots):  # two may be due at once where steps differ in length
-            predictions = torch.where(due[..., slot, :, None], rows[..., slot, :, :], predictions)
-            halfwidths = torch.where(due[..., slot, :], widths[..., slot, :], halfwidths)
-            if facts is not None:
-                found = torch.where(due[..., slot, :, None], facts[..., slot, :, :], found)
-        if known:
-            path = conditional.extend_path(known.path, inputs.command_left, inputs.command_right)
-            known = known._replace(path=path, paths=paths, due=found)
-        elapsed = torch.where(under_way, after[..., 0], at.EMPTY)
-        ends = horizons[state.reach.clamp(0, len(horizons) - 1).long()]
-        elapsed = torch.where(elapsed + half[..., 0] >= ends, at.EMPTY, elapsed)
-        state = state._replace(
-            frozen=frozen, elapsed=elapsed, predictions=predictions, halfwidths=halfwidths,
-            since=state.since + dt, conditional=known,
-        )  # fmt: skip
-        if surge is None:
-            return state._replace(coasted=state.coasted + inputs.dt)
-        return self._opened(self._learned(state, surge, inputs.dt), members, states, inputs, surge)
-
-    def weights_after(self, state: ForecastState, time: Tensor) -> Tensor:
-        """The weights of a forecast over `time`, s, `(*batch,)`, between those of the horizons: `(*batch, M)`."""
-        place = self._place(time)[..., None]
-        return (place * self._weights(state)).sum(-2)
-
-    def halfwidth_after(self, state: ForecastState, time: Tensor, x: Tensor, surge: Tensor) -> Tensor:
-        """Its half-width, m/s; infinite beyond the longest horizon, and where too few errors are known.
-
-        Args:
-            state: whose `path` has seen the commands until then, where intervals know the manoeuvre.
-            time: s.
-            x: the members' predictions, m/s, `(*batch, M)`.
-            surge: the forecast, m/s.
-        """
-        place, widths = self._place(time), self._halfwidths(state)
-        if known := state.conditional:
-            spread = _spread(self.weights_after(state, time), self._awake(x), surge)
-            facts = (x[..., None] for x in (spread, conditional.far_of(known.path), conditional.group_of(known.path)))
-            widths = conditional.halfwidth_held(conditional.hold(known.learned, state.errors), widths, *facts)
-        width = torch.where(place > 0, place * widths, 0.0).sum(-1)
-        return torch.where(time > self.horizons[-1] * at.BEYOND, math.inf, width)
-
-    def combine(self, state: ForecastState, predictions: Tensor, time: Tensor) -> Tensor:
-        """The forecast over `time`, s, of members' predictions, m/s, `(*batch, M)`."""
-        weights = self.weights_after(state, time)
-        return (weights * fill_inactive(self._awake(predictions), weights)).sum(-1)
-
-    def plan(
-        self, state: ForecastState, members: Mapping[str, Any], states: Mapping[str, Any], inputs: Inputs
-    ) -> tuple[Tensor, Tensor]:
-        """A forecast from now on: predictions and half-widths, m/s, `(time, *batch)` each.
-
-        Its time counts from the last measured speed.
-
-        Args:
-            state: as after the last sample.
-            members: of the ensemble, by name.
-            states: of the members, by name.
-            inputs: of the plan's steps, `(time, *batch)`.
-        """
-        states, found = {name: members[name].open_loop(states[name]) for name in self.names}, []
-        elapsed = state.coasted
-        for k in range(len(inputs.dt)):
-            now = Inputs(*(x[k] for x in inputs))
-            stepped = {name: members[name].free_step(states[name], now) for name in self.names}
-            states = {name: new for name, (new, _) in stepped.items()}
-            elapsed = elapsed + now.dt
-            x = torch.stack([predicted for _, predicted in stepped.values()], -1)
-            if known := state.conditional:
-                path = conditional.extend_path(known.path, now.command_left, now.command_right)
-                state = state._replace(conditional=known._replace(path=path))
-            surge = self.combine(state, x, elapsed)
-            found.append((surge, self.halfwidth_after(state, elapsed, x, surge)))
-        surges, widths = (torch.stack(column) for column in zip(*found, strict=True))
-        return surges, widths
-
     def description(self, columns: Sequence[str]) -> dict[str, Any]:
         """As `Estimator.description`, of the forecasts; `columns` are the ensemble's."""
         prior, costs = self.rule.log_prior.exp(), (-self.rule.log_prior).clamp(min=TINY)
@@ -286,85 +176,6 @@ class ForecastSettings(nn.Module):
         leaves, names = dict(named_leaves(state)), self._frozen[member]
         return leaves if names is None else {name: leaves[name] for name in names}
 
-    def _free(
-        self, member: Estimator, state: Any, frozen: Mapping[str, Tensor], inputs: Inputs
-    ) -> tuple[dict[str, Tensor], Tensor]:
-        """One step of a member's copies, leaves `(*batch, slots, …)`; and what they predict, `(*batch, slots)`.
-
-        The slots come first for the member, because its hyperparameters broadcast against the batch.
-        """
-        axis = inputs.dt.ndim
-        own = {name: leaf.movedim(axis, 0) for name, leaf in frozen.items()}
-        every = {name: own.get(name, leaf.expand(self.slots, *leaf.shape)) for name, leaf in named_leaves(state)}
-        wide = tree_map(lambda x: x.expand(self.slots, *x.shape), inputs)
-        stepped, predicted = member.free_step(rebuild(state, every), wide)
-        after = dict(named_leaves(stepped))
-        return {name: after[name].movedim(0, axis) for name in frozen}, predicted.movedim(0, axis)
-
-    def _awake(self, x: Tensor) -> Tensor:
-        return torch.where(x.abs() < self.surge_max, x, math.nan)
-
-    def _learned(self, state: ForecastState, surge: Tensor, dt: Tensor) -> ForecastState:
-        """What became due is compared with the measured speed."""
-        x, y = state.predictions[..., :-2], surge[..., None].expand_as(state.halfwidths)
-        combined = state.predictions[..., -1]
-        known = combined.isfinite()
-        unit = (self.horizons.to(x.dtype) / at.STEP).sqrt()
-        target = torch.where(known, y, 0.0) / unit
-        safe = torch.where(known[..., None], x, 0.0) / unit[:, None]
-        spacing = torch.maximum(self.horizons.to(x.dtype) / self.overlap, dt[..., None])
-        rule = self.rule.learn(state.rule, safe, target, spacing)
-        e = torch.where(known, combined - y, 0.0).abs()
-        k = state.errors + known
-        error = state.error + (1 / k.clamp(min=1)).clamp(min=at.SHARE) * (e - state.error)  # (2)
-        miss = (e > (state.quantile * state.error).clamp(min=at.NARROWEST)).to(e.dtype)
-        quantile = state.quantile * ((miss - (1 - self.coverage)) / (at.DELAY + self.overlap)).exp()  # (3)
-        before, facts = (state.quantile * state.error).clamp(min=at.NARROWEST), state.conditional
-        if facts:
-            spread, far, group = torch.where(known[..., None], facts.due, 0.0).unbind(-1)
-            new = conditional.learn_error(
-                facts.learned, k, e, before, spread, far, group, self.overlap, 1 - self.coverage
-            )
-            facts = facts._replace(learned=tree_map(lambda new, old: where(known, new, old), new, facts.learned))
-        return state._replace(
-            rule=tree_map(lambda new, old: where(known, new, old), rule, state.rule),
-            error=torch.where(known, error, state.error),
-            quantile=torch.where(known, quantile.clamp(at.LEAST, at.MOST), state.quantile),
-            errors=k,
-            conditional=facts,
-        )
-
-    def _opened(
-        self, state: ForecastState, members: Mapping[str, Any], states: Mapping[str, Any], inputs: Inputs, surge: Tensor
-    ) -> ForecastState:
-        """An origin, where a slot is empty."""
-        empty = state.elapsed < 0
-        opens = empty & (empty.cumsum(-1) == 1)
-        horizons = self.horizons.to(state.since.dtype)
-        ready = state.since + inputs.dt[..., None] / 2 >= horizons / self.overlap
-        places = torch.arange(len(horizons), device=horizons.device)
-        reach = torch.where(ready, places, 0).amax(-1, keepdim=True)
-        begun = opens.any(-1, keepdim=True) & (places <= reach)
-        now = {name: self._leaves(name, members[name].open_loop(states[name])) for name in self.names}
-        frozen = {
-            name: {key: where(opens, now[name][key].unsqueeze(opens.ndim - 1), leaf) for key, leaf in leaves.items()}
-            for name, leaves in state.frozen.items()
-        }
-        weights, widths = self._weights(state)[..., None, :, :], self._halfwidths(state)[..., None, :]
-        if facts := state.conditional:
-            facts = conditional.opened(facts, opens, inputs.command_left, inputs.command_right, state.errors)
-        return state._replace(
-            frozen=frozen,
-            elapsed=torch.where(opens, 0.0, state.elapsed),
-            reach=torch.where(opens, reach.to(state.reach.dtype), state.reach),
-            origin=torch.where(opens, surge[..., None], state.origin),
-            weights=torch.where(opens[..., None, None], weights, state.weights),
-            widths=torch.where(opens[..., None], widths, state.widths),
-            since=torch.where(begun, 0.0, state.since),
-            coasted=torch.zeros_like(state.coasted),
-            conditional=facts,
-        )
-
     def _weights(self, state: ForecastState) -> Tensor:
         """The weights of each horizon, `(*batch, H, M)`: those of a shorter one where too few errors are known."""
         own, known = state.rule.weights, state.errors >= FEW
@@ -377,22 +188,3 @@ class ForecastSettings(nn.Module):
         """q s, `(*batch, H)`, which do not know the manoeuvre; infinite where too few errors are known."""
         width = (state.quantile * state.error).clamp(min=at.NARROWEST)
         return torch.where(state.errors >= FEW, width, math.inf)
-
-    def _place(self, time: Tensor) -> Tensor:
-        """The share of each horizon in a time, s, `(*batch, H)`."""
-        h, t = self.horizons.to(time.dtype), time[..., None]
-        if len(h) == 1:
-            return torch.ones_like(t)
-        rise = ((t - h[:-1]) / (h[1:] - h[:-1])).clamp(0, 1)  # of the horizon above
-        one = torch.ones_like(t)
-        return torch.cat([one, rise], -1) - torch.cat([rise, 0 * one], -1)
-
-
-def _where(mask: Tensor, new: Mapping[str, Tensor], old: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    return {name: where(mask, new[name], leaf) for name, leaf in old.items()}
-
-
-def _spread(weights: Tensor, x: Tensor, combined: Tensor) -> Tensor:
-    """The members' spread about a forecast; an inactive one counts as the forecast."""
-    squares = weights * (x - combined[..., None]) ** 2
-    return torch.where(x.isnan() | combined.isnan()[..., None], 0.0, squares).detach().sum(-1).sqrt()

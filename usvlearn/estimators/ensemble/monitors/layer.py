@@ -1,4 +1,4 @@
-"""The monitors in torch: equations (1) to (7) of `state`."""
+"""The monitors before the first sample, and what their states tell."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from usvlearn.core.samples import Inputs, tree_map, where
 from usvlearn.estimators.ensemble.monitors.state import (
-    APART,
     BACKWARDS,
     CALM,
     CLEARED,
@@ -83,7 +81,7 @@ def excitation_report(names: Sequence[str], factor: Tensor, prior: Tensor | floa
 
 
 def description(threshold: float = THRESHOLD, memory: float = 500.0) -> dict[str, float]:
-    """The numbers of `observe`, for its kernel."""
+    """The numbers of the kernel."""
     innovations = {"huber": HUBER, "huber_mean": HUBER_MEAN, "huber_rate": HUBER_RATE, "least_scale": LEAST_SCALE**2}
     return innovations | {
         "innovation_memory": memory, "yaw_memory": YAW_MEMORY, "yaw_ridge": YAW_RIDGE, "yaw_floor": YAW_FLOOR**2,
@@ -102,35 +100,6 @@ def init(batch: Sequence[int], columns: int, like: Tensor) -> MonitorState:
     return MonitorState(innovations, ThrusterState(*yaw))
 
 
-def observe(
-    state: MonitorState, innovation: Tensor, inputs: Inputs, threshold: float = THRESHOLD, memory: float = 500.0
-) -> MonitorState:
-    """All monitors one step on.
-
-    Args:
-        innovation: measured − predicted, m/s, `(*batch, k)`; a column that is not finite is left as it was.
-        inputs: of that step, finite, leaves `(*batch,)`.
-        threshold: of the evidence, above which an alarm is raised.
-        memory: of the innovations, steps.
-    """
-    innovations = observe_innovations(state.innovations, innovation, memory)
-    return MonitorState(innovations, observe_thrusters(state.thrusters, inputs, threshold))
-
-
-def observe_innovations(state: InnovationState, innovation: Tensor, memory: float = 500.0) -> InnovationState:
-    """The statistics with one more innovation per column, m/s, `(*batch, k)`; NaN leaves a column as it was."""
-    known = innovation.isfinite()
-    e = innovation.where(known, state.last)
-    limit = 3 * state.scale.sqrt()
-    clipped = e.minimum(limit).maximum(-limit)
-    squared = (e * e).minimum(HUBER**2 * state.scale)
-    scale = state.scale.lerp(squared / HUBER_MEAN, HUBER_RATE).clamp(min=LEAST_SCALE**2)  # (2)
-    terms = torch.stack([torch.ones_like(e), clipped, clipped * clipped, clipped * state.last], -1)
-    moments = state.moments.lerp(terms, 1 / memory)
-    learned = InnovationState(moments, scale, clipped)
-    return tree_map(lambda new, old: where(known, new, old), learned, state)
-
-
 def whiteness(state: InnovationState, memory: float = 500.0) -> Whiteness:
     """Lag-1 autocorrelation, its 95 % band and the samples that count; 0, 1.96 and 0 before the first."""
     weight, *sums = state.moments.unbind(-1)
@@ -141,47 +110,6 @@ def whiteness(state: InnovationState, memory: float = 500.0) -> Whiteness:
     return Whiteness(correlation, WHITE / samples.clamp(min=1).sqrt(), samples)
 
 
-def observe_thrusters(state: ThrusterState, inputs: Inputs, threshold: float = THRESHOLD) -> ThrusterState:
-    """The evidence against each thruster after one more step, whose inputs are finite, leaves `(*batch,)`."""
-    xi = torch.stack([inputs.command_left, inputs.command_right], -1)
-    size = xi.abs()
-    bent = xi * size
-    rate = inputs.yaw_rate[..., None]
-    z = torch.cat([rate, torch.ones_like(rate), state.before, xi, bent, bent * size], -1)
-    x = z[..., 1:]
-    solved = solve_model(state.moments, x[..., None])
-    predicted, leverage = (x[..., None] * solved).sum(-2).unbind(-1)
-    thrust = solved[..., THRUST:, 0]
-    at_full = thrust.unflatten(-1, (3, 2)).sum(-2)  # F of both sides
-    effect = (x[..., THRUST:] * thrust).unflatten(-1, (3, 2)).sum(-2)  # f of both sides
-    e, variance = inputs.yaw_rate - predicted, state.variance
-    power = state.moments.diagonal(dim1=-2, dim2=-1)[..., 1 + THRUST : 3 + THRUST].sum(-1)
-    apart = power - 2 * state.moments[..., 1 + THRUST, 2 + THRUST] > APART * power
-    effect = effect * apart[..., None]
-
-    coherent = 1 + HORIZON * leverage
-    misfit = 0.5 * MISFIT**2 * (at_full * at_full).sum(-1)
-    precision = torch.addcmul(misfit, coherent, variance).rsqrt()[..., None]  # 1/σ of (5)
-    evidence, sums = cusum(state.evidence, state.sums, effect * precision, e[..., None] * precision, 2 * threshold)
-    # A thruster cannot push backwards: where it seems to, the model no longer fits, and it learns again.
-    plausible = 1 + sums[..., 0] / (sums[..., 1] + DOUBT) > BACKWARDS
-    evidence, sums = torch.where(plausible, evidence, 0.0), torch.where(plausible[..., None], sums, 0.0)
-    above = evidence.add(state.raised, alpha=(1 - CLEARED) * threshold).sub(threshold)
-    raised = above.sign().relu()
-    alarm = (raised - state.raised).amax(-1).relu()
-    since = (state.since + inputs.dt) * (1 - alarm)
-
-    calm = (-state.evidence.amax(-1) / CALM).exp()
-    square = e * e
-    light = variance / torch.add(variance, square, alpha=KNEE**-2)  # the square of a soft Huber weight
-    variance = variance.lerp(square * light * YAW_SPREAD, calm * YAW_RATE).clamp(min=YAW_FLOOR**2)
-    weighted = (calm * light.sqrt())[..., None] * z
-    keep = (size.sum(-1).clamp(max=1) * inputs.dt * (-1 / YAW_MEMORY)).exp()  # only thrust makes it forget
-    moments = torch.addcmul(keep[..., None, None] * state.moments, weighted[..., None], z[..., None, :])
-    before = torch.cat([rate, state.before[..., :1]], -1)
-    return ThrusterState(moments, variance, before, evidence, sums, raised, state.alarms + alarm, since)
-
-
 def solve_model(moments: Tensor, columns: Tensor) -> Tensor:
     """ϑ of (4), and (Σ w x xᵀ + R)⁻¹ times columns, `(*batch, 9, 1 + n)`; 0 where there is no solution."""
     information = moments[..., 1:, 1:]
@@ -190,21 +118,6 @@ def solve_model(moments: Tensor, columns: Tensor) -> Tensor:
     root, broken = torch.linalg.cholesky_ex(information + ridge.diag_embed())
     right = torch.cat([moments[..., 1:, :1], columns.expand(*moments.shape[:-2], *columns.shape[-2:])], -1)
     return torch.cholesky_solve(right, root).masked_fill((broken > 0)[..., None, None], 0.0)
-
-
-def cusum(
-    evidence: Tensor,  # (*batch, 2) g
-    sums: Tensor,  # (*batch, 2, 2)
-    effect: Tensor,  # (*batch, 2) f/σ
-    error: Tensor,  # (*batch, 1) e/σ
-    highest: float,  # at which g stops, so that a healed thruster soon ends an alarm
-) -> tuple[Tensor, Tensor]:
-    """The next g and sums of (5) and (6)."""
-    effect = effect.clamp(-EFFECT, EFFECT)
-    terms = torch.stack([effect * error.clamp(-CLIP, CLIP), effect * effect], -1)
-    moment, weight = terms.unbind(-1)
-    evidence = evidence.sub(moment, alpha=LOSS).sub(weight, alpha=0.5 * LOSS**2).clamp(0, highest)  # (5)
-    return evidence, (sums + terms) * evidence.sign()[..., None]
 
 
 def effectiveness(state: ThrusterState) -> tuple[Tensor, Tensor]:
