@@ -1,5 +1,6 @@
 """Surge, sway and yaw rate side by side, and the tracks that they make."""
 
+import copy
 import math
 from itertools import pairwise
 
@@ -307,6 +308,13 @@ def test_what_is_wrong_is_told(boats, tmp_path):
             check(facts["kernel"] | {key: value}, leaves)
     with pytest.raises(CheckpointError, match=r"state\.track"):
         check(facts["kernel"], {name: leaf for name, leaf in leaves.items() if name != "track.slots"})
+
+
+def test_a_copy_learns_sway_and_yaw_rate_too(boats):
+    online = copy.deepcopy(Online(planar()))
+    for k in range(30):
+        online.step(tree_map(lambda x, k=k: x[k].item(), element(boats[0], 0)))
+    assert online.leaf("yaw.members.yaw.updates") > 0
 
 
 def test_a_sample_alone_measures_nothing_else(boats):

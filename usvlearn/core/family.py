@@ -86,7 +86,10 @@ ANY = Range(-inf, inf, diverged=True)
 
 
 class Row(IntEnum):
-    """The first places in the row of a part; those that the part declares follow."""
+    """The first places in the row of a part; those that the part declares follow.
+
+    The first row of a table describes the whole. Where others have choices, it has what is below `ROBUST`.
+    """
 
     FAMILY = 0  # index in the list of families
     KIND = 1  # index in its family's kinds
@@ -95,6 +98,17 @@ class Row(IntEnum):
     BEGIN = 4  # place of the estimator's state, which `Robust` restores where it refuses a sample,
     END = 5  # and the place behind it
     ROBUST = 6  # the row of the wrapper; −1 without
+    ESTIMATORS = 7  # how many there are
+    RULES = 8  # of combiners; 0: one estimator alone
+    NAMES = 9  # estimators and combiners
+    OUTPUT = 10  # the column whose prediction is the ensemble's
+    KEPT = 11  # place in the work array of the copy of a state that `Robust` may restore
+    HEADS = 12  # whether an estimator needs the heading
+    CONFORMAL = 13  # rows of these parts, −1 without
+    MONITORS = 14
+    FORECASTS = 15
+    CONDITIONAL = 16  # what intervals of forecasts know of the manoeuvre
+    ACCOMMODATION = 17
 
 
 CHOICES, VECTORS, LEAVES, WIDTH = 7, 14, 22, 58  # where each begins in a row, and the row's length
@@ -134,13 +148,17 @@ class Named(IntEnum):
 
 
 class Parameters(Named):
-    """Named numbers with their legal range; a value is an offset from the part's first number."""
+    """Named numbers with their legal range; a value is an offset from the part's first number.
+
+    One with a default, as `LEAK = BELOW_ONE, 0.0`, may be absent from a description: so older checkpoints open.
+    """
 
     legal: Range
+    default: float | None
 
-    def __new__(cls, legal: Range) -> Any:
+    def __new__(cls, legal: Range, default: float | None = None) -> Any:
         member = cls._member(0, inf)
-        member.legal = legal
+        member.legal, member.default = legal, default
         return member
 
 

@@ -185,10 +185,15 @@ def check_inputs(inputs: Inputs, batch: tuple[int, ...] = ()) -> None:
         _check_field(name, value, "biuf", "a number", batch)
 
 
-def check_sample(sample: Sample, batch: tuple[int, ...] = ()) -> None:
-    """Check the inputs and the speed as `check_inputs` does, and that `fresh` and `measured` are bools or integers."""
+def check_sample(sample: Sample | PlanarSample, batch: tuple[int, ...] = ()) -> None:
+    """Check the inputs and what is measured as `check_inputs` does; `fresh` and `measured` are bools or integers."""
+    measured = {}
+    if isinstance(sample, PlanarSample):
+        measured, sample = sample._asdict(), sample.sample
+        del measured["sample"]
     check_inputs(sample.inputs, batch)
-    _check_field("surge", sample.surge, "biuf", "a number (NaN where there is none)", batch)
+    for name, value in {"surge": sample.surge, **measured}.items():
+        _check_field(name, value, "biuf", "a number (NaN where there is none)", batch)
     for name in ("fresh", "measured"):
         _check_field(name, getattr(sample, name), "biu", "True or False", batch)
 

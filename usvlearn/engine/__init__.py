@@ -13,8 +13,7 @@ in which they build on each other:
     first_use, background_compile    compile what runs and live steps need together, in a second process
     run, single_steps, open_loop_scores    runs over samples, single steps, scored simulations, of arrays
     lanes, fit_member    runs on a GPU; a batch fit joins the forecasts
-    planar, planar_ellipses    surge, sway and yaw rate together, their tracks, and the ellipses of these
-    planar_steps, planar_runs    as single_steps and rollouts, of these three
+    planar, planar_runs    surge, sway and yaw rate together, and their tracks; as rollouts, of these three
     backend, torch_steps    who makes the steps, and single steps by torch
     rollouts, online, identified    what the rest of the library calls
 """

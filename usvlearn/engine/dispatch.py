@@ -5,18 +5,16 @@ one for each combiner, and one for each wrapper and other part of an ensemble. `
 `s` the state of one batch element.
 """
 
-from enum import IntEnum
-
 import numpy as np
 
 from usvlearn.core.arrays import copy
-from usvlearn.core.family import CHOICES, Row
+from usvlearn.core.family import Row
 from usvlearn.core.jit import jit
 from usvlearn.core.prepared_samples import DT, HOLD, LEARN, MODE, PREDICT, ROW, START, SURGE, prepare
 from usvlearn.core.samples import PLAUSIBLE
 from usvlearn.engine.dispatch_tables import ALONE, INFLATES, coast, inflate_covariance, learn, predict, run_alone
 from usvlearn.engine.dispatch_tables import start as start_estimator
-from usvlearn.engine.forecasting import KNOWN_PLACE, PLACE, coasted, forecast_step, forget_forecasts
+from usvlearn.engine.forecasting import coasted, forecast_step, forget_forecasts
 from usvlearn.engine.planar import axis_row, tracks
 from usvlearn.estimators.ensemble.accommodation.kernel import accommodate
 from usvlearn.estimators.ensemble.combiners.kernel import combine, fill_inactive, learn_rule
@@ -29,22 +27,6 @@ from usvlearn.estimators.wrappers.robust.kernel import inflation, update_scale, 
 from usvlearn.estimators.wrappers.robust.kernel import start as start_robust
 
 NAN, COASTED = np.nan, FORECAST.coasted
-
-
-class Whole(IntEnum):
-    """Places in the first row of the table; in other rows choices stand there, but an ensemble has none."""
-
-    ESTIMATORS = CHOICES
-    RULES = CHOICES + 1  # 0: one estimator alone
-    NAMES = CHOICES + 2
-    OUTPUT = CHOICES + 3  # the column whose prediction is the ensemble's
-    CONFORMAL = CHOICES + 4  # rows of these parts,
-    MONITORS = CHOICES + 5  # −1 without
-    KEPT = CHOICES + 6  # place in `work` of the copy of a state that `Robust` may restore
-    HEADS = CHOICES + 7  # whether an estimator needs the heading
-    FORECASTS = PLACE  # the row of this part, −1 without
-    KNOWN = KNOWN_PLACE  # the row of what intervals of forecasts know of the manoeuvre, −1 without
-    ACCOMMODATION = CHOICES + 10  # the row of this part, −1 without
 
 
 @jit
@@ -80,45 +62,45 @@ def advance(program, node, s, q, row, learns, work, kept):
 def step(program, s, q, row, mode, work):
     """`Estimator.forward` of a prepared sample, in place; returns the prediction, m/s, NaN where no step was made."""
     whole = program[0]
-    estimators = whole[Whole.ESTIMATORS]
+    estimators = whole[Row.ESTIMATORS]
     if mode == HOLD:
         return NAN
     if mode == START:
         for i in range(1, estimators + 1):
             start(program, program[i], s, q, row[SURGE])
-        if whole[Whole.RULES] > 0 and whole[Whole.FORECASTS] >= 0:
-            forget_forecasts(program[whole[Whole.FORECASTS]], s, q)
+        if whole[Row.RULES] > 0 and whole[Row.FORECASTS] >= 0:
+            forget_forecasts(program[whole[Row.FORECASTS]], s, q)
         return NAN
-    kept = work[whole[Whole.KEPT] :]
-    if whole[Whole.RULES] == 0:
+    kept = work[whole[Row.KEPT] :]
+    if whole[Row.RULES] == 0:
         return advance(program, program[1], s, q, row, mode == LEARN, work, kept)
-    predictions = s[whole[AT.predictions] : whole[AT.predictions] + whole[Whole.NAMES]]
+    predictions = s[whole[AT.predictions] : whole[AT.predictions] + whole[Row.NAMES]]
     for i in range(estimators):
         predictions[i] = advance(program, program[i + 1], s, q, row, mode == LEARN, work, kept)
     aggregate(program, s, q, predictions, row, mode == LEARN, work)
-    if whole[Whole.FORECASTS] >= 0:
+    if whole[Row.FORECASTS] >= 0:
         limit = surge_max(program, q)
-        forecast_step(program, program[whole[Whole.FORECASTS]], s, q, row, mode == LEARN, limit, work)
-    return predictions[whole[Whole.OUTPUT]]
+        forecast_step(program, program[whole[Row.FORECASTS]], s, q, row, mode == LEARN, limit, work)
+    return predictions[whole[Row.OUTPUT]]
 
 
 @jit
 def aggregate(program, s, q, predictions, row, learns, work):
     """The steps of an `Ensemble` after those of its members: combiners, intervals, monitors, accommodation."""
     whole = program[0]
-    n, names = whole[Whole.ESTIMATORS], whole[Whole.NAMES]
+    n, names = whole[Row.ESTIMATORS], whole[Row.NAMES]
     active, x, rest = work[:n], work[n : 2 * n], work[2 * n :]
     mask_diverged(predictions, surge_max(program, q), active)
-    for r in range(whole[Whole.RULES]):
+    for r in range(whole[Row.RULES]):
         rule = program[1 + n + r]
         inactive = fill_inactive(rule, s, q, active, x)
         predictions[n + r] = combine(rule, s, q, x)
         if learns:
             learn_rule(rule, s, q, x, inactive, row[SURGE], row[DT], rest)
-    if whole[Whole.FORECASTS] >= 0 and s[program[whole[Whole.FORECASTS], COASTED]] > 0:
-        made = program[whole[Whole.FORECASTS]]
-        predictions[whole[Whole.OUTPUT]] = coasted(made, s, q, predictions, row[DT], surge_max(program, q), work)
-    intervals = program[whole[Whole.CONFORMAL]]
+    if whole[Row.FORECASTS] >= 0 and s[program[whole[Row.FORECASTS], COASTED]] > 0:
+        made = program[whole[Row.FORECASTS]]
+        predictions[whole[Row.OUTPUT]] = coasted(made, s, q, predictions, row[DT], surge_max(program, q), work)
+    intervals = program[whole[Row.CONFORMAL]]
     limit, spreads = surge_max(program, q), work[2 * names : 3 * names]
     published(intervals, s, predictions, n, limit, row, spreads, s[whole[AT.halfwidths] :])
     if learns:
@@ -126,12 +108,12 @@ def aggregate(program, s, q, predictions, row, learns, work):
         for i in range(names):
             innovation[i] = row[SURGE] - predictions[i]
         conformal(intervals, s, q, innovation, predictions, limit, row, spreads)
-        if whole[Whole.MONITORS] >= 0:
-            monitors = program[whole[Whole.MONITORS]]
+        if whole[Row.MONITORS] >= 0:
+            monitors = program[whole[Row.MONITORS]]
             observe_innovations(monitors, s, q, innovation)
             observe_thrusters(monitors, s, q, row, rest)
-            if whole[Whole.ACCOMMODATION] >= 0:
-                accommodate(program, program[whole[Whole.ACCOMMODATION]], monitors, s, q, row, rest)
+            if whole[Row.ACCOMMODATION] >= 0:
+                accommodate(program, program[whole[Row.ACCOMMODATION]], monitors, s, q, row, rest)
 
 
 @jit
@@ -150,14 +132,14 @@ def mask_diverged(predictions, limit, active):
 @jit(entry=True)
 def surge_limit(program, q):
     """`Estimator.surge_limit`."""
-    return min(surge_max(program, q), PLAUSIBLE) if program[0, Whole.RULES] > 0 else PLAUSIBLE
+    return min(surge_max(program, q), PLAUSIBLE) if program[0, Row.RULES] > 0 else PLAUSIBLE
 
 
 @jit(entry=True)
 def step_once(program, s, q, work, left, right, heading, yaw_rate, dt, surge, fresh, measured):
     """`step` of one sample that is not prepared."""
     row, limit = work[-ROW:], surge_limit(program, q)
-    prepare(left, right, heading, yaw_rate, dt, surge, fresh, measured, program[0, Whole.HEADS] > 0, limit, row)
+    prepare(left, right, heading, yaw_rate, dt, surge, fresh, measured, program[0, Row.HEADS] > 0, limit, row)
     return step(program, s, q, row, row[MODE], work)
 
 
@@ -181,7 +163,7 @@ def steps(program, head, s, q, row, pose, mode, work):
 def step_planar(program, head, s, q, work, left, right, heading, yaw_rate, dt, surge, fresh, measured, pose):
     """`steps` of one sample that is not prepared."""
     row, limit = work[-ROW:], surge_limit(program, q)
-    prepare(left, right, heading, yaw_rate, dt, surge, fresh, measured, program[0, Whole.HEADS] > 0, limit, row)
+    prepare(left, right, heading, yaw_rate, dt, surge, fresh, measured, program[0, Row.HEADS] > 0, limit, row)
     return steps(program, head, s, q, row, pose, row[MODE], work)
 
 
@@ -204,7 +186,7 @@ def run(program, head, states, q, rows, poses, columns, free, picked, prediction
         work: array of length `Plan.work`.
     """
     node = program[1]
-    bare = program[0, Whole.RULES] == 0 and node[Row.ROBUST] < 0 and ALONE >> node[Row.FAMILY] & 1
+    bare = program[0, Row.RULES] == 0 and node[Row.ROBUST] < 0 and ALONE >> node[Row.FAMILY] & 1
     planar = len(head) > 1
     for element in range(first, last):
         s, numbers = states[element], q[element if len(q) > 1 else 0]

@@ -8,7 +8,7 @@ length, the place of a leaf that is copied instead of it, and that of the flag t
 import numpy as np
 
 from usvlearn.core.arrays import copy, fill, whole
-from usvlearn.core.family import CHOICES, WIDTH, Row
+from usvlearn.core.family import WIDTH, Row
 from usvlearn.core.jit import jit
 from usvlearn.core.prepared_samples import DT, LEFT, RIGHT, ROW, SURGE, prepare
 from usvlearn.engine.dispatch_tables import free_step
@@ -27,9 +27,6 @@ from usvlearn.estimators.ensemble.forecasts.state import AT, EMPTY, Choice, Vect
 from usvlearn.estimators.ensemble.manoeuvre_intervals.kernel import extend_path
 from usvlearn.estimators.ensemble.manoeuvre_intervals.state import AT as KNOWN
 from usvlearn.estimators.ensemble.manoeuvre_intervals.state import DUE, PATH
-
-PLACE = CHOICES + 8  # in the first row of the table: there stands the index of the forecasts' row, −1 without
-KNOWN_PLACE = CHOICES + 9  # and of the row of what their intervals know of the manoeuvre, −1 without
 
 
 @jit
@@ -73,7 +70,7 @@ def forecast_step(program, node, s, q, row, learns, limit, work):
     slots, H, M = node[Choice.SLOTS], node[Choice.HORIZONS], node[Choice.MEMBERS]
     begin, block = node[WIDTH], node[Row.SIZE]
     horizons, half, x, rest = q[node[Vector.HORIZONS] :], row[DT] / 2, work[:M], work[M:]
-    known, knows = program[max(program[0, KNOWN_PLACE], 0)], program[0, KNOWN_PLACE] >= 0
+    known, knows = program[max(program[0, Row.CONDITIONAL], 0)], program[0, Row.CONDITIONAL] >= 0
     if knows:
         extend_paths(node, known, s, row[LEFT], row[RIGHT])
         fill(s[known[KNOWN.due] : known[KNOWN.due] + H * DUE], np.nan)
@@ -113,7 +110,7 @@ def forecast_plan(program, s, q, left, right, heading, yaw_rate, dt, heads, limi
 
     `heads`: whether a member needs the heading. `slot` is an array of the length of a slot.
     """
-    node = program[program[0, PLACE]]
+    node = program[program[0, Row.FORECASTS]]
     elapsed = s[node[AT.coasted]]
     M = node[Choice.MEMBERS]
     x, weights, path, rest, row = (
@@ -123,7 +120,7 @@ def forecast_plan(program, s, q, left, right, heading, yaw_rate, dt, heads, limi
         work[2 * M + PATH :],
         work[-ROW:],
     )
-    known, knows = program[max(program[0, KNOWN_PLACE], 0)], program[0, KNOWN_PLACE] >= 0
+    known, knows = program[max(program[0, Row.CONDITIONAL], 0)], program[0, Row.CONDITIONAL] >= 0
     if knows:
         copy(path, s[known[KNOWN.path] : known[KNOWN.path] + PATH])
     freeze(node, s, slot)

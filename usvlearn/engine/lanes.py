@@ -24,7 +24,6 @@ from usvlearn.core.family import Row
 from usvlearn.core.jit import announced, folder
 from usvlearn.core.on_device import SIMULATED, Device, imported, obstacle
 from usvlearn.engine import dispatch, dispatch_tables
-from usvlearn.engine.dispatch import Whole
 from usvlearn.engine.parts import Description
 from usvlearn.engine.program import Program, program_for
 from usvlearn.errors import ConfigError, check_choice
@@ -180,14 +179,14 @@ def kernel_of(plan: Program, own: np.ndarray, places: np.ndarray) -> tuple[str, 
 
 def _written(plan: Program, numbers: np.ndarray, own: np.ndarray, places: np.ndarray, path: Path) -> Any:
     """The kernel of a program, as a file beside which numba-cuda keeps the machine code."""
-    whole, alone, device = plan.program[0], plan.program[0, Whole.RULES] == 0, Device(plan.size + plan.work <= INLINED)
-    families = {int(row[Row.FAMILY]) for row in plan.program[1 : 1 + whole[Whole.ESTIMATORS]]}
+    whole, alone, device = plan.program[0], plan.program[0, Row.RULES] == 0, Device(plan.size + plan.work <= INLINED)
+    families = {int(row[Row.FAMILY]) for row in plan.program[1 : 1 + whole[Row.ESTIMATORS]]}
     for verb in dispatch_tables.VERBS.keys() - {"run_alone"}:
         device[getattr(dispatch_tables, verb)] = device[dispatch_tables.chain(verb, families)]
     names = {key: x for key, x in vars(prepared_samples).items() if isinstance(x, int)} | {
         "cuda": imported(), "number": plan.dtype.type, "NAN": np.nan, "isfinite": device.np.isfinite,
         "OWN": np.append(own, 0), "COUNT": len(own), "TABLE": plan.program,
-        "BASE": numbers, "NUMBERS": len(numbers), "SIZE": plan.size, "WORK": plan.work, "COPY": int(whole[Whole.KEPT]),
+        "BASE": numbers, "NUMBERS": len(numbers), "SIZE": plan.size, "WORK": plan.work, "COPY": int(whole[Row.KEPT]),
         "DUE": int(places[0]), "WHEN": int(places[1]), "PICKED": np.append(places[2:], 0), "PICKS": len(places) - 2,
     }  # fmt: skip
     names |= {name: device[getattr(dispatch, name)] for name in (("start", "advance") if alone else ("step",))}

@@ -366,13 +366,9 @@ class Online:
 
 def live_of(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -> Any:
     """What makes single steps of a described estimator, or of a boat in the plane, in compiled code."""
-    if description["kind"] == "planar":
-        from usvlearn.engine.planar_steps import PlanarLive
+    from usvlearn.engine.single_steps import CompiledStepper, PlanarStepper
 
-        return PlanarLive(description, leaves)
-    from usvlearn.engine.single_steps import CompiledStepper
-
-    return CompiledStepper(description, leaves)
+    return (PlanarStepper if description["kind"] == "planar" else CompiledStepper)(description, leaves)
 
 
 def read_checkpoint(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:

@@ -10,11 +10,11 @@ from functools import cache
 
 import numpy as np
 
-from usvlearn.core.family import WIDTH
+from usvlearn.core.family import WIDTH, Row
 from usvlearn.core.jit import NUMBA, announced, jit
 from usvlearn.core.prepared_samples import DT, LEARN, MODE, ROW, START, SURGE
 from usvlearn.core.samples import Sample
-from usvlearn.engine.dispatch import Whole, mask_diverged, run, surge_max
+from usvlearn.engine.dispatch import mask_diverged, run, surge_max
 from usvlearn.engine.first_use import compile_runs
 from usvlearn.engine.parts import Description
 from usvlearn.engine.program import program_for
@@ -43,7 +43,7 @@ def assess(program, other, q, rows, predictions, learning, total, work):
     The combiners `learning` run once more with the state `other`, which goes on learning. `total` is
     `(names + learning, 3)`, and is added to.
     """
-    n, names, limit = program[0, Whole.ESTIMATORS], predictions.shape[1], surge_max(program, q)
+    n, names, limit = program[0, Row.ESTIMATORS], predictions.shape[1], surge_max(program, q)
     active, x, rest = work[:n], work[n : 2 * n], work[2 * n :]
     for k in range(len(rows)):
         row = rows[k]

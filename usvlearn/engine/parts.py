@@ -259,8 +259,10 @@ def _rule(entry: str, name: str, own: Any, count: int, prefix: str) -> Part:
 
 
 def _numbers(entry: str, given: Any, declared: Iterable[Parameters]) -> tuple[Entry, ...]:
-    """Numbers by name."""
+    """Numbers by name; one that is absent has its default."""
     declared = list(declared)
+    if isinstance(given, dict):
+        given = {each.key: each.default for each in declared if each.default is not None} | given
     check_keys(entry, given, [each.key for each in declared])
     return tuple(Entry(f"{entry}.{each.key}", given[each.key], each.legal) for each in declared)
 

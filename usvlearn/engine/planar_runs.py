@@ -52,12 +52,12 @@ def forecast_tracks(planar: Any, state: PlanarState, inputs: Inputs) -> Track:
             f"inputs.heading: found None with {type(planar).__name__}, expected headings, or a Planar, which forecasts "
             "them, too"
         )
-    from usvlearn.engine.planar_steps import PlanarLive
+    from usvlearn.engine.single_steps import PlanarStepper
 
     left, right, dt = (np.asarray(x, float) for x in (inputs.command_left, inputs.command_right, inputs.dt))
     if dt.size == 0 or not (dt == dt.flat[0]).all():
         raise ConfigError(f"inputs.dt: found {dt.size} lengths that differ, expected one for all steps, s")
-    return PlanarLive(planar.description(), arrays_of(state)).track(np.stack([left, right], -1), float(dt.flat[0]))
+    return PlanarStepper(planar.description(), arrays_of(state)).track(np.stack([left, right], -1), float(dt.flat[0]))
 
 
 def with_poses(samples: Sample, poses: np.ndarray | None) -> PlanarSample:

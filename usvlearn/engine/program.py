@@ -16,7 +16,6 @@ import numpy as np
 
 from usvlearn.core.family import LEAVES, WIDTH, Field, Row
 from usvlearn.core.prepared_samples import ROW
-from usvlearn.engine.dispatch import Whole
 from usvlearn.engine.parts import ESTIMATORS, Description, Entry, Part, parts
 from usvlearn.errors import ShapeError
 from usvlearn.estimators.ensemble.combiners.state import RULES
@@ -28,10 +27,7 @@ from usvlearn.estimators.planar.state import AXES, PLACES, filter_of
 if TYPE_CHECKING:
     from numpy.typing import DTypeLike
 
-OTHERS = {  # what the first row says of a part of this role, if there is one: its row
-    "conformal": Whole.CONFORMAL, "monitors": Whole.MONITORS, "forecasts": Whole.FORECASTS,
-    "conditional": Whole.KNOWN, "accommodation": Whole.ACCOMMODATION,
-}  # fmt: skip
+OTHERS = "conformal", "monitors", "forecasts", "conditional", "accommodation"  # whose rows the first row names
 
 
 def program_for(description: Description, batch: Sequence[int], dtype: DTypeLike) -> Program:
@@ -146,7 +142,7 @@ class Program:
         forecasts: list[int] = []
         members = [part for part in found if part.role == "estimator"]
         first = 1 + len(members) + sum(part.role == "rule" for part in found)
-        whole, links, largest = [-1] * WIDTH, dict[Whole, int](), 0
+        whole, links, largest = [-1] * WIDTH, dict[Row, int](), 0
         for part in found:
             role, columns, work = part.role, part.columns, part.family.work(part.size)
             column = columns[0] if role == "copy" else 0
@@ -160,12 +156,12 @@ class Program:
                 rules.append([*row, *columns])
             elif role == "ensemble":
                 whole = row
-                whole[Whole.OUTPUT] = len(members) + list(part.own["rules"]).index(part.own["output"])
+                whole[Row.OUTPUT] = len(members) + list(part.own["rules"]).index(part.own["output"])
             else:
                 number = first + len(others)
                 others.append(row)
                 if role in OTHERS:
-                    links[OTHERS[role]] = number
+                    links[Row[role.upper()]] = number
             if role == "robust":
                 estimators[-1][Row.ROBUST] = number
             elif role == "copy":
@@ -183,10 +179,10 @@ class Program:
             forecasts[Row.SIZE] = self.slot
         for place, number in links.items():
             whole[place] = number
-        whole[Whole.ESTIMATORS], whole[Whole.RULES] = len(estimators), len(rules)
-        whole[Whole.NAMES] = len(estimators) + len(rules) if rules else 0
-        whole[Whole.HEADS] = any(part.family.heading(part.own) for part in members)
-        whole[Whole.KEPT], self.work = largest, largest + max(row[Row.END] - row[Row.BEGIN] for row in estimators) + ROW
+        whole[Row.ESTIMATORS], whole[Row.RULES] = len(estimators), len(rules)
+        whole[Row.NAMES] = len(estimators) + len(rules) if rules else 0
+        whole[Row.HEADS] = any(part.family.heading(part.own) for part in members)
+        whole[Row.KEPT], self.work = largest, largest + max(row[Row.END] - row[Row.BEGIN] for row in estimators) + ROW
         self.program, self.head = _stacked([whole, *estimators, *rules, *others]), np.zeros((1, PLACES), np.int64)
 
     def _side_by_side(self, description: Description) -> None:
@@ -198,7 +194,7 @@ class Program:
         for row, axis in zip(self.head, AXES, strict=False):
             own, program = description[axis], program_for(description[axis], self.batch, self.dtype)
             name, leaves, table = filter_of(axis, own), program.leaves, program.program
-            member, made = f"members.{name}.", table[table[0, Whole.FORECASTS]]
+            member, made = f"members.{name}.", table[table[0, Row.FORECASTS]]
             weights = block + program.slot
             row[: at.DEVIATION + 1] = (
                 sum(map(len, tables)), self.size, len(self._columns), leaves[f"{member}mean"].place,

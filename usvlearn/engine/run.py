@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from usvlearn.core.family import Row
 from usvlearn.core.prepared_samples import ROW, prepare_all
 from usvlearn.core.samples import PlanarSample, Sample, named_leaves, tree_map
 from usvlearn.engine import dispatch as step
@@ -101,7 +102,7 @@ def prepared(samples: Sample, plan: Program) -> tuple[np.ndarray, np.ndarray]:
     pick = (slice(None), *(slice(0, 1) if same else slice(None) for same in shared))
     own_columns: Sample = tree_map(lambda x: np.ascontiguousarray(x[pick].reshape(steps, count)), samples)
     rows = np.empty((count, steps, ROW), plan.dtype)
-    heads, limit = plan.program[0, step.Whole.HEADS] > 0, step.surge_limit(plan.program, plan.numbers[0])
+    heads, limit = plan.program[0, Row.HEADS] > 0, step.surge_limit(plan.program, plan.numbers[0])
     prepare_all(*own_columns.inputs, *own_columns[1:], heads, limit, rows)
     return rows, np.broadcast_to(np.arange(count).reshape(own), batch).flatten()
 

@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
+import math
 import os
 import threading
 import weakref
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 from numba.core.errors import NumbaError
 
-from usvlearn.core.forecasts import NONE
+from usvlearn.core.family import Row
+from usvlearn.core.forecasts import NONE, Track, plan_commands, track_of
 from usvlearn.core.samples import Inputs, PlanarSample, Sample, check_sample, one_number
 from usvlearn.engine import dispatch as step
-from usvlearn.engine.first_use import COMPILING, compile_plans, compile_steps
+from usvlearn.engine.first_use import COMPILING, compile_planar, compile_plans, compile_steps
 from usvlearn.engine.forecasting import forecast_plan
 from usvlearn.engine.parts import Description, batch_of, leaves_of
+from usvlearn.engine.planar import FOUND, track_plan
 from usvlearn.engine.program import program_for
 from usvlearn.errors import ConfigError
+from usvlearn.estimators.planar.state import POSE
 
-LIVE = step.step_once
+LIVE, UNKNOWN = step.step_once, (math.nan,) * POSE
+NOT_PLAIN = TypeError, ValueError, OverflowError, NumbaError  # of what a compiled step cannot take as a number
 Element = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # its first arguments: program, state, numbers, work
 ALIVE: weakref.WeakSet[CompiledStepper] = weakref.WeakSet()  # a fork waits for the steps of all of them
 WAITING: list[CompiledStepper] = []  # a fork holds the locks of these
@@ -37,6 +43,8 @@ class CompiledStepper:
         ShapeError: the leaves are not those of such an estimator.
     """
 
+    prefix = ""  # of the leaves of an ensemble of the surge
+
     def __init__(self, description: Description, leaves: Mapping[str, np.ndarray]):
         self._description, self._lock = description, threading.RLock()  # all steps share one work array
         first = next(x for x in leaves.values() if x.dtype != bool)
@@ -51,7 +59,7 @@ class CompiledStepper:
         compile_steps(first.dtype)
 
     def __reduce__(self) -> tuple[Any, ...]:  # `_steps` holds views of `states`: a copy must make its own
-        return CompiledStepper, (self._description, self.leaves)
+        return type(self), (self._description, self.leaves)
 
     @property
     def batch(self) -> tuple[int, ...]:
@@ -100,7 +108,9 @@ class CompiledStepper:
             return self._pair(self._spare)
 
     def _pair(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        predictions, widths = (self.plan.view(states, name).copy() for name in ("predictions", "halfwidths"))
+        predictions, widths = (
+            self.plan.view(states, f"{self.prefix}{name}").copy() for name in ("predictions", "halfwidths")
+        )
         return predictions, widths
 
     def forecast(self, inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:
@@ -117,7 +127,7 @@ class CompiledStepper:
         found, slot = np.empty((elements, steps, 2), dtype), np.empty(plan.slot, dtype)
         current = self.current
         columns = [np.ascontiguousarray(x.reshape(steps, elements).T, dtype) for x in inputs]
-        heads, limit = bool(plan.program[0, step.Whole.HEADS] > 0), step.surge_limit(plan.program, plan.numbers[0])
+        heads, limit = bool(plan.program[0, Row.HEADS] > 0), step.surge_limit(plan.program, plan.numbers[0])
         with self._lock:
             for element, (program, s, q, work) in enumerate(self._steps):
                 left, right, heading, yaw_rate, dt = (x[element] for x in columns)
@@ -137,29 +147,71 @@ class CompiledStepper:
         return [(self.plan.program, s, q, self._work) for s, q in zip(states, numbers, strict=True)]
 
     def _advance(self, elements: list[Element], inputs: Inputs, surge: Any, fresh: Any, measured: Any) -> Any:
-        if self.plan.batch:
-            check_sample(Sample(inputs, surge, fresh, measured), self.plan.batch)
-            return self._each(elements, (*inputs, surge), (fresh, measured))
-        left, right, heading, yaw_rate, dt = inputs
-        if type(fresh) is bool is type(measured):  # compiled code takes any number, even NaN, for a bool
+        if not self.plan.batch and type(fresh) is bool is type(measured):  # compiled code takes any number for a bool
+            left, right, heading, yaw_rate, dt = inputs
             try:
                 return LIVE(*elements[0], left, right, heading, yaw_rate, dt, surge, fresh, measured)
-            except (TypeError, ValueError, OverflowError, NumbaError):  # not plain numbers
+            except NOT_PLAIN:
                 pass
-        check_sample(Sample(inputs, surge, fresh, measured))
-        left, right, heading, yaw_rate, dt, surge = (float(one_number(x)) for x in (*inputs, surge))
-        fresh, measured = bool(one_number(fresh)), bool(one_number(measured))
-        return LIVE(*elements[0], left, right, heading, yaw_rate, dt, surge, fresh, measured)
+        return self._checked(elements, Sample(inputs, surge, fresh, measured))
 
-    def _each(self, elements: list[Element], numbers: tuple[Any, ...], masks: tuple[Any, ...]) -> np.ndarray:
-        fields = map(one_number, (*numbers, *masks))
-        wide = [np.broadcast_to(np.asarray(x), self.plan.batch).reshape(-1).tolist() for x in fields]
+    def _checked(self, elements: list[Element], sample: Sample, pose: Sequence[Any] = ()) -> Any:
+        """The steps of all batch elements, of numbers of any type."""
+        batch = self.plan.batch
+        check_sample(PlanarSample(sample, *pose) if pose else sample, batch)
+        inputs, surge, fresh, measured = sample
+        fields = map(one_number, (*inputs, surge, *pose, fresh, measured))
+        wide = [np.broadcast_to(np.asarray(x), batch).reshape(-1).tolist() for x in fields]
         found = []
-        for element, sample in zip(elements, zip(*wide, strict=True), strict=True):
-            *own, fresh, measured = sample
-            left, right, heading, yaw_rate, dt, surge = map(float, own)
-            found.append(LIVE(*element, left, right, heading, yaw_rate, dt, surge, bool(fresh), bool(measured)))
-        return np.array(found, self.plan.dtype).reshape(self.plan.batch)
+        for element, (*numbers, fresh, measured) in zip(elements, zip(*wide, strict=True), strict=True):
+            plain = (*map(float, numbers[:6]), bool(fresh), bool(measured))
+            found.append(self._once(element, plain, numbers[6:]))
+        return np.array(found, self.plan.dtype).reshape(batch) if batch else found[0]
+
+    def _once(self, element: Any, sample: Any, pose: Sequence[Any]) -> Any:
+        return LIVE(*element, *sample)
+
+
+class PlanarStepper(CompiledStepper):
+    """A `CompiledStepper` of a `Planar`; its surge is the first in its states."""
+
+    prefix = "surge."
+
+    def __init__(self, description: Description, leaves: Mapping[str, np.ndarray]):
+        super().__init__(description, leaves)
+        compile_planar(self.plan.dtype)
+        self._pose = np.empty(POSE, self.plan.dtype)
+
+    def step(self, sample: Sample | PlanarSample) -> Any:
+        """Predict, then learn; returns the prediction of the surge, m/s. A `Sample` alone measures nothing else."""
+        own, pose = (sample, UNKNOWN) if isinstance(sample, Sample) else (sample.sample, sample[1:])
+        with self._lock:
+            self.current = True
+            if not self.plan.batch and type(own.fresh) is bool is type(own.measured):
+                with suppress(*NOT_PLAIN):
+                    return self._once(self._steps[0], (*own.inputs, *own[1:]), pose)
+            return self._checked(self._steps, own, pose)
+
+    def _once(self, element: Any, sample: Any, pose: Sequence[Any]) -> Any:
+        program, *others = element
+        self._pose[:] = pose
+        arguments: Any = (program, self.plan.head, *others, *sample, self._pose)
+        return step.step_planar(*arguments)
+
+    def track(self, commands: Any, dt: float) -> Track:
+        """Where the boat will be under a plan; `Online.forecast`."""
+        plan, (left, right, lengths) = self.plan, plan_commands(commands, dt, self.plan.batch)
+        steps, count = len(left), plan.elements
+        left, right, lengths = (
+            np.ascontiguousarray(x.reshape(steps, count).T, plan.dtype) for x in (left, right, lengths)
+        )
+        found, slot = np.empty((count, steps, FOUND), plan.dtype), np.empty(plan.length, plan.dtype)
+        with self._lock:
+            for k, (program, s, q, work) in enumerate(self._steps):
+                track_plan(program, plan.head, s, q, slot, left[k], right[k], lengths[k], found[k], work)
+        if not self.current:
+            found[..., 6:] = np.inf, 0.0, np.inf
+        return track_of(np.moveaxis(found, 0, 1).reshape(steps, *plan.batch, FOUND), lengths[0])
 
 
 def _before_fork() -> None:

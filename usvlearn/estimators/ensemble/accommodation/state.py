@@ -29,14 +29,14 @@ class AccommodationState(NamedTuple):
 
 
 class Number(Parameters):
-    """Numbers, named as the constants above."""
+    """Numbers; by default they are the constants above."""
 
-    WAIT = NOT_NEGATIVE
-    AFTER = NOT_NEGATIVE
-    LOOSE = NOT_NEGATIVE
-    SCALE = NOT_NEGATIVE
-    FLOOR = NOT_NEGATIVE
-    MONITOR = NOT_NEGATIVE
+    WAIT = NOT_NEGATIVE, WAIT
+    AFTER = NOT_NEGATIVE, AFTER
+    LOOSE = NOT_NEGATIVE, LOOSE
+    SCALE = NOT_NEGATIVE, SCALE
+    FLOOR = NOT_NEGATIVE, FLOOR
+    MONITOR = NOT_NEGATIVE, MONITOR
 
 
 FAMILY = Family(
