@@ -7,7 +7,7 @@ import torch
 from tests.support.kernel_cases import mission
 from usvlearn import Inputs, JointEKF, Sample, Trial
 from usvlearn.engine.backend import arrays_of
-from usvlearn.engine.planar_plan import program_for
+from usvlearn.engine.program import program_for
 from usvlearn.engine.rollouts import rollout
 from usvlearn.estimators.joint import change_detection_kernel
 from usvlearn.estimators.joint.state import AT_TRIAL, ROOM, THETA, WARM, names

@@ -32,7 +32,7 @@ from usvlearn import (
 from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.engine.backend import arrays_of, tree_of
 from usvlearn.engine.dispatch_tables import inflate_covariance
-from usvlearn.engine.planar_plan import program_for
+from usvlearn.engine.program import program_for
 
 PRIOR = [-3.0, -6.0, -4.0, 20.0, 15.0, -3.0, 16.0, 18.0, -2.0]
 STIFF = [-9e3, -9e3, 0, 500, 500, -200, 500, 500, -200]  # dt Ĵ far below −20
