@@ -186,6 +186,28 @@ def test_what_a_user_mistypes_ends_the_command_with_a_sentence(tmp_path, argumen
 # time
 
 
+def test_simulated_time_is_obeyed_and_its_reset_begins_a_new_segment(sea):
+    at_sea = sea(parameters=["use_sim_time:=true"])
+    listened = at_sea.listen("/diagnostics", DIAGNOSTICS)
+    left = at_sea.publisher("/thrusters/left", NUMBER)
+    assert at_sea.until(
+        lambda: ("command_left", "no_time") in at_sea.session.dropped, lambda: left.publish(number(0.5))
+    )
+    assert at_sea.until(lambda: any("nobody publishes /clock" in told(each, "inputs") for each in listened))
+    clock = at_sea.publisher("/clock", "rosgraph_msgs/msg/Clock")
+    kind = message_class("rosgraph_msgs/msg/Clock")
+    for seconds, restarts in ((100, 0), (4000, 0), (400, 1), (2, 2)):  # ahead by an hour, back by an hour, a reset
+
+        def both(seconds: int = seconds) -> None:
+            message = kind()
+            message.clock.sec = seconds
+            clock.publish(message)
+            left.publish(number(float(seconds)))
+
+        assert at_sea.until(lambda s=seconds: ("command_left", float(s), float(s)) in at_sea.session.pushed, both)
+        assert at_sea.session.restarts == restarts
+
+
 # outputs
 
 
