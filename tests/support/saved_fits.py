@@ -49,6 +49,7 @@ def facts() -> dict[str, Any]:
             for name, x in found.items()
         },
         "lacks": ["The thrusters hardly ever pushed astern."],
+        "doubts": [],
         "simulation": FreeMode("fit", 3, 0.05, 0.06, 0.01, 0.002).json(),
         "sets": {"nine": score | {"gain": -0.5, "error": None}, "cubic": score},
         "diagnostics": diagnostics(made, fit, MASS),
