@@ -16,9 +16,7 @@ from usvlearn.estimators.joint.layer import JointEKF
 
 
 class FittedForecasts(ForecastSettings):
-    """`ForecastSettings` with the table of a batch fit (`usvlearn.model.fit.hand_over.table_of`), of each boat or of
-    all; zeros, the default: none yet.
-    """
+    """`ForecastSettings` with the table of a fit (`usvlearn.model.fit.hand_over.table_of`), `(*boats, TABLE)`."""
 
     def __init__(self, fit: Any = (0.0,) * at.TABLE, **settings: Any):
         super().__init__(**settings)
