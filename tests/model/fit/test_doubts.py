@@ -27,6 +27,7 @@ def said(theta=(), cross=None, online=None, lag=0.0, **changed: float) -> tuple[
 
 def test_nothing_speaks_against_a_good_fit():
     assert said(lag=0.7, time_constant=2.0, theta=[(PLACE_TIME, 0.6)]) == ()
+    assert said(theta=[(PLACE_LAG, LAGS[0]), (PLACE_TIME, 0.1)]) == ()
     assert said() == () == said(online=facts() and {"drag_linear": Quantity(-900.0, -901.0, -899.0, "")})
 
 
@@ -36,6 +37,7 @@ def test_nothing_speaks_against_a_good_fit():
         ({"drag_linear": 2.0}, "The drag would push the boat, or falls with speed (drag_linear)"),
         ({"theta": [(AT["drag_node_0.6"], 9.0)]}, "(its curve)"),
         ({"theta": [(PLACE_LAG, LAGS[1])]}, "The lag of the thrust is at its bound"),
+        ({"theta": [(PLACE_LAG, LAGS[0]), (PLACE_TIME, 0.4)]}, "follow its command by 0.4 s, yet begin before it"),
         (
             {"cross": {"mean": {"lags": [0.0, 0.5, 1.0], "values": [0.0, 0.1, -0.3], "bounds": [0.1] * 3}}},
             "follow the mean command, most after 1 s",

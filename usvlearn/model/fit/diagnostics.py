@@ -42,6 +42,7 @@ COMMAND_BINS, SPEED_BINS = np.linspace(-1.0, 1.0, 41), 30  # of the seconds besi
 FASTEST = 0.999  # quantile of the speed that ends the curve of drag
 TINY = 1e-6  # of the drag at half speed: a smaller force is rounding
 SLOW, LESS = 0.25, 0.5  # time constants of the surge, beyond which thrusters are slow; of their lag, what is too little
+LATE = 0.2  # s: a thrust that follows so late does not begin before its command
 FOLLOW = 1.5  # 99 % bounds, beyond which errors follow a command: with that many lags, some are beyond one by chance
 HALF = 0.5  # of the known steps of the fullest minute: fewer are no minute that is compared
 
@@ -121,6 +122,11 @@ def doubts(
         said.append(
             "The lag of the thrust is at its bound: the speed follows the commands later than the fit allows. Find the "
             "delay by usvlearn inspect, set data.channels.command_left.delay and command_right.delay, and train again."
+        )
+    if fit.theta[PLACE_LAG] <= LAGS[0] and fit.theta[PLACE_TIME] > LATE:
+        said.append(
+            f"The thrust would follow its command by {fit.theta[PLACE_TIME]:.1f} s, yet begin before it: slow thrusters "
+            "and a slow boat are not told apart. Log steps of both commands together, straight ahead, and fit these alone."
         )
     if lag > SLOW * found["time_constant"].value and fit.theta[PLACE_TIME] < LESS * lag:
         said.append(
