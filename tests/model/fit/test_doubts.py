@@ -37,7 +37,7 @@ def test_nothing_speaks_against_a_good_fit():
         ({"drag_linear": 2.0}, "The drag would push the boat, or falls with speed (drag_linear)"),
         ({"theta": [(AT["drag_node_0.6"], 9.0)]}, "(its curve)"),
         ({"theta": [(PLACE_LAG, LAGS[1])]}, "The lag of the thrust is at its bound"),
-        ({"theta": [(PLACE_LAG, LAGS[0]), (PLACE_TIME, 0.4)]}, "follow its command by 0.4 s, yet begin before it"),
+        ({"theta": [(PLACE_LAG, LAGS[0]), (PLACE_TIME, 0.4)]}, "lag its command by 0.4 s, yet begin before it"),
         (
             {"cross": {"mean": {"lags": [0.0, 0.5, 1.0], "values": [0.0, 0.1, -0.3], "bounds": [0.1] * 3}}},
             "follow the mean command, most after 1 s",
