@@ -126,7 +126,7 @@ def doubts(
     if fit.theta[PLACE_LAG] <= LAGS[0] and fit.theta[PLACE_TIME] > LATE:
         said.append(
             f"The thrust would lag its command by {fit.theta[PLACE_TIME]:.1f} s, yet begin before it: slow thrusters "
-            "and boats are not told apart. Log steps of both commands together, straight ahead, and fit these logs alone."
+            "and boats are not told apart. Log steps of both commands together, straight ahead, and fit these alone."
         )
     if lag > SLOW * found["time_constant"].value and fit.theta[PLACE_TIME] < LESS * lag:
         said.append(
