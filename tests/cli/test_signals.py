@@ -220,7 +220,7 @@ def test_the_command_that_queues_a_job_again_outlives_the_signal_to_all_its_proc
         subprocess.check_call(ended)
         sys.exit(3)
 
-    before = {number: signal.getsignal(number) for number in (signal.SIGUSR2, signal.SIGTERM)}
+    before = {number: signal.getsignal(number) for number in (signal.SIGUSR2, signal.SIGTERM, signal.SIGINT)}
     signal.signal(signal.SIGUSR2, queue_again)
     try:
         with pytest.raises(SystemExit), stoppable_worker():

@@ -99,7 +99,7 @@ def test_a_signal_saves_and_ends_with_code_0(tmp_path, number):
                 assert node.poll() is None
                 time.sleep(0.1)
             node.send_signal(number)
-            said, _ = node.communicate(timeout=20)
+            said, _ = node.communicate(timeout=120)
         finally:
             boat.ended.set()
             node.kill()
