@@ -2,6 +2,7 @@
 
 import itertools
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -25,8 +26,10 @@ from tests.support.mistakes import (
 from usvlearn.composition.configuration import recordings_of
 from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.logs.channels.channel import AUXILIARY, COMMANDS, SURGE, Channel, Recording
+from usvlearn.logs.checks import response
 from usvlearn.logs.checks.data_check import check_data, check_level, refuse
 from usvlearn.logs.checks.finding import NOTE, WARNING, Finding
+from usvlearn.logs.checks.frozen import _command
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.simulate.autopilot import Autopilot
 from usvlearn.simulate.fleet import fleet
@@ -177,6 +180,13 @@ def test_a_configured_delay_that_is_too_long_is_told():
     found = check_data(changed(boats("heron", 0, 0.6), set_delay(5)), None, ALIGN, TOP["heron"], CONFIGURED)
     (finding,) = [each for each in found if each.kind == "delay"]
     assert finding.key.split()[0] in ("data.channels.command_left.delay=0", "data.channels.command_left.delay=1")
+
+
+def test_a_delay_is_told_from_enough_bins_on_and_no_command_freezes_near_its_end():
+    found = response.Fit(4, certainty=5.0, ratio=0.6, explained=0.5, bins=response.ENOUGH)
+    assert response._is_told(found, 0.0) and not response._is_told(found._replace(bins=found.bins - 1), 0.0)
+    e = SimpleNamespace(commands=(np.linspace(-1, 1, 400), np.linspace(-1, 1, 400)))  # whose turn is not looked at
+    assert [_command(e, COMMANDS[0], value, slice(0, 300)) for value in (-0.97, 0.97)] == [None, None]
 
 
 def test_several_boats_are_checked_apart(logs):
