@@ -118,7 +118,9 @@ def test_runs_of_the_same_minutes_are_asked_for_also_without_a_date(start, sever
             own = stranger(sail(3, run + 1)).channels
             begun = {name: each._replace(start=start + run * pause) for name, each in own.items()}
             runs.append(Recording("a", f"r{run}", begun, {}))
-        return [each.severity for each in check_data(runs, None, {}, 2.5) if each.kind == "together"]
+        found = [each for each in check_data(runs, None, {}, 2.5) if each.kind == "together"]
+        assert all("set data.path to the run of one, or to {r0: FILE, r1: FILE}" in each.sentence() for each in found)
+        return [each.severity for each in found]
 
     assert severity_of(1) == ([severity] if severity else [])
     assert severity_of(4000) == []
