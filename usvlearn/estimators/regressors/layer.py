@@ -77,19 +77,14 @@ def quasi_static_regressor(inputs: Inputs) -> Tensor:
     return torch.cat([thrust.flatten(-2), rest], -1)
 
 
-def phi1(z: Tensor) -> tuple[Tensor, Tensor]:
-    """φ1(z) = (e^z − 1)/z, 1 at z = 0, and its derivative, (e^z − φ1)/z; autograd may differentiate both."""
+def phi1(z: Tensor) -> Tensor:
+    """φ1(z) = (e^z − 1)/z, 1 at z = 0; autograd may differentiate it."""
     near = z.abs() < NEAR
     small, large = torch.where(near, z, 0.0), torch.where(near, -1.0, z)
     slope = torch.zeros_like(z)
     for c in SERIES:
         slope = slope * small + c
-    less = torch.expm1(large)
-    value = less / large
-    return (
-        torch.where(near, (1 - small * slope) / (1 - small), value),  # as e^z = 1 + z φ1 = φ1 + z φ1'
-        torch.where(near, slope, (1 + less - value) / large),
-    )
+    return torch.where(near, (1 - small * slope) / (1 - small), torch.expm1(large) / large)  # as e^z = φ1 + z φ1'
 
 
 class SurgeDynamics(nn.Module):
@@ -152,7 +147,7 @@ class SurgeDynamics(nn.Module):
         if self.exponential:
             if theta is None:
                 raise ShapeError("SurgeDynamics(exponential=True): found no parameters, expected theta, (*batch, p)")
-            step = step * phi1((step * force_slope(surge, inputs, theta)).clamp(LEAST, MOST))[0]
+            step = step * phi1((step * force_slope(surge, inputs, theta)).clamp(LEAST, MOST))
         return surge, step[..., None] * W
 
 
