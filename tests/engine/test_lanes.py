@@ -16,6 +16,7 @@ from usvlearn import Persistence
 from usvlearn.core import on_device
 from usvlearn.core.protocol import spec_of
 from usvlearn.engine import lanes
+from usvlearn.engine.planar_plan import program_for
 from usvlearn.errors import ConfigError
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")  # numbers of Python warn where compiled ones do not
@@ -54,6 +55,11 @@ def test_without_a_gpu_it_is_said_what_to_do(monkeypatch):
         assert lanes.chosen_device("auto") == "cpu"
     with pytest.raises(ConfigError, match="found 'gpu', expected one of cpu, cuda, auto"):
         lanes.chosen_device("gpu")
+
+
+def test_a_launch_has_a_bounded_number_of_steps():
+    plan = program_for(spec_of(Persistence()), (2,), np.dtype(float))
+    assert lanes.Lanes(plan, np.zeros((2, plan.size))).steps == 20_000 < 10**6 // (plan.size + plan.work)
 
 
 def test_a_track_stays_on_the_cpu():
