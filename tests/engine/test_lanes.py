@@ -16,7 +16,7 @@ from usvlearn import Persistence
 from usvlearn.core import on_device
 from usvlearn.core.protocol import spec_of
 from usvlearn.engine import lanes
-from usvlearn.engine.planar_plan import program_for
+from usvlearn.engine.program import program_for
 from usvlearn.errors import ConfigError
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")  # numbers of Python warn where compiled ones do not

@@ -103,22 +103,22 @@ def _matrix() -> Any:
     Of a vector without gaps the stride is a constant, so that small matrices stay in registers.
     """
     from numba.cuda.extending import intrinsic
-    from numba.cuda.np.arrayobj import make_array, populate_array
 
-    types: Any = import_module("numba.cuda.types")
+    arrays, types = (import_module(f"numba.cuda.{name}") for name in ("np.arrayobj", "types"))
 
     @intrinsic
     def matrix(context, x, n, m):
         found = types.Array(x.dtype, 2, "C" if x.layout == "C" else "A", readonly=not x.mutable)
 
         def code(target, builder, signature, arguments):
-            source, made = make_array(x)(target, builder, arguments[0]), make_array(found)(target, builder)
+            source = arrays.make_array(x)(target, builder, arguments[0])
+            made = arrays.make_array(found)(target, builder)
             wide = [target.cast(builder, x, y, types.intp) for x, y in zip(arguments[1:], (n, m), strict=True)]
             stride = builder.extract_value(source.strides, 0)
             if x.layout == "C":
                 stride = target.get_constant(types.intp, target.get_abi_sizeof(target.get_data_type(x.dtype)))
             strides = [builder.mul(stride, wide[1]), stride]
-            populate_array(made, source.data, wide, strides, source.itemsize, source.meminfo, source.parent)
+            arrays.populate_array(made, source.data, wide, strides, source.itemsize, source.meminfo, source.parent)
             return made._getvalue()
 
         return found(x, n, m), code

@@ -89,7 +89,8 @@ class Missions:
         mission with a loss of thrust is not kept, nor a fit used meanwhile. Returns why the last fit failed, or "".
         """
         self._lost |= loss is not None
-        if late := self._process is not None and time.monotonic() - self._began > LONGEST:
+        late = time.monotonic() - self._began > LONGEST
+        if late and self._process is not None:
             self._process.kill()
             self._process.wait()
         if self._process is not None and (code := self._process.poll()) is not None:

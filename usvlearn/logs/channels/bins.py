@@ -6,9 +6,8 @@ interpolated linearly, or held; a mean is the difference of the integral at the 
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
+from numpy.typing import NDArray
 
 Series = tuple[np.ndarray, np.ndarray]  # time, s, and value, SI units; (n,) each
 
@@ -81,7 +80,7 @@ def clipped(values: np.ndarray) -> np.ndarray:
     return np.clip(values, -limit, limit)
 
 
-def bin_directions(series: Series, edges: np.ndarray) -> np.ndarray[Any, np.dtype[np.complex128]]:
+def bin_directions(series: Series, edges: np.ndarray) -> NDArray[np.complex128]:
     """Means of exp(iψ) over bins, `(bins,)`, of angles ψ, rad; NaN in a gap."""
     time, angle = cleaned(series)
     return bin_means((time, np.cos(angle)), edges) + 1j * bin_means((time, np.sin(angle)), edges)

@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from usvlearn.logs.channels.bins import Series, bin_directions, bin_edges, bin_means, bin_rates, cleaned, clipped, gaps
 from usvlearn.logs.channels.correlations import FEWEST, NO_LAG, Relation, relate, residual
@@ -128,8 +129,8 @@ def _plane(parts: list[np.ndarray]) -> np.ndarray:
 class Legs(NamedTuple):
     """What a boat did in bins of `LEG` s, `(bins,)`; NaN where it is not known."""
 
-    over_ground: np.ndarray  # velocity, north + i east, m/s
-    along: np.ndarray  # mean of exp(iψ) with its heading ψ
+    over_ground: NDArray[np.complex128]  # velocity, north + i east, m/s
+    along: NDArray[np.complex128]  # mean of exp(iψ) with its heading ψ
     ahead: np.ndarray  # speed, m/s
     turn: np.ndarray  # rad/s
 
@@ -195,12 +196,12 @@ def deviations(legs: Legs) -> list[tuple[float, float]]:
     current c adds Im(c exp(−iψ)). Both are fitted, beside the drift in a turn; there are none in too few bins.
     """
     over_ground, along, ahead, turn = legs
-    across = over_ground * along.conj()
+    across: NDArray[np.complex128] = over_ground * along.conj()
     with np.errstate(invalid="ignore"):
         known = np.isfinite(across + ahead + turn) & (across.real * ahead >= 0)
     if known.sum() < FEWEST_LEGS:
         return []
-    ways = [np.stack([way.real, way.imag]) for way in (along, ahead * along, ahead * along**2)]
+    ways = [np.stack([way.real, way.imag]) for way in map(np.asarray, (along, ahead * along, ahead * along**2))]
     rows = np.concatenate([[np.ones(len(turn)), ahead, turn * ahead], *ways])[:, known].T
     fits = jackknife(rows, across.imag[known])[:, -4:]
     errors = (BLOCKS - 1) * fits[1:].var(0)

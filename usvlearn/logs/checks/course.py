@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from usvlearn.logs.channels.bins import bin_means
 from usvlearn.logs.channels.channel import COMMANDS, SURGE
@@ -32,7 +33,8 @@ def compass(e: Evidence) -> Iterator[Finding]:
         return
     left, right = (bin_means(e.series[name], edges, held=True) for name in COMMANDS)
     thrust = np.convolve(left + right, (0.5, 0.3, 0.2))[: len(way)]  # the boat answers within some seconds
-    velocity, one, current = over_ground * way.conj(), np.ones(len(way)), (way.real, way.imag)
+    velocity: NDArray[np.complex128] = over_ground * way.conj()
+    one, current = np.ones(len(way)), (way.real, way.imag)
     parts = (
         (velocity.real, thrust, thrust * np.abs(thrust), *current),
         (velocity.imag, turn, turn * thrust, *current),
