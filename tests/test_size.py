@@ -29,22 +29,22 @@ PRODUCT = {
     "estimators": Room(9_330, 9_600, ("usvlearn/estimators/",)),
     "certify": Room(6_133, 6_500, ("certify/",)),
     "live": Room(5_950, 5_900, ("usvlearn/live/",)),
-    "model": Room(5_944, 5_300, ("usvlearn/model/",)),
+    "model": Room(5_958, 5_300, ("usvlearn/model/",)),
     "report": Room(3_462, 3_500, ("usvlearn/report/",)),
     "engine": Room(3_504, 3_200, ("usvlearn/engine/",)),
     "cli": Room(2_696, 2_400, ("usvlearn/cli/", "usvlearn/composition/", "train.py", "evaluate.py")),
     "runs": Room(2_200, 2_100, ("usvlearn/runs/",)),
     "sweeps": Room(2_074, 1_800, ("usvlearn/sweeps/",)),
     "core, errors": Room(2_703, 2_500, ("usvlearn/core/", "usvlearn/errors.py")),
-    "simulate": Room(1_850, 1_800, ("usvlearn/simulate/",)),
+    "simulate": Room(1_858, 1_800, ("usvlearn/simulate/",)),
     "evaluation": Room(1_472, 1_600, ("usvlearn/evaluation/",)),
     "display, top": Room(1_291, 1_200, ("usvlearn/display/", "usvlearn/_", "usvlearn/api.py", "usvlearn/learned.py")),
 }
 OTHERS = {
-    "tests": Room(44_307, 38_000, ("tests/",)),
+    "tests": Room(44_302, 38_000, ("tests/",)),
     "benchmarks": Room(6_839, 5_000, ("benchmarks/",)),
     "building": Room(878, None, (".ci/", "aboard/", "docs/")),
-    "pages": Room(8_695, None, ("README.md", "CONTRIBUTING.md", "aboard/README.md", "docs/")),
+    "pages": Room(8_687, None, ("README.md", "CONTRIBUTING.md", "aboard/README.md", "docs/")),
 }
 ROOMS = PRODUCT | OTHERS
 NOT_COUNTED = "CHANGELOG.md", "docs/adr/", "docs/tutorials/"  # records that only grow, and what the site's build writes

@@ -6,7 +6,7 @@ import torch
 from scipy.integrate import solve_ivp
 
 from tests.support.planar_models import commanded, drawn_planar, learned, lone_filters, mean_of, moving
-from tests.support.surge_models import by_torch
+from tests.support.surge_models import by_filter
 from usvlearn import Online, SwayEKF, YawEKF
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.augmented_ekf.state import Y
@@ -37,7 +37,7 @@ def test_a_step_is_that_of_the_filters(sways):
     found = model.step(before, left, right, dt, (north, east))
     turned = by_filters(model, "yaw", r, v, u, left, right, dt)
     aside = by_filters(model, "sway", v, r, u, left, right, dt) if sways else 0 * v
-    along = by_torch(model.surge, torch.tensor(np.stack([u, left, right, (r + turned) / 2, dt], -1))).detach().numpy()
+    along = by_filter(model.surge, torch.tensor(np.stack([u, left, right, (r + turned) / 2, dt], -1))).detach().numpy()
     after = psi + dt * (r + turned) / 2
     velocity = np.exp(1j * psi) * (u + 1j * v) + np.exp(1j * after) * (along + 1j * aside)  # north + i east
     place = before.north + 1j * before.east + dt * (north + 1j * east) + dt / 2 * velocity

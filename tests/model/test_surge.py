@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from tests.support.fitted_boats import MASS, TOP, boat
-from tests.support.surge_models import by_torch, drawn, some
+from tests.support.surge_models import by_filter, drawn, some
 from usvlearn.errors import ConfigError
 from usvlearn.model.fit.quantities import CurvedAhead
 from usvlearn.model.fit.terms import AT, NAMES
@@ -22,7 +22,7 @@ def test_a_step_is_that_of_the_joint_filter(even):
     rows = some(rng, 500)
     for _ in range(5):
         model = drawn(rng, even)
-        found, expected = model.step(*rows.T), by_torch(model, torch.tensor(rows)).detach().numpy()
+        found, expected = model.step(*rows.T), by_filter(model, torch.tensor(rows)).detach().numpy()
         inside = np.abs(expected) < 20  # the filter limits its speed there
         assert inside.mean() > 0.9
         np.testing.assert_allclose(found[inside], expected[inside], rtol=1e-12, atol=1e-12)

@@ -1,4 +1,4 @@
-"""Boats as models, what they are asked, and what the joint EKF in torch answers."""
+"""Boats as models, what they are asked, and what the joint EKF answers."""
 
 import numpy as np
 import torch
@@ -25,7 +25,7 @@ def some(rng: np.random.Generator, count: int) -> np.ndarray:
     return rows
 
 
-def by_torch(model: SurgeModel, rows: torch.Tensor) -> torch.Tensor:
+def by_filter(model: SurgeModel, rows: torch.Tensor) -> torch.Tensor:
     """One free step of a joint EKF with these parameters, without current and disturbance."""
     joint = JointEKF(surge_max=2.7, mass=model.mass, even=0.2 if model.even else None)
     zero = torch.zeros(len(rows), dtype=torch.float64)

@@ -52,7 +52,21 @@ class IdentifiedBoat(NamedTuple):
         return name.encode("utf-8", "replace")[:LONGEST].decode("utf-8", "ignore") or "boat"
 
     def check_physical(self, remedy: str = "") -> None:
-        """Raise a ConfigError, which names a remedy, too, if no boat can have what was identified."""
+        """Raise a ConfigError if no boat can have what was identified.
+
+        Args:
+            remedy: what can be done beside learning anew, for the error.
+
+        Raises:
+            ConfigError: no boat can have what was identified.
+
+        >>> from types import SimpleNamespace
+        >>> found = SimpleNamespace(unphysical="drag pushes the boat.")
+        >>> boat = IdentifiedBoat("heron", None, found, None, None, {}, {})
+        >>> boat.check_physical()
+        Traceback (most recent call last):
+        usvlearn.errors.ConfigError: heron: drag pushes the boat.
+        """
         if self.found.unphysical:
             raise ConfigError(f"{printable(self.name)}: {self.found.unphysical}{remedy}")
 

@@ -61,6 +61,10 @@ class Gusts:
 
         Returns:
             No unit, `(ticks, 2)`.
+
+        >>> course = Gusts(per_hour=0.0, minute=0.0, seconds=(10.0, 10.0)).course(np.random.default_rng(0), 60, 4.0)
+        >>> np.hypot(*course.T)[[0, 20, 40]].round(6).tolist()
+        [0.0, 1.0, 0.0]
         """
         time, wind = np.arange(ticks) / hz, np.zeros((ticks, 2))
         begins = rng.uniform(0, ticks / hz, rng.poisson(self.per_hour * ticks / hz / 3600))
@@ -83,6 +87,10 @@ class Gusts:
 
         Returns:
             Force, N, and yaw rate, rad/s, `(*batch,)` each.
+
+        >>> from usvlearn.simulate.plants import heron
+        >>> round(Gusts(push=0.5).strength(heron())[0].item(), 1)
+        33.6
         """
         full = static_thrust(vessel, torch.ones(2, dtype=torch.float64)).sum(-1)
         return self.push * full, torch.full_like(full, self.turn)
