@@ -87,10 +87,10 @@ def rows_of(log: Log, said: list[str]) -> Iterator[Row]:
     learned, began = learn(log.read), time.process_time()
     try:
         fitted = learned.fit()[log.name]
-        found, doubts = {FIT: fitted.quantities}, " ".join(fitted.doubts) or "no doubts"
+        found, doubts = {FIT: fitted.quantities}, " ".join(fitted.doubts)
     except UsvlearnError as error:
         found, doubts = {FIT: {}}, str(error)
-    said.append(f"{log.name}, {KINDS[log.missions]}: {time.process_time() - began:.1f} s; {doubts}")
+    said += [f"{log.name}, {KINDS[log.missions]}: {time.process_time() - began:.1f} s; {doubts}"] if doubts else []
     found |= {ONLINE: learned.identified()[log.name],
               SQUARES: polynomial(squares(log.runs, log.mass), log.top, log.mass),
               BATCH: polynomial(output_error.fit(log.runs, log.top).parameters, log.top, log.mass)}  # fmt: skip
@@ -179,7 +179,7 @@ def page(rows: Sequence[Row], ahead: dict[str, dict[str, list[float]]], said: Se
         f"Skill 1 − MAE/MAE(persistence) over the last third of one log, median of {len(ahead)} boats. Ours goes on "
         "learning up to each forecast, the others have learned the first two thirds at once.", "",
         *table(["", *(f"{0.4 * h:.1f} s" for h in AHEAD)], lines), "",
-        "## What the fit said, and its time of the processor", "", *(f"- {each}" for each in said),
+        "## What the fit said, where it had doubts, and its time of the processor", "", *(f"- {each}" for each in said),
     ]  # fmt: skip
 
 

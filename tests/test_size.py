@@ -44,7 +44,7 @@ OTHERS = {
     "tests": Room(44_302, 38_000, ("tests/",)),
     "benchmarks": Room(6_839, 5_000, ("benchmarks/",)),
     "building": Room(878, None, (".ci/", "aboard/", "docs/")),
-    "pages": Room(8_687, None, ("README.md", "CONTRIBUTING.md", "aboard/README.md", "docs/")),
+    "pages": Room(8_681, None, ("README.md", "CONTRIBUTING.md", "aboard/README.md", "docs/")),
 }
 ROOMS = PRODUCT | OTHERS
 NOT_COUNTED = "CHANGELOG.md", "docs/adr/", "docs/tutorials/"  # records that only grow, and what the site's build writes
