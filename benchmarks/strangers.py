@@ -30,7 +30,7 @@ import output_error
 import torch
 from fit_study import polynomial, squares
 from pages import publish
-from peers import narmax, physics, state_space
+from peers import echo_state, narmax, physics, state_space
 from peers.batch import cut, errors
 from timing import table
 
@@ -45,7 +45,7 @@ from usvlearn.estimators.joint.quantities import QUANTITIES
 ROOT = Path(__file__).parents[1]
 SEEDS, MINUTES, KINDS = (30,), 45.0, {3: "three missions", 1: "one log"}
 FIT, ONLINE, BATCH, SQUARES = "fit", "online", "batch output error", "least squares"
-PEERS = {"SysIdentPy": narmax, "jax-sysid": state_space, BATCH: physics}
+PEERS = {"SysIdentPy": narmax, "jax-sysid": state_space, "echo state network": echo_state, BATCH: physics}
 AHEAD, LEARNED = (1, 13, 25, 75), 2 / 3  # steps of 0.4 s; share of the logs that is learned before forecasts
 ABSOLUTE = {"dead_zone": "of full", "compass_offset": "deg"}  # whose errors are not relative: they may be 0
 

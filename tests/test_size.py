@@ -41,8 +41,8 @@ PRODUCT = {
     "display, top": Room(1_291, 1_200, ("usvlearn/display/", "usvlearn/_", "usvlearn/api.py", "usvlearn/learned.py")),
 }
 OTHERS = {
-    "tests": Room(44_302, 38_000, ("tests/",)),
-    "benchmarks": Room(6_839, 5_000, ("benchmarks/",)),
+    "tests": Room(44_303, 38_000, ("tests/",)),
+    "benchmarks": Room(6_916, 5_000, ("benchmarks/",)),
     "building": Room(878, None, (".ci/", "aboard/", "docs/")),
     "pages": Room(8_681, None, ("README.md", "CONTRIBUTING.md", "aboard/README.md", "docs/")),
 }

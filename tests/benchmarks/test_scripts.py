@@ -157,9 +157,9 @@ def linear_boat(seed: int) -> Sample:
 
 @pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning")  # of other libraries
-@pytest.mark.parametrize("name", ["physics", "narmax", "state_space", "gru"])
+@pytest.mark.parametrize("name", ["physics", "narmax", "state_space", "gru", "echo_state"])
 def test_a_batch_peer_learns_a_linear_boat(name):
-    from peers import gru, narmax, physics, state_space
+    from peers import echo_state, gru, narmax, physics, state_space
     from peers.batch import free_run_errors, targets
 
     learned = [linear_boat(0), linear_boat(1)]
@@ -169,6 +169,7 @@ def test_a_batch_peer_learns_a_linear_boat(name):
             "state_space": lambda: state_space.one(learned, top=TOP, hidden=1, penalty=1e-5, heading=False, adam=100,
                                                    lbfgs=60),
             "gru": lambda: gru.one(learned, top=TOP, units=8, heading=False, updates=100),
+            "echo_state": lambda: echo_state.one(learned, TOP, radius=0.5, leak=0.5, penalty=1e-6, heading=False),
             "physics": lambda: physics.one(learned, top=TOP, cubic=False, current=False, lag=False),
         }[name]()  # fmt: skip
     except ModuleNotFoundError:

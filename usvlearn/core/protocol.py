@@ -194,9 +194,8 @@ def kernel_step(
     """One step by the kernels of a described estimator, without gradients: the state, and the prediction."""
     yes = torch.ones_like(surge, dtype=torch.bool)
     sample = Sample(inputs, surge, yes & fresh, yes & measured)
-    return import_module("usvlearn.engine.rollouts").kernel_step(
-        description, state, sample
-    )  # of a layer above this one
+    rollouts = import_module("usvlearn.engine.rollouts")  # of a layer above this one
+    return rollouts.kernel_step(description, state, sample)
 
 
 def check_estimator(name: str, value: Any) -> Estimator:
