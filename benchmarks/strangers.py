@@ -199,7 +199,7 @@ def main() -> None:
                 with TemporaryDirectory() as folder:
                     log = logged(boats, name, seed, missions, Path(folder))
                     rows += rows_of(log, said)
-                print(said[-1], flush=True)
+                print(seed, name, KINDS[missions], len(said), "doubts so far", flush=True)
                 if missions == 1 and len(ahead) < given.forecasts:
                     ahead[name] = forecasts(log)
     options = f"--seeds {' '.join(map(str, given.seeds))} --forecasts {given.forecasts}"
