@@ -35,7 +35,7 @@ PRODUCT = {
     "cli": Room(2_696, 2_400, ("usvlearn/cli/", "usvlearn/composition/", "train.py", "evaluate.py")),
     "runs": Room(2_200, 2_100, ("usvlearn/runs/",)),
     "sweeps": Room(2_074, 1_800, ("usvlearn/sweeps/",)),
-    "core, errors": Room(2_703, 2_500, ("usvlearn/core/", "usvlearn/errors.py")),
+    "core, errors": Room(2_702, 2_500, ("usvlearn/core/", "usvlearn/errors.py")),
     "simulate": Room(1_858, 1_800, ("usvlearn/simulate/",)),
     "evaluation": Room(1_472, 1_600, ("usvlearn/evaluation/",)),
     "display, top": Room(1_291, 1_200, ("usvlearn/display/", "usvlearn/_", "usvlearn/api.py", "usvlearn/learned.py")),
@@ -44,7 +44,7 @@ OTHERS = {
     "tests": Room(44_303, 38_000, ("tests/",)),
     "benchmarks": Room(6_916, 5_000, ("benchmarks/",)),
     "building": Room(878, None, (".ci/", "aboard/", "docs/")),
-    "pages": Room(8_681, None, ("README.md", "CONTRIBUTING.md", "aboard/README.md", "docs/")),
+    "pages": Room(8_682, None, ("README.md", "CONTRIBUTING.md", "aboard/README.md", "docs/")),
 }
 ROOMS = PRODUCT | OTHERS
 NOT_COUNTED = "CHANGELOG.md", "docs/adr/", "docs/tutorials/"  # records that only grow, and what the site's build writes
