@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from truths import DT, free_run_mae
+from truths import DT
 
-from usvlearn.core.samples import Fleet, Run, Sample, tree_map
+from usvlearn.core.samples import Fleet, Run, Sample, masks, tree_map
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.model.fit.gauss_newton import Fit, Missions, rows_of, scored
 from usvlearn.model.fit.logs import DT as FINE
@@ -65,6 +65,12 @@ def halves(coarse: Fleet, fine: Fleet) -> Halves:
     return _halves(*parts)
 
 
+def whole(coarse: Fleet, fine: Fleet) -> Halves:
+    """All runs of a fleet of one boat, to learn from and to simulate."""
+    parts = [[alone(run, 0) for run in grid.runs] for grid in (coarse, fine)]
+    return _halves(*((each, each) for each in parts))
+
+
 def alone(run: Run, element: int) -> Run:
     """A run of one boat of a fleet, `(time, 1)`."""
     part = slice(run.lengths[element]), slice(element, element + 1)
@@ -96,8 +102,14 @@ def _flat(run: Run) -> Sample:
     return tree_map(lambda x: x[:, 0], run.samples)
 
 
-def free_mae(fit: Fit, runs: Halves) -> float:
-    """MAE, m/s, of the open-loop simulations of the later runs, as of `truths.free_run_mae`."""
+def simulations(fit: Fit, runs: Halves) -> list[np.ndarray]:
+    """Speeds, m/s, of the open-loop simulations of the later runs, `(time,)` each."""
     current = usual_current(np.array([end for _, end in Missions(list(runs.rows.values()), fit.top).simulate(fit)]))
-    found = [open_loop(fit, each.rows, current)[each.places] for each in runs.ahead]
-    return free_run_mae(found, runs.later)
+    return [open_loop(fit, each.rows, current)[each.places] for each in runs.ahead]
+
+
+def percentage(predictions: Sequence[np.ndarray], runs: Sequence[Sample]) -> float:
+    """The fit percentage 100 (1 − |v − v̂| / |v − mean v|) over all steps whose speed was measured."""
+    use = np.concatenate([masks(run).learns for run in runs])
+    made, true = np.concatenate(predictions)[use], np.concatenate([run.surge for run in runs])[use]
+    return float(100 * (1 - np.linalg.norm(true - made) / np.linalg.norm(true - true.mean())))

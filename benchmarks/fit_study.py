@@ -14,7 +14,7 @@ import batch
 import identify
 import numpy as np
 import output_error
-from fit_simulation import Halves, free_mae, halves, season
+from fit_simulation import Halves, halves, percentage, season, simulations, whole
 from peers import narmax, physics, state_space
 from peers.batch import Held, free_run_errors
 from truths import MINUTES, NOMINAL, free_run_mae
@@ -50,6 +50,7 @@ class Frozen(NamedTuple):
 
     errors: dict[str, float]
     terms: str
+    percentages: tuple[float, float]  # of the fit: of the second half, and of all runs in sample; NaN: not measured
 
 
 def polynomial(parameters: Mapping[str, float], top: float, mass: float) -> Values:
@@ -90,30 +91,35 @@ def study(plant: str, seed: int, n: int = N, hours: float = HOURS, later: float 
         found = {FIT: fitted.quantities, ONLINE: values, BATCH: polynomial(nine.parameters, top, mass),
                  SQUARES: polynomial(plain, top, mass)}  # fmt: skip
         models = {ONLINE: frozen, BATCH: nine, SQUARES: output_error.Fit(plain, 0.0, np.zeros((1, 2)), 0.0)}
-        free = {FIT: free_mae(fitted.fit, runs)} | {
+        free = {FIT: free_run_mae(simulations(fitted.fit, runs), runs.later)} | {
             name: free_run_mae(output_error.free_runs(model, runs.later), runs.later) for name, model in models.items()
         }
         yield Study(plant, truth[boat], found, free, fitted.chosen)
 
 
-def frozen(log: batch.Log, runs: Halves, mass: float) -> Frozen:
-    """Every method on the second half of a boat's runs, its parameters frozen."""
+def frozen(log: batch.Log, runs: Halves, every: Halves | None, mass: float) -> Frozen:
+    """Every method on the second half of a boat's runs, its parameters frozen; the fit on all runs in sample, too."""
     fitted = fit_boat(log.name, runs.rows, mass, log.top)
+    made = simulations(fitted.fit, runs)
+    percentages = [percentage(made, runs.later), float("nan")]
+    if every:
+        percentages[1] = percentage(simulations(fit_boat(log.name, every.rows, mass, log.top).fit, every), every.later)
     errors = {"persistence": free_run_errors(Held(), runs.later)[1]}
     for name, module in PEERS.items():
         row = batch.peer_row(module, log)
         errors[name] = float("nan") if row is None else row.free
     errors["ensemble"] = batch.ours_by_free_run(log)["ensemble"]
-    return Frozen(errors | {FIT: free_mae(fitted.fit, runs)}, fitted.chosen)
+    errors[FIT] = free_run_mae(made, runs.later)
+    return Frozen(errors, fitted.chosen, tuple(percentages))
 
 
-def boats(folder: Path) -> Iterator[tuple[batch.Log, Halves, float]]:
-    """The recorded boats, and two simulated ones of `benchmarks/batch.py`, with their masses."""
+def boats(folder: Path) -> Iterator[tuple[batch.Log, Halves, Halves | None, float]]:
+    """The recorded boats, with all of their runs, and two simulated ones of `benchmarks/batch.py`, and their masses."""
     for name in batch.REAL:
         log = batch.recorded(folder, name)
-        grids = (accuracy.fleet_of((*log.overrides[:2], *more)) for more in ((), (f"align.dt={FINE}",)))
-        yield log, halves(*grids), accuracy.configuration(log.overrides).vehicle.mass
+        grids = [accuracy.fleet_of((*log.overrides[:2], *more)) for more in ((), (f"align.dt={FINE}",))]
+        yield log, halves(*grids), whole(*grids), accuracy.configuration(log.overrides).vehicle.mass
     for plant in batch.PLANTS:
         given = {"n": 1, "plant": plant, "hours": HOURS + LATER, "mission_minutes": MINUTES, "seed": batch.SEED}
         (runs,) = season(round(HOURS * 60 / MINUTES), **given).values()
-        yield batch.simulated(plant), runs, NOMINAL[plant][0]
+        yield batch.simulated(plant), runs, None, NOMINAL[plant][0]

@@ -42,9 +42,9 @@ PRODUCT = {
 }
 OTHERS = {
     "tests": Room(44_303, 38_000, ("tests/",)),
-    "benchmarks": Room(6_916, 5_000, ("benchmarks/",)),
+    "benchmarks": Room(6_938, 5_000, ("benchmarks/",)),
     "building": Room(878, None, (".ci/", "aboard/", "docs/")),
-    "pages": Room(8_682, None, ("README.md", "CONTRIBUTING.md", "aboard/README.md", "docs/")),
+    "pages": Room(8_685, None, ("README.md", "CONTRIBUTING.md", "aboard/README.md", "docs/")),
 }
 ROOMS = PRODUCT | OTHERS
 NOT_COUNTED = "CHANGELOG.md", "docs/adr/", "docs/tutorials/"  # records that only grow, and what the site's build writes
