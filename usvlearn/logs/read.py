@@ -220,10 +220,9 @@ def _natural(path: Path) -> list[list]:
 
 
 def sources_of(channels: Mapping[str, Source | Mix | Mapping | None]) -> dict[str, Source | Mix]:
-    """The channels that are logged, from their declarations; see `read_recordings`.
+    """The channels that are logged, from their declarations, as of `read_recordings`.
 
-    Raises:
-        ConfigError: a channel is unknown, has an illegal option, or is missing.
+    A ConfigError if a channel is unknown, has an illegal option, or is missing.
     """
     known = (*CHANNELS, *AUXILIARY)
     for name in channels:

@@ -225,11 +225,7 @@ class Aligner:
 def checked(
     channels: Mapping, dt: float, inputs: str, limits: Mapping[str, float], patience: float, outage: float, steps: str
 ) -> np.ndarray:
-    """The settings of an alignment, a record of `align_kernel.SETTINGS`; arguments and errors as of `Aligner`.
-
-    Args:
-        limits: `surge_max`, `command_max` and `yaw_rate_max`.
-    """
+    """The settings of an alignment, a record of `align_kernel.SETTINGS`; arguments and errors as of `Aligner`."""
     if check_positive("dt", dt, "of s") < LEAST_DT:
         raise ConfigError(f"dt: found {dt!r}, expected {LEAST_DT:g} s or more")
     check_choice("inputs", inputs, _compiled().INPUTS)

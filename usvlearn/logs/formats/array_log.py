@@ -118,12 +118,7 @@ def read_arrays(log: Arrays, channels: Mapping[str, Mapping[str, Any]], boat: st
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Arrays:
-    """Reads channels from arrays.
-
-    Args:
-        time: (n,) s since the first stamp, NaN where there is none.
-        columns: name -> (n,) numbers, NaN where there is none.
-    """
+    """Reads channels from arrays."""
 
     time: np.ndarray
     columns: Mapping[str, np.ndarray]

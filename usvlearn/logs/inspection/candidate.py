@@ -38,26 +38,17 @@ ANGLES = {"deg", "rad", "enu_rad", "enu_deg"}
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Candidate:
-    """A series, its finite values, and statistics.
-
-    Args:
-        name, field, kind: as in `Series`.
-        unit: as the log declares it, or as the name tells; "" where neither does.
-        time, value: `(n,)`, finite, in the order of the log.
-        spoken: what it is judged by in place of its name: see `of_loops`.
-        span: by which its numbers were divided.
-        missing: numbers that mean "unknown", and are not among the values.
-    """
+    """A series, its finite values, and statistics; name, field and kind as in `Series`."""
 
     name: str
     field: str | None
-    unit: str
+    unit: str  # as the log declares it, or as the name tells; "" where neither does
     kind: str
-    time: np.ndarray
+    time: np.ndarray  # (n,), in the order of the log
     value: np.ndarray
-    spoken: str = ""
-    span: float = 1.0
-    missing: tuple[float, ...] = ()
+    spoken: str = ""  # what it is judged by in place of its name: see `of_loops`
+    span: float = 1.0  # by which its numbers were divided
+    missing: tuple[float, ...] = ()  # numbers that mean "unknown", and are not among the values
 
     @property
     def label(self) -> str:

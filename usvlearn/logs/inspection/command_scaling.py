@@ -45,13 +45,9 @@ class Level(NamedTuple):
 
 def find_level(candidate: Candidate, pool: Sequence[Candidate], convention: str = "",
                speed: tuple[np.ndarray, np.ndarray] | None = None) -> Level:  # fmt: skip
-    """Zero and span of a command.
+    """Zero and span of a command; of all series of the log, constant ones too, one may be its zero point.
 
-    Args:
-        candidate: the command.
-        pool: all series of the log, constant ones too: one of them may be its zero point.
-        convention: name of the format.
-        speed: times and values, m/s: where the boat stands, a command is at its zero.
+    Where the boat stands by its speed, times and values, m/s, a command is at its zero.
     """
     low, high = candidate.extent
     if low >= LEAST_PWM and high <= MOST_PWM and high > low:

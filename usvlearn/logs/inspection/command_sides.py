@@ -70,15 +70,10 @@ SWAPPED = "swapped against the names: only so the boat moves as it is steered, b
 
 def find_commands(pool: Sequence[Candidate], everything: Sequence[Candidate], speed: Pair | None, turn: Pair | None,
                   convention: str, proved: bool = False) -> list[Commands]:  # fmt: skip
-    """Commands of both sides, the best first.
+    """Commands of both sides, the best first, among series that are not yet taken.
 
-    Args:
-        pool: series that are not yet taken.
-        everything: all series, constant ones too.
-        speed: m/s.
-        turn: yaw rate, rad/s, clockwise.
-        convention: name of the format.
-        proved: whether the sense of the heading is.
+    Given are all series, too, constant ones among them; the speed, m/s; the yaw rate, rad/s, clockwise; the name of the
+    format; and whether the sense of the heading is proved.
     """
     still = [each for each in everything if not each.varies and names_command(each)]
     if known := [each for each in everything if each.by_parameters]:

@@ -56,14 +56,9 @@ def scalar(value: Any) -> str:
 def write_text(
     settings: Mapping[str, Any], decisions: Sequence[Decision], head: Sequence[str], ask: str, findings: Sequence[str]
 ) -> str:
-    """The file.
+    """The file: settings with the open questions, and beside the keys what was decided.
 
-    Args:
-        settings: of `settings_of`, with the open questions.
-        decisions: what is told beside the keys.
-        head: lines above all keys.
-        ask: what is said of the open questions.
-        findings: of the data check, as sentences.
+    `head` are lines above all keys, `ask` is what is said of the questions, `findings` are the data check's sentences.
     """
     reasons = {path_of(each): each for each in reversed(decisions)}
     lines = ["# @package _global_", *(f"# {_plain(each)}" for each in head)]

@@ -38,14 +38,7 @@ class Course(NamedTuple):
 def find_course(
     pool: Sequence[Candidate], speeds: Sequence[Speed], places: Places | None, heading: Heading | None
 ) -> Course | None:
-    """The course and the speed over ground whose sway follows the position best, if one does.
-
-    Args:
-        pool: series that are not yet taken.
-        speeds: series that may be the speed, the best first.
-        places: of the boat, oriented.
-        heading: of the boat.
-    """
+    """The course and the speed over ground whose sway follows an oriented position best, if one does."""
     if places is None or heading is None:
         return None
     known = course_of(places)

@@ -33,11 +33,7 @@ class Curve(NamedTuple):
 
 
 def draw(found: Inspected, path: Path) -> None:
-    """Write the picture.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-    """
+    """Write the picture."""
     path.write_bytes(rendered(_picture(found), dpi=100))
 
 

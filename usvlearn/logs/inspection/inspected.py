@@ -52,16 +52,10 @@ class Inspected(NamedTuple):
 def inspect_logs(
     given: Sequence[str], name: str | None = None, output: str = "my_boat.yaml", any_vehicle: bool = False
 ) -> Inspected:
-    """Look at logs, decide, and read them as decided.
+    """Look at logs, folders or patterns, decide, and read them as decided.
 
-    Args:
-        given: logs, folders or patterns.
-        name: of the boat, by default that of the log or folder.
-        output: name of the file that will hold the text.
-        any_vehicle: whether logs are taken that say that they are of no boat.
-
-    Raises:
-        ConfigError, LogFormatError: there is no such log, it cannot be read, or it is of an aeroplane.
+    `output` is the name of the file that will hold the text. Without `any_vehicle`, logs that say that they are of no
+    boat are a LogFormatError, as those are that cannot be read; no log at all is a ConfigError.
     """
     logs = open_logs(given, name)
     series = candidates(joined(logs.surveyed))

@@ -34,24 +34,15 @@ SYNCHRONOUS = re.compile(rb"^\S+\s+([-+.\d][-+.\de]*|nan)\s", re.IGNORECASE)  # 
 
 @dataclass(frozen=True)
 class Format:
-    """A format of logs, and the reader of it.
+    """A format of logs, and the reader of it."""
 
-    Args:
-        name: for a person.
-        module, reader: of the reader.
-        suffixes: by which a folder is searched.
-        example: the name of the configuration in configs/data that reads such logs.
-        begins: bytes at the start of such a file.
-        looks: whether the first bytes of a file look like it, where no fixed bytes begin it.
-    """
-
-    name: str
+    name: str  # for a person
     module: str
     reader: str
-    suffixes: tuple[str, ...]
-    example: str
-    begins: tuple[bytes, ...] = ()
-    looks: Callable[[bytes, str], bool] = lambda head, suffix: False
+    suffixes: tuple[str, ...]  # by which a folder is searched
+    example: str  # the configuration in configs/data that reads such logs
+    begins: tuple[bytes, ...] = ()  # bytes at the start of such a file
+    looks: Callable[[bytes, str], bool] = lambda head, suffix: False  # likewise, where no fixed bytes begin it
 
     def fits(self, head: bytes, suffix: str) -> bool:
         return head.startswith(self.begins) if self.begins else self.looks(head, suffix)
@@ -120,11 +111,7 @@ class Logs(NamedTuple):
 
 
 def find_format(path: Path) -> Format:
-    """The format of a file.
-
-    Raises:
-        LogFormatError: it has none that is known.
-    """
+    """The format of a file; a LogFormatError if it has none that is known."""
     inside = sorted(each for each in path.iterdir() if each.suffix.lower() in BAGS) if path.is_dir() else [path]
     with inside[0].open("rb") as file:
         head = file.read(HEAD)
@@ -146,9 +133,7 @@ def find_format(path: Path) -> Format:
 def open_logs(given: Sequence[str], only: str | None = None) -> Logs:
     """Find the logs that arguments name, and list all their series; of a table of several boats those of `only`.
 
-    Raises:
-        ConfigError: a path does not exist, or no log is there.
-        LogFormatError: the logs have several formats, or none can be read.
+    A ConfigError if no log is there; a LogFormatError if they have several formats, or none can be read.
     """
     files = list(dict.fromkeys(file for each in given for file in _files(each)))
     found: dict[str, list[Path]] = {}

@@ -142,9 +142,7 @@ def moved_along(places: Places, speed: Pair, heading: Pair) -> Motion:
 def tell_places(places: Places, channels: dict, series: dict, confirmed: bool, axes: str, doubt: str) -> list[Decision]:
     """The position as auxiliary channels, for the track.
 
-    Args:
-        axes: how certain it is which coordinate is north.
-        doubt: why it is not certain.
+    `axes` says how certain it is which coordinate is north, and `doubt` why it is not certain.
     """
     names = ("latitude", "longitude") if places.geographic else ("north", "east")
     if not places.oriented:

@@ -77,13 +77,10 @@ class Proposal(NamedTuple):
 
 
 def propose(everything: Sequence[Candidate], convention: str, exchanged: bool = False) -> Proposal:
-    """Decide which series is which channel.
+    """Decide which of all series is which channel; `convention` is the name of the format.
 
-    Args:
-        everything: all series.
-        convention: name of the format.
-        exchanged: whether latitude and longitude, or velocities to the north and to the east, are, since only so the
-            heading and the sides are what they are called.
+    If `exchanged`, latitude and longitude, or velocities to the north and to the east, are interchanged, since only so
+    the heading and the sides are what they are called.
     """
     found, decisions = of_one_vehicle(in_degrees(everything), convention)
     pool = [

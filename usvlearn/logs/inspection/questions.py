@@ -66,14 +66,10 @@ def _found(same: Sequence[Decision]) -> str:
 
 
 def confirm(files: Sequence[str], given: Sequence[str]) -> Iterator[str]:
-    """Remove questions from a file, and nothing else; yields what is said then.
+    """Remove questions, by keys that may be joined by commas, from a file that `usvlearn inspect` wrote; yields what is
+    said.
 
-    Args:
-        files: expected is one that `usvlearn inspect` wrote, with a line for each question.
-        given: keys, also several in one, comma-separated.
-
-    Raises:
-        ConfigError: there is no such file or question, or it does not stand in its own line.
+    A ConfigError if there is no such file or question, or it does not stand in its own line.
     """
     if len(files) > 1 or not files[0].endswith((".yaml", ".yml")):
         raise ConfigError(f"--confirm: found {', '.join(files)}, expected the one file that usvlearn inspect wrote")

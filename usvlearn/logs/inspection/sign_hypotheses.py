@@ -85,13 +85,9 @@ class Fit(NamedTuple):
 def fit_gains(
     first: Pair, second: Pair, response: Pair | None, times: tuple[float, ...], level: bool = True
 ) -> Fit | None:
-    """The gains of two commands with the best of some time constants, s; None with too little evidence.
+    """The gains of two commands, shares, with the best of some time constants, s; None with too little evidence.
 
-    Args:
-        first, second: commands, share of full scale.
-        response: speed, m/s, or yaw rate, rad/s; None if it is not known.
-        times: constants that are tried, s.
-        level: whether there is no constant.
+    The response is the speed, m/s, or the yaw rate, rad/s; `level` says whether there is no constant.
     """
     if response is None:
         return None
@@ -181,13 +177,9 @@ def decide(
 ) -> Decided:
     """Decide about sides and signs together.
 
-    Args:
-        first, second: the commands that are named left and right, share of full scale.
-        speed: m/s.
-        turn: yaw rate, rad/s, clockwise.
-        level: whether the zeros of the commands are known.
-        proved: whether the sense of the heading is; if it is not, a turn against the names does not swap the sides.
-        named: whether the names tell the sides.
+    Given are the commands that are named left and right, shares of full scale; the speed, m/s; the yaw rate, rad/s,
+    clockwise; whether the zeros of the commands are known; whether the sense of the heading is proved (else a turn
+    against the names does not swap the sides); and whether the names tell the sides.
     """
     fits = tuple(
         tuple(fit for way in {True, level} if (fit := fit_gains(first, second, response, times, way)))
@@ -206,15 +198,10 @@ def decide(
 
 
 def pushes(command: Pair, speed: Pair | None, level: bool) -> tuple[int, float, str]:
-    """Which way one command of both sides drives the boat.
+    """Which way one command of both sides, a share, drives the boat by its speed, m/s: 1, or -1 if it is reversed.
 
-    Args:
-        command: share of full scale.
-        speed: m/s.
-        level: whether the zero of the command is known.
-
-    Returns:
-        1, or -1 if it is reversed; the cost by which the motion speaks against the other sign; and this in words.
+    Then come the cost by which the motion speaks against the other sign, and this in words; `level` says whether the
+    zero of the command is known.
     """
     fits = tuple(fit for way in {True, level} if (fit := fit_gains(command, command, speed, SPEED_TIMES, way)))
     if not fits:

@@ -61,13 +61,9 @@ class Speed(NamedTuple):
 def find_speeds(
     pool: Sequence[Candidate], places: Sequence[Places], convention: str, heading: Pair | None = None
 ) -> list[Speed]:
-    """Series that may be the speed, the best first.
+    """Series that may be the speed, the best first, by the first of the places of the boat.
 
-    Args:
-        pool: all series that are not yet taken.
-        places: of the boat; the first is used.
-        convention: name of the format.
-        heading: rad, by which the way between two places is known.
+    By the heading, rad, the way between two places is known.
     """
     found: list[Speed] = []
     sets, placed = [], {id(each) for place in places for each in place[:2]}
@@ -129,14 +125,9 @@ def _follows(speed: Pair, commands: Sequence[Candidate]) -> float:
 
 
 def interchanged(places: Places, speeds: Sequence[Candidate]) -> tuple[Places, bool]:
-    """The position with latitude and longitude interchanged if only then a speed follows its rate, else as it is.
+    """The position with latitude and longitude interchanged if only then a series named as a speed follows its rate.
 
-    Args:
-        places: as named.
-        speeds: series that are named as speeds.
-
-    Returns:
-        The position, and whether it is doubtful which of the two it is.
+    Else it is as it is named; the second value says whether it is doubtful which of the two it is.
     """
     other = crossed(places)
     if other is None or not speeds:

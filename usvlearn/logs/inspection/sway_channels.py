@@ -43,13 +43,9 @@ class Sway(NamedTuple):
 def find_sway(
     pool: Sequence[Candidate], surge: Speed | None, places: Places | None, heading: Heading | None
 ) -> Sway | None:
-    """The sway, if one is logged.
+    """The sway, if one is logged, by an oriented position.
 
-    Args:
-        pool: series that are not yet taken.
-        surge: the speed, if it is a series; only if it is signed, a series beside it can be the sway.
-        places: of the boat, oriented.
-        heading: of the boat.
+    Beside the surge there can be one only if the surge is a series, and signed.
     """
     found: list[tuple[bool, bool, float, int, Sway]] = []
     for each in pool:
@@ -125,10 +121,7 @@ def tell_sway(
 ) -> list[Decision]:
     """The sway as a channel, and what is said about it.
 
-    Args:
-        found: the sway.
-        channels, series: to which it is added.
-        sense: how certain it is in which sense heading and position count.
+    `sense` says how certain it is in which sense heading and position count.
     """
     candidate, unit = found.candidate, found.unit
     is_sway, of_unit, of_side = least(found.certainty[0], sense), found.certainty[1], least(found.certainty[2], sense)

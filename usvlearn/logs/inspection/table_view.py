@@ -28,14 +28,7 @@ PLAIN = ("series", "unit", "sign", "posting")  # what is told without its name
 
 
 def show(found: Inspected, output: str, console: Console, whole: bool = False) -> None:
-    """Print it.
-
-    Args:
-        found: by `inspect_logs`.
-        output: the file that is written.
-        console: on which it is printed.
-        whole: whether everything is printed, however long.
-    """
+    """Print what was found, and the file that is written; if `whole`, everything, however long."""
     log, asked = Text(" ".join(_logs(found))), list(_asked(found, output))
     said = [Text(f"Data check, {each.severity}: {printable(each.sentence())}") for each in found.findings]
     said += [Text(f"Note: {printable(note)}") for note in found.notes]

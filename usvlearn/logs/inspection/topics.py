@@ -21,8 +21,7 @@ SHOWN = 6  # names of files
 def joined_tables(files: Sequence[Path]) -> tuple[list[Path], str]:
     """The logs among some tables, where a folder of topics is one; and what was decided, and why, or "".
 
-    Raises:
-        LogFormatError: the files are topics, and others of their folder are not among them.
+    A LogFormatError if the files are topics, and others of their folder are not among them.
     """
     folders: dict[Path, list[Path]] = {}
     for file in files:

@@ -75,11 +75,7 @@ def told_apart(logs: Sequence[Sequence[Series]]) -> dict[str, str]:
 
 
 def check_boat(files: Sequence[Path], found: Sequence[Candidate], convention: str) -> list[Decision]:
-    """Refuse the log of an aeroplane, a multicopter or a submarine; ask where a log is of a ground vehicle.
-
-    Raises:
-        LogFormatError: the log says that it is of another vehicle.
-    """
+    """Refuse the log of an aeroplane, a multicopter or a submarine; ask where a log is of a ground vehicle."""
     kinds = {round(float(each.value[-1])) for each in found if TYPE.fullmatch(each.label)}
     other = next((OTHERS[kind] for kind in kinds if kind in OTHERS and not kinds & {GROUND, BOAT}), "")
     log = DataFlash()._log(files[0]) if convention == "ArduPilot DataFlash" else None

@@ -59,10 +59,8 @@ def find_options(path: Path, boat: str | None, beside: Sequence[Path]) -> tuple[
     """The options of `Table` for one table, as found, and a sentence for each unsure one that begins with its key.
 
     The option `comment` stays "auto". Of a folder of topics, an option that differs between its tables does, too. Where
-    this and the tables beside it hold rows of several boats, those of one are read.
-
-    Raises:
-        LogFormatError: the file is no table with a header, or no column can be one of stamps in the order of time.
+    this and the tables beside it hold rows of several boats, those of one are read. A LogFormatError where the file is
+    no table with a header, or no column can be one of stamps in the order of time.
     """
     if path.is_dir():
         return _of_topics(path)

@@ -28,13 +28,10 @@ _PATCHED = threading.Lock()  # all threads share the functions with which rosbag
 
 
 def unpack(path: Path, data: bytes, compression: str, limit: int, announced: int = 0) -> tuple[bytes, bool]:
-    """A chunk's data as far as it can be read, and whether it is complete.
+    """A chunk's data as far as it can be read, and whether it is complete; a ValueError for an unknown compression.
 
-    The chunk's header may announce a size, else 0. Data beyond it count as damage.
-
-    Raises:
-        LogFormatError: the chunk, or the size in its header, is larger than the limit, bytes.
-        ValueError: an unknown compression.
+    The chunk's header may announce a size, else 0. Data beyond it count as damage. A LogFormatError if the chunk, or
+    the size in its header, is larger than the limit, bytes.
     """
     if compression == "none":
         return data, True
