@@ -103,7 +103,7 @@ def _what_to_do(found: Inspected) -> str:
 
 
 def _end(found: Inspected, output: Path, plot: bool) -> Iterator[str]:
-    from usvlearn.logs.inspection.override import shell_override
+    from usvlearn.logs.inspection.config_writer import shell_override
     from usvlearn.logs.inspection.table_view import hours
 
     yield f"Read back: {len(found.recordings)} run{'s' * (len(found.recordings) > 1)}, {hours(found.recordings):.2f} h."

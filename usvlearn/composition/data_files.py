@@ -25,7 +25,7 @@ from usvlearn.core.safe_yaml import read_yaml
 from usvlearn.core.unconfirmed import SECTION as UNCONFIRMED
 from usvlearn.core.unconfirmed import questions_in
 from usvlearn.errors import CheckpointError, ConfigError, did_you_mean
-from usvlearn.logs.inspection.override import hydra_text
+from usvlearn.logs.inspection.config_writer import hydra_text
 from usvlearn.runs.files import CHECKPOINTS, RUNS
 from usvlearn.runs.trust import check_settings
 

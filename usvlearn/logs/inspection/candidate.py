@@ -1,10 +1,11 @@
-"""One series of a log as a candidate for a channel: its numbers, and what they show by themselves."""
+"""One series of a log as a candidate for a channel: its numbers, and what they, or its format, show by themselves."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -14,7 +15,7 @@ import numpy as np
 from usvlearn.logs.channels.series import Series
 from usvlearn.logs.formats.ardupilot.servos import OUTPUTS
 from usvlearn.logs.formats.csv.table import ROTATION
-from usvlearn.logs.formats.px4.actuators import DRIVEN, TOPICS
+from usvlearn.logs.formats.px4.ulog import DRIVEN, TOPICS
 from usvlearn.logs.inspection.vocabulary import fit, unit_word
 
 HELD = 7.0  # s, for which no measured speed of a boat that moves is the same, unless its sensor is slower
@@ -34,6 +35,19 @@ PLAIN = (  # roles, how well a name must fit, and the size up to which a number 
     (("latitude", "longitude"), 2, -1.0, ANYWHERE),  # 0, 0 is no fix of a receiver
 )
 ANGLES = {"deg", "rad", "enu_rad", "enu_deg"}
+PLACE = re.compile(r"\[\d+\]|@\S*")  # of a name: its instance and its sender
+KNOWN: dict[str, dict[str, tuple[str, ...]]] = {  # format -> role -> messages and fields, the best first
+    "ArduPilot DataFlash": {"heading": ("ATT Yaw", "XKF1 Yaw", "NKF1 Yaw"), "velocity": ("XKF1 VN", "NKF1 VN"),
+                            "position": ("POS Lat", "GPS Lat")},
+    "MAVLink telemetry": {"heading": ("ATTITUDE yaw", "GLOBAL_POSITION_INT hdg"),
+                          "velocity": ("LOCAL_POSITION_NED vx", "GLOBAL_POSITION_INT vx"),
+                          "position": ("LOCAL_POSITION_NED x", "GLOBAL_POSITION_INT lat")},
+    "PX4 ULog": {"heading": ("vehicle_attitude q", "vehicle_local_position heading"),
+                 "velocity": ("vehicle_local_position vx",),
+                 "position": ("vehicle_global_position lat", "vehicle_local_position x")},
+}  # fmt: skip
+EAST = {"VN": "VE", "vx": "vy"}
+UNRANKED = 9  # the rank of what is not known
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -230,3 +244,20 @@ def of_loops(found: list[Candidate]) -> list[Candidate]:
         if {"y", "r"} <= loop.keys() or {"y", "e", "u"} <= loop.keys():
             spoken |= {id(each): f"{head}{stem}{MEANINGS[letter]}" for letter, each in loop.items()}
     return [each.named(spoken=spoken[id(each)]) if id(each) in spoken else each for each in found]
+
+
+def rank(candidate: Candidate, role: str, convention: str) -> int:
+    """The place among the known messages of a role, 0 for the best; `UNRANKED` if it is none."""
+    known, label = KNOWN.get(convention, {}).get(role, ()), PLACE.sub("", candidate.label)
+    return known.index(label) if label in known else UNRANKED
+
+
+def known_velocity(pool: Sequence[Candidate], convention: str) -> tuple[Candidate, Candidate] | None:
+    """The velocities to the north and to the east that a format defines, the finest of them; None if there are none."""
+    for north in sorted(pool, key=lambda each: rank(each, "velocity", convention)):
+        if rank(north, "velocity", convention) < UNRANKED:
+            for east in pool:
+                twin = (east.name, east.field) == (north.name, EAST.get(north.field or ""))
+                if twin and len(east.value) == len(north.value):
+                    return north, east
+    return None

@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import math
+import re
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -20,6 +22,8 @@ MASS = 36.0  # kg, of configs/data/csv.yaml
 UNITS = {"mass": ["kg, added mass included"], "surge_max": ["m/s, top speed"]}
 KEYS = {"series": "name", "unit": "unit", "zero": "zero", "span": "span", "sign": "span", "posting": "held",
         "period": "period", "delay": "delay"}  # fmt: skip
+PLAIN = re.compile(r"[\w/.:-]+", re.ASCII)  # what Hydra takes without quotes
+SPECIAL = set('"$`\\!')  # to a shell, within double quotes
 
 
 def settings_of(path: str, boat: str, reader: Any, channels: Mapping[str, Mapping], surge_max: float) -> dict[str, Any]:
@@ -90,3 +94,16 @@ def _lines(node: Mapping[str, Any], above: tuple[str, ...], reasons: Mapping[str
 def _plain(text: str) -> str:
     """One line of a comment."""
     return printable(" ".join(text.split()))
+
+
+def hydra_text(value: str) -> str:
+    r"""A value of an override, quoted if need be."""
+    if PLAIN.fullmatch(value):
+        return value
+    return "'{}'".format(re.sub(r"(\\*)'", r"\1\1\\'", value))  # Hydra halves backslashes before a quote only
+
+
+def shell_override(path: str) -> str:
+    """`data=PATH` for a command line."""
+    text = f"data={hydra_text(path)}"
+    return f'"{text}"' if "'" in text and not SPECIAL & set(text) else shlex.quote(text)

@@ -17,9 +17,8 @@ from usvlearn.logs.channels.channel import AUTO, UNITS
 from usvlearn.logs.channels.correlations import rate_slope
 from usvlearn.logs.channels.position_rates import OFF, compass_error, deviations, legs_on
 from usvlearn.logs.channels.position_rates import SURE as CLEAR
-from usvlearn.logs.inspection.candidate import ANGLES, IS_SET, Candidate
+from usvlearn.logs.inspection.candidate import ANGLES, IS_SET, Candidate, rank
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
-from usvlearn.logs.inspection.known import rank
 from usvlearn.logs.inspection.position_channels import Pair, Places, course_of
 from usvlearn.logs.inspection.vocabulary import fit, words
 

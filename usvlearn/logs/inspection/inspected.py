@@ -19,11 +19,10 @@ from usvlearn.logs.checks.data_check import check_data
 from usvlearn.logs.checks.finding import Finding
 from usvlearn.logs.inspection.candidate import Candidate, candidates
 from usvlearn.logs.inspection.commands import SIDES
-from usvlearn.logs.inspection.config_writer import MASS, read_settings, settings_of, write_text
+from usvlearn.logs.inspection.config_writer import MASS, read_settings, settings_of, shell_override, write_text
 from usvlearn.logs.inspection.decision import PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.lag import DELAYS, LONG_DELAYS, Lag, find_lag
 from usvlearn.logs.inspection.logfiles import Logs, boats_of, joined, open_logs
-from usvlearn.logs.inspection.override import shell_override
 from usvlearn.logs.inspection.proposal import Proposal, propose
 from usvlearn.logs.inspection.questions import questions
 from usvlearn.logs.inspection.vehicles import check_boat, told_apart

@@ -1,6 +1,7 @@
 """Which logs are named, in which format, and all series that they hold.
 
-The first bytes of a file tell its format, and its suffix where the bytes do not.
+The first bytes of a file tell its format, and its suffix where the bytes do not. Which tables are topics of one run,
+the names of their columns tell, by the rules of `usvlearn.logs.formats.csv.topics`.
 """
 
 from __future__ import annotations
@@ -20,9 +21,13 @@ import numpy as np
 from usvlearn.errors import ConfigError, LogFormatError, reading
 from usvlearn.logs.channels.series import Series, segments
 from usvlearn.logs.formats.csv.boats import PHASES, VEHICLES, words_of
+from usvlearn.logs.formats.csv.dialect import AUTO, find_dialect, split_unit
+from usvlearn.logs.formats.csv.options import NAMED
 from usvlearn.logs.formats.csv.packed import PACKED
+from usvlearn.logs.formats.csv.rows import quaternions
+from usvlearn.logs.formats.csv.topics import several_kinds, tables_of
 from usvlearn.logs.formats.foreign import HEAD, explained, foreign
-from usvlearn.logs.inspection.topics import joined_tables
+from usvlearn.logs.inspection.vocabulary import fit, names_side_alone, side
 
 RECENT = 1e15, 4.1e15  # us since 1970, from 2001 to 2099: before a frame in a telemetry log of another suffix
 BETWEEN = 1000.0  # s between two logs that are looked at as one
@@ -30,6 +35,7 @@ MOST_BYTES = 400e6  # of logs that are looked at; more of one boat tell no more
 ROW = re.compile(rb"^-?\d+(\.\d+)?\s+\S+\s+\S+\s+\S")  # of a MOOS log
 DATED = re.compile(r"(?<!\d)(?:20\d\d\D?[01]\d|[0-3]?\d\D[01]?\d\D20\d\d)")  # the name of a log, after that of its boat
 SYNCHRONOUS = re.compile(rb"^\S+\s+([-+.\d][-+.\de]*|nan)\s", re.IGNORECASE)  # row of a .slog, which is a table
+SHOWN_NAMES = 6  # names of files
 
 
 @dataclass(frozen=True)
@@ -308,3 +314,58 @@ def _patterns(logs: Sequence[Sequence[Series]]) -> dict[str, str]:
         if "/" in name and all(len(each) == 1 for each in matches):
             found[name] = f"*{tail}"
     return found
+
+
+def joined_tables(files: Sequence[Path]) -> tuple[list[Path], str]:
+    """The logs among some tables, where a folder of topics is one; and what was decided, and why, or "".
+
+    A LogFormatError if the files are topics, and others of their folder are not among them.
+    """
+    folders: dict[Path, list[Path]] = {}
+    for file in files:
+        folders.setdefault(file.parent, []).append(file)
+    logs: list[Path] = []
+    sentence = ""
+    for folder, inside in folders.items():
+        if len(inside) < 2:
+            logs += inside
+            continue
+        columns = _columns(inside)
+        whole = next((file for file, names in columns.items() if names_all(names)), None)
+        differ = several_kinds(list(columns.values()))
+        if whole is not None or not differ:
+            logs += inside
+            why = f"{whole.name} has all channels" if whole and differ else "they have the same columns"
+            sentence = sentence or f"Each file is a run: {why}."
+            continue
+        rest = [each for each in tables_of(folder) if each not in inside and each.stat().st_size]
+        if others := ", ".join(each.name for each in rest[:SHOWN_NAMES]):
+            told = f"{folder}: expected all tables of a run, whose columns differ, found {len(inside)} given and "
+            raise LogFormatError(f"{told}{others} not: give the folder, or move these tables to one of their own")
+        logs.append(folder)
+        names = ", ".join(sorted(each.stem for each in columns)[:SHOWN_NAMES])
+        names += ", …" if len(columns) > SHOWN_NAMES else ""
+        sentence = f"The {len(columns)} tables of a folder are one run, joined by time ({names})"
+        sentence += ": none has all channels."
+    return logs, sentence
+
+
+def names_all(columns: Sequence[str]) -> bool:
+    """Whether the names of columns tell commands, a heading and a speed, or a position in place of it."""
+    commands = [name for name in columns if fit("command", name) >= 1 or names_side_alone(name)]
+    sides = {side(name) for name in commands}
+    driven = {"left", "right"} <= sides or (commands and any(fit("rudder", name) >= 1 for name in columns))
+    moves = any(fit(role, name) >= 1 for role in ("surge", "latitude", "velocity_north", "north") for name in columns)
+    return bool(driven) and moves and any(fit("heading", name) >= 1 for name in columns)
+
+
+def _columns(files: Sequence[Path]) -> dict[Path, list[str]]:
+    """The columns of each file that is a table, without stamps that are called so; only its first lines are read."""
+    found = {}
+    for file in files:
+        try:
+            names = find_dialect(file, AUTO, AUTO, AUTO, AUTO, AUTO).names
+        except LogFormatError:  # the survey says so
+            continue
+        found[file] = [name for name in (*names, *quaternions(names)) if split_unit(name)[0].lower() not in NAMED]
+    return {file: names for file, names in found.items() if names}

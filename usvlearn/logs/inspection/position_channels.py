@@ -12,9 +12,8 @@ import numpy as np
 from usvlearn.logs.channels.bins import cleaned
 from usvlearn.logs.channels.channel import AUTO, degrees
 from usvlearn.logs.channels.position_rates import Motion, position_on_velocity, speed_on_positions
-from usvlearn.logs.inspection.candidate import Candidate
+from usvlearn.logs.inspection.candidate import Candidate, rank
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
-from usvlearn.logs.inspection.known import rank
 from usvlearn.logs.inspection.vocabulary import SETPOINT, fit, words
 
 Pair = tuple[np.ndarray, np.ndarray]  # time, s, and value

@@ -11,7 +11,16 @@ from usvlearn.logs.inspection.candidate import IS_SET, Candidate
 from usvlearn.logs.inspection.command_sides import SWAPPED, Commands, doubted, find_commands, seconds_astern
 from usvlearn.logs.inspection.commands import SIDES, tell_commands
 from usvlearn.logs.inspection.config_writer import scalar
-from usvlearn.logs.inspection.courses import course_beside, find_course, reckoned, seconds_back, tell_course
+from usvlearn.logs.inspection.courses import (
+    course_beside,
+    find_course,
+    find_velocities,
+    named_velocities,
+    reckoned,
+    seconds_back,
+    tell_course,
+    tell_velocities,
+)
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.directions import (
     Heading,
@@ -49,7 +58,6 @@ from usvlearn.logs.inspection.speeds import (
 )
 from usvlearn.logs.inspection.sway_channels import find_sway, tell_sway
 from usvlearn.logs.inspection.vehicles import of_one_vehicle
-from usvlearn.logs.inspection.velocities import find_velocities, named_velocities, tell_velocities
 from usvlearn.logs.inspection.vocabulary import (
     WORDS,
     fit,

@@ -1,4 +1,7 @@
-"""PX4 logs (`.ulg`), read by the package pyulog: https://docs.px4.io/main/en/dev_log/ulog_file_format.html"""
+"""PX4 logs (`.ulg`), read by the package pyulog: https://docs.px4.io/main/en/dev_log/ulog_file_format.html
+
+Its parameters tell which motor and servo drives what: https://docs.px4.io/main/en/config/actuators.html
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,6 @@ import numpy as np
 from usvlearn.errors import LogFormatError, MissingExtraError, printable
 from usvlearn.logs.channels.channel import QUOTED, Channel, Source, build_channel, match_name
 from usvlearn.logs.channels.series import ELEMENTS, Reader, Series, interleaved
-from usvlearn.logs.formats.px4.actuators import DRIVEN, actuators, command
 from usvlearn.logs.formats.ros.message_fields import yaw
 
 FIELDS = 50_000  # of all subscriptions of a log; a log of PX4 has some thousands
@@ -28,6 +30,11 @@ DEEPEST = 10  # messages within each other
 ELEMENT = re.compile(r"(.+)\[(\d+)\]")
 CLOCKS = ("vehicle_gps_position", "sensor_gps")  # topics that tell the time in UTC
 QUATERNIONS = ("q", "q_d")  # fields of attitudes, and of their setpoints
+TOPICS = MOTORS, SERVOS, OUTPUTS = "actuator_motors", "actuator_servos", "actuator_outputs"
+FUNCTION = re.compile(r"PWM_(MAIN|AUX)_FUNC(\d{1,2})")
+FIRST = {MOTORS: 101, SERVOS: 201}  # values of PWM_MAIN_FUNCn
+DRIVEN = ("throttle_left", "throttle_right", "throttle", "steering", "motor_1", "motor_2")
+Topics = Mapping[str, Mapping[str, np.ndarray]]  # topic -> field -> (n,)
 
 
 class _Topic(NamedTuple):
@@ -62,7 +69,7 @@ class Ulog(Reader):
     A topic is named as in `vehicle_attitude`, and its further instances as in `actuator_outputs[1]`. A field is named
     as in `vx` or `control[0]`; several, comma-separated, give their Euclidean norm. A field of four numbers, such as
     `q`, is taken as a quaternion (w, x, y, z) and gives its yaw in rad, which is clockwise from north in PX4. Where the
-    parameters tell what drives it, the topic of a command has the further fields of `actuators.DRIVEN`.
+    parameters tell what drives it, the topic of a command has the further fields of `DRIVEN`.
 
     >>> Ulog().suffixes
     ('.ulg', '.ulog')
@@ -231,3 +238,35 @@ def _count(formats: Any, name: str, known: dict[str, int], depth: int = 0) -> in
             ),
         )
     return known[name]
+
+
+def actuators(parameters: Mapping[str, float]) -> dict[str, tuple[str, list[int]]]:
+    """name of `DRIVEN` -> the topic and the numbers, from 0, of what drives it; {} where nothing tells."""
+    places = {number: parameters.get(f"CA_ROTOR{number}_PY", 0.0) for number in range(12)}
+    left, right = ([number for number, y in places.items() if sign * y > 0] for sign in (-1, 1))
+    if left and right:
+        return {"throttle_left": (MOTORS, left), "throttle_right": (MOTORS, right)}
+    ackermann = {"throttle": (MOTORS, [0]), "steering": (SERVOS, [0])}
+    differential = {"motor_1": (MOTORS, [0]), "motor_2": (MOTORS, [1])}  # firmwares number them differently
+    return {5.0: ackermann, 6.0: differential}.get(parameters.get("CA_AIRFRAME", 0.0), {})
+
+
+def command(kind: str, number: int, parameters: Mapping[str, float], topics: Topics) -> tuple[str, np.ndarray]:
+    """The topic that holds an actuator's command, and its shares of full scale; pulses in us without limits."""
+    share = topics.get(kind, {}).get(f"control[{number}]")
+    if share is not None and np.isfinite(share).any():
+        return kind, np.nan_to_num(share.astype(np.float64))  # NaN stops a motor
+    for bank, output in (each.groups() for each in map(FUNCTION.fullmatch, parameters) if each):
+        topic = f"{OUTPUTS}[1]" if bank == "AUX" and f"{OUTPUTS}[1]" in topics else OUTPUTS
+        pulses = topics.get(topic, {}).get(f"output[{int(output) - 1}]")
+        if pulses is None or parameters[f"PWM_{bank}_FUNC{output}"] != FIRST[kind] + number:
+            continue
+        names = *(f"PWM_{bank}_{name}" for name in (f"MIN{output}", f"MAX{output}", "REV")), "CA_R_REV"
+        low, high, backward, both = (parameters.get(name, math.nan) for name in names)
+        if not high > low or not math.isfinite(backward + both):
+            return topic, pulses.astype(np.float64)
+        zero = (low + high) / 2 if kind == SERVOS or int(both) >> number & 1 else low
+        sign = -1 if int(backward) >> (int(output) - 1) & 1 else 1
+        stopped = ~(pulses > 0) | (pulses == parameters.get(f"PWM_{bank}_DIS{output}"))
+        return topic, np.where(stopped, 0.0, sign * (pulses - zero) / (high - zero))
+    return "", np.empty(0)  # nothing holds it
