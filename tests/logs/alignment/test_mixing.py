@@ -5,7 +5,7 @@ import pytest
 
 from tests.support.files import refused, write
 from usvlearn.errors import ConfigError
-from usvlearn.logs.alignment.mixing import Mix, mix
+from usvlearn.logs.alignment.mixing import Mix, mix, sides_of
 from usvlearn.logs.channels.channel import Channel
 from usvlearn.logs.formats.csv.table import Table
 from usvlearn.logs.read import read_recordings
@@ -90,3 +90,9 @@ def test_a_mix_of_sources_is_a_channel_in_python_too(tmp_path):
     given = Mix.of({"name": ["a", "b"], "span": [6, 4]})
     recording = read(tmp_path, "t,a,b,c,psi,v", given, {"name": "c"})
     assert recording.channels["command_left"].value.max() <= 1
+
+
+def test_throttle_and_steering_are_both_sides():
+    both = {"name": ["T", "S"], "span": [1.0, -1.0]}
+    assert sides_of({"name": "T"}, {"name": "S", "span": -1.0})["command_right"] == {**both, "weight": [1.0, -1.0]}
+    assert sides_of({"name": "T", "unit": "percent"})["command_right"] == {"name": "T", "unit": "percent"}

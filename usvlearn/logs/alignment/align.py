@@ -1,25 +1,7 @@
 """Asynchronous channels to samples on a grid of `dt`, message by message: live on a boat, or in a loop over a log.
 
-The step k → k+1 runs from the grid time t_k to t_{k+1} = t_k + dt. Its *target* is the last speed message stamped in
-(t_k, t_{k+1}], at s. There are three choices of what a prediction may see of each input
-(`docs/theory/model.md#inputs-and-causality`):
-
-    mean   time-weighted mean of the held signal over [t_k, s): nothing stamped at or after the target (the default)
-    last   the value in force at t_k: a true forecast
-    next   the value at t_{k+1}, the paper's own form. It leaks: in a closed loop the command logged beside a speed was
-           computed from that speed.
-
-With `steps="speed"` a step ends at the first speed message at or after t_k + dt, if one comes within its window, and so
-has the length that the speeds have; else, and with `steps="grid"`, it ends at t_k + dt.
-
-An input with a `delay` takes effect that long after its stamp, so it can only be seen later than stamped. (If the speed
-lags behind, give that delay to all inputs.)
-
-A message is rejected, and counted by channel and cause, if it is not a number (`not_a_number`), beyond a physical limit
-(`out_of_range`), an exact copy (`duplicate`), older than an earlier message of its channel or of the log (`backwards`),
-or the first one after an outage, whose stamp may be wrong (`ahead`). If two values have one stamp, the later one is
-used (`repeated`). A speed that repeats the last one within two `period`s of the sensor is a copy of one measurement
-(`copied`). A step without a recent message of a channel counts as `stale`.
+`docs/theory/model.md#inputs-and-causality` says what a step, its target, and the choices of `inputs` and `steps` are;
+`docs/troubleshooting.md` lists the causes by which rejected messages are counted.
 """
 
 from __future__ import annotations
@@ -47,7 +29,7 @@ class Aligner:
 
     Args:
         dt: step, s; with `steps="speed"` the least one.
-        inputs: "mean", "last" or "next", as above.
+        inputs: "mean", "last" or "next": see `docs/logs.md#alignment`.
         channels: the logged channels, each with its `held`, `window`, `delay` and `period` (a `Channel` or a `Source`).
             Without "yaw_rate", the slope of the heading is used. A window that is "auto" follows the rate of the
             messages: `usvlearn.logs.alignment.window_kernel`.
@@ -56,7 +38,7 @@ class Aligner:
         yaw_rate_max: greatest yaw rate, rad/s.
         patience: time to wait for late messages after a grid time, s.
         outage: silence of all channels after which the grid starts anew, s; it gives no samples.
-        steps: "grid" or "speed", as above.
+        steps: "grid" or "speed", likewise.
 
     Attributes:
         rejected: counts by channel and cause.

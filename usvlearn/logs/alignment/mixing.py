@@ -1,19 +1,8 @@
-"""Commands that several logged signals make together: thrusters in two groups, or throttle and steering.
+"""Commands that several logged signals make together: thrusters in two groups, throttle and steering, force and moment.
 
-The command of a side is a weighted sum of signals, each as a share of full scale:
-
-    ξ(t) = Σ_k w_k ξ_k(t)
-
-Without weights it is the mean of the thrusters of a side. A mixer of differential thrust adds steering to the throttle
-on the left (weights 1 and 1), subtracts it on the right (1 and −1), and limits the sum to ±1; where the weights add up
-to more than 1, so does this module. A boat with one thruster and a rudder has the same signal on both sides.
-
-The force ahead X and the moment about the vertical axis N are throttle and steering, too. Two sides at the distance b,
-each of which pushes with F at full scale, give X = F (ξ_L + ξ_R) and N = F b/2 (ξ_L − ξ_R), so that
-
-    ξ_L = X/(2F) + N/(F b)        ξ_R = X/(2F) − N/(F b)
-
-The span of X is 2F and that of N is F b.
+The command of a side is a weighted sum of signals, each as a share of full scale; without weights it is their mean.
+Where the weights add up to more than 1, the sum is limited to ±1, as by a mixer of differential thrust. The spans of
+force and moment are in `docs/logs.md`.
 """
 
 from __future__ import annotations
@@ -36,21 +25,15 @@ LIMIT, TOLERANCE = 1.2, 1e-9  # a plausible share of full scale; of the sum of w
 
 @dataclass(frozen=True)
 class Mix:
-    """A channel that is the weighted sum of several sources.
-
-    >>> Mix.of({"name": ["bow", "stern"], "span": [400, -400], "zero": 1500, "held": True}).parts[1].span
-    -400
-    """
+    """A channel that is the weighted sum of several sources."""
 
     parts: tuple[Source, ...]
     weights: tuple[float, ...]
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Mix:
-        """From the arguments of a `Source`, with a list of names; all of `PER_NAME` and `weight` may be lists.
-
-        Raises:
-            ConfigError: the lists differ in length, or a weight is no finite number.
+        """From the arguments of a `Source`, with a list of names; `PER_NAME` and `weight` may be lists. Else a
+        ConfigError.
         """
         names = list(given["name"])
         count = len(names)
@@ -81,19 +64,7 @@ def sides_of(throttle: Mapping[str, Any], steering: Mapping[str, Any] | None = N
     """The channels of both commands of a boat that is commanded by throttle, or by throttle and steering.
 
     With throttle alone both sides have it: a boat with one thruster and a rudder. Steering is added on the left and
-    subtracted on the right, as a mixer of differential thrust does.
-
-    Args:
-        throttle, steering: options of a `Source`, such as name and span; what is not of one name alone stands at the
-            throttle.
-
-    Raises:
-        ConfigError: one of them has no name, or an option stands at the wrong one.
-
-    >>> sides_of({"name": "DESIRED_THRUST", "unit": "percent"})["command_right"]
-    {'name': 'DESIRED_THRUST', 'unit': 'percent'}
-    >>> sides_of({"name": "DESIRED_THRUST"}, {"name": "DESIRED_RUDDER", "span": -1.0})["command_right"]
-    {'name': ['DESIRED_THRUST', 'DESIRED_RUDDER'], 'span': [1.0, -1.0], 'weight': [1.0, -1.0]}
+    subtracted on the right. What is not of one name alone stands at the throttle; else it is a ConfigError.
     """
     both = {THROTTLE: throttle} if steering is None else {THROTTLE: throttle, STEERING: steering}
     for channel, given in both.items():
@@ -126,11 +97,7 @@ def listed(value: Any) -> list | None:
 
 
 def parts_of(sources: Mapping[str, Source | Mix]) -> dict[str, Source]:
-    """What a reader is asked for: each source, those of a mix under names such as "command_left[0]".
-
-    >>> list(parts_of({"command_left": Mix.of({"name": ["a", "b"]}), "surge": Source("v")}))
-    ['command_left[0]', 'command_left[1]', 'surge']
-    """
+    """What a reader is asked for: each source, those of a mix under names such as "command_left[0]"."""
     found: dict[str, Source] = {}
     for name, source in sources.items():
         if isinstance(source, Mix):
@@ -164,12 +131,6 @@ def mix(parts: Sequence[Channel], weights: Sequence[float]) -> tuple[Channel, in
 
     Values that stand at one place of the log (one row, one message) make one. A message is dropped while another part
     has no value yet, or only one that is older than its staleness window, unless it is held.
-
-    >>> one = Channel(np.array([0.0, 1.0]), np.array([0.2, 0.4]), np.array([0, 2]), held=True)
-    >>> other = Channel(np.array([0.5]), np.array([1.0]), np.array([1]), held=True)
-    >>> channel, dropped = mix([one, other], [0.5, 0.5])
-    >>> channel.time, channel.value, dropped
-    (array([0.5, 1. ]), array([0.6, 0.7]), 1)
     """
     first = parts[0]
     order, last = np.unique(np.concatenate([part.order for part in parts]), return_inverse=True)
@@ -208,12 +169,7 @@ def _windows(part: Channel) -> np.ndarray:
 
 
 class LiveMix:
-    """`mix` of messages that come one by one, each at a place of its own.
-
-    >>> both = LiveMix(Mix.of({"name": ["bow", "stern"], "held": True}))
-    >>> both.push(0, 0.0, 0.2), both.push(1, 0.5, 1.0), both.push(0, 1.0, 0.4)
-    (None, 0.6, 0.7)
-    """
+    """`mix` of messages that come one by one, each at a place of its own."""
 
     def __init__(self, given: Mix):
         self._weights, self._most = given.weights, sum(map(abs, given.weights))
@@ -229,12 +185,7 @@ class LiveMix:
             self._kernel.window_of(*self._followed[1:], 0)
 
     def push(self, part: int, time: float, value: float) -> float | None:
-        """The sum after a message of one part; None while another part has no recent value.
-
-        Args:
-            part: its place.
-            time, value: s and share of full scale, finite.
-        """
+        """The sum after a message of one part, s and a finite share; None while another part has no recent value."""
         self._last[part] = time, value
         if self._auto:
             self._kernel.follow(*self._followed, part, time)

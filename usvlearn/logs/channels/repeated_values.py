@@ -1,10 +1,7 @@
 """Copies of a measured speed: a sensor that is logged faster than it measures.
 
-A copy is no new measurement, and a command that is logged beside it was computed from the speed that is to be
-predicted. A measured speed may repeat, too: a coarse sensor at steady speed, or a boat at rest. Speeds other than 0 are
-taken as copies if enough of them repeat the one before; a value comes a regular number m of times, where repeats by
-chance give a geometric distribution, whose variance is m(m − 1); and the sensor is fine: no single size of change is
-common. Copies of a coarse sensor are not found. Declare its `period`, where it is known.
+The rule and its reasons are in `docs/theory/model.md#repeated-samples`. Copies of a coarse sensor are not found:
+declare its `period`, where it is known.
 """
 
 from __future__ import annotations
