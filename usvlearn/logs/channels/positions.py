@@ -43,7 +43,10 @@ def track(channels: Mapping[str, Channel], time: np.ndarray) -> np.ndarray | Non
     if pair is None:
         return None
     found = np.full((len(time), 2), np.nan)
-    parts = [_sorted(channels[name]) for name in pair]
+    parts = []
+    for name in pair:
+        stamps, first = np.unique(channels[name].time, return_index=True)
+        parts.append((stamps, channels[name].value[first]))
     if any(len(stamps) == 0 for stamps, _ in parts):
         return found
     if pair == DEGREES:
@@ -57,9 +60,3 @@ def track(channels: Mapping[str, Channel], time: np.ndarray) -> np.ndarray | Non
         found[near, column] = np.interp(time[near], stamps, value - value[0])
     found[np.isnan(found).any(1)] = np.nan
     return found
-
-
-def _sorted(channel: Channel) -> tuple[np.ndarray, np.ndarray]:
-    """Stamps that rise, and their values."""
-    stamps, first = np.unique(channel.time, return_index=True)
-    return stamps, channel.value[first]

@@ -63,20 +63,20 @@ def speed_scale(e: Evidence) -> Iterator[Finding]:
     """The speed against the rate of position, or against the boat's top speed."""
     if e.fastest < RESTING:
         return
+    known, plausible = math.isfinite(e.surge_max), TOO_FAST * e.surge_max + CURRENT
     if e.speeds and e.has_position:
         north, east = (e.series[name] for name in METRES)
         relation = speed_on_positions(north, east, e.size)
         if relation.correlation > 0.5 and relation.slope > 0:
             if not 1 / SAME < relation.slope < SAME:
                 fits = bool(_in_other_unit(_other_units(e), relation.slope))
-                if other := position_unit(e, relation.slope, _plausible(e), fits):
+                usual = (TOO_SLOW * e.surge_max, plausible) if known else (RESTING, FASTEST)  # of the greatest speed
+                if other := position_unit(e, relation.slope, usual, fits):
                     yield other
                     return
                 text = f"{relation.slope:.2f} times the rate of position (r = {relation.correlation:.2f})"
                 yield Finding(e.boat, SURGE, "speed unit", text, "1 times", _in_units(e, relation.slope))
             return
-    known = math.isfinite(e.surge_max)
-    plausible = TOO_FAST * e.surge_max + CURRENT
     limit = plausible if FASTEST <= e.surge_max < math.inf else min(plausible, FASTEST)
     top, bound = (e.surge_max, f"{e.surge_max:g} m/s (vehicle.surge_max)") if known else (FASTEST, f"{FASTEST:g} m/s")
     if e.fastest > limit:
@@ -138,12 +138,6 @@ def _odd(runs: list[Evidence], sizes: list[float], *others: list[float]) -> tupl
     odd = [f"{runs[k].recordings[0].run} (× {ratios[k]:.3g})" for k in order if not 1 / SAME < ratios[k] < SAME]
     text = f"another scale than in the other logs in {', '.join(odd[:SHOWN])}" + ", …" * (len(odd) > SHOWN)
     return text, *(math.log(max(each[high], 1e-9) / max(each[low], 1e-9)) for each in (sizes, *others))
-
-
-def _plausible(e: Evidence) -> tuple[float, float]:
-    """Between which speeds the greatest of a boat lies that is driven as usual, m/s."""
-    known = math.isfinite(e.surge_max)
-    return (TOO_SLOW * e.surge_max, TOO_FAST * e.surge_max + CURRENT) if known else (RESTING, FASTEST)
 
 
 def _other_units(e: Evidence) -> dict[str, float]:

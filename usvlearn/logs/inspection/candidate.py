@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -46,7 +45,6 @@ KNOWN: dict[str, dict[str, tuple[str, ...]]] = {  # format -> role -> messages a
                  "velocity": ("vehicle_local_position vx",),
                  "position": ("vehicle_global_position lat", "vehicle_local_position x")},
 }  # fmt: skip
-EAST = {"VN": "VE", "vx": "vy"}
 UNRANKED = 9  # the rank of what is not known
 
 
@@ -250,14 +248,3 @@ def rank(candidate: Candidate, role: str, convention: str) -> int:
     """The place among the known messages of a role, 0 for the best; `UNRANKED` if it is none."""
     known, label = KNOWN.get(convention, {}).get(role, ()), PLACE.sub("", candidate.label)
     return known.index(label) if label in known else UNRANKED
-
-
-def known_velocity(pool: Sequence[Candidate], convention: str) -> tuple[Candidate, Candidate] | None:
-    """The velocities to the north and to the east that a format defines, the finest of them; None if there are none."""
-    for north in sorted(pool, key=lambda each: rank(each, "velocity", convention)):
-        if rank(north, "velocity", convention) < UNRANKED:
-            for east in pool:
-                twin = (east.name, east.field) == (north.name, EAST.get(north.field or ""))
-                if twin and len(east.value) == len(north.value):
-                    return north, east
-    return None

@@ -195,8 +195,6 @@ def _pwm(candidate: Candidate, pool: Sequence[Candidate], speed: tuple[np.ndarra
             zero = float(round(value)) if odd else 1500.0, PROBABLE, f"the boat stands at {stands}"
     elif at_rest:
         zero, others = (rest, UNSURE, f"it rests at {rest:g}; 1500 by convention"), ("1500",)
-    elif low > NEUTRAL[0] and rest <= 1150 and rest - low < 50:
-        zero = rest, UNSURE, f"it never leaves {low:.0f} … {high:.0f}, and rests at {rest:g}"
     elif low > 1450 or high < 1550 or rest < NEUTRAL[0]:
         rests = "never rests" if math.isnan(rest) else f"rests at {rest:g}"
         zero = 1500.0, UNSURE, f"by convention; it {rests}, and stays within {low:.0f} … {high:.0f}"

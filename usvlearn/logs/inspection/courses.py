@@ -15,7 +15,7 @@ import numpy as np
 from usvlearn.logs.channels.bins import cleaned
 from usvlearn.logs.channels.channel import AUTO, COURSES
 from usvlearn.logs.channels.position_rates import speed_on_positions, sway_on_positions
-from usvlearn.logs.inspection.candidate import Candidate, known_velocity
+from usvlearn.logs.inspection.candidate import UNRANKED, Candidate, rank
 from usvlearn.logs.inspection.decision import CERTAIN, ORDER, PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.directions import Heading, agreement, read_any_turn
 from usvlearn.logs.inspection.position_channels import MOVING, Pair, Places, course_of
@@ -25,9 +25,9 @@ from usvlearn.logs.inspection.vocabulary import OVER_GROUND, fit, words
 
 MOST = 4  # speeds that are tried
 BACK, ENOUGH = 0.15, 5.0  # of the greatest speed; s, from which a boat goes astern by its course
-SIGNED = 0.03  # share of the greatest size below zero, from which a speed is signed
 Both = tuple[Candidate, Candidate]  # to the north and to the east
 ALONG = 0.8  # mean cosine of heading and direction of a velocity over ground
+EAST = {"VN": "VE", "vx": "vy"}  # beside the velocity to the north
 TURNS = 0.3  # variance of that direction on the circle, from which it is no chance
 
 
@@ -42,8 +42,12 @@ class Velocities(NamedTuple):
 
 def named_velocities(pool: Sequence[Candidate], convention: str) -> Both | None:
     """The velocities to the north and to the east by format or name, if there are."""
-    if known := known_velocity(pool, convention):
-        return known
+    known = [each for each in pool if rank(each, "velocity", convention) < UNRANKED]
+    for north in sorted(known, key=lambda each: rank(each, "velocity", convention)):
+        for east in pool:
+            twin = (east.name, east.field) == (north.name, EAST.get(north.field or ""))
+            if twin and len(east.value) == len(north.value):
+                return north, east
     for north in pool:
         for east in pool if fit("velocity_north", north.label) >= 2 else ():
             if fit("velocity_east", east.label) >= 2 and (east.name == north.name or north.field in (None, "data")):
@@ -120,7 +124,7 @@ def find_course(
             continue
         course = read_any_turn(each, known)
         for speed in speeds[:MOST] if course.certainty == CERTAIN else ():
-            if speed.candidate.extent[0] < -SIGNED * speed.candidate.size:
+            if speed.candidate.is_signed:
                 continue
             sway = _part(np.sin, speed.metres, course.radians, heading.radians)
             relation = sway_on_positions(places.north, places.east, heading.radians, sway)

@@ -14,11 +14,10 @@ import yaml
 from usvlearn.core.samples import Fleet, speed_limit
 from usvlearn.core.unconfirmed import SECTION, WRITTEN, confirmation
 from usvlearn.errors import LogFormatError
-from usvlearn.logs.channels.channel import Recording
+from usvlearn.logs.channels.channel import COMMANDS, Recording
 from usvlearn.logs.checks.data_check import check_data
 from usvlearn.logs.checks.finding import Finding
 from usvlearn.logs.inspection.candidate import Candidate, candidates
-from usvlearn.logs.inspection.commands import SIDES
 from usvlearn.logs.inspection.config_writer import MASS, read_settings, settings_of, shell_override, write_text
 from usvlearn.logs.inspection.decision import PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.lag import DELAYS, LONG_DELAYS, Lag, find_lag
@@ -75,8 +74,11 @@ def inspect_logs(
         proposal = proposal._replace(unfit=proposal.unfit or clocks)
         return Inspected(logs, series, proposal, decisions, {}, "", [], None, notes, [])
     settings = settings_of(logs.path, name or logs.name, logs.reader, proposal.channels, USUAL)
-    recordings, warned = _read(settings)
-    notes += [each for each in warned if each not in notes]
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        recordings = read_settings(settings)
+    told = [str(each.message).replace(f"{Path.cwd()}/", "") for each in warned]  # with paths as from here
+    notes += [each for each in told if each not in notes]
     lag = None
     if recordings:
         top = _tell_top_speed(settings, recordings, decisions)
@@ -98,14 +100,6 @@ def inspect_logs(
     if back != settings:
         raise AssertionError(f"the file does not read back as it was written: {back} != {settings}")
     return Inspected(logs, series, proposal, decisions, settings, text, recordings, lag, notes, findings)
-
-
-def _read(settings: dict[str, Any]) -> tuple[list[Recording], list[str]]:
-    """The recordings, and the warnings of reading them, with paths as from here."""
-    with warnings.catch_warnings(record=True) as warned:
-        warnings.simplefilter("always")
-        recordings = read_settings(settings)
-    return recordings, [str(each.message).replace(f"{Path.cwd()}/", "") for each in warned]
 
 
 def _aligned(recordings: Sequence[Recording], top: float) -> Fleet | None:
@@ -136,9 +130,9 @@ def _tell_top_speed(settings: dict[str, Any], recordings: Sequence[Recording], d
 def _tell_delay(settings: dict[str, Any], lag: Lag, decisions: list[Decision]) -> None:
     if not len(lag.errors):
         why = "too few steps to tell a delay: give longer logs"
-        decisions.append(Decision(SIDES[0], "delay", "0 s", UNSURE, why))
+        decisions.append(Decision(COMMANDS[0], "delay", "0 s", UNSURE, why))
         return
-    for side in SIDES:
+    for side in COMMANDS:
         settings["data"]["channels"][side]["delay"] = lag.delay
     between = [each for each in DELAYS if min(lag.equal) <= each <= max(lag.equal)]
     whole = len(lag.equal) > 2 and len(between) == len(lag.equal)
@@ -156,4 +150,4 @@ def _tell_delay(settings: dict[str, Any], lag: Lag, decisions: list[Decision]) -
         sentence = f"{lag.best:g} s fits best, but not surely; {sentence}"
     sure = PROBABLE if lag.sure and lag.delay <= 1 else UNSURE
     others = (f"{lag.best:g}",) if lag.best != lag.delay else ()
-    decisions += [Decision(side, "delay", f"{lag.delay:g} s", sure, sentence, others) for side in SIDES]
+    decisions += [Decision(side, "delay", f"{lag.delay:g} s", sure, sentence, others) for side in COMMANDS]

@@ -46,7 +46,9 @@ def find_lag(recordings: Sequence[Recording], surge_max: float = 10.0) -> Lag:
     rows: list[dict] = []
     for delays in (DELAYS, DELAYS + LONG_DELAYS):
         try:
-            rows += [_rows(_delayed(recordings, delay, surge_max)) for delay in delays[len(rows) :]]
+            with warnings.catch_warnings(action="ignore"):
+                fleets = [align_fleet(delayed(recordings, each), surge_max=surge_max) for each in delays[len(rows) :]]
+            rows += map(_rows, fleets)
         except UsvlearnError:
             return Lag(0.0, (), 0.0, False, np.empty(0))
         stamps = set.intersection(*(set(each) for each in rows))
@@ -58,12 +60,6 @@ def find_lag(recordings: Sequence[Recording], surge_max: float = 10.0) -> Lag:
         if found.delay < delays[-1]:
             break
     return found
-
-
-def _delayed(recordings: Sequence[Recording], delay: float, surge_max: float) -> Fleet:
-    """The recordings on the grid, with the commands of both sides delayed."""
-    with warnings.catch_warnings(action="ignore"):
-        return align_fleet(delayed(recordings, delay), surge_max=surge_max)
 
 
 def choose(errors: np.ndarray, delays: Sequence[float] = DELAYS) -> Lag:

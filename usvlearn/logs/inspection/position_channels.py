@@ -93,8 +93,6 @@ def guess_places(pool: Sequence[Candidate], speeds: Sequence[Candidate]) -> Plac
             if places is None or not _moves(places):
                 continue
             for each in speeds:
-                if each is first or each is second:
-                    continue
                 relation = speed_on_positions(places.north, places.east, each.evidence)
                 if relation.correlation > CLOSE and (best is None or relation.correlation > best[0] + 1e-3):
                     if 1 / 1.1 < relation.slope < 4.0:
@@ -178,15 +176,10 @@ def tell_places(places: Places, channels: dict, series: dict, confirmed: bool, a
 def _velocity(places: Places) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Times, and the velocity to the north and to the east over `SPAN` seconds, m/s; gaps are left out."""
     (time, north), (other, east) = (cleaned(each) for each in (places.north, places.east))
-    grid = even_times(time)
+    grid = np.unique(np.floor(time / SPAN)) * SPAN  # that have a stamp within the `SPAN` after them
     north, east = np.interp(grid, time, north), np.interp(grid, other, east)
     kept = np.diff(grid) < 1.5 * SPAN
     return (grid[:-1] + SPAN / 2)[kept], np.diff(north)[kept] / SPAN, np.diff(east)[kept] / SPAN
-
-
-def even_times(time: np.ndarray) -> np.ndarray:
-    """Multiples of `SPAN` that have a stamp within the `SPAN` after them, however far apart the stamps are."""
-    return np.unique(np.floor(time / SPAN)) * SPAN
 
 
 def _places(first: Candidate, second: Candidate, geographic: bool, oriented: bool) -> Places | None:

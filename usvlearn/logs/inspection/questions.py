@@ -66,8 +66,8 @@ def _found(same: Sequence[Decision]) -> str:
 
 
 def confirm(files: Sequence[str], given: Sequence[str]) -> Iterator[str]:
-    """Remove questions, by keys that may be joined by commas, from a file that `usvlearn inspect` wrote; yields what is
-    said.
+    """Remove questions from a file that `usvlearn inspect` wrote; yields what is said. A key may be several, with
+    commas.
 
     A ConfigError if there is no such file or question, or it does not stand in its own line.
     """

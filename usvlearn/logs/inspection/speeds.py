@@ -329,15 +329,8 @@ def tell_speed(speeds: Sequence[Speed], channels: dict, series: dict) -> list[De
 
 def _why_better(best: Speed, other: Speed) -> str:
     one, two = best.candidate, other.candidate
-    reasons = []
-    if one.interval < 0.7 * two.interval:
-        reasons.append("it comes more often")
-    if one.repeats < two.repeats - 0.1:
-        reasons.append("it repeats less")
-    if one.is_signed and not two.is_signed:
-        reasons.append("it is signed")
-    if best.confirmed and not other.confirmed:
-        reasons.append("it follows the position")
+    reasons = ["it repeats less"] * (one.repeats < two.repeats - 0.1)
+    reasons += ["it is signed"] * (one.is_signed and not two.is_signed)
     return ", ".join(reasons) or "its name fits better"
 
 
