@@ -19,6 +19,7 @@ FEWEST = 12  # bins, below which nothing is concluded
 FEW_LAGS = 64  # that are summed one by one; more by Fourier transforms
 REACH = 60.0  # s, lags of an autocorrelation that are summed
 NO_LAG = (0.0, 0.0)
+SURE, CLOSE = 4.0, 0.9  # standard errors, and correlation, of a relation that is no chance
 PUSHES, SIGNED, RISES = -0.1, 0.03, 0.15  # of full scale; of the greatest speed
 ENOUGH, MOSTLY = 2, 0.5  # stretches; share of the time, from which rather the sign of the commands is wrong
 
@@ -36,6 +37,11 @@ class Relation(NamedTuple):
     def certainty(self) -> float:
         """The correlation in standard errors; beyond ±4 it is no chance."""
         return self.correlation / self.error if self.error > 0 else math.nan
+
+    def is_sure(self, seconds: float) -> bool:
+        """Whether it is no chance: by its certainty, or as a close one over so many seconds."""
+        close = abs(self.correlation) >= CLOSE and self.seconds >= seconds
+        return self.seconds > 0 and (close or abs(self.certainty) >= SURE)
 
 
 class Offset(NamedTuple):

@@ -14,13 +14,14 @@ import numpy as np
 
 from usvlearn.logs.channels.bins import cleaned
 from usvlearn.logs.channels.channel import AUTO, COURSES
+from usvlearn.logs.channels.correlations import SURE
 from usvlearn.logs.channels.position_rates import speed_on_positions, sway_on_positions
 from usvlearn.logs.inspection.candidate import UNRANKED, Candidate, rank
 from usvlearn.logs.inspection.decision import CERTAIN, ORDER, PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.directions import Heading, agreement, read_any_turn
 from usvlearn.logs.inspection.position_channels import MOVING, Pair, Places, course_of
 from usvlearn.logs.inspection.speeds import RATIO, Speed, read_speed, vectors
-from usvlearn.logs.inspection.sway_channels import FOLLOWS, SURE
+from usvlearn.logs.inspection.sway_channels import FOLLOWS
 from usvlearn.logs.inspection.vocabulary import OVER_GROUND, fit, words
 
 MOST = 4  # speeds that are tried

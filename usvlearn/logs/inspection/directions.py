@@ -28,8 +28,7 @@ AGREES = 0.6  # mean cosine of heading and course, from which they agree
 ALONG = 0.8  # or that of local coordinates, from which it tells which of them is north
 CLOSELY = 0.9  # median of the cosine, from which they do so closely
 MARGIN = 0.25  # of that, over the next best unit
-FOLLOWS, SURE = 0.6, 4.0  # correlation of a yaw rate with the heading's derivative, and that in standard errors
-CLOSE, SHORT = 0.9, 20.0  # or a close correlation over so many seconds
+FOLLOWS, SHORT = 0.6, 20.0  # correlation of a yaw rate with the heading's derivative; s, of a close one
 EXACT = 4.0  # three standard errors, degrees, up to which the error of a compass is probable
 RATIO, SCALE = 1.6, 1.1  # by which the slope may differ from that of a unit, and from that of a gyro
 NORTH = {"heading", "hdg", "hdt", "compass", "steuerkurs", "kurs", "ned", "cap", "rumbo"}  # words of angles from north
@@ -265,8 +264,7 @@ def find_yaw_rate(pool: Sequence[Candidate], heading: Heading) -> tuple[YawRate 
         if each is heading.candidate or name < 0 or (name < 0.5 and fit("heading", heading.candidate.label) >= 1):
             continue
         relation = rate_slope(heading.radians, each.evidence)
-        enough = abs(relation.certainty) >= SURE or (abs(relation.correlation) >= CLOSE and relation.seconds >= SHORT)
-        follows = abs(relation.correlation) >= (FOLLOWS if name >= 1 else 0.75) and enough
+        follows = abs(relation.correlation) >= (FOLLOWS if name >= 1 else 0.75) and relation.is_sure(SHORT)
         unit = _rate_unit(relation.slope, RATIO if name >= 1 else 1.3) if follows else ""
         if unit:
             sentence = f"follows the heading's derivative: slope {relation.slope:.3g}, "

@@ -84,13 +84,6 @@ ROLES: dict[str, dict[float, str]] = {  # role -> how strongly -> words
                 "turtall omdrejninger giri obroty kierrosluku", 1.5: "gas gaz leistung puissance vermogen"},
     "rudder": {3: "ruder ruderlage gouvernail safran timón timone leme roer roder ror peräsin", 2: "barre ster"},
 }  # fmt: skip
-UNITS = {  # unit -> words
-    "knots": spelled("knoten nœuds nœud nudos nodi nós knopen knop knob knots węzły węzłów solmua"),
-    "deg": spelled("grad degré degrés grados gradi graus graden grader stopnie stopni asteet"),
-    "percent": spelled("prozent pourcent procent prosent percento porcentaje"),
-}
-
-
 SIDEWAYS = {word for text in ROLES["sway"].values() for word in spelled(text)}
 
 

@@ -25,8 +25,7 @@ from usvlearn.logs.inspection.vocabulary import OTHER_UNITS, SETPOINT, fit, name
 
 RATIO = 1.3  # by which a slope may differ from that of a unit, as far as that unit is near at all
 FITS, SAME = 1.05, 0.95  # by which it may differ, and the correlation, of a unit that is certain
-FOLLOWS, SURE = 0.6, 4.0  # correlation with the rate of position, and that in standard errors
-CLOSE, LONG = 0.9, 60.0  # or a close correlation over so many seconds
+FOLLOWS, LONG = 0.6, 60.0  # correlation with the rate of position; s, of a close one
 ACROSS = 0.5  # share of y in x, from which a vector is not along the hull
 STEADY, TIGHT = 0.4, 1.1  # correlation of a speed that varies little, and then the tolerance of the slope
 BETTER = 4  # by which 1 − correlation must shrink, to take latitude and longitude against their names
@@ -149,21 +148,20 @@ def read_speed(
     declared = candidate.unit if candidate.unit in (*SPEEDS, *RARE) else ""
     usual = "m/s" if any(kind in candidate.kind or kind == convention for kind in METRIC) else ""
     score = name + quality(candidate) + 0.3 * ("nav" in words(candidate.name))
-    if relation is not None and _enough(relation):
+    if relation is not None and relation.correlation >= FOLLOWS and relation.is_sure(LONG):
         unit = unit_of(relation.slope, first=declared)
-        if relation.correlation >= FOLLOWS and unit and (unit == "m/s" or not _is_twist(candidate)):
+        if unit and (unit == "m/s" or not _is_twist(candidate)):
             found = _near(candidate, unit, relation, declared, declared or usual, score)
             if length or declared or usual or found.certainty != CERTAIN:
                 return found
             return found._replace(certainty=PROBABLE, reason=f"{found.reason}, if this is in m: no name tells its unit")
-        if relation.correlation >= FOLLOWS and _is_twist(candidate):
+        if _is_twist(candidate):
             sentence = f"m/s by definition, but {relation.slope:.3g} × the rate of position: check stamps and position"
             others = (*filter(None, [unit]), _by_span(relation))
             return Speed(candidate, "m/s", UNSURE, sentence, others, True, "", score)
-        if relation.correlation >= FOLLOWS:
-            sentence = f"{relation.slope:.3g} × the rate of position, which is no known unit"
-            others = (*(unit for unit in SPEEDS[:3] if unit != (declared or "m/s")), _by_span(relation))
-            return Speed(candidate, declared or "m/s", UNSURE, sentence, others, False, f"it is {sentence}", score - 2)
+        sentence = f"{relation.slope:.3g} × the rate of position, which is no known unit"
+        others = (*(unit for unit in SPEEDS[:3] if unit != (declared or "m/s")), _by_span(relation))
+        return Speed(candidate, declared or "m/s", UNSURE, sentence, others, False, f"it is {sentence}", score - 2)
     if relation is not None and relation.seconds >= LONG and relation.correlation >= STEADY:
         unit = unit_of(relation.slope, TIGHT, declared)
         if unit and unit == (declared or "m/s"):
@@ -212,11 +210,6 @@ def _is_twist(candidate: Candidate) -> bool:
 def _by_span(relation: Relation) -> str:
     """What reads a speed in a unit of its own, such as ft/s, as an alternative of its unit."""
     return f"m/s, with span: {relation.slope:.3g}"
-
-
-def _enough(relation: Relation) -> bool:
-    close = relation.correlation >= CLOSE and relation.seconds >= LONG
-    return relation.seconds > 0 and (close or abs(relation.certainty) >= SURE)
 
 
 def by_other(speed: Speed, known: Speed) -> Speed:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from usvlearn.logs.channels.channel import AUTO, SPEEDS, SWAY, UNITS
-from usvlearn.logs.channels.correlations import NOTHING, Relation
+from usvlearn.logs.channels.correlations import CLOSE, NOTHING, SURE, Relation
 from usvlearn.logs.channels.position_rates import sway_on_positions
 from usvlearn.logs.inspection.candidate import Candidate
 from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
@@ -23,8 +23,8 @@ from usvlearn.logs.inspection.vocabulary import fit, words
 
 PAIRS = {("x", "y"), ("u", "v"), ("vx", "vy"), ("surge", "sway"), ("ahead", "sideways"), ("forward", "lateral"),
          ("longitudinal", "lateral"), ("forward", "right"), ("laengs", "quer")}  # fmt: skip  # words of surge and sway
-FOLLOWS, SURE = 0.6, 4.0  # correlation with the rate across the hull, and that in standard errors
-CLOSE, TIGHT = 0.9, 1.15  # correlation, and how closely the slope fits, of a unit that is certain
+FOLLOWS = 0.6  # correlation with the rate across the hull
+TIGHT = 1.15  # how closely the slope fits a unit that is certain
 LEANS = 0.3  # correlation from which the side is probable
 LONG = 120.0  # s, in which a close correlation is no chance
 PLAUSIBLE = 5.0  # m/s
@@ -56,8 +56,7 @@ def find_sway(
         relation = NOTHING
         if places is not None and heading is not None:
             relation = sway_on_positions(places.north, places.east, heading.radians, each.evidence)
-        enough = abs(relation.certainty) >= SURE or (abs(relation.correlation) >= CLOSE and relation.seconds >= LONG)
-        follows = enough and abs(relation.correlation) >= FOLLOWS
+        follows = abs(relation.correlation) >= FOLLOWS and relation.is_sure(LONG)
         read = _proved(each, relation, surge, heading) if follows and heading else None
         read = read or _by_name(each, named, relation, surge, heading)
         if each.size * UNITS[read.unit][0] < PLAUSIBLE:

@@ -10,6 +10,7 @@ import re
 import unicodedata
 from functools import cache
 
+from usvlearn.logs.formats.csv.dialect import UNIT_NAMES
 from usvlearn.logs.inspection import languages
 
 SPLIT = re.compile(r"[23][dD]\b|[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
@@ -76,11 +77,10 @@ DRIVES = {"rpm", "thrust", "thruster", "motor", "pwm", "esc", "servo", "throttle
 COMMANDED = {"cmd", "command", "commanded"}
 NUMBER = {"value", "data", "field", "log"}  # names of the only column of a topic, or of a whole log
 UNIT_WORDS = {  # words of a name that tell a unit
-    "deg": "deg", "degree": "deg", "degrees": "deg", "rad": "rad", "radian": "rad", "radians": "rad",
-    "kn": "knots", "kt": "knots", "kts": "knots", "knot": "knots", "kmh": "km/h", "kph": "km/h", "mps": "m/s",
-    "ms": "m/s", "percent": "percent", "pct": "percent", "newton": "N", "newtons": "N", "pwm": "us", "us": "us",
-    "mm": "mm/s", "cm": "cm/s", "mph": "mph", "fps": "ft/s", "dpm": "deg/min",
-    **{word: unit for unit, spoken in languages.UNITS.items() for word in spoken},
+    **{word: unit for unit in ("deg", "knots", "percent") for x in UNIT_NAMES[unit] for word in languages.spelled(x)},
+    "rad": "rad", "radian": "rad", "radians": "rad", "kmh": "km/h", "kph": "km/h", "mps": "m/s", "ms": "m/s",
+    "newton": "N", "newtons": "N", "pwm": "us", "us": "us", "mm": "mm/s", "cm": "cm/s", "mph": "mph", "fps": "ft/s",
+    "dpm": "deg/min",
 }  # fmt: skip
 
 

@@ -38,7 +38,7 @@ GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+")  # points at thousands besi
 
 UNIT_NAMES = {
     "1": ("1", "-"),
-    "percent": ("%", "percent", "pct", "prozent", "pourcent", "procent", "prosent", "porcentaje"),
+    "percent": ("%", "percent", "pct", "prozent", "pourcent", "procent", "prosent", "percento", "porcentaje"),
     "m/s": ("m/s", "m/sec", "mps", "m_s", "ms-1", "m s-1", "ms^-1"),
     "cm/s": ("cm/s", "cm_s"),
     "mm/s": ("mm/s", "mm_s"),
