@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from omegaconf import OmegaConf
 
 from tests.support import REAL_LOGS, ROOT, few
-from tests.support.files import refused, write
+from tests.support.files import configured, refused, write
 from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.logs.channels.channel import AUXILIARY, Source
 from usvlearn.logs.formats.csv.table import Table
@@ -132,8 +133,6 @@ def test_badly_declared_channels_are_refused(tmp_path, change, expected):
     ],
 )
 def test_a_log_that_is_not_as_declared_is_refused(tmp_path, name, content, reader, expected):
-    if name.endswith(".bag"):
-        pytest.importorskip("rosbags", reason="needs the package rosbags")
     path = write(tmp_path / name, content)
     message = refused(LogFormatError, read_recordings, path, reader, CHANNELS)
     assert message.startswith(str(path)) and all(part in message for part in expected)
@@ -148,21 +147,11 @@ def test_a_file_name_of_any_bytes_names_a_run_that_can_be_written(tmp_path):
 # ---------------------------------------------------------------- configs/data
 
 
-def configured(name: str, path: Path) -> list:
-    """The recordings that `data=NAME data.path=PATH` reads."""
-    hydra = pytest.importorskip("hydra.utils", reason="needs the package hydra-core")
-    omegaconf = pytest.importorskip("omegaconf", reason="needs the package omegaconf")
-    config = omegaconf.OmegaConf.load(CONFIGS / f"{name}.yaml").data
-    config.path = str(path)
-    return hydra.instantiate(config)
-
-
 @pytest.mark.parametrize(
     ("name", "count"), [("alog", 14), ("ardupilot", 10), ("csv", 14), ("rosbag", 14), ("tlog", 10)]
 )
 def test_generic_configs_list_every_option_of_every_channel(name, count):
-    omegaconf = pytest.importorskip("omegaconf", reason="needs the package omegaconf")
-    channels = omegaconf.OmegaConf.load(CONFIGS / f"{name}.yaml").data.channels
+    channels = OmegaConf.load(CONFIGS / f"{name}.yaml").data.channels
     options = set(Source.__dataclass_fields__) - ({"field"} if name in ("alog", "csv") else set())
     assert len(channels) == count
     for name, source in channels.items():
@@ -186,8 +175,6 @@ def test_alog_config_holds_commands_that_are_posted_on_change(tmp_path):
 def recorded(boat: str) -> list:
     if not (DATA / boat).is_dir():
         pytest.skip(f"needs the logs in shared/data/{boat}, which are not part of the repository")
-    if boat == "vtec":
-        pytest.importorskip("rosbags", reason="needs the package rosbags")
     return configured(boat, DATA / boat)
 
 

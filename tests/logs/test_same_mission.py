@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support import ROOT
 from tests.support.ardupilot import PARAMETERS, frame, logged
 from tests.support.ardupilot import header as dataflash_header
 from tests.support.exported import DEG, KNOTS, write_alog, write_table
+from tests.support.files import configured
 from tests.support.ulogs import header, message, subscribe
 from tests.support.voyages import EARTH, START
 from usvlearn.logs.channels.channel import Channel, Recording, Source
@@ -149,21 +149,15 @@ LOGS = {  # what writes it, suffix, reader and channels, or the name of a config
     "tlog": (tlog, ".tlog", "tlog", 0.5 / PWM),
     "ulog": (ulog, ".ulg", "ulog", 0.0),
 }
-NEEDS = {"ros": "rosbags", "ulo": "pyulog", "dat": "hydra.utils", "tlo": "hydra.utils"}
 
 
 @pytest.mark.parametrize("name", LOGS)
 @pytest.mark.filterwarnings("ignore:.*computed from")
 def test_the_samples_and_poses_are_those_of_the_mission(tmp_path, name):
-    if name[:3] in NEEDS:
-        pytest.importorskip(NEEDS[name[:3]])
     write, suffix, how, step = LOGS[name]
     write(path := tmp_path / f"mission{suffix}")
     if isinstance(how, str):
-        hydra, omegaconf = pytest.importorskip("hydra.utils"), pytest.importorskip("omegaconf")
-        config = omegaconf.OmegaConf.load(ROOT / "configs" / "data" / f"{how}.yaml").data
-        config.path = str(path)
-        (recording,) = hydra.instantiate(config)
+        (recording,) = configured(how, path)
     else:
         (recording,) = read_recordings(path, *how)
     channels = {key: Channel(TIME, x, len(TRUE) * np.arange(len(TIME)) + k) for k, (key, x) in enumerate(TRUE.items())}

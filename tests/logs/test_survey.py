@@ -34,7 +34,6 @@ def test_an_alog_gives_its_numeric_variables_and_their_apps(tmp_path):
 
 @pytest.mark.parametrize("whole", [True, False])
 def test_a_bag_gives_every_number_of_every_topic(tmp_path, whole):
-    pytest.importorskip("rosbags", reason="needs the package rosbags")
     path = write_bag(tmp_path / "a.bag")
     if whole:
         series = Rosbag().survey(path)
@@ -53,7 +52,6 @@ def test_a_bag_gives_every_number_of_every_topic(tmp_path, whole):
 
 
 def test_ros_2_gives_yaw_arrays_that_grow_and_no_image_nor_constant(tmp_path):
-    pytest.importorskip("rosbags.rosbag2", reason="needs the package rosbags")
     made = ros2_types()
     stamp = made["Time"](sec=START // NS, nanosec=NS // 2)
     header = made["Header"](stamp=stamp, frame_id="")
@@ -89,7 +87,6 @@ def test_ros_2_gives_yaw_arrays_that_grow_and_no_image_nor_constant(tmp_path):
 @pytest.mark.parametrize("plugin", ["MCAP", "SQLITE3"])
 def test_a_folder_of_ros_2_is_one_bag_and_none_of_its_messages_is_lost(tmp_path, plugin):
     """Not even where its metadata names another policy than its files do, as older versions wrote it."""
-    pytest.importorskip("rosbags.rosbag2", reason="needs the package rosbags")
     from rosbags.highlevel import AnyReader
 
     folder, number = tmp_path / "logs" / "run.1", ros2_types()["Float64"]
@@ -124,7 +121,8 @@ def test_a_folder_of_ros_2_is_one_bag_and_none_of_its_messages_is_lost(tmp_path,
 
 
 def test_messages_that_are_announced_but_not_there_are_told(tmp_path, monkeypatch):
-    highlevel = pytest.importorskip("rosbags.highlevel", reason="needs the package rosbags")
+    from rosbags import highlevel
+
     path = write_bag(tmp_path / "a.bag")
     messages = highlevel.AnyReader.messages
     monkeypatch.setattr(highlevel.AnyReader, "messages", lambda *args: list(messages(*args))[:-2])

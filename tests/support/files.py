@@ -4,7 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
 
+from tests.support import ROOT
 from usvlearn.logs.channels.channel import Source
 
 
@@ -38,3 +41,10 @@ def assert_same_as_read(reader, path: Path, series, parts=("time", "value")) -> 
         assert each.time.dtype == each.value.dtype == np.float64 and each.order.dtype == np.int64
         for part in parts:
             np.testing.assert_array_equal(getattr(channel, part), getattr(each, part)[usable])
+
+
+def configured(name: str, path: Path) -> list:
+    """The recordings that `data=NAME data.path=PATH` reads."""
+    config = OmegaConf.load(ROOT / "configs" / "data" / f"{name}.yaml").data
+    config.path = str(path)
+    return instantiate(config)

@@ -99,7 +99,6 @@ def test_it_is_named_with_a_way_out_wherever_it_is_given(tmp_path, name):
 
 
 def test_a_database_that_is_no_bag_is_named(tmp_path):
-    pytest.importorskip("rosbags", reason="needs the package rosbags")
     base = sqlite3.connect(tmp_path / "app.db")
     base.execute("CREATE TABLE gps(t, lat, lon)")
     base.commit()

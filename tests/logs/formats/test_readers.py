@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support import ROOT
 from tests.support.bags import NS, START, ros2_types, write_ros2
-from tests.support.files import one, refused, write
+from tests.support.files import configured, one, refused, write
 from usvlearn.errors import ConfigError, LogFormatError, MissingExtraError
 from usvlearn.logs.channels.channel import Source
 from usvlearn.logs.formats.csv.table import Table
@@ -165,7 +164,7 @@ def test_binary_data_that_look_like_rows_of_an_alog_are_none(tmp_path):
 
 def write_bag(path: Path, topics: dict[str, tuple[str, list]]):
     """A ROS 1 bag of topic -> (type, [(received ns, stamp ns or None, {field: value})])."""
-    rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="needs the package rosbags")
+    from rosbags import rosbag1
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC)
@@ -231,8 +230,6 @@ def test_rosbag_prefers_header_stamps_unless_their_clock_was_never_set(tmp_path)
 
 
 def test_rosbag_config_reads_a_heron(tmp_path):
-    hydra = pytest.importorskip("hydra.utils", reason="needs the package hydra-core")
-    omegaconf = pytest.importorskip("omegaconf", reason="needs the package omegaconf")
     zero = {"x": 0.0, "y": 0.0, "z": 0.0}
     half = math.sqrt(0.5)  # yaw 90 deg from east, counter-clockwise: north
     imu = {
@@ -251,16 +248,13 @@ def test_rosbag_config_reads_a_heron(tmp_path):
             [(START, START, {"twist": ("Twist", speed)})],
         ),
     }
-    config = omegaconf.OmegaConf.load(ROOT / "configs" / "data" / "rosbag.yaml").data
-    config.path = str(write_bag(tmp_path / "heron.bag", topics))
-    (recording,) = hydra.instantiate(config)
+    (recording,) = configured("rosbag", write_bag(tmp_path / "heron.bag", topics))
     values = {name: channel.value[0] for name, channel in recording.channels.items()}
     expected = {"command_left": 0.5, "command_right": -1, "heading": 0, "yaw_rate": -0.2, "surge": 1}
     assert values == pytest.approx(expected, abs=1e-15)
 
 
 def test_rosbag_reads_ros2_and_elements_of_arrays(tmp_path):
-    pytest.importorskip("rosbags.rosbag2", reason="needs the package rosbags")
     made = ros2_types()
     layout = made["MultiArrayLayout"](dim=[], data_offset=0)
     arrays = (made["Float64MultiArray"](layout=layout, data=np.array([k, -2.0 * k])) for k in range(3))

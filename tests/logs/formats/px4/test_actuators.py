@@ -10,7 +10,6 @@ from usvlearn.logs.formats.px4.ulog import Ulog
 from usvlearn.logs.inspection.candidate import candidates
 from usvlearn.logs.inspection.proposal import propose
 
-pytest.importorskip("pyulog", reason="needs the package pyulog")
 FORMATS = {
     "actuator_motors": "uint64_t timestamp;float[4] control;",
     "actuator_servos": "uint64_t timestamp;float[4] control;",

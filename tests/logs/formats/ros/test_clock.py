@@ -83,7 +83,6 @@ def test_stamps_of_ros_1_and_of_another_byte_order():
 
 @pytest.mark.parametrize(("plugin", "with_clock"), [("MCAP", True), ("SQLITE3", False)])
 def test_a_bag_of_a_slow_simulation_is_in_its_time(tmp_path, plugin, with_clock):
-    pytest.importorskip("rosbags.rosbag2", reason="needs the package rosbags")
     made = ros2_types()
     zero = made["Vector3"](x=0.0, y=0.0, z=0.0)
 

@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
+from rosbags import rosbag1
 
 from tests.support import few
 from tests.support.bags import NS, SOURCES, START, unindexed, write_bag
@@ -18,8 +19,6 @@ from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.logs.channels.channel import Source
 from usvlearn.logs.formats.ros.limits import MB, MOST, Total, unpack
 from usvlearn.logs.formats.ros.rosbag import Rosbag
-
-rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="needs the package rosbags")
 
 BOMB = 120 * MB  # bytes of zeros, some kB compressed
 SPEED = {"surge": Source("speed")}

@@ -10,14 +10,13 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from rosbags import rosbag2
 
 from tests.support.bags import NS, START
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.channels.channel import Source
 from usvlearn.logs.formats.ros.rosbag import Rosbag
 from usvlearn.logs.inspection.logfiles import open_logs
-
-rosbag2 = pytest.importorskip("rosbags.rosbag2", reason="needs the package rosbags")
 
 COUNT = 210
 SOURCES = {"command_left": Source("left"), "surge": Source("right", field="data")}

@@ -15,9 +15,6 @@ from usvlearn.logs.formats.ros.rosbag import Rosbag
 from usvlearn.logs.formats.ros.rosbag_scan import BAG_HEADER, CHUNK, MAGIC
 from usvlearn.logs.read import read_recordings
 
-rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="needs the package rosbags")
-
-
 COMPRESSIONS = ("none", "bz2", "lz4")
 
 
