@@ -47,8 +47,8 @@ def find_lag(recordings: Sequence[Recording], surge_max: float = 10.0) -> Lag:
     for delays in (DELAYS, DELAYS + LONG_DELAYS):
         try:
             with warnings.catch_warnings(action="ignore"):
-                fleets = [align_fleet(delayed(recordings, each), surge_max=surge_max) for each in delays[len(rows) :]]
-            rows += map(_rows, fleets)
+                for delay in delays[len(rows) :]:
+                    rows.append(_rows(align_fleet(delayed(recordings, delay), surge_max=surge_max)))
         except UsvlearnError:
             return Lag(0.0, (), 0.0, False, np.empty(0))
         stamps = set.intersection(*(set(each) for each in rows))

@@ -9,7 +9,7 @@ import pytest
 
 from tests.support.bags import NS, START, ros2_types, write_ros2
 from usvlearn.logs.channels.channel import Source
-from usvlearn.logs.formats.ros.clock import CLOCK, Heard, find_clock
+from usvlearn.logs.formats.ros.message_fields import CLOCK, Heard, find_clock
 from usvlearn.logs.formats.ros.rosbag import Rosbag
 
 DEFINED = {"Stamped": ("", (("header", None),)), "Number": ("", (("data", None),))}

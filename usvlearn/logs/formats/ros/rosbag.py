@@ -14,9 +14,17 @@ import numpy as np
 from usvlearn.errors import LogFormatError, MissingExtraError, check_choice, check_positive, printable
 from usvlearn.logs.channels.channel import Channel, Source, build_channel, match_name, matching
 from usvlearn.logs.channels.series import ELEMENTS, Reader, Series
-from usvlearn.logs.formats.ros.clock import CLOCK, Heard, find_clock, has_stamp
 from usvlearn.logs.formats.ros.limits import MB, Total, check_type, limit_chunks, limited
-from usvlearn.logs.formats.ros.message_fields import CLOCKS, Collected, default_field, read_field
+from usvlearn.logs.formats.ros.message_fields import (
+    CLOCK,
+    CLOCKS,
+    Collected,
+    Heard,
+    default_field,
+    find_clock,
+    has_stamp,
+    read_field,
+)
 from usvlearn.logs.formats.ros.rosbag_scan import Scan, joined_journals
 
 LARGE = 1 << 16  # bytes of a message that a survey looks into
