@@ -1,8 +1,7 @@
 """Commands that several logged signals make together: thrusters in two groups, throttle and steering, force and moment.
 
 The command of a side is a weighted sum of signals, each as a share of full scale; without weights it is their mean.
-Where the weights add up to more than 1, the sum is limited to ±1, as by a mixer of differential thrust. The spans of
-force and moment are in `docs/logs.md`.
+Where the weights add up to more than 1, the sum is limited to ±1. `docs/logs.md` has the spans of force and moment.
 """
 
 from __future__ import annotations

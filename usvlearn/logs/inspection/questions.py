@@ -66,8 +66,7 @@ def _found(same: Sequence[Decision]) -> str:
 
 
 def confirm(files: Sequence[str], given: Sequence[str]) -> Iterator[str]:
-    """Remove questions from a file that `usvlearn inspect` wrote; yields what is said. A key may be several, with
-    commas.
+    """Remove questions, by one key or several, from a file that `usvlearn inspect` wrote; yields what is said.
 
     A ConfigError if there is no such file or question, or it does not stand in its own line.
     """
