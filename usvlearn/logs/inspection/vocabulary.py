@@ -115,12 +115,6 @@ def names_azimuth(name: str) -> bool:
     return bool(turned) and not FOREIGN & found
 
 
-def is_lateral(name: str) -> bool:
-    """Whether a name tells a thruster that pushes sideways."""
-    found = set(words(name))
-    return bool(LATERAL & found or ({"bow", "stern"} & found and not SIDES & found))
-
-
 def names_force(name: str) -> bool:
     """Whether a name tells the force ahead of all thrusters together."""
     found = set(words(name))
@@ -175,7 +169,8 @@ def fit(role: str, name: str) -> float:
         score -= 4 * bool({"w", "kw", "wh", "watt", "watts"} & found)  # electrical power
         score -= 1 * bool({"force", "feedback", "kraft", "newton"} & found)
         score = 2.5 if names_force(name) else score - 4 * names_moment(name)
-        score -= 4 * bool(NO_THRUST & found) + 4 * is_lateral(name)
+        sideways = LATERAL & found or ({"bow", "stern"} & found and not SIDES & found)
+        score -= 4 * bool(NO_THRUST & found) + 4 * bool(sideways)
     elif role == "rudder" and names_moment(name):
         score = 2.5
     if role not in ("command", "rudder"):
