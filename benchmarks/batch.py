@@ -18,16 +18,16 @@ from typing import NamedTuple
 import accuracy
 import numpy as np
 import torch
-from pages import publish
+from boats import DT, NOMINAL, season
+from pages import publish, table
 from peers import gru, narmax, physics, state_space
 from peers.batch import HORIZONS, Fitted, Held, Targets, errors, free_run_errors, targets
-from truths import NOMINAL, boats
 
 from usvlearn import Ensemble, rollout
 from usvlearn.core.samples import Sample, masks, tree_map
 from usvlearn.engine.rollouts import simulate, tensors
 
-REAL, PLANTS, SEED, DT = ("blueboat", "vtec", "dalian"), ("heron", "otter"), 77, 0.4
+REAL, PLANTS, SEED = ("blueboat", "vtec", "dalian"), ("heron", "otter"), 77
 PEERS = {
     "SysIdentPy, polynomial NARMAX": narmax,
     "jax-sysid, recurrent state space": state_space,
@@ -68,7 +68,7 @@ def recorded(folder: Path, name: str) -> Log:
 
 def simulated(plant: str, seed: int = SEED) -> Log:
     """A simulated boat: 3 h to learn from, and the hour after them."""
-    (boat,), (mass, top) = boats(plant, seed, n=1), NOMINAL[plant]
+    (boat,), (mass, top) = season(plant, seed, 1).values(), NOMINAL[plant]
     given = (f"data.plant={plant}", f"vehicle.mass={mass}", f"vehicle.surge_max={top}", REPLAY)
     return Log(plant, boat.learned, boat.later, top, given)
 
@@ -146,26 +146,18 @@ def rows(log: Log) -> dict[str, Row | None]:
     return found
 
 
-def table(head: Sequence[str], lines: Mapping[str, Sequence[float] | None], best=min, digits: int = 3) -> list[str]:
-    """A table whose best number of each column is bold; a line that is None was not measured."""
-    columns = list(zip(*(line for line in lines.values() if line), strict=True))
-    bests = [best((round(x, digits) for x in column if np.isfinite(x)), default=None) for column in columns]
-    text = ["| " + " | ".join(head) + " |", "|---|" + "--:|" * (len(head) - 1)]
-    for name, line in lines.items():
-        shown = ["not installed"] + [""] * (len(head) - 2)
-        if line:
-            shown = [f"{round(x, digits) + 0.0:.{digits}f}" if np.isfinite(x) else "–" for x in line]
-            at_best = [round(x, digits) == top for x, top in zip(line, bests, strict=True)]
-            shown = [f"**{x}**" if bold else x for x, bold in zip(shown, at_best, strict=True)]
-        text.append(f"| {name} | " + " | ".join(shown) + " |")
-    return text
+def shown(value: float | None, digits: int) -> str:
+    if value is None:
+        return "not installed"
+    return f"{round(value, digits) + 0.0:.{digits}f}" if np.isfinite(value) else "–"
 
 
 def page(found: Mapping[str, Mapping[str, Row | None]], minutes: float) -> list[str]:
     """The page, from the rows of every boat."""
-    names = list(next(iter(found.values())))
-    free = {name: [each[name].free for each in found.values()] if all(each[name] for each in found.values()) else None
-            for name in names}  # fmt: skip
+    free = [
+        [name, *(shown(each[name] and each[name].free, 3) for each in found.values())]
+        for name in next(iter(found.values()))
+    ]
     text = [
         "# Batch identification beside online learning",
         "",
@@ -174,8 +166,8 @@ def page(found: Mapping[str, Mapping[str, Row | None]], minutes: float) -> list[
         "20 % of them, by the mean over the horizons and the open-loop simulation of MAE/MAE(persistence). Ours have "
         "seen these",
         "runs once, online. All is measured on the second half (of a simulated boat: the next hour), over the steps",
-        "whose speed was measured. The best number of a column is bold. The sweeps are small, so that the whole stays",
-        "below 15 min; each file of `benchmarks/peers` states its own.",
+        "whose speed was measured. The sweeps are small, so that the whole stays below 15 min; each file of",
+        "`benchmarks/peers` states its own.",
         "",
         "## Open-loop simulation, parameters frozen: MAE, m/s",
         "",
@@ -190,15 +182,16 @@ def page(found: Mapping[str, Mapping[str, Row | None]], minutes: float) -> list[
         "learning up to the origin.",
     ]
     for boat, each in found.items():
-        lines = {name: row and [row.skills[h] for h in HORIZONS] for name, row in each.items() if name != "persistence"}
-        head = [boat, *(f"{h * DT:.1f} s" for h in HORIZONS)]
-        text += ["", *table(head, lines, best=max, digits=2)]
+        lines = [[name, *(shown(row and row.skills.get(h, np.nan), 2) for h in HORIZONS)] for name, row in each.items()]
+        text += ["", *table([boat, *(f"{h * DT:.1f} s" for h in HORIZONS)], lines[1:])]
+    chosen = [
+        [boat, name, row.setting, f"{row.seconds:.0f}"]
+        for boat, each in found.items()
+        for name, row in each.items()
+        if row and row.setting
+    ]
     text += ["", "## Settings that were chosen, and seconds of the processor for all training", ""]
-    text += ["| boat | peer | setting | s |", "|---|---|---|--:|"]
-    for boat, each in found.items():
-        made = [(name, row) for name, row in each.items() if row and row.setting]
-        text += [f"| {boat} | {name} | {row.setting} | {row.seconds:.0f} |" for name, row in made]
-    return [*text, ""]
+    return [*text, *table(["boat", "peer", "setting", "s"], chosen)]
 
 
 def main() -> None:

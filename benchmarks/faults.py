@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import stress
 import torch
+from boats import NOMINAL, PLANTS
 from peers.online import Peer, plain_nlms, plain_rls
-from truths import NOMINAL, PLANTS
 
 from usvlearn import Ensemble, Persistence
 from usvlearn.core.events import NINETY
@@ -63,7 +63,6 @@ class Answer(NamedTuple):
     begin: int  # step of the event
     delay: np.ndarray  # (boats,) s until the first alarm after the event, infinite where there is none
     right: np.ndarray  # (boats,) whether the alarm named the side that weakened
-    early: np.ndarray  # (boats,) whether there was one before
     effect: np.ndarray  # (boats,) effectiveness of the side two minutes later, less the truth
     deviation: np.ndarray  # (boats,) its standard deviation
 
@@ -147,20 +146,13 @@ def alone(samples: Sample) -> Iterator[Sample]:
         yield tree_map(lambda x, boat=boat: x[:, boat], samples._replace(surge=surge, measured=learns))
 
 
-def alarms(raised: np.ndarray, begin: int, side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Delay, s, whether the side is right, and whether there was an alarm before; `raised` is `(time, boats, sides)`.
-
-    >>> raised = np.zeros((10, 1, 2))
-    >>> raised[7:, 0, 1] = 1
-    >>> [x.tolist() for x in alarms(raised, 5, 1)]
-    [[1.2], [True], [False]]
-    """
-    new = np.diff(raised, axis=0, prepend=0) > 0
-    later = new[begin:]
+def alarms(raised: np.ndarray, begin: int, side: int) -> tuple[np.ndarray, np.ndarray]:
+    """Delay, s, and whether the side is right; `raised` is `(time, boats, sides)`."""
+    later = np.diff(raised, axis=0, prepend=0)[begin:] > 0
     first, there = later.any(2).argmax(0), later.any((0, 2))
     named = np.take_along_axis(later, first[None, :, None], 0)[0]
     delay = np.where(there, np.round(DT * (first + 1), 9), math.inf)
-    return delay, there & named[:, side] & ~named[:, 1 - side], new[:begin].any((0, 2))
+    return delay, there & named[:, side] & ~named[:, 1 - side]
 
 
 def joined(parts: Sequence[Answer]) -> Answer:
@@ -169,7 +161,7 @@ def joined(parts: Sequence[Answer]) -> Answer:
     return Answer(
         {name: np.concatenate([each.errors[name][:least] for each in parts], 1) for name in parts[0].errors},
         parts[0].begin,
-        *(np.concatenate([each[k] for each in parts]) for k in range(2, 7)),
+        *(np.concatenate([each[k] for each in parts]) for k in range(2, 6)),
     )
 
 

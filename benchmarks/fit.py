@@ -13,35 +13,41 @@ from __future__ import annotations
 import argparse
 import math
 import statistics
-import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import accuracy
+import batch
+import boats
 import numpy as np
+import output_error
 import torch
-from pages import publish
+from boats import HOURS, LATER, NOMINAL, PLANTS, Halves, free_run_mae, season, season_of, simulations
+from pages import publish, table
+from peers import narmax, physics, state_space
+from peers.batch import Held, free_run_errors
 
-sys.path.insert(0, str(Path(__file__).parent))
+from usvlearn import SurgeDynamics
+from usvlearn.core.samples import Sample, masks
+from usvlearn.engine.backend import arrays_of
+from usvlearn.engine.rollouts import rollout, tensors
+from usvlearn.estimators.joint.excitation_warnings import Quantity
+from usvlearn.estimators.joint.periodic_estimates import Identified, identify
+from usvlearn.estimators.joint.quantities import Ahead, sums
+from usvlearn.estimators.joint.state import NORTH, THETA
+from usvlearn.model.fit.fitted import fit_boat
+from usvlearn.model.fit.logs import DT as FINE
+from usvlearn.model.fit.quantities import quantities
+from usvlearn.model.fit.terms import AT as PLACES
+from usvlearn.model.fit.terms import NAMES
+from usvlearn.simulate.truth import true_parameters, true_quantities
 
-from fit_study import (
-    BATCH,
-    FIT,
-    HOURS,
-    LATER,
-    ONLINE,
-    PEERS,
-    Frozen,
-    N,
-    Study,
-    boats,
-    frozen,
-    study,
-)  # fmt: skip
-from timing import table
-from truths import PLANTS
-
-SEEDS = (8001, 8002, 8003, 8004)
+N, SEEDS = 3, (8001, 8002, 8003, 8004)  # boats of a plant and seed
+FIT, ONLINE, BATCH, SQUARES = "fit", "averaged joint EKF, online", "batch output error", "least squares of one step"
+ADAPTIVE, SHOWN = "aid, online", (FIT, ONLINE, BATCH, SQUARES)
+PEERS = {"SysIdentPy": narmax, "jax-sysid": state_space, BATCH: physics}
+AFTER = (1, 2, 4, 6, 9, 18)  # missions after which the online estimate is noted
 AIMS = {"steady_speed_full": 0.015, "time_constant": 0.07, "drag_half_speed": 0.04, "thrust_full_left": 0.05,
         "thrust_full_right": 0.05}  # fmt: skip
 EACH, ALL = (0.82, 0.97), (0.88, 0.93)  # aims: share of the truths inside, of a quantity and of all
@@ -69,6 +75,134 @@ half (the next hour), from the inputs and the measured speed with which each seg
 half of the Dalian boat has 414 measured steps on the grid of the fit; `usvlearn fit` refuses less than 600. The VTec
 goes straight in its first half and turns in its second, where an extrapolated drag of turning counts. The fit
 percentage is 100 (1 − |v − v̂| / |v − mean v|); a published fit by nlgreyest of the BlueBoat has 67.8% in sample."""
+
+Values = Mapping[str, Quantity]
+
+
+class Study(NamedTuple):
+    """What every method found about one boat."""
+
+    plant: str
+    truth: dict[str, float]
+    found: dict[str, Values]  # by method; intervals of the fit and of the online estimate alone
+    free: dict[str, float]  # m/s, MAE of the open-loop simulations of the later runs, by method
+    terms: str  # the set that was chosen
+    noted: list[Values]  # the online estimate after so many missions, AFTER
+
+
+class Frozen(NamedTuple):
+    """MAE, m/s, of the open-loop simulations of the second half of a boat's runs, by method; NaN: not installed."""
+
+    errors: dict[str, float]
+    terms: str
+    percentages: tuple[float, float]  # of the fit: of the second half, and of all runs in sample; NaN: not measured
+
+
+def polynomial(parameters: Mapping[str, float], top: float, mass: float) -> Values:
+    """The quantities of parameters per mass, by the names of `SurgeDynamics`, and cubic thrust if any."""
+    theta = np.zeros(len(NAMES))
+    for name, value in parameters.items():
+        theta[PLACES[name]] = value
+    nan = float("nan")
+    return {name: Quantity(float(x), nan, nan, "") for name, x in quantities(theta, top, mass).items()}
+
+
+def squares(runs: Sequence[Sample], mass: float) -> dict[str, float]:
+    """Least squares of the increments between measured speeds, per mass."""
+    model = SurgeDynamics(mass)
+    theta = accuracy.least_squares(model, [accuracy.tensors(run) for run in runs]).theta
+    return dict(zip(model.names, (theta.double() / mass).tolist(), strict=True))
+
+
+def learned(estimator: Any, runs: Sequence[Sample]) -> list[Any]:
+    """The state after each run of a boat."""
+    state, states = estimator.init(), []
+    with torch.no_grad():
+        for run in runs:
+            state, _, _ = rollout(estimator, state, tensors(run, torch.float64))
+            states.append(state)
+    return states
+
+
+def identified(averaged: Any, state: Any) -> Identified:
+    return identify(averaged.description(), arrays_of(state))
+
+
+def model(parameters: Mapping[str, float], lag: float = 0.0, current: Sequence[float] = (0.0, 0.0)) -> output_error.Fit:
+    """Parameters per mass, for simulations."""
+    return output_error.Fit(dict(parameters), lag, np.array([current]), 0.0)
+
+
+def ahead(theta: np.ndarray) -> dict[str, float]:
+    """Nine parameters and cubic thrust of motion ahead, whose fore-aft asymmetry terms are added; per mass."""
+    boat = Ahead(theta)
+    found = {name: float(boat.sums[name]) for name in sums(True) if not name.startswith("thrust_full")}
+    for side in ("left", "right"):
+        cubic = float(boat.cubic[side])
+        found[f"thrust_cubic_{side}"] = cubic
+        found[f"thrust_linear_{side}"] += 0.4 * cubic
+        found[f"thrust_quadratic_{side}"] -= 4 / 3 * cubic
+    return found
+
+
+def study(plant: str, seed: int, n: int = N, hours: float = HOURS, later: float = LATER) -> Iterator[Study]:
+    """Every method on every boat of a plant."""
+    (mass, top), given = NOMINAL[plant], season_of(plant, seed, n, hours, later)
+    members = accuracy.ensemble((f"vehicle.mass={mass}", f"vehicle.surge_max={top}")).members
+    averaged, aid = members["joint_averaged"], members["aid"]
+    last = round(hours * 60 / boats.MINUTES) - 1  # of the missions that are learned
+    truth = true_quantities(mass, true_parameters(mass, **given), **given, mission=last)
+    for boat, runs in season(plant, seed, n, hours, later).items():
+        fitted, nine = fit_boat(boat, runs.rows, mass, top), output_error.fit(runs.learned, top)
+        plain, states = squares(runs.learned, mass), learned(averaged, runs.learned)
+        noted = [identified(averaged, states[min(k, len(states)) - 1]) for k in (*AFTER, len(states))]
+        flow, theta = np.mean([state.mean[NORTH:THETA].numpy() for state in states], 0), noted[-1].theta
+        adapted = learned(aid, runs.learned)[-1].theta / mass
+        adaptive = dict(zip(aid.model.names, adapted.tolist(), strict=True))
+        found = {FIT: fitted.quantities, ONLINE: noted[-1]} | {
+            name: polynomial(each, top, mass)
+            for name, each in ((BATCH, nine.parameters), (SQUARES, plain), (ADAPTIVE, adaptive))
+        }
+        models = {ONLINE: model(ahead(theta), float(theta[-1]), flow), BATCH: nine, SQUARES: model(plain),
+                  ADAPTIVE: model(adaptive)}  # fmt: skip
+        free = {FIT: free_run_mae(simulations(fitted.fit, runs), runs.later)} | {
+            name: free_run_mae(output_error.free_runs(each, runs.later), runs.later) for name, each in models.items()
+        }
+        yield Study(plant, truth[boat], found, free, fitted.chosen, noted[: len(AFTER)])
+
+
+def percentage(predictions: Sequence[np.ndarray], runs: Sequence[Sample]) -> float:
+    """The fit percentage 100 (1 − |v − v̂| / |v − mean v|) over all steps whose speed was measured."""
+    use = np.concatenate([masks(run).learns for run in runs])
+    made, true = np.concatenate(predictions)[use], np.concatenate([run.surge for run in runs])[use]
+    return float(100 * (1 - np.linalg.norm(true - made) / np.linalg.norm(true - true.mean())))
+
+
+def frozen(log: batch.Log, runs: Halves, every: Halves | None, mass: float) -> Frozen:
+    """Every method on the second half of a boat's runs, its parameters frozen; the fit on all runs in sample, too."""
+    fitted = fit_boat(log.name, runs.rows, mass, log.top)
+    made = simulations(fitted.fit, runs)
+    percentages = [percentage(made, runs.later), float("nan")]
+    if every:
+        percentages[1] = percentage(simulations(fit_boat(log.name, every.rows, mass, log.top).fit, every), every.later)
+    errors = {"persistence": free_run_errors(Held(), runs.later)[1]}
+    for name, module in PEERS.items():
+        row = batch.peer_row(module, log)
+        errors[name] = float("nan") if row is None else row.free
+    errors["ensemble"] = batch.ours_by_free_run(log)["ensemble"]
+    errors[FIT] = free_run_mae(made, runs.later)
+    return Frozen(errors, fitted.chosen, tuple(percentages))
+
+
+def logs_of(folder: Path) -> Iterator[tuple[batch.Log, Halves, Halves | None, float]]:
+    """The recorded boats, with all of their runs, and two simulated ones of `benchmarks/batch.py`, and their masses."""
+    for name in batch.REAL:
+        log = batch.recorded(folder, name)
+        grids = [accuracy.fleet_of((*log.overrides[:2], *more)) for more in ((), (f"align.dt={FINE}",))]
+        yield log, boats.halves(*grids), boats.whole(*grids), accuracy.configuration(log.overrides).vehicle.mass
+    for plant in batch.PLANTS:
+        (runs,) = season(plant, batch.SEED, 1).values()
+        yield batch.simulated(plant), runs, None, NOMINAL[plant][0]
 
 
 def wrong(one: Study, method: str, name: str) -> float:
@@ -103,7 +237,7 @@ def accuracy_table(found: Sequence[Study]) -> list[str]:
     """Median errors, by method."""
     head = ["median of \\|error\\|", *AIMS, "open-loop simulation over batch"]
     lines = []
-    for method in found[0].found:
+    for method in SHOWN:
         medians = [statistics.median(abs(wrong(one, method, name)) for one in found) for name in AIMS]
         free = statistics.median(one.free[method] / one.free[BATCH] for one in found)
         lines.append([method, *map(share, medians), f"{free:.2f}"])
@@ -202,7 +336,7 @@ def main() -> None:
             for one in study(plant, seed, given.boats):
                 found.append(one)
                 print(plant, seed, one.terms, {name: f"{x:.3f}" for name, x in one.free.items()}, flush=True)
-    for log, *runs, mass in boats(given.logs):
+    for log, *runs, mass in logs_of(given.logs):
         recorded[log.name] = frozen(log, *runs, mass)
         print(log.name, recorded[log.name], flush=True)
     command = f"python benchmarks/fit.py LOGS --seeds {' '.join(map(str, given.seeds))} --boats {given.boats}"

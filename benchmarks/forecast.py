@@ -19,10 +19,9 @@ from pathlib import Path
 import numpy as np
 import torch
 from accuracy import Log, configuration, ensemble, first_half, fleet_of, measured, recorded
+from boats import NOMINAL, PLANTS
 from hydra.utils import instantiate
-from pages import publish
-from timing import table
-from truths import NOMINAL, PLANTS
+from pages import publish, table
 
 from usvlearn.core.samples import masks, tree_map
 from usvlearn.engine.backend import arrays_of

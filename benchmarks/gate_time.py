@@ -15,8 +15,8 @@ from typing import Any
 
 import torch
 from hydra import compose, initialize_config_dir
-from speed_steps import as_numbers, called, samples
-from timing import Work, in_turn, micro
+from pages import micro
+from speed_steps import Work, as_numbers, called, in_turn, samples
 
 RENAMED = {name: f"{name}_recorded" for name in ("usvlearn", "certify")}
 # in an import, and not in the name of the cache's folder
@@ -41,8 +41,8 @@ def renamed(source: Path, into: Path) -> Path:
 def works(package: ModuleType, configs: Path) -> dict[str, Work]:
     """Steps of the default ensemble of a package: streamed through compiled code, and called one by one."""
     with initialize_config_dir(str(configs), version_base="1.3"):
-        place = "composition.configuration" if Path(package.__path__[0], "composition").is_dir() else "cli.settings"
-        ensemble = importlib.import_module(f"{package.__name__}.{place}").ensemble_of(compose("train"))
+        configuration = importlib.import_module(f"{package.__name__}.composition.configuration")
+        ensemble = configuration.ensemble_of(compose("train"))
     run, online = of_package(package, samples(STREAMED)), package.Online(ensemble)
     calls = [of_package(package, each) for each in as_numbers(samples(CALLED))]
     state = ensemble.init()
@@ -73,10 +73,6 @@ def time_ratios(source: Path) -> list[str]:
 
 
 def line(way: str, now: Sequence[float], recorded: Sequence[float]) -> str:
-    """
-    >>> line("called", [1.0, 2.0, 3.0], [2.0, 2.0, 2.0])
-    'a called step takes 667 µs, 1.00 [0.75, 1.25] times the recorded one'
-    """
     ratios = [a / b for a, b in zip(now, recorded, strict=True)]
     low, middle, high = statistics.quantiles(ratios, n=4, method="inclusive")
     took = micro(statistics.median(now) / {"streamed": STREAMED, "called": CALLED}[way])

@@ -35,11 +35,7 @@ class Difference(NamedTuple):
 
 
 def leaves(parts: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """The leaves of a case by name.
-
-    >>> list(leaves({"end": {"theta": np.zeros(3), "names": ["a", None]}, "steps": 7}))
-    ['end: theta', 'end: names.0', 'end: names.1', 'steps']
-    """
+    """The leaves of a case by name, such as "end: theta", "end: names.0" or "steps"."""
     return {
         name + (f"{PART}{path}" if path else ""): leaf
         for name, part in parts.items()
@@ -73,13 +69,7 @@ def bits(array: np.ndarray) -> np.ndarray:
 
 
 def digest(case: Leaves) -> str:
-    """Of all names, types, shapes and bits.
-
-    >>> digest({"a": np.array([1.0, np.nan])}) == digest({"a": np.array([1.0, -np.nan])})
-    True
-    >>> digest({"a": np.array(0.0)}) == digest({"a": np.array(-0.0)})
-    False
-    """
+    """Of all names, types, shapes and bits."""
     found = hashlib.sha256()
     for name, leaf in case.items():
         found.update(f"{name}\n{leaf.dtype} {leaf.shape}\n".encode())
@@ -88,12 +78,7 @@ def digest(case: Leaves) -> str:
 
 
 def first_difference(recorded: Leaves, present: Leaves) -> Difference | None:
-    """The first difference of two cases, in the order of parts, then steps, then leaves; None if all is equal.
-
-    >>> old, new = ({"replay by step: surge": np.array([0.5, x, 0.0])} for x in (1.0, 2.0))
-    >>> print(first_difference(old, new))
-    replay by step: surge, step 1: recorded 1.0, now 2.0
-    """
+    """The first difference of two cases, in the order of parts, then steps, then leaves; None if all is equal."""
     names = [*recorded, *(name for name in present if name not in recorded)]
     for part in dict.fromkeys(name.partition(PART)[0] for name in names):
         own = [name for name in names if name.partition(PART)[0] == part]

@@ -60,7 +60,7 @@ def read(path: Path = RECORD) -> Recorded:
 
 def machine() -> dict[str, str]:
     """What bits depend on beside the source."""
-    from timing import hardware  # which imports torch
+    from pages import hardware  # which imports torch
 
     return {"processor": hardware(), "python": platform.python_version()} | {name: version(name) for name in LIBRARIES}
 

@@ -2,11 +2,10 @@
 
 Each run appends its figures to `history.csv`, one a row. A time stands there as a ratio to a reference that is timed
 in the same rounds, because machines differ: to the same step in C, or to a loop of plain RLS in numpy. A figure is
-compared with the earlier entries whose name, unit, better, reference and effort are the same; the machine must be the
-same, too, if the figure is timed.
+compared with the earlier entries whose name, reference and effort are the same; the machine must be the same, too, if
+the figure is timed.
 
-The change of a figure is v/b − 1, with v now and b before. w is the change where lower is better, and minus the change
-where higher is better. A figure is worse if
+w is the change v/b − 1 of a figure, with v now and b before; lower is better. A figure is worse if
 
     w > t against the median of the last five such entries,   or   w > √2 t against the last of them,
 
@@ -33,13 +32,11 @@ TIMED_FLOOR, FLOOR = 0.10, 0.02
 
 
 class Figure(NamedTuple):
-    """A number that a run reports."""
+    """A ratio that a run reports; lower is better."""
 
     name: str
     value: float
     reference: str  # what the value is a ratio to
-    unit: str = "ratio"
-    better: str = "lower"  # or "higher"
     spread: float | None = None  # of its repeats, relative; None: not timed
 
 
@@ -74,26 +71,18 @@ class Comparison(NamedTuple):
     worse: bool
 
 
-COLUMNS = (*Run._fields, "name", "value", "unit", "better", "reference", "spread")
+COLUMNS = (*Run._fields, *Figure._fields)
 
 
 def spread(values: Sequence[float]) -> float:
-    """Relative to the median, 1.4826 times the median absolute deviation from it.
-
-    >>> round(spread([0.9, 1.0, 1.1]), 4)
-    0.1483
-    """
+    """Relative to the median, 1.4826 times the median absolute deviation from it."""
     middle = statistics.median(values)
     return 1.4826 * statistics.median(abs(x - middle) for x in values) / abs(middle) if middle else 0.0
 
 
 def timed(name: str, ratios: Sequence[float], reference: str) -> Figure:
-    """The figure of a ratio of times, one for each round.
-
-    >>> timed("step", [2.0, 2.1, 1.9], "C").value
-    2.0
-    """
-    return Figure(name, statistics.median(ratios), reference, spread=spread(ratios))
+    """The figure of a ratio of times, one for each round."""
+    return Figure(name, statistics.median(ratios), reference, spread(ratios))
 
 
 def read(path: Path) -> list[Entry]:
@@ -103,9 +92,9 @@ def read(path: Path) -> list[Entry]:
     entries, rows = [], csv.reader(io.StringIO(path.read_text(), newline=""))
     for line, row in enumerate(rows, 1):
         try:
-            run, (name, value, unit, better, reference, between) = Run(*row[:8]), row[8:]
+            run, (name, value, reference, between) = Run(*row[:8]), row[8:]
             if line > 1:
-                figure = Figure(name, float(value), reference, unit, better, float(between) if between else None)
+                figure = Figure(name, float(value), reference, float(between) if between else None)
                 entries.append(Entry(run, figure))
         except (TypeError, ValueError):
             raise UsvlearnError(f"{path}, line {line}: expected {','.join(COLUMNS)}: correct or delete it") from None
@@ -121,7 +110,7 @@ def append(path: Path, entries: Sequence[Entry]) -> None:
         writer.writerow(COLUMNS)
     for run, figure in entries:
         own = "" if figure.spread is None else f"{figure.spread:.3g}"
-        writer.writerow([*run, figure.name, f"{figure.value:.5g}", figure.unit, figure.better, figure.reference, own])
+        writer.writerow([*run, figure.name, f"{figure.value:.5g}", figure.reference, own])
     path.write_text(old + ("\n" if old and not old.endswith("\n") else "") + lines.getvalue())
 
 
@@ -131,7 +120,7 @@ def comparable(history: Sequence[Entry], now: Entry) -> list[Entry]:
     def kind(entry: Entry):
         run, figure = entry
         machine = None if figure.spread is None else run.machine
-        return figure.name, figure.unit, figure.better, figure.reference, run.effort, machine
+        return figure.name, figure.reference, run.effort, machine
 
     return [entry for entry in history if kind(entry) == kind(now)]
 
@@ -147,17 +136,12 @@ def compare(history: Sequence[Entry], now: Entry) -> Comparison:
     if not values:
         return Comparison(figure, 0, None, None, tolerance, False)
     changes = [change(figure.value, base) for base in (values[-1], statistics.median(values))]
-    sign = 1 if figure.better == "lower" else -1
-    worse = sign * changes[0] > math.sqrt(2) * tolerance or sign * changes[1] > tolerance
+    worse = changes[0] > math.sqrt(2) * tolerance or changes[1] > tolerance
     return Comparison(figure, len(before), *changes, tolerance, worse)
 
 
 def change(value: float, base: float) -> float:
-    """Relative; of a base of 0, nothing or infinite.
-
-    >>> round(change(1.2, 1.0), 3), change(0.0, 0.0), change(1.0, 0.0)
-    (0.2, 0.0, inf)
-    """
+    """Relative; of a base of 0, nothing or infinite."""
     if base == 0:
         return math.copysign(math.inf, value) if value else 0.0
     return (value - base) / abs(base)

@@ -16,8 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from pages import publish
-from timing import table
+from pages import publish, table
 
 from usvlearn.composition.configuration import compose_train, ensemble_of, instantiate
 from usvlearn.core.protocol import spec_of

@@ -19,15 +19,14 @@ import sys
 import tempfile
 import time
 from array import array
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
-from pages import publish
-from timing import machine, table
+from pages import machine, publish, table
 
 from usvlearn.live.moos import wire
 from usvlearn.live.moos.block import MIDDLEWARE
@@ -137,24 +136,37 @@ def completing(rows: list[Row], start: float) -> list[int]:
 class Voyage:
     """A node, and what it publishes."""
 
-    def __init__(self, folder: Path, block: Sequence[str] = ()):
-        self._block = [*block, *(f"{name} = {variable}" for name, variable in NAMES.items())]
-        self.folder, self.state, self.process = folder, "", 0  # number of the process
-        self.arrived: list[float] = []  # when, of each SPEED_NEXT
+    def __init__(self, folder: Path, *block: str):
+        self.folder, self.block, self.state, self.process = folder, block, "", 0  # number of the process
+        self.arrived, self.values, self.stamps = array("d"), array("d"), array("d")  # of each SPEED_NEXT
+        self.gaps, self.heard = array("d"), time.perf_counter()
         self.link = Database(self.take)
 
     def take(self, message: Message) -> None:
+        now = time.perf_counter()
+        self.heard = now if message.key.startswith("USV_SPEED") else self.heard
         if message.key == "USV_SPEED_NEXT":
-            self.arrived.append(time.perf_counter())
+            self.arrived.append(now)
+            self.values.append(message.value)
+            self.stamps.append(message.time)
+        elif message.key == "PUSVLEARN_ITER_GAP":
+            self.gaps.append(message.value)
         elif message.key == "USV_HEALTH":
             self.state = message.text.partition(",")[0]
+
+    async def rest(self) -> None:
+        """Wait until the node has read all."""
+        await self.link.drain()
+        self.heard = time.perf_counter()
+        while time.perf_counter() - self.heard < IDLE:
+            await asyncio.sleep(IDLE / 10)
 
     async def run(self, work: Callable[[Voyage], object]) -> None:
         """Do the work while the node runs."""
         await self.link.start()
         mission = self.folder / "a.moos"
-        own = [f"{name}.window = {WINDOW}" for name in CHANNELS]
-        block = [f"folder = {self.folder / 'node'}", "mass = 36", "surge_max = 3", *own, *self._block]
+        channels = [f"{name} = {variable}\n{name}.window = {WINDOW}" for name, variable in NAMES.items()]
+        block = [f"folder = {self.folder / 'node'}", "mass = 36", "surge_max = 3", *channels, *self.block]
         lines = [f"ServerPort = {self.link.port}", "ServerHost = 127.0.0.1", "ProcessConfig = pUSVLearn", "{"]
         mission.write_text("\n".join([*lines, *block, "}"]))
         command = [sys.executable, "-m", "usvlearn", "live", "moos", str(mission)]
@@ -208,41 +220,13 @@ def burst() -> list[str]:
         for k in range(0, len(rows), BURST_PACKET):
             voyage.link.post([(name, start + t, value) for t, name, value in rows[k : k + BURST_PACKET]])
             await voyage.link.drain()
-        count = -1
-        while count < len(voyage.arrived):
-            count = len(voyage.arrived)
-            await asyncio.sleep(1.0)
+        await voyage.rest()
         took = voyage.arrived[-1] - begin
 
     with tempfile.TemporaryDirectory() as folder:
         voyage = Voyage(Path(folder))
         asyncio.run(voyage.run(work))
     return [f"{len(rows)}", f"{len(voyage.arrived)}", f"{took:.2f}", f"{len(rows) / took:.0f}"]
-
-
-class Day(Voyage):
-    """A node that sails for a day, and what it published."""
-
-    def __init__(self, folder: Path):
-        super().__init__(folder, [f"save_period = {SAVE}"])
-        self.values, self.stamps, self.gaps = array("d"), array("d"), array("d")
-        self.heard = time.monotonic()
-
-    def take(self, message: Message) -> None:
-        super().take(message)
-        self.heard = time.monotonic() if message.key.startswith("USV_SPEED") else self.heard
-        if message.key == "USV_SPEED_NEXT":
-            self.values.append(message.value)
-            self.stamps.append(message.time)
-        elif message.key == "PUSVLEARN_ITER_GAP":
-            self.gaps.append(message.value)
-
-    async def rest(self) -> None:
-        """Wait until the node has read all."""
-        await self.link.drain()
-        self.heard = time.monotonic()
-        while time.monotonic() - self.heard < IDLE:
-            await asyncio.sleep(IDLE / 10)
 
 
 @cache
@@ -268,7 +252,7 @@ def memory(process: int) -> float:
     return int(Path(f"/proc/{process}/statm").read_text().split()[1]) * 4096 / 1e6
 
 
-def sail(hours: float, restarts: int) -> tuple[Day, list[float], float]:
+def sail(hours: float, restarts: int) -> tuple[Voyage, list[float], float]:
     """The node's posts, its memory as the day went by, MB, and the day's length, s."""
     resident: list[float] = []
     took = 0.0
@@ -276,7 +260,6 @@ def sail(hours: float, restarts: int) -> tuple[Day, list[float], float]:
 
     async def work(day: Voyage) -> None:
         nonlocal took
-        assert isinstance(day, Day) and day.process
         begin, boat = time.monotonic(), rows(hours, START)
         kill, sample = max(packets // (restarts + 1), 1), max(packets // SAMPLES, 1)
         for k in range(packets):
@@ -291,7 +274,7 @@ def sail(hours: float, restarts: int) -> tuple[Day, list[float], float]:
         took = time.monotonic() - begin
 
     with tempfile.TemporaryDirectory() as folder:
-        day = Day(Path(folder))
+        day = Voyage(Path(folder), f"save_period = {SAVE}")
         asyncio.run(day.run(work))
     return day, resident, took
 

@@ -1,14 +1,13 @@
-"""Speed, accuracy, stress and certificates in short, compared with earlier runs: a data page and its history.
+"""Ratios of speed, accuracy, stress and certificates beside those of earlier runs, for use before a release.
 
-python benchmarks/overview.py                    ten minutes; wants the extra bench and an idle machine
+python benchmarks/overview.py                    ten minutes; wants an idle machine with a C compiler
 python benchmarks/overview.py --logs LOGS        also recorded boats; LOGS: a folder with blueboat, vtec, dalian
-python benchmarks/overview.py --check            exits with 1 if a figure has become worse, for use before a release
-python benchmarks/overview.py --only speed       one section, printed alone; --check works with it, too
+python benchmarks/overview.py --check            exits with 1 if a figure has become worse
+python benchmarks/overview.py --only speed       one section; --check works with it, too
 python benchmarks/overview.py --quick            all, on little data: whether it runs
 
-A whole run writes overview.md of docs/benchmarks, and appends its figures to history.csv there. With
---only or --quick nothing is written, unless --folder names a place. `benchmarks/history.py` states when a figure is
-worse.
+A whole run appends its figures to docs/benchmarks/history.csv. With --only or --quick nothing is written, unless
+--folder names a place. `benchmarks/history.py` states when a figure is worse.
 """
 
 import argparse
@@ -16,28 +15,145 @@ import math
 import platform
 import sys
 import tempfile
-import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
+from time import process_time
+from typing import NamedTuple
 
+import accuracy
 import history
+import numpy as np
+import stress
 import torch
-from history import Comparison, Entry, Run
-from overview_sections import QUICK, RECORDED, SECTIONS, WHOLE, Part
-from pages import FOLDER
-from timing import hardware, load, machine, table, three_digits
+from families import initial_networks, random_networks
+from history import Comparison, Entry, Figure, Run, timed
+from pages import FOLDER, hardware, table, three_digits
+from speed_steps import WAYS, Effort, Work, costs, estimators, in_turn, loop
 
 import usvlearn
+from certify.proofs import exact
+from certify.search import box
+from certify.training import conditions
 from usvlearn.errors import UsvlearnError, exit_on_user_error
 
-BUSY = 0.7  # load from which on other work is mentioned
-OPENING = """The package is compared with references: the same steps in C, other libraries, and batch least
-squares. This page is a summary; [Benchmarks](../benchmarks.md) links all others."""
-RULE = (history.__doc__ or "").partition("\n\n")[2].strip()
-CHECK = """`python benchmarks/overview.py --check` exits with 1 and names the figures that are worse. The file is
-[history.csv](history.csv)."""
+LOOP = "plain RLS in numpy"  # the reference of a time that has none in C
+SHOWN = ("aid", "rls, exponential", "sift", "joint, n = 23", "rnn, n = 20", "default ensemble")
+CALLED = ("sift", "default ensemble")  # whose calls from Python and steps in torch are in the history, too
+RECORDED = accuracy.REAL[:3]  # folders of logs
+OURS = ("robust_sift_rls", "joint_ekf", "ensemble")
+FOLLOWED = {("closed_tight", 100): 200, ("exact_rate", 100): 20, ("proof", 100): 2, ("box", 20): 2}  # calls a round
+
+
+class Amount(NamedTuple):
+    """How much is measured."""
+
+    effort: Effort
+    plants: tuple[str, ...]
+    data: tuple[str, ...]  # overrides of the simulated boats
+    cases: tuple[str, ...]
+    steps: int  # limit of every part of a scenario
+    elements: int
+
+
+WHOLE = Amount(
+    effort=Effort(repeats=15, steps=50_000, eager=50, calls=2000, clock=process_time),
+    plants=accuracy.PLANTS, data=(), cases=("idle", "outliers", "nan", "thruster", "outage"), steps=100_000,
+    elements=24,
+)  # fmt: skip
+QUICK = Amount(
+    effort=Effort(repeats=3, steps=1000, eager=10, calls=100, clock=process_time),
+    plants=("heron",), data=("data.hours=0.2", "data.mission_minutes=2"),
+    cases=("outliers", "nan"), steps=300, elements=2,
+)  # fmt: skip
+
+
+def by_round(spent: Sequence[float], reference: Sequence[float]) -> list[float]:
+    return [a / b for a, b in zip(spent, reference, strict=True)]
+
+
+@torch.no_grad()
+def speed(amount: Amount, logs: Path | None) -> list[Figure]:
+    known, figures = estimators(), []
+    for name in SHOWN:
+        ways = costs(known[name], amount.effort, [*WAYS, "loop"])
+        reference, named = ("C", "C") if "C" in ways else ("loop", LOOP)
+        figures.append(timed(f"speed: {name}, streamed", by_round(ways["streamed"], ways[reference]), named))
+        if name in CALLED:
+            figures += [
+                timed(f"speed: {name}, {label}", by_round(ways[way], ways["loop"]), LOOP)
+                for way, label in (("call", "called"), ("torch", "eager torch"))
+            ]
+    return figures
+
+
+def predictions(amount: Amount, logs: Path | None) -> list[Figure]:
+    """Mean errors in the second halves of the runs, of the boats of a plant together."""
+    boats = {
+        f"{plant}, simulated": [accuracy.second_half(log) for log in accuracy.simulated((plant,), *amount.data)]
+        for plant in amount.plants
+    }
+    for name in RECORDED:
+        if logs is not None and (logs / name).is_dir():
+            boats[name] = [accuracy.second_half(accuracy.recorded(logs, name))]
+    figures = []
+    for name, errors in boats.items():
+        persistence, ensemble, free_squares, free_ensemble = np.mean(errors, axis=0)
+        figures += [
+            Figure(f"accuracy: {name}, one step", ensemble / persistence, "MAE of persistence"),
+            Figure(
+                f"accuracy: {name}, open-loop simulation", free_ensemble / free_squares, "MAE of batch least squares"
+            ),
+        ]
+    return figures
+
+
+def stresses(amount: Amount, logs: Path | None) -> list[Figure]:
+    cases, known, figures = stress.scenarios(amount.steps, amount.elements), stress.ours(), []
+    with np.errstate(all="ignore"):
+        for name in OURS:
+            for case in amount.cases:
+                error = stress.run_ours(cases[case], known[name]).error / stress.true_model(cases[case]).error
+                figures.append(Figure(f"stress: {name}, {case}", error, "the true model"))
+    return figures
+
+
+def followed(n: int, rng: np.random.Generator) -> dict[str, Work]:
+    """What is timed of networks of n neurons; `box` takes an initial network."""
+    weights, initial = random_networks(1, n, rng)[0], initial_networks(1, n, rng)[0]
+    a, w1 = torch.tensor(weights.a), torch.tensor(weights.w1)
+    a *= 0.9 / float(conditions.rate(a, w1))
+    return {
+        "closed_tight": partial(conditions.exact, a, w1),
+        "exact_rate": partial(exact.extreme_slopes, a.numpy(), weights.w1),
+        "proof": lambda: exact.proves(
+            "exact", a.numpy(), weights.w1, exact.multipliers("exact", a.numpy(), weights.w1)
+        ),
+        "box": partial(box.rate, initial, box.operating_box(4)),
+    }
+
+
+def certificates(amount: Amount, logs: Path | None) -> list[Figure]:
+    """Times of verdicts, round by round with the loop."""
+
+    def often(work: Work, calls: int) -> None:
+        for _ in range(calls):
+            work()
+
+    effort, works = amount.effort, {n: followed(n, np.random.default_rng(1)) for n in {n for _, n in FOLLOWED}}
+    repeated = {(name, n): partial(often, works[n][name], calls) for (name, n), calls in FOLLOWED.items()}
+    spent = in_turn({"loop": loop(effort.calls), **repeated}, effort.repeats, effort.clock)
+    return [timed(f"certify: {x}, n = {n}", by_round(spent[x, n], spent["loop"]), LOOP) for x, n in repeated]
+
+
+SECTIONS: Mapping[str, Callable[[Amount, Path | None], list[Figure]]] = {
+    "speed": speed,
+    "accuracy": predictions,
+    "stress": stresses,
+    "certify": certificates,
+}
 
 
 def this_run(effort: str) -> Run:
@@ -47,17 +163,13 @@ def this_run(effort: str) -> Run:
 
 
 def percent(change: float | None) -> str:
-    """
-    >>> percent(0.123), percent(-0.004), percent(math.inf), percent(None)
-    ('+12 %', '+0 %', 'from 0', '')
-    """
     if change is None:
         return ""
     return f"{round(100 * change):+d} %" if math.isfinite(change) else "from 0"
 
 
-def beside_earlier(before: Sequence[Entry], comparisons: Sequence[Comparison]) -> list[str]:
-    """The table of the history, and what it shows in a sentence."""
+def beside_earlier(comparisons: Sequence[Comparison]) -> list[str]:
+    """The figures, and what they were before."""
     rows = [
         [each.figure.name, three_digits(each.figure.value), each.figure.reference,
          "" if each.figure.spread is None else f"{100 * each.figure.spread:.0f} %", str(each.entries),
@@ -65,51 +177,15 @@ def beside_earlier(before: Sequence[Entry], comparisons: Sequence[Comparison]) -
         for each in comparisons
     ]  # fmt: skip
     head = ["figure", "ratio", "to", "spread", "entries", "since the last", "since their median", "t", ""]
-    known, worse = sum(each.entries > 0 for each in comparisons), sum(each.worse for each in comparisons)
-    text = f"Figures: {len(comparisons)}; with comparable entries: {known}; worse: {worse}."
-    if before:
-        run = before[-1].run
-        text += (
-            f" The entry before this run is of {run.date}: usvlearn {run.version}, Python {run.python}, torch "
-            f"{run.torch}, numba {run.numba}, numpy {run.numpy}, {run.machine}."
-        )
-    return [text, "", *table(head, rows)]
+    return table(head, rows)
 
 
 def verdict(comparisons: Sequence[Comparison]) -> str:
     """What has become worse, in a sentence."""
-    told = [
-        f"{each.figure.name} ({percent(each.last)} since the last entry, {percent(each.median)} since the median, "
-        f"t = {100 * each.tolerance:.0f} %)"
-        for each in comparisons
-        if each.worse
-    ]
-    if told:
-        return f"{len(told)} of {len(comparisons)} figures are worse: {'; '.join(told)}."
+    if worse := [each.figure.name for each in comparisons if each.worse]:
+        return f"{len(worse)} of {len(comparisons)} figures are worse: {'; '.join(worse)}."
     known = sum(each.entries > 0 for each in comparisons)
     return f"No figure is worse, of {known} with comparable entries." if known else "Nothing to compare with."
-
-
-def page(run: Run, command: str, computer: str, minutes: float, parts: dict[str, Part], against: Sequence[str]) -> str:
-    """The page, as Markdown; `against` is empty where there is nothing to compare with."""
-    text = [
-        "# Speed, accuracy, stress and certificates in short", "", OPENING, "",
-        f"Made by `{command}` on {run.date} in {minutes:.0f} min, with usvlearn {run.version}.", "",
-        f"{computer}.", "",
-    ]  # fmt: skip
-    for name, part in parts.items():
-        text += [f"## {SECTIONS[name][0]}", "", *part.lines, ""]
-    if against:
-        text += ["## Against earlier runs", "", *against, "", RULE, "", CHECK, ""]
-    return "\n".join(text)
-
-
-def measure(names: Sequence[str], quick: bool, logs: Path | None) -> dict[str, Part]:
-    parts = {}
-    for name in names:
-        print(f"{SECTIONS[name][0]} …", file=sys.stderr, flush=True)
-        parts[name] = SECTIONS[name][1](QUICK if quick else WHOLE, logs)
-    return parts
 
 
 def work(given: argparse.Namespace, spare: Path) -> int:
@@ -119,34 +195,25 @@ def work(given: argparse.Namespace, spare: Path) -> int:
     before = history.read(file)  # a damaged file is found before ten minutes have passed
     if given.logs and not any((given.logs / name).is_dir() for name in RECORDED):
         raise UsvlearnError(f"--logs: found no folder {', '.join(RECORDED)} in {given.logs}, expected one at least")
-    began, computer, run = time.monotonic(), machine(), this_run("quick" if given.quick else "whole")
-    if (load() or 0.0) > BUSY:
-        computer += ". Other work ran on the machine, which makes the times uncertain"
-    parts = measure([given.only] if given.only else list(SECTIONS), given.quick, given.logs)
-    minutes = (time.monotonic() - began) / 60
-    now = [Entry(run, figure) for part in parts.values() for figure in part.figures]
+    run, now = this_run("quick" if given.quick else "whole"), []
+    for name in [given.only] if given.only else SECTIONS:
+        print(f"{name} …", file=sys.stderr, flush=True)
+        now += [Entry(run, figure) for figure in SECTIONS[name](QUICK if given.quick else WHOLE, given.logs)]
     comparisons = [history.compare(before, entry) for entry in now]
-    against = beside_earlier(before, comparisons)
     if whole or given.folder:
-        folder = given.folder or FOLDER
-        folder.mkdir(parents=True, exist_ok=True)
+        file.parent.mkdir(parents=True, exist_ok=True)
         history.append(file, now)
-        command = f"python benchmarks/overview.py{' --quick' * given.quick}{' --logs LOGS' * bool(given.logs)}"
-        shown = against if any(each.entries for each in comparisons) else []
-        (folder / "overview.md").write_text(page(run, command, computer, minutes, parts, shown))
-    for name, part in parts.items():
-        print("", f"## {SECTIONS[name][0]}", "", *part.lines, sep="\n")
-    print("", *against, "", verdict(comparisons), sep="\n")
+    print(*beside_earlier(comparisons), "", verdict(comparisons), sep="\n")
     return int(given.check and any(each.worse for each in comparisons))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     asked = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    asked.add_argument("--only", choices=SECTIONS, help="one section, printed alone")
+    asked.add_argument("--only", choices=SECTIONS, help="one section")
     asked.add_argument("--quick", action="store_true", help="on little data")
     asked.add_argument("--check", action="store_true", help="exit with 1 if a figure has become worse")
     asked.add_argument("--logs", type=Path, help="a folder with recorded boats")
-    asked.add_argument("--folder", type=Path, help="of the page and the history; by default docs/benchmarks")
+    asked.add_argument("--folder", type=Path, help="of the history; by default docs/benchmarks")
     torch.set_num_threads(1)
     with tempfile.TemporaryDirectory() as spare, exit_on_user_error():
         return work(asked.parse_args(arguments), Path(spare))

@@ -18,8 +18,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from accuracy import configuration, ensemble, fleet_of
-from pages import publish
-from timing import machine, table
+from pages import machine, publish, table
 
 from usvlearn.composition.configuration import planar_of
 from usvlearn.core.samples import Fleet

@@ -1,15 +1,17 @@
-"""What a step costs: streamed, called from Python, in eager torch, in C and in other libraries."""
+"""What a step costs: streamed, called from Python, in eager torch, in C and in other libraries; works timed in turn."""
 
 import statistics
+import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
+from typing import Any, NamedTuple
 
 import accuracy
 import numpy as np
 import peers
 import torch
+from pages import micro, table, three_digits
 from reference import compiler, reference
-from timing import Effort, Work, in_turn, micro, ratio, table, three_digits
 
 from usvlearn import (
     ARX,
@@ -33,13 +35,58 @@ from usvlearn.logs.recordings import align_fleet
 from usvlearn.simulate.fleet import fleet as simulated
 from usvlearn.simulate.planar_fleet import planar_fleet
 
+Work = Callable[[], Any]
+Clock = Callable[[], float]
 WAYS = {"C": "C", "streamed": "streamed", "call": "called from Python", "torch": "eager torch"}
+
+
+class Effort(NamedTuple):
+    """How much is measured."""
+
+    repeats: int = 5
+    steps: int = 50_000  # streamed through one batch element
+    eager: int = 200  # of them through torch
+    calls: int = 3000  # from Python
+    elements: tuple[int, ...] = (1, 8, 64, 512, 4096)
+    element_steps: int = 400_000  # over all batch elements
+    hours: tuple[float, float] = (3.0, 30.0)  # of a season, and of a short one
+    settings: int = 512  # of a grid
+    sets: int = 80  # of a cross-validation
+    clock: Clock = time.perf_counter  # s
+
+
+WHOLE = Effort()
+QUICK = Effort(2, 1000, 20, 100, (1, 8), 2000, (0.2, 0.4), 8, 4)
+
+
+def once(work: Work, clock: Clock = time.perf_counter) -> float:
+    """Seconds of a call."""
+    start = clock()
+    work()
+    return clock() - start
+
+
+def in_turn(works: Mapping[Any, Work], repeats: int, clock: Clock = time.perf_counter) -> dict[Any, list[float]]:
+    """Seconds of every work, once each and all again: a machine that drifts harms their ratios least.
+
+    Before, each is done once unmeasured: it may compile, and fills the caches.
+    """
+    for work in works.values():
+        work()
+    rounds = [{name: once(work, clock) for name, work in works.items()} for _ in range(repeats)]
+    return {name: [each[name] for each in rounds] for name in works}
+
+
+def ratio(spent: Sequence[float], reference: Sequence[float]) -> float:
+    """Median over the rounds of the one's time over the other's."""
+    return statistics.median(a / b for a, b in zip(spent, reference, strict=True))
 
 
 def estimators() -> dict[str, Estimator]:
     """One of each kind, as the configuration has them, and the default ensemble."""
     ensemble = accuracy.ensemble(())
-    of = accuracy.ensemble(["+estimator@estimators.dynamic_rls=dynamic_rls"]).members
+    more = ("dynamic_rls", "rnn_replay")
+    of = accuracy.ensemble([f"+estimator@estimators.{name}={name}" for name in more]).members
     mass = float(of["aid"].model.mass)
     return {
         "persistence": of["persistence"],
@@ -50,6 +97,7 @@ def estimators() -> dict[str, Estimator]:
         "arx, p = 27": ARX(),
         "joint, n = 23": of["joint"],
         "rnn, n = 20": of["rnn"],
+        "rnn_replay, n = 20": of["rnn_replay"],
         "joint, n = 16": JointEKF(2.74, mass, even=None),
         "yaw, n = 22": YawEKF(2.74),
         "sway, n = 14": SwayEKF(2.74),

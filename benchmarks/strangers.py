@@ -28,11 +28,10 @@ import batch
 import numpy as np
 import output_error
 import torch
-from fit_study import polynomial, squares
-from pages import publish
+from fit import polynomial, squares
+from pages import publish, table
 from peers import echo_state, narmax, physics, state_space
 from peers.batch import cut, errors
-from timing import table
 
 from usvlearn import learn, read
 from usvlearn.composition.configuration import ensemble_of

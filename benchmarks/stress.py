@@ -18,7 +18,7 @@ BOA over two joint EKFs, ARX and the averaged joint EKF.
 
 import argparse
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,9 +26,8 @@ import numpy as np
 import torch
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
-from pages import publish
+from pages import machine, publish, table
 from peers import LAM, NOISE, P, Peer, peers
-from timing import machine, table
 from torch import Tensor, nn
 
 from usvlearn import AID, ARX, RLS, Ensemble, JointEKF, Persistence, Robust, SIFtRLS
@@ -40,10 +39,7 @@ from usvlearn.estimators.regressors.layer import SurgeDynamics
 DT, OUTLIERS = 0.4, 0.02  # s, share
 TRUTH = np.array([-3.0, -6.0, -4.0, 20.0, 15.0, -3.0, 16.0, 18.0, -2.0]) / 28  # θ/m
 SIFT_MEMORY = -DT / math.log(1 - P * (1 - LAM))  # s
-WINDOW, WITHIN = (
-    240,
-    1.5,
-)  # samples of the running error, all batch elements; times its level before, where it counts as back
+WINDOW, WITHIN = 240, 1.5  # samples of the running error, of all elements; times its level before: it is back
 MODEL = SurgeDynamics(1.0)
 SURGE_MAX = 3.3  # m/s, the boat's top speed
 SEED, GUSTY = 71, 60.0  # of the boats that change; h of each plant in gusts
@@ -66,7 +62,6 @@ class Result(NamedTuple):
 
     error: float  # m/s, MAE one step ahead over `after`
     steps: float | None  # after the event, until the running error stays within WITHIN times its level before
-    parameters: float  # √(Δθᵀ C Δθ / θᵀ C θ), C = mean φφᵀ under excitation; NaN where there are no parameters
     finite: bool  # all predictions, and the state at the end
 
 
@@ -186,10 +181,7 @@ def excitation(scenario: Scenario) -> Tensor:
 def run_ours(scenario: Scenario, estimator: Estimator) -> Result:
     with torch.no_grad():
         state, surges, _ = rollout(estimator, estimator.init(scenario.target.shape[1:]), scenario.samples)
-    leaves = list(named_leaves(state))
-    thetas = [leaf for place, leaf in leaves if place.split(".")[-1] == "theta" and leaf.shape[-1] == P]
-    finite = all(bool(leaf.isfinite().all()) for _, leaf in leaves)
-    return assess(scenario, surges, thetas[0] if len(thetas) == 1 else None, finite)
+    return assess(scenario, surges, all(bool(leaf.isfinite().all()) for _, leaf in named_leaves(state)))
 
 
 def follow(peer: Peer, samples: Sample) -> Tensor:
@@ -212,24 +204,22 @@ def follow(peer: Peer, samples: Sample) -> Tensor:
 
 
 def run_peer(scenario: Scenario, make: Callable[[], Peer]) -> Result:
-    surges, theta, finite = torch.full_like(scenario.target, math.nan), torch.zeros_like(scenario.theta), True
+    surges, finite = torch.full_like(scenario.target, math.nan), True
     for element in range(scenario.target.shape[1]):
         peer = make()
         try:
             surges[:, element] = follow(peer, tree_map(lambda x, element=element: x[:, element], scenario.samples))
         except np.linalg.LinAlgError:  # it gave up: a singular matrix
             finite = False
-        theta[element] = torch.tensor(peer.theta())
         finite = finite and all(np.isfinite(x).all() for x in peer.numbers())
-    return assess(scenario, surges, theta, finite and bool(theta.isfinite().all()))
+    return assess(scenario, surges, finite)
 
 
-def assess(scenario: Scenario, surges: Tensor, theta: Tensor | None, finite: bool) -> Result:
-    inputs, C = scenario.samples.inputs, excitation(scenario)
+def assess(scenario: Scenario, surges: Tensor, finite: bool) -> Result:
+    inputs, steps = scenario.samples.inputs, None
     asked = (inputs.dt > 0) & torch.stack([x.isfinite() for x in inputs]).all(0)
     error = (surges - scenario.target).abs().nan_to_num(math.inf)
     error = torch.where(asked, error, math.nan)
-    steps, parameters = None, math.nan
     if scenario.event is not None:
         level = error[scenario.lead // 2 : scenario.lead].nanmean()
         later = error[scenario.event :]
@@ -237,12 +227,7 @@ def assess(scenario: Scenario, surges: Tensor, theta: Tensor | None, finite: boo
         beyond = (running > WITHIN * level).nonzero()
         steps = float(beyond[-1]) + 1 if len(beyond) else 0.0
         steps = math.inf if steps == len(running) else steps
-    if theta is not None:
-        cost, size = (((x @ C) * x).sum(-1).mean() for x in (theta - scenario.theta, scenario.theta))
-        parameters = float((cost / size).sqrt())
-    return Result(
-        float(error[scenario.after].nanmean()), steps, parameters, finite and bool(surges[asked].isfinite().all())
-    )
+    return Result(float(error[scenario.after].nanmean()), steps, finite and bool(surges[asked].isfinite().all()))
 
 
 def true_model(scenario: Scenario) -> Result:
@@ -250,15 +235,15 @@ def true_model(scenario: Scenario) -> Result:
     clean = scenario.samples._replace(surge=scenario.target)
     before = torch.cat([torch.zeros_like(scenario.target[:1]), scenario.target[:-1]])
     surges = before + (regressors(clean) * scenario.theta).sum(-1)
-    return assess(scenario._replace(event=None), surges, scenario.theta, True)
+    return assess(scenario._replace(event=None), surges, True)
 
 
-def outcomes(scenario: Scenario, own: Mapping[str, Estimator]) -> Iterator[tuple[str, Result]]:
-    """How the true model, the peers and some of ours came through, by name."""
+def outcomes(scenario: Scenario) -> Iterator[tuple[str, Result]]:
+    """How the true model, the peers and ours came through, by name."""
     yield "true model", true_model(scenario)
     for name, make in peers(excitation(scenario)).items():
         yield name, run_peer(scenario, make)
-    for name, one in own.items():
+    for name, one in ours().items():
         yield name, run_ours(scenario, one)
 
 
@@ -273,28 +258,17 @@ def report(steps: int) -> str:
     cases = scenarios(steps)
     found: dict[str, dict[str, Result]] = {}
     for case, scenario in cases.items():
-        for name, result in outcomes(scenario, ours()):
+        for name, result in outcomes(scenario):
             found.setdefault(name, {})[case] = result
             print(case, name, result, flush=True)
     rows = [[name, *(cell(x) for x in row.values())] for name, row in found.items()]
-    off = [[name, *(f"{x.parameters:.2g}" for x in row.values())] for name, row in found.items()
-           if not math.isnan(row["jump"].parameters)]  # fmt: skip
     return "\n".join([
         "# Stress tests beside other libraries", "", *__doc__.strip().splitlines()[4:], "",
         f"Measured on {machine()}; ours are streamed. A cell: the MAE of one-step",
         "predictions, m/s, over the steps named below; and after how many steps from the event the error (mean over",
         f"{WINDOW} samples) stays within {WITHIN} × its level before. *Not finite*: a prediction or the state.", "",
         *(f"- {case}: {scenario.title}" for case, scenario in cases.items()), "", *table(["", *cases], rows), "",
-        "## Parameter error at the end", "", "√(Δθᵀ C Δθ / θᵀ C θ), where C is the mean of φφᵀ under excitation: the "
-        "error of what the parameters predict, relative.", "", *table(["", *cases], off), "",
     ])  # fmt: skip
-
-
-def changes(boats: int) -> str:
-    """The part of the page on boats that change."""
-    import faults  # which imports this module
-
-    return "\n".join(["", *faults.section(SEED, boats, GUSTY / boats)])
 
 
 def main() -> None:
@@ -302,11 +276,12 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=1_000_000, help="limit of every part of a scenario")
     parser.add_argument("--boats", type=int, default=5, help="of each plant, to which something happens")
     given = parser.parse_args()
-    steps = given.steps
     torch.set_num_threads(1)
+    import faults  # which imports this module
+
     with np.errstate(all="ignore"):
-        text = report(steps) + changes(given.boats)
-    if steps >= 1_000_000:
+        text = "\n".join([report(given.steps), *faults.section(SEED, given.boats, GUSTY / given.boats)])
+    if given.steps >= 1_000_000:
         publish(__file__, text)
     else:
         print(text)

@@ -24,8 +24,7 @@ class Peer(NamedTuple):
 
     predict: Callable[[np.ndarray], float]
     learn: Callable[[np.ndarray, float], object]
-    theta: Callable[[], np.ndarray]
-    numbers: Callable[[], list[np.ndarray]] = list  # the rest of its state
+    numbers: Callable[[], list[np.ndarray]]  # its state
 
 
 def plain_rls() -> Peer:
@@ -36,7 +35,7 @@ def plain_rls() -> Peer:
         theta[:] = theta + K * (y - x @ theta)
         cov[:] = (cov - np.outer(K, x @ cov)) / LAM
 
-    return Peer(lambda x: x @ theta, learn, lambda: theta, lambda: [cov])
+    return Peer(lambda x: x @ theta, learn, lambda: [theta, cov])
 
 
 def plain_nlms(rate: float = NLMS_RATE, least: float = 1e-3) -> Peer:
@@ -46,21 +45,21 @@ def plain_nlms(rate: float = NLMS_RATE, least: float = 1e-3) -> Peer:
     def learn(x: np.ndarray, y: float) -> None:
         theta[:] = theta + rate * x * (y - x @ theta) / (least + x @ x)
 
-    return Peer(lambda x: x @ theta, learn, lambda: theta)
+    return Peer(lambda x: x @ theta, learn, lambda: [theta])
 
 
 def padasip_rls() -> Peer:
     from padasip.filters import FilterRLS
 
     rls = FilterRLS(P, mu=LAM, eps=0.1, w="zeros")
-    return Peer(rls.predict, lambda x, y: rls.adapt(y, x), lambda: rls.w, lambda: [rls.R])
+    return Peer(rls.predict, lambda x, y: rls.adapt(y, x), lambda: [rls.w, rls.R])
 
 
 def padasip_nlms(rate: float = NLMS_RATE) -> Peer:
     from padasip.filters import FilterNLMS
 
     nlms = FilterNLMS(P, mu=rate, w="zeros")
-    return Peer(nlms.predict, lambda x, y: nlms.adapt(y, x), lambda: nlms.w)
+    return Peer(nlms.predict, lambda x, y: nlms.adapt(y, x), lambda: [nlms.w])
 
 
 def river_bayesian() -> Peer:
@@ -72,7 +71,7 @@ def river_bayesian() -> Peer:
     return Peer(
         lambda x: bayes.predict_one(dict(enumerate(x))),
         lambda x, y: bayes.learn_one(dict(enumerate(x)), y),
-        lambda: np.array([bayes.predict_one(x) for x in unit]),
+        lambda: [np.array([bayes.predict_one(x) for x in unit])],
     )
 
 
@@ -83,7 +82,7 @@ def river_linear(rate: float = SGD_RATE) -> Peer:
     return Peer(
         lambda x: sgd.predict_one(dict(enumerate(x))),
         lambda x, y: sgd.learn_one(dict(enumerate(x)), y),
-        lambda: np.array([sgd.weights.get(i, 0.0) for i in range(P)]),
+        lambda: [np.array([sgd.weights.get(i, 0.0) for i in range(P)])],
     )
 
 
@@ -105,7 +104,7 @@ def filterpy_kalman(C: np.ndarray) -> Peer:
         kf.predict()
         return (x @ kf.x).item()
 
-    return Peer(predict, lambda x, y: kf.update(y, H=x[None]), lambda: kf.x[:, 0], lambda: [kf.P])
+    return Peer(predict, lambda x, y: kf.update(y, H=x[None]), lambda: [kf.x, kf.P])
 
 
 def kalman_py(C: np.ndarray) -> Peer:
@@ -118,7 +117,7 @@ def kalman_py(C: np.ndarray) -> Peer:
         kf.predict()
         return x @ kf.x
 
-    return Peer(predict, lambda x, y: kf.update(y, H=x[None]), lambda: kf.x, lambda: [kf.P])
+    return Peer(predict, lambda x, y: kf.update(y, H=x[None]), lambda: [kf.x, kf.P])
 
 
 def peers(C: Tensor) -> dict[str, Callable[[], Peer]]:

@@ -87,7 +87,7 @@ def cases(shared):
         return {"replay by step": {"surge": np.array([step(k) for k in range(9)])}}
     return {"steps/toy": run, "runs/away": lambda: None}
 """,
-    "benchmarks/timing.py": "def hardware():\n    return 'any'\n",
+    "benchmarks/pages.py": "def hardware():\n    return 'any'\n",
     "usvlearn/__init__.py": "",
     "usvlearn/toy.py": "def step(k):\n    return 0.5 * k\n",
     "usvlearn/core/jit.py": "import os\nfrom pathlib import Path\n\ndef folder(source):\n"

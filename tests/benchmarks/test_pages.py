@@ -9,7 +9,6 @@ import pytest
 
 ROOT = pages.FOLDER.parents[1]
 PAGES = {path.stem: path.read_text() for path in sorted(pages.FOLDER.glob("*.md"))}
-MADE = {"overview.md", "history.csv"}  # by a run of overview.py
 ROW = re.compile(r"^\| (?P<result>.+) \| \[[^]]+\]\(benchmarks/(?P<page>\w+)\.md\) \| `(?P<command>[^`]+)` \|$", re.M)
 OTHERS = {"study": "python evaluate.py experiment=paper"}  # pages without a script of their name
 
@@ -35,7 +34,7 @@ def test_tables_lists_and_figures_are_rendered(name):
         for mark in ("| ", "- "):
             assert not line.startswith(mark) or before == "" or before.startswith(mark[0]), line
     for target in re.findall(r"\]\(([^)#]+)", PAGES[name]):
-        assert (pages.FOLDER / target).exists() or target in MADE, target
+        assert (pages.FOLDER / target).exists(), target
 
 
 def test_every_mention_of_a_page_is_of_one_that_exists():
@@ -46,7 +45,7 @@ def test_every_mention_of_a_page_is_of_one_that_exists():
     for path in files:
         text = path.read_text()
         for found in re.findall(r"docs/benchmarks/(\w+\.\w+)", text):
-            assert (pages.FOLDER / found).exists() or found in MADE, f"{path}: {found}"
+            assert (pages.FOLDER / found).exists(), f"{path}: {found}"
             cited += 1
         assert not re.search(r"(?<!docs/)(?<!\]\()(?<!\.\./)benchmarks/\w+\.(md|svg)", text), f"{path}: the old folder"
     assert cited > 5

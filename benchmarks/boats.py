@@ -1,4 +1,4 @@
-"""Runs of a boat on the grid of the batch fit beside those on the grid of a run, and how the fit simulates them.
+"""Boats of the benchmarks: simulated seasons, and logs that are cut in halves, on two grids; how a fit simulates them.
 
 The batch fit learns on a grid of its own (`usvlearn.model.fit.logs`), and simulates on it. It is judged where all
 others are: at the steps of the coarser grid whose speed was measured. As those of the other methods, its simulations
@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from truths import DT
+from peers.batch import bounded
 
 from usvlearn.core.samples import Fleet, Run, Sample, masks, tree_map
 from usvlearn.logs.recordings import align_fleet
@@ -20,6 +20,12 @@ from usvlearn.model.fit.logs import DT as FINE
 from usvlearn.model.fit.logs import smoothed
 from usvlearn.model.fit.open_loop import open_loop, usual_current
 from usvlearn.simulate.fleet import fleet
+
+PLANTS = ("heron", "kingfisher", "vtec", "otter", "wamv")
+NOMINAL = {"heron": (28.0, 2.74), "kingfisher": (35.0, 1.5), "vtec": (32.25, 1.5), "otter": (85.5, 3.1),
+           "wamv": (180.0, 7.7)}  # fmt: skip  # mass, kg, and top speed, m/s, as a user would state them
+MINUTES, DT = 10.0, 0.4  # of a mission; s, of a step
+HOURS, LATER = 3.0, 1.0  # h, to learn from, and for simulations
 
 
 class Later(NamedTuple):
@@ -38,9 +44,14 @@ class Halves(NamedTuple):
     ahead: list[Later]  # the later runs again
 
 
-def season(first: int, **given) -> dict[str, Halves]:
-    """Simulated boats by name, and their runs; the `first` missions are to learn from."""
-    logs = fleet(**given)
+def season_of(plant: str, seed: int, n: int = 3, hours: float = HOURS, later: float = LATER) -> dict[str, object]:
+    """The arguments of `fleet`, and of the truth about its boats."""
+    return {"n": n, "plant": plant, "hours": hours + later, "mission_minutes": MINUTES, "seed": seed}
+
+
+def season(plant: str, seed: int, n: int = 3, hours: float = HOURS, later: float = LATER) -> dict[str, Halves]:
+    """Simulated boats of a plant by name: the first `hours` are to learn from."""
+    logs, first = fleet(**season_of(plant, seed, n, hours, later)), round(hours * 60 / MINUTES)
     grids = [align_fleet(logs, dt=dt, patience=1.0) for dt in (DT, FINE)]
 
     def parts(one: Fleet, element: int) -> tuple[list[Run], list[Run]]:
@@ -108,8 +119,7 @@ def simulations(fit: Fit, runs: Halves) -> list[np.ndarray]:
     return [open_loop(fit, each.rows, current)[each.places] for each in runs.ahead]
 
 
-def percentage(predictions: Sequence[np.ndarray], runs: Sequence[Sample]) -> float:
-    """The fit percentage 100 (1 − |v − v̂| / |v − mean v|) over all steps whose speed was measured."""
-    use = np.concatenate([masks(run).learns for run in runs])
-    made, true = np.concatenate(predictions)[use], np.concatenate([run.surge for run in runs])[use]
-    return float(100 * (1 - np.linalg.norm(true - made) / np.linalg.norm(true - true.mean())))
+def free_run_mae(predictions: Sequence[np.ndarray], runs: Sequence[Sample]) -> float:
+    """The mean absolute error of open-loop simulations, m/s, over all steps whose speed was measured."""
+    pairs = zip(predictions, runs, strict=True)
+    return float(np.concatenate([bounded(made - run.surge)[masks(run).learns] for made, run in pairs]).mean())
