@@ -26,7 +26,7 @@ from usvlearn.composition.configuration import ensemble_of
 from usvlearn.core.samples import Fleet, Sample, masks, tree_map
 from usvlearn.engine.rollouts import simulate
 from usvlearn.estimators.baselines.persistence.layer import PersistenceState
-from usvlearn.evaluation.metrics import scores
+from usvlearn.evaluation.metrics import Stretch, scores
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.runs.replay import replay
 
@@ -78,15 +78,17 @@ def ensemble(overrides: Sequence[str]) -> Ensemble:
 
 
 @cache
+def published(given: tuple[str, ...], more: tuple[str, ...] = ()) -> tuple[Ensemble, list[Stretch]]:
+    """An ensemble, and what it published while it learned."""
+    fleet, model = fleet_of(given), ensemble((*given, *more))
+    chunks = replay(model, fleet, model.init((len(fleet.boats),)))
+    return model, [(*chunk.begin, dict(chunk.published)) for chunk in chunks]
+
+
 def replayed(given: tuple[str, ...], more: tuple[str, ...] = ()) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
     """Names of the columns; predictions and half-widths, m/s, `(time, boats, columns)`."""
-    fleet, model = fleet_of(given), ensemble((*given, *more))
-    chunks = list(replay(model, fleet, model.init((len(fleet.boats),))))
-    return (
-        model.names,
-        np.concatenate([c.published["predictions"] for c in chunks]),
-        np.concatenate([c.published["halfwidths"] for c in chunks]),
-    )
+    model, made = published(given, more)
+    return model.names, *(np.concatenate([each[x] for *_, each in made]) for x in ("predictions", "halfwidths"))
 
 
 def measured(log: Log) -> np.ndarray:

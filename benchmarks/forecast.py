@@ -13,12 +13,12 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
-from accuracy import Log, configuration, ensemble, first_half, fleet_of, measured, recorded
+from accuracy import Log, configuration, ensemble, first_half, fleet_of, published, recorded
 from boats import NOMINAL, PLANTS
 from hydra.utils import instantiate
 from pages import publish, table
@@ -26,49 +26,37 @@ from pages import publish, table
 from usvlearn.core.samples import masks, tree_map
 from usvlearn.engine.backend import arrays_of
 from usvlearn.engine.fit_member import with_fit
-from usvlearn.engine.rollouts import chunked_rollout
 from usvlearn.engine.run import roll
 from usvlearn.errors import UsvlearnError
 from usvlearn.estimators.ensemble.forecasts.state import HORIZONS, TABLE
-from usvlearn.evaluation.horizons import groups_of
+from usvlearn.evaluation.horizons import GROUPS, LEAST, ensemble_scores
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.model.fit.fitted import fit_boat
 from usvlearn.model.fit.hand_over import table_of
 from usvlearn.model.fit.logs import fine, missions_of
 
 REAL, SEED, HOURS = ("blueboat", "vtec", "dalian"), 77, 3
-FEW = 8  # forecasts, below which no skill is stated,
-MANY = 100  # and no coverage of a group
+MANY = 100  # forecasts of a group, below which no coverage is stated
 FITTED = (1, 2, 3, 4)  # missions of a simulated boat after which it is fitted; of a recorded one all
 FIT_SEED = 501
 
 
-@cache
-def replayed(given: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Forecasts `(time, boats, horizons, columns)` and half-widths `(time, boats, horizons)`, m/s."""
-    fleet, model = fleet_of(tuple(key for key in given if "conditional" not in key)), ensemble(given)
-    leaves, found = ["forecasts.predictions", "forecasts.halfwidths"], []
-    for _, kept in chunked_rollout(model, model.init((len(fleet.boats),)), [run.samples for run in fleet.runs], leaves):
-        found.append([kept[name] for name in leaves])
-    made, widths = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return made, widths
+def by_horizon(log: Log, more: tuple[str, ...] = (), part: np.ndarray | None = None) -> list[dict[str, Any]]:
+    """Scores of the ensemble on a part of the log, by horizon, as of `usvlearn.evaluation.horizons`."""
+    (model, made), kept, begin = published(log.overrides, more), [], 0
+    for run, step, arrays in made:
+        forecasts = arrays["forecasts"]
+        if part is not None:
+            forecasts = np.where(part[begin : begin + len(forecasts), None, None], forecasts, np.nan)
+        begin += len(forecasts)
+        kept.append((run, step, arrays | {"forecasts": forecasts}))
+    boat = log.fleet.boats[log.element]
+    return list(ensemble_scores(model, log.fleet, kept)[boat][model.output].values())
 
 
-def by_horizon(log: Log, more: tuple[str, ...] = (), part: np.ndarray | None = None) -> np.ndarray:
-    """Skill of the ensemble, coverage of its intervals, and number of forecasts, `(3, horizons)`, NaN where few."""
-    made, widths = (x[:, log.element] for x in replayed((*log.overrides, *more)))
-    surge = measured(log)
-    found = np.full((3, made.shape[1]), np.nan)
-    for j in range(made.shape[1]):
-        due = np.isfinite(made[:, j, -1]) & np.isfinite(surge) & (True if part is None else part)
-        found[2, j] = due.sum()
-        if due.sum() < FEW:
-            continue
-        own, held = (np.abs(made[due, j, k] - surge[due]) for k in (-1, -2))
-        known = np.isfinite(widths[due, j])
-        found[0, j] = 1 - own.mean() / held.mean()
-        found[1, j] = (own[known] <= widths[due, j][known]).mean() if known.any() else np.nan
-    return found
+def column(rows: Sequence[dict[str, Any]], key: str) -> np.ndarray:
+    """A score by horizon, NaN where it is not stated."""
+    return np.array([np.nan if row[key] is None else row[key] for row in rows])
 
 
 def simulated(seed: int = SEED) -> list[Log]:
@@ -93,18 +81,20 @@ def by_horizons(first: str, rows: Mapping[str, Sequence[str]]) -> list[str]:
 
 
 def reported(real: Sequence[Log], boats: Sequence[Log]) -> list[str]:
-    every, skills = np.stack([by_horizon(log) for log in boats]), {}
+    every, first = [by_horizon(log) for log in boats], {log.name: by_horizon(log, (), first_half(log)) for log in real}
     second = {log.name: by_horizon(log, (), ~first_half(log)) for log in real}
-    for log in real:
-        halves = {"second": second[log.name], "first": by_horizon(log, (), first_half(log))}
-        skills |= {f"{log.name}, {name} half": shown(each[0]) for name, each in halves.items()}
-    skills |= {f"{len(boats)} simulated boats, mean": shown(every[:, 0].mean(0))}
-    skills |= {"the least of them": shown(every[:, 0].min(0))}
-    covers, counts = ({f"{name}, second half": shown(x[k], digits) for name, x in second.items()}
-                      for k, digits in ((1, 2), (2, 0)))  # fmt: skip
-    covers |= {f"simulated boats, {name}": shown(reduce(every[:, 1], 0), 2)
+    simulated = {key: np.stack([column(rows, key) for rows in every]) for key in ("skill", "covers", "steps")}
+    skills = {}
+    for name in second:
+        skills |= {f"{name}, {half} half": shown(column(rows[name], "skill"))
+                   for half, rows in (("second", second), ("first", first))}  # fmt: skip
+    skills |= {f"{len(boats)} simulated boats, mean": shown(simulated["skill"].mean(0))}
+    skills |= {"the least of them": shown(simulated["skill"].min(0))}
+    covers, counts = ({f"{name}, second half": shown(column(rows, key), digits) for name, rows in second.items()}
+                      for key, digits in (("covers", 2), ("steps", 0)))  # fmt: skip
+    covers |= {f"simulated boats, {name}": shown(reduce(simulated["covers"], 0), 2)
                for name, reduce in (("mean", np.mean), ("least", np.min), ("greatest", np.max))}  # fmt: skip
-    counts |= {"a simulated boat, median": shown(np.median(every[:, 2], 0), 0)}
+    counts |= {"a simulated boat, median": shown(np.median(simulated["steps"], 0), 0)}
     return [
         *by_horizons("skill", skills), "",
         *by_horizons("share of the speeds within the intervals of 90 %", covers), "",
@@ -145,23 +135,9 @@ def _share(x: float) -> str:
 
 def by_manoeuvre(log: Log) -> np.ndarray:
     """Coverage of the three groups, and the ratio of the interval scores, `(4, horizons)`; NaN where few."""
-    (made, widths), (_, before) = replayed(log.overrides), replayed((*log.overrides, "conditional=false"))
-    surge, found = measured(log), np.full((4, len(HORIZONS)), np.nan)
-    groups = np.concatenate([groups_of(run.samples, HORIZONS)[:, log.element] for run in log.fleet.runs])
-    for j in range(len(HORIZONS)):
-        e, own, other = (
-            np.abs(made[:, log.element, j, -1] - surge),
-            widths[:, log.element, j],
-            before[:, log.element, j],
-        )
-        due = np.isfinite(e) & np.isfinite(own) & np.isfinite(other)
-        for group in range(3):
-            if (here := due & (groups[:, j] == group)).sum() >= MANY:
-                found[group, j] = (e <= own)[here].mean()
-        if due.sum() >= FEW:
-            score, was = ((2 * w + 20 * np.maximum(e - w, 0))[due].mean() for w in (own, other))
-            found[3, j] = score / was
-    return found
+    rows, before = by_horizon(log), by_horizon(log, ("conditional=false",))
+    shares = [np.where(column(rows, f"steps_{x}") >= MANY, column(rows, f"covers_{x}"), np.nan) for x in GROUPS]
+    return np.stack([*shares, column(rows, "interval") / column(before, "interval")])
 
 
 def with_fits(given: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray] | None:
@@ -193,7 +169,7 @@ def with_fits(given: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray] | None:
     found = []
     for kept in errors:
         held, own = np.moveaxis(np.abs(np.concatenate(kept)), -1, 0)
-        enough = np.isfinite(own).sum(0) >= FEW
+        enough = np.isfinite(own).sum(0) >= LEAST
         found.append(np.where(enough, 1 - np.nanmean(own, 0) / np.nanmean(held, 0), np.nan))
     return (found[0], found[1]) if first else None
 
@@ -229,7 +205,7 @@ def main() -> None:
         "Measured by `python benchmarks/forecast.py LOGS`: the default configuration, learned online. Each forecast",
         "is made before anything after its origin is seen, and is told only the commands, headings and yaw rates that",
         "came. Skill is 1 − MAE/MAE(persistence from the same origins).",
-        f"Simulated: five plants, 3 boats each, {HOURS} h, seed {SEED}. – : fewer than {FEW} forecasts.",
+        f"Simulated: five plants, 3 boats each, {HOURS} h, seed {SEED}. – : fewer than {LEAST} forecasts.",
         "",
         *reported(real, boats),
         "",

@@ -26,7 +26,7 @@ class Difference(NamedTuple):
     """Where two cases differ first."""
 
     leaf: str
-    place: str  # such as "step 12", "step 12 (3,)" or "line 4"
+    place: str  # such as "step 12", "place 12 (3)" or "as a whole"
     recorded: str
     present: str
 
@@ -109,11 +109,10 @@ def _kind(leaf: np.ndarray) -> str:
 def _told(
     part: str, name: str, place: tuple[int, ...], recorded: np.ndarray | None, present: np.ndarray | None
 ) -> Difference:
-    step, *element = place or (0,)
-    said = "step" if part.endswith(STEPPED) else "line" if _is_text(recorded, present) else "place"
-    where = f"{said} {step + (said == 'line')}" + (f" ({', '.join(map(str, element))})" if element else "")
-    if not place:
-        where = "as a whole"
+    where = "as a whole"
+    if place:
+        said, element = "step" if part.endswith(STEPPED) else "place", ", ".join(map(str, place[1:]))
+        where = f"{said} {place[0]}{element and f' ({element})'}"
     pair = [_shown(leaf, place) for leaf in (recorded, present)]
     if max(map(len, pair)) > LONGEST:  # from shortly before the first character that differs
         same = next((k for k, (a, b) in enumerate(zip(*pair, strict=False)) if a != b), min(map(len, pair)))
@@ -122,13 +121,9 @@ def _told(
     return Difference(name, where, *pair)
 
 
-def _is_text(*both: np.ndarray | None) -> bool:
-    return all(leaf is not None and leaf.dtype.kind == "U" for leaf in both)
-
-
 def _shown(leaf: np.ndarray | None, place: tuple[int, ...]) -> str:
     if leaf is None:
         return "nothing"
     if place and place[0] >= len(leaf):
-        return "no such line"
+        return "no such place"
     return repr(leaf[place].item()) if place or not leaf.ndim else f"{leaf.dtype} {leaf.shape}"

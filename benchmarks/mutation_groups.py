@@ -24,26 +24,17 @@ def named(folder: str, names: str) -> tuple[str, ...]:
 EVERY = "tests/engine/test_kernels.py::test_every_estimator_and_setting"
 GROUPS = {
     "certify": Group(
-        (
-            "certify/*/vector_*.py",
-            "certify/networks/vector.py",
-            "certify/*/recurrent.py",
-        ),
+        ("certify/*/vector_*.py", "certify/networks/vector.py", "certify/*/recurrent.py"),
         13,
         (
             *named("certify/proofs", "vector_exact vector_certificate"),
             *named("certify/command", "vector_certify"),
-            *named("certify/search", "vector_scaling"),
-            *named("certify/search", "vector_lmi"),
+            *named("certify/search", "vector_scaling vector_lmi"),
             *named("certify", "torch_rnn"),
         ),
     ),
     "live": Group(
-        (
-            "usvlearn/live/*.py",
-            "usvlearn/live/ros2/*.py",
-            "usvlearn/display/json_values.py",
-        ),
+        ("usvlearn/live/*.py", "usvlearn/live/ros2/*.py", "usvlearn/display/json_values.py"),
         10,
         (
             *named("live", "arguments status prior"),
@@ -133,11 +124,7 @@ GROUPS = {
         3,
         named("runs", "tensorboard tensorboard_window"),
     ),
-    "checks": Group(
-        ("usvlearn/logs/checks/*.py",),
-        8,
-        named("logs/checks", "track strangers data_check remedies"),
-    ),
+    "checks": Group(("usvlearn/logs/checks/*.py",), 8, named("logs/checks", "track strangers data_check remedies")),
     "lanes": Group(
         ("usvlearn/core/on_device.py", "usvlearn/engine/lanes.py"),
         5,

@@ -1,23 +1,19 @@
 """Which tests see a fault: places of the sources are changed one by one, and the tests that ought to fail are run.
 
-    python benchmarks/mutations.py                 try those of mutations.json beside this, draw missing ones
-    python benchmarks/mutations.py --again         try the places of mutations.json alone, wherever their files are now
-    python benchmarks/mutations.py --survivors     try again those alone that no test saw
+    python benchmarks/mutations.py                 try the places of mutations.json without a result, draw missing ones
+    python benchmarks/mutations.py --again         try all places of mutations.json, wherever their files are now
 
 A place is named by its function, its expression and what the expression becomes. A line number or a file's name would
 be lost where code moves. Every change is made in a copy of the repository. The tests of a group (`mutation_groups`) run
 in order, narrow ones first, until one fails: those of the default tier, and if all of them pass, the thorough ones. A
 change that makes them compute longer than `--seconds` counts as seen, and is told as such. Results are written one by
-one, and a run that was stopped continues with the places that are left: a result holds as long as the source file and
-the test that saw the change are the same, and all tests of the group, if no default test saw it.
+one, so that a run that was stopped continues with the places that are left; --again tries them anew.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
-import fcntl
-import hashlib
 import json
 import os
 import random
@@ -30,7 +26,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -165,25 +161,6 @@ def failed(folder: Path, options: list[str], compiled: bool, seconds: float) -> 
     return found[1] if found else " ".join(output.split())[-120:]
 
 
-def holds(row: dict[str, Any], text: str, folder: Path, group: Group) -> bool:
-    """Whether a result is about this source and these tests."""
-    return "tier" in row and row.get("about") == about(text, folder, deciding(row, group))
-
-
-def deciding(row: dict[str, Any], group: Group) -> tuple[str, ...]:
-    """The tests on which a result rests: the one that failed; all of the group, if none of the default tier did."""
-    return (row["killed_by"],) if row["tier"] == "default" else group.tests
-
-
-def about(text: str, folder: Path, tests: Sequence[str]) -> str:
-    """The sha256 of a changed source and of tests, with that which settles their tiers."""
-    total = hashlib.sha256(text.encode())
-    for name in ("tests/conftest.py", *tests):
-        if (file := _file(folder, name)).is_file():
-            total.update(file.read_bytes())
-    return total.hexdigest()[:16]
-
-
 def table(rows: list[dict[str, Any]]) -> str:
     """The results in Markdown."""
     tiers = Counter(row.get("tier") for row in rows if "lost" not in row)
@@ -202,55 +179,35 @@ def table(rows: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def main() -> int:
+def main() -> None:
     """Try the places; prints a line for each, then the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--again", action="store_true", help="the places of the table, and no new ones")
-    parser.add_argument("--survivors", action="store_true", help="those of the table that no test saw")
+    parser.add_argument("--again", action="store_true", help="all places of the table, and no new ones")
     parser.add_argument("--group", choices=GROUPS, nargs="+", help="the places of these groups alone")
     parser.add_argument("--folder", type=Path, help="of the copy, which is changed (default: a temporary one)")
-    parser.add_argument("--show", action="store_true", help="print the table as it is")
     parser.add_argument("--seconds", type=float, default=LIMIT, help=f"CPU time of one place (default: {LIMIT:g})")
     options = parser.parse_args()
-    before = json.loads(TABLE.read_text()) if TABLE.exists() else []
-    if options.show:
-        print(table(before))
-        return 0
-    groups, again = options.group or list(GROUPS), options.again or options.survivors
-    name = "-".join(["mutations", *(options.group or ["all"])])
-    folder = copied(ROOT, options.folder or Path(tempfile.gettempdir()) / name)
+    rows = {Place(*(row[key] for key in Place._fields)): row for row in json.loads(TABLE.read_text())}
+    groups = options.group or list(GROUPS)
+    folder = copied(ROOT, options.folder or Path(tempfile.gettempdir()) / "-".join(["mutations", *groups])[:80])
     collected(folder, groups)
-    known = every_place(folder, groups if again else GROUPS)  # new ones are drawn in the order of all groups
-    named = [Place(*(row[key] for key in Place._fields)) for row in before]
-    wanted = named if again else filled(named, drawn(known), known)
-    rows = {place: row for place, row in zip(named, before, strict=True) if place in wanted}
+    known = every_place(folder, groups if options.again else GROUPS)  # new ones are drawn in the order of all groups
+    wanted = list(rows) if options.again else filled(list(rows), drawn(known), known)
     for k, place in enumerate(wanted, 1):
-        old = rows.get(place, {})
-        skipped = place.group not in groups or (options.survivors and old.get("killed_by"))
-        if place not in known or skipped:
-            if not skipped:
-                rows[place] = {**place._asdict(), "lost": True, "killed_by": None}
+        if place.group not in groups or ("tier" in rows.get(place, {}) and not options.again):
             continue
-        source, node, other = known[place]
-        text, group = changed(source, node, other), GROUPS[place.group]
-        try:
+        if place in known:
+            source, node, other = known[place]
+            text = changed(source, node, other)
             ast.parse(text)
-        except SyntaxError as error:
-            raise SystemExit(f"{place}: the change is no Python: {error}") from error
-        if holds(old, text, folder, group):
-            continue
-        found = tried(folder, source, text, group, options.seconds)
-        rows[place] = {**place._asdict(), **found, "about": about(text, folder, deciding(found, group))}
+            rows[place] = {**place._asdict(), **tried(folder, source, text, GROUPS[place.group], options.seconds)}
+        else:
+            rows[place] = {**place._asdict(), "lost": True, "killed_by": None}
         print(f"{k}/{len(wanted)} {' | '.join(map(str, place[:4]))}: {rows[place]['killed_by']}", flush=True)
-        with Path(__file__).open() as alone:
-            fcntl.flock(alone, fcntl.LOCK_EX)
-            stored = json.loads(TABLE.read_text()) if TABLE.exists() else []  # by another process, of other groups
-            kept = {Place(*(row[key] for key in Place._fields)): row for row in stored} | {place: rows[place]}
-            ordered = [kept[each] for each in wanted if each in kept]
-            TABLE.write_text(json.dumps(ordered, indent=1, ensure_ascii=False) + "\n")
+        kept = [rows[each] for each in wanted if each in rows]
+        TABLE.write_text(json.dumps(kept, indent=1, ensure_ascii=False) + "\n")
     print(table([rows[each] for each in wanted if each in rows]))
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -24,6 +25,7 @@ from usvlearn.composition.configuration import planar_of
 from usvlearn.core.samples import Fleet
 from usvlearn.engine.planar_runs import planar_stretches, with_poses
 from usvlearn.engine.rollouts import chunked_rollout
+from usvlearn.estimators.planar.layer import Planar
 from usvlearn.estimators.planar.state import CONSTANT, ERROR, GROUP, HEADING_ERROR, HELD_RATE, HORIZONS, RADIUS, RHO
 
 REAL, SEEDS, BOATS, HOURS = ("blueboat", "vtec", "dalian"), (8001, 8002, 8003, 8004), 6, 2
@@ -34,34 +36,39 @@ TARGETS = {
 MANY = 30  # ellipses of a group, below which no share is stated
 
 
-class Boat:
-    """What became due of a fleet, and which steps are reported."""
+class Boat(NamedTuple):
+    """What became due of a fleet in the steps that are reported."""
 
-    def __init__(self, name: str, overrides: Sequence[str], halves: bool):
-        self.name, self.overrides = name, tuple(overrides)
-        self.fleet: Fleet = fleet_of(self.overrides)
-        cfg, model = configuration(self.overrides), ensemble(self.overrides)
-        self.planar, why = planar_of(cfg, model)
-        if self.planar is None:
-            raise SystemExit(why)
-        parts, boats = [with_poses(run.samples, run.poses) for run in self.fleet.runs], len(self.fleet.boats)
-        began = time.perf_counter()
-        with torch.no_grad():
-            found = [kept["track.due"] for _, kept in self.followed(parts, boats)]
-        self.seconds = time.perf_counter() - began
-        lengths = [len(part) for part in found]
-        first = sum(lengths[: len(lengths) // 2]) if len(lengths) > 1 else lengths[0] // 2
-        self.due = np.concatenate(found)
-        self.reported = np.arange(len(self.due)) >= (first if halves else 0)
-        self.first = first
-
-    def followed(self, parts, boats: int) -> Iterator:
-        return planar_stretches(self.planar, self.planar.init((boats,)), parts, ["track.due"])
+    name: str
+    due: np.ndarray  # (time, boats, horizons, columns)
 
     def rows(self, k: int) -> np.ndarray:
-        """What became due over a horizon in the reported steps, `(count, columns)`."""
-        rows = self.due[self.reported, :, k].reshape(-1, self.due.shape[-1])
+        """What became due over a horizon, `(count, columns)`."""
+        rows = self.due[:, :, k].reshape(-1, self.due.shape[-1])
         return rows[np.isfinite(rows[:, ERROR])]
+
+
+def planar(overrides: tuple[str, ...]) -> Planar:
+    found, why = planar_of(configuration(overrides), ensemble(overrides))
+    if found is None:
+        raise SystemExit(why)
+    return found
+
+
+def followed(model: Planar, fleet: Fleet) -> Iterator[np.ndarray]:
+    """What became due in each run."""
+    parts = [with_poses(run.samples, run.poses) for run in fleet.runs]
+    with torch.no_grad():
+        for _, kept in planar_stretches(model, model.init((len(fleet.boats),)), parts, ["track.due"]):
+            yield kept["track.due"]
+
+
+def boat(name: str, overrides: tuple[str, ...], halves: bool) -> Boat:
+    """The whole of a fleet, or the second half of its runs or of its only run."""
+    found = list(followed(planar(overrides), fleet_of(overrides)))
+    lengths = [len(part) for part in found]
+    first = sum(lengths[: len(lengths) // 2]) if len(lengths) > 1 else lengths[0] // 2
+    return Boat(name, np.concatenate(found)[first if halves else 0 :])
 
 
 def mean(values: np.ndarray, digits: int = 2) -> str:
@@ -95,21 +102,18 @@ def coverage(boats: Sequence[Boat]) -> list[str]:
     return table(["boat", "horizon", "all", "stay", "move", "move much", "mean radius, m", "mean error, m"], rows)
 
 
-def cost(boat: Boat) -> list[str]:
+def cost(overrides: tuple[str, ...]) -> list[str]:
     """Time of a step with and without tracks, in turn, the least of five."""
-    parts, boats = [with_poses(run.samples, run.poses) for run in boat.fleet.runs], len(boat.fleet.boats)
-    samples, best = [each.sample for each in parts], [np.inf, np.inf]
+    model, fleet = planar(overrides), fleet_of(overrides)
+    samples, boats, best = [run.samples for run in fleet.runs], len(fleet.boats), [np.inf, np.inf]
     for _ in range(5):
         for k in range(2):
             began = time.perf_counter()
             with torch.no_grad():
-                if k == 0:
-                    model = boat.planar.surge
-                    list(chunked_rollout(model, model.init((boats,)), samples, ["predictions"]))
-                else:
-                    list(boat.followed(parts, boats))
+                list(followed(model, fleet) if k else
+                     chunked_rollout(model.surge, model.surge.init((boats,)), samples, ["predictions"]))  # fmt: skip
             best[k] = min(best[k], time.perf_counter() - began)
-    steps = sum(len(part.heading) for part in parts) * boats
+    steps = sum(len(run.time) for run in fleet.runs) * boats
     return [
         f"A step of the surge's ensemble takes {1e6 * best[0] / steps:.1f} µs, one of all axes with their tracks "
         f"{1e6 * best[1] / steps:.1f} µs: {best[1] / best[0]:.2f} times as long (target: 2.5)."
@@ -119,12 +123,10 @@ def cost(boat: Boat) -> list[str]:
 def main() -> None:
     torch.set_num_threads(1)
     folder = Path(sys.argv[1])
-    real = [Boat(name, (f"data={name}", f"data.path={folder / name}"), True) for name in REAL]
-    made = [Boat("simulated", ("data=planar", f"data.n={BOATS}", f"data.hours={HOURS}", f"data.seed={seed}"), False)
-            for seed in SEEDS]  # fmt: skip
-    simulated_boats = made[0]
-    simulated_boats.due = np.concatenate([each.due for each in made], 1)
-    every = [*real, simulated_boats]
+    real = [boat(name, (f"data={name}", f"data.path={folder / name}"), True) for name in REAL]
+    seasons = [("data=planar", f"data.n={BOATS}", f"data.hours={HOURS}", f"data.seed={seed}") for seed in SEEDS]
+    made = np.concatenate([boat("simulated", season, False).due for season in seasons], 1)
+    every = [*real, Boat("simulated", made)]
     publish(
         __file__,
         [
@@ -147,7 +149,7 @@ def main() -> None:
             "",
             "## Cost",
             "",
-            *cost(simulated_boats),
+            *cost(seasons[0]),
         ],
     )
 

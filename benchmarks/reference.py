@@ -1,7 +1,7 @@
 """The estimators in C (`reference.c`), compiled with the machine's own compiler: how fast a step can be.
 
 Each call runs one boat over samples `(time,)`, all of which are fresh and measured, from the state that the estimator
-begins with. A state comes back with the names and shapes of the estimator's own.
+begins with.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import tempfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -75,13 +74,6 @@ class FilterState(ctypes.Structure):
                 *fields("noise updates turn deviation"), ("commands", NUMBER * 2)]  # fmt: skip
 
 
-class Reference(NamedTuple):
-    """An estimator in C."""
-
-    run: Callable[[], np.ndarray]  # from the first state; the predictions, m/s, (time,)
-    state: Callable[[], dict[str, np.ndarray]]  # after it
-
-
 def compiler() -> str | None:
     """The C compiler of the machine, or None."""
     return shutil.which("gcc") or shutil.which("cc")
@@ -98,14 +90,14 @@ def library() -> ctypes.CDLL:
 
 
 @torch.no_grad()
-def reference(estimator: Estimator, samples: Sample) -> Reference | None:
-    """The same estimator in C, or None where there is none."""
+def reference(estimator: Estimator, samples: Sample) -> Callable[[], np.ndarray] | None:
+    """What runs the same estimator in C, and returns its predictions, m/s, `(time,)`; None where there is none."""
     makes = {AID: adaptive, RLS: least_squares, SIFtRLS: least_squares, RNN: network, JointEKF: joint, YawEKF: axis,
              SwayEKF: axis}  # fmt: skip
     make = makes.get(type(estimator))
     if make is None:
         return None
-    function, settings, first, state = make(estimator)
+    function, settings, first = make(estimator)
     inputs = [np.ascontiguousarray(x, dtype=float) for x in (*samples.inputs, samples.surge)]
     seen, out = Samples(*(x.ctypes.data_as(POINTER) for x in inputs)), np.empty(len(inputs[0]))
     here, call = type(first)(), getattr(library(), function)
@@ -117,7 +109,7 @@ def reference(estimator: Estimator, samples: Sample) -> Reference | None:
         call(*arguments)
         return out
 
-    return Reference(run, lambda: state(here))
+    return run
 
 
 def numbers(values, length: int = P):
@@ -138,23 +130,14 @@ def least_squares(estimator: RLS | SIFtRLS):
     for k in range(p):
         first.columns[k] = numbers(begin.factor[:, k])
 
-    def state(here: LeastSquaresState) -> dict[str, np.ndarray]:
-        found = {name: np.array(getattr(here, name)) for name, _ in here._fields_}
-        L = found.pop("columns")[:p, :p].T
-        return {**found, "theta": found["theta"][:p], "covariance": L @ L.T}
-
-    return "rls" if isinstance(estimator, RLS) else "sift", settings, first, state
+    return "rls" if isinstance(estimator, RLS) else "sift", settings, first
 
 
 def adaptive(aid: AID):
     p, gamma = len(aid.model.names), float(aid.gain()) * aid.spread**2
     settings = Adaptive(p, float(aid.model.mass), aid.surge_max, aid.floor, aid.sigma, aid.bound,
                         *map(numbers, (gamma, aid.inverse_spread, aid.lower, aid.upper)))  # fmt: skip
-
-    def state(here: AdaptiveState) -> dict[str, np.ndarray]:
-        return {"theta": np.array(here.theta)[:p], "surge": np.array(here.surge)}
-
-    return "aid", settings, AdaptiveState(), state
+    return "aid", settings, AdaptiveState()
 
 
 def network(rnn: RNN):
@@ -166,40 +149,28 @@ def network(rnn: RNN):
     first = NetworkState()
     for row, values in enumerate((a, w1, *W2.T, b)):
         first.weights[row] = numbers(values, N)
-
-    def state(here: NetworkState) -> dict[str, np.ndarray]:
-        a, w1, *W2, b = np.array(here.weights)[:, :n]
-        return {"a": a, "w1": w1, "W2": np.stack(W2, -1), "b": b, "surge": np.array(here.surge)}
-
-    return "rnn", settings, first, state
+    return "rnn", settings, first
 
 
 def joint(filter: JointEKF):
     tuned = (filter.disturbance, filter.disturbance_time, filter.current, filter.current_time, filter.drift_time)
     settings = Joint(4 + len(filter.names), *(float(each()) for each in tuned), float(filter.outlier),
                      numbers(filter.variance, FILTER))  # fmt: skip
-    return "joint", settings, *filter_state(filter)
+    return "joint", settings, filter_state(filter)
 
 
 def axis(filter: YawEKF | SwayEKF):
     tuned = (filter.disturbance, filter.disturbance_time, filter.drift_time)
     settings = Axis(2 + len(filter.names), *(float(each()) for each in tuned), float(filter.outlier),
                     numbers(filter.variance, FILTER))  # fmt: skip
-    return "axis", settings, *filter_state(filter)
+    return "axis", settings, filter_state(filter)
 
 
-def filter_state(filter: JointEKF | YawEKF | SwayEKF):
-    """The first state of a filter in C, and what makes the estimator's own of a later one."""
+def filter_state(filter: JointEKF | YawEKF | SwayEKF) -> FilterState:
+    """The first state of a filter in C."""
     begin = filter.init()
-    n, first = len(begin.mean), FilterState(noise=float(begin.noise))
+    first = FilterState(noise=float(begin.noise))
     first.mean, first.D = numbers(begin.mean, FILTER), numbers(begin.factor.diagonal(), FILTER)
-    for k in range(n):
+    for k in range(len(begin.mean)):
         first.columns[k][k] = 1.0
-
-    def state(here: FilterState) -> dict[str, np.ndarray]:
-        found = {name: np.array(getattr(here, name)) for name, _ in here._fields_}
-        factor, D = found.pop("columns")[:n, :n], found.pop("D")[:n]
-        np.fill_diagonal(factor, D)
-        return {**found, "mean": found["mean"][:n], "factor": factor}
-
-    return first, state
+    return first

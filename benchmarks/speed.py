@@ -6,8 +6,6 @@ python benchmarks/speed.py --quick               all, on little data: whether it
 """
 
 import argparse
-import itertools
-import os
 import statistics
 import tempfile
 import time
@@ -17,10 +15,10 @@ from functools import cache, partial
 import accuracy
 import torch
 from pages import counted, machine, micro, publish, table
-from speed_steps import QUICK, WHOLE, Effort, estimators, in_turn, once, others, samples, steps, streamed
+from speed_steps import QUICK, WHOLE, Effort, once, others, steps
 
 from usvlearn import AID, Ensemble, Estimator, SIFtRLS, SurgeDynamics
-from usvlearn.core.samples import Fleet, Sample, tree_map
+from usvlearn.core.samples import Fleet, tree_map
 from usvlearn.evaluation.crossval import cross_validate
 from usvlearn.evaluation.metrics import fleet_scores
 from usvlearn.logs.recordings import align_fleet
@@ -31,7 +29,6 @@ from usvlearn.simulate.fleet import fleet as simulated
 from usvlearn.sweeps.tuning.batches import element_errors
 
 MASS, MISSION = 28.0, 15.0  # kg, minutes
-LEAST_STEPS = 50  # of a rollout through many batch elements
 MANY = 50_000_000  # element-steps of a job that is measured once
 SETTINGS = {"estimators": {}, "combiners": {}, "align": {}, "data": {}}
 
@@ -50,32 +47,6 @@ def grid_of(kind: str, settings: int) -> Estimator:
     """So many settings of one hyperparameter, as batch elements."""
     values = torch.logspace(-1, 1, settings, dtype=torch.float64)[:, None]
     return AID(MASS, values) if kind == "aid" else SIFtRLS(SurgeDynamics(MASS), 10 * values)
-
-
-def elements(effort: Effort) -> list[str]:
-    """Each boat a batch element; the same samples."""
-    known = estimators()
-    chosen = {"aid": "aid", "sift": "sift", "rnn": "rnn, n = 20", "ensemble": "default ensemble"}
-    cores = sorted({1, os.cpu_count() or 1})
-    found: dict[tuple[str, int], dict[int, float]] = {(name, threads): {} for threads in cores for name in chosen}
-
-    def shared(threads: int, estimator: Estimator, run: Sample) -> None:
-        torch.set_num_threads(threads)
-        streamed(estimator, run)
-
-    for (name, title), count in itertools.product(chosen.items(), effort.elements):
-        length = min(effort.steps, max(LEAST_STEPS, effort.element_steps // count))
-        wide = tree_map(lambda x, n=count, k=length: x[:k, None].expand(-1, n), samples(effort.steps))
-        works = {threads: partial(shared, threads, known[title], wide) for threads in cores}
-        for threads, spent in in_turn(works, effort.repeats).items():
-            found[name, threads][count] = statistics.median(spent) / (length * count)
-    torch.set_num_threads(1)
-    rows = [
-        [name if threads == 1 else f"{name}, {threads} threads", *map(micro, by_elements.values())]
-        for (name, threads), by_elements in found.items()
-    ]
-    head = ["µs an element-step", *(counted(n, "batch element") for n in effort.elements)]
-    return table(head, rows)
 
 
 def jobs(effort: Effort) -> list[str]:
@@ -143,7 +114,6 @@ def logging(fleet: Fleet, effort: Effort) -> str:
 SECTIONS: dict[str, tuple[str, Callable[[Effort], list[str]]]] = {
     "steps": ("A step", steps),
     "others": ("Other libraries", others),
-    "elements": ("Batch elements", elements),
     "jobs": ("Whole jobs", jobs),
     "around": ("Around a replay", around),
 }

@@ -47,8 +47,6 @@ class Effort(NamedTuple):
     steps: int = 50_000  # streamed through one batch element
     eager: int = 200  # of them through torch
     calls: int = 3000  # from Python
-    elements: tuple[int, ...] = (1, 8, 64, 512, 4096)
-    element_steps: int = 400_000  # over all batch elements
     hours: tuple[float, float] = (3.0, 30.0)  # of a season, and of a short one
     settings: int = 512  # of a grid
     sets: int = 80  # of a cross-validation
@@ -56,7 +54,7 @@ class Effort(NamedTuple):
 
 
 WHOLE = Effort()
-QUICK = Effort(2, 1000, 20, 100, (1, 8), 2000, (0.2, 0.4), 8, 4)
+QUICK = Effort(2, 1000, 20, 100, (0.2, 0.4), 8, 4)
 
 
 def once(work: Work, clock: Clock = time.perf_counter) -> float:
@@ -185,7 +183,7 @@ def costs(estimator: Estimator, effort: Effort, ways: Sequence[str]) -> dict[str
         "loop": loop(effort.calls),
     }
     if made := compiler() and reference(estimator, run):
-        works["C"] = made.run
+        works["C"] = made
     counts = {"streamed": effort.steps, "C": effort.steps, "call": len(calls), "torch": effort.eager}
     counts["loop"] = effort.calls
     spent = in_turn({way: works[way] for way in ways if way in works}, effort.repeats, effort.clock)

@@ -62,9 +62,9 @@ def test_speed_has_its_sections(without_gradients):
     import speed
     import speed_steps
 
-    tiny = speed_steps.Effort(2, 40, 5, 20, (1, 3), 120, (0.05, 0.1), 3, 2)
-    text = speed.page(tiny, ["others", "elements"])
-    assert "## Batch elements" in text and "| ensemble |" in text and "| ours, RLS |" in text
+    tiny = speed_steps.Effort(2, 40, 5, 20, (0.05, 0.1), 3, 2)
+    text = speed.page(tiny, ["others", "jobs"])
+    assert "| 3 settings of one aid × 0.1 h |" in text and "| ours, RLS |" in text
     assert speed_steps.ratio([1.0, 10.0, 300.0], [1.0, 5.0, 100.0]) == 2.0
 
 
@@ -80,7 +80,7 @@ def test_the_reference_in_c_is_the_estimator(name, without_gradients):
     from usvlearn import rollout
 
     predictions = rollout(estimator, estimator.init(), samples, backend="torch")[1]
-    made = torch.from_numpy(reference.reference(estimator, samples).run())
+    made = torch.from_numpy(reference.reference(estimator, samples)())
     assert float((made - predictions).abs().max()) <= 1e-9 * float(predictions.abs().max())
 
 
@@ -92,15 +92,15 @@ def test_accuracy_and_forecasts_are_of_the_second_half():
     log = accuracy.simulated(("heron",), "data.hours=0.5")[0]
     found = accuracy.second_half(log)
     assert found.ensemble < found.persistence and found.free_ensemble < found.free_squares
-    skill, coverage, count = forecast.by_horizon(log)
-    assert skill[2] > 0.3 and 0.7 < coverage[2] <= 1 and count[0] > 100
+    found = forecast.by_horizon(log)
+    assert found[2]["skill"] > 0.3 and 0.7 < found[2]["covers"] <= 1 and found[0]["steps"] > 100
 
 
 @pytest.mark.thorough
 def test_tracks_are_better_than_a_constant_turn():
     import path
 
-    boat = path.Boat("simulated", ("data=planar", "data.n=1", "data.hours=0.5"), False)
+    boat = path.boat("simulated", ("data=planar", "data.n=1", "data.hours=0.5"), False)
     assert boat.rows(2)[:, path.ERROR].mean() < boat.rows(2)[:, path.CONSTANT].mean()
     assert "| simulated | 10 s |" in "\n".join(path.coverage([boat]))
 
