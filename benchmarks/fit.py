@@ -1,8 +1,6 @@
 """How true the parameters of `usvlearn fit` are, how often their intervals hold, how well they simulate.
 
-python benchmarks/fit.py LOGS [--seeds 8001 8002 8003 8004] [--boats 3]        writes docs/benchmarks/fit.md
-
-LOGS is a folder with blueboat, vtec and dalian. The script needs the extra bench, and 20 min of one core.
+python benchmarks/fit.py [--seeds 8001 8002 8003 8004] [--boats 3]        writes docs/benchmarks/fit.md, in 20 min
 
 Five plants, three boats of each and seed, 3 h to learn from and 1 h for open-loop simulations. The terms, the prior and
 the widths of the intervals were chosen on other boats.
@@ -14,22 +12,18 @@ import argparse
 import math
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import accuracy
-import batch
 import boats
 import numpy as np
 import output_error
 import torch
-from boats import HOURS, LATER, NOMINAL, PLANTS, Halves, free_run_mae, season, season_of, simulations
+from boats import HOURS, LATER, NOMINAL, PLANTS, free_run_mae, season, season_of, simulations
 from pages import publish, table
-from peers import narmax, physics, state_space
-from peers.batch import Held, free_run_errors
 
 from usvlearn import SurgeDynamics
-from usvlearn.core.samples import Sample, masks
+from usvlearn.core.samples import Sample
 from usvlearn.engine.backend import arrays_of
 from usvlearn.engine.rollouts import rollout, tensors
 from usvlearn.estimators.joint.excitation_warnings import Quantity
@@ -37,7 +31,6 @@ from usvlearn.estimators.joint.periodic_estimates import Identified, identify
 from usvlearn.estimators.joint.quantities import Ahead, sums
 from usvlearn.estimators.joint.state import NORTH, THETA
 from usvlearn.model.fit.fitted import fit_boat
-from usvlearn.model.fit.logs import DT as FINE
 from usvlearn.model.fit.quantities import quantities
 from usvlearn.model.fit.terms import AT as PLACES
 from usvlearn.model.fit.terms import NAMES
@@ -46,7 +39,6 @@ from usvlearn.simulate.truth import true_parameters, true_quantities
 N, SEEDS = 3, (8001, 8002, 8003, 8004)  # boats of a plant and seed
 FIT, ONLINE, BATCH, SQUARES = "fit", "averaged joint EKF, online", "batch output error", "least squares of one step"
 ADAPTIVE, SHOWN = "aid, online", (FIT, ONLINE, BATCH, SQUARES)
-PEERS = {"SysIdentPy": narmax, "jax-sysid": state_space, BATCH: physics}
 AFTER = (1, 2, 4, 6, 9, 18)  # missions after which the online estimate is noted
 AIMS = {"steady_speed_full": 0.015, "time_constant": 0.07, "drag_half_speed": 0.04, "thrust_full_left": 0.05,
         "thrust_full_right": 0.05}  # fmt: skip
@@ -68,13 +60,6 @@ Share of the truths that the intervals hold, over all boats; medians of the half
 their ratio to those of the averaged joint EKF, online. Aims: {EACH[0]:.0%} to {EACH[1]:.0%} of the truths of a
 quantity, {ALL[0]:.0%} to {ALL[1]:.0%} of all, and the ratio. How drag splits into a linear and a quadratic part is an
 extrapolation: the widths of these two have no aim."""
-FROZEN = """\
-Everything is learned on the first half of a boat's runs (of a simulated boat, seed 77: 3 h), and measured on the second
-half (the next hour), from the inputs and the measured speed with which each segment starts; peers and steps as in
-[Batch](batch.md). Aims: a ratio of at most 1 to the best batch peer, and of at most 1.05 to the ensemble. The first
-half of the Dalian boat has 414 measured steps on the grid of the fit; `usvlearn fit` refuses less than 600. The VTec
-goes straight in its first half and turns in its second, where an extrapolated drag of turning counts. The fit
-percentage is 100 (1 − |v − v̂| / |v − mean v|); a published fit by nlgreyest of the BlueBoat has 67.8% in sample."""
 
 Values = Mapping[str, Quantity]
 
@@ -88,14 +73,6 @@ class Study(NamedTuple):
     free: dict[str, float]  # m/s, MAE of the open-loop simulations of the later runs, by method
     terms: str  # the set that was chosen
     noted: list[Values]  # the online estimate after so many missions, AFTER
-
-
-class Frozen(NamedTuple):
-    """MAE, m/s, of the open-loop simulations of the second half of a boat's runs, by method; NaN: not installed."""
-
-    errors: dict[str, float]
-    terms: str
-    percentages: tuple[float, float]  # of the fit: of the second half, and of all runs in sample; NaN: not measured
 
 
 def polynomial(parameters: Mapping[str, float], top: float, mass: float) -> Values:
@@ -171,40 +148,6 @@ def study(plant: str, seed: int, n: int = N, hours: float = HOURS, later: float 
         yield Study(plant, truth[boat], found, free, fitted.chosen, noted[: len(AFTER)])
 
 
-def percentage(predictions: Sequence[np.ndarray], runs: Sequence[Sample]) -> float:
-    """The fit percentage 100 (1 − |v − v̂| / |v − mean v|) over all steps whose speed was measured."""
-    use = np.concatenate([masks(run).learns for run in runs])
-    made, true = np.concatenate(predictions)[use], np.concatenate([run.surge for run in runs])[use]
-    return float(100 * (1 - np.linalg.norm(true - made) / np.linalg.norm(true - true.mean())))
-
-
-def frozen(log: batch.Log, runs: Halves, every: Halves | None, mass: float) -> Frozen:
-    """Every method on the second half of a boat's runs, its parameters frozen; the fit on all runs in sample, too."""
-    fitted = fit_boat(log.name, runs.rows, mass, log.top)
-    made = simulations(fitted.fit, runs)
-    percentages = [percentage(made, runs.later), float("nan")]
-    if every:
-        percentages[1] = percentage(simulations(fit_boat(log.name, every.rows, mass, log.top).fit, every), every.later)
-    errors = {"persistence": free_run_errors(Held(), runs.later)[1]}
-    for name, module in PEERS.items():
-        row = batch.peer_row(module, log)
-        errors[name] = float("nan") if row is None else row.free
-    errors["ensemble"] = batch.ours_by_free_run(log)["ensemble"]
-    errors[FIT] = free_run_mae(made, runs.later)
-    return Frozen(errors, fitted.chosen, tuple(percentages))
-
-
-def logs_of(folder: Path) -> Iterator[tuple[batch.Log, Halves, Halves | None, float]]:
-    """The recorded boats, with all of their runs, and two simulated ones of `benchmarks/batch.py`, and their masses."""
-    for name in batch.REAL:
-        log = batch.recorded(folder, name)
-        grids = [accuracy.fleet_of((*log.overrides[:2], *more)) for more in ((), (f"align.dt={FINE}",))]
-        yield log, boats.halves(*grids), boats.whole(*grids), accuracy.configuration(log.overrides).vehicle.mass
-    for plant in batch.PLANTS:
-        (runs,) = season(plant, batch.SEED, 1).values()
-        yield batch.simulated(plant), runs, None, NOMINAL[plant][0]
-
-
 def wrong(one: Study, method: str, name: str) -> float:
     """The error of a quantity relative to its truth, infinite where it is undefined; NaN without a truth."""
     true, value = one.truth[name], one.found[method][name].value
@@ -274,24 +217,7 @@ def coverage_table(found: Sequence[Study]) -> list[str]:
     return table(head, lines)
 
 
-def frozen_table(found: Mapping[str, Frozen]) -> list[str]:
-    """MAE of open-loop simulations, by method, and the ratios with aims."""
-    lines = []
-    for name in next(iter(found.values())).errors:
-        errors = [each.errors[name] for each in found.values()]
-        lines.append([name, *(f"{x:.3f}" if math.isfinite(x) else "not installed" for x in errors)])
-    best = [np.nanmin([each.errors[name] for name in PEERS]) for each in found.values()]
-    ensemble = [each.errors["ensemble"] for each in found.values()]
-    for name, others in (("fit over the best batch peer", best), ("fit over the ensemble", ensemble)):
-        ratios = [each.errors[FIT] / other for each, other in zip(found.values(), others, strict=True)]
-        lines.append([name, *(f"{x:.2f}" for x in ratios)])
-    for k, name in enumerate(("fit percentage, second half", "fit percentage, all in sample")):
-        shares = [each.percentages[k] for each in found.values()]
-        lines.append([name, *(f"{x:.1f}%" if math.isfinite(x) else "–" for x in shares)])
-    return table(["", *found], lines)
-
-
-def page(found: Sequence[Study], recorded: Mapping[str, Frozen], command: str) -> list[str]:
+def page(found: Sequence[Study], command: str) -> list[str]:
     """The page."""
     return [
         "# The batch fit beside online learning and other batch fits",
@@ -314,33 +240,23 @@ def page(found: Sequence[Study], recorded: Mapping[str, Frozen], command: str) -
         INTERVALS,
         "",
         *coverage_table(found),
-        "",
-        "## Open-loop simulation, parameters frozen: MAE, m/s",
-        "",
-        FROZEN,
-        "",
-        *frozen_table(recorded),
     ]
 
 
 def main() -> None:
     options = argparse.ArgumentParser(description=__doc__)
-    options.add_argument("logs", type=Path)
     options.add_argument("--seeds", type=int, nargs="+", default=list(SEEDS))
     options.add_argument("--boats", type=int, default=N)
     given = options.parse_args()
     torch.set_num_threads(1)
-    found, recorded = [], {}
+    found = []
     for seed in given.seeds:
         for plant in PLANTS:
             for one in study(plant, seed, given.boats):
                 found.append(one)
                 print(plant, seed, one.terms, {name: f"{x:.3f}" for name, x in one.free.items()}, flush=True)
-    for log, *runs, mass in logs_of(given.logs):
-        recorded[log.name] = frozen(log, *runs, mass)
-        print(log.name, recorded[log.name], flush=True)
-    command = f"python benchmarks/fit.py LOGS --seeds {' '.join(map(str, given.seeds))} --boats {given.boats}"
-    publish(__file__, page(found, recorded, command))
+    command = f"python benchmarks/fit.py --seeds {' '.join(map(str, given.seeds))} --boats {given.boats}"
+    publish(__file__, page(found, command))
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ import accuracy
 import numpy as np
 import torch
 from families import initial_networks, random_networks, signed_networks
-from speed_steps import as_numbers
+from speed import as_numbers
 
 from certify.analysis.assess import assess
 from certify.networks.shallow import Network, ShallowWeights

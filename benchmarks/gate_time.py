@@ -16,7 +16,7 @@ from typing import Any
 import torch
 from hydra import compose, initialize_config_dir
 from pages import micro
-from speed_steps import Work, as_numbers, called, in_turn, samples
+from speed import Work, as_numbers, called, in_turn, samples
 
 RENAMED = {name: f"{name}_recorded" for name in ("usvlearn", "certify")}
 # in an import, and not in the name of the cache's folder

@@ -46,6 +46,15 @@ SCALE = {"command_left": 100.0, "command_right": 100.0, "heading": 180 / math.pi
 IDLE = 0.5  # s without a post, after which the node has read all
 SAMPLES = 24  # of the memory
 SAVE = 15.0  # s between two saves
+OPENING = """\
+# The node on MOOS: latency, and a day of sailing
+
+Measured by `python benchmarks/live_soak.py`, which plays the database. {}.
+
+## Latency
+
+The node is the default ensemble from the prior, a process of its own, four variables. A message makes a step
+of 0.4 s of the boat complete, 0.1 s after its end (`patience`); the table has the time from there."""
 START = math.ceil(time.time()) + 3600.0  # so that no message is as old as a last value of the database
 Row = tuple[float, str, float]  # s since the beginning, channel, raw value
 
@@ -311,14 +320,7 @@ def main() -> None:
          f"{np.median(gaps):.3f}, {np.percentile(gaps, 99):.2f}, {gaps.max():.2f}"],
     ]  # fmt: skip
     text = [
-        "# The node on MOOS: latency, and a day of sailing",
-        "",
-        f"Measured by `python benchmarks/live_soak.py`, which plays the database. {machine()}.",
-        "",
-        "## Latency",
-        "",
-        "The node is the default ensemble from the prior, a process of its own, four variables. A message makes a step",
-        "of 0.4 s of the boat complete, 0.1 s after its end (`patience`); the table has the time from there.",
+        OPENING.format(machine()),
         "",
         *table(["Hz of each variable", "steps", "median, ms", "p99, ms", "largest, ms"], latencies),
         "",

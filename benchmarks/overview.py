@@ -31,7 +31,7 @@ import torch
 from families import initial_networks, random_networks
 from history import Comparison, Entry, Figure, Run, timed
 from pages import FOLDER, hardware, table, three_digits
-from speed_steps import WAYS, Effort, Work, costs, estimators, in_turn, loop
+from speed import WAYS, Effort, Work, costs, estimators, in_turn, loop
 
 import usvlearn
 from certify.proofs import exact

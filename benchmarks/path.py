@@ -34,6 +34,12 @@ TARGETS = {
     "simulated": (0.10, 0.30, 0.80),
 }  # fmt: skip
 MANY = 30  # ellipses of a group, below which no share is stated
+OPENING = f"""\
+Position error of tracks that are given the commands that came, by horizon. Second halves of the recorded
+boats; {BOATS * len(SEEDS)} simulated boats of {HOURS} h from the first step on. Horizons are whole
+numbers of steps of 0.4 s, so that 5.2 s stands for the target at 5 s. VTec logs no position that follows
+its velocity: its way is the integral of the measured surge and sway."""
+ELLIPSES = "Share of the positions inside, over all moments and by how far the commands moved since the origin."
 
 
 class Boat(NamedTuple):
@@ -127,31 +133,9 @@ def main() -> None:
     seasons = [("data=planar", f"data.n={BOATS}", f"data.hours={HOURS}", f"data.seed={seed}") for seed in SEEDS]
     made = np.concatenate([boat("simulated", season, False).due for season in seasons], 1)
     every = [*real, Boat("simulated", made)]
-    publish(
-        __file__,
-        [
-            "# Tracks: where the boat will be",
-            "",
-            machine(),
-            "",
-            "Position error of tracks that are given the commands that came, by horizon. Second halves of the recorded",
-            f"boats; {BOATS * len(SEEDS)} simulated boats of {HOURS} h from the first step on. Horizons are whole",
-            "numbers of steps of 0.4 s, so that 5.2 s stands for the target at 5 s. VTec logs no position that follows",
-            "its velocity: its way is the integral of the measured surge and sway.",
-            "",
-            *errors(every),
-            "",
-            "## Ellipses of 90 %",
-            "",
-            "Share of the positions inside, over all moments and by how far the commands moved since the origin.",
-            "",
-            *coverage(every),
-            "",
-            "## Cost",
-            "",
-            *cost(seasons[0]),
-        ],
-    )
+    sections = ["# Tracks: where the boat will be", "", machine(), "", OPENING, "", *errors(every), ""]
+    sections += ["## Ellipses of 90 %", "", ELLIPSES, "", *coverage(every), "", "## Cost", "", *cost(seasons[0])]
+    publish(__file__, sections)
 
 
 if __name__ == "__main__":

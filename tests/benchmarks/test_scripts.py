@@ -60,23 +60,22 @@ def test_a_quick_overview_measures_all(tmp_path):
 @pytest.mark.thorough
 def test_speed_has_its_sections(without_gradients):
     import speed
-    import speed_steps
 
-    tiny = speed_steps.Effort(2, 40, 5, 20, (0.05, 0.1), 3, 2)
+    tiny = speed.Effort(2, 40, 5, 20, (0.05, 0.1), 3, 2)
     text = speed.page(tiny, ["others", "jobs"])
     assert "| 3 settings of one aid × 0.1 h |" in text and "| ours, RLS |" in text
-    assert speed_steps.ratio([1.0, 10.0, 300.0], [1.0, 5.0, 100.0]) == 2.0
+    assert speed.ratio([1.0, 10.0, 300.0], [1.0, 5.0, 100.0]) == 2.0
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", ["aid", "sift", "joint, n = 16", "rnn, n = 20"])
 def test_the_reference_in_c_is_the_estimator(name, without_gradients):
     import reference
-    import speed_steps
+    import speed
 
     if reference.compiler() is None:
         pytest.skip("the machine has no C compiler, neither gcc nor cc")
-    estimator, samples = speed_steps.estimators()[name], speed_steps.samples(1000)
+    estimator, samples = speed.estimators()[name], speed.samples(1000)
     from usvlearn import rollout
 
     predictions = rollout(estimator, estimator.init(), samples, backend="torch")[1]
