@@ -8,7 +8,7 @@ held yaw rate            the forecast speed, and the yaw rate of the origin
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -231,10 +231,3 @@ def _score(rows: np.ndarray) -> dict[str, Any]:
         "radius": float(np.median(rows[known, RADIUS])) if known.any() else None,
         "count": len(rows),
     }
-
-
-def pooled(scores: Mapping[str, Mapping[str, Mapping[str, Any]]], horizon: str, key: str) -> float | None:
-    """The mean of a score over the boats that have it, weighted by their counts."""
-    rows = [(each[horizon][key], each[horizon]["count"]) for each in scores.values() if each[horizon][key] is not None]
-    total = sum(count for _, count in rows)
-    return sum(value * count for value, count in rows) / total if total else None

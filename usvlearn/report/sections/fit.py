@@ -13,11 +13,12 @@ from usvlearn.display.figures import INK, LINE, SIDES, guarded, set_reach, theme
 from usvlearn.display.terminal import ResultTable
 from usvlearn.estimators.axis.turning_quantities import MEANING_OF_FIT, OF_FIT
 from usvlearn.estimators.ensemble.layer import Ensemble
+from usvlearn.estimators.joint.curves import Curve
 from usvlearn.estimators.joint.excitation_warnings import WIDE, Quantity
 from usvlearn.estimators.joint.quantities import MEANING
 from usvlearn.evaluation.diagnostics import Truth, identified_boats
 from usvlearn.evaluation.season import Season
-from usvlearn.report.sections.fit_file import Course, Curve, Diagnostics, Lags, Sailed, SavedFit
+from usvlearn.report.sections.fit_file import Course, Diagnostics, Lags, Sailed, SavedFit
 from usvlearn.report.sections.section import Drawn, Section
 
 WEAR = ", wear"  # what the name of a set ends with, if the boat wears

@@ -13,6 +13,7 @@ import numpy as np
 from usvlearn.errors import printable
 from usvlearn.estimators.axis.turning_quantities import OF_FIT
 from usvlearn.estimators.axis.turning_quantities import QUANTITIES as TURNING
+from usvlearn.estimators.joint.curves import Curve
 from usvlearn.estimators.joint.excitation_warnings import Quantity
 from usvlearn.estimators.joint.quantities import QUANTITIES, SIDES
 
@@ -64,15 +65,6 @@ class Lags(NamedTuple):
     lags: np.ndarray  # s
     values: np.ndarray
     bounds: np.ndarray
-
-
-class Curve(NamedTuple):
-    """A force with its 90 % band, `(points,)` each."""
-
-    at: np.ndarray
-    value: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
 
 
 class Sailed(NamedTuple):
