@@ -24,7 +24,7 @@ from pages import publish, table
 from usvlearn import Ensemble, Estimator, Persistence, SurgeDynamics, rollout
 from usvlearn.composition.configuration import ensemble_of
 from usvlearn.core.samples import Fleet, Sample, masks, tree_map
-from usvlearn.engine.rollouts import simulate
+from usvlearn.engine.rollouts import simulate, tensors
 from usvlearn.estimators.baselines.persistence.layer import PersistenceState
 from usvlearn.evaluation.metrics import Stretch, scores
 from usvlearn.logs.recordings import align_fleet
@@ -147,13 +147,9 @@ class Fixed(Persistence):
         return PersistenceState(surge), surge
 
 
-def tensors(samples: Sample) -> Sample:
-    return tree_map(torch.as_tensor, samples)
-
-
 def halves(log: Log) -> tuple[list[Sample], list[Sample]]:
     """The samples of the first and of the second half; the second begins a segment."""
-    runs = [tensors(run.samples) for run in log.fleet.runs]
+    runs = [tensors(run.samples, torch.float64) for run in log.fleet.runs]
     if len(runs) > 1:
         return runs[: len(runs) // 2], runs[len(runs) // 2 :]
     middle = len(runs[0].surge) // 2

@@ -87,7 +87,7 @@ def polynomial(parameters: Mapping[str, float], top: float, mass: float) -> Valu
 def squares(runs: Sequence[Sample], mass: float) -> dict[str, float]:
     """Least squares of the increments between measured speeds, per mass."""
     model = SurgeDynamics(mass)
-    theta = accuracy.least_squares(model, [accuracy.tensors(run) for run in runs]).theta
+    theta = accuracy.least_squares(model, [tensors(run, torch.float64) for run in runs]).theta
     return dict(zip(model.names, (theta.double() / mass).tolist(), strict=True))
 
 

@@ -18,7 +18,7 @@ BOA over two joint EKFs, ARX and the averaged joint EKF.
 
 import argparse
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,7 +28,7 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from pages import machine, publish, table
 from peers import LAM, NOISE, P, Peer, peers
-from torch import Tensor, nn
+from torch import Tensor
 
 from usvlearn import AID, ARX, RLS, Ensemble, JointEKF, Persistence, Robust, SIFtRLS
 from usvlearn.core.protocol import Estimator
@@ -135,18 +135,6 @@ def scenarios(steps: int = 1_000_000, elements: int = 24) -> dict[str, Scenario]
     return found
 
 
-def single(model: nn.Module) -> dict[str, Estimator]:
-    """One of ours of each kind, with the common memory."""
-    return {
-        "rls": RLS(model, forgetting=LAM),
-        "sift_rls": SIFtRLS(model, memory=SIFT_MEMORY),
-        "robust_sift_rls": Robust(SIFtRLS(model, memory=SIFT_MEMORY)),
-        "robust_huber": Robust(SIFtRLS(model, memory=SIFT_MEMORY), threshold=1.345),
-        "aid": AID(model=model),
-        "robust_aid": Robust(AID(model=model)),
-    }
-
-
 def default_ensemble(mass: float = 1.0, surge_max: float = SURGE_MAX) -> Ensemble:
     """The weighted members of `configs/train.yaml`, told the boat's mass and top speed."""
     with initialize_config_dir(str(Path(__file__).parents[1] / "configs"), version_base="1.3"):
@@ -156,9 +144,15 @@ def default_ensemble(mass: float = 1.0, surge_max: float = SURGE_MAX) -> Ensembl
 
 
 def ours() -> dict[str, Estimator]:
-    """All of ours."""
+    """One of each kind, with the common memory, and the ensemble."""
     ensemble = default_ensemble()
-    return single(MODEL) | {
+    return {
+        "rls": RLS(MODEL, forgetting=LAM),
+        "sift_rls": SIFtRLS(MODEL, memory=SIFT_MEMORY),
+        "robust_sift_rls": Robust(SIFtRLS(MODEL, memory=SIFT_MEMORY)),
+        "robust_huber": Robust(SIFtRLS(MODEL, memory=SIFT_MEMORY), threshold=1.345),
+        "aid": AID(model=MODEL),
+        "robust_aid": Robust(AID(model=MODEL)),
         "arx": ARX(),
         "joint_ekf": JointEKF(SURGE_MAX),
         "joint_quick": ensemble.members["joint_quick"],
@@ -238,15 +232,6 @@ def true_model(scenario: Scenario) -> Result:
     return assess(scenario._replace(event=None), surges, True)
 
 
-def outcomes(scenario: Scenario) -> Iterator[tuple[str, Result]]:
-    """How the true model, the peers and ours came through, by name."""
-    yield "true model", true_model(scenario)
-    for name, make in peers(excitation(scenario)).items():
-        yield name, run_peer(scenario, make)
-    for name, one in ours().items():
-        yield name, run_ours(scenario, one)
-
-
 def cell(result: Result) -> str:
     if not result.finite:
         return "**not finite**"
@@ -258,9 +243,12 @@ def report(steps: int) -> str:
     cases = scenarios(steps)
     found: dict[str, dict[str, Result]] = {}
     for case, scenario in cases.items():
-        for name, result in outcomes(scenario):
+        results = {"true model": true_model(scenario)}
+        results |= {name: run_peer(scenario, make) for name, make in peers(excitation(scenario)).items()}
+        results |= {name: run_ours(scenario, one) for name, one in ours().items()}
+        for name, result in results.items():
             found.setdefault(name, {})[case] = result
-            print(case, name, result, flush=True)
+        print(case, flush=True)
     rows = [[name, *(cell(x) for x in row.values())] for name, row in found.items()]
     return "\n".join([
         "# Stress tests beside other libraries", "", *__doc__.strip().splitlines()[4:], "",

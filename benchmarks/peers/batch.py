@@ -2,7 +2,11 @@
 
 A batch peer is a module with `fit(runs, top) -> Fitted`. It is told all runs to learn from at once, and chooses its
 settings on the last 20 % of them. Runs are `Sample`s of NumPy arrays `(time,)`, on a grid of 0.4 s; `top` is the top
-speed of the boat, m/s, as a user states it.
+speed of the boat, m/s, as a user states it. A fitted model has
+
+    free_run(run)              speeds (time,), m/s, from the inputs and the speeds with which segments start
+    forecast(run, horizons)    (origins, horizons), m/s, of the steps that `targets` names, NaN where that is none; told
+                               the speeds that were measured up to the origin, and the inputs up to the target
 """
 
 from __future__ import annotations
@@ -12,7 +16,7 @@ import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,23 +30,10 @@ WARM, FREE = 10, 75  # steps of a training window: told the measured speeds, the
 MOST, STRIDE = 600, 10  # windows, about; least steps from one to the next
 
 
-class Model(Protocol):
-    """A fitted model of a boat."""
-
-    def free_run(self, run: Sample) -> np.ndarray:
-        """Speeds `(time,)`, m/s, from the inputs and the speeds with which segments start."""
-
-    def forecast(self, run: Sample, horizons: Sequence[int] = HORIZONS) -> np.ndarray:
-        """Speeds `(origins, horizons)`, m/s, of the steps that `targets` names; NaN where that is none.
-
-        A forecast is told the speeds that were measured up to its origin, and the inputs up to its target.
-        """
-
-
 class Fitted(NamedTuple):
     """A peer's model of a boat."""
 
-    model: Model
+    model: Any
     setting: str  # that was chosen
     seconds: float  # of the processor, for all training
 
@@ -195,7 +186,7 @@ def errors(
     return {h: tuple(pairs.mean(0).tolist()) if len(pairs) else (math.nan, math.nan) for h, pairs in every.items()}
 
 
-def free_run_errors(model: Model, runs: Sequence[Sample]) -> tuple[float, float]:
+def free_run_errors(model: Any, runs: Sequence[Sample]) -> tuple[float, float]:
     """MAE of the open-loop simulation, and of holding the speed with which each segment starts, m/s."""
     wrong = []
     for run in runs:
@@ -221,14 +212,14 @@ def bounded(wrong: np.ndarray) -> np.ndarray:
     return np.nan_to_num(np.abs(wrong), nan=HIGHEST, posinf=HIGHEST).clip(max=HIGHEST)
 
 
-def judged(model: Model, runs: Sequence[Sample]) -> float:
+def judged(model: Any, runs: Sequence[Sample]) -> float:
     """MAE over that of persistence, mean over the horizons and the open-loop simulation."""
     made = errors(runs, [model.forecast(run) for run in runs])
     pairs = [*made.values(), free_run_errors(model, runs)]
     return float(np.nanmean([mae / held if held > 0 else math.nan for mae, held in pairs]))
 
 
-def choose(settings: Mapping[str, Callable[[Sequence[Sample]], Model]], runs: Sequence[Sample]) -> Fitted:
+def choose(settings: Mapping[str, Callable[[Sequence[Sample]], Any]], runs: Sequence[Sample]) -> Fitted:
     """Fit each setting to the first 80 % of the runs, judge it on the rest, and fit the best one to all runs."""
     began = time.process_time()
     early, late = cut(runs, 1 - LATE)
