@@ -18,13 +18,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import accuracy
-import boats
 import numpy as np
+import seasons
 import torch
-from boats import DT, Halves, free_run_mae, simulations
 from pages import publish, table
 from peers import gru, narmax, physics, state_space
 from peers.batch import HORIZONS, Fitted, Held, Targets, errors, free_run_errors, targets
+from seasons import DT, Halves, free_run_mae, simulations
 
 from usvlearn import Ensemble, rollout
 from usvlearn.core.samples import Sample, masks, tree_map
@@ -91,12 +91,12 @@ def recorded(folder: Path, name: str) -> Log:
     given = (f"data={name}", f"data.path={folder / name}")
     grids = [accuracy.fleet_of((*given, *more)) for more in ((), (f"align.dt={FINE}",))]
     vehicle = accuracy.configuration(given).vehicle
-    return Log(name, boats.halves(*grids), boats.whole(*grids), vehicle.mass, vehicle.surge_max, (*given, REPLAY))
+    return Log(name, seasons.halves(*grids), seasons.whole(*grids), vehicle.mass, vehicle.surge_max, (*given, REPLAY))
 
 
 def simulated(plant: str, seed: int = SEED) -> Log:
     """A simulated boat: 3 h to learn from, and the hour after them."""
-    (runs,), (mass, top) = boats.season(plant, seed, 1).values(), boats.NOMINAL[plant]
+    (runs,), (mass, top) = seasons.season(plant, seed, 1).values(), seasons.NOMINAL[plant]
     given = (f"data.plant={plant}", f"vehicle.mass={mass}", f"vehicle.surge_max={top}", REPLAY)
     return Log(plant, runs, None, mass, top, given)
 

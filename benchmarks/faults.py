@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import stress
 import torch
-from boats import NOMINAL, PLANTS
 from peers.online import Peer, plain_nlms, plain_rls
+from seasons import NOMINAL, PLANTS
 
 from usvlearn import Ensemble, Persistence
 from usvlearn.core.events import NINETY

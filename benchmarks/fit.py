@@ -15,12 +15,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import accuracy
-import boats
 import numpy as np
 import output_error
+import seasons
 import torch
-from boats import HOURS, LATER, NOMINAL, PLANTS, free_run_mae, season, season_of, simulations
 from pages import publish, table
+from seasons import HOURS, LATER, NOMINAL, PLANTS, free_run_mae, season, season_of, simulations
 
 from usvlearn import SurgeDynamics
 from usvlearn.core.samples import Sample
@@ -127,7 +127,7 @@ def study(plant: str, seed: int, n: int = N, hours: float = HOURS, later: float 
     (mass, top), given = NOMINAL[plant], season_of(plant, seed, n, hours, later)
     members = accuracy.ensemble((f"vehicle.mass={mass}", f"vehicle.surge_max={top}")).members
     averaged, aid = members["joint_averaged"], members["aid"]
-    last = round(hours * 60 / boats.MINUTES) - 1  # of the missions that are learned
+    last = round(hours * 60 / seasons.MINUTES) - 1  # of the missions that are learned
     truth = true_quantities(mass, true_parameters(mass, **given), **given, mission=last)
     for boat, runs in season(plant, seed, n, hours, later).items():
         fitted, nine = fit_boat(boat, runs.rows, mass, top), output_error.fit(runs.learned, top)

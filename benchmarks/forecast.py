@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 import torch
 from accuracy import Log, configuration, ensemble, first_half, fleet_of, published, recorded
-from boats import NOMINAL, PLANTS
 from hydra.utils import instantiate
 from pages import publish, table
+from seasons import NOMINAL, PLANTS
 
 from usvlearn.core.samples import masks, tree_map
 from usvlearn.engine.backend import arrays_of

@@ -2,9 +2,8 @@
 
 python benchmarks/identify.py [--seed 77]        writes docs/benchmarks/identify.md
 
-Five plants, three boats each, 3 h to learn from and 1 h for open-loop simulations (`benchmarks/boats.py`). The filter's
-settings and the widths of its intervals were chosen on seeds 5, 11 and 78 to 80. Seed 77 was only reported, whenever
-the filter had changed. Needs the extra bench.
+Five plants, three boats each, 3 h to learn from and 1 h for open-loop simulations. The filter's settings and the widths
+of its intervals were chosen on seeds 5, 11 and 78 to 80. Seed 77 was only reported, whenever the filter had changed.
 """
 
 from __future__ import annotations
@@ -15,9 +14,9 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from boats import HOURS, LATER, MINUTES, PLANTS
 from fit import ADAPTIVE, AFTER, BATCH, ONLINE, N, Study, holds, share, study, width, wrong
 from pages import publish, table
+from seasons import HOURS, LATER, MINUTES, PLANTS
 
 MAIN = ("drag_half_speed", "thrust_full_left", "thrust_full_right", "steady_speed_full", "time_constant")
 AIMS = {"steady_speed_full": "2.2%"}
