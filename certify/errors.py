@@ -32,11 +32,7 @@ def complain(text: str) -> None:
 
 @contextmanager
 def about(path: str) -> Iterator[None]:
-    """Make errors about one checkpoint name it; also errors of arithmetic, with weights of unforeseen sizes.
-
-    Raises:
-        CertifyError: in place of each of these.
-    """
+    """Make errors about one checkpoint name it; those of arithmetic, with unforeseen weights, are among them."""
     try:
         yield
     except CertifyError as error:

@@ -41,7 +41,7 @@ def assess(
     solver: str | None = None,
     steps: bool = False,
 ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-    """Every condition of one checkpoint, and what else is found.
+    """What is found about one checkpoint; and of a vector state a verified certificate of each condition that holds.
 
     Margins are rounded down and rates up, so that the printed bounds are true. Places and slopes: rounded to nearest.
 
@@ -53,18 +53,6 @@ def assess(
         solver: of the LMIs, if they are to be solved; a name that cvxpy knows.
         steps: of a vector state: whether to prove, in the norm of `exact`, that all steps up to the largest contract.
             This certificate has the key `STEPS`.
-
-    Returns:
-        What is found; and of a vector state a verified certificate of each condition that holds.
-
-    >>> found, _ = assess(Network("a.npz", ShallowWeights(*map(np.array, ([0.5], [1.0], [[0.0]], [0.25])))))
-    >>> found["rate"], found["certified"]["exact"], found["equilibria"][0]["x"]
-    (0.5, True, 0.25)
-    >>> from certify.networks.vector import VectorWeights, check
-    >>> turn = VectorWeights(None, [[0.0, 0.5], [-0.5, 0.0]], np.eye(2), np.zeros((2, 1)), np.zeros(2))
-    >>> row, made = assess(VectorNetwork("turn.npz", check(turn)))
-    >>> row["rates"]["exact"], sorted(made)
-    (0.5, ['exact'])
     """
     if isinstance(network, VectorNetwork):
         return _vector_state(network, seconds, solver, steps)
@@ -275,8 +263,7 @@ def _all_steps(
 def judged(row: dict[str, Any], certificates: dict[str, dict[str, Any]], condition: str | None) -> str | None:
     """The condition that certifies a network: the one asked for, if it holds; None where none does.
 
-    Without one asked it is `exact`, and of a vector state that of `exact` and
-    `quadratic` with the smaller rate.
+    Without one asked it is `exact`, and of a vector state that of `exact` and `quadratic` with the smaller rate.
     """
     if "states" not in row:
         name = "exact" if condition in (None, "quadratic") else str(condition)

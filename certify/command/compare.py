@@ -41,10 +41,7 @@ def random_networks(count: int, n: int, rng: np.random.Generator, inputs: int = 
 def examine(weights: ShallowWeights, seconds: float, solver: str | None = None) -> dict[str, Any]:
     """The smallest rate at which each condition holds, None where there is none, and whether it certifies the network.
 
-    Args:
-        weights: of one network.
-        seconds: of each search on the operating box.
-        solver: a name that cvxpy knows; None: no LMI is solved.
+    `seconds` are those of each search on the operating box. The solver is a name that cvxpy knows, or None.
     """
     found, inside = exact.conditions(weights.a, weights.w1), box.operating_box(weights.W2.shape[-1])
     bracket = box.rate(weights, inside, seconds=seconds)

@@ -35,8 +35,7 @@ def judge(
 ) -> tuple[list[Judged], list[CertifyError]]:
     """Assess every network by the options of the command; and the errors about those that cannot be judged.
 
-    Raises:
-        CertifyError: an option that is not for such networks, or whose value does not fit them.
+    A CertifyError about an option that is not for such networks, or whose value does not fit them.
     """
     boxes: dict[int, Any] = {}
     inputs: dict[int, np.ndarray] = {}

@@ -67,14 +67,7 @@ def verify(
 ) -> Results:
     """Check certificates against networks; without networks, against the files that they name.
 
-    Args:
-        paths: of the certificates.
-        networks: with one state.
-        vectors: with a vector state.
-        phi: the activation of the networks; as claimed by default.
-
-    Raises:
-        CertifyError: more than `MOST_NETWORKS` networks, or an unknown activation.
+    φ of the networks is as claimed by default; a CertifyError if it is unknown, or there are too many networks.
     """
     given = Networks(networks, vectors) if networks or vectors else None
     results, known = Results([], []), dict[Path, Networks]()

@@ -40,11 +40,7 @@ LISTED = 6  # equilibria of a class that the legend of one map lists one by one
 
 
 def blank(purpose: str, **options: Any):
-    """An empty matplotlib figure.
-
-    Raises:
-        CertifyError: matplotlib is not installed; the message names the purpose.
-    """
+    """An empty matplotlib figure; a CertifyError, which names the purpose, without matplotlib."""
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
@@ -57,19 +53,8 @@ def equilibria_figure(
 ):
     """The map x_k → x_{k+1} at constant input, its critical points, the identity line, and the equilibria by class.
 
-    Args:
-        weights: of one network.
-        u: `(m,)`, or `(k, m)` for a map at each of k headings.
-        title: of the figure.
-        lo: least x.
-        hi: greatest x, above `lo`.
-        headings: rad, `(k,)`, by which the maps of several inputs are coloured (see `equilibria.surge_inputs`).
-
-    Returns:
-        A matplotlib figure.
-
-    Raises:
-        CertifyError: matplotlib is not installed; several inputs without as many headings; input that does not fit.
+    u is `(m,)`, or `(k, m)` for a map at each of k headings, rad, by which the maps are coloured. A CertifyError if the
+    input does not fit, or without matplotlib.
     """
     figure = blank("the figure of equilibria", figsize=(8.4, 6.0), dpi=110)
     inputs = [u] if np.ndim(u) < 2 else u
@@ -180,11 +165,7 @@ def _findings(kind: str, found: list[Equilibrium], listed: int) -> str:
 
 
 def save(figure, path: str | Path) -> None:
-    """Write a figure to a file, in the format that its ending names.
-
-    Raises:
-        CertifyError: it cannot be written, or no such format.
-    """
+    """Write a figure to a file, in the format that its ending names; a CertifyError if that cannot be."""
     try:
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path)
@@ -195,12 +176,7 @@ def save(figure, path: str | Path) -> None:
 def comparison_figure(families: Mapping[str, Sequence[Mapping[str, Any]]], conditions: Sequence[str]):
     """The smallest rate at which each condition holds: a dot for each network; below 1 it is certified.
 
-    Args:
-        families: name -> rows of `certify.command.compare.examine`.
-        conditions: in their order.
-
-    Raises:
-        CertifyError: matplotlib is not installed.
+    `families` are rows of `certify.command.compare.examine` by name. A CertifyError without matplotlib.
     """
     figure = blank("the figure of the comparison", figsize=(1.5 + 3.2 * len(families), 4.2), dpi=110,
                    layout="constrained")  # fmt: skip

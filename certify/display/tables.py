@@ -37,11 +37,7 @@ NORMS = {"inf": "∞", "one": "1"}
 def show(rows: Sequence[dict[str, Any]], condition: str | None, notes: Sequence[str], dt: float | None) -> None:
     """One row per checkpoint, and a summary; networks with a vector state have a table of their own.
 
-    Args:
-        rows: of `certify.analysis.assess.assess`, with the condition that certifies each: `judged`.
-        condition: that was asked for, if any.
-        notes: further lines.
-        dt: s, of a step, to give time constants in s.
+    Rows are of `certify.analysis.assess.assess`, with the condition that certifies each: `judged`. `dt`, s, is a step.
     """
     console, lines = _console(), []
     if one := [row for row in rows if "states" not in row]:
@@ -74,12 +70,7 @@ def _print(
 ) -> None:
     """Print a table. If it is too wide, its columns continue in further tables below, each with the first column.
 
-    Args:
-        console: on which it is printed.
-        title: above the table.
-        headings: of the columns; the first is that of the names.
-        rows: a cell for each heading.
-        texts: headings of the columns that may be folded between words, as the names are where they fill half a line.
+    The first heading is that of the names; like these, columns headed by `texts` may be folded between words.
     """
     cells = list(zip(headings, *([str(cell) for cell in row] for row in rows), strict=True))
     widths = [max(map(cell_len, column)) for column in cells]

@@ -29,11 +29,7 @@ class Recurrent(NamedTuple):
 
 
 def of_torch(tensors: Mapping[str, Any], path: str) -> list[Recurrent]:
-    """The recurrent networks among named tensors.
-
-    Raises:
-        CertifyError: an LSTM or a GRU; several layers, both directions, or a projection; missing or misshapen weights.
-    """
+    """The recurrent networks among named tensors; a CertifyError about other kinds, or missing weights."""
     modules: dict[str, dict[str, Any]] = {}
     for name, tensor in tensors.items():
         if found := NAMED.fullmatch(name):

@@ -57,12 +57,7 @@ class Network(NamedTuple):
 
 
 def check(weights: ShallowWeights, name: str = "weights") -> ShallowWeights:
-    """The weights as float64 arrays, `(*batch, …)`.
-
-    Raises:
-        CertifyError: shapes that do not fit, no neuron, a weight that is NaN, infinite or no number, or that is
-            changed by the conversion: an integer beyond 2⁵³, a long double.
-    """
+    """The weights as float64 arrays, `(*batch, …)`; a CertifyError as of `as_float64`, or if shapes do not fit."""
     arrays = ShallowWeights(**as_float64(dict(zip(NAMES, weights, strict=True)), name))
     shapes = {key: array.shape for key, array in zip(NAMES, arrays, strict=True)}
     shape = arrays.a.shape
@@ -77,9 +72,8 @@ def check(weights: ShallowWeights, name: str = "weights") -> ShallowWeights:
 def as_float64(values: Mapping[str, Any], name: str) -> dict[str, np.ndarray]:
     """Named weights as float64 arrays.
 
-    Raises:
-        CertifyError: a weight that is NaN, infinite or no number, or that is changed by the conversion: an integer
-            beyond 2⁵³, a long double.
+    A CertifyError about one that is NaN, infinite or no number, or that is changed by the conversion: an integer beyond
+    2⁵³, a long double.
     """
     try:
         given = {key: np.asarray(x) for key, x in values.items()}
@@ -155,11 +149,7 @@ def from_tensors(tensors: Mapping[str, Any], path: str = "tensors", most: float 
 
 
 def refuse_many(count: int, most: float, path: str) -> None:
-    """Refuse so many checkpoints, before any of them is compared with a certificate.
-
-    Raises:
-        CertifyError: there are more than `most`.
-    """
+    """Refuse more than `most` checkpoints, before any of them is compared with a certificate."""
     if count > most:
         raise CertifyError(
             f"{path}: found {count} checkpoints, expected at most {most} for --verify: save the ones that the "
@@ -217,11 +207,7 @@ def load(path: str | Path) -> list[Network]:
 
 
 def read_tensors(path: str | Path) -> dict[str, np.ndarray]:
-    """The tensors in a file by name; see `load`.
-
-    Raises:
-        CertifyError: no such file, of another kind, or damaged.
-    """
+    """The tensors in a file by name; a CertifyError without a file, or of another kind, or damaged."""
     path = Path(path)
     if path.suffix not in SUFFIXES:
         raise CertifyError(f"{path}: is no checkpoint: expected a file that ends in {', '.join(SUFFIXES)}")
@@ -249,13 +235,10 @@ def read_tensors(path: str | Path) -> dict[str, np.ndarray]:
 
 
 def stated_activation(path: str | Path) -> str | None:
-    """The activation that a file states, None where it states none.
+    """The activation that a file states, None where it states none; a CertifyError as of `read_tensors`.
 
     It is an entry `activation` of an .npz or of the metadata of .safetensors, or of the descriptions of estimators with
     which usvlearn saves a checkpoint; version 0.2 wrote it beside these.
-
-    Raises:
-        CertifyError: as `read_tensors`, or metadata that cannot be read.
     """
     path = Path(path)
     if path.suffix == ".npz":
@@ -313,11 +296,7 @@ def _read_torch(path: Path) -> dict[str, np.ndarray]:
 
 
 def arrays_of(tensors: Mapping[str, Any], path: str) -> dict[str, np.ndarray]:
-    """Tensors of torch as arrays; those of less than 64 bits exactly as float64, since numpy has no bfloat16.
-
-    Raises:
-        CertifyError: complex weights.
-    """
+    """Tensors of torch as arrays; those of less than 64 bits as float64, exactly. Complex ones are refused."""
     if kinds := {str(x.dtype) for x in tensors.values() if x.is_complex()}:
         raise CertifyError(f"{path}: found {', '.join(kinds)}, expected real weights")
     floats = {name: x.double() if x.is_floating_point() else x for name, x in tensors.items()}
@@ -325,11 +304,7 @@ def arrays_of(tensors: Mapping[str, Any], path: str) -> dict[str, np.ndarray]:
 
 
 def find(paths: Iterable[str | Path]) -> list[Path]:
-    """The files of checkpoints named by files, folders (of a run: its checkpoints) and patterns, each once.
-
-    Raises:
-        CertifyError: one of them names nothing.
-    """
+    """The files of checkpoints named by files, folders (of a run: its checkpoints) and patterns, each once."""
     found: dict[Path, Path] = {}
     for path in matched(paths):
         files = [path] if not path.is_dir() else below(path)
@@ -341,11 +316,7 @@ def find(paths: Iterable[str | Path]) -> list[Path]:
 
 
 def matched(paths: Iterable[str | Path]) -> Iterator[Path]:
-    """The files and folders that paths and patterns name.
-
-    Raises:
-        CertifyError: one of them names nothing.
-    """
+    """The files and folders that paths and patterns name; a CertifyError if one of them names nothing."""
     for given in map(str, paths):
         if not given:
             raise CertifyError("found an empty PATH, expected checkpoints, a run's folder or a pattern")

@@ -132,11 +132,7 @@ def activation(text: str) -> Activation:
 
 
 def check(weights: VectorWeights, name: str = "weights") -> VectorWeights:
-    """The weights as float64 arrays; R = None becomes zeros.
-
-    Raises:
-        CertifyError: shapes that do not fit, q above 6, a weight that is NaN or infinite or no float64.
-    """
+    """The weights as float64 arrays, zeros for R = None; a CertifyError for wrong shapes, and too many states."""
     if weights.R is None:
         q = np.shape(weights.A)[-2] if np.ndim(weights.A) > 1 else 0
         weights = weights._replace(R=np.zeros((*np.shape(weights.A)[:-2], q, q)))
@@ -168,11 +164,7 @@ def is_recurrent(weights: VectorWeights) -> bool:
 
 
 def refuse_large(weights: VectorWeights, name: str = "weights") -> None:
-    """Refuse weights whose products along the layers, and their sums, may exceed a float.
-
-    Raises:
-        CertifyError: a weight above 1e150; with two hidden layers, above 1e100.
-    """
+    """Refuse weights whose products along the layers, and their sums, may exceed a float."""
     largest = LARGEST if weights.V is None else LARGEST_OF_TWO
     if (size := max(np.abs(x).max(initial=0.0) for x in weights if x is not None)) > largest:
         raise CertifyError(f"{name}: found a weight of {size:.3g}, expected none above {largest:g}")
@@ -256,11 +248,8 @@ def read_both(
     """The shallow networks and the networks (1) in a file.
 
     With another activation than relu, or `as_vectors`, all are of the second kind. The activation is the one that the
-    file states, or else relu, unless it is given.
-
-    Raises:
-        CertifyError: as `certify.networks.shallow.load`; the file states another activation than the given one; or
-            there are more than `most` of a kind.
+    file states, or else relu, unless it is given. A CertifyError as of `shallow.load`, if both differ, or if there are
+    more than `most` of a kind.
     """
     tensors = read_tensors(path)
     if (stated := stated_activation(path)) is not None:

@@ -185,13 +185,7 @@ def frame_refusal(
 ) -> str | None:
     """Why the frame of a certificate is refused: its format, condition, keys, checksum or weights; None where it fits.
 
-    Args:
-        content: of the certificate.
-        form: the format that is expected.
-        keys: that it must have.
-        conditions: of which it must name one.
-        parts: the keys of its proof.
-        weights: the digest of the network's weights.
+    `parts` are the keys of its proof, `weights` is the digest of the network's.
     """
     if content.get("format") != form:
         return f"it has the format {quoted(content.get('format'))}, expected {form!r}: make it again"

@@ -22,16 +22,7 @@ BITS = 53  # of the entries of X
 
 
 def diagonal_rate(W: Matrix, norm: str, scaling: Sequence[Fraction]) -> Fraction:
-    """(1) for the diagonal of T.
-
-    Args:
-        W: `(n, n)`, exact.
-        norm: "inf" or "one".
-        scaling: the diagonal of T, `(n,)`.
-
-    Raises:
-        ZeroDivisionError: T is singular.
-    """
+    """(1) in a norm, "inf" or "one", for the diagonal of a regular T."""
     columns, weights = (W, [1 / t for t in scaling]) if norm == "inf" else (zip(*W, strict=True), scaling)
     (whole,), _ = over_one_denominator([list(map(abs, weights))])
     found, unit = over_one_denominator([list(map(abs, column)) for column in columns])

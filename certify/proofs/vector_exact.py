@@ -48,11 +48,7 @@ def everywhere(weights: VectorWeights, phi: Activation) -> list[Slopes]:
 
 
 def changed(weights: VectorWeights, scaling: Matrix | None = None) -> tuple[Matrix, Matrix, Matrix]:
-    """T R T⁻¹, T A and W T⁻¹ exactly: the matrices of the state T x.
-
-    Raises:
-        CertifyError: T is singular.
-    """
+    """T R T⁻¹, T A and W T⁻¹ exactly: the matrices of the state T x; a CertifyError if T is singular."""
     R, A, W = matrix(weights.R), matrix(weights.A), matrix(weights.W)
     if scaling is None:
         return R, A, W
@@ -219,13 +215,7 @@ def inequality(
 def effort(weights: VectorWeights, scaling: Matrix | None = None, norm: str = "inf") -> float:
     """About how many ns it takes to check a proof, told from the sizes and before any work: compare with `WORK`.
 
-    Args:
-        weights: of one network.
-        scaling: T of a rate (2), `(q, q)`; without it, of M (3), before its LDLᵀ.
-        norm: of that rate.
-
-    Raises:
-        CertifyError: T is singular.
+    It is that of a rate (2) in a norm with T, `(q, q)`; without it, of M (3), before its LDLᵀ.
     """
     q, n, last = len(weights.R), len(weights.b), 0 if weights.c is None else len(weights.c)
     if is_recurrent(weights) and scaling is not None and (t := diagonal(scaling)) is not None:

@@ -80,11 +80,7 @@ class BoxVerdict(NamedTuple):
 
 
 def box(given: Any, m: int) -> Box:
-    """A box for a network of m inputs, from `lo:hi` of x, u₁ … u_m separated by commas, or from pairs.
-
-    Raises:
-        CertifyError: another count, no number, not finite, lo > hi, or x without a width.
-    """
+    """A box for a network of m inputs, from `lo:hi` of x, u₁ … u_m separated by commas, or from pairs."""
     parts = [part.split(":") for part in given.split(",")] if isinstance(given, str) else list(given)
     names = ["x", *(f"u{j}" for j in range(1, m + 1))]
     if len(parts) != len(names):

@@ -116,10 +116,8 @@ class Search:
     ) -> list[np.ndarray]:
         """Halve boxes until all are closed or the tree has `most` nodes; return bounds, lo, hi, signs, ids of the open.
 
-        A box is not halved along a side that is at most `small` times that side of the whole box.
-
-        bound(lo, hi, signs) gives signs, bounds, points and the values there; halve(lo, hi, signs) coordinates;
-        climb(points) values and better points.
+        A box is not halved along a side that is at most `small` times that side of the whole box. bound(lo, hi, signs)
+        gives signs, bounds, points and values there; halve(lo, hi, signs) coordinates; climb(points) values and points.
         """
         names = np.array(["x", *(f"u{j}" for j in range(1, len(box.lo)))], dtype=object)
 

@@ -131,11 +131,7 @@ def _inequality(V: np.ndarray, theta: float, P: np.ndarray, lam: np.ndarray) -> 
 
 
 def _least(V: np.ndarray, P: np.ndarray, lam: np.ndarray) -> float:
-    """The least θ with these P and Λ.
-
-    Raises:
-        LinAlgError: P or 2Λ − P is not positive definite.
-    """
+    """The least θ with these P and Λ; a LinAlgError if P or 2Λ − P is not positive definite."""
     cross = lam[:, None] * V
     root = np.linalg.inv(np.linalg.cholesky(P))
     half = np.linalg.solve(np.linalg.cholesky(2 * np.diag(lam) - P), cross @ root.T)

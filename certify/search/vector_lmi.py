@@ -50,7 +50,6 @@ class Solved(NamedTuple):
     proof: Proof | None
     status: str  # as the solver reports it
     seconds: float  # wall time, with the exact proof
-    programs: int  # how many were solved
 
 
 @QUIET
@@ -100,7 +99,7 @@ def smallest_rate(weights: VectorWeights, phi: Activation, most: int = 1, solver
         if x is not None and (proof := program.proof(weights, x, short * size)):
             exact = short * size
             break
-    return Solved(rate, exact, proof, status, time.perf_counter() - start, program.solved)
+    return Solved(rate, exact, proof, status, time.perf_counter() - start)
 
 
 def _one(weights: VectorWeights, most: int) -> VectorWeights:

@@ -44,10 +44,7 @@ class FormerVersionError(CheckpointError):
 
 
 def save(path: str | Path, state: Any, **metadata: Any) -> Path:
-    """Write a state, a tree of arrays or tensors, with its metadata, atomically and durably; returns the path.
-
-    The metadata are JSON values: estimator, configuration, boat, run, time … The folder is made.
-    """
+    """Write a state, a tree of arrays or tensors, with its metadata, JSON values, atomically; returns the path."""
     path = Path(path)
     leaves = {name: as_array(leaf) for name, leaf in named_leaves(state)}
     facts = {"schema": SCHEMA, **metadata}
@@ -58,11 +55,7 @@ def save(path: str | Path, state: Any, **metadata: Any) -> Path:
 
 
 def load(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Read a checkpoint: arrays by dotted name, and the metadata, with the names of today.
-
-    Raises:
-        CheckpointError: no such file, not a checkpoint, another schema, or a checksum that does not fit.
-    """
+    """Read a checkpoint: arrays by dotted name, and the metadata, with the names of today; else a CheckpointError."""
     path = Path(path)
     try:
         if path.exists() and not path.is_file():  # reading a device or a pipe would never end
@@ -102,12 +95,8 @@ def load(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
 
 
 def restore(path: str | Path, template: Any, estimator: str | None = None) -> tuple[Any, dict[str, Any]]:
-    """Read a checkpoint into the structure of `template`, a state of the estimator that will continue from it.
-
-    Args:
-        path: of the checkpoint.
-        template: a state whose leaves give names, shapes and dtypes; NumPy or torch.
-        estimator: name that the metadata must carry.
+    """Read a checkpoint of the named estimator into the structure of `template`, a state whose leaves, NumPy or torch,
+    give names, shapes and dtypes.
     """
     leaves, facts = load(path)
     found = facts.get("estimator")

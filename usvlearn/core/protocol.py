@@ -156,12 +156,6 @@ class KernelEstimator(Estimator):
     """An estimator whose steps its kernel alone makes: no gradient passes through them, and no torch function.
 
     A subclass defines `init`, `description` and `monitor`. Its hyperparameters are not learnable.
-
-    >>> from usvlearn import ARX
-    >>> arx, one = ARX(), torch.tensor(1.0).double()
-    >>> state, predicted = arx.learn(arx.init(), Inputs(one, one, 0 * one, 0 * one, 0.4 * one), one)
-    >>> float(state.surge), float(predicted)
-    (1.0, 0.0)
     """
 
     def predict(self, state: State, inputs: Inputs) -> tuple[State, Tensor]:

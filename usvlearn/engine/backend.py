@@ -22,8 +22,7 @@ BACKENDS = ("auto", "torch", "kernel")
 def choose(estimator: Estimator, state: Any, samples: Sample, backend: str) -> dict[str, Any] | None:
     """The description that the kernels run (`Estimator.description`), or None where torch makes the steps.
 
-    Raises:
-        ConfigError: the backend is unknown, or is "kernel" where the kernels cannot run.
+    A ConfigError if the backend is unknown, or is "kernel" where the kernels cannot run.
     """
     if check_choice("backend", backend, BACKENDS) == "torch":
         return None
@@ -36,11 +35,7 @@ def choose(estimator: Estimator, state: Any, samples: Sample, backend: str) -> d
 
 
 def obstacle_of(estimator: Estimator, state: Any, samples: Sample, device: str) -> str | None:
-    """Why the kernels on a device cannot make steps of this state, if they cannot.
-
-    Raises:
-        ConfigError: no other code can make them.
-    """
+    """Why the kernels on a device cannot make steps of this state; a ConfigError if no other code can make them."""
     own = [*estimator.parameters(), *estimator.buffers()]
     tensors = [*tensors_in(state), *tensors_in(samples), *own]
     obstacle = out_of_reach(tensors, device) or _derivative(tensors)

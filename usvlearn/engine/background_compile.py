@@ -27,13 +27,8 @@ def kernels(of: str, dtype: object) -> str:
 def compiling(dtype: str = "float64", tracks: bool = False) -> Iterator[subprocess.Popen | None]:
     """A context in whose background a process compiles the kernels, unless they are compiled; at its end they all are.
 
-    One process compiles them all: what it has compiled for runs is most of single steps, and of those with tracks.
-
-    Where the process fails, or there is one processor alone, what needs the kernels compiles them, as without it.
-
-    Args:
-        dtype: name of that of the runs.
-        tracks: whether they have tracks, too.
+    One process compiles all, with `tracks` theirs, too: runs and single steps need most of the same. If it fails, or
+    there is one processor alone, what needs the kernels compiles them.
     """
     parts = [kernels(of, dtype) for of in ((RUNS, STEPS, TRACKS) if tracks else (RUNS, STEPS))]
     wanted = not NUMBA.DISABLE_JIT and (os.cpu_count() or 1) > 1 and sys.executable

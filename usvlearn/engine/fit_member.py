@@ -23,10 +23,7 @@ Leaves = dict[str, np.ndarray]
 def with_fit(leaves: Mapping[str, np.ndarray], description: Description, table: Any) -> tuple[Leaves, Any]:
     """The leaves and the description with the table of a fit; as they are where no joint EKF is weighed.
 
-    Args:
-        leaves: of the state of an ensemble or of a boat in the plane, by dotted name.
-        description: of it.
-        table: of `usvlearn.model.fit.hand_over.table_of`, of all batch elements or of each.
+    They are of an ensemble or of a boat in the plane; the table is of `usvlearn.model.fit.hand_over.table_of`.
     """
     if description["kind"] == "planar":
         own = {name[6:]: leaf for name, leaf in leaves.items() if name.startswith("surge.")}

@@ -28,11 +28,7 @@ def members_of(description: Mapping[str, Any]) -> Members:
 def reader_leaves(
     members: Members, leaves: Mapping[str, np.ndarray]
 ) -> tuple[Mapping[str, Any], dict[str, np.ndarray]]:
-    """The description of the averaged joint EKF, and its own leaves of the state.
-
-    Raises:
-        ConfigError: none of the members is an averaged joint EKF.
-    """
+    """The description of the averaged joint EKF, and its own leaves of the state; a ConfigError without one."""
     name = reader_of(members)
     if name is None:
         raise ConfigError(
@@ -47,15 +43,7 @@ def reader_leaves(
 
 
 def identified(members: Members, leaves: Mapping[str, np.ndarray]) -> list[Identified]:
-    """What the averaged joint EKF has identified of each boat.
-
-    Args:
-        members: descriptions by name; see `members_of`.
-        leaves: of the state by dotted name, `(boats, …)`.
-
-    Raises:
-        ConfigError: none of the members is an averaged joint EKF.
-    """
+    """What the averaged joint EKF has identified of each boat, from leaves `(boats, …)`; a ConfigError without one."""
     description, own = reader_leaves(members, leaves)
     boats = len(own["mean"])
     return [
@@ -65,15 +53,7 @@ def identified(members: Members, leaves: Mapping[str, np.ndarray]) -> list[Ident
 
 
 def identified_planar(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -> list[Identified]:
-    """As `identified`, of boats in the plane: the quantities of turning follow those of the surge.
-
-    Args:
-        description: of a `Planar`, as its `description` gives it.
-        leaves: of its state by dotted name, `(boats, …)`.
-
-    Raises:
-        ConfigError: none of the members of the surge is an averaged joint EKF.
-    """
+    """As `identified`, of a `Planar`: the quantities of turning follow those of the surge."""
     surge = {name.removeprefix("surge."): leaf for name, leaf in leaves.items() if name.startswith("surge.")}
     members = members_of(description["surge"])
     own, _ = reader_leaves(members, surge)

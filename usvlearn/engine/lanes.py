@@ -165,8 +165,7 @@ def own_numbers(plan: Program) -> np.ndarray:
 def kernel_of(plan: Program, own: np.ndarray, places: np.ndarray) -> tuple[str, Any]:
     """The name of a program's kernel, and the kernel, compiled when it is called; `own` are `own_numbers`.
 
-    Places in the state are constants, too: of `due` and of what is picked. A state that is read at any place would be
-    kept in memory, not in registers.
+    Places in the state are constants, too: a state that is read at any place would be kept in memory, not in registers.
     """
     numbers = np.append(plan.numbers[:1], plan.dtype.type(0))  # no array may be empty
     numbers[own] = 0.0

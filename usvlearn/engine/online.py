@@ -372,11 +372,7 @@ def live_of(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) ->
 
 
 def read_checkpoint(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """The leaves and the metadata of a checkpoint from which compiled code can continue.
-
-    Raises:
-        CheckpointError: it cannot be read, or its description of the estimator is missing or not legal.
-    """
+    """The leaves and the metadata of a checkpoint from which compiled code can continue; else a CheckpointError."""
     from usvlearn.engine.parts import wrong
     from usvlearn.engine.validate import check
 

@@ -81,9 +81,7 @@ def free_totals(
 ) -> np.ndarray:
     """Σ |error|, Σ error² and whether it diverged, `(*batch, methods, 3)`, of free simulations of an ensemble.
 
-    Args:
-        description, leaves, samples, threads: as of `run.roll`.
-        learning: combiners that are scored once more, with weights that go on learning.
+    The first arguments are as of `run.roll`; combiners in `learning` are scored once more, with weights that learn.
     """
     plan = program_for(description, samples.surge.shape[1:], samples.surge.dtype)
     states = plan.pack(leaves)

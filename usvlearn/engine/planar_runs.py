@@ -22,16 +22,7 @@ if TYPE_CHECKING:
 def planar_stretches(
     planar: Planar, state: PlanarState, parts: Iterable[PlanarSample], record: Sequence[str]
 ) -> Iterator[tuple[PlanarState, dict[str, np.ndarray]]]:
-    """`usvlearn.engine.rollouts.chunked_rollout` of a boat in the plane.
-
-    Args:
-        planar, state: as of `Online`.
-        parts: NumPy samples of consecutive stretches, leaves `(time, *batch)`.
-        record: names of leaves of the state, such as "surge.predictions" and "track.due".
-
-    Yields:
-        The state after each stretch; the leaves after each of its steps, `(time, *batch, …)`.
-    """
+    """`usvlearn.engine.rollouts.chunked_rollout` of a boat in the plane."""
     from usvlearn.engine.run import roll
 
     description, leaves = planar.description(), arrays_of(state)

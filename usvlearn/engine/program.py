@@ -50,25 +50,14 @@ class Leaf(NamedTuple):
 
 
 class Program:
-    """A table, its numbers and the places of the leaves, for one estimator and batch.
-
-    Args:
-        description: of an estimator, as `Estimator.description` gives it, or of a `Planar`.
-        batch: of its state.
-        dtype: of the state, float64 or float32.
+    """A table, its numbers and the places of the leaves, for one estimator and batch, from its description.
 
     Attributes:
         program: the table, int64.
         head: of the surge alone zeros; else the places of the axes and of the tracks (`estimators.planar.state`).
         numbers: `(1, …)`, or `(elements, …)` where some differ by batch element.
-        leaves: where each leaf lies, by dotted name.
-        size: of a batch element's row.
-        slot: length of a slot of forecasts, of the surge.
-        length: of a slot of tracks.
-        work: length of the array that the kernels work in.
-
-    Raises:
-        ShapeError: a hyperparameter does not broadcast against the batch.
+        size, slot, length, work: lengths of a batch element's row, of a slot of forecasts of the surge and of one of
+            tracks, and of the array that the kernels work in.
     """
 
     def __init__(self, description: Description, batch: Sequence[int] = (), dtype: DTypeLike = np.float64):

@@ -138,16 +138,8 @@ def chunked_rollout(
 ) -> Iterator[tuple[State, dict[str, np.ndarray]]]:
     """`rollout` without gradients, over consecutive stretches of NumPy samples, which the kernels read uncopied.
 
-    Args:
-        estimator, state: as of `rollout`.
-        samples: arrays `(time, *batch)` each; numbers are converted to the dtype of the state.
-        record: names of leaves of the state.
-
-    Yields:
-        The state after each stretch, in which a member that is not finite has begun again; the leaves after each step.
-
-    Raises:
-        ShapeError: the first samples do not fit the state.
+    Yields the state after each stretch, in which a member that is not finite has begun again, and the recorded leaves
+    after each step. A ShapeError if the first samples do not fit the state.
     """
     from usvlearn.engine.run import roll
 
@@ -283,11 +275,7 @@ def run(
 
 
 def kernel_step(description: dict[str, Any], state: State, sample: Sample) -> tuple[State, Tensor]:
-    """The state after one sample, leaves `(*batch,)`, and the prediction, m/s, without gradients.
-
-    Raises:
-        ConfigError: the kernels cannot read these tensors.
-    """
+    """The state after one sample, leaves `(*batch,)`, and the prediction, m/s, without gradients."""
     device = sample.surge.device
     if sample.surge.numel() == 0:
         return state, sample.surge

@@ -35,16 +35,10 @@ def roll(
     threads: int = 1,
     device: str = "cpu",
 ) -> Result:
-    """Run an estimator over samples, predicting before learning.
+    """Run a described estimator over samples, `(time, *batch)`, predicting before learning, unless it runs `free`.
 
-    Args:
-        description: of the estimator.
-        leaves: of its state, `(*batch, …)`, by dotted name.
-        samples: arrays `(time, *batch)`; axes of the batch along which they are the same may have the stride 0.
-        free: whether nothing is learned.
-        record: names of leaves that are recorded after every step.
-        threads: how many threads share the batch elements.
-        device: "cpu", or "cuda": a GPU (`engine.lanes`).
+    Axes of the batch along which samples are the same may have the stride 0. `record` names leaves that are recorded
+    after every step; `device` is "cpu", or "cuda" (`engine.lanes`).
     """
     own = samples.sample if isinstance(samples, PlanarSample) else samples
     steps, *batch = own.surge.shape

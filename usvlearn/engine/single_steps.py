@@ -33,15 +33,7 @@ WAITING: list[CompiledStepper] = []  # a fork holds the locks of these
 
 
 class CompiledStepper:
-    """Makes one estimator's steps in place.
-
-    Args:
-        description: of the estimator (`Estimator.description`).
-        leaves: of its state, `(*batch, …)`, by dotted name; all float64 or all float32, but for those that are bool.
-
-    Raises:
-        ShapeError: the leaves are not those of such an estimator.
-    """
+    """Makes one described estimator's steps in place; leaves are all float64 or all float32, but for flags."""
 
     prefix = ""  # of the leaves of an ensemble of the surge
 
@@ -114,11 +106,7 @@ class CompiledStepper:
         return predictions, widths
 
     def forecast(self, inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:
-        """Predictions and half-widths of a plan, m/s, `(time, *batch)`; `inputs` are arrays of this shape.
-
-        Raises:
-            ConfigError: the estimator makes no forecasts.
-        """
+        """Predictions and half-widths of a plan, m/s, `(time, *batch)`; a ConfigError without forecasts."""
         plan, dtype = self.plan, self.plan.dtype
         if not self._description.get("surge", self._description).get("forecasts"):
             raise ConfigError(NONE)

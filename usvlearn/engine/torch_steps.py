@@ -17,7 +17,7 @@ from usvlearn.errors import ConfigError, check_choice
 
 
 class TorchStepper:
-    """The steps of one state by torch, without gradients, on numbers of any type; as `engine.single_steps.Live`."""
+    """The steps of one state by torch, without gradients, on numbers of any type; as `CompiledStepper`."""
 
     def __init__(self, estimator: Estimator, batch: Sequence[int]):
         self.estimator, self.batch = estimator, tuple(batch)
@@ -84,11 +84,7 @@ class TorchStepper:
 
 
 def live(estimator: Estimator, state: Any, backend: str) -> Any:
-    """An `engine.single_steps.Live` of a state, or None where torch has to make the steps.
-
-    Raises:
-        ConfigError: as `choose`.
-    """
+    """A `CompiledStepper` of a state, or None where torch has to make the steps; a ConfigError as of `choose`."""
     if check_choice("backend", backend, BACKENDS) == "torch":
         return None
     obstacle = out_of_reach([*tensors_in(state), *estimator.parameters(), *estimator.buffers()])

@@ -27,12 +27,7 @@ MEMBER = re.compile(r"(\w+\.)?members\.\w+\.")  # prefix of the leaves of one
 
 
 def check(description: Any, leaves: Mapping[str, np.ndarray]) -> None:
-    """Raise a CheckpointError, which names the entry, unless the kernels can continue from a file's content.
-
-    Args:
-        description: of an estimator, as `Estimator.description` gives it, from JSON.
-        leaves: of its state, `(*batch, …)`, by dotted name.
-    """
+    """Raise a CheckpointError, which names the entry, unless the kernels can continue from a file's content."""
     found = list(parts(description))
     fields = {name: field for part in found for name, field in part.leaves().items()}
     numbers = [entry for part in found for entry in part.numbers]

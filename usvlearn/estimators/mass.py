@@ -31,11 +31,7 @@ class Mass(NamedTuple):
 
 
 def known_rows(known: Mapping[str, float], names: Sequence[str]) -> tuple[list[list[float]], list[float]]:
-    """The coefficients A and the values d of known quantities: names of parameters, or sums of them.
-
-    Raises:
-        ConfigError: nothing is known, a name is no parameter's, or a value is zero, infinite or no number.
-    """
+    """The coefficients A and values d of known parameters, or sums of them; a ConfigError if one is not legal."""
     if not isinstance(known, Mapping):
         raise ConfigError(f"known: found {known!r}, expected {{name: value}}")
     if not known:

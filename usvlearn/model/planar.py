@@ -1,23 +1,12 @@
 """The motion of one identified boat in the plane: surge, sway, yaw rate, heading and position.
 
 u is the speed ahead and v the speed to starboard, both through the water; r is the yaw rate, clockwise; ψ the heading,
-clockwise from north; ξ the command of a side as a share of full scale, and c the current. With o = v for y = r, and
-o = r for y = v, per unit inertia or mass:
+clockwise from north; ξ the command of a side as a share of full scale, and c the current. r⁺ and v⁺ are (2) and (3) of
+`docs/theory/identification.md#yaw-rate-and-sway` without disturbance and lag of the commands. A step of length h makes
+r⁺ from (u, v), ψ⁺ = ψ + h (r + r⁺)/2, v⁺ from (u, r), u⁺ at the yaw rate (r + r⁺)/2, and with R(ψ), which turns ahead
+and starboard to north and east,
 
-    dy/dt = f = θ·[1, y, y|y|, |u| y, u o, o, u, side terms],   J = ∂f/∂y,   z = min(h J, 1)           (1)
-    side terms of r   ξ, ξ|ξ|, ξ|u|, ξ³, |ξ|, ξ²
-    side terms of v   ξ, ξ|ξ|
-    y⁺ = y + h φ₁(z) f,   φ₁(z) = (e^z − 1)/z                                                          (2)
-
-A step of length h makes, in this order,
-
-    r⁺ by (2) from (u, v),   ψ⁺ = ψ + h (r + r⁺)/2,   v⁺ by (2) from (u, r),
-    u⁺ by (2) of `usvlearn.model.surge` at the yaw rate (r + r⁺)/2,
-    p⁺ = p + h c + h/2 [R(ψ)(u, v) + R(ψ⁺)(u⁺, v⁺)]                                                    (3)
-
-where R(ψ) turns ahead and starboard to north and east. (1) and (2) are those of the axis EKF
-(`usvlearn.estimators.axis.state`, equations (2) and (3)) without disturbance and lag of the commands. (3) is the step
-of a track (`usvlearn.estimators.planar.state`, equation (2)) with one model for each axis.
+    p⁺ = p + h c + h/2 [R(ψ)(u, v) + R(ψ⁺)(u⁺, v⁺)]                                                    (1)
 """
 
 from __future__ import annotations
@@ -63,8 +52,7 @@ class PlanarModel:
 
     Attributes:
         surge: the dynamics of the surge.
-        yaw: coefficients of (1) for the yaw rate, by the names `COEFFICIENTS["yaw"]`, in SI units, those of
-            `UNITS["yaw"]`.
+        yaw: coefficients θ of the yaw rate, by the names `COEFFICIENTS["yaw"]`, in SI units, those of `UNITS["yaw"]`.
         sway: likewise for the sway, in SI units; None where it was not learned: v is then 0.
 
     Raises:
@@ -120,7 +108,7 @@ class PlanarModel:
         return cls(surge, _coefficients("yaw", yaw), None if sway is None else _coefficients("sway", sway))
 
     def step(self, motion: Motion, left: Any, right: Any, dt: Any, current: tuple[Any, Any] = (0.0, 0.0)) -> Motion:
-        """The motion after a step, (3); all arguments broadcast.
+        """The motion after a step, (1); all arguments broadcast.
 
         Args:
             motion: before the step.
@@ -171,7 +159,7 @@ class PlanarModel:
         return Motion(*(np.array(each) for each in zip(*found, strict=True)))
 
     def _axis(self, kind: str, *given: Any) -> np.ndarray:
-        """y⁺ of (2), from y, ξ_L, ξ_R, o, u and h."""
+        """r⁺ or v⁺, from itself, ξ_L, ξ_R, the other one, u and h."""
         mean = np.array([*[0.0] * THETA, *getattr(self, kind).values(), 0.0])  # x of an axis EKF
         arrays = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in given))
         rows = np.zeros((arrays[0].size, ROW))
@@ -191,7 +179,7 @@ def _coefficients(kind: str, mean: np.ndarray) -> dict[str, float]:
 
 @jit(entry=True)
 def _axis_steps(yaw, mean, rows, g, out):
-    """Write y⁺ of each row, whose `SURGE` holds y. `g` is used as memory."""
+    """Write r⁺ or v⁺ of each row, whose `SURGE` holds what it was. `g` is used as memory."""
     for k in range(len(out)):
         x = rows[k]
         out[k] = flow(yaw, mean, x[SURGE], 0.0, x[LEFT], x[RIGHT], x, g)

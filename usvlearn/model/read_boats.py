@@ -126,11 +126,7 @@ def read_boats(path: str | Path, boat: str | None = None) -> list[IdentifiedBoat
 
 
 def _apart(boats: Mapping[str, IdentifiedBoat]) -> list[IdentifiedBoat]:
-    """Boats by the names of their folders, if their files would have different names on every system and in C.
-
-    Raises:
-        ConfigError: two boats' files would have one name.
-    """
+    """Boats by the names of their folders; a ConfigError if files of two would have one name, on any system or in C."""
     owners: dict[str, str] = {}
     for folder, each in boats.items():
         if (other := owners.setdefault(re.sub(r"\W", "_", each.stem).casefold(), folder)) != folder:

@@ -9,7 +9,7 @@ import torch
 from usvlearn.core.prepared_samples import COS, DT, LEFT, RIGHT, SIN, YAW_RATE
 from usvlearn.core.samples import Inputs
 from usvlearn.errors import ConfigError
-from usvlearn.model.planning.course import QUARTER, Limits, lawn_mower, planned, steer
+from usvlearn.model.planning.course import QUARTER, Limits, lawn_mower, planned, steer, steps_of
 from usvlearn.model.planning.search import SHARES, Rehearsal, beyond, derived, log_width, search, wide
 
 STEP = 0.4
@@ -74,11 +74,13 @@ def test_a_plan_is_better_than_a_lawn_mower_and_keeps_its_bounds(rehearsal, plan
 
 def test_no_change_of_one_segment_is_better(rehearsal, plan):
     aims, best = wide(rehearsal.found), log_width(plan.expected.found, wide(rehearsal.found))
+    first = np.searchsorted(steps_of(SHORT, STEP), np.arange(SHORT.segments))
+    own, headings = plan.course.throttle[first], np.round((plan.course.wanted[first] - SHORT.heading) / QUARTER)
     worse = 0
     for k in range(SHORT.segments):
         for throttles, quarters in [
-            *((np.where(np.arange(SHORT.segments) == k, share, plan.throttles), plan.quarters) for share in SHARES),
-            *((plan.throttles, np.where(np.arange(SHORT.segments) == k, q, plan.quarters)) for q in range(4)),
+            *((np.where(np.arange(SHORT.segments) == k, share, own), headings) for share in SHARES),
+            *((own, np.where(np.arange(SHORT.segments) == k, q, headings)) for q in range(4)),
         ]:
             course = planned(throttles, quarters, SHORT, STEP)
             other = rehearsal(course.rows)
@@ -101,7 +103,7 @@ def test_a_boat_stays_in_a_small_area_in_a_current_that_would_carry_it_out(boat)
     carried.current = np.array([0.2, -0.15])
     limits = Limits(minutes=2.0, area=20.0)  # the current alone goes 30 m
     found = search(carried, limits, STEP, derived(carried.found))
-    assert beyond(found.path, limits).max() <= 0.01 and found.throttles.max() > 0
+    assert beyond(found.path, limits).max() <= 0.01 and found.course.throttle.max() > 0
 
 
 @pytest.mark.thorough

@@ -10,11 +10,9 @@ from usvlearn.estimators.augmented_ekf.state import FilterState
 
 
 def initial(first: Tensor, prior: Tensor, variance: Tensor) -> FilterState:
-    """The leaves before the first step.
+    """The leaves before the first step, from variances of what stands before the parameters in x, `(*batch, n − m)`.
 
-    Args:
-        first: variances of what stands before the parameters in x, `(*batch, n − m)`.
-        prior, variance: means and variances of the parameters, `(*batch, m)` or what broadcasts.
+    `prior`, `variance`: of the parameters, `(*batch, m)` or what broadcasts.
     """
     batch, zero = first.shape[:-1], torch.zeros_like(first[..., 0])
     wide = (*batch, prior.shape[-1])

@@ -51,11 +51,7 @@ Filter = tuple[Mapping[str, Any], Mapping[str, np.ndarray]]  # description of an
 def with_turning(surge: Identified, surge_variance: np.ndarray, yaw: Filter, sway: Filter | None) -> Identified:
     """What was identified of the surge, and the quantities of turning (`turning_quantities.QUANTITIES`) behind it.
 
-    Args:
-        surge: of one boat.
-        surge_variance: prior variance of its parameters, `(m,)`.
-        yaw: of one batch element (`YawEKF.description`), and its leaves without batch axes.
-        sway: likewise; None: not measured.
+    `surge_variance` is the prior variance of its parameters, `(m,)`; yaw and sway are of one boat, None: not measured.
     """
     updates = float(yaw[1]["updates"])
     share = 1.0 if surge.beside is None or surge.beside.vague else SURGE

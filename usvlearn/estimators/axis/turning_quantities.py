@@ -60,12 +60,7 @@ def quantities(theta: Theta) -> dict[str, np.ndarray]:
 
 
 def steady_turns(theta: Theta) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """u, v, r of (2) to (4), m/s, m/s, rad/s, `(2, 3, ...)`: to starboard and to port, by `COMMANDS`; NaN where no
-    turn is steady.
-
-    Args:
-        theta: of a boat.
-    """
+    """u, v, r of (2) to (4), m/s, m/s, rad/s, `(2, 3, ...)`, to starboard, to port, by `COMMANDS`; NaN without."""
     behind = [1] * (theta.yaw.ndim - 1)
     outer = np.array(list(COMMANDS.values())).reshape(-1, *behind)
     left, right = np.stack([outer, INNER * outer]), np.stack([INNER * outer, outer])
@@ -106,15 +101,7 @@ def balance(quadratic, linear, push):
 
 
 def acceleration(kind: str, theta: np.ndarray, y, other, surge, left, right) -> np.ndarray:
-    """f of (2) of `state` without disturbance, rad/s² or m/s².
-
-    Args:
-        kind: "yaw" or "sway".
-        theta: `(..., m)`.
-        y, other: yaw rate, rad/s, and sway, m/s; of the sway the other way round.
-        surge: through the water, m/s.
-        left, right: commands.
-    """
+    """f of (2) of `state` without disturbance, rad/s² or m/s², of yaw rate or sway y (`kind`) and the other one."""
     along = np.abs(surge)
     terms = [1.0, y, y * np.abs(y), along * y, surge * other, other, surge]
     for x in (left, right):

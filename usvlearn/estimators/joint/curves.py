@@ -53,15 +53,7 @@ def curves(found: Identified) -> dict[str, Curve]:
 def banded(
     found: Identified, beside: IntervalTerms, name: str, at: np.ndarray, f: Callable[[np.ndarray], np.ndarray]
 ) -> Curve:
-    """A curve of the parameters with the 90 % interval of each point.
-
-    Args:
-        found: of a boat.
-        beside: what its intervals take in.
-        name: of the quantity; those of `reading.POSITIVE` have intervals on the log scale.
-        at: where the points are, `(points,)`.
-        f: of the parameters per unit mass, `(..., m)` to `(..., points)`.
-    """
+    """A curve at points, f of θ per unit mass, `(..., m)` to `(..., points)`, with their 90 % intervals."""
     steps = steps_of(beside.variance)
     shifts = np.diag(steps)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):

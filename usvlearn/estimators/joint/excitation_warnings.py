@@ -180,7 +180,7 @@ def unphysical(found: Mapping[str, Quantity]) -> str:
 
 
 def undetermined(quantities: Mapping[str, Quantity]) -> list[str]:
-    """A sentence that names the quantities whose half-widths are more than `WIDE` times their values.
+    """A sentence that names quantities with half-widths of more than `WIDE` times their values.
 
     Single parameters, which trade against each other, are left out.
     """

@@ -59,12 +59,8 @@ class IntervalTerms(NamedTuple):
     ) -> tuple[float, float]:
         """The 90 % interval of a quantity, or of a point of a curve; NaN where it is undefined.
 
-        Args:
-            name: of the quantity.
-            values: at θ̄, at the present estimate and at the prior.
-            slope: gradient at θ̄, `(m,)`.
-            slope_of_prior: gradient at the prior, `(m,)`.
-            covariance: λ²P + ν²C of (1), with what the log lacks, `(m, m)`.
+        `values` are at θ̄, at the present estimate and at the prior, slopes, `(m,)`, at θ̄ and at the prior;
+        `covariance` is λ²P + ν²C of (1), with what the log lacks, `(m, m)`.
         """
         value, present, first = values
         if not (math.isfinite(value) and np.isfinite(slope).all()):
@@ -209,11 +205,7 @@ def tells_sides(name: str) -> bool:
 
 
 def reader_of(members: Mapping[str, Mapping[str, Any] | None]) -> str | None:
-    """The name of the member whose periodic estimates are used: the first joint EKF that reads. None without one.
-
-    Args:
-        members: descriptions by name (`Estimator.description`).
-    """
+    """The name of the member whose periodic estimates are used: the first joint EKF that reads. None without one."""
     return next((name for name, member in members.items() if member is not None and reads(member)), None)
 
 
@@ -223,12 +215,7 @@ def reads(description: Mapping[str, Any]) -> bool:
 
 
 def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -> Identified:
-    """All quantities of one boat.
-
-    Args:
-        description: of a joint EKF, of one batch element (`JointEKF.description`).
-        leaves: of its state, by name, without batch axes.
-    """
+    """All quantities of one boat, from the description and the leaves of a joint EKF, of one batch element."""
     numbers, vectors = description["numbers"], description["vectors"]
     state = {name: np.asarray(leaf, dtype=np.float64) for name, leaf in leaves.items()}
     mass, inverse = float(numbers["mass"]), np.asarray(vectors["inverse_mass"], dtype=np.float64)

@@ -38,14 +38,7 @@ EVEN_BESIDE = {"drag_quadratic": "drag_even"} | {
 
 @functools.cache
 def sums(even: bool) -> dict[str, np.ndarray]:
-    """Coefficients of the quantities that are sums of parameters: the nine of motion ahead, and each side's pull, (1).
-
-    Args:
-        even: whether the filter has fore-aft asymmetry terms.
-
-    Returns:
-        `(m,)` by name.
-    """
+    """Coefficients, `(m,)`, of sums of parameters: the nine of motion ahead, and each side's pull, (1)."""
     of = dict(zip(names(even), np.eye(len(names(even))), strict=True))
     found = {name: of[name] + (of[EVEN_BESIDE[name]] if even and name in EVEN_BESIDE else 0.0) for name in SURGE}
     pulls = {
@@ -61,11 +54,7 @@ def sums(even: bool) -> dict[str, np.ndarray]:
 
 
 class Ahead:
-    """The boat of some parameters while it moves straight ahead: forces per mass, and speeds.
-
-    Args:
-        theta: per unit mass, `(..., m)`.
-    """
+    """The boat of some parameters, per unit mass, `(..., m)`, that moves straight ahead: forces per mass, speeds."""
 
     def __init__(self, theta: np.ndarray):
         even = theta.shape[-1] == len(names(even=True))
@@ -128,15 +117,10 @@ def kilograms_of(theta: np.ndarray, mass: float, inverse_mass: np.ndarray) -> np
 
 
 def quantities(theta: np.ndarray, mass: float, inverse_mass: np.ndarray) -> dict[str, np.ndarray]:
-    """All quantities of `QUANTITIES`; NaN or infinite where the parameters determine none.
+    """All quantities of `QUANTITIES`, `(...)`; NaN or infinite where the parameters determine none.
 
-    Args:
-        theta: per unit mass, `(..., m)`.
-        mass: kg, as configured.
-        inverse_mass: g of 1/m = gᵀθ where a known force fixes the mass, `(m,)`; zeros where `mass` is an assumption.
-
-    Returns:
-        `(...)` by name; the mass only where a known force fixes it.
+    θ is per unit mass, `(..., m)`. `inverse_mass` is g of 1/m = gᵀθ where a known force fixes the mass, `(m,)`, which
+    then is among the quantities; zeros where `mass`, kg, is an assumption.
     """
     boat = Ahead(theta)
     with np.errstate(all="ignore"):

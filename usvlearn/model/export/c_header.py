@@ -34,12 +34,8 @@ EVEN_TERMS = {
 
 
 def c_header(boat: IdentifiedBoat) -> str:
-    """The text of a header that needs only <math.h>.
-
-    Its function `BOAT_surge_step(v, left, right, yaw_rate, dt)` returns the speed after dt, as `SurgeModel.step`.
-    """
+    """A header that needs only <math.h>: `BOAT_surge_step(v, left, right, yaw_rate, dt)`, as `SurgeModel.step`."""
     name = identifier(boat.name)
-    guard = f"USVLEARN_{name.upper()}_SURGE_H"
     comment = [
         f"The surge dynamics of the boat {boat.name}, identified by usvlearn.", "",
         *wrap(equation(boat.model), 110), "",
@@ -51,16 +47,24 @@ def c_header(boat: IdentifiedBoat) -> str:
         "quantity                       value        from          to  unit",
         *(_row(quantity, boat.found.displayed(quantity)) for quantity in boat.found),
     ]  # fmt: skip
-    lines = [
-        "/*", *(f" * {line}".rstrip() for line in map(harmless, comment)), " */",
-        f"#ifndef {guard}", f"#define {guard}", "", "#include <math.h>", "",
+    body = [
         *_table_function(boat.model, name),
         "/* The speed through the water after dt, m/s.", " *",
         " * v         speed through the water, m/s", " * left      command as a share of full scale, -1 to 1",
         " * right     likewise", " * yaw_rate  rad/s, of either sign", " * dt        s", " */",
         f"static inline double {name}_surge_step(double v, double left, double right, double yaw_rate, double dt)", "{",
         "    /* per unit mass: coefficients over m */", *_constants(boat.model),
-        *_body(boat.model, name), "}", "", *_thruster(boat.model, name), f"#endif /* {guard} */", "",
+        *_body(boat.model, name), "}", "", *_thruster(boat.model, name),
+    ]  # fmt: skip
+    return _header(name, "SURGE", comment, body)
+
+
+def _header(name: str, kind: str, comment: list[str], body: list[str]) -> str:
+    """The text of a header with a comment at its top."""
+    guard = f"USVLEARN_{name.upper()}_{kind}_H"
+    lines = [
+        "/*", *(f" * {line}".rstrip() for line in map(harmless, comment)), " */",
+        f"#ifndef {guard}", f"#define {guard}", "", "#include <math.h>", "", *body, f"#endif /* {guard} */", "",
     ]  # fmt: skip
     return "\n".join(lines)
 
@@ -188,13 +192,9 @@ THRUST = {
 
 
 def planar_c_header(planar: PlanarBoat) -> str:
-    """The text of a header that needs only <math.h> and `BOAT_surge.h`.
-
-    Its function `BOAT_planar_step(state, left, right, current_north, current_east, dt)` returns the state after dt, as
-    `PlanarModel.step`.
-    """
+    """A header beside `BOAT_surge.h`: `BOAT_planar_step(state, left, right, current_north, current_east, dt)`."""
     name, boat = identifier(planar.boat.name), planar.boat
-    guard, sways = f"USVLEARN_{name.upper()}_PLANAR_H", planar.model.sway is not None
+    sways = planar.model.sway is not None
     axes = ("yaw", "sway") if sways else ("yaw",)
     comment = [
         f"The motion of the boat {boat.name} in the plane, identified by usvlearn.", "",
@@ -207,9 +207,8 @@ def planar_c_header(planar: PlanarBoat) -> str:
         *(line for each in planar.lacks for line in wrap(each, 110)),
     ]  # fmt: skip
     sway = f"{name}_sway_step(s.v, left, right, s.r, s.u, dt)" if sways else "0.0"
-    lines = [
-        "/*", *(f" * {line}".rstrip() for line in map(harmless, comment)), " */",
-        f"#ifndef {guard}", f"#define {guard}", "", "#include <math.h>", "", f'#include "{name}_surge.h"', "",
+    body = [
+        f'#include "{name}_surge.h"', "",
         "typedef struct {",
         "    double u;     /* speed ahead through the water, m/s */",
         "    double v;     /* speed to starboard through the water, m/s */",
@@ -241,9 +240,9 @@ def planar_c_header(planar: PlanarBoat) -> str:
         "    d = sin(s.psi) * s.u + cos(s.psi) * s.v + sin(n.psi) * n.u + cos(n.psi) * n.v;",
         "    n.north = s.north + dt * current_north + dt / 2.0 * c;",
         "    n.east = s.east + dt * current_east + dt / 2.0 * d;",
-        "    return n;", "}", "", f"#endif /* {guard} */", "",
+        "    return n;", "}", "",
     ]  # fmt: skip
-    return "\n".join(lines)
+    return _header(name, "PLANAR", comment, body)
 
 
 def _axis(planar: PlanarBoat, axis: str, name: str) -> list[str]:

@@ -49,10 +49,7 @@ def table(values, first, apart, at):
 
 
 def casadi_text(boat: IdentifiedBoat) -> str:
-    """The text of a module whose `surge_step()` returns a `casadi.Function` that equals `SurgeModel.step`.
-
-    φ₁ is a series near 0, where its quotient and the derivative of it cancel.
-    """
+    """The text of a module whose `surge_step()` returns a `casadi.Function` that equals `SurgeModel.step`."""
     head = [
         f"The surge dynamics of the boat {identifier(boat.name)}, identified by usvlearn.", "",
         *wrap(equation(boat.model), 100), "", *wrap(STEP, 100), "", *wrap(SIGNS, 100), "", *mass_of(boat),

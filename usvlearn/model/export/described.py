@@ -1,8 +1,6 @@
 """All that is known of an identified boat, as JSON values: the content of `BOAT.json`, `BOAT.mat`, `BOAT_planar.json`.
 
-`names` has the drag and the mass under the names and with the signs of other simulators, whose equations are those of
-`docs/export.md#gazebo-and-mss`. In MSS (Fossen 2021) and gz-sim a drag is a force and therefore negative, in VRX it is
-positive.
+`names` is explained in `docs/export.md#gazebo-and-mss`.
 """
 
 from __future__ import annotations
@@ -60,11 +58,7 @@ UNIT_OF_CURVE = {"drag": ("m/s", "N"), "steady_speed": ("1", "m/s")}  # of the o
 
 
 def described(boat: IdentifiedBoat) -> dict[str, Any]:
-    """The document of a boat.
-
-    `model` has the coefficients that `usvlearn.model.surge.SurgeModel.step` uses, at full precision. `identified` has
-    the physical quantities with their 90 % intervals, where the coefficients of motion ahead are summed.
-    """
+    """The document of a boat; `model` has what `SurgeModel.step` uses, at full precision, `identified` motion ahead."""
     model, found = boat.model, boat.found
     return {
         "format": FORMAT,

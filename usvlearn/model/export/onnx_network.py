@@ -1,10 +1,4 @@
-"""The recurrent network of a boat as ONNX: one step, in double precision.
-
-With h = 1/(2 v_max), the scaled speed x = h v and u = [½ + ½ sin θ_h, ½ + ½ cos θ_h, ξ_L, ξ_R], as of
-`docs/theory/estimators.md#rnn`:
-
-    v⁺ = aᵀ relu(w₁ x + W₂ u + b)/h
-"""
+"""The recurrent networks of a boat as ONNX models of one step: (1) of `docs/theory/estimators.md#rnn` in m/s."""
 
 from __future__ import annotations
 
@@ -21,15 +15,11 @@ INPUTS = ("surge", "heading_sin", "heading_cos", "command_left", "command_right"
 
 
 def onnx_networks(boat: IdentifiedBoat) -> dict[str, bytes]:
-    """The files' contents by the name of the network.
+    """The files' contents by the name of the network; a ConfigError if no member is one.
 
     The inputs are `surge`, m/s, `heading_sin`, `heading_cos`, and `command_left` and `command_right`, shares of full
     scale, each `(N,)` in double precision; the output is `surge_next`, m/s, `(N,)`. In a chain of steps, the network in
     usvlearn limits the speed that it feeds back to ±2 v_max.
-
-    Raises:
-        ConfigError: no member is a network.
-        MissingExtraError: the package onnx is not installed.
     """
     networks = {name: each for name, each in boat.members.items() if each is not None and each["kind"] == "rnn"}
     if not networks:

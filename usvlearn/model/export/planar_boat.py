@@ -47,18 +47,10 @@ class PlanarBoat(NamedTuple):
 
 
 def read_planar(boat: IdentifiedBoat, run: Path) -> PlanarBoat | None:
-    """The planar model from the newest readable checkpoint in RUN/planar/checkpoints/BOAT.
+    """The planar model from the newest readable checkpoint in RUN/planar/checkpoints/BOAT of a run's folder.
 
-    Args:
-        boat: of `read_boats`.
-        run: the folder of its run.
-
-    Returns:
-        None where the run has no such checkpoints, or, with a warning, where the yaw rate was not learned.
-
-    Raises:
-        CheckpointError: none of them can be read, or it holds another estimator.
-        ConfigError: a filter has diverged.
+    None where there is none, or, with a warning, where the yaw rate was not learned. A CheckpointError if none can be
+    read, a ConfigError if a filter has diverged.
     """
     folder = run / PLANAR / CHECKPOINTS / boat.path.parent.name
     if not checkpoint.checkpoints(folder):

@@ -33,16 +33,7 @@ class Stretch(NamedTuple):
 
 
 def stretches(folder: Path, boat: str) -> Iterator[Stretch]:
-    """All stretches of a boat, in order.
-
-    Args:
-        folder: of the run.
-        boat: its name.
-
-    Raises:
-        ConfigError: the folder has no predictions of the boat.
-        CheckpointError: a file is damaged.
-    """
+    """All stretches of a boat of a run, in order; a ConfigError without any, a CheckpointError if a file is damaged."""
     paths = sorted(path for path in (folder / PREDICTIONS).glob("*.npz") if position(path) is not None)
     found = False
     for path in paths:
@@ -94,9 +85,6 @@ def csv_table(stretches: Iterable[Stretch]) -> bytes:
 
     Columns: run, time, measured_surge, inputs, then `NAME` and `NAME_halfwidth` of each estimator. Numbers are written
     so that they are read again as the same.
-
-    Raises:
-        CheckpointError: the files of the run are of several ensembles.
     """
     iterator = iter(stretches)
     first = next(iterator)
@@ -126,9 +114,6 @@ def mcap_file(boat: str, stretches: Iterable[Stretch]) -> bytes:
     Topics: `/usvlearn/measured` (speed and inputs), `/usvlearn/predicted` and `/usvlearn/halfwidth` (a number for each
     estimator), each with `time`, s since the run's first step. A number that is unknown is left out. The stamps begin
     at 0, and the runs follow each other with 10 s between; the metadata `runs` has the stamp at which each begins.
-
-    Raises:
-        MissingExtraError: the package mcap is not installed.
     """
     try:
         from mcap.writer import Writer

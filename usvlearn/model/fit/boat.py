@@ -35,33 +35,18 @@ LAGS = LAG, TIME_CONSTANT
 
 @dataclass(frozen=True, repr=False)
 class FittedBoat(Identified):
-    """The quantities of a fitted boat; `theta` and `covariance` are of the fitted parameters, in the order of `NAMES`.
+    """The quantities of a fitted boat; `theta` and `covariance` are of the fitted parameters, by `names`."""
 
-    Attributes:
-        terms: a name of `terms.SETS`.
-        top: top speed of the prior and of the nodes of drag, m/s.
-        late: s by which the measured speeds followed the commands, beside the lag of the thrust.
-    """
-
-    terms: str = "nine"
-    top: float = 1.0
-    late: float = 0.0
+    terms: str = "nine"  # a name of `terms.SETS`
+    top: float = 1.0  # m/s, top speed of the prior and of the nodes of drag
+    late: float = 0.0  # s by which the measured speeds followed the commands, beside the lag of the thrust
 
     @classmethod
     def of(
         cls, missions: Missions, fits: Mapping[str, Fit], scores: Mapping[str, Score], chosen: str, mass: float,
         lacks: tuple[str, ...], late: float = 0.0,
     ) -> FittedBoat:  # fmt: skip
-        """The boat of the chosen set.
-
-        Args:
-            missions: all of them.
-            fits, scores: of all sets, by name.
-            chosen: the set to use.
-            mass: kg.
-            lacks: what the logs lack, one sentence each.
-            late: s by which measured speeds follow the commands, and were moved (`usvlearn.model.fit.pieces`).
-        """
+        """The boat of the chosen set; `lacks`: what the logs lack; `late`: s by which `pieces` moved the speeds."""
         fit = fits[chosen]
         found, differ = (
             intervals(fits, scores, chosen, mass, unreached(missions)),
@@ -140,11 +125,7 @@ class FittedBoat(Identified):
 
     @classmethod
     def read(cls, facts: Any) -> FittedBoat:
-        """The boat of what `facts` wrote.
-
-        Raises:
-            CheckpointError: it is something else.
-        """
+        """The boat of what `facts` wrote; a CheckpointError if it is something else."""
         try:
             terms, top, mass, common = facts["terms"], *(float(facts[key]) for key in ("top", "mass", "common"))
             terms, given = terms.removesuffix(", thruster"), facts["theta"]  # of a version whose other sets had no lag

@@ -31,13 +31,7 @@ class Score(NamedTuple):
 
 
 def left_out(missions: Missions, fit: Fit, deviation: float) -> np.ndarray:
-    """The loss of each mission, left out, `(missions,)`, over its measured steps.
-
-    Args:
-        missions: all of them.
-        fit: to all of them.
-        deviation: σ of a speed at which the losses are computed, m/s, the same for all sets that are compared.
-    """
+    """The loss of each mission, left out, `(missions,)`, a measured step; σ of a speed, m/s, is that of all sets."""
     known, total = fit.known, fit.information.sum(0) + fit.known.information
     found = np.zeros(len(missions.rows))
     for k in range(len(found)):
@@ -53,13 +47,9 @@ def left_out(missions: Missions, fit: Fit, deviation: float) -> np.ndarray:
 def choose(
     missions: Missions, fits: dict[str, Fit], terms: str | None = None, wear: Wear | None = None
 ) -> tuple[str, dict[str, Score]]:
-    """The name of the set to use, and the score of each beside it.
+    """The name of the set to use, `terms` if a person has chosen, and the score of each beside it.
 
-    Args:
-        missions: all of them.
-        fits: to all of them, by the names of `terms.SETS`, from the smallest set to the largest.
-        terms: the set to use, where a person has chosen.
-        wear: makes of a set one whose boat wears (`wear.worn`); the best of them is added to `fits`.
+    `fits` are from the smallest set to the largest; of those that `wear` makes (`wear.worn`) the best one is added.
     """
     deviation, steps = min(fit.deviation for fit in fits.values()), missions.steps
     losses = {name: left_out(missions, fit, deviation) for name, fit in fits.items()}

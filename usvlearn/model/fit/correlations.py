@@ -30,12 +30,7 @@ class Correlation(NamedTuple):
 
 
 def autocorrelation(errors: Sequence[np.ndarray], dt: float) -> Correlation:
-    """r_e of (1); each value is that of all pairs whose lag is nearer to it than to another multiple of `EVERY`.
-
-    Args:
-        errors: of each mission, `(time,)`; NaN where a step does not count.
-        dt: s.
-    """
+    """r_e of (1) of missions, `(time,)` each, NaN where a step does not count, in means over `EVERY` s of lags."""
     reach = round(REACH / dt)
     centred = [_centred(each) for each in errors]
     sums, pairs = _sums(centred, centred, reach)
@@ -50,13 +45,7 @@ def autocorrelation(errors: Sequence[np.ndarray], dt: float) -> Correlation:
 
 
 def cross_correlation(errors: Sequence[np.ndarray], commands: Sequence[np.ndarray], dt: float) -> Correlation:
-    """r_eu of (1), and bounds by (2), at lags from −`BEFORE` to `REACH`.
-
-    Args:
-        errors: of each mission, `(time,)`; NaN where a step does not count.
-        commands: likewise; NaN where unknown.
-        dt: s.
-    """
+    """r_eu of (1), and bounds by (2), at lags from −`BEFORE` to `REACH`, of missions, `(time,)`; NaN where unknown."""
     reach, before = round(REACH / dt), round(BEFORE / dt)
     e, u = [_centred(each) for each in errors], [_centred(each) for each in commands]
     (own, n), (driven, m) = _sums(e, e, reach), _sums(u, u, reach)

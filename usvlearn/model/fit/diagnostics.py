@@ -3,13 +3,8 @@
 An error is simulated − measured. What is shown is that of MATLAB's `compare` and `resid`, and of WPILib's SysId: the
 fit of each mission, its worst minute, the autocorrelation of the errors, and their correlation with the commands
 (`usvlearn.model.fit.correlations`). For both correlations errors are cut at `ROBUST` deviations: larger ones count
-less in the fit, too. The curves are thrust at standstill T(ξ) of each side, and drag D(v). They are linear in the
-parameters, so that with the slopes s = ∂T/∂θ the variance of a value is
-
-    sᵀ C s + (T' − T)² + (OWN_ERROR T)²                                                                (1)
-
-as of `usvlearn.model.fit.intervals`, (1), where C is `spread` and T' the curve, farthest from T, of another fit. Beside
-each curve stands for how many seconds the boat sailed at such commands and speeds.
+less in the fit, too. The curves are thrust at standstill of each side, and drag; with their values in place of G, and
+`OWN_ERROR` times them as own error, their variance is (1) of `docs/theory/identification.md#batch-fit-intervals`.
 """
 
 from __future__ import annotations
@@ -66,14 +61,7 @@ class Simulated(NamedTuple):
 
 
 def diagnostics(missions: Missions, fit: Fit, mass: float, others: Sequence[Fit] = ()) -> dict[str, Any]:
-    """All of it for one boat, as JSON values; what is unknown is None.
-
-    Args:
-        missions: those that were fitted.
-        fit: the one that is used.
-        mass: kg.
-        others: fits of other sets of terms that do about as well, which widen the bands of the curves.
-    """
+    """All of it for one boat, as JSON values, None if unknown; `others`, fits about as good, widen the bands."""
     pieces: dict[str, list[tuple[np.ndarray, np.ndarray, np.ndarray]]] = {}  # of each mission
     for name, part, (speed, current) in zip(missions.names, missions.rows, missions.simulate(fit, True), strict=True):
         pieces.setdefault(name, []).append((part, speed, current))
@@ -103,14 +91,7 @@ def doubts(
     fit: Fit, found: Mapping[str, Quantity], cross: Mapping[str, Any], online: Mapping[str, Quantity] | None,
     lag: float = 0.0,
 ) -> tuple[str, ...]:  # fmt: skip
-    """What speaks against the use of a fit, one sentence each with what to do.
-
-    Args:
-        fit, found: the chosen one, and its quantities.
-        cross: correlations of its errors with commands, as of `diagnostics`.
-        online: what was identified online, if anything.
-        lag: of the thrust, s, as turns show it.
-    """
+    """What speaks against the use of a fit, a sentence each with what to do; `lag` of the thrust, s, as of turns."""
     said, least = [], TINY * abs(found["drag_half_speed"].value)
     pushes = [name for name in NEGATIVE if name in found and name.startswith("drag") and found[name].value > least]
     if pushes or not CurvedAhead(fit.theta, fit.top).brakes:
@@ -171,10 +152,6 @@ def worst_minute(time: np.ndarray, error: np.ndarray) -> tuple[int, int] | None:
     """The first step and the end of the minute with the largest mean |error|; all of a mission that is shorter.
 
     Minutes with less than `HALF` of the known steps of the fullest one are left out; None without a known step.
-
-    Args:
-        time: s, `(time,)`.
-        error: m/s, `(time,)`; NaN where unknown.
     """
     known = np.isfinite(error)
     if not known.any():
@@ -247,14 +224,7 @@ def _curves(every: Sequence[Simulated], fit: Fit, mass: float, others: Sequence[
 def band(
     fit: Fit, mass: float, others: Sequence[Fit], force: Callable[[CurvedAhead], np.ndarray]
 ) -> dict[str, np.ndarray]:
-    """A curve that is linear in the parameters, with its 90 % band by (1).
-
-    Args:
-        fit: that is used.
-        mass: kg.
-        others: see `diagnostics`.
-        force: the curve of a boat, m/s², `(points,)`.
-    """
+    """A curve of forces, m/s², `(points,)`, linear in the parameters, in N with its 90 % band."""
 
     def curve(theta: np.ndarray) -> np.ndarray:
         return mass * force(CurvedAhead(theta, fit.top))

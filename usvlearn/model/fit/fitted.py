@@ -32,31 +32,18 @@ from usvlearn.model.fit.wear import worn
 
 @dataclass(frozen=True, repr=False)
 class Fitted:
-    """A fitted boat.
+    """A fitted boat; it prints as the table of its quantities."""
 
-    Attributes:
-        boat: its name.
-        missions: what it was fitted to.
-        fits: of all sets of terms, by name.
-        scores: of the same, on missions that they have not learned.
-        chosen: the set to use.
-        found: the quantities of the chosen set, with 90 % intervals; it prints as a table.
-        errors: mean |error| of the simulation of each set over the logs, m/s.
-        simulation: which open-loop simulation to use; None where that was not asked.
-        online: what was identified online; None where nothing was.
-        lag: of the thrust, s, as turns show it.
-    """
-
-    boat: str
+    boat: str  # its name
     missions: Missions
-    fits: dict[str, Fit]
-    scores: dict[str, Score]
-    chosen: str
-    found: FittedBoat
-    errors: dict[str, float]
-    simulation: FreeMode | None = None
-    online: Identified | None = None
-    lag: float = 0.0
+    fits: dict[str, Fit]  # of all sets of terms
+    scores: dict[str, Score]  # of the same, on missions that they have not learned
+    chosen: str  # the set to use
+    found: FittedBoat  # its quantities
+    errors: dict[str, float]  # m/s, mean |error| of the simulation of each set over the logs
+    simulation: FreeMode | None = None  # None: it was not asked which one to use
+    online: Identified | None = None  # what was identified online
+    lag: float = 0.0  # s, of the thrust, as turns show it
 
     @cached_property
     def diagnostics(self) -> dict[str, Any]:
@@ -132,20 +119,13 @@ def fit_boat(
     stop: type[BaseException] = KeyboardInterrupt,
     online: Identified | None = None,
 ) -> Fitted:
-    """Fit every set of terms to a boat's missions, and choose.
+    """Fit every set of terms to a boat's missions (`logs.missions_of`), and choose; a ConfigError if that cannot be.
 
     Args:
-        boat: its name.
-        rows: its missions by name, see `usvlearn.model.fit.logs.missions_of`.
-        mass: kg.
-        top: top speed, m/s.
         terms: the set to use, in place of the one that does best on missions which it has not learned.
         advance: receives the name of each set before it is fitted.
         stop: what ends the fit early: the sets that are done are used. Without any, or the wanted one, it is raised.
         online: what was identified online, to begin with; by default the prior.
-
-    Raises:
-        ConfigError: there is no such set, or the commands never changed.
     """
     check_terms(terms)
     terms = None if terms is None else terms.removesuffix(WEAR)

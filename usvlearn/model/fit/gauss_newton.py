@@ -39,31 +39,18 @@ NO_PLACES, NOTHING, NO_MATRIX = np.zeros(0, np.int64), np.zeros(0), np.zeros((0,
 
 @dataclass(frozen=True)
 class Fit:
-    """What was fitted with one set of terms.
+    """What was fitted with one set of terms."""
 
-    Attributes:
-        terms: a name of `terms.SETS`.
-        top: top speed of the prior and of the nodes of drag, m/s.
-        theta: parameters by `terms.NAMES`, per unit mass; those that are not fitted are 0.
-        known: the prior.
-        loss: of each mission, `(missions,)`.
-        count: measured steps of each mission.
-        score: g of each mission, `(missions, m)`.
-        information: H of each mission, `(missions, m, m)`.
-        deviation: σ of a speed, m/s.
-        by_mission: parameters of each mission, `(missions, parameters)`, of a boat that wears; None: they are `theta`.
-    """
-
-    terms: str
-    top: float
-    theta: np.ndarray
+    terms: str  # a name of `terms.SETS`
+    top: float  # top speed of the prior and of the nodes of drag, m/s
+    theta: np.ndarray  # (parameters,) by `terms.NAMES`, per unit mass; those that are not fitted are 0
     known: Prior
-    loss: np.ndarray
-    count: np.ndarray
-    score: np.ndarray
-    information: np.ndarray
-    deviation: float
-    by_mission: np.ndarray | None = None
+    loss: np.ndarray  # (missions,)
+    count: np.ndarray  # (missions,) measured steps
+    score: np.ndarray  # (missions, m) g
+    information: np.ndarray  # (missions, m, m) H
+    deviation: float  # σ of a speed, m/s
+    by_mission: np.ndarray | None = None  # (missions, parameters) of a boat that wears; None: they are `theta`
 
     @property
     def covariance(self) -> np.ndarray:
@@ -109,13 +96,7 @@ def compile_fit() -> None:
 
 
 class Missions:
-    """The missions of one boat.
-
-    Args:
-        rows: prepared samples of each, see `rows_of`.
-        top: top speed, m/s.
-        names: of the missions, that of its mission for each piece of one; numbers from 1 by default.
-    """
+    """The missions of one boat, as prepared samples (`rows_of`); a piece of one has the name of its mission."""
 
     def __init__(self, rows: Sequence[np.ndarray], top: float, names: Sequence[str] = ()):
         compile_fit()
@@ -176,13 +157,7 @@ class Missions:
         return np.concatenate([(speed - rows[:, SPEED])[scored(rows)] for rows, (speed, _) in simulated])
 
     def fit(self, terms: str, start: np.ndarray | None = None, deviation: float | None = None) -> Fit:
-        """The best parameters of a set of terms.
-
-        Args:
-            terms: a name of `terms.SETS`.
-            start: parameters by `terms.NAMES` to begin with, per unit mass; the prior's, where those simulate better.
-            deviation: σ of a speed to begin with, m/s, as found with another set.
-        """
+        """The best parameters of a set of terms; it begins with `start`, or the prior where that simulates better."""
         known, rounds = prior(terms, self.top), ROUNDS if deviation is None else ROUNDS - 1
         theta, deviation = known.mean.copy(), NOISE if deviation is None else deviation
         if start is not None and np.isfinite(start).all():
@@ -205,11 +180,7 @@ class Missions:
         return Missions([self.rows[j] for j in some], self.top, [self.names[j] for j in some])
 
     def settled(self, start: Fit) -> Fit:
-        """The best parameters of the same terms at the same deviation of a speed: some Gauss-Newton steps.
-
-        Args:
-            start: of any missions.
-        """
+        """The best parameters of the terms and σ of a fit to any missions, after some Gauss-Newton steps from it."""
         return self._steps(self.evaluate(start.terms, start.theta, start.deviation))
 
     def _steps(self, now: Fit) -> Fit:
@@ -238,11 +209,8 @@ class Missions:
 
 
 def scale_of(errors: np.ndarray) -> float:
-    """The standard deviation of errors of which some are outliers: the root mean square with each error cut at `ROBUST`
-    times the result (Huber 1964, proposal 2).
-
-    >>> round(scale_of(np.array([1.0, -1.0] * 50 + [100.0])), 2)
-    1.08
+    """The standard deviation of errors with outliers: their root mean square, each cut at `ROBUST` times the result
+    (Huber 1964, proposal 2).
     """
     square = errors * errors
     found = 1.4826 * float(np.median(np.abs(errors)))

@@ -65,11 +65,7 @@ def handed_over(
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """The leaves of a boat's state with the fit in its joint EKFs, and what the checkpoint's metadata say of the fit.
 
-    Args:
-        leaves: by dotted name, without batch axes.
-        description: of the ensemble (`Estimator.description`).
-        fitted: the boat.
-        dt: of the ensemble's samples, s.
+    `leaves` are without batch axes, `description` is of the ensemble, whose samples are `dt` s apart.
     """
     found = {name: np.array(leaf) for name, leaf in leaves.items()}
     for name, member in members_of(description).items():

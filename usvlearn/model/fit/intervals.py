@@ -39,14 +39,7 @@ ALIKE = 0.02  # loss a step by which another set may be worse than the chosen on
 def intervals(
     fits: Mapping[str, Fit], scores: Mapping[str, Score], chosen: str, mass: float, beyond: float = 0.0
 ) -> dict[str, Quantity]:
-    """All quantities of the chosen set, each with its interval; NaN where it is undefined.
-
-    Args:
-        fits, scores: of all sets, by name.
-        chosen: the set to use.
-        mass: kg.
-        beyond: the share of command that the logs do not have (`unreached`).
-    """
+    """All quantities of the chosen set with intervals, NaN where undefined; `beyond` as of `unreached`."""
     fit = fits[chosen]
     values, slopes, covariance = quantities(fit.theta, fit.top, mass), _gradients(fit, mass), spread(fit)
     differ = disagreement(fits, scores, chosen, mass)
@@ -80,9 +73,7 @@ def own_error(name: str, values: Mapping[str, Any]) -> float:
 
 
 def disagreement(fits: Mapping[str, Fit], scores: Mapping[str, Score], chosen: str, mass: float) -> dict[str, float]:
-    """|q' − q| of (1) for all quantities; 0 where no other set does about as well. The arguments are those of
-    `intervals`.
-    """
+    """|q' − q| of (1) for all quantities; 0 where no other set does about as well."""
     values = quantities(fits[chosen].theta, fits[chosen].top, mass)
     others = [quantities(fits[name].theta, fits[name].top, mass) for name in alike(scores, chosen)]
     away = {name: [abs(float(each[name] - value)) for each in others] for name, value in values.items()}

@@ -39,16 +39,10 @@ def fine(align: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def missions_of(fleet: Fleet, boat: str, dt: float = DT) -> dict[str, np.ndarray]:
-    """The missions of a boat by name, as prepared samples with `turns` and `over_ground` behind them, `(time, ROW + 4)`
-    each; those without measured steps are left out.
+    """The missions of a boat, by name, of logs on a grid of `dt`, s; those without measured steps are left out.
 
-    Args:
-        fleet: logs, aligned on a grid of `dt`.
-        boat: its name in the fleet.
-        dt: s.
-
-    Raises:
-        ConfigError: there are too few measured steps in which the boat moves, or its speed has no sign.
+    They are prepared samples with `turns` and `over_ground` behind, `(time, ROW + 4)`. A ConfigError if there are too
+    few measured steps in which the boat moves, or the speed has no sign.
     """
     element, found = fleet.boats.index(boat), dict[str, np.ndarray]()
     for k, run in enumerate(fleet.runs):
@@ -79,15 +73,9 @@ def missions_of(fleet: Fleet, boat: str, dt: float = DT) -> dict[str, np.ndarray
 def without_losses(
     boat: str, missions: Mapping[str, np.ndarray], events: Sequence[Mapping[str, Any]], tell: bool = True
 ) -> dict[str, np.ndarray]:
-    """The missions without the times in which a thruster lacked thrust.
+    """The missions without the times in which a thruster lacked thrust, by the `events` of `results.json`.
 
-    Args:
-        boat, missions: see `missions_of`.
-        events: of the boat, as `results.json` has them.
-        tell: whether to warn of each.
-
-    Raises:
-        ConfigError: too little is left.
+    `tell` warns of each; a ConfigError if too little is left.
     """
     found, lost, said = dict[str, np.ndarray](), set[str](), ""
     for name, rows in missions.items():
@@ -150,11 +138,7 @@ def smoothed(rows: np.ndarray, dt: float) -> np.ndarray:
 
 
 def lacking(boat: str, missions: Sequence[np.ndarray]) -> tuple[str, ...]:
-    """What the commands and headings of some missions do not show, one sentence each.
-
-    Raises:
-        ConfigError: the speed or the commands hardly ever changed, so that thrust and drag have no sizes.
-    """
+    """What commands and headings do not show, a sentence each; a ConfigError if speed or commands hardly change."""
     rows = np.concatenate([each[scored(each)] for each in missions])
     commands, speed = rows[:, [LEFT, RIGHT]], rows[:, SURGE]
     mean = commands.mean(1)

@@ -72,18 +72,10 @@ def pushed(theta, xi, late, W):
 
 @jit
 def moved(theta, top, w, push, late, slow, h, turn, W, V, gradient):
-    """w⁺, and ∂w⁺/∂w; writes ∂w⁺/∂θ into `gradient` where that has a place.
+    """w⁺, m/s, and ∂w⁺/∂w; writes ∂w⁺/∂θ into `gradient` where that has a place.
 
-    Args:
-        theta: parameters of `terms.NAMES`, per unit mass.
-        top: top speed, m/s.
-        w: speed through the water, m/s.
-        push: as it acts, of `pushed`.
-        late, slow: its derivatives to μ and τ.
-        h: s.
-        turn: |r|, rad/s.
-        W: ∂T/∂θ as it acts, 0 elsewhere; is written.
-        V: memory, `(parameters,)`.
+    `push` is of `pushed`, as it acts, `late` and `slow` are its derivatives to μ and τ, `turn` is |r|. W is ∂T/∂θ as it
+    acts, 0 elsewhere, and is written; V is memory.
     """
     speed, sign = abs(w), 1.0 if w >= 0 else -1.0
     above, part = hat(speed / top, DRAG_APART, DRAGS)
@@ -138,18 +130,13 @@ def mission(rows, theta, active, top, noise, current, robust, predictions, score
     """One mission: its loss and its number of measured steps, with (2); writes each step's speed, m/s.
 
     Args:
-        rows: prepared samples, `(time, ROW)`.
-        theta: parameters, `(PARAMETERS,)`.
-        active: places of the fitted ones, `(m,)`.
-        top: top speed, m/s.
-        noise: variance of a speed, (m/s)².
-        current: prior deviation of a component of the current, m/s.
+        active: places of the fitted parameters, `(m,)`.
+        noise, current: variance of a speed, and prior deviation of a component of the current, m/s.
         robust: deviations from which on an innovation counts less.
         predictions: `(time,)`, is written: NaN where no step is made.
         score: g of (2), `(m,)`, is added to.
         information: H of (2), `(m, m)`, its lower half is added to; of shape (0, 0) where it is not wanted.
-        work: memory, `(4 PARAMETERS + m + 3,)`; its last three are x at the end.
-        P, S: memory, `(4, 3)` and `(3, m)`.
+        work, P, S: memory, `(4 PARAMETERS + m + 3,)`, the last three of which are x at the end, `(4, 3)`, `(3, m)`.
     """
     m, wanted = len(active), len(information) > 0
     W, V, A = work[:PARAMETERS], work[PARAMETERS : 2 * PARAMETERS], work[2 * PARAMETERS : 3 * PARAMETERS]

@@ -56,13 +56,7 @@ NOTHING = FreeMode(ENSEMBLE, 0, None, None, None, None)
 
 
 def open_loop(fit: Fit, rows: np.ndarray, current: np.ndarray) -> np.ndarray:
-    """Speeds after each step, m/s, `(time,)`, without measured speeds but those with which segments start.
-
-    Args:
-        fit: the parameters.
-        rows: prepared samples of a mission on the grid of the fit, `(time, ROW)`.
-        current: towards north and east, m/s.
-    """
+    """Speeds of a mission, m/s, `(time,)`, of which only those are measured with which segments start."""
     rows, steps = rows.copy(), rows[:, MODE] >= PREDICT
     along = rows[:, [COS, SIN]] @ current
     rows[steps, MODE] = PREDICT
@@ -90,16 +84,10 @@ def usual_current(found: np.ndarray) -> np.ndarray:
 def decide(
     boat: str, terms: str, top: float, fine: Fleet, coarse: Fleet, first: int, ensemble: Mapping[str, float]
 ) -> FreeMode:
-    """Which simulation to use for a boat.
+    """Which simulation to use for a boat, by the runs from the second half's `first` one.
 
-    Args:
-        boat: its name in the fleets.
-        terms: the set to fit, perhaps with wear.
-        top: top speed, m/s.
-        fine: the logs on the grid of the fit.
-        coarse: the same on the grid of the run.
-        first: index of the first run of the second half.
-        ensemble: MAE of the ensemble's simulation, m/s, by the name of a run of the second half.
+    `fine` and `coarse` are the logs on the grids of the fit and of the run; `ensemble` is the MAE of its simulation,
+    m/s, by the name of a run.
     """
     element = fine.boats.index(boat)
     later = {run.names[element]: run for run in coarse.runs[first:] if run.lengths[element]}

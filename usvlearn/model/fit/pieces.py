@@ -26,12 +26,7 @@ LATEST, EARLIEST, GAIN = 20, -8, 1e-3  # steps; of the loss a step: a smaller ga
 
 
 def cut(missions: Mapping[str, np.ndarray], top: float, dt: float) -> Missions:
-    """Missions in pieces that have the names of their missions; pieces without a measured step are left out.
-
-    Args:
-        missions: prepared samples by name, `(time, ROW)` each, on a grid of `dt`, s.
-        top: top speed, m/s.
-    """
+    """Missions on a grid of `dt`, s, in pieces that have their names; pieces without a measured step are left out."""
     total = sum(map(len, missions.values()))
     length = max(min(SECONDS / dt, max(LEAST / dt, total / 3)), total / MOST)
     pieces, names = [], []

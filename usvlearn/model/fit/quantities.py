@@ -22,12 +22,7 @@ JOINT = [AT[name] for name in names(even=True)]  # the parameters of a joint EKF
 
 
 class CurvedAhead(Ahead):
-    """A boat with curves of thrust and drag while it moves straight ahead: forces per mass, and speeds.
-
-    Args:
-        theta: by `terms.NAMES`, per unit mass, `(..., parameters)`.
-        top: top speed of the nodes of drag, m/s.
-    """
+    """A boat with curves of thrust and drag that moves straight ahead, of θ by `terms.NAMES`, `(..., parameters)`."""
 
     def __init__(self, theta: np.ndarray, top: float):
         super().__init__(theta[..., JOINT])
@@ -94,9 +89,7 @@ class CurvedAhead(Ahead):
         return (np.diff(along.drag(speeds), axis=-1) > 0).all(-1)
 
     def steady_speed(self, command):
-        """The first speed at which drag and thrust are equal, m/s, with the sign of the thrust; NaN without one up to
-        `FARTHEST` top speeds.
-        """
+        """The first speed at which drag and thrust are equal, m/s, signed as the thrust; NaN beyond `FARTHEST`."""
         push = sum(self.thrust(command, side) for side in SIDES)
         brake = self.linear + self.lift * command
         c2, c1, c0 = (np.asarray(x)[..., None] for x in np.broadcast_arrays(self.quadratic, brake, np.abs(push)))
@@ -113,13 +106,7 @@ class CurvedAhead(Ahead):
 
 
 def quantities(theta: np.ndarray, top: float, mass: float) -> dict[str, np.ndarray]:
-    """All quantities, `(...)` each; NaN where the parameters determine none.
-
-    Args:
-        theta: by `terms.NAMES`, per unit mass, `(..., parameters)`.
-        top: top speed of the nodes of drag, m/s.
-        mass: kg.
-    """
+    """All quantities, `(...)` each, of θ by `terms.NAMES`, `(..., parameters)`; NaN where it determines none."""
     boat, along = CurvedAhead(theta, top), CurvedAhead(theta[..., None, :], top)
     found: dict[str, np.ndarray] = {}
     share = np.linspace(0.0, 1.0, GRID)

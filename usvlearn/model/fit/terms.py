@@ -77,12 +77,7 @@ class Prior(NamedTuple):
 
 
 def prior(terms: str, top: float) -> Prior:
-    """What is known before the logs: a boat that reaches its top speed with a time constant of 2.5 s.
-
-    Args:
-        terms: a name of `SETS`.
-        top: top speed, m/s.
-    """
+    """What is known before the logs: a boat that reaches its top speed, m/s, with a time constant of 2.5 s."""
     linear, quadratic = -0.5 / SETTLES, -0.25 / (SETTLES * top)
     full = 0.5 * (abs(linear) * top + abs(quadratic) * top**2)  # thrust of a side, m/s²
     mean, deviation = np.zeros(len(NAMES)), np.zeros(len(NAMES))

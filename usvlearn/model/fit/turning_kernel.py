@@ -77,12 +77,9 @@ def measured(x, X, P, D, i, z, noise, place, score, information, dz, dS):
 def turned(rows, p, score, information, rates, work):
     """L of (2), of a log or a part of one.
 
-    Args:
-        rows: prepared samples, the speed as a share of the top speed; heading, yaw rate of a gyro, `(time, ROW + 2)`.
-        p: parameters, `(m,)`.
-        score, information: gradient of L, `(m,)`, and H, `(m, m)`, its lower half, are added to.
-        rates: predicted yaw rates and their variances, `(time, 2)`, NaN without step; is written.
-        work: memory, `(12, m)`.
+    `rows` are prepared samples, the speed as a share of the top speed, with heading and yaw rate of a gyro behind. The
+    gradient of L, `(m,)`, and the lower half of H are added to. Predicted yaw rates and their variances, `(time, 2)`,
+    NaN without step, are written. `work` is memory, `(12, m)`.
     """
     X, D, F, x, P, f = work[:2], work[2:5], work[5:7], work[7, :2], work[7, 2:5], work[7, 5:7]
     slope, dz, dJ, df, m = work[8], work[9], work[10], work[11], PARAMETERS

@@ -18,13 +18,9 @@ WALK = 0.005  # of thrust and drag, from a stretch to the next
 
 
 def worn(missions: Missions, fit: Fit, deviation: float) -> tuple[Fit, np.ndarray]:
-    """The fit of the boat as it is in its last stretch, and the loss of each piece, its stretch left out, `(pieces,)`,
-    over its measured steps.
+    """The fit of the boat in its last stretch, and the loss of each piece, its stretch left out, a measured step.
 
-    Args:
-        missions: all of them, in the order in which they were sailed.
-        fit: to all of them, without wear.
-        deviation: σ of a speed at which the losses are computed, m/s, as in `choice.left_out`.
+    `fit` is without wear, to missions in the order in which they were sailed.
     """
     of, m, known = missions.stretches, len(fit.known.active), fit.known
     count, pieces = len(set(of)), len(of)

@@ -25,26 +25,16 @@ SPEED_SHARE = 0.8  # of the area's side that a line takes
 
 @dataclass(frozen=True)
 class Limits:
-    """What a plan must keep to.
+    """What a plan must keep to."""
 
-    Args:
-        minutes: its length.
-        area: side of the square in which the boat must stay, m; the boat starts in its middle.
-        least, most: bounds of the commands, −1 … 1.
-        segment: s, how long throttle and wanted heading stay the same.
-        heading: rad, of the first segment, and of two sides of the square.
-        turn_rate: rad/s, in a turn.
-        steering: the difference δ of a turn, share of full scale, a side.
-    """
-
-    minutes: float = 5.0
-    area: float = 200.0
-    least: float = 0.0
+    minutes: float = 5.0  # its length
+    area: float = 200.0  # m, side of the square in which the boat must stay, from its middle on
+    least: float = 0.0  # bounds of the commands, −1 … 1
     most: float = 1.0
-    segment: float = 15.0
-    heading: float = 0.0
-    turn_rate: float = 0.35
-    steering: float = 0.35
+    segment: float = 15.0  # s, how long throttle and wanted heading stay the same
+    heading: float = 0.0  # rad, of the first segment, and of two sides of the square
+    turn_rate: float = 0.35  # rad/s, in a turn
+    steering: float = 0.35  # δ of a turn, share of full scale, a side
 
     def __post_init__(self) -> None:
         for name, value, unit in (
@@ -105,23 +95,13 @@ class Course(NamedTuple):
         return rows
 
     def path(self, speed: np.ndarray, current: np.ndarray) -> np.ndarray:
-        """Places north and east of the start, m, after each step, `(steps, 2)`.
-
-        Args:
-            speed: through the water, m/s, `(steps,)`.
-            current: north and east, m/s.
-        """
+        """Places north and east of the start, m, after each step, `(steps, 2)`, at speeds and a current in m/s."""
         along = np.stack([np.cos(self.heading), np.sin(self.heading)], -1)
         return np.cumsum(self.dt * (speed[:, None] * along + current), axis=0)
 
 
 def steer(throttle: np.ndarray, wanted: np.ndarray, limits: Limits, dt: float) -> Course:
-    """The course of (1).
-
-    Args:
-        throttle, wanted: at each step, `(steps,)`, share of full scale and rad.
-        dt: s.
-    """
+    """The course of (1), of throttles and wanted headings, rad, at each step, `(steps,)`."""
     heading, most = limits.heading, limits.turn_rate * dt
     headings, rates = np.empty((2, len(wanted)))
     for k, towards in enumerate(wanted.tolist()):
@@ -143,22 +123,13 @@ def steps_of(limits: Limits, dt: float) -> np.ndarray:
 
 
 def planned(throttles: np.ndarray, quarters: np.ndarray, limits: Limits, dt: float) -> Course:
-    """The course of a throttle and a heading for each segment.
-
-    Args:
-        throttles: share of full scale, `(segments,)`.
-        quarters: headings in quarter turns from `limits.heading`, `(segments,)`.
-    """
+    """The course of a throttle and a heading, quarter turns from `limits.heading`, for each segment, `(segments,)`."""
     segment = steps_of(limits, dt)
     return steer(throttles[segment], limits.heading + QUARTER * quarters[segment], limits, dt)
 
 
 def lawn_mower(limits: Limits, speed: float, dt: float) -> Course:
-    """A survey of parallel lines at one throttle, as long as a plan: what is sailed without a plan.
-
-    Args:
-        speed: steady, at full command, m/s: lines fit into the area.
-    """
+    """A survey of parallel lines at one throttle, as long as a plan; `speed` is the steady one at full command, m/s."""
     steps = len(steps_of(limits, dt))
     line = min(LINE, max(SPEED_SHARE * limits.area / max(SURVEY * speed, 0.1), ACROSS))
     time = np.arange(steps) * dt

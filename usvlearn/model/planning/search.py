@@ -34,15 +34,7 @@ class Rehearsed(NamedTuple):
 
 
 class Rehearsal:
-    """Rehearses courses from the state of a boat's averaged joint EKF.
-
-    Args:
-        members: descriptions of the estimators by name.
-        leaves: of the state, by dotted name, without batch axes.
-
-    Raises:
-        ConfigError: none of the members is an averaged joint EKF.
-    """
+    """Rehearses courses from the state of a boat's averaged joint EKF; a ConfigError without one."""
 
     def __init__(self, members: Mapping[str, Mapping[str, Any] | None], leaves: Mapping[str, np.ndarray]):
         description, own = reader_leaves(members, leaves)
@@ -54,11 +46,7 @@ class Rehearsal:
         self.found = identify(self.description, own)
 
     def __call__(self, rows: np.ndarray) -> Rehearsed:
-        """What is expected after a course, which starts at rest; the state stays as it was.
-
-        Args:
-            rows: of the course, `(steps, ROW)`.
-        """
+        """What is expected after a course, `(steps, ROW)`, which starts at rest; the state stays as it was."""
         state = self._state.copy()
         speed = self._advanced(state, rows, begin=True)
         return Rehearsed(self._identified(state), speed)
@@ -70,12 +58,7 @@ class Rehearsal:
         return float(self(rows).speed[-1])
 
     def by_part(self, rows: np.ndarray, ends: np.ndarray) -> list[Rehearsed]:
-        """What is expected after each part of a course.
-
-        Args:
-            rows: of the course, `(steps, ROW)`.
-            ends: the step behind each part, ascending.
-        """
+        """What is expected after each part of a course, `(steps, ROW)`; `ends` are the steps behind the parts."""
         state, found, first = self._state.copy(), [], 0
         for last in ends.tolist():
             speed = self._advanced(state, rows[first:last], begin=first == 0)
@@ -126,8 +109,6 @@ class BestCourse(NamedTuple):
     course: Course
     expected: Rehearsed
     path: np.ndarray  # (steps, 2) m north and east of the start
-    throttles: np.ndarray  # (segments,)
-    quarters: np.ndarray  # (segments,)
 
 
 def wide(found: Identified, one_command: bool = False) -> list[str]:
@@ -140,10 +121,7 @@ def wide(found: Identified, one_command: bool = False) -> list[str]:
 
 
 def derived(found: Identified, one_command: bool = False) -> list[str]:
-    """All quantities of the surge but the single parameters, which trade against each other.
-
-    With one command for both sides, those that tell the sides apart are left out, too.
-    """
+    """All quantities of the surge but the single parameters, and with one command those that tell the sides apart."""
     names = [name for name in found if name in QUANTITIES and name not in SURGE]
     return [name for name in names if not (one_command and tells_sides(name))]
 
@@ -155,15 +133,7 @@ def log_width(found: Identified, aims: Sequence[str]) -> float:
 
 
 def search(rehearsal: Rehearsal, limits: Limits, dt: float, aims: Sequence[str], seed: int = 0) -> BestCourse:
-    """The course that shrinks the intervals of `aims` most.
-
-    Args:
-        dt: s, of a step.
-        seed: of the order in which segments are changed.
-
-    Raises:
-        ConfigError: no course stays in the area.
-    """
+    """The course that shrinks the intervals of `aims` most; a ConfigError if none stays in the area."""
     rng = np.random.default_rng(seed)
     levels = limits.least + np.array(SHARES) * (limits.most - limits.least)
     if limits.least < 0:
@@ -210,7 +180,7 @@ def search(rehearsal: Rehearsal, limits: Limits, dt: float, aims: Sequence[str],
             f"{fastest:.2g} m/s at --command-max and keeps a heading for {limits.segment:g} s: give an area of "
             f"{wider:.0f} m, a shorter --segment, or a lower --command-max"
         )
-    return BestCourse(course, expected, path, levels[places], quarters)
+    return BestCourse(course, expected, path)
 
 
 def beyond(path: np.ndarray, limits: Limits) -> np.ndarray:

@@ -178,14 +178,7 @@ class RecursiveWeights(Combiner):
 
 
 class Prior(Combiner):
-    """A combiner with a prior weight for each member, which a subclass uses.
-
-    Args:
-        members: names of those that count, all by default.
-        memory: s, over which losses are forgotten; None never forgets; broadcasts against the batch.
-        loss: "absolute", which MAE measures, or "square".
-        prior: weights at the start by member, relative to 1 of those not named.
-    """
+    """A combiner with a prior weight for each member; arguments are those of `ExponentialWeights`."""
 
     log_prior: Tensor  # (members,)
 
