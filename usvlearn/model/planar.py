@@ -6,7 +6,7 @@ clockwise from north; ξ the command of a side as a share of full scale, and c t
 r⁺ from (u, v), ψ⁺ = ψ + h (r + r⁺)/2, v⁺ from (u, r), u⁺ at the yaw rate (r + r⁺)/2, and with R(ψ), which turns ahead
 and starboard to north and east,
 
-    p⁺ = p + h c + h/2 [R(ψ)(u, v) + R(ψ⁺)(u⁺, v⁺)]                                                    (1)
+    p⁺ = p + h c + h/2 [R(ψ)(u, v) + R(ψ⁺)(u⁺, v⁺)]
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ class PlanarModel:
         return cls(surge, _coefficients("yaw", yaw), None if sway is None else _coefficients("sway", sway))
 
     def step(self, motion: Motion, left: Any, right: Any, dt: Any, current: tuple[Any, Any] = (0.0, 0.0)) -> Motion:
-        """The motion after a step, (1); all arguments broadcast.
+        """The motion after a step, in the order of the module; all arguments broadcast.
 
         Args:
             motion: before the step.

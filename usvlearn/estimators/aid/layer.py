@@ -164,7 +164,7 @@ class AID(Estimator):
         numbers, theta = {"prior_distance": self._distance(state.theta)}, state.theta
         if self.known is not None:
             per_mass = theta / self.model.mass[..., None]  # type: ignore[attr-defined]  # __init__ has checked for it
-            numbers["mass"], theta, *_ = recover_mass(per_mass, self.known, names=self.model.names)
+            numbers["mass"], theta = recover_mass(per_mass, self.known, self.model.names)
         return {**dict(zip(self.model.names, theta.unbind(-1), strict=True)), **numbers}
 
     def _distance(self, theta: Tensor) -> Tensor:
