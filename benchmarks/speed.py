@@ -38,7 +38,6 @@ from usvlearn import (
 )
 from usvlearn.core.samples import Fleet, masks, tree_map
 from usvlearn.estimators.axis.layer import AxisEKF
-from usvlearn.estimators.axis.state import axis_inputs
 from usvlearn.estimators.planar.state import MEASURED_SWAY, TURN
 from usvlearn.evaluation.crossval import cross_validate
 from usvlearn.evaluation.metrics import fleet_scores
@@ -140,7 +139,7 @@ def axis_samples(kind: str, hours: float = 0.25) -> Sample:
     every, poses = tree_map(lambda x: torch.as_tensor(x[:, 0]), run.samples), torch.as_tensor(run.poses[:, 0])
     own, other = poses[:, [TURN, MEASURED_SWAY] if kind == "yaw" else [MEASURED_SWAY, TURN]].unbind(-1)
     left, right, *_, dt = every.inputs
-    inputs = axis_inputs(left, right, other.roll(1), every.surge.roll(1), dt)
+    inputs = Inputs(left, right, other.roll(1), every.surge.roll(1), dt)
     return every._replace(inputs=inputs, surge=own)
 
 

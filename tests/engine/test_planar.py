@@ -26,7 +26,6 @@ from usvlearn.engine.backend import arrays_of
 from usvlearn.engine.planar_runs import planar_stretches, with_poses
 from usvlearn.engine.rollouts import chunked_rollout
 from usvlearn.errors import CheckpointError, ConfigError, ShapeError
-from usvlearn.estimators.axis.state import axis_inputs
 from usvlearn.estimators.planar.state import CONSTANT, ERROR, GROUP, HELD_RATE, RADIUS, RHO, USED
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.simulate.planar_fleet import planar_fleet
@@ -138,9 +137,9 @@ def plain_track(own: Planar, state, commands: np.ndarray, dt: float) -> np.ndarr
     h = torch.tensor(dt, dtype=w.dtype)
     for left, right in torch.as_tensor(commands):
         elapsed += dt
-        ahead = predicted("yaw", axis_inputs(left, right, v, w, h))
+        ahead = predicted("yaw", Inputs(left, right, v, w, h))
         turned = psi + h * (r + ahead) / 2
-        aside = predicted("sway", axis_inputs(left, right, r, w, h))
+        aside = predicted("sway", Inputs(left, right, r, w, h))
         along = predicted("surge", Inputs(left, right, (psi + turned) / 2, (r + ahead) / 2, h))
         place = place + h / 2 * (ground(u, v, psi) + ground(along, aside, turned))
         u, v, r, psi, w = along, aside, ahead, turned, along - north * turned.cos() - east * turned.sin()

@@ -10,11 +10,11 @@ import torch
 
 from usvlearn import Ensemble, ForecastSettings, JointEKF
 from usvlearn.core.events import NINETY
-from usvlearn.core.samples import Run, Sample, named_leaves
+from usvlearn.core.samples import Inputs, Run, Sample, named_leaves
 from usvlearn.engine.identified import identified_planar
 from usvlearn.engine.planar_runs import planar_stretches, with_poses
 from usvlearn.estimators.axis import turning_intervals
-from usvlearn.estimators.axis.state import THETA, axis_inputs, names
+from usvlearn.estimators.axis.state import THETA, names
 from usvlearn.estimators.axis.turning_intervals import FIRST
 from usvlearn.estimators.axis.turning_quantities import (
     INNER,
@@ -93,7 +93,7 @@ def test_the_acceleration_is_that_of_the_filter():
         state = axis.init(())
         mean = torch.from_numpy(np.concatenate([[y, 0.0], theta]))
         commands = torch.tensor([left, right], dtype=torch.float64)
-        inputs = axis_inputs(*(torch.tensor(x, dtype=torch.float64) for x in (left, right, other, u, h)))
+        inputs = Inputs(*(torch.tensor(x, dtype=torch.float64) for x in (left, right, other, u, h)))
         _, ahead = axis.predict(state._replace(mean=mean, commands=commands), inputs)
         expected = acceleration(kind, theta, y, other, u, left, right)
         assert (float(ahead) - y) / h == pytest.approx(expected, rel=1e-3)

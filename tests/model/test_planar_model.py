@@ -7,10 +7,9 @@ from scipy.integrate import solve_ivp
 
 from tests.support.planar_models import commanded, drawn_planar, learned, lone_filters, mean_of, moving
 from tests.support.surge_models import by_filter
-from usvlearn import Online, SwayEKF, YawEKF
+from usvlearn import Inputs, Online, SwayEKF, YawEKF
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.augmented_ekf.state import Y
-from usvlearn.estimators.axis.state import axis_inputs
 from usvlearn.estimators.joint.state import THETA
 from usvlearn.model.planar import COEFFICIENTS, UNITS, Motion, PlanarModel
 from usvlearn.model.surge import WITHOUT_EVEN, SurgeModel
@@ -24,7 +23,7 @@ def by_filters(model: PlanarModel, kind: str, y, other, surge, left, right, dt) 
     axis, mean = {"yaw": YawEKF, "sway": SwayEKF}[kind](2.7), np.tile(mean_of(model, kind), (len(dt), 1))
     mean[:, Y] = y
     state = axis.init((len(dt),))._replace(mean=torch.from_numpy(mean), commands=torch.stack(given[:2], -1))
-    return axis.predict(state, axis_inputs(*given))[1].numpy()
+    return axis.predict(state, Inputs(*given))[1].numpy()
 
 
 @pytest.mark.parametrize("sways", [True, False])

@@ -6,9 +6,7 @@ estimator, a wrapper, a combiner, or another part of an ensemble. It declares in
     class Number(Parameters):       numbers, by name; each has its legal range
         GAIN = POSITIVE
     class Vector(ParameterVectors): several numbers of one name, as many as the size says
-        SPREAD = NOT_NEGATIVE
     class Choice(Options):          one of several allowed values
-        FEEDBACK = FEEDBACK
     FAMILY = Family(("aid",), lambda p: AIDState(theta=leaf(p), surge=leaf()), Number, Choice, Vector)
     AT = FAMILY.at                  an AIDState that holds places
 
@@ -39,19 +37,13 @@ LEAST, MOST = 1e-30, 1e30  # of a positive number: its inverse is finite in floa
 
 @dataclass(frozen=True)
 class Range:
-    """The numbers from `least` to `most`, both included; NaN is outside.
-
-    Attributes:
-        diagonal: the least number on the diagonal of a square matrix.
-        diverged: whether NaN, infinity, and numbers beyond ±1e30 are legal too.
-        index: whether a kernel takes the number for a place, so that a member that has diverged may hold no other.
-    """
+    """The numbers from `least` to `most`, both included; NaN is outside."""
 
     least: float
     most: float
-    diagonal: float = -inf
-    diverged: bool = False
-    index: bool = False
+    diagonal: float = -inf  # the least number on the diagonal of a square matrix
+    diverged: bool = False  # whether NaN, infinity, and numbers beyond ±1e30 are legal too
+    index: bool = False  # whether a kernel takes it for a place: a member that has diverged may hold no other number
 
     def wrong(self, array: np.ndarray) -> np.ndarray:
         """The numbers that are not legal, `(count,)`."""
@@ -198,38 +190,22 @@ class Options(Named):
 
 @dataclass(frozen=True)
 class Family(Generic[S]):
-    """What a family declares.
+    """What a family declares."""
 
-    Attributes:
-        kinds: its names in descriptions.
-        state: from the size (of forecasts a tuple), and then the values of `lengths`, a state of `Field`s.
-        numbers, choices, vectors: its other declarations.
-        size: the legal sizes, or a function from its entries in a description to its size.
-        facts: what its descriptions state beside choices; those of version 0.2 do not.
-        optional: choices that a description has all or none of.
-        last: numbers, the last ones, that a description has where it has those choices, and only there.
-        lengths: choices, whole numbers, that also size the state; one that a description lacks counts as 0.
-        work: from the size, the length of the work array that its kernel needs.
-        heading: from its entries, whether it needs the heading.
-        frozen: the leaves, by dotted name, that an open-loop simulation needs: those that `free_step` reads or changes;
-            None: all.
-        instead: of some of these, the leaf that is taken in its place while another leaf, a flag, is 1.
-    """
-
-    kinds: tuple[str, ...]
-    state: Callable[..., S]
+    kinds: tuple[str, ...]  # its names in descriptions
+    state: Callable[..., S]  # from the size (of forecasts a tuple), and the values of `lengths`, a state of `Field`s
     numbers: type[Parameters] = Parameters
     choices: type[Options] = Options
     vectors: type[ParameterVectors] = ParameterVectors
-    size: Range | Callable[[Mapping[str, Any]], int] = Range(0, 0)
-    facts: Mapping[str, str] = field(default_factory=dict)
-    optional: tuple[Options, ...] = ()
-    last: tuple[Parameters, ...] = ()
-    lengths: tuple[Options, ...] = ()
-    work: Callable[[int], int] = lambda size: 0
-    heading: Callable[[Mapping[str, Any]], bool] = lambda own: False
-    frozen: tuple[str, ...] | None = None
-    instead: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    size: Range | Callable[[Mapping[str, Any]], int] = Range(0, 0)  # the legal ones, or that of a description
+    facts: Mapping[str, str] = field(default_factory=dict)  # beside choices; descriptions of version 0.2 have none
+    optional: tuple[Options, ...] = ()  # choices that a description has all or none of
+    last: tuple[Parameters, ...] = ()  # numbers, the last ones, that a description has where it has those choices
+    lengths: tuple[Options, ...] = ()  # choices that size the state, too: whole numbers; 0 where a description has none
+    work: Callable[[int], int] = lambda size: 0  # the length of the work array that its kernel needs
+    heading: Callable[[Mapping[str, Any]], bool] = lambda own: False  # whether a description needs the heading
+    frozen: tuple[str, ...] | None = None  # leaves that `free_step` reads or changes, by dotted name; None: all
+    instead: Mapping[str, tuple[str, str]] = field(default_factory=dict)  # a leaf in place of it while a flag is 1
 
     @property
     def at(self) -> S:

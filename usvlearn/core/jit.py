@@ -179,15 +179,13 @@ def jit(
     reorder: bool = False,
     memory: bool = False,
 ) -> Any:
-    """Compile a function when it is first called; without the GIL, and with division as NumPy's.
+    """Compile a function of numbers and arrays when it is first called; without the GIL, with division as NumPy's.
 
     Args:
-        function: of numbers and arrays.
-        entry: whether Python calls it. What only compiled functions call has no machine code of its own (`parts`).
+        entry: whether Python calls it. What only compiled functions call has no machine code of its own (`Part`).
         inline: whether it is always inlined: passing arrays costs some ns in each call.
         reorder: whether the compiler may reorder sums, which vectorises long ones.
-        memory: whether it may make arrays. Without, references to arrays are not counted, which would take longer than
-            most operations here.
+        memory: whether it may make arrays; if not, numba counts no references, which costs more than most kernels.
     """
     if function is None:
         return partial(jit, entry=entry, inline=inline, reorder=reorder, memory=memory)
@@ -322,9 +320,7 @@ def counted(text: str, end: str) -> Iterator[None]:
 
 
 def _alone_in(mark: Path) -> AbstractContextManager[object]:
-    """The lock of a mark's folder; nothing once another process has left the mark, or where it cannot be locked, as on
-    a disk that is read-only.
-    """
+    """The lock of a mark's folder; nothing once another process has left the mark, or where locking fails."""
     lock = mark.parent / LOCK
     with suppress(OSError), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a file system without locks

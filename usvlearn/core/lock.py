@@ -27,16 +27,10 @@ PERIOD = 0.002  # s between two attempts to lock
 
 
 class Lock:
-    """Holds the lock of a folder until `release`, the end of a `with`, or the end of the process.
+    """Holds the lock of a folder, which is made, until `release`, the end of a `with`, or the end of the process.
 
-    Args:
-        folder: the folder to write to; it is created.
-        other: the setting by which the user can choose another folder, for the error.
-        shared: whether other processes that share it may hold it at the same time.
-        wait: whether to wait until another process releases it.
-
-    Raises:
-        ConfigError: another process holds it, and `wait` is false.
+    `other` is the setting that names another folder, for the ConfigError where another process holds it; unless this
+    one may `wait`. Processes that share it may hold it together.
     """
 
     def __init__(self, folder: Path, other: str, shared: bool = False, wait: bool = False):

@@ -175,11 +175,9 @@ class Fleet(NamedTuple):
 
 
 def check_inputs(inputs: Inputs, batch: tuple[int, ...] = ()) -> None:
-    """Raise unless all fields are numbers, or arrays or tensors of numbers that fit the batch.
+    """Raise a TypeError unless all fields are numbers or arrays of them; a ShapeError where one fits no batch.
 
-    Raises:
-        TypeError: a field is something else.
-        ShapeError: a field has another shape; one number fits every batch, with any number of axes.
+    One number fits every batch, with any number of axes.
     """
     for name, value in zip(Inputs._fields, inputs, strict=True):
         _check_field(name, value, "biuf", "a number", batch)

@@ -172,18 +172,14 @@ def run(program, head, states, q, rows, poses, columns, free, picked, prediction
     """Batch elements first … last − 1 through all steps, in place.
 
     Args:
-        program: the table.
-        head: places of the axes and of the tracks, (4, …); (1, …), zeros, of the surge alone.
-        states: (elements, size).
-        q: (elements, numbers), or (1, numbers) for all.
-        rows: prepared samples, (columns, time, ROW).
+        program, head: the table, and places of the axes and of the tracks, (4, …); of the surge alone (1, …), zeros.
+        states, q: (elements, size), and (elements, numbers), or (1, numbers) for all.
+        rows: prepared samples, (columns, time, ROW); `columns`, (elements,), says which one each batch element sees.
         poses: what is measured at the end of each step, (columns, time, 5); of the surge alone (1, 1, 0).
-        columns: (elements,) the column of `rows` that each batch element sees.
         free: whether nothing is learned.
         picked: places of the state that are recorded after each step.
-        predictions: (elements, time), m/s, is written.
-        picks: (elements, time, picked), is written.
-        work: array of length `Plan.work`.
+        predictions, picks: (elements, time), m/s, and (elements, time, picked), are written.
+        work: array of length `Program.work`.
     """
     node = program[1]
     bare = program[0, Row.RULES] == 0 and node[Row.ROBUST] < 0 and ALONE >> node[Row.FAMILY] & 1

@@ -1,14 +1,7 @@
 """Dispatch tables: one function for each verb of the kernels, which calls that of the row's family.
 
-The functions are written here from the list of families. For two families, `predict` would be
-
-    @jit
-    def predict(node, s, q, x, work):
-        if node[0] == 0:
-            return predict_0(node, s, q, x, work)
-        return predict_1(node, s, q, x, work)
-
-Numba inlines such a chain; it could not inline a call through a table of functions. The arguments of the verbs are
+The functions are written here from the list of families, as a chain of `if node[0] == 0: return predict_0(…)`. Numba
+inlines such a chain; it could not inline a call through a table of functions. The arguments of the verbs are
 
     node      the row of this estimator in the table (`usvlearn.core.family`)
     s, q      the state and the numbers of a batch element

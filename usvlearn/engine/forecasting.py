@@ -57,7 +57,7 @@ def step_frozen(program, node, slot, q, row, limit, x, work):
 
 @jit
 def forget_forecasts(node, s, q):
-    """`ForecastSettings.start`."""
+    """A segment starts: what is under way is dropped, and the next measured step is an origin of every horizon."""
     H = node[Choice.HORIZONS]
     fill(s[node[AT.elapsed] : node[AT.elapsed] + node[Choice.SLOTS]], EMPTY)
     copy(s[node[AT.since] : node[AT.since] + H], q[node[Vector.HORIZONS] : node[Vector.HORIZONS] + H])
@@ -66,7 +66,7 @@ def forget_forecasts(node, s, q):
 
 @jit
 def forecast_step(program, node, s, q, row, learns, limit, work):
-    """`ForecastSettings.step`, in place."""
+    """All that is under way makes a step; what is due is published and, with a measured speed, learned."""
     slots, H, M = node[Choice.SLOTS], node[Choice.HORIZONS], node[Choice.MEMBERS]
     begin, block = node[WIDTH], node[Row.SIZE]
     horizons, half, x, rest = q[node[Vector.HORIZONS] :], row[DT] / 2, work[:M], work[M:]
@@ -113,13 +113,8 @@ def forecast_plan(program, s, q, left, right, heading, yaw_rate, dt, heads, limi
     node = program[program[0, Row.FORECASTS]]
     elapsed = s[node[AT.coasted]]
     M = node[Choice.MEMBERS]
-    x, weights, path, rest, row = (
-        work[:M],
-        work[M : 2 * M],
-        work[2 * M : 2 * M + PATH],
-        work[2 * M + PATH :],
-        work[-ROW:],
-    )
+    x, weights, path = work[:M], work[M : 2 * M], work[2 * M : 2 * M + PATH]
+    rest, row = work[2 * M + PATH :], work[-ROW:]
     known, knows = program[max(program[0, Row.CONDITIONAL], 0)], program[0, Row.CONDITIONAL] >= 0
     if knows:
         copy(path, s[known[KNOWN.path] : known[KNOWN.path] + PATH])

@@ -108,7 +108,7 @@ class PlanarModel:
         return cls(surge, _coefficients("yaw", yaw), None if sway is None else _coefficients("sway", sway))
 
     def step(self, motion: Motion, left: Any, right: Any, dt: Any, current: tuple[Any, Any] = (0.0, 0.0)) -> Motion:
-        """The motion after a step, in the order of the module; all arguments broadcast.
+        """The motion after a step; all arguments broadcast.
 
         Args:
             motion: before the step.

@@ -33,14 +33,6 @@ def coast(node, s, q, x, predicted, work):
 
 
 @jit
-def free_step(node, s, q, x, work):
-    """One step of an open-loop simulation: `predict`, and the leaves `frozen` after it; returns the speed, m/s."""
-    predicted, _ = predict(node, s, q, x, work)
-    s[node[AT.surge]] = predicted
-    return predicted
-
-
-@jit
 def learn(node, s, q, x, estimate, target, work):
     """The state after `AID.learn`."""
     p, numbers = node[Row.SIZE], q[node[Row.NUMBERS] :]
@@ -108,19 +100,9 @@ def run_alone(node, s, q, rows, free, predictions, picked, picks, work):
             estimate = regressor(terms, s[at], row, numbers[Number.SCALE], theta, phi) + dot(phi, theta)
             predicted = clamp(estimate, numbers[Number.SURGE_MAX])
             if row[MODE] == LEARN and not free:
+                target, dt = row[SURGE], row[DT]
                 s[at] = adapt(
-                    theta,
-                    numbers,
-                    gamma,
-                    inverse_spread,
-                    theta0,
-                    lower,
-                    upper,
-                    feedback,
-                    phi,
-                    estimate,
-                    row[SURGE],
-                    row[DT],
+                    theta, numbers, gamma, inverse_spread, theta0, lower, upper, feedback, phi, estimate, target, dt
                 )
             else:
                 s[at] = predicted

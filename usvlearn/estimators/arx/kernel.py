@@ -1,4 +1,4 @@
-"""The ARX filter: the step of `layer`, equations (1) to (4) of `state`."""
+"""The ARX filter: equations (1) to (4) of `state`."""
 
 import numpy as np
 
@@ -29,7 +29,7 @@ GROUP = len(COMMANDS)
 
 @jit
 def start(node, s, q, surge):
-    """`ARX.start`."""
+    """A segment starts."""
     s[node[AT.surge]] = surge
     s[node[AT.started]] = 1.0
     fill(s[node[AT.past] : node[AT.past] + node[Row.SIZE]], 0.0)
@@ -37,7 +37,7 @@ def start(node, s, q, surge):
 
 @jit
 def predict(node, s, q, x, work):
-    """`ARX.predict`: the speed, and what it was before its limits; f stays in `work`."""
+    """The speed, and what it was before its limits; f stays in `work`."""
     p, surge, limit = node[Row.SIZE], s[node[AT.surge]], q[node[Row.NUMBERS] :][Number.SURGE_MAX]
     f = work[:p]
     features(node, s, x, clamp(surge, limit), f)
@@ -47,7 +47,7 @@ def predict(node, s, q, x, work):
 
 @jit
 def coast(node, s, q, x, predicted, work):
-    """The state after `ARX.predict`: the deviation of its prediction, and its increment."""
+    """The state after a prediction: its deviation, and its increment."""
     p, h = node[Row.SIZE], steps(x)
     phi, g, G = work[p : 2 * p], work[2 * p : 3 * p], work[3 * p : 4 * p]
     for i in range(p):
@@ -67,7 +67,7 @@ def free_step(node, s, q, x, work):
 
 @jit
 def learn(node, s, q, x, estimate, target, work):
-    """The state after `ARX.learn`."""
+    """The state after a measured speed."""
     p, numbers, prior = node[Row.SIZE], q[node[Row.NUMBERS] :], q[node[Vector.PRIOR] :]
     phi, g, G, gain = work[p : 2 * p], work[2 * p : 3 * p], work[3 * p : 4 * p], work[4 * p : 5 * p]
     theta, A = s[node[AT.theta] : node[AT.theta] + p], s[node[AT.factor] : node[AT.factor] + p * p].reshape(p, p)
@@ -100,7 +100,7 @@ def learn(node, s, q, x, estimate, target, work):
 
 @jit
 def inflate_covariance(node, s, q, factor):
-    """`ARX.inflate_covariance`: P times `factor`, up to its limit."""
+    """P times `factor`, up to its limit."""
     p, prior = node[Row.SIZE], q[node[Vector.PRIOR] :]
     A = s[node[AT.factor] : node[AT.factor] + p * p].reshape(p, p)
     first, trace = 0.0, 0.0

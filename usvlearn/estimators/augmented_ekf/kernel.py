@@ -78,17 +78,9 @@ def add_slow(A, c, slow, fast):
 
 @jit(inline=True)
 def add_noise(node, s, A, prior, first, disturbance, drift_time, h, rest, a):
-    """The noise of a step: of y, of b, and of one parameter where it is one's turn.
+    """The noise of a step of h, s: of y, of b, and of one parameter where it is one's turn.
 
-    Args:
-        node, s: of the filter.
-        A: its covariance.
-        prior: variances of the parameters, of which the first one is at the place `first` of x.
-        first: see `prior`.
-        disturbance, drift_time: q_b, T_θ.
-        h: length of the step, s.
-        rest: whether the boat is at rest.
-        a: an array to work in, of the length of x.
+    `prior` are variances of the parameters, which begin at the place `first` of x; a is memory, of the length of x.
     """
     noise, span, parameters = s[node[AT.noise]], min(h, LONGEST) / STEP, node[Row.SIZE] - first
     add_slow(A, disturbance * noise * span, 1.0, 0.0)

@@ -1,4 +1,4 @@
-"""The axis EKF: the step of `layer`, equations (1) to (4) of `state`.
+"""The axis EKF: equations (1) to (4) of `state`.
 
 `predict` leaves g and y⁺ in `work`. A is the leaf `factor`.
 """
@@ -43,14 +43,14 @@ YAW = KINDS.index("yaw")
 
 @jit
 def start(node, s, q, surge):
-    """`AxisEKF.start`."""
+    """A segment starts."""
     s[node[AT.surge]] = surge
     s[node[AT.started]] = 1.0
 
 
 @jit
 def predict(node, s, q, x, work):
-    """`AxisEKF.predict`: y⁺ of (3), and the same before its limit."""
+    """y⁺ of (3), and the same before its limit."""
     n, commands = node[Row.SIZE], node[AT.commands]
     mean, g = s[node[AT.mean] : node[AT.mean] + n], work[:n]
     y, b, left, right = mean[Y], mean[B], s[commands], s[commands + 1]
@@ -63,7 +63,7 @@ def predict(node, s, q, x, work):
 
 @jit
 def coast(node, s, q, x, predicted, work):
-    """The state after `AxisEKF.predict`."""
+    """The state after a prediction."""
     advance(node, s, q, x, work)
 
 
@@ -82,7 +82,7 @@ def free_step(node, s, q, x, work):
 
 @jit
 def learn(node, s, q, x, estimate, target, work):
-    """The state after `AxisEKF.learn`."""
+    """The state after a measured y."""
     n, numbers = node[Row.SIZE], q[node[Row.NUMBERS] :]
     mean, A = blocks(node, s)
     spread, rest = advance(node, s, q, x, work)
@@ -97,7 +97,7 @@ def learn(node, s, q, x, estimate, target, work):
 
 @jit
 def inflate_covariance(node, s, q, factor):
-    """`AxisEKF.inflate_covariance`: P times `factor`, up to its limit."""
+    """P times `factor`, up to its limit."""
     inflate(node, s, q[node[Vector.VARIANCE] :], THETA, factor)
 
 
@@ -133,22 +133,15 @@ def flow(yaw, mean, y, b, left_before, right_before, x, g):
         a, k = abs(xi), SIDE + terms * side
         g[k], g[k + 1] = by_f * xi, by_f * (xi * a)
         if yaw:
-            g[k + 2], g[k + 3], g[k + 4], g[k + 5] = (
-                by_f * (xi * along),
-                by_f * (xi * xi * xi),
-                by_f * a,
-                by_f * xi * xi,
-            )
+            g[k + 2], g[k + 3] = by_f * (xi * along), by_f * (xi * xi * xi)
+            g[k + 4], g[k + 5] = by_f * a, by_f * xi * xi
     g[-1] = by_f * late
     return y + by_f * f
 
 
 @jit
 def advance(node, s, q, x, work):
-    """The time update from what `predict` left in `work`; f and G of the measurement stay there.
-
-    Returns HᵀPH, and whether the boat was at rest.
-    """
+    """The time update from what `predict` left in `work`, where f and G stay; returns HᵀPH, and whether it rests."""
     n, numbers, h, commands = node[Row.SIZE], q[node[Row.NUMBERS] :], x[DT], node[AT.commands]
     mean, A = blocks(node, s)
     g, ahead, noise = work[:n], work[n], s[node[AT.noise]]

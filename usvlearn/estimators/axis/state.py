@@ -2,18 +2,13 @@
 
 Equations (1) to (4): `docs/theory/identification.md#yaw-rate-and-sway`. It is to the other two axes what the joint EKF
 is to the surge. y is the yaw rate r, rad/s, or the sway v through the water, m/s; o is the other one of them; u is the
-surge through the water. u and o come from other estimators and are taken as known.
-
-*Inputs.* These estimators see `Inputs` whose `heading` holds o and whose `yaw_rate` holds u (`axis_inputs`), and a
-`Sample` whose `surge` holds the measured y.
+surge through the water. u and o come from other estimators and are taken as known: `Inputs` hold o as `heading` and u
+as `yaw_rate`, and a `Sample` holds the measured y as `surge`.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 from usvlearn.core.family import FINITE, POSITIVE, POSITIVE_OR_INFINITE, Family, Parameters, ParameterVectors
-from usvlearn.core.samples import Inputs
 from usvlearn.estimators.augmented_ekf.state import FROZEN, leaves
 from usvlearn.estimators.regressors.terms import LAG
 
@@ -34,18 +29,6 @@ def names(kind: str) -> tuple[str, ...]:
 
 
 SIZES = {kind: THETA + len(names(kind)) for kind in KINDS}
-
-
-def axis_inputs(command_left: Any, command_right: Any, other: Any, surge: Any, dt: Any) -> Inputs:
-    """The inputs of an axis EKF: the other component in the place of the heading, the surge in that of the yaw rate.
-
-    Args:
-        command_left, command_right: shares of full scale.
-        other: sway, m/s, for the yaw rate; yaw rate, rad/s, for the sway.
-        surge: through the water, m/s.
-        dt: s.
-    """
-    return Inputs(command_left, command_right, heading=other, yaw_rate=surge, dt=dt)
 
 
 class Number(Parameters):

@@ -1,6 +1,6 @@
 """What a log lacks, in sentences: from a joint EKF's covariance, and from what was identified. Imports no torch.
 
-The equations are those of `reading`.
+The equations are those of `periodic_estimates`.
 """
 
 from __future__ import annotations

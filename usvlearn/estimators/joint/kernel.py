@@ -1,4 +1,4 @@
-"""The joint EKF: the step of `layer`, equations (1) to (7) of `state`.
+"""The joint EKF: equations (1) to (7) of `state`.
 
 `predict` leaves g, w⁺ and e^(−h/τ_c) in `work`. A is the leaf `factor`.
 """
@@ -54,7 +54,7 @@ from usvlearn.estimators.ud_factorization.kernel import measure, project
 
 @jit
 def start(node, s, q, surge):
-    """`JointEKF.start`."""
+    """A segment starts."""
     s[node[AT.surge]] = surge
     s[node[AT.started]] = 1.0
     if has_trial(node):
@@ -65,14 +65,14 @@ def start(node, s, q, surge):
 
 @jit
 def predict(node, s, q, x, work):
-    """`JointEKF.predict`: the speed, (3) and (4), twice."""
+    """The speed, (3) and (4), twice."""
     predicted = forecast(node, s, q, x, work)
     return predicted, predicted
 
 
 @jit
 def coast(node, s, q, x, predicted, work):
-    """The state after `JointEKF.predict`."""
+    """The state after a prediction."""
     mean, A = blocks(node, s)
     before = shared(node, s)
     advance(node, s, q, x, mean, A, work)
@@ -95,7 +95,7 @@ def free_step(node, s, q, x, work):
 
 @jit
 def learn(node, s, q, x, estimate, target, work):
-    """The state after `JointEKF.learn`."""
+    """The state after a measured speed."""
     tries, before = has_trial(node), shared(node, s)
     if tries and not s[node[AT_TRIAL.run]] > 0:
         keep(node, s)
@@ -177,7 +177,7 @@ def compare(node, s, q, x, z, S, target, rest, before, work):
 
 @jit
 def inflate_covariance(node, s, q, factor):
-    """`JointEKF.inflate_covariance`: P times `factor`, up to its limit."""
+    """P times `factor`, up to its limit."""
     inflate(node, s, q[node[Vector.VARIANCE] :], THETA, factor)
 
 
@@ -227,11 +227,8 @@ def flow(even, mean, w, b, left_before, right_before, x, g):
     by_f, by_J = h * value, h * h * slope * f
     g[W] = 1 + z * value + by_J * 2 * (theta[0] * sign + (mean[E] if even else 0.0))
     g[B], g[NORTH], g[EAST] = by_f, 0.0, 0.0
-    g[THETA], g[THETA + 1], g[THETA + 2] = (
-        by_f * speed * w + by_J * 2 * speed,
-        by_f * w + by_J,
-        turn * (by_f * w + by_J),
-    )
+    g[THETA], g[THETA + 1] = by_f * speed * w + by_J * 2 * speed, by_f * w + by_J
+    g[THETA + 2] = turn * (by_f * w + by_J)
     if even:
         g[E] = by_f * w * w + by_J * 2 * w
     for side in range(2):
@@ -249,10 +246,7 @@ def flow(even, mean, w, b, left_before, right_before, x, g):
 
 @jit
 def advance(node, s, q, x, mean, A, work):
-    """The time update from what `forecast` left in `work`; f and G of the measurement stay there.
-
-    Returns HᵀPH, and whether the boat was at rest.
-    """
+    """The time update from what `forecast` left in `work`, where f and G stay; returns HᵀPH, and whether it rests."""
     n, numbers, h = node[Row.SIZE], q[node[Row.NUMBERS] :], x[DT]
     g, speed, current, noise = work[:n], work[n], work[n + 1], s[node[AT.noise]]
     if s[node[AT.started]] > 0:

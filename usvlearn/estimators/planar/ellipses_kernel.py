@@ -57,13 +57,7 @@ def width_of(head, s, k):
 
 @jit
 def radius_held(slot, k, horizon):
-    """The radius of a track at a horizon, m, of which it knows the distance run and the commands until now.
-
-    Args:
-        slot: the track.
-        k: index of the horizon.
-        horizon: s, where the radius is asked for.
-    """
+    """The radius of a track at a horizon, m, for which it knows the distance run and the commands until now."""
     kept, path = slot[at.HORIZON + k * at.OF_HORIZON :], slot[at.COMMANDS : at.COMMANDS + PATH]
     return slot[at.WIDER] * halfwidth_held(kept[:HELD], kept[HELD], slot[at.RUN], path[FAR], group_of(path))
 

@@ -33,8 +33,8 @@ HEADING, TURN, MEASURED_SWAY, NORTH, EAST = range(POSE)  # rad, rad/s, m/s over 
 (
     ELAPSED, REACH, NORTH_0, EAST_0, COS_0, SIN_0, C_NORTH, C_EAST, U, V, R, W, PSI, AT_NORTH, AT_EAST, RUN,
     U_0, R_0, PSI_0, HELD_NORTH, HELD_EAST, COS, SIN, HELD_COS, HELD_SIN, WIDER, COMMANDS,
-) = range(27)  # fmt: skip  # COMMANDS: the path of `ensemble.conditional`
-HORIZON = COMMANDS + PATH  # then, for each horizon: what (1) to (3) of `ensemble.conditional` need, w, and C
+) = range(27)  # fmt: skip  # COMMANDS: the path of `manoeuvre_intervals`
+HORIZON = COMMANDS + PATH  # then, for each horizon: what (1) to (3) of `manoeuvre_intervals` need, w, and C
 OF_HORIZON = HELD + 4
 # What is known of a track when it has become due.
 DUE = 8

@@ -112,7 +112,7 @@ def descend(node, s, q, weights, grad, factor, rest):
 
 @jit
 def keep(node, s, u, surge, target):
-    """`kept.added`."""
+    """`replay_buffer.added`."""
     size = node[Choice.REPLAY_SIZE]
     learned = whole(s[node[AT_REPLAY.learned]], 2 * size)
     sample = s[node[AT_REPLAY.samples] + KEPT * (learned % size) :]
@@ -138,7 +138,7 @@ def learn_again(node, s, q, weights, z, rest):
 
 @jit
 def gradient_again(node, s, weights, h, z, z_before, grad):
-    """The gradient of the next sample of `kept.due`."""
+    """The gradient of the next sample of `replay_buffer.due`."""
     size, samples = node[Choice.REPLAY_SIZE], s[node[AT_REPLAY.samples] :]
     learned, turn = whole(s[node[AT_REPLAY.learned]], 2 * size), whole(s[node[AT_REPLAY.turn]], TURN)
     place = turn * min(learned, size) // TURN
@@ -226,7 +226,7 @@ def penalise(weights, penalty, n, grad):
 
 @jit(reorder=True)
 def clip(grad, limit):
-    """What `rnn.clipped` multiplies the gradient by."""
+    """What `layer.clipped` multiplies the gradient by."""
     total = 0.0
     for i in range(len(grad)):
         grad[i] = min(max(grad[i], -1e15), 1e15)
@@ -241,12 +241,8 @@ def adam(weights, moment1, moment2, grad, shrink, ratios, numbers, updates):
     rate = numbers[Number.RATE]
     if numbers[Number.DECAY] < np.inf:
         rate /= np.sqrt(1 + np.floor(updates / numbers[Number.DECAY]))
-    momentum, share2, epsilon, tiny = (
-        numbers[Number.MOMENTUM],
-        numbers[Number.SHARE2],
-        numbers[Number.EPSILON],
-        numbers[Number.TINY],
-    )  # share2 is 1 − β₂
+    momentum, share2 = numbers[Number.MOMENTUM], numbers[Number.SHARE2]  # the latter is 1 − β₂
+    epsilon, tiny = numbers[Number.EPSILON], numbers[Number.TINY]
     if momentum > 0:
         rate /= 1 - momentum**count
     correction = 1.0 / (1 - np.exp(count * numbers[Number.LOG_BETA2]))

@@ -1,4 +1,4 @@
-"""The covariance P = U D Uᵀ: the operations of `layer`, in place; equations are those of the package.
+"""The covariance P = U D Uᵀ: operations in place, by the equations of the package.
 
 A is the leaf `factor`: U_ij at A[j, i] for i < j, D_j at A[j, j].
 """
@@ -62,10 +62,7 @@ def along(A, k, c, a):
 
 @jit
 def measure(A, f, G, alpha, gain):
-    """(2) from α_0; writes P H into `gain`, and returns S.
-
-    Four columns of U at a time: then a sum is loaded and stored once for four products.
-    """
+    """(2) from α_0; writes P H into `gain`, and returns S. Four columns of U at a time take fewer loads and stores."""
     n, j = len(f), 0
     while j + 3 < n:
         G0, G1, G2, G3 = G[j], G[j + 1], G[j + 2], G[j + 3]

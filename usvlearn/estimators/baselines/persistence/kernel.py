@@ -23,12 +23,6 @@ def coast(node, s, q, x, predicted, work):
 
 
 @jit
-def free_step(node, s, q, x, work):
-    """One step of an open-loop simulation: `predict`, and the leaves `frozen` after it; returns the speed, m/s."""
-    return s[node[AT.surge]]
-
-
-@jit
 def learn(node, s, q, x, estimate, target, work):
     """`Persistence.update`."""
     s[node[AT.surge]] = target

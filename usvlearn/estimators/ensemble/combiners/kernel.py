@@ -1,4 +1,4 @@
-"""The combiners of an ensemble: the steps of `layer`, equations (1) to (4) of `state`.
+"""The combiners of an ensemble: equations (1) to (4) of `state`.
 
 `node` is the row of a combiner; the columns of its members stand behind it. x holds their predictions.
 """
@@ -37,11 +37,7 @@ def share(node, s, q, k):
 
 @jit
 def fill_inactive(node, s, q, predictions, x):
-    """Write x: a member that is inactive (NaN) is replaced by the weighted mean of the others, NaN where all are
-    inactive.
-
-    Returns whether all are inactive.
-    """
+    """Write x, where a member that is inactive (NaN) has the weighted mean of the others; returns whether all are."""
     m, inactive = node[Row.SIZE], 0
     for k in range(m):
         x[k] = predictions[node[WIDTH + k]]
@@ -137,21 +133,12 @@ def learn_exponential(node, s, q, x, surge, dt, work):
 def learn_boa(node, s, q, x, surge, dt, work):
     """`BOA.learn`."""
     m, numbers = node[Row.SIZE], q[node[Row.NUMBERS] :]
-    bernstein(
-        s[node[AT_BOA.weights] : node[AT_BOA.weights] + m],
-        s[node[AT_BOA.losses] : node[AT_BOA.losses] + m],
-        s[node[AT_BOA.squares] : node[AT_BOA.squares] + m],
-        s[node[AT_BOA.ranges] : node[AT_BOA.ranges] + m],
-        q[node[Priors.PRIOR] : node[Priors.PRIOR] + m],
-        q[node[Priors.COSTS] : node[Priors.COSTS] + m],
-        np.exp(-dt / numbers[Bernstein.MEMORY]),
-        numbers[Bernstein.SCALE],
-        numbers[Bernstein.SHARE],
-        node[Loss.LOSS] == SQUARE,
-        x,
-        surge,
-        work,
-    )
+    weights = s[node[AT_BOA.weights] : node[AT_BOA.weights] + m]
+    losses, squares = s[node[AT_BOA.losses] :], s[node[AT_BOA.squares] :]
+    prior, costs, kept = q[node[Priors.PRIOR] :], q[node[Priors.COSTS] :], np.exp(-dt / numbers[Bernstein.MEMORY])
+    scale, part, square = numbers[Bernstein.SCALE], numbers[Bernstein.SHARE], node[Loss.LOSS] == SQUARE
+    ranges = s[node[AT_BOA.ranges] :]
+    bernstein(weights, losses, squares, ranges, prior, costs, kept, scale, part, square, x, surge, work)
 
 
 @jit

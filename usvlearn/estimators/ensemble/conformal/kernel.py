@@ -1,4 +1,4 @@
-"""Prediction intervals: the step of `layer`."""
+"""Prediction intervals: equation (1) of `state`, and what they know of the manoeuvre."""
 
 import numpy as np
 
@@ -21,7 +21,7 @@ FIRST, PLACE = AT.conditional.learned.coefficients, AT.conditional.path
 
 @jit
 def published(node, s, predictions, members, limit, row, spreads, found):
-    """`layer.published`, into `found`; of predictions of which the first ones are the members'."""
+    """Write the half-widths of predictions, those of members first; infinite before FEW innovations."""
     for i in range(node[Row.SIZE]):
         found[i] = np.inf if s[node[AT.count] + i] < FEW else s[node[AT.halfwidth] + i]
     if node[Choice.CONDITIONAL] <= 0:
@@ -48,7 +48,7 @@ def spread_about(predicted, predictions, members, limit):
 
 @jit
 def conformal(node, s, q, innovation, predictions, limit, row, spreads):
-    """`conformal_step`, in place."""
+    """The intervals after innovations, in place."""
     k, numbers = node[Row.SIZE], q[node[Row.NUMBERS] :]
     halfwidth, count = s[node[AT.halfwidth] : node[AT.halfwidth] + k], s[node[AT.count] : node[AT.count] + k]
     conditional, at, path = node[Choice.CONDITIONAL] > 0, node[FIRST:], s[max(node[PLACE], 0) :]

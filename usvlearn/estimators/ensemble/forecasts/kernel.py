@@ -1,4 +1,4 @@
-"""Forecasts over several horizons: the parts of `layer` that step no member, equations (1) to (3) of `state`.
+"""Forecasts over several horizons: the parts that step no member, equations (1) to (3) of `state`.
 
 `known` is the row of a `HorizonState`, and `knows` says whether intervals know the manoeuvre; else it is another row.
 """
@@ -62,7 +62,7 @@ def between(node, q, time):
 
 @jit
 def halfwidth_after(node, known, knows, s, q, time, weights, x, surge, path):
-    """`layer.halfwidth_after` of members' predictions x and their forecast, m/s, and of a path of the commands."""
+    """The half-width, m/s, of members' predictions x and their forecast after a time, s, on a path of the commands."""
     if time > q[node[Vector.HORIZONS] + node[Choice.HORIZONS] - 1] * BEYOND:
         return np.inf
     k, rise = between(node, q, time)

@@ -60,10 +60,7 @@ NONE: Any = {}
 
 
 class ForecastState(NamedTuple):
-    """Forecasts under way, what was learned from earlier ones, and those that became due in the last step.
-
-    A slot holds the forecasts of one origin; H horizons, M members.
-    """
+    """Forecasts under way, what was learned, and what became due last; H horizons, M members, a slot for an origin."""
 
     frozen: dict[str, dict[str, Tensor]]  # member -> leaf -> (*batch, slots, …)
     elapsed: Tensor  # (*batch, slots) s since the origin, EMPTY of an empty slot

@@ -1,4 +1,4 @@
-"""Robust learning: the parts of `Robust` before and after the steps of its estimator, (1) and (2) of `state`."""
+"""Robust learning: what is done before and after the steps of its estimator, (1) and (2) of `state`."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from usvlearn.estimators.wrappers.robust.state import AT, Number
 
 @jit
 def start(node, s):
-    """`Robust.start`."""
+    """A segment starts."""
     s[node[AT.run]] = 0.0
 
 
