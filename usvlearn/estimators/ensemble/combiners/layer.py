@@ -199,6 +199,12 @@ class Prior(Combiner):
         prior = as_tensor([self.prior.get(name, 1.0) for name in names])
         self.register_buffer("log_prior", (prior / prior.sum()).log(), persistent=False)
 
+    def combine(self, state: ExponentialState | BOAState, predictions: Tensor) -> Tensor:
+        return (state.weights * fill_inactive(predictions, state.weights)).sum(-1)
+
+    def monitor(self, state: ExponentialState | BOAState) -> dict[str, Tensor]:
+        return self._weights(state.weights)
+
     def _spec(self, kind: str, **own: Any) -> dict[str, Any]:
         values = numbers(tiny=TINY, memory=math.inf if self.memory is None else self.memory, **own)
         return {"kind": kind, "loss": self.loss, "numbers": values, "vector": self.log_prior.exp().tolist()}
@@ -249,9 +255,6 @@ class ExponentialWeights(Prior):
         zeros = like.new_zeros((*batch, len(self.names)))
         return ExponentialState(self.log_prior.exp().expand_as(zeros), zeros)
 
-    def combine(self, state: ExponentialState, predictions: Tensor) -> Tensor:
-        return (state.weights * fill_inactive(predictions, state.weights)).sum(-1)
-
     def learn(self, state: ExponentialState, predictions: Tensor, surge: Tensor, dt: Tensor) -> ExponentialState:
         error = members_or_target(predictions, state.weights, surge) - surge[..., None]
         losses = self._kept(dt) * state.losses + (error.abs() if self.loss == "absolute" else error * error)
@@ -259,9 +262,6 @@ class ExponentialWeights(Prior):
 
     def description(self) -> dict[str, Any]:
         return self._spec("exponential", rate=self.rate)
-
-    def monitor(self, state: ExponentialState) -> dict[str, Tensor]:
-        return self._weights(state.weights)
 
 
 class BOA(Prior):
@@ -305,9 +305,6 @@ class BOA(Prior):
         zeros = like.new_zeros((*batch, len(self.names)))
         return BOAState(self.log_prior.exp().expand_as(zeros), zeros, zeros, zeros + self.scale)
 
-    def combine(self, state: BOAState, predictions: Tensor) -> Tensor:
-        return (state.weights * fill_inactive(predictions, state.weights)).sum(-1)
-
     def learn(self, state: BOAState, predictions: Tensor, surge: Tensor, dt: Tensor) -> BOAState:
         x = members_or_target(predictions, state.weights, surge)
         combined = (state.weights * x).sum(-1, keepdim=True)
@@ -327,9 +324,6 @@ class BOA(Prior):
     def description(self) -> dict[str, Any]:
         found = self._spec("boa", scale=self.scale, share=self.share)
         return found | {"vector": [*found["vector"], *self._costs().tolist()]}
-
-    def monitor(self, state: BOAState) -> dict[str, Tensor]:
-        return self._weights(state.weights)
 
     def _costs(self) -> Tensor:
         """c = log(1/w0) of (3), `(members,)`."""
