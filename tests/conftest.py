@@ -11,7 +11,8 @@ import pytest
 import torch
 from hypothesis import HealthCheck, settings
 
-from tests.support import REAL_LOGS
+from tests.support import REAL_LOGS, made_once
+from tests.support.commands import SEASON, run
 
 torch.set_num_threads(1)
 os.environ["COLUMNS"] = "160"  # of tables, wherever the tests run
@@ -70,6 +71,18 @@ def interruptible() -> Iterator[None]:
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before or signal.SIG_DFL)
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of two simulated boats, two missions each, which nobody changes; beside it the text that it printed."""
+
+    def make(folder: Path) -> None:
+        done = run(*SEASON, "hydra.run.dir=run", folder=folder)
+        assert done.returncode == 0, done.stderr
+        (folder / "output.txt").write_text(done.stdout)
+
+    return made_once(tmp_path_factory, "finished", make) / "run"
 
 
 @pytest.fixture

@@ -47,8 +47,8 @@ def troubled(*batch):
 
 
 @every_family
+@pytest.mark.parametrize("dtype", few([torch.float64, torch.float32], [torch.float64], "thorough"), ids=str)
 @each_batch
-@over("dtype", [torch.float64, torch.float32])
 def test_shapes_and_dtypes(name, batch, dtype):
     estimator = ESTIMATORS[name]().to(dtype)
     state = estimator.init(batch)

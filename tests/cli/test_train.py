@@ -11,28 +11,18 @@ import numpy as np
 import pytest
 
 from tests.support import few
-from tests.support.commands import ENVIRONMENT, SMALL, assert_equal_runs, command, predictions, results, run
+from tests.support.commands import ENVIRONMENT, SEASON, assert_equal_runs, command, predictions, results, run
 from usvlearn.core import checkpoint
 from usvlearn.estimators.axis.turning_quantities import QUANTITIES as TURNING
 
 NAMES = {
     "aid", "sift_map", "rnn", "persistence", "joint", "joint_quick", "arx", "joint_averaged", "average", "weighted",
-    "ensemble",
+    "ensemble", "dynamic_rls",
 }  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory) -> Path:
-    """A finished run of two simulated boats, two missions each."""
-    folder = tmp_path_factory.mktemp("whole")
-    done = run(*SMALL, "data.n=2", f"hydra.run.dir={folder}/run", folder=folder)
-    assert done.returncode == 0, done.stderr
-    (folder / "output.txt").write_text(done.stdout)
-    return folder / "run"
-
-
-def test_results(whole):
-    found = results(whole)
+def test_results(finished):
+    found = results(finished)
     assert list(found["boats"]) == ["heron1", "heron2"]
     for rows in found["boats"].values():
         assert set(rows) == NAMES
@@ -48,8 +38,8 @@ def test_results(whole):
     assert found["objective"] == pytest.approx(np.mean(maes))
 
 
-def test_results_have_what_was_identified(whole):
-    found = results(whole)
+def test_results_have_what_was_identified(finished):
+    found = results(finished)
     assert list(found["identified"]) == list(found["lacks"]) == ["heron1", "heron2"]
     for quantities in found["identified"].values():
         assert {"thrust_full_left", "drag_linear", "steady_speed_quarter", "time_constant"} <= quantities.keys()
@@ -59,22 +49,22 @@ def test_results_have_what_was_identified(whole):
             assert None in row.values() or row["low"] <= row["value"] <= row["high"]
             assert name != "mass"
         assert 1 < quantities["steady_speed_full"]["truth"] < 4 and quantities["thrust_full_left"]["unit"] == "N"
-    text = (whole.parent / "output.txt").read_text()
+    text = (finished.parent / "output.txt").read_text()
     assert "Identified, with 90 % intervals" in text and "truth" in text and "28 kg, as configured" in text
 
 
-def test_terminal(whole):
-    text = (whole.parent / "output.txt").read_text()
+def test_terminal(finished):
+    text = (finished.parent / "output.txt").read_text()
     assert all(name in text for name in (*NAMES, "heron2", "MAE", "median", "RMSE", "skill", "m/s", "surge"))
-    assert f"tensorboard --logdir {whole.name}/tensorboard" in text  # of the folder in which it was started
+    assert f"tensorboard --logdir {finished.name}/tensorboard" in text  # of the folder in which it was started
 
 
-def test_parameter_sets(whole):
+def test_parameter_sets(finished):
     """One each half minute of run time and one at each run's end, complete and told apart."""
     for boat in ("heron1", "heron2"):
-        paths = checkpoint.checkpoints(whole / "checkpoints" / boat)
+        paths = checkpoint.checkpoints(finished / "checkpoints" / boat)
         saved = [(facts["run"], facts["step"]) for facts in (checkpoint.load(path)[1] for path in paths)]
-        runs = json.loads((whole / "runs.json").read_text())["boats"][boat]
+        runs = json.loads((finished / "runs.json").read_text())["boats"][boat]
         assert saved == [(name, k) for name, length, _ in runs for k in (*range(75, length, 75), length)]
         assert len(saved) >= 6
         leaves, facts = checkpoint.load(paths[-1])
@@ -84,13 +74,13 @@ def test_parameter_sets(whole):
         assert {"members.aid.theta", "members.rnn.weights.w1", "members.rnn.moment2"} <= leaves.keys()
 
 
-def test_everything_lies_in_the_runs_folder(whole):
-    assert sorted(p.name for p in whole.parent.iterdir()) == ["output.txt", "run"]
+def test_everything_lies_in_the_runs_folder(finished):
+    assert sorted(p.name for p in finished.parent.iterdir()) == ["made", "output.txt", "run"]
     files = {"errors.csv", "results.json", "runs.json"}
     assert files | {"checkpoints", "planar", "predictions", "tensorboard", ".hydra"} == {
-        p.name for p in whole.iterdir()
+        p.name for p in finished.iterdir()
     }
-    assert "gain: 1.0" in (whole / ".hydra" / "config.yaml").read_text()
+    assert "gain: 1.0" in (finished / ".hydra" / "config.yaml").read_text()
 
 
 def killed_after(sets: int, folder: Path, *arguments: str) -> None:
@@ -107,8 +97,8 @@ def killed_after(sets: int, folder: Path, *arguments: str) -> None:
 @pytest.mark.thorough
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
 @pytest.mark.parametrize("sets", few([1, 4], [4]))
-def test_killed_and_resumed_equals_uninterrupted(whole, tmp_path, sets):
-    arguments = [*SMALL, "data.n=2", f"hydra.run.dir={tmp_path}/run"]
+def test_killed_and_resumed_equals_uninterrupted(finished, tmp_path, sets):
+    arguments = [*SEASON, f"hydra.run.dir={tmp_path}/run"]
     killed_after(sets, tmp_path, *arguments)
     assert not (tmp_path / "run" / "results.json").exists()
     refused = run(*arguments, folder=tmp_path)
@@ -120,19 +110,19 @@ def test_killed_and_resumed_equals_uninterrupted(whole, tmp_path, sets):
     assert resumed.returncode == 0, resumed.stderr
     if sets > 1:
         assert "damaged" in resumed.stderr and "resuming after step" in resumed.stdout
-    assert_equal_runs(tmp_path / "run", whole)
+    assert_equal_runs(tmp_path / "run", finished)
 
 
 @pytest.mark.thorough
-def test_resume_carries_parameters_to_other_runs(whole, tmp_path):
+def test_resume_carries_parameters_to_other_runs(finished, tmp_path):
     """A new season starts from the parameters of the last one."""
-    season = [*SMALL, "data.n=2", "data.seed=5", f"hydra.run.dir={tmp_path}/run"]
-    done = run(*season, f"resume={whole}", folder=tmp_path)
+    season = [*SEASON, "data.seed=5", f"hydra.run.dir={tmp_path}/run"]
+    done = run(*season, f"resume={finished}", folder=tmp_path)
     assert done.returncode == 0 and "from the first run on" in done.stdout, done.stderr
     anew = run(*season[:-1], f"hydra.run.dir={tmp_path}/anew", folder=tmp_path)
     assert anew.returncode == 0
     first = predictions(tmp_path / "run")[0][1:6], predictions(tmp_path / "anew")[0][1:6]
     assert not np.array_equal(*first)
-    single = run(*SMALL, f"resume={max((whole / 'checkpoints' / 'heron2').iterdir())}",
+    single = run(*SEASON, "data.n=1", f"resume={max((finished / 'checkpoints' / 'heron2').iterdir())}",
                  f"hydra.run.dir={tmp_path}/one", folder=tmp_path)  # fmt: skip
     assert single.returncode == 0 and "starting from heron2" in single.stdout

@@ -79,6 +79,7 @@ def test_every_estimator_and_setting(name):
     assert_windows_equal(EVERY[name](), mission(50, 2), 25, 1e-9)
 
 
+@pytest.mark.thorough
 @every_family
 def test_single_precision(name):
     """The kernels' float32 is no further from float64 than torch's, by more than a few roundings' chance."""

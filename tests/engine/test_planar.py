@@ -253,6 +253,7 @@ def test_a_lost_thruster_widens_the_ellipses_within_five_seconds(boats, learned)
     assert (after[[4, 12, 24]] > 1.3 * before[[4, 12, 24]]).all()
 
 
+@pytest.mark.thorough
 def test_numbers_of_single_precision_stay_finite_for_long(boats):
     own = planar().to(torch.float32)
     parts = [tree_map(lambda x: x if x.dtype == bool else x.astype(np.float32), each) for each in boats]

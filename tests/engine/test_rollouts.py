@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch.autograd import forward_ad
 
-from tests.support import ESTIMATORS, FAMILIES, over, random_samples
+from tests.support import ESTIMATORS, FAMILIES, each_dtype, over, random_samples
 from tests.support.commands import python
 from tests.support.kernel_cases import difference, mission
 from usvlearn import (
@@ -325,7 +325,7 @@ def test_one_number_fits_every_batch_by_either(name):
 
 
 @pytest.mark.parametrize("backend", ["kernel", "torch"])
-@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+@each_dtype
 def test_a_member_that_is_not_finite_begins_again_and_the_others_go_on(monkeypatch, backend, dtype):
     ensemble = Ensemble({"aid": AID(28.0), "rls": RLS(), "persistence": Persistence()}).to(dtype)
     if backend == "torch":

@@ -137,6 +137,7 @@ def test_one_command_for_both_sides_raises_no_alarm():
     assert (kept["monitors.thrusters.raised"] == 0).all() and (kept["accommodation.handed"] == 0).all()
 
 
+@pytest.mark.thorough
 def test_single_precision_finds_the_same():
     one, samples = ensemble().to(torch.float32), sail(1)
     narrow = tree_map(lambda x: x if x.dtype == torch.bool else x.float(), samples)

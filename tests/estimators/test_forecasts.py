@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.support import at, few
+from tests.support import at, each_dtype
 from tests.support.forecasts import HORIZONS, ensemble, plain
 from usvlearn import AID, BOA, Ensemble, ForecastSettings, Inputs, Online, Persistence, Sample, rollout
 from usvlearn.core.samples import Fleet, Run, named_leaves, tree_map
@@ -170,7 +170,7 @@ def test_intervals_cover_what_they_say():
         )
 
 
-@pytest.mark.parametrize("dtype", few([torch.float64, torch.float32], [torch.float64], "thorough"), ids=str)
+@each_dtype
 def test_a_state_goes_on_where_it_was(dtype, tmp_path):
     """Saved aboard and opened in mid-flight, bit for bit; a batch is its batch elements."""
     model, samples = ensemble().to(dtype), plain(80, 2)

@@ -8,7 +8,7 @@ import pytest
 import torch
 from scipy.integrate import solve_ivp
 
-from tests.support import few, over
+from tests.support import each_dtype, few, over
 from tests.support.kernel_cases import inflated, mission
 from usvlearn import Inputs, JointEKF, Online, Sample, rollout
 from usvlearn.core import checkpoint
@@ -250,7 +250,7 @@ def sound(joint, state) -> None:
     assert (state.covariance.diagonal(dim1=-2, dim2=-1)[..., 4:] <= (1 + 1e-5) * joint.variance).all()
 
 
-@pytest.mark.parametrize("dtype", few([torch.float64, torch.float32], [torch.float64], "thorough"), ids=str)
+@each_dtype
 @pytest.mark.parametrize("name", few(["even", "odd"], ["even"], "thorough"))
 def test_a_hundred_thousand_steps_at_rest(name, dtype):
     """Nothing is unlearned there, and the noise is not lost: the next hour goes as the first."""
@@ -267,7 +267,7 @@ def test_a_hundred_thousand_steps_at_rest(name, dtype):
 
 
 @each_setting
-@over("dtype", [torch.float64, torch.float32])
+@each_dtype
 def test_what_happens_aboard_is_survived(name, dtype):
     """NaN, outliers of 99 m/s, steps of hours, sensors without noise, and most speeds missing."""
     joint, samples = JointEKF(2.0, 28.0, **SETTINGS[name]).to(dtype), mission(4000, seed=7, dtype=dtype)

@@ -76,7 +76,7 @@ def test_step_takes_numbers_and_bools_alone(rng, cases, kind):
 @pytest.mark.fuzz(cases=3000, slow=300_000)
 @pytest.mark.parametrize(
     ("dtype", "single"),
-    [(torch.float64, True), (torch.float64, False), (torch.float32, False)],
+    [(torch.float64, True), (torch.float64, False), pytest.param(torch.float32, False, marks=pytest.mark.thorough)],
     ids=["single", "rollout", "float32"],
 )
 def test_no_samples_make_the_default_ensemble_remember_what_is_not_finite(rng, cases, dtype, single):

@@ -1,15 +1,14 @@
 """A run that all tests of reports look at."""
 
+import shutil
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tests.support import made_once
-from tests.support.commands import SMALL, run
+from tests.support.commands import run
 from usvlearn.report.page import _drawing
-
-LEAST_SQUARES = "+estimator@estimators.dynamic_rls=dynamic_rls"  # whose parameters have a band
 
 
 @pytest.fixture(autouse=True)
@@ -32,14 +31,13 @@ def drawn_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="session")
-def saved(tmp_path_factory) -> Path:
-    """A finished run of two simulated boats, two missions each, and its report; nobody changes it."""
+def saved(tmp_path_factory, finished) -> Path:
+    """A finished run and its report; nobody changes it."""
+
+    def make(folder: Path) -> None:
+        shutil.copytree(finished, folder / "run")
+        done = run(f"runs={folder}/run", folder=folder, script="evaluate.py")
+        assert done.returncode == 0, done.stderr
+        assert f"{folder}/run/report/index.html" in done.stdout.replace("\n", "")
+
     return made_once(tmp_path_factory, "saved", make) / "run"
-
-
-def make(folder: Path) -> None:
-    done = run(*SMALL, LEAST_SQUARES, "data.n=2", f"hydra.run.dir={folder}/run", folder=folder)
-    assert done.returncode == 0, done.stderr
-    done = run(f"runs={folder}/run", folder=folder, script="evaluate.py")
-    assert done.returncode == 0, done.stderr
-    assert f"{folder}/run/report/index.html" in done.stdout.replace("\n", "")

@@ -160,6 +160,8 @@ def each_family(values: Iterable) -> Callable:
     return pytest.mark.parametrize("name", few(values, FAMILIES, "thorough"))
 
 
+# The kernels of single precision take a minute to compile where no code is kept.
+each_dtype = pytest.mark.parametrize("dtype", few([torch.float64, torch.float32], [torch.float64], "thorough"), ids=str)
 RECORDED = [  # boats with logs in REAL_LOGS: those of few logs in the default tests
     *few(["dalian", "pearl", "blueboat"], ["dalian", "pearl"], "thorough"),
     pytest.param("vtec", marks=pytest.mark.slow),

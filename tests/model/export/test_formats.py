@@ -152,7 +152,7 @@ def test_csv_has_what_the_run_published(boat, run, element):
         found = np.array([float(row[column] or "nan") for row in rows])
         expected = np.concatenate([each[key][:, element, place] for each in arrays])
         np.testing.assert_array_equal(found, np.where(np.isinf(expected), np.nan, expected))  # the first ten intervals
-    assert len({row["run"] for row in rows}) == 3
+    assert len({row["run"] for row in rows}) == 2
 
 
 def test_mcap_is_read_again_and_its_runs_follow_each_other(run):
@@ -172,7 +172,7 @@ def test_mcap_is_read_again_and_its_runs_follow_each_other(run):
         float(row["ensemble"]) if row["ensemble"] else None for row in rows
     ]
     stamps = np.array([stamp for stamp, _ in measured])
-    assert (np.diff(stamps) > 0).all() and (np.diff(stamps) >= 9e9).sum() == 2
+    assert (np.diff(stamps) > 0).all() and (np.diff(stamps) >= 9e9).sum() == 1
     assert {each.name for each in reader.iter_metadata()} == {"runs", "boat"}
 
 
