@@ -4,21 +4,13 @@ import gc
 import os
 import re
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
-import torch
-from hypothesis import HealthCheck, settings
 
-from tests.support import REAL_LOGS, made_once
-from tests.support.commands import SEASON, run
-
-torch.set_num_threads(1)
 os.environ["COLUMNS"] = "160"  # of tables, wherever the tests run
-settings.register_profile("loaded", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile("loaded")  # drawing cases may take long on a loaded machine
-
 
 TIERS = ("thorough", "slow", "slurm", "docs")
 WITHOUT_KERNELS = ("tests/certify", "tests/logs", "tests/core", "tests/display", "tests/simulate")
@@ -27,9 +19,17 @@ FIRST = "tests/report/test_build.py"  # of the thorough tests: several modules w
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Let pytest-xdist keep the order below."""
+    """Let pytest-xdist keep the order below. The process that only hands out the tests does not wait for torch."""
     if hasattr(config.option, "loadscopereorder"):
         config.option.loadscopereorder = False
+    if getattr(config.option, "numprocesses", None):
+        return
+    import torch
+    from hypothesis import HealthCheck, settings
+
+    torch.set_num_threads(1)
+    settings.register_profile("loaded", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    settings.load_profile("loaded")  # drawing cases may take long on a loaded machine
 
 
 def tier(item: pytest.Item) -> str:
@@ -76,6 +76,8 @@ def interruptible() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of two simulated boats, two missions each, which nobody changes; beside it the text that it printed."""
+    from tests.support import made_once
+    from tests.support.commands import SEASON, run
 
     def make(folder: Path) -> None:
         done = run(*SEASON, "hydra.run.dir=run", folder=folder)
@@ -86,8 +88,26 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
+def drawn_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A page whose figures are all its first one, for tests of its words: drawing is most of a report's time."""
+    from usvlearn.report import page
+
+    draw: Callable[[str, Any], tuple[str, bytes]] = page._drawing
+    made: list[tuple[str, bytes]] = []
+
+    def first(name: str, figure: Any) -> tuple[str, bytes]:
+        if not made:
+            made.append(draw(name, figure))
+        return made[0]
+
+    monkeypatch.setattr(page, "_drawing", first)
+
+
+@pytest.fixture
 def real_logs() -> Path:
     """The folder of recorded logs beside the repository; the test is skipped where it is absent."""
+    from tests.support import REAL_LOGS
+
     if not REAL_LOGS.is_dir():
         pytest.skip("recorded logs are not part of the repository and are not beside it")
     return REAL_LOGS

@@ -168,7 +168,7 @@ def test_what_it_writes_is_read_by_all_that_read_a_run(folder, tmp_path, monkeyp
         assert full == pytest.approx(after.found[f"thrust_full_{side}"].value, rel=1e-9)
     commands = [
         ["export", "run/fit", "--boat", "heron1", "--to", "json,c,mat"],
-        ["controller", "run/fit", "--boat", "heron2"],
+        ["controller", "run/fit", "--boat", "heron2", "--boats", "5"],
         ["plan", "run/fit", "--boat", "heron1", "--minutes", "2", "--out", str(tmp_path)],
     ]
     for command in commands:

@@ -53,6 +53,7 @@ def test_no_question_is_taken_for_a_setting(here, monkeypatch, capsys):
 
 
 @pytest.mark.thorough
+@pytest.mark.usefixtures("drawn_once")
 def test_it_is_said_everywhere_until_it_is_confirmed(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     inspect.work([str(knots_table(tmp_path, voyage(minutes=6.0)))])
@@ -73,7 +74,7 @@ def test_it_is_said_everywhere_until_it_is_confirmed(tmp_path, monkeypatch, caps
         fit.work([name])
         export.work([name, "--to", "json,c", "--force"])
         export.work([f"{name}/fit", "--to", "json", "--out", f"{name}/export/fit", "--force"])
-        controller.work([f"{name}/fit", "--out", f"{name}/gains"])
+        controller.work([f"{name}/fit", "--boats", "5", "--out", f"{name}/gains"])
         printed = capsys.readouterr()
         told = [(SENTENCE in each) for each in (printed.out, printed.err)]
         assert told == [bool(left)] * 2
