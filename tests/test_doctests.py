@@ -1,4 +1,4 @@
-"""The examples in docstrings run: by default those that the pages of docs/reference show, all of them in `thorough`."""
+"""The examples in docstrings run: by default all but those of two modules that take seconds."""
 
 import importlib
 import inspect
@@ -8,7 +8,6 @@ from functools import cached_property
 import pytest
 
 from tests.support import ROOT
-from tests.support.reference import listed
 
 FOLDERS = "certify", "usvlearn", "tests/support", "benchmarks"
 SOURCES = [path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*.py"))]
@@ -17,6 +16,8 @@ MODULES = [
     for path in SOURCES
     if ">>> " in path.read_text()
 ]
+DEAR = ["usvlearn.api", "usvlearn.learned"]
+QUICK = [name for name in MODULES if name not in DEAR]
 
 
 def cached(value: object) -> list:
@@ -40,15 +41,9 @@ def failures(value: object, name: str) -> str:
     return "".join(printed)
 
 
-def test_examples_of_what_the_reference_shows():
-    shown = {name: value for name, (value, *_) in listed().items()}
-    assert "".join(failures(value, name) for name, value in shown.items() if ">>> " in inspect.getsource(value)) == ""
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("name", MODULES)
-def test_examples_of_every_module(name):
-    assert failures(importlib.import_module(name), name) == ""
+@pytest.mark.parametrize("names", [QUICK, pytest.param(DEAR, marks=pytest.mark.thorough)], ids=["quick", "dear"])
+def test_examples_of_every_module(names):
+    assert "".join(failures(importlib.import_module(name), name) for name in names) == ""
 
 
 def test_a_wrong_example_is_reported():

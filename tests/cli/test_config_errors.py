@@ -103,12 +103,9 @@ LOGS = {  # what stands in the log
 
 
 BY_DEFAULT = {  # one of each kind
-    "key", "key that is there",
-    "member that is there", "group", "option", "number for an option", "bracket", "no value", "sweep without -m",
-    "flag", "two flags", "flag without its value", "file", "folder", "launcher", "no section",
-    "a section that is a number", "a circle", "a reference to nothing", "no value yet", "option of align",
-    "level of the check", "a word", "a key of others", "inside wrappers", "argument", "target", "a missing value",
-    "channel",
+    "key", "key that is there", "group", "option", "number for an option", "bracket", "no value", "sweep without -m",
+    "flag", "two flags", "flag without its value", "file", "folder", "launcher", "a reference to nothing",
+    "no value yet", "level of the check", "a key of others", "inside wrappers", "argument", "target", "channel",
 }  # fmt: skip
 
 

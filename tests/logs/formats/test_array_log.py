@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import usvlearn
+from tests.support import few
 from tests.support.exported import write_table
 from tests.support.files import refused
 from usvlearn.core.samples import named_leaves
@@ -179,7 +180,7 @@ class Column:
 HOLES = np.arange(len(T)) % 7 == 0
 
 
-@pytest.mark.parametrize("kind", ["masked", "whole numbers", "nullable"])
+@pytest.mark.parametrize("kind", few(["masked", "whole numbers", "nullable"], ["masked"], "thorough"))
 def test_what_is_masked_is_no_value(kind):
     """Whatever lies below the mask: it is counted as empty, as NaN is."""
     surge = np.round(SI["surge"], 0 if kind == "whole numbers" else 3)

@@ -26,7 +26,7 @@ def scored(tmp_path_factory):
     return functools.cache(lambda name: inspected(tmp_path_factory.mktemp(name), (SHAPES | TRAPS)[name]))
 
 
-@pytest.mark.parametrize("name", few(SHAPES, {*SHAPES} - {"heron", "knots", "plain", "port", "positions"}, "thorough"))
+@pytest.mark.parametrize("name", few(SHAPES, [*SHAPES][1::2], "thorough"))
 def test_a_shape_is_read_as_it_was_written(scored, name):
     found, result = scored(name)
     assert result.wrong == []
@@ -41,7 +41,7 @@ def test_channels_and_units_are_right_in_95_percent(scored):
     assert right >= 0.95 * sum(sum(map(len, each)) for each in results), [each.unsure for each in results]
 
 
-@pytest.mark.parametrize("name", TRAPS)
+@pytest.mark.parametrize("name", few(TRAPS, [*TRAPS][::2], "thorough"))
 def test_it_is_never_sure_of_what_is_wrong(scored, name):
     assert scored(name)[1].wrong == []
 

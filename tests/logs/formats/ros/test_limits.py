@@ -172,6 +172,7 @@ def test_a_row_of_a_database_cannot_fill_the_memory(tmp_path):
     assert "too big" in said and grown < 80
 
 
+@pytest.mark.thorough
 def test_a_larger_limit_reads_the_same_bag(tmp_path):
     for path, content in ((tmp_path / "a.bag", ros1("lz4")), (tmp_path / "a.mcap", ros2("zstd")[0])):
         path.write_bytes(content)
