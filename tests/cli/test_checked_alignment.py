@@ -5,7 +5,7 @@ import pytest
 
 import usvlearn
 from tests.support import over
-from tests.support.commands import QUICK, results, run, sentence
+from tests.support.commands import QUICK, ran, results, sentence
 from tests.support.runs import session
 from usvlearn.cli import train
 from usvlearn.composition.alignment import CheckedAlignment
@@ -38,16 +38,14 @@ def knots(tmp_path_factory):
 @pytest.mark.thorough
 def test_a_warning_is_shown_and_saved_and_survives_a_resume(knots, tmp_path):
     own = [*TABLE, *QUICK[1:], f"data.path={knots}", f"hydra.run.dir={tmp_path}/run"]
-    done = run(*own, folder=tmp_path, COLUMNS="80")
-    assert done.returncode == 0, done.stderr
+    done = ran(*own, folder=tmp_path, COLUMNS="80")
     shown = done.stdout[: done.stdout.index("learning from the start")]
     assert "Data check" in shown and "set data.channels.surge.unit=knots" in shown
     assert all(len(line) <= 80 for line in shown.splitlines())
     (finding,) = results(tmp_path / "run")["data_check"]
     assert finding["about"] == "surge" and finding["severity"] == "warning" and "knots" in finding["key"]
     assert set(finding) == {"boat", "about", "kind", "found", "expected", "key", "severity"}
-    again = run(*own, "resume=latest", folder=tmp_path)
-    assert again.returncode == 0, again.stderr
+    ran(*own, "resume=latest", folder=tmp_path)
     assert results(tmp_path / "run")["data_check"] == [finding]
 
 
@@ -65,8 +63,7 @@ def test_strict_refuses_and_writes_nothing(knots, tmp_path, monkeypatch, capsys)
 @pytest.mark.thorough
 def test_the_jobs_of_a_sweep_are_quiet_and_keep_their_findings(knots, tmp_path):
     own = [*TABLE, *QUICK[1:], f"data.path={knots}", "estimators.aid.gain=1,2", f"hydra.sweep.dir={tmp_path}/sweep"]
-    done = run("-m", *own, folder=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = ran("-m", *own, folder=tmp_path)
     assert "Data check" not in done.stdout and "data check" not in done.stdout
     for job in ("0", "1"):
         assert [each["kind"] for each in results(tmp_path / "sweep" / job)["data_check"]] == ["speed scale"]

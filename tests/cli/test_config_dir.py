@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
-from tests.support.commands import GOOD, run, sentence
+from tests.support.commands import GOOD, ran, sentence
 from usvlearn.cli import evaluate, train
 
 FILES = {
@@ -37,8 +37,7 @@ def mine(tmp_path) -> Path:
 
 @pytest.mark.thorough
 def test_its_data_estimators_and_experiments_are_added(mine):
-    done = run("--config-dir", "mine", "experiment=mine", "data.path=log.csv", "hydra.run.dir=run", folder=mine)
-    assert done.returncode == 0, done.stderr
+    ran("--config-dir", "mine", "experiment=mine", "data.path=log.csv", "hydra.run.dir=run", folder=mine)
     rows = json.loads((mine / "run" / "results.json").read_text())["boats"]["log"]
     assert rows["quick"]["mae"] != rows["aid"]["mae"] and rows["quick"]["steps"] == 49  # of 0.2 s
     settings = OmegaConf.load(mine / "run" / ".hydra" / "config.yaml")

@@ -3,7 +3,7 @@
 import pytest
 
 import usvlearn
-from tests.support.commands import GOOD, QUICK, results, run, sentence
+from tests.support.commands import GOOD, QUICK, ran, results, sentence
 from usvlearn.cli import train
 
 BOAT = """\
@@ -41,8 +41,7 @@ def test_a_file_anywhere_configures_the_data(mine, monkeypatch, place):
 
 @pytest.mark.thorough
 def test_the_jobs_of_a_sweep_use_it(mine):
-    done = run("-m", "data=my_boat.yaml", *QUICK[1:], "estimators.aid.gain=1,2", "hydra.sweep.dir=sweep", folder=mine)
-    assert done.returncode == 0, done.stderr
+    ran("-m", "data=my_boat.yaml", *QUICK[1:], "estimators.aid.gain=1,2", "hydra.sweep.dir=sweep", folder=mine)
     assert "log" in results(mine / "sweep" / "1")["boats"]
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.commands import ENVIRONMENT, SMALL, run, sentence
+from tests.support.commands import ENVIRONMENT, SMALL, ran, sentence
 from tests.support.configured import TWO_BOATS
 from tests.support.runs import tools
 from tests.support.studies import Recorder, made
@@ -164,6 +164,5 @@ def test_a_report_a_study_and_a_job_of_a_sweep_are_locked(tmp_path, capsys):
 def test_processes_that_search_together_share_the_folder(tmp_path):
     pytest.importorskip("optuna", reason="needs the package optuna")
     process = holder(tmp_path / "run", "shared")
-    done = run(*TWO_BOATS, "search=aid", "tuning.evaluations=2", "hydra.run.dir=run", folder=tmp_path)
-    assert done.returncode == 0, done.stderr
+    ran(*TWO_BOATS, "search=aid", "tuning.evaluations=2", "hydra.run.dir=run", folder=tmp_path)
     ended(process)

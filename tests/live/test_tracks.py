@@ -158,8 +158,7 @@ def test_a_session_saves_tracks_and_waits_for_no_position(tmp_path, run):
 def test_a_record_is_replayed_with_its_tracks(tmp_path):
     """By train.py, from a run and the record, though the first position came after half a minute."""
     quick = [each for each in commands.QUICK[1:] if each != "tracks=null"]
-    done = commands.run("data=planar", "data.hours=0.05", "hydra.run.dir=run", *quick, folder=tmp_path)
-    assert done.returncode == 0, done.stderr
+    commands.ran("data=planar", "data.hours=0.05", "hydra.run.dir=run", *quick, folder=tmp_path)
     with ready(tmp_path / "node", tmp_path / "run", TURNING, record=True) as session:
         for part, stamp, value in messages(turning()):
             if stamp < 1.7e9 + 100 and (not part.startswith("l") or stamp > 1.7e9 + 30):
@@ -168,8 +167,7 @@ def test_a_record_is_replayed_with_its_tracks(tmp_path):
         learned = session._node.online.state
     records = tmp_path / "node" / "records"
     overrides = ("data=record_0001.yaml", "resume=record_0001", "hydra.run.dir=again", *quick)
-    done = commands.run(*overrides, folder=records)
-    assert done.returncode == 0, done.stderr
+    commands.ran(*overrides, folder=records)
     found, _ = checkpoint.load(checkpoint.checkpoints(records / "again" / "planar" / "checkpoints" / "boat")[-1])
     for name, leaf in learned.items():
         np.testing.assert_array_equal(found[name], leaf, err_msg=name)

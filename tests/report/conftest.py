@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.support import made_once
-from tests.support.commands import run
+from tests.support.commands import ran
 
 
 @pytest.fixture(scope="package", autouse=True)
@@ -24,8 +24,7 @@ def saved(tmp_path_factory, finished) -> Path:
 
     def make(folder: Path) -> None:
         shutil.copytree(finished, folder / "run")
-        done = run(f"runs={folder}/run", folder=folder, script="evaluate.py")
-        assert done.returncode == 0, done.stderr
+        done = ran(f"runs={folder}/run", folder=folder, script="evaluate.py")
         assert f"{folder}/run/report/index.html" in done.stdout.replace("\n", "")
 
     return made_once(tmp_path_factory, "saved", make) / "run"

@@ -5,7 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
-from tests.support.commands import SMALL, results, run
+from tests.support.commands import SMALL, ran, results, run
 from usvlearn.core.checkpoint import checkpoints, load
 
 pytestmark = pytest.mark.thorough  # the set-up of its tests takes long
@@ -18,8 +18,7 @@ def made(tmp_path_factory):
     """A run with tracks, and one without."""
     folder = tmp_path_factory.mktemp("beside")
     for name, more in (("run", []), ("without", ["tracks=null"])):
-        done = run(*SMALL, *more, f"hydra.run.dir={name}", folder=folder)
-        assert done.returncode == 0, done.stderr
+        ran(*SMALL, *more, f"hydra.run.dir={name}", folder=folder)
     return folder
 
 
@@ -35,8 +34,7 @@ def test_without_tracks_nothing_else_differs(made):
 
 def test_a_run_without_tracks_is_resumed_with_them(made, tmp_path):
     shutil.copytree(made / "without", tmp_path / "run")
-    done = run(*ONE, "resume=latest", folder=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = ran(*ONE, "resume=latest", folder=tmp_path)
     assert "tracks, sway and yaw rate are learned anew" in done.stdout
     assert set(results(tmp_path / "run")["tracks"]["heron"]) == {"2", "5.2", "10", "30"}
 
@@ -45,8 +43,7 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before(made, tmp_path):
     shutil.copytree(made / "run", tmp_path / "first")
     path = newest(tmp_path, "first")
     path.write_bytes(path.read_bytes()[:1000])
-    done = run(*ONE, "data.seed=5", "resume=first", folder=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = ran(*ONE, "data.seed=5", "resume=first", folder=tmp_path)
     assert "learned anew" not in done.stdout
 
 

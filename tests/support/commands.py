@@ -73,6 +73,13 @@ def run(*arguments: str, folder: Path, script: str = "train.py", **environment: 
     return subprocess.CompletedProcess(started, code, out.getvalue(), err.getvalue())
 
 
+def ran(*arguments: str, folder: Path, script: str = "train.py", **environment: str) -> subprocess.CompletedProcess:
+    """A command's end, which has to be a good one."""
+    done = run(*arguments, folder=folder, script=script, **environment)
+    assert done.returncode == 0, done.stderr
+    return done
+
+
 @contextmanager
 def left_as_it_was() -> Iterator[None]:
     """Put back what a command changes in its process, and end the process if it takes too long."""

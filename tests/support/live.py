@@ -93,8 +93,7 @@ def ready(folder: Path, start: Path | None, middleware: Middleware = PLAIN, **op
 def replayed(records: Path, number: int = 1) -> np.ndarray:
     """The predictions of a record that train.py replays as its configuration says, `(steps, members and rules)`."""
     name = f"record_{number:04d}"
-    done = commands.run(f"data={name}.yaml", f"resume={name}.safetensors", "hydra.run.dir=again", folder=records)
-    assert done.returncode == 0, done.stderr
+    commands.ran(f"data={name}.yaml", f"resume={name}.safetensors", "hydra.run.dir=again", folder=records)
     arrays = [np.load(path) for path in sorted((records / "again" / "predictions").glob("*.npz"))]
     return np.concatenate([each["predictions"] for each in arrays])[:, 0]
 

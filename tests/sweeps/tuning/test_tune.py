@@ -11,7 +11,7 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
 from tests.support import ROOT, over
-from tests.support.commands import results, run
+from tests.support.commands import ran, results, run
 from tests.support.configured import TWO_BOATS, configured, replayed, request
 from usvlearn import Estimator, Persistence, Positive, UnitInterval, UsvlearnError
 from usvlearn.errors import ConfigError
@@ -135,8 +135,7 @@ def test_every_file(tmp_path):
     """A sweep over two members: its table, each job's files, and the experiment that each gives."""
     ranges = "tuning.ranges.arx={walk: [1e-5, 1e-3]}"
     arguments = [*TWO_BOATS, "grid=aid,arx", "tuning.evaluations=12", ranges, "hydra.sweep.dir=sweep"]
-    done = run("-m", *arguments, folder=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = ran("-m", *arguments, folder=tmp_path)
     for k, member in enumerate(("aid", "arx")):
         folder = tmp_path / "sweep" / str(k)
         found = json.loads((folder / "tuning.json").read_text())
