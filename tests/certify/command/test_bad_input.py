@@ -2,7 +2,6 @@
 
 import itertools
 import json
-import subprocess
 import sys
 import time
 from fractions import Fraction
@@ -237,11 +236,3 @@ def test_certify_names_the_package_that_is_missing(package, tmp_path, monkeypatc
     error = capsys.readouterr().err
     assert error.startswith("error: ") and package in error and "pip install" in error
     assert len(error.splitlines()) == 1
-
-
-def test_no_search_and_no_proof_imports_a_solver_with_its_module():
-    names = "search.box search.recurrent search.vector_lmi search.vector_scaling proofs.steps"
-    modules = ", ".join(f"certify.{name}" for name in names.split())
-    later = {"scipy", "torch", "cvxpy", "clarabel", "usvlearn"}
-    code = f"import sys, {modules}; print({later} & {{*sys.modules}})"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "set()\n"
