@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +20,40 @@ BEGIN = datetime(2025, 7, 24, 17, 18, 48, tzinfo=UTC)
 def rows(voyage: Voyage, hz: float = 10.0) -> np.ndarray:
     """Stamps of a table, s."""
     return np.arange(0.5, voyage.surge[0].max() - 0.5, 1 / hz)
+
+
+class At:
+    """What a voyage has at the stamps of a table, such as `at.surge`; angles in rad, `lat` and `lon` in degrees."""
+
+    def __init__(self, voyage: Voyage, hz: float = 10.0):
+        self.voyage, self.time = voyage, rows(voyage, hz)
+
+    def __getattr__(self, name: str) -> np.ndarray:
+        return self.voyage.at(name, self.time)
+
+    @property
+    def lat(self) -> np.ndarray:
+        return np.round(np.interp(self.time, *self.voyage.latitude), 7)
+
+    @property
+    def lon(self) -> np.ndarray:
+        return np.round(np.interp(self.time, *self.voyage.longitude), 7)
+
+    @property
+    def left(self) -> np.ndarray:
+        return self.voyage.at("command_left", self.time)
+
+    @property
+    def right(self) -> np.ndarray:
+        return self.voyage.at("command_right", self.time)
+
+
+Writer = Callable[[Path, Voyage], Path]  # into a folder
+
+
+def table(name: str, columns: Callable[[At], Mapping[str, Sequence]], hz: float = 10.0, **how: Any) -> Writer:
+    """Writes the columns of a voyage to a CSV file of this name; `how` as of `write_table`."""
+    return lambda folder, voyage: write_table(folder / name, columns(At(voyage, hz)), **how)
 
 
 def write_table(path: Path, columns: Mapping[str, Sequence], delimiter: str = ",", comma: bool = False,
@@ -69,205 +104,6 @@ def moos(folder: Path, voyage: Voyage) -> Path:
     })  # fmt: skip
 
 
-def pwm_table(folder: Path, voyage: Voyage) -> Path:
-    time = rows(voyage)
-    return write_table(folder / "pwm.csv", {
-        "time": time,
-        "lat": voyage_latitude(voyage, time),
-        "lon": voyage_longitude(voyage, time),
-        "heading": np.round(DEG * voyage.at("heading", time), 2),
-        "yaw_rate": np.round(DEG * voyage.at("yaw_rate", time), 3),
-        "speed": np.round(voyage.at("surge", time), 3),
-        "pwm_left": np.round(1500 + 400 * voyage.at("command_left", time)),
-        "pwm_right": np.round(1500 + 400 * voyage.at("command_right", time)),
-        "battery": 25 - time / 1000,
-    })  # fmt: skip
-
-
-def voyage_latitude(voyage: Voyage, time: np.ndarray) -> np.ndarray:
-    return np.round(np.interp(time, *voyage.latitude), 7)
-
-
-def voyage_longitude(voyage: Voyage, time: np.ndarray) -> np.ndarray:
-    return np.round(np.interp(time, *voyage.longitude), 7)
-
-
-def german_table(folder: Path, voyage: Voyage) -> Path:
-    time = rows(voyage, 5.0)
-    stamps = [(BEGIN + timedelta(seconds=float(each))).strftime("%d.%m.%Y %H:%M:%S,%f")[:-3] for each in time]
-    return write_table(folder / "fahrt.csv", {
-        "Zeit": stamps,
-        "Breite": voyage_latitude(voyage, time),
-        "Länge": voyage_longitude(voyage, time),
-        "Steuerkurs (°)": np.round(DEG * voyage.at("heading", time), 1),
-        "Kurs über Grund (°)": np.round(DEG * voyage.at("course", time), 1),
-        "Geschwindigkeit (km/h)": np.round(KMH * voyage.at("surge", time), 2),
-        "Schub links (%)": np.round(100 * voyage.at("command_left", time)),
-        "Schub rechts (%)": np.round(100 * voyage.at("command_right", time)),
-    }, delimiter=";", comma=True, encoding="cp1252")  # fmt: skip
-
-
-def knots_table(folder: Path, voyage: Voyage) -> Path:
-    time = rows(voyage)
-    return write_table(folder / "knots.csv", {
-        "timestamp": np.round(1e3 * (BEGIN.timestamp() + time)),
-        "latitude": voyage_latitude(voyage, time),
-        "longitude": voyage_longitude(voyage, time),
-        "sog": np.round(KNOTS * voyage.at("surge", time), 2),
-        "cog": np.round(voyage.at("course", time), 3),
-        "hdg": np.round(voyage.at("heading", time), 4),
-        "throttle_port": np.round(voyage.at("command_left", time), 3),
-        "throttle_starboard": np.round(voyage.at("command_right", time), 3),
-    })  # fmt: skip
-
-
-def reversed_table(folder: Path, voyage: Voyage) -> Path:
-    time = rows(voyage)
-    return write_table(folder / "reversed.csv", {
-        "t_ms": 1000 * time,
-        "x_ned": np.interp(time, *voyage.north),
-        "y_ned": np.interp(time, *voyage.east),
-        "yaw": DEG * voyage.at("heading", time),
-        "yaw_rate": voyage.at("yaw_rate", time),
-        "surge": voyage.at("surge", time),
-        "thr_left": np.round(1511 - 400 * voyage.at("command_left", time)),
-        "thr_right": np.round(1511 + 400 * voyage.at("command_right", time)),
-        "thr_left_pwm_zero_point": 1511 + 0 * time,
-        "thr_right_pwm_zero_point": 1511 + 0 * time,
-    })  # fmt: skip
-
-
-def newton_table(folder: Path, voyage: Voyage) -> Path:
-    time = rows(voyage)
-    left, right = voyage.at("command_left", time), voyage.at("command_right", time)
-    rng = np.random.default_rng(3)
-    trim = np.repeat(rng.uniform(0.8, 1.0, len(time) // 100 + 1), 100)[: len(time)]
-    return write_table(folder / "newton.csv", {
-        "time": time,
-        "lat": voyage_latitude(voyage, time),
-        "lon": voyage_longitude(voyage, time),
-        "heading_deg": DEG * voyage.at("heading", time),
-        "speed_mps": voyage.at("surge", time),
-        "thruster_1 (N)": np.round(30 * left * trim, 2),
-        "thruster_2 (N)": np.round(30 * right * trim, 2),
-        "thruster_3 (N)": np.round(30 * left, 2),
-        "thruster_4 (N)": np.round(30 * right, 2),
-    })  # fmt: skip
-
-
-def rudder_table(folder: Path, voyage: Voyage) -> Path:
-    time = rows(voyage)
-    left, right = voyage.at("command_left", time), voyage.at("command_right", time)
-    return write_table(folder / "rudder.csv", {
-        "time": time,
-        "lat": voyage_latitude(voyage, time),
-        "lon": voyage_longitude(voyage, time),
-        "heading": DEG * voyage.at("heading", time),
-        "speed": voyage.at("surge", time),
-        "thrust": np.round(100 * (left + right) / 2, 1),
-        "rudder": np.round(np.clip(60 * (left - right), -45, 45), 1),
-    })  # fmt: skip
-
-
-def positions_table(folder: Path, voyage: Voyage) -> Path:
-    time = rows(voyage, 5.0)
-    return write_table(folder / "positions.csv", {
-        "time": time,
-        "Latitude": voyage_latitude(voyage, time),
-        "Longitude": voyage_longitude(voyage, time),
-        "Heading": DEG * voyage.at("heading", time),
-        "Motor_L": np.round(voyage.at("command_left", time), 3),
-        "Motor_R": np.round(voyage.at("command_right", time), 3),
-    })  # fmt: skip
-
-
-def nameless_table(folder: Path, voyage: Voyage) -> Path:
-    time = rows(voyage)
-    return write_table(folder / "nameless.csv", {
-        "t": time,
-        "c2": np.round(1500 + 400 * voyage.at("command_right", time)),
-        "c3": voyage.at("surge", time),
-        "c4": voyage_latitude(voyage, time),
-        "c5": DEG * voyage.at("heading", time),
-        "c6": voyage.at("yaw_rate", time),
-        "c7": voyage_longitude(voyage, time),
-        "c8": np.round(1500 + 400 * voyage.at("command_left", time)),
-        "c9": 24 + np.sin(time / 300),
-    })  # fmt: skip
-
-
-def crowded_table(folder: Path, voyage: Voyage) -> Path:
-    time = rows(voyage)
-    rng = np.random.default_rng(8)
-    speed, heading = voyage.at("surge", time), voyage.at("heading", time)
-    gps = np.repeat(speed[::5], 5)[: len(time)]
-    return write_table(folder / "crowded.csv", {
-        "time": time,
-        "utc": [(BEGIN + timedelta(seconds=float(each))).isoformat() for each in time],
-        "wind_speed": 4 + np.cumsum(rng.normal(0, 0.02, len(time))),
-        "wind_direction": (200 + 0.1 * np.cumsum(rng.normal(0, 1, len(time)))) % 360,
-        "battery_voltage": 25 - time / 2000,
-        "battery_current": 2 + 10 * np.abs(voyage.at("command_left", time)),
-        "desired_speed": np.round(speed + 0.3, 1),
-        "desired_heading": np.round(DEG * heading, -1) % 360,
-        "roll": rng.normal(0, 2, len(time)),
-        "pitch": rng.normal(0, 1, len(time)),
-        "gps_lat": voyage_latitude(voyage, time),
-        "gps_lon": voyage_longitude(voyage, time),
-        "gps_speed_kn": np.round(KNOTS * np.abs(gps), 2),
-        "gps_course": np.round(DEG * voyage.at("course", time), 1),
-        "ekf_speed": speed,
-        "log_speed_kmh": np.round(KMH * np.abs(speed) + rng.normal(0, 0.1, len(time)), 1),
-        "compass_heading": DEG * heading,
-        "gyro_x": rng.normal(0, 0.1, len(time)),
-        "gyro_y": rng.normal(0, 0.1, len(time)),
-        "gyro_z": voyage.at("yaw_rate", time),
-        "cmd_left": voyage.at("command_left", time),
-        "cmd_right": voyage.at("command_right", time),
-    })  # fmt: skip
-
-
-def plain_table(folder: Path, voyage: Voyage) -> Path:
-    time = rows(voyage)
-    return write_table(folder / "plain.csv", {
-        "time": time,
-        "command_left": voyage.at("command_left", time),
-        "command_right": voyage.at("command_right", time),
-        "heading": DEG * voyage.at("heading", time),
-        "surge": voyage.at("surge", time),
-    })  # fmt: skip
-
-
-def east_table(folder: Path, voyage: Voyage) -> Path:
-    """Yaw from east, counter-clockwise; local coordinates x east, y north."""
-    time = rows(voyage)
-    return write_table(folder / "east.csv", {
-        "stamp": time,
-        "lat": voyage_latitude(voyage, time),
-        "lon": voyage_longitude(voyage, time),
-        "yaw": enu(voyage.at("heading", time)),
-        "yaw_rate": -voyage.at("yaw_rate", time),
-        "vel": voyage.at("surge", time),
-        "left_motor": np.round(255 * voyage.at("command_left", time)),
-        "right_motor": np.round(255 * voyage.at("command_right", time)),
-    })  # fmt: skip
-
-
-def velocities_table(folder: Path, voyage: Voyage) -> Path:
-    time = rows(voyage)
-    speed, heading = voyage.at("surge", time), voyage.at("heading", time)
-    return write_table(folder / "velocities.csv", {
-        "time": time,
-        "vn": speed * np.cos(heading),
-        "ve": speed * np.sin(heading),
-        "lat": voyage_latitude(voyage, time),
-        "lon": voyage_longitude(voyage, time),
-        "heading": DEG * heading,
-        "thrust_left": 100 * voyage.at("command_left", time),
-        "thrust_right": 100 * voyage.at("command_right", time),
-    }, delimiter="\t")  # fmt: skip
-
-
 def on_change(folder: Path, voyage: Voyage) -> Path:
     return write_alog(folder / "on_change.alog", {
         "THRUST_LEFT": scaled(voyage.command_left, 100),
@@ -277,6 +113,138 @@ def on_change(folder: Path, voyage: Voyage) -> Path:
         "LATITUDE": voyage.latitude,
         "LONGITUDE": voyage.longitude,
     })  # fmt: skip
+
+
+pwm_table = table("pwm.csv", lambda at: {
+    "time": at.time, "lat": at.lat, "lon": at.lon,
+    "heading": np.round(DEG * at.heading, 2),
+    "yaw_rate": np.round(DEG * at.yaw_rate, 3),
+    "speed": np.round(at.surge, 3),
+    "pwm_left": np.round(1500 + 400 * at.left),
+    "pwm_right": np.round(1500 + 400 * at.right),
+    "battery": 25 - at.time / 1000,
+})  # fmt: skip
+german_table = table("fahrt.csv", lambda at: {
+    "Zeit": [(BEGIN + timedelta(seconds=float(each))).strftime("%d.%m.%Y %H:%M:%S,%f")[:-3] for each in at.time],
+    "Breite": at.lat,
+    "Länge": at.lon,
+    "Steuerkurs (°)": np.round(DEG * at.heading, 1),
+    "Kurs über Grund (°)": np.round(DEG * at.course, 1),
+    "Geschwindigkeit (km/h)": np.round(KMH * at.surge, 2),
+    "Schub links (%)": np.round(100 * at.left),
+    "Schub rechts (%)": np.round(100 * at.right),
+}, 5.0, delimiter=";", comma=True, encoding="cp1252")  # fmt: skip
+knots_table = table("knots.csv", lambda at: {
+    "timestamp": np.round(1e3 * (BEGIN.timestamp() + at.time)), "latitude": at.lat, "longitude": at.lon,
+    "sog": np.round(KNOTS * at.surge, 2),
+    "cog": np.round(at.course, 3),
+    "hdg": np.round(at.heading, 4),
+    "throttle_port": np.round(at.left, 3),
+    "throttle_starboard": np.round(at.right, 3),
+})  # fmt: skip
+reversed_table = table("reversed.csv", lambda at: {
+    "t_ms": 1000 * at.time, "x_ned": at.north, "y_ned": at.east,
+    "yaw": DEG * at.heading,
+    "yaw_rate": at.yaw_rate,
+    "surge": at.surge,
+    "thr_left": np.round(1511 - 400 * at.left),
+    "thr_right": np.round(1511 + 400 * at.right),
+    "thr_left_pwm_zero_point": 1511 + 0 * at.time,
+    "thr_right_pwm_zero_point": 1511 + 0 * at.time,
+})  # fmt: skip
+
+
+def newtons(at: At) -> dict[str, np.ndarray]:
+    trim = np.repeat(np.random.default_rng(3).uniform(0.8, 1.0, len(at.time) // 100 + 1), 100)[: len(at.time)]
+    return {
+        "time": at.time, "lat": at.lat, "lon": at.lon,
+        "heading_deg": DEG * at.heading,
+        "speed_mps": at.surge,
+        "thruster_1 (N)": np.round(30 * at.left * trim, 2),
+        "thruster_2 (N)": np.round(30 * at.right * trim, 2),
+        "thruster_3 (N)": np.round(30 * at.left, 2),
+        "thruster_4 (N)": np.round(30 * at.right, 2),
+    }  # fmt: skip
+
+
+newton_table = table("newton.csv", newtons)
+rudder_table = table("rudder.csv", lambda at: {
+    "time": at.time, "lat": at.lat, "lon": at.lon,
+    "heading": DEG * at.heading,
+    "speed": at.surge,
+    "thrust": np.round(100 * (at.left + at.right) / 2, 1),
+    "rudder": np.round(np.clip(60 * (at.left - at.right), -45, 45), 1),
+})  # fmt: skip
+positions_table = table("positions.csv", lambda at: {
+    "time": at.time, "Latitude": at.lat, "Longitude": at.lon,
+    "Heading": DEG * at.heading,
+    "Motor_L": np.round(at.left, 3),
+    "Motor_R": np.round(at.right, 3),
+}, 5.0)  # fmt: skip
+nameless_table = table("nameless.csv", lambda at: {
+    "t": at.time,
+    "c2": np.round(1500 + 400 * at.right),
+    "c3": at.surge,
+    "c4": at.lat,
+    "c5": DEG * at.heading,
+    "c6": at.yaw_rate,
+    "c7": at.lon,
+    "c8": np.round(1500 + 400 * at.left),
+    "c9": 24 + np.sin(at.time / 300),
+})  # fmt: skip
+
+
+def crowded(at: At) -> dict[str, Any]:
+    rng, time, speed, heading = np.random.default_rng(8), at.time, at.surge, at.heading
+    gps = np.repeat(speed[::5], 5)[: len(time)]
+    return {
+        "time": time,
+        "utc": [(BEGIN + timedelta(seconds=float(each))).isoformat() for each in time],
+        "wind_speed": 4 + np.cumsum(rng.normal(0, 0.02, len(time))),
+        "wind_direction": (200 + 0.1 * np.cumsum(rng.normal(0, 1, len(time)))) % 360,
+        "battery_voltage": 25 - time / 2000,
+        "battery_current": 2 + 10 * np.abs(at.left),
+        "desired_speed": np.round(speed + 0.3, 1),
+        "desired_heading": np.round(DEG * heading, -1) % 360,
+        "roll": rng.normal(0, 2, len(time)),
+        "pitch": rng.normal(0, 1, len(time)),
+        "gps_lat": at.lat,
+        "gps_lon": at.lon,
+        "gps_speed_kn": np.round(KNOTS * np.abs(gps), 2),
+        "gps_course": np.round(DEG * at.course, 1),
+        "ekf_speed": speed,
+        "log_speed_kmh": np.round(KMH * np.abs(speed) + rng.normal(0, 0.1, len(time)), 1),
+        "compass_heading": DEG * heading,
+        "gyro_x": rng.normal(0, 0.1, len(time)),
+        "gyro_y": rng.normal(0, 0.1, len(time)),
+        "gyro_z": at.yaw_rate,
+        "cmd_left": at.left,
+        "cmd_right": at.right,
+    }
+
+
+crowded_table = table("crowded.csv", crowded)
+plain_table = table("plain.csv", lambda at: {
+    "time": at.time, "command_left": at.left, "command_right": at.right, "heading": DEG * at.heading, "surge": at.surge,
+})  # fmt: skip
+east_table = table("east.csv", lambda at: {  # yaw from east, counter-clockwise; local coordinates x east, y north
+    "stamp": at.time, "lat": at.lat, "lon": at.lon,
+    "yaw": enu(at.heading),
+    "yaw_rate": -at.yaw_rate,
+    "vel": at.surge,
+    "left_motor": np.round(255 * at.left),
+    "right_motor": np.round(255 * at.right),
+})  # fmt: skip
+velocities_table = table("velocities.csv", lambda at: {
+    "time": at.time,
+    "vn": at.surge * np.cos(at.heading),
+    "ve": at.surge * np.sin(at.heading),
+    "lat": at.lat,
+    "lon": at.lon,
+    "heading": DEG * at.heading,
+    "thrust_left": 100 * at.left,
+    "thrust_right": 100 * at.right,
+}, delimiter="\t")  # fmt: skip
 
 
 def adrift(voyage: Voyage) -> dict[str, np.ndarray]:
@@ -297,33 +265,34 @@ def adrift(voyage: Voyage) -> dict[str, np.ndarray]:
     }
 
 
-def sway_table(folder: Path, voyage: Voyage) -> Path:
+def sways(at: At) -> dict[str, np.ndarray]:
     """A sway in knots, under a German name."""
-    own = adrift(voyage)
-    time = own["time"]
-    return write_table(folder / "sway.csv", {
-        "time": time,
+    own = adrift(at.voyage)
+    return {
+        "time": at.time,
         "Breite": own["lat"],
         "Länge": own["lon"],
-        "Steuerkurs (°)": DEG * voyage.at("heading", time),
-        "Geschwindigkeit (kn)": KNOTS * voyage.at("surge", time),
+        "Steuerkurs (°)": DEG * at.heading,
+        "Geschwindigkeit (kn)": KNOTS * at.surge,
         "Quergeschwindigkeit (kn)": KNOTS * own["sway"],
-        "Schub links (%)": 100 * voyage.at("command_left", time),
-        "Schub rechts (%)": 100 * voyage.at("command_right", time),
-    })  # fmt: skip
+        "Schub links (%)": 100 * at.left,
+        "Schub rechts (%)": 100 * at.right,
+    }
 
 
-def port_table(folder: Path, voyage: Voyage) -> Path:
+def sways_to_port(at: At) -> dict[str, np.ndarray]:
     """A velocity in the axes of ROS: x ahead, y to port, beside a yaw from east."""
-    own = adrift(voyage)
-    time = own["time"]
-    return write_table(folder / "port.csv", {
-        "time": time,
+    own = adrift(at.voyage)
+    return {
+        "time": at.time,
         "latitude": own["lat"],
         "longitude": own["lon"],
-        "yaw": enu(voyage.at("heading", time)),
-        "twist.linear.x": voyage.at("surge", time),
+        "yaw": enu(at.heading),
+        "twist.linear.x": at.surge,
         "twist.linear.y": -own["sway"],
-        "left_motor": voyage.at("command_left", time),
-        "right_motor": voyage.at("command_right", time),
-    })  # fmt: skip
+        "left_motor": at.left,
+        "right_motor": at.right,
+    }
+
+
+sway_table, port_table = table("sway.csv", sways), table("port.csv", sways_to_port)

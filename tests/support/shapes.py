@@ -30,154 +30,80 @@ def pair(left: str, right: str, **keys: Any) -> Truth:
     return {"command_left": [{"name": left, **keys}], "command_right": [{"name": right, **keys}]}
 
 
-PLACES: Truth = {"latitude": [{"name": "lat"}], "longitude": [{"name": "lon"}]}
+def of(**channels: Any) -> Truth:
+    """Each channel's name, or its name, unit and span."""
+    each = {channel: said if isinstance(said, tuple) else (said,) for channel, said in channels.items()}
+    return {channel: [dict(zip(("name", "unit", "span"), said, strict=False))] for channel, said in each.items()}
+
+
+PLACES = of(latitude="lat", longitude="lon")
 
 SHAPES = {
-    "moos": Shape(
-        exported.moos,
-        pair("DESIRED_THRUST_L", "DESIRED_THRUST_R", zero=0, span=100)
-        | {"heading": [{"name": "NAV_HEADING", "unit": "deg"}], "yaw_rate": [{"name": None}]}
-        | {"surge": [{"name": "NAV_SPEED", "unit": "m/s"}], "north": [{"name": "NAV_Y"}], "east": [{"name": "NAV_X"}]},
-    ),
-    "pwm": Shape(
-        exported.pwm_table,
-        pair("pwm_left", "pwm_right", zero=1500, span=400)
-        | {"heading": [{"name": "heading", "unit": "deg"}], "yaw_rate": [{"name": "yaw_rate", "unit": "deg/s"}]}
-        | {"surge": [{"name": "speed", "unit": "m/s"}], **PLACES},
-    ),
-    "german": Shape(
-        exported.german_table,
-        pair("Schub links (%)", "Schub rechts (%)", zero=0, span=100)
-        | {"heading": [{"name": "Steuerkurs (°)", "unit": "deg"}], "yaw_rate": [{"name": None}]}
-        | {"surge": [{"name": "Geschwindigkeit (km/h)", "unit": "km/h"}]}
-        | {"latitude": [{"name": "Breite"}], "longitude": [{"name": "Länge"}]},
-    ),
-    "knots": Shape(
-        exported.knots_table,
-        pair("throttle_port", "throttle_starboard", zero=0, span=1)
-        | {"heading": [{"name": "hdg", "unit": "rad"}], "yaw_rate": [{"name": None}]}
-        | {"surge": [{"name": "sog", "unit": "knots"}]}
-        | {"latitude": [{"name": "latitude"}], "longitude": [{"name": "longitude"}]},
-    ),
-    "reversed": Shape(
-        exported.reversed_table,
-        {
-            "command_left": [{"name": "thr_left", "zero": 1511, "span": -400}],
-            "command_right": [{"name": "thr_right", "zero": 1511, "span": 400}],
-            "heading": [{"name": "yaw", "unit": "deg"}],
-            "yaw_rate": [{"name": "yaw_rate", "unit": "rad/s"}],
-            "surge": [{"name": "surge", "unit": "m/s"}],
-            "north": [{"name": "x_ned"}],
-            "east": [{"name": "y_ned"}],
-        },
-    ),
-    "newton": Shape(
-        exported.newton_table,
-        {
-            "command_left": [{"name": ["thruster_1 (N)", "thruster_3 (N)"], "zero": 0, "span": 30}],
-            "command_right": [{"name": ["thruster_2 (N)", "thruster_4 (N)"], "zero": 0, "span": 30}],
-            "heading": [{"name": "heading_deg", "unit": "deg"}],
-            "yaw_rate": [{"name": None}],
-            "surge": [{"name": "speed_mps", "unit": "m/s"}],
-            **PLACES,
-        },
-    ),
-    "rudder": Shape(
-        exported.rudder_table,
-        pair("thrust", "thrust", zero=0, span=100)
-        | {"heading": [{"name": "heading", "unit": "deg"}], "yaw_rate": [{"name": None}]}
-        | {"surge": [{"name": "speed", "unit": "m/s"}], **PLACES},
-    ),
-    "positions": Shape(
-        exported.positions_table,
-        pair("Motor_L", "Motor_R", zero=0, span=1)
-        | {"heading": [{"name": "Heading", "unit": "deg"}], "yaw_rate": [{"name": None}], "surge": [{"name": None}]}
-        | {"latitude": [{"name": "Latitude"}], "longitude": [{"name": "Longitude"}]},
-    ),
-    "nameless": Shape(
-        exported.nameless_table,
-        pair("c8", "c2", zero=1500, span=400)
-        | {"command_right": [{"name": "c2", "zero": 1500, "span": 400}]}
-        | {"heading": [{"name": "c5", "unit": "deg"}], "yaw_rate": [{"name": "c6", "unit": "rad/s"}, {"name": None}]}
-        | {"surge": [{"name": "c3", "unit": "m/s"}]},
-    ),
-    "crowded": Shape(
-        exported.crowded_table,
-        pair("cmd_left", "cmd_right", zero=0, span=1)
-        | {"heading": [{"name": "compass_heading", "unit": "deg"}], "yaw_rate": [{"name": "gyro_z", "unit": "rad/s"}]}
+    "moos": Shape(exported.moos, pair("DESIRED_THRUST_L", "DESIRED_THRUST_R", zero=0, span=100)
+        | of(heading=("NAV_HEADING", "deg"), yaw_rate=None, surge=("NAV_SPEED", "m/s"), north="NAV_Y", east="NAV_X")),
+    "pwm": Shape(exported.pwm_table, pair("pwm_left", "pwm_right", zero=1500, span=400) | PLACES
+        | of(heading=("heading", "deg"), yaw_rate=("yaw_rate", "deg/s"), surge=("speed", "m/s"))),
+    "german": Shape(exported.german_table, pair("Schub links (%)", "Schub rechts (%)", zero=0, span=100)
+        | of(heading=("Steuerkurs (°)", "deg"), yaw_rate=None, surge=("Geschwindigkeit (km/h)", "km/h"),
+        latitude="Breite", longitude="Länge")),
+    "knots": Shape(exported.knots_table, pair("throttle_port", "throttle_starboard", zero=0, span=1)
+        | of(heading=("hdg", "rad"), yaw_rate=None, surge=("sog", "knots"), latitude="latitude",
+        longitude="longitude")),
+    "reversed": Shape(exported.reversed_table,
+        {"command_left": [{"name": "thr_left", "zero": 1511, "span": -400}],
+        "command_right": [{"name": "thr_right", "zero": 1511, "span": 400}]}
+        | of(heading=("yaw", "deg"), yaw_rate=("yaw_rate", "rad/s"), surge=("surge", "m/s"), north="x_ned",
+        east="y_ned")),
+    "newton": Shape(exported.newton_table, PLACES
+        | {"command_left": [{"name": ["thruster_1 (N)", "thruster_3 (N)"], "zero": 0, "span": 30}],
+        "command_right": [{"name": ["thruster_2 (N)", "thruster_4 (N)"], "zero": 0, "span": 30}]}
+        | of(heading=("heading_deg", "deg"), yaw_rate=None, surge=("speed_mps", "m/s"))),
+    "rudder": Shape(exported.rudder_table, pair("thrust", "thrust", zero=0, span=100) | PLACES
+        | of(heading=("heading", "deg"), yaw_rate=None, surge=("speed", "m/s"))),
+    "positions": Shape(exported.positions_table, pair("Motor_L", "Motor_R", zero=0, span=1)
+        | of(heading=("Heading", "deg"), yaw_rate=None, surge=None, latitude="Latitude", longitude="Longitude")),
+    "nameless": Shape(exported.nameless_table, pair("c8", "c2", zero=1500, span=400)
+        | {"yaw_rate": [{"name": "c6", "unit": "rad/s"}, {"name": None}]}
+        | of(heading=("c5", "deg"), surge=("c3", "m/s"))),
+    "crowded": Shape(exported.crowded_table, pair("cmd_left", "cmd_right", zero=0, span=1)
         | {"surge": [{"name": "ekf_speed", "unit": "m/s"}, {"name": "gps_speed_kn", "unit": "knots"},
-                     {"name": "log_speed_kmh", "unit": "km/h"}]}
-        | {"latitude": [{"name": "gps_lat"}], "longitude": [{"name": "gps_lon"}]},
-    ),
-    "plain": Shape(
-        exported.plain_table,
-        pair("command_left", "command_right", zero=0, span=1)
-        | {"heading": [{"name": "heading", "unit": "deg"}], "yaw_rate": [{"name": None}]}
-        | {"surge": [{"name": "surge", "unit": "m/s"}]},
-    ),
-    "east": Shape(
-        exported.east_table,
-        pair("left_motor", "right_motor", zero=0, span=255)
-        | {"heading": [{"name": "yaw", "unit": "enu_rad"}], "yaw_rate": [{"name": "yaw_rate", "unit": "enu_rad/s"}]}
-        | {"surge": [{"name": "vel", "unit": "m/s"}], **PLACES},
-    ),
-    "velocities": Shape(
-        exported.velocities_table,
-        pair("thrust_left", "thrust_right", zero=0, span=100)
-        | {"heading": [{"name": "heading", "unit": "deg"}], "yaw_rate": [{"name": None}], "surge": [{"name": None}]}
-        | {"velocity_north": [{"name": "vn", "unit": "m/s"}], "velocity_east": [{"name": "ve", "unit": "m/s"}]}
-        | PLACES,
-    ),
-    "on_change": Shape(
-        exported.on_change,
-        {
-            "command_left": [{"name": "THRUST_LEFT", "zero": 0, "span": 100, "held": True}],
-            "command_right": [{"name": "THRUST_RIGHT", "zero": 0, "span": 100, "held": True}],
-            "heading": [{"name": "COMPASS_HEADING", "unit": "deg"}],
-            "yaw_rate": [{"name": None}],
-            "surge": [{"name": "GPS_SPEED", "unit": "m/s"}],
-            "latitude": [{"name": "LATITUDE"}],
-            "longitude": [{"name": "LONGITUDE"}],
-        },
-        {"commands": "on_change"},
-    ),
-    "sway": Shape(
-        exported.sway_table,
-        pair("Schub links (%)", "Schub rechts (%)", zero=0, span=100)
-        | {"heading": [{"name": "Steuerkurs (°)", "unit": "deg"}]}
-        | {"surge": [{"name": "Geschwindigkeit (kn)", "unit": "knots"}]}
-        | {"sway": [{"name": "Quergeschwindigkeit (kn)", "unit": "knots", "span": 1}]}
-        | {"latitude": [{"name": "Breite"}], "longitude": [{"name": "Länge"}]},
-    ),
-    "port": Shape(
-        exported.port_table,
-        pair("left_motor", "right_motor", zero=0, span=1)
-        | {"heading": [{"name": "yaw", "unit": "enu_rad"}], "surge": [{"name": "twist.linear.x", "unit": "m/s"}]}
-        | {"sway": [{"name": "twist.linear.y", "unit": "m/s", "span": -1}]}
-        | {"latitude": [{"name": "latitude"}], "longitude": [{"name": "longitude"}]},
-    ),
-    "heron": Shape(
-        exported_bags.heron,
-        {
-            "command_left": [{"name": "/cmd_drive", "field": "left", "zero": 0, "span": 1}],
-            "command_right": [{"name": "/cmd_drive", "field": "right", "zero": 0, "span": 1}],
-            "heading": [{"name": "/imu/data", "field": "orientation", "unit": "enu_rad"}],
-            "yaw_rate": [{"name": "/imu/data", "field": "angular_velocity.z", "unit": "enu_rad/s"}],
-            "surge": [{"name": None}, {"name": "/navsat/vel"}],  # the norm of the velocity is right, too
-            "velocity_north": [{"name": "/navsat/vel", "field": "twist.linear.y", "unit": "m/s"}],
-            "velocity_east": [{"name": "/navsat/vel", "field": "twist.linear.x", "unit": "m/s"}],
-            "latitude": [{"name": "/navsat/fix", "field": "latitude"}],
-            "longitude": [{"name": "/navsat/fix", "field": "longitude"}],
-        },
-    ),
-    "ros2": Shape(
-        exported_bags.numbers,
-        pair("/boat/left_thruster", "/boat/right_thruster", zero=0, span=36.5)
-        | {"heading": [{"name": "/boat/ned_pose", "field": "theta", "unit": "rad"}]}
-        | {"yaw_rate": [{"name": "/boat/local_vel", "field": "z", "unit": "rad/s"}]}
-        | {"surge": [{"name": "/boat/local_vel", "field": "x", "unit": "m/s"}], "sway": [{"name": None}]}
-        | {"north": [{"name": "/boat/ned_pose", "field": "x"}], "east": [{"name": "/boat/ned_pose", "field": "y"}]},
-    ),
+        {"name": "log_speed_kmh", "unit": "km/h"}]}
+        | of(heading=("compass_heading", "deg"), yaw_rate=("gyro_z", "rad/s"), latitude="gps_lat",
+        longitude="gps_lon")),
+    "plain": Shape(exported.plain_table, pair("command_left", "command_right", zero=0, span=1)
+        | of(heading=("heading", "deg"), yaw_rate=None, surge=("surge", "m/s"))),
+    "east": Shape(exported.east_table, pair("left_motor", "right_motor", zero=0, span=255) | PLACES
+        | of(heading=("yaw", "enu_rad"), yaw_rate=("yaw_rate", "enu_rad/s"), surge=("vel", "m/s"))),
+    "velocities": Shape(exported.velocities_table, pair("thrust_left", "thrust_right", zero=0, span=100) | PLACES
+        | of(heading=("heading", "deg"), yaw_rate=None, surge=None, velocity_north=("vn", "m/s"),
+        velocity_east=("ve", "m/s"))),
+    "on_change": Shape(exported.on_change,
+        {"command_left": [{"name": "THRUST_LEFT", "zero": 0, "span": 100, "held": True}],
+        "command_right": [{"name": "THRUST_RIGHT", "zero": 0, "span": 100, "held": True}]}
+        | of(heading=("COMPASS_HEADING", "deg"), yaw_rate=None, surge=("GPS_SPEED", "m/s"), latitude="LATITUDE",
+        longitude="LONGITUDE"), {"commands": "on_change"}),
+    "sway": Shape(exported.sway_table, pair("Schub links (%)", "Schub rechts (%)", zero=0, span=100)
+        | of(heading=("Steuerkurs (°)", "deg"), surge=("Geschwindigkeit (kn)", "knots"),
+        sway=("Quergeschwindigkeit (kn)", "knots", 1), latitude="Breite", longitude="Länge")),
+    "port": Shape(exported.port_table, pair("left_motor", "right_motor", zero=0, span=1)
+        | of(heading=("yaw", "enu_rad"), surge=("twist.linear.x", "m/s"), sway=("twist.linear.y", "m/s", -1),
+        latitude="latitude", longitude="longitude")),
+    "heron": Shape(exported_bags.heron,
+        {"command_left": [{"name": "/cmd_drive", "field": "left", "zero": 0, "span": 1}],
+        "command_right": [{"name": "/cmd_drive", "field": "right", "zero": 0, "span": 1}],
+        "heading": [{"name": "/imu/data", "field": "orientation", "unit": "enu_rad"}],
+        "yaw_rate": [{"name": "/imu/data", "field": "angular_velocity.z", "unit": "enu_rad/s"}],
+        "surge": [{"name": None}, {"name": "/navsat/vel"}],
+        "velocity_north": [{"name": "/navsat/vel", "field": "twist.linear.y", "unit": "m/s"}],
+        "velocity_east": [{"name": "/navsat/vel", "field": "twist.linear.x", "unit": "m/s"}],
+        "latitude": [{"name": "/navsat/fix", "field": "latitude"}],
+        "longitude": [{"name": "/navsat/fix", "field": "longitude"}]}),
+    "ros2": Shape(exported_bags.numbers, pair("/boat/left_thruster", "/boat/right_thruster", zero=0, span=36.5)
+        | {"heading": [{"name": "/boat/ned_pose", "field": "theta", "unit": "rad"}],
+        "yaw_rate": [{"name": "/boat/local_vel", "field": "z", "unit": "rad/s"}],
+        "surge": [{"name": "/boat/local_vel", "field": "x", "unit": "m/s"}],
+        "north": [{"name": "/boat/ned_pose", "field": "x"}], "east": [{"name": "/boat/ned_pose", "field": "y"}]}
+        | of(sway=None)),
 }  # fmt: skip
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.support.shapes import Shape, pair
+from tests.support.shapes import Shape, of, pair
 from tests.support.voyages import Voyage
 
 BEGIN = 1_690_000_000.0  # s since 1970
@@ -83,10 +83,12 @@ def plotjuggler(folder: Path, voyage: Voyage) -> Path:
 
 def numbers(folder: Path, voyage: Voyage) -> Path:
     """A std_msgs/Float64 for each quantity: all tables have the same columns."""
-    for name, of, factor in (("left_thruster", "command_left", 30.0), ("right_thruster", "command_right", 30.0),
+    for name, source, factor in (("left_thruster", "command_left", 30.0), ("right_thruster", "command_right", 30.0),
                              ("heading", "heading", 180 / math.pi), ("speed", "surge", 1.0)):  # fmt: skip
         time = stamps(voyage, 10, len(name))
-        write_topic(folder / "run" / f"{name}.csv", time, {"field.data": factor * voyage.at(of, time)}, "%time", 1e9)
+        write_topic(
+            folder / "run" / f"{name}.csv", time, {"field.data": factor * voyage.at(source, time)}, "%time", 1e9
+        )
     return folder / "run"
 
 
@@ -119,50 +121,24 @@ def ferry(folder: Path, voyage: Voyage) -> Path:
 
 
 TOPICS = {
-    "rostopic": Shape(
-        rostopic,
-        pair("cmd_drive.field.left", "cmd_drive.field.right", zero=0, span=1)
-        | {
-            "heading": [
-                {"name": f"{name}orientation", "unit": "enu_rad"} for name in ("imu.field.", "odom.field.pose.pose.")
-            ]
-        }
-        | {
-            "yaw_rate": [
-                {"name": name, "unit": "enu_rad/s"}
-                for name in ("imu.field.angular_velocity.z", "odom.field.twist.twist.angular.z")
-            ]
-        }
-        | {"surge": [{"name": "odom.field.twist.twist.linear.x", "unit": "m/s"}]},
-    ),
-    "plotjuggler": Shape(
-        plotjuggler,
-        pair("/cmd_drive/left", "/cmd_drive/right", zero=0, span=1)
-        | {"heading": [{"name": "/odom/pose/pose/orientation", "unit": "enu_rad"}]}
-        | {"yaw_rate": [{"name": "/odom/twist/twist/angular/z", "unit": "enu_rad/s"}]}
-        | {"surge": [{"name": "/odom/twist/twist/linear/x", "unit": "m/s"}]},
-    ),
-    "numbers": Shape(
-        numbers,
-        pair("left_thruster.field.data", "right_thruster.field.data", zero=0, span=30)
-        | {"heading": [{"name": "heading.field.data", "unit": "deg"}], "yaw_rate": [{"name": None}]}
-        | {"surge": [{"name": "speed.field.data", "unit": "m/s"}]},
-    ),
-    "px4": Shape(
-        px4,
-        pair("log_actuator_motors_0.control[0]", "log_actuator_motors_0.control[1]", zero=0, span=1)
-        | {"heading": [{"name": "log_vehicle_attitude_0.q", "unit": "rad"}], "yaw_rate": [{"name": None}]}
-        | {"velocity_north": [{"name": "log_vehicle_local_position_0.vx", "unit": "m/s"}]}
-        | {"velocity_east": [{"name": "log_vehicle_local_position_0.vy", "unit": "m/s"}]},
-    ),
-    "ferry": Shape(
-        ferry,
-        {
-            side: [{"name": ["wrench.tau_x", "wrench.tau_n"], "unit": ["N", "N·m"], "weight": [1.0, weight]}]
-            for side, weight in (("command_left", 1.0), ("command_right", -1.0))
-        }
-        | {"heading": [{"name": "odometry.pose.pose.orientation", "unit": "enu_rad"}]}
-        | {"yaw_rate": [{"name": "odometry.twist.twist.angular.z", "unit": "enu_rad/s"}]}
-        | {"surge": [{"name": "odometry.twist.twist.linear.x", "unit": "m/s"}]},
-    ),
-}
+    "rostopic": Shape(rostopic, pair("cmd_drive.field.left", "cmd_drive.field.right", zero=0, span=1)
+        | {"heading": [{"name": "imu.field.orientation", "unit": "enu_rad"},
+        {"name": "odom.field.pose.pose.orientation", "unit": "enu_rad"}],
+        "yaw_rate": [{"name": "imu.field.angular_velocity.z", "unit": "enu_rad/s"},
+        {"name": "odom.field.twist.twist.angular.z", "unit": "enu_rad/s"}]}
+        | of(surge=("odom.field.twist.twist.linear.x", "m/s"))),
+    "plotjuggler": Shape(plotjuggler, pair("/cmd_drive/left", "/cmd_drive/right", zero=0, span=1)
+        | of(heading=("/odom/pose/pose/orientation", "enu_rad"),
+        yaw_rate=("/odom/twist/twist/angular/z", "enu_rad/s"), surge=("/odom/twist/twist/linear/x", "m/s"))),
+    "numbers": Shape(numbers, pair("left_thruster.field.data", "right_thruster.field.data", zero=0, span=30)
+        | of(heading=("heading.field.data", "deg"), yaw_rate=None, surge=("speed.field.data", "m/s"))),
+    "px4": Shape(px4, pair("log_actuator_motors_0.control[0]", "log_actuator_motors_0.control[1]", zero=0, span=1)
+        | of(heading=("log_vehicle_attitude_0.q", "rad"), yaw_rate=None,
+        velocity_north=("log_vehicle_local_position_0.vx", "m/s"),
+        velocity_east=("log_vehicle_local_position_0.vy", "m/s"))),
+    "ferry": Shape(ferry,
+        {"command_left": [{"name": ["wrench.tau_x", "wrench.tau_n"], "unit": ["N", "N·m"], "weight": [1.0, 1.0]}],
+        "command_right": [{"name": ["wrench.tau_x", "wrench.tau_n"], "unit": ["N", "N·m"], "weight": [1.0, -1.0]}]}
+        | of(heading=("odometry.pose.pose.orientation", "enu_rad"),
+        yaw_rate=("odometry.twist.twist.angular.z", "enu_rad/s"), surge=("odometry.twist.twist.linear.x", "m/s"))),
+}  # fmt: skip
