@@ -186,7 +186,9 @@ def test_limits_leave_what_is_legal_and_move_what_is_not():
 def test_a_current_that_differs_more_than_its_mean_is_not_expected():
     """Its size is 1 − variance of the mean / mean², 0 at least (James & Stein 1961)."""
     assert usual_current(np.array([[0.1, 0.0], [0.3, 0.0]])).tolist() == pytest.approx([0.2 * (1 - 0.02 / 2 / 0.04), 0])
-    assert usual_current(np.array([[0.5, 0.0], [-0.3, 0.0]])).tolist() == [0, 0]
+    for apart in ([[0.5, 0.0], [-0.3, 0.0]], np.zeros((3, 2))):
+        assert usual_current(np.array(apart)).tolist() == [0, 0]
+    assert usual_current(np.array([[0.3, 0.1]])).tolist() == [0.3, 0.1]
 
 
 def test_measured_steps_of_a_boat_that_moves_are_counted():

@@ -8,7 +8,7 @@ from usvlearn.core.prepared_samples import COS, DT, HOLD, LEARN, LEFT, MODE, RIG
 from usvlearn.core.samples import Fleet, Inputs, Run, Sample
 from usvlearn.model.fit import logs
 from usvlearn.model.fit.gauss_newton import Missions
-from usvlearn.model.fit.open_loop import ENSEMBLE, FIT, NOTHING, decide, open_loop, usual_current
+from usvlearn.model.fit.open_loop import ENSEMBLE, FIT, NOTHING, decide, open_loop
 from usvlearn.model.surge import SurgeModel
 
 
@@ -60,11 +60,3 @@ def test_the_fit_is_used_where_it_errs_less_on_missions_that_it_has_not_learned(
     assert decide("heron", "cubic", TOP, fleet, fleet, 8, theirs).used == ENSEMBLE  # two missions decide nothing
     assert decide("heron", "cubic", TOP, fleet, fleet, 0, theirs) == NOTHING  # nothing to learn from
     assert decide("heron", "cubic", TOP, fleet, fleet, 5, {}) == NOTHING and "no mission was left" in NOTHING.sentence
-
-
-def test_currents_that_do_not_agree_are_not_expected():
-    rng = np.random.default_rng(0)
-    steady = np.array([0.3, 0.1]) + 0.01 * rng.standard_normal((8, 2))
-    np.testing.assert_allclose(usual_current(steady), steady.mean(0), rtol=0.01)
-    assert np.linalg.norm(usual_current(0.3 * rng.standard_normal((8, 2)))) < 0.1
-    assert not usual_current(np.zeros((3, 2))).any() and usual_current(steady[:1]).tolist() == steady[0].tolist()
