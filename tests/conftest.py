@@ -1,5 +1,6 @@
 """Settings of all tests, and the place of the real logs."""
 
+import copy
 import gc
 import os
 import re
@@ -71,6 +72,43 @@ def interruptible() -> Iterator[None]:
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before or signal.SIG_DFL)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def composed_once() -> Iterator[None]:
+    """Each file of configs/ is read once, and what the same overrides compose of them is kept for a while."""
+    from hydra._internal.config_loader_impl import ConfigLoaderImpl
+    from omegaconf import OmegaConf
+
+    from tests.support import ROOT
+
+    load, compose, files, kept = OmegaConf.load, ConfigLoaderImpl.load_configuration, {}, {}
+    ours = f"{ROOT}/configs", f"file://{ROOT}/configs", "pkg://", "structured://"
+
+    def once(among, key, make):
+        if key not in among:
+            among[key] = make()
+        return copy.deepcopy(among[key])
+
+    def load_once(file):
+        name = str(getattr(file, "name", ""))
+        return once(files, name, lambda: load(file)) if name.startswith(f"{ROOT}/configs/") else load(file)
+
+    def compose_once(self, config_name, overrides, *options, **named):
+        def make():
+            return compose(self, config_name, overrides, *options, **named)
+
+        if not all(str(each.path).startswith(ours) for each in self.config_search_path.get_path()):
+            return make()
+        if len(kept) > 50:
+            kept.clear()
+        key = os.getcwd(), config_name, *overrides, str(self.config_search_path), options, *named.items()
+        return once(kept, key, make)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(OmegaConf, "load", staticmethod(load_once))
+        patch.setattr(ConfigLoaderImpl, "load_configuration", compose_once)
+        yield
 
 
 @pytest.fixture(scope="session")

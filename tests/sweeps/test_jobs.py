@@ -355,6 +355,7 @@ def test_a_leaderboard_replaces_and_removes_no_files_of_others(tmp_path, name, l
     assert not (tmp_path / "sweep" / "settings.png").exists()
 
 
+@pytest.mark.thorough
 def test_another_sweep_does_not_take_the_folder(swept):
     before = {path: path.read_bytes() for path in (swept / "sweep").rglob("*") if path.is_file()}
     done = run("-m", "estimators.sift_map.memory=20,30", "data.hours=0.05", "hydra.sweep.dir=sweep", folder=swept)
