@@ -10,7 +10,7 @@ import traceback
 import warnings
 from collections.abc import Container, Iterable, Iterator
 from contextlib import contextmanager
-from typing import TextIO
+from typing import Any, TextIO
 
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 DISK = (*NO_ROOM, errno.EROFS, errno.EIO)  # of a write, which names no file
@@ -102,6 +102,22 @@ class ConfigError(UsvlearnError):
     Traceback (most recent call last):
     usvlearn.errors.ConfigError: mass: found 0.0, expected a positive number of kg
     """
+
+
+class MemberError(UsvlearnError):
+    """What other code raised, which is the cause, as it stepped a member of an ensemble.
+
+    Args:
+        step: index of the step at which.
+        predictions: up to it, m/s, `(time, *batch)`.
+
+    >>> MemberError(3, None).step
+    3
+    """
+
+    def __init__(self, step: int, predictions: Any):
+        super().__init__(f"step {step}")
+        self.step, self.predictions = step, predictions
 
 
 class ShapeError(UsvlearnError):

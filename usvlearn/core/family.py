@@ -101,6 +101,7 @@ class Row(IntEnum):
     FORECASTS = 15
     CONDITIONAL = 16  # what intervals of forecasts know of the manoeuvre
     ACCOMMODATION = 17
+    EXTERNAL = 18  # how many columns behind a prepared sample have predictions of other code
 
 
 CHOICES, VECTORS, LEAVES, WIDTH = 7, 14, 22, 58  # where each begins in a row, and the row's length

@@ -183,13 +183,17 @@ class KernelEstimator(Estimator):
 
 
 def kernel_step(
-    description: dict[str, Any], state: State, inputs: Inputs, surge: Tensor, fresh: bool = True, measured: bool = True
-) -> tuple[State, Tensor]:
-    """One step by the kernels of a described estimator, without gradients: the state, and the prediction."""
+    description: dict[str, Any], state: State, inputs: Inputs, surge: Tensor, fresh: bool = True, measured: bool = True,
+    given: Sequence[Tensor] = (),
+) -> tuple[State, Tensor]:  # fmt: skip
+    """One step by the kernels of a described estimator, without gradients: the state, and the prediction.
+
+    The state of members that other code steps stays; their predictions, m/s, are `given`.
+    """
     yes = torch.ones_like(surge, dtype=torch.bool)
     sample = Sample(inputs, surge, yes & fresh, yes & measured)
     rollouts = import_module("usvlearn.engine.rollouts")  # of a layer above this one
-    return rollouts.kernel_step(description, state, sample)
+    return rollouts.kernel_step(description, state, sample, given)
 
 
 def check_estimator(name: str, value: Any) -> Estimator:

@@ -35,16 +35,28 @@ def choose(estimator: Estimator, state: Any, samples: Sample, backend: str) -> d
 
 
 def obstacle_of(estimator: Estimator, state: Any, samples: Sample, device: str) -> str | None:
-    """Why the kernels on a device cannot make steps of this state; a ConfigError if no other code can make them."""
-    own = [*estimator.parameters(), *estimator.buffers()]
-    tensors = [*tensors_in(state), *tensors_in(samples), *own]
-    obstacle = out_of_reach(tensors, device) or _derivative(tensors)
+    """Why the kernels on a device cannot make steps of this state, if they cannot.
+
+    Raises:
+        ConfigError: no other code can make them.
+    """
+    given = [*tensors_in(state), *tensors_in(samples)]
+    obstacle = out_of_reach([*given, *of_kernels(estimator)], device)
+    obstacle = obstacle or _derivative([*given, *estimator.parameters(), *estimator.buffers()])
     if obstacle and isinstance(estimator, KernelEstimator):
         raise ConfigError(
             f"{type(estimator).__name__}: {obstacle}, expected tensors on the CPU and no derivative: only its kernel "
             "makes its steps. Torch makes those of AID, RLS, SIFtRLS, RNN, Persistence, and of combiners"
         )
     return obstacle
+
+
+def of_kernels(estimator: Estimator) -> list[Tensor]:
+    """The parameters and buffers of an estimator, without those of members that other code steps."""
+    members: Any = getattr(estimator, "members", {})
+    others = [members[name] for name in getattr(estimator, "external", ())]
+    left = {id(x) for each in others for x in (*each.parameters(), *each.buffers())}
+    return [x for x in (*estimator.parameters(), *estimator.buffers()) if id(x) not in left]
 
 
 def array_of(x: Tensor) -> np.ndarray:

@@ -129,6 +129,12 @@ def mask_diverged(predictions, limit, active):
         active[i] = predictions[i] if abs(predictions[i]) < limit else NAN
 
 
+@jit
+def row_begin(program, work):
+    """Where the room for a prepared sample begins, at the end of the work array, with the predictions of other code."""
+    return len(work) - ROW - program[0, Row.EXTERNAL]
+
+
 @jit(entry=True)
 def surge_limit(program, q):
     """`Estimator.surge_limit`."""
@@ -138,7 +144,7 @@ def surge_limit(program, q):
 @jit(entry=True)
 def step_once(program, s, q, work, left, right, heading, yaw_rate, dt, surge, fresh, measured):
     """`step` of one sample that is not prepared."""
-    row, limit = work[-ROW:], surge_limit(program, q)
+    row, limit = work[row_begin(program, work) :], surge_limit(program, q)
     prepare(left, right, heading, yaw_rate, dt, surge, fresh, measured, program[0, Row.HEADS] > 0, limit, row)
     return step(program, s, q, row, row[MODE], work)
 
@@ -146,7 +152,8 @@ def step_once(program, s, q, work, left, right, heading, yaw_rate, dt, surge, fr
 @jit
 def steps(program, head, s, q, row, pose, mode, work):
     """One step of all axes; returns the prediction of the surge, m/s."""
-    predicted, own, axes = NAN, work[-2 * ROW : -ROW], len(head) - 1
+    predicted, axes, end = NAN, len(head) - 1, row_begin(program, work)
+    own = work[end - ROW : end]
     for axis in range(max(axes, 1)):
         if axis > 0:
             mode = axis_row(axis, head, s, row, pose, own)
@@ -162,7 +169,7 @@ def steps(program, head, s, q, row, pose, mode, work):
 @jit(entry=True)
 def step_planar(program, head, s, q, work, left, right, heading, yaw_rate, dt, surge, fresh, measured, pose):
     """`steps` of one sample that is not prepared."""
-    row, limit = work[-ROW:], surge_limit(program, q)
+    row, limit = work[row_begin(program, work) :], surge_limit(program, q)
     prepare(left, right, heading, yaw_rate, dt, surge, fresh, measured, program[0, Row.HEADS] > 0, limit, row)
     return steps(program, head, s, q, row, pose, row[MODE], work)
 
@@ -172,9 +179,11 @@ def run(program, head, states, q, rows, poses, columns, free, picked, prediction
     """Batch elements first … last − 1 through all steps, in place.
 
     Args:
-        program, head: the table, and places of the axes and of the tracks, (4, …); of the surge alone (1, …), zeros.
-        states, q: (elements, size), and (elements, numbers), or (1, numbers) for all.
-        rows: prepared samples, (columns, time, ROW); `columns`, (elements,), says which one each batch element sees.
+        program: the table.
+        head: places of the axes and of the tracks, (4, …); (1, …), zeros, of the surge alone.
+        states: (elements, size).
+        q: (elements, numbers), or (1, numbers) for all.
+        rows: prepared samples, (columns, time, ROW), and behind each what other code predicts.
         poses: what is measured at the end of each step, (columns, time, 5); of the surge alone (1, 1, 0).
         free: whether nothing is learned.
         picked: places of the state that are recorded after each step.

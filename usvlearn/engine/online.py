@@ -67,9 +67,11 @@ class Online:
             self._live = live(estimator, stepper.state, backend) or stepper
         else:
             from usvlearn.engine.backend import arrays_of
+            from usvlearn.engine.external import first_pass, stepper_of
 
-            self.description = own = estimator.description()
-            self._live = live_of(own, arrays_of(estimator.init(batch)))
+            self.description, state = estimator.description(), estimator.init(batch)
+            first = first_pass(self.description, estimator, state)
+            self._live = stepper_of(self.description, arrays_of(state), first)
 
     @classmethod
     def open(cls, path: str | Path) -> Online:

@@ -78,10 +78,13 @@ def free_totals(
     samples: Sample,
     learning: Sequence[int],
     threads: int = 1,
+    given: np.ndarray | None = None,
 ) -> np.ndarray:
     """Σ |error|, Σ error² and whether it diverged, `(*batch, methods, 3)`, of free simulations of an ensemble.
 
-    The first arguments are as of `run.roll`; combiners in `learning` are scored once more, with weights that learn.
+    Args:
+        description, leaves, samples, threads, given: as of `run.roll`.
+        learning: combiners that are scored once more, with weights that go on learning.
     """
     plan = program_for(description, samples.surge.shape[1:], samples.surge.dtype)
     states = plan.pack(leaves)
@@ -106,6 +109,6 @@ def free_totals(
                 assess(plan.program, others[element], q[0], part[0], kept[0, :n], rules, totals[element], work)
 
     compile_free_runs(plan.dtype)
-    rows, columns = prepared(samples, plan)
+    rows, columns = prepared(samples, plan, given)
     in_parallel(some, plan.elements, threads)
     return totals.reshape(*plan.batch, -1, 3)

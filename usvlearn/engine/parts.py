@@ -35,6 +35,8 @@ from usvlearn.estimators.wrappers.robust.state import FAMILY as ROBUST
 Description = Mapping[str, Any]
 ESTIMATORS: list[Family[Any]] = [import_module(f"usvlearn.estimators.{name}.state").FAMILY for name in COMPILED]
 KINDS = {kind: family for family in ESTIMATORS for kind in family.kinds}
+EXTERNAL = "external"  # the kind of a member that other code steps
+ALONE = [*(kind for kind in KINDS if kind != EXTERNAL), "robust"]
 HORIZONS = Range(1, forecasts.MOST_HORIZONS)  # of forecasts, and of tracks
 
 
@@ -86,6 +88,17 @@ def leaves_of(description: Description) -> dict[str, Field]:
     return {name: field for part in parts(description) for name, field in part.leaves().items()}
 
 
+def elsewhere(found: Iterable[Part]) -> tuple[str, ...]:
+    """The prefixes of the leaves of members that other code steps."""
+    return tuple(part.prefix for part in found if part.role == "estimator" and part.own["kind"] == EXTERNAL)
+
+
+def external_in(description: Description) -> list[str]:
+    """The names of those members."""
+    members = description.get("surge", description).get("members", {})
+    return [name for name, member in members.items() if member["kind"] == EXTERNAL]
+
+
 def batch_of(fields: Mapping[str, Field], leaves: Mapping[str, np.ndarray]) -> tuple[int, ...]:
     """The batch of a state, from the shape of its first leaf; a ShapeError where that leaf is missing."""
     name, field = next(iter(fields.items()))
@@ -108,7 +121,7 @@ def parts(description: Any, entry: str = "kernel") -> Iterator[Part]:
     elif kind == "ensemble":
         yield from _ensemble(entry, description, "")
     else:
-        yield from _estimator(entry, description, "", [*KINDS, "robust"])
+        yield from _estimator(entry, description, "", ALONE)
 
 
 def _planar(entry: str, own: Description) -> Iterator[Part]:
@@ -145,12 +158,16 @@ def _ensemble(entry: str, own: Description, prefix: str) -> Iterator[Part]:
     knows = _whole(f"{entry}.conditional", own.get("conditional", 0), Range(0, 1))
     rules, members = _some(f"{entry}.rules", own["rules"]), _some(f"{entry}.members", own["members"])
     columns: dict[str, Part] = {}
+    allowed = [*KINDS, "robust"] if prefix in ("", "surge.") else ALONE
     for name, member in members.items():
         if not name.isidentifier():  # it becomes a part of the names of leaves
             raise wrong(f"{entry}.members", name, "names of letters, digits and _")
-        for part in _estimator(f"{entry}.members.{name}", member, f"{prefix}members.{name}.", [*KINDS, "robust"]):
+        for part in _estimator(f"{entry}.members.{name}", member, f"{prefix}members.{name}.", allowed):
             columns.setdefault(name, part)
             yield part._replace(inactive=True)
+    given = [member["column"] for member in members.values() if member["kind"] == EXTERNAL]
+    if given != list(range(len(given))):
+        raise wrong(f"{entry}.members", given, f"the kind {EXTERNAL} with the columns 0, 1, … in their order")
     if own["columns"] != list(members):
         raise wrong(f"{entry}.columns", own["columns"], "the names of the members, in their order")
     for name, rule in rules.items():
@@ -191,6 +208,8 @@ def _forecasts(entry: str, whole: Description, members: Mapping[str, Part], pref
     check_keys(entry, made, ("members", "slots", "numbers", "vectors", *[forecasts.FIT] * fitted))
     chosen, names = _columns(f"{entry}.members", made["members"], len(members)), list(members)
     copies, more = {names[column]: column for column in chosen}, list[Entry]()
+    if other := [name for name in copies if whole["members"][name]["kind"] == EXTERNAL]:
+        raise wrong(f"{entry}.members", other[0], "members with a kernel")
     slots = _whole(f"{entry}.slots", made["slots"], Range(1, forecasts.MOST_SLOTS))
     check_keys(f"{entry}.vectors", made["vectors"], [vector.key for vector in forecasts.Vector])
     horizons = _horizons(f"{entry}.vectors.horizons", made["vectors"]["horizons"])
@@ -221,7 +240,7 @@ def _estimator(entry: str, own: Any, prefix: str, kinds: Collection[str]) -> Ite
     family = KINDS.get(_choose(f"{entry}.kind", kind_of(entry, own), kinds))
     if family is None:
         check_keys(entry, own, ("kind", "inner", "numbers"))
-        yield from _estimator(f"{entry}.inner", own["inner"], f"{prefix}inner.", [*KINDS])
+        yield from _estimator(f"{entry}.inner", own["inner"], f"{prefix}inner.", ALONE[:-1])
         yield Part("robust", ROBUST, own, 0, prefix, _numbers(f"{entry}.numbers", own["numbers"], ROBUST.numbers))
         return
     chosen, facts = family.chosen(own), own.keys() & family.facts.keys()

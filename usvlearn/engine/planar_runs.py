@@ -22,15 +22,25 @@ if TYPE_CHECKING:
 def planar_stretches(
     planar: Planar, state: PlanarState, parts: Iterable[PlanarSample], record: Sequence[str]
 ) -> Iterator[tuple[PlanarState, dict[str, np.ndarray]]]:
-    """`usvlearn.engine.rollouts.chunked_rollout` of a boat in the plane."""
-    from usvlearn.engine.run import roll
+    """`usvlearn.engine.rollouts.chunked_rollout` of a boat in the plane.
+
+    Args:
+        planar, state: as of `Online`.
+        parts: NumPy samples of consecutive stretches, leaves `(time, *batch)`.
+        record: names of leaves of the state, such as "surge.predictions" and "track.due".
+
+    Yields:
+        The state after each stretch; the leaves after each of its steps, `(time, *batch, …)`.
+    """
+    from usvlearn.engine.external import first_pass, roll_both
 
     description, leaves = planar.description(), arrays_of(state)
     dtype, batch = leaves["surge.predictions"].dtype, leaves["surge.predictions"].shape[:-1]
+    first = first_pass(description, planar, state)
     for part in parts:
         own: PlanarSample = tree_map(lambda x: x if x.dtype == bool else x.astype(dtype, copy=False), part)
-        leaves, _, kept = roll(description, leaves, own, record=record, threads=torch.get_num_threads())
-        leaves, told = afresh(leaves, lambda: arrays_of(planar.init(batch)))
+        leaves, _, kept = roll_both(first, description, leaves, own, False, record, torch.get_num_threads())
+        leaves, told = afresh(leaves, lambda: arrays_of(planar.init(batch)), first.ended if first else ())
         if told:
             warnings.warn(told, stacklevel=2)
         yield tree_of(state, leaves), kept

@@ -16,7 +16,7 @@ import numpy as np
 
 from usvlearn.core.family import LEAVES, WIDTH, Field, Row
 from usvlearn.core.prepared_samples import ROW
-from usvlearn.engine.parts import ESTIMATORS, Description, Entry, Part, parts
+from usvlearn.engine.parts import ESTIMATORS, Description, Entry, Part, elsewhere, parts
 from usvlearn.errors import ShapeError
 from usvlearn.estimators.ensemble.combiners.state import RULES
 from usvlearn.estimators.ensemble.forecasts.state import Choice as ForecastChoice
@@ -56,15 +56,23 @@ class Program:
         program: the table, int64.
         head: of the surge alone zeros; else the places of the axes and of the tracks (`estimators.planar.state`).
         numbers: `(1, …)`, or `(elements, …)` where some differ by batch element.
-        size, slot, length, work: lengths of a batch element's row, of a slot of forecasts of the surge and of one of
-            tracks, and of the array that the kernels work in.
+        leaves: where each leaf lies, by dotted name.
+        size: of a batch element's row.
+        slot: length of a slot of forecasts, of the surge.
+        length: of a slot of tracks.
+        work: length of the array that the kernels work in.
+        external: how many members of the surge other code steps; their predictions come last in the work array.
+        elsewhere: prefixes of the leaves of those members, which are not in a row.
+
+    Raises:
+        ShapeError: a hyperparameter does not broadcast against the batch.
     """
 
     def __init__(self, description: Description, batch: Sequence[int] = (), dtype: DTypeLike = np.float64):
         self.batch, self.dtype = tuple(batch), np.dtype(dtype)
-        self.elements = prod(self.batch)
+        self.elements, self.elsewhere = prod(self.batch), tuple[str, ...]()
         self.leaves: dict[str, Leaf] = {}
-        self.size = self.slot = self.length = 0
+        self.size = self.slot = self.length = self.external = 0
         self._columns: list[np.ndarray] = []  # (1,) or (elements,) each
         self._copies: list[int] = []  # of each leaf that is copied: see `engine.forecasting`
         self._copied: dict[str, Field] = {}
@@ -85,7 +93,7 @@ class Program:
 
     def pack(self, leaves: Mapping[str, np.ndarray]) -> np.ndarray:
         """States, `(elements, size)`, from leaves `(*batch, …)` by dotted name; a ShapeError where they do not fit."""
-        if other := sorted(self.leaves.keys() ^ leaves.keys()):
+        if other := sorted(n for n in self.leaves.keys() ^ leaves.keys() if not n.startswith(self.elsewhere)):
             raise ShapeError(
                 f"leaves: found {', '.join(other[:4])} in only one of the state and the description, "
                 "expected the same leaves in both"
@@ -171,7 +179,10 @@ class Program:
         whole[Row.ESTIMATORS], whole[Row.RULES] = len(estimators), len(rules)
         whole[Row.NAMES] = len(estimators) + len(rules) if rules else 0
         whole[Row.HEADS] = any(part.family.heading(part.own) for part in members)
-        whole[Row.KEPT], self.work = largest, largest + max(row[Row.END] - row[Row.BEGIN] for row in estimators) + ROW
+        self.elsewhere = elsewhere(members)
+        whole[Row.EXTERNAL] = self.external = len(self.elsewhere)
+        kept = max(row[Row.END] - row[Row.BEGIN] for row in estimators)
+        whole[Row.KEPT], self.work = largest, largest + kept + ROW + self.external
         self.program, self.head = _stacked([whole, *estimators, *rules, *others]), np.zeros((1, PLACES), np.int64)
 
     def _side_by_side(self, description: Description) -> None:
@@ -196,7 +207,8 @@ class Program:
             tables.append(table)
             self._columns += list(program.numbers.T)
             self.size, self.work = self.size + program.size, max(self.work, program.work + 4 * ROW)
-            self.slot = self.slot or program.slot
+            self.slot, self.external = self.slot or program.slot, self.external + program.external
+            self.elsewhere += tuple(f"{axis}.{each}" for each in program.elsewhere)
         tracks = self._row(part)
         places, sizes = tracks[LEAVES : LEAVES + at.LEARNED + 6], (slots, count, self.length, tracks[Row.NUMBERS])
         self.head[-1] = *places[: at.DUES], places[-1], *places[at.DUES : -1], *sizes

@@ -11,9 +11,10 @@ import torch
 from torch import Tensor
 
 from usvlearn.core.forecasts import NONE, Forecast, Track, check_plan
-from usvlearn.core.protocol import EVERY, Estimator, Kinds, State, Step, advance, clean
+from usvlearn.core.protocol import Estimator, State, Step, clean
 from usvlearn.core.samples import Inputs, Sample, named_leaves, tree_map
-from usvlearn.engine.backend import array_of, arrays_of, choose, is_transformed, out_of_reach, tensors_in, tree_of
+from usvlearn.engine.backend import array_of, arrays_of, choose, out_of_reach, tensors_in, tree_of
+from usvlearn.engine.torch_steps import walk
 from usvlearn.engine.validate import afresh
 from usvlearn.errors import ConfigError, ShapeError
 
@@ -59,7 +60,7 @@ def rollout(
     _check(state, samples)
     pick = _picking(record, state)
     if (description := choose(estimator, state, samples, backend)) is not None:
-        return run(description, state, samples, record, free=False)
+        return run(description, state, samples, record, free=False, estimator=estimator)
     return _run(estimator, state, clean(samples, estimator.surge_limit), pick)
 
 
@@ -94,7 +95,7 @@ def simulate(
     _check(state, samples)
     pick = _picking(record, state)
     if (description := choose(estimator, state, samples, backend)) is not None:
-        return run(description, state, samples, record, free=True)
+        return run(description, state, samples, record, free=True, estimator=estimator)
     steps = clean(samples, estimator.surge_limit)
     return _run(estimator, state, steps._replace(learns=torch.zeros_like(steps.learns)), pick)
 
@@ -141,26 +142,28 @@ def chunked_rollout(
     Yields the state after each stretch, in which a member that is not finite has begun again, and the recorded leaves
     after each step. A ShapeError if the first samples do not fit the state.
     """
-    from usvlearn.engine.run import roll
+    from usvlearn.engine.external import first_pass, roll_both
 
-    leaves, first = arrays_of(state), True
+    leaves, description = arrays_of(state), dict[str, Any]()
+    own, begun = None, False
     dtype = next(leaf.dtype for leaf in leaves.values() if leaf.dtype != bool)
     batch = leaves["predictions"].shape[:-1] if "predictions" in leaves else ()
     device = next(tensors_in(state)).device
     for part in samples:
         part = tree_map(lambda x: x if x.dtype == bool else x.astype(dtype, copy=False), part)
         with torch.no_grad():
-            if first:
+            if not begun:
                 _check(state, whole := _moved(part, device))
-                description, first = choose(estimator, state, whole, "auto"), False
-            if description is not None:
-                leaves, _, kept = roll(description, leaves, part, record=record, threads=torch.get_num_threads())
+                description, begun = choose(estimator, state, whole, "auto") or {}, True
+                own = first_pass(description, estimator, state)
+            if description:
+                leaves, _, kept = roll_both(own, description, leaves, part, False, record, torch.get_num_threads())
                 state = tree_of(state, leaves)
             else:
                 state, _, named = rollout(estimator, state, _moved(part, device), record, backend="torch")
                 kept = tree_map(array_of, named)
                 leaves = arrays_of(state)
-            leaves, told = afresh(leaves, lambda: arrays_of(estimator.init(batch)))
+            leaves, told = afresh(leaves, lambda: arrays_of(estimator.init(batch)), own.ended if own else ())
             if told:
                 warnings.warn(told, stacklevel=2)
                 state = tree_of(state, leaves, device)
@@ -178,18 +181,11 @@ def _moved(samples: Sample, device: torch.device | str) -> Sample:
 
 
 def _run(
-    estimator: Estimator, state: State, steps: Step, pick: Callable[[State], Any] | None
+    estimator: Estimator, begin: State, steps: Step, pick: Callable[[State], Any] | None
 ) -> tuple[State, Tensor, Any]:
     """All steps by torch; leaves of `steps` are `(time, *batch)`."""
-    holds = ~(steps.steps | steps.starts)
-    kinds = steps.learns, steps.steps & ~steps.learns, steps.starts, holds
-    occur = torch.stack([mask.reshape(len(mask), -1).any(1) for mask in kinds], 1)
-    # Read once for all steps, because reading waits for an accelerator; where there are no values, all are assumed.
-    known = not occur.is_meta and not is_transformed(occur)
-    some = [Kinds(*each) for each in occur.tolist()] if known else [EVERY] * len(occur)
-    predictions, records = [], []
-    for k, step in enumerate(_unbind(steps)):
-        state, surge = advance(estimator, state, step, some[k])
+    state, predictions, records = begin, [], []
+    for state, surge in walk(estimator, begin, steps):
         predictions.append(surge)
         if pick is not None:
             records.append(pick(state))
@@ -205,13 +201,6 @@ def _picking(record: Record | None, state: State) -> Callable[[State], Any] | No
         raise ConfigError(f"record: found {unknown[0]!r}, expected names of the state's leaves: {', '.join(leaves)}")
     names = tuple(record)
     return lambda state: {name: leaf for name, leaf in named_leaves(state) if name in names}
-
-
-def _unbind(steps: Step) -> Iterator[Step]:
-    """Yield the step of each time."""
-    inputs = zip(*(x.unbind(0) for x in steps.inputs), strict=True)
-    for x, *y in zip(inputs, *(y.unbind(0) for y in steps[1:]), strict=True):
-        yield Step(Inputs(*x), *y)
 
 
 def _check(state: State, samples: Sample) -> None:
@@ -251,15 +240,23 @@ def _check(state: State, samples: Sample) -> None:
 
 
 def run(
-    description: dict[str, Any], state: Any, samples: Sample, record: Record | None, free: bool
-) -> tuple[Any, Tensor, Any]:
-    """`rollout`, or `simulate` (`free`), by the kernels."""
+    description: dict[str, Any], state: Any, samples: Sample, record: Record | None, free: bool,
+    estimator: Any = None, given: np.ndarray | None = None,
+) -> tuple[Any, Tensor, Any]:  # fmt: skip
+    """`rollout`, or `simulate` (`free`), by the kernels; the predictions of external members are `given`, or made."""
+    from usvlearn.engine.external import first_pass, roll_both
     from usvlearn.engine.run import roll
 
     leaves, arrays, device = arrays_of(state), tree_map(array_of, samples), samples.surge.device
+    first = None if given is not None else first_pass(description, estimator, state)
+    if given is not None:
+        result = roll(description, leaves, arrays, free, given=given)
+        return tree_of(state, leaves | result.leaves, device), torch.as_tensor(result.predictions, device=device), None
     threads = torch.get_num_threads()
     if not callable(record):
-        leaves, predictions, kept = roll(description, leaves, arrays, free, record or (), threads, device.type)
+        leaves, predictions, kept = roll_both(
+            first, description, leaves, arrays, free, record or (), threads, device.type
+        )
         named = {name: torch.as_tensor(x, device=device) for name, x in kept.items()}
         predicted = torch.as_tensor(predictions, device=device)
         return tree_of(state, leaves, device), predicted, None if record is None else named
@@ -267,15 +264,23 @@ def run(
     steps = max(1, min(CHUNK, CELLS // sum(x.size for x in leaves.values())))
     for begin in range(0, len(arrays.surge), steps):
         part = tree_map(lambda x, b=begin: x[b : b + steps], arrays)
-        leaves, predictions, kept = roll(description, leaves, part, free, tuple(leaves), threads, device.type)
+        leaves, predictions, kept = roll_both(
+            first, description, leaves, part, free, tuple(leaves), threads, device.type
+        )
         parts.append(torch.as_tensor(predictions, device=device))
         for k in range(len(predictions)):
             records.append(record(tree_of(state, {name: x[k] for name, x in kept.items()}, device)))
     return tree_of(state, leaves, device), torch.cat(parts), stack(records)
 
 
-def kernel_step(description: dict[str, Any], state: State, sample: Sample) -> tuple[State, Tensor]:
-    """The state after one sample, leaves `(*batch,)`, and the prediction, m/s, without gradients."""
+def kernel_step(
+    description: dict[str, Any], state: State, sample: Sample, given: Sequence[Tensor] = ()
+) -> tuple[State, Tensor]:
+    """The state after one sample, leaves `(*batch,)`, and the prediction, m/s, without gradients; see `protocol`.
+
+    Raises:
+        ConfigError: the kernels cannot read these tensors.
+    """
     device = sample.surge.device
     if sample.surge.numel() == 0:
         return state, sample.surge
@@ -285,7 +290,8 @@ def kernel_step(description: dict[str, Any], state: State, sample: Sample) -> tu
             f"{obstacle}, and kernels make this step: for steps by torch alone, an Ensemble needs watched=False, "
             "conditional=False and no forecasts"
         )
-    after, surge, _ = run(description, state, one, None, free=False)
+    handed = np.stack([array_of(_here(x)) for x in given], -1)[None] if given else None
+    after, surge, _ = run(description, state, one, None, free=False, given=handed)
     return tree_map(lambda x: x.to(device), after), surge[0].to(device)
 
 

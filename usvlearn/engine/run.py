@@ -34,11 +34,19 @@ def roll(
     record: Sequence[str] = (),
     threads: int = 1,
     device: str = "cpu",
+    given: np.ndarray | None = None,
 ) -> Result:
     """Run a described estimator over samples, `(time, *batch)`, predicting before learning, unless it runs `free`.
 
-    Axes of the batch along which samples are the same may have the stride 0. `record` names leaves that are recorded
-    after every step; `device` is "cpu", or "cuda" (`engine.lanes`).
+    Args:
+        description: of the estimator.
+        leaves: of its state, `(*batch, …)`, by dotted name.
+        samples: arrays `(time, *batch)`; axes of the batch along which they are the same may have the stride 0.
+        free: whether nothing is learned.
+        record: names of leaves that are recorded after every step.
+        threads: how many threads share the batch elements.
+        device: "cpu", or "cuda": a GPU (`engine.lanes`).
+        given: what members that other code steps predict, m/s, `(time, *batch, members)`; None: they are inactive.
     """
     own = samples.sample if isinstance(samples, PlanarSample) else samples
     steps, *batch = own.surge.shape
@@ -58,7 +66,7 @@ def roll(
 
     if device == "cpu":
         compile_runs(plan.dtype)
-    rows, columns = prepared(own, plan)
+    rows, columns = prepared(own, plan, given)
     poses = np.zeros((1, 1, 0), plan.dtype)
     if isinstance(samples, PlanarSample):  # no batch elements share a pose
         rows, columns, poses = rows[columns], np.arange(plan.elements), _poses(samples, plan)
@@ -83,10 +91,10 @@ def _poses(samples: PlanarSample, plan: Program) -> np.ndarray:
     return np.ascontiguousarray(np.stack(wide, -1))
 
 
-def prepared(samples: Sample, plan: Program) -> tuple[np.ndarray, np.ndarray]:
-    """Prepared samples, `(columns, time, ROW)`, and the column that each batch element sees, `(elements,)`.
+def prepared(samples: Sample, plan: Program, given: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Prepared samples, `(columns, time, ROW + external)`, and the column that each batch element sees, `(elements,)`.
 
-    Batch elements that share their samples, along an axis of stride 0, share a column.
+    Batch elements that share their samples, along an axis of stride 0, share a column, if nothing is `given`.
     """
     arrays = [leaf for _, leaf in named_leaves(samples)]
     steps, *batch = arrays[0].shape
@@ -95,10 +103,16 @@ def prepared(samples: Sample, plan: Program) -> tuple[np.ndarray, np.ndarray]:
     count = int(np.prod(own, dtype=int))
     pick = (slice(None), *(slice(0, 1) if same else slice(None) for same in shared))
     own_columns: Sample = tree_map(lambda x: np.ascontiguousarray(x[pick].reshape(steps, count)), samples)
-    rows = np.empty((count, steps, ROW), plan.dtype)
+    rows = np.empty((count, steps, ROW + plan.external), plan.dtype)
+    rows[..., ROW:] = np.nan
     heads, limit = plan.program[0, Row.HEADS] > 0, step.surge_limit(plan.program, plan.numbers[0])
     prepare_all(*own_columns.inputs, *own_columns[1:], heads, limit, rows)
-    return rows, np.broadcast_to(np.arange(count).reshape(own), batch).flatten()
+    columns = np.broadcast_to(np.arange(count).reshape(own), batch).flatten()
+    if given is None:
+        return rows, columns
+    rows = rows[columns]
+    rows[..., ROW:] = np.moveaxis(given.reshape(steps, plan.elements, -1), 0, 1)
+    return rows, np.arange(plan.elements)
 
 
 def in_parallel(work: Callable[[int, int], None], elements: int, threads: int) -> None:

@@ -38,12 +38,16 @@ class CompiledStepper:
     prefix = ""  # of the leaves of an ensemble of the surge
 
     def __init__(self, description: Description, leaves: Mapping[str, np.ndarray]):
-        self._description, self._lock = description, threading.RLock()  # all steps share one work array
+        self._description, self.lock = description, threading.RLock()  # all steps share one work array
         first = next(x for x in leaves.values() if x.dtype != bool)
         self.plan = program_for(description, batch_of(leaves_of(description), leaves), first.dtype)
         self.states = self.plan.pack(leaves)
+        self.others = {name: leaf for name, leaf in leaves.items() if name not in self.plan.leaves}  # of other code
         self._spare = self.states.copy()  # `predict` steps this copy
-        self._work = np.empty(self.plan.work, first.dtype)
+        external = self.plan.external
+        self._work = np.empty((len(self.states) if external else 1, self.plan.work), first.dtype)
+        self.given = self._work[:, self.plan.work - external :]  # what other code predicts of the next step, m/s
+        self.given[:] = np.nan
         self._steps, self._predictions = self._arguments(self.states), self._arguments(self._spare)
         self.current = True  # whether the state is known to be the present one
         with COMPILING:
@@ -60,42 +64,45 @@ class CompiledStepper:
     @property
     def leaves(self) -> dict[str, np.ndarray]:
         """The state, copied, between two steps of any thread."""
-        with self._lock:
-            return {name: leaf.copy() for name, leaf in self.plan.unpack(self.states).items()}
+        with self.lock:
+            return {name: leaf.copy() for name, leaf in (self.plan.unpack(self.states) | self.others).items()}
 
     @leaves.setter
     def leaves(self, leaves: Mapping[str, np.ndarray]) -> None:
         packed = self.plan.pack(leaves)
-        with self._lock:
+        with self.lock:
             self.states[:] = packed
+            self.others = {name: leaf for name, leaf in leaves.items() if name not in self.plan.leaves}
 
     def leaf(self, name: str) -> np.ndarray:
         """One leaf of the state, copied."""
-        with self._lock:
+        with self.lock:
+            if name in self.others:
+                return self.others[name].copy()
             return self.plan.typed(name, self.plan.view(self.states, name).copy())
 
     def step(self, sample: Sample | PlanarSample) -> Any:
         """Predict, then learn; returns the prediction, m/s: a float, or an array `(*batch,)`."""
         if isinstance(sample, PlanarSample):  # of which the surge's part is used
             sample = sample.sample
-        with self._lock:
+        with self.lock:
             self.current = True
             return self._advance(self._steps, *sample)
 
     def predict(self, inputs: Inputs) -> Any:
         """The prediction, m/s; the state stays as it is."""
-        with self._lock:
+        with self.lock:
             np.copyto(self._spare, self.states)
             return self._advance(self._predictions, inputs, np.nan, True, False)
 
     def last_predictions(self) -> tuple[np.ndarray, np.ndarray]:
         """What an ensemble predicted in the last step, and the half-widths of the intervals, m/s, `(*batch, names)`."""
-        with self._lock:
+        with self.lock:
             return self._pair(self.states)
 
     def predict_members(self, inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:
         """What an ensemble predicts, and the half-widths, m/s, `(*batch, names)`; the state stays as it is."""
-        with self._lock:
+        with self.lock:
             self.predict(inputs)
             return self._pair(self._spare)
 
@@ -116,7 +123,7 @@ class CompiledStepper:
         current = self.current
         columns = [np.ascontiguousarray(x.reshape(steps, elements).T, dtype) for x in inputs]
         heads, limit = bool(plan.program[0, Row.HEADS] > 0), step.surge_limit(plan.program, plan.numbers[0])
-        with self._lock:
+        with self.lock:
             for element, (program, s, q, work) in enumerate(self._steps):
                 left, right, heading, yaw_rate, dt = (x[element] for x in columns)
                 forecast_plan(
@@ -132,7 +139,8 @@ class CompiledStepper:
     def _arguments(self, states: np.ndarray) -> list[Element]:
         """The first arguments of each batch element's step; those of the sample follow."""
         numbers = self.plan.numbers if len(self.plan.numbers) > 1 else [self.plan.numbers[0]] * len(states)
-        return [(self.plan.program, s, q, self._work) for s, q in zip(states, numbers, strict=True)]
+        works = self._work if len(self._work) > 1 else [self._work[0]] * len(states)
+        return [(self.plan.program, *each) for each in zip(states, numbers, works, strict=True)]
 
     def _advance(self, elements: list[Element], inputs: Inputs, surge: Any, fresh: Any, measured: Any) -> Any:
         if not self.plan.batch and type(fresh) is bool is type(measured):  # compiled code takes any number for a bool
@@ -173,7 +181,7 @@ class PlanarStepper(CompiledStepper):
     def step(self, sample: Sample | PlanarSample) -> Any:
         """Predict, then learn; returns the prediction of the surge, m/s. A `Sample` alone measures nothing else."""
         own, pose = (sample, UNKNOWN) if isinstance(sample, Sample) else (sample.sample, sample[1:])
-        with self._lock:
+        with self.lock:
             self.current = True
             if not self.plan.batch and type(own.fresh) is bool is type(own.measured):
                 with suppress(*NOT_PLAIN):
@@ -194,7 +202,7 @@ class PlanarStepper(CompiledStepper):
             np.ascontiguousarray(x.reshape(steps, count).T, plan.dtype) for x in (left, right, lengths)
         )
         found, slot = np.empty((count, steps, FOUND), plan.dtype), np.empty(plan.length, plan.dtype)
-        with self._lock:
+        with self.lock:
             for k, (program, s, q, work) in enumerate(self._steps):
                 track_plan(program, plan.head, s, q, slot, left[k], right[k], lengths[k], found[k], work)
         if not self.current:
@@ -207,12 +215,12 @@ def _before_fork() -> None:
     COMPILING.acquire()
     WAITING.extend(ALIVE)
     for live in WAITING:
-        live._lock.acquire()
+        live.lock.acquire()
 
 
 def _after_fork() -> None:
     while WAITING:
-        WAITING.pop()._lock.release()
+        WAITING.pop().lock.release()
     COMPILING.release()
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,9 +10,19 @@ import torch
 from torch import Tensor
 
 from usvlearn.core.forecasts import NONE
-from usvlearn.core.protocol import Estimator, Kinds, advance, clean
+from usvlearn.core.protocol import EVERY, Estimator, Kinds, State, Step, advance, clean
 from usvlearn.core.samples import Inputs, Sample, check_inputs, check_sample, one_number, tree_map
-from usvlearn.engine.backend import BACKENDS, array_of, arrays_of, description_of, out_of_reach, tensors_in, tree_of
+from usvlearn.engine.backend import (
+    BACKENDS,
+    array_of,
+    arrays_of,
+    description_of,
+    is_transformed,
+    of_kernels,
+    out_of_reach,
+    tensors_in,
+    tree_of,
+)
 from usvlearn.errors import ConfigError, check_choice
 
 
@@ -87,12 +97,26 @@ def live(estimator: Estimator, state: Any, backend: str) -> Any:
     """A `CompiledStepper` of a state, or None where torch has to make the steps; a ConfigError as of `choose`."""
     if check_choice("backend", backend, BACKENDS) == "torch":
         return None
-    obstacle = out_of_reach([*tensors_in(state), *estimator.parameters(), *estimator.buffers()])
+    obstacle = out_of_reach([*tensors_in(state), *of_kernels(estimator)])
     if (description := description_of(estimator, obstacle, backend)) is None:
         return None
-    from usvlearn.engine.single_steps import CompiledStepper
+    from usvlearn.engine.external import first_pass, stepper_of
 
-    return CompiledStepper(description, arrays_of(state))
+    return stepper_of(description, arrays_of(state), first_pass(description, estimator, state))
+
+
+def walk(estimator: Estimator, state: State, steps: Step) -> Iterator[tuple[State, Tensor]]:
+    """All steps by torch, leaves `(time, *batch)`: the state after each, and the prediction, m/s, `(*batch,)`."""
+    holds = ~(steps.steps | steps.starts)
+    kinds = steps.learns, steps.steps & ~steps.learns, steps.starts, holds
+    occur = torch.stack([mask.reshape(len(mask), -1).any(1) for mask in kinds], 1)
+    # Read once for all steps, because reading waits for an accelerator; where there are no values, all are assumed.
+    known = not occur.is_meta and not is_transformed(occur)
+    some = [Kinds(*each) for each in occur.tolist()] if known else [EVERY] * len(occur)
+    inputs = zip(*(x.unbind(0) for x in steps.inputs), strict=True)
+    for own, *others, kind in zip(inputs, *(x.unbind(0) for x in steps[1:]), some, strict=True):
+        state, surge = advance(estimator, state, Step(Inputs(*own), *others), kind)
+        yield state, surge
 
 
 def _plain(predicted: Tensor) -> float | np.ndarray:

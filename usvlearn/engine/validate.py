@@ -8,7 +8,7 @@ constructor has checked its arguments.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ import numpy as np
 from usvlearn.core.checkpoint import QUOTED, as_array, newest, restore
 from usvlearn.core.family import WIDTH, Field
 from usvlearn.core.samples import named_leaves
-from usvlearn.engine.parts import Entry, batch_of, leaves_of, parts, wrong
+from usvlearn.engine.parts import Entry, Part, batch_of, elsewhere, parts, wrong
 from usvlearn.errors import CheckpointError, ShapeError
 
 LARGEST = 2**20  # numbers of a batch element: its state, its parameters, its table
@@ -29,14 +29,14 @@ MEMBER = re.compile(r"(\w+\.)?members\.\w+\.")  # prefix of the leaves of one
 def check(description: Any, leaves: Mapping[str, np.ndarray]) -> None:
     """Raise a CheckpointError, which names the entry, unless the kernels can continue from a file's content."""
     found = list(parts(description))
-    fields = {name: field for part in found for name, field in part.leaves().items()}
+    fields = _fields(found)
     numbers = [entry for part in found for entry in part.numbers]
     copied = sum(len(part.leaves()) for part in found if part.role == "copy")
     table = (len(found) + 1) * (WIDTH + 2 + max(len(part.columns) for part in found) + 7 * copied)
     total = table + sum(each.length for each in numbers) + sum(prod(field.shape) for field in fields.values())
     if total > LARGEST:
         raise CheckpointError(f"kernel: found {total} numbers in all, expected {LARGEST} at most")
-    batch, dtype = _check_state(fields, leaves)
+    batch, dtype = _check_state(found, leaves)
     for each in numbers:
         _check_numbers(each, batch, dtype)
 
@@ -48,17 +48,25 @@ def restored(path: Path, template: Any, estimator: str, description: Any) -> tup
     state, facts = restore(path, template, estimator)
     try:
         if description is not None:
-            _check_state(leaves_of(description), {name: as_array(leaf) for name, leaf in named_leaves(state)})
+            _check_state(list(parts(description)), {name: as_array(leaf) for name, leaf in named_leaves(state)})
     except CheckpointError as error:
         raise CheckpointError(f"{path}: {str(error)[:QUOTED]}: use the checkpoint saved before it") from error
     return state, facts
 
 
-def _check_state(fields: Mapping[str, Field], leaves: Mapping[str, np.ndarray]) -> tuple[tuple[int, ...], np.dtype]:
-    """The batch and the dtype of a state; a CheckpointError, which names the leaf, where it is not legal."""
-    if other := sorted(fields.keys() ^ leaves.keys()):
-        found = "found no such leaf" if other[0] in fields else "found a leaf that the estimator does not have"
-        raise CheckpointError(f"state.{other[0]}: {found}, expected the leaves of the described estimator")
+def _fields(found: Sequence[Part]) -> dict[str, Field]:
+    return {name: field for part in found for name, field in part.leaves().items()}
+
+
+def _check_state(found: Sequence[Part], leaves: Mapping[str, np.ndarray]) -> tuple[tuple[int, ...], np.dtype]:
+    """The batch and the dtype of a state; a CheckpointError, which names the leaf, where it is not legal.
+
+    What other code than kernels reads is not looked at.
+    """
+    fields, others = _fields(found), elsewhere(found)
+    if other := sorted(name for name in fields.keys() ^ leaves.keys() if not name.startswith(others)):
+        what = "found no such leaf" if other[0] in fields else "found a leaf that the estimator does not have"
+        raise CheckpointError(f"state.{other[0]}: {what}, expected the leaves of the described estimator")
     try:
         batch = batch_of(fields, leaves)
     except ShapeError as error:
@@ -100,14 +108,15 @@ def _check_numbers(numbers: Entry, batch: tuple[int, ...], dtype: np.dtype) -> N
 
 
 def afresh(
-    leaves: dict[str, np.ndarray], first: Callable[[], Mapping[str, np.ndarray]]
+    leaves: dict[str, np.ndarray], first: Callable[[], Mapping[str, np.ndarray]], ended: Collection[str] = ()
 ) -> tuple[dict[str, np.ndarray], str]:
     """The leaves, where a member whose state is not finite begins again in its vehicle; and a sentence about it, or "".
 
-    `leaves` are of an ensemble or of a boat in the plane, `(*batch, …)`; `first` makes those of the beginning.
+    `leaves` are of an ensemble or of a boat in the plane, `(*batch, …)`; `first` makes those of the beginning. The
+    members `ended`, such as "members.mine.", stay as they are.
     """
     wrong = [name for name, leaf in leaves.items() if leaf.dtype != bool and not np.isfinite(leaf).all()]
-    members = sorted({found[0] for name in wrong if (found := MEMBER.match(name))})
+    members = sorted({found[0] for name in wrong if (found := MEMBER.match(name))} - {*ended})
     leaves, begin, told = dict(leaves), first() if members else {}, list[str]()
     for member in members:
         batch = leaves[f"{member.partition('members.')[0]}predictions"].shape[:-1]

@@ -9,4 +9,5 @@ COMPILED = (
     "baselines.persistence",
     "arx",
     "axis",
+    "external",
 )

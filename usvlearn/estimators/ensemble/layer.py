@@ -11,11 +11,9 @@ import torch
 from torch import Tensor, nn
 
 from usvlearn.core.forecasts import NONE
-from usvlearn.core.protocol import Estimator, KernelEstimator, has_kernel, kernel_step, numbers_of, spec_of
+from usvlearn.core.protocol import Estimator, KernelEstimator, describe, has_kernel, kernel_step, numbers_of, spec_of
 from usvlearn.core.samples import Inputs, named_leaves
 from usvlearn.errors import ConfigError, check_positive, did_you_mean, under
-from usvlearn.estimators.baselines.persistence.layer import Persistence
-from usvlearn.estimators.baselines.persistence.state import PersistenceState
 from usvlearn.estimators.ensemble.accommodation import layer as accommodation
 from usvlearn.estimators.ensemble.combiners.layer import Average, Combiner
 from usvlearn.estimators.ensemble.conformal.layer import (
@@ -27,6 +25,7 @@ from usvlearn.estimators.ensemble.conformal.layer import (
 from usvlearn.estimators.ensemble.forecasts.layer import ForecastSettings
 from usvlearn.estimators.ensemble.monitors import layer as monitors
 from usvlearn.estimators.ensemble.state import EnsembleState, Number
+from usvlearn.estimators.external.state import FAMILY as EXTERNAL
 
 
 class Ensemble(Estimator):
@@ -53,6 +52,7 @@ class Ensemble(Estimator):
         columns: the names of the members.
         names: those and the combiners'.
         averaged: name of the first averaged joint EKF (`read_every`), or None.
+        external: names of the members without a kernel: each runs alone, and the kernels read its predictions.
         accommodated: names of the members that are given what the monitor of the thrusters finds.
         aided: whether kernels make a part of each step: intervals by manoeuvre, monitors or forecasts.
 
@@ -105,6 +105,7 @@ class Ensemble(Estimator):
             raise ConfigError(f"coverage: found {coverage!r}, expected a number between 0 and 1, both excluded")
         reads = (name for name, member in members.items() if math.isfinite(getattr(member, "read_every", math.inf)))
         self.averaged = next(reads, None)
+        self.external = tuple(name for name, member in members.items() if not has_kernel(member))
         self.accommodated = accommodation.accommodated(members) if watched else ()
         # A `ModuleDict` behaves as a mapping of what is in it, but its type forgets of what.
         self.members = cast("Mapping[str, Estimator]", nn.ModuleDict(members))
@@ -189,7 +190,9 @@ class Ensemble(Estimator):
         new = state
         if self.aided:
             target = torch.full_like(inputs.dt, math.nan) if surge is None else surge
-            new, _ = kernel_step(*self.for_kernels(state, surges), inputs, target, True, surge is not None)
+            own, given = self.description(), [surges[name] for name in self.external]
+            assert own is not None, "expected combiners with kernels, as `__init__` does"
+            new, _ = kernel_step(own, state, inputs, target, True, surge is not None, given)
             members = {name: members[name] if name in surges else own for name, own in new.members.items()}
         columns = new.predictions.unbind(-1)
         single = torch.stack([surges.get(name, columns[k]) for k, name in enumerate(self.columns)], -1)
@@ -205,19 +208,6 @@ class Ensemble(Estimator):
                 innovations = surge[..., None] - predictions
                 new = new._replace(conformal=conformal_step(state.conformal, innovations, self.coverage))
         return new._replace(members=members, predictions=predictions), predictions[..., self.names.index(self.output)]
-
-    def for_kernels(self, state: EnsembleState, surges: Mapping[str, Tensor]) -> tuple[dict[str, Any], EnsembleState]:
-        """A description that compiled code can run, and a state of it.
-
-        Args:
-            state: of this ensemble.
-            surges: predictions, m/s; those of a member without a kernel are persistence's, which stands in its place.
-        """
-        own = {name: member for name, member in self.members.items() if has_kernel(member)}
-        others = {name: PersistenceState(surges[name]) for name in self.columns if name not in own}
-        described = self._described({name: spec_of(own.get(name, Persistence())) for name in self.columns})
-        assert described is not None, "expected combiners with kernels, as `__init__` does"
-        return described, state._replace(members={**state.members, **others})
 
     def start(self, state: EnsembleState, surge: Tensor) -> EnsembleState:
         members = {name: member.start(state.members[name], surge) for name, member in self.members.items()}
@@ -246,19 +236,17 @@ class Ensemble(Estimator):
         """
         if self.forecasts is None:
             raise ConfigError(NONE)
-        given = self.for_kernels(state, dict(zip(self.columns, state.predictions.unbind(-1), strict=False)))
-        return import_module("usvlearn.engine.rollouts").kernel_forecast(*given, inputs)  # of a layer above this one
+        rollouts = import_module("usvlearn.engine.rollouts")  # of a layer above this one
+        return rollouts.kernel_forecast(self.description(), state, inputs)
 
     def description(self) -> dict[str, Any] | None:
-        return self._described({name: spec_of(member) for name, member in self.members.items()})
-
-    def _described(self, members: Mapping[str, dict[str, Any] | None]) -> dict[str, Any] | None:
-        """The description with these descriptions of the members."""
+        columns = {name: describe(EXTERNAL, self, column=k) for k, name in enumerate(self.external)}
+        members = {name: columns.get(name) or spec_of(member) for name, member in self.members.items()}
         rules = {
             name: (own := spec_of(rule)) and {**own, "columns": self._places[name]}
             for name, rule in self.combiners.items()
         }
-        if None in (*members.values(), *rules.values()):
+        if None in rules.values():
             return None
         return {
             "kind": "ensemble", "members": members, "output": self.output, "columns": list(self.columns),
