@@ -44,7 +44,9 @@ def ensemble(*others, **given):
 
 def mission(*batch):
     samples = random_samples(60, *batch)
-    surge, measured, fresh, dt = (x.clone() for x in (samples.surge, samples.measured, samples.fresh, samples.inputs.dt))
+    surge, measured, fresh, dt = (
+        x.clone() for x in (samples.surge, samples.measured, samples.fresh, samples.inputs.dt)
+    )
     measured[20:26], fresh[30] = False, False
     fresh[40], measured[40], dt[40] = False, False, 0.0  # a segment starts
     return Sample(samples.inputs._replace(dt=dt), surge, fresh, measured)
