@@ -30,9 +30,9 @@ from usvlearn.core.samples import (
 from usvlearn.engine.backend import array_of
 from usvlearn.engine.parts import Description, external_in
 from usvlearn.engine.run import Result, roll
-from usvlearn.engine.single_steps import CompiledStepper, PlanarStepper
+from usvlearn.engine.single_steps import CompiledStepper, live_of
 from usvlearn.engine.torch_steps import walk
-from usvlearn.errors import MemberError, ShapeError
+from usvlearn.errors import ConfigError, MemberError, ShapeError
 
 Leaves = Mapping[str, np.ndarray]
 
@@ -45,20 +45,23 @@ class FirstPass:
 
     Args:
         description: of the ensemble, or of the boat in the plane.
-        members: estimators by name; those that are external count.
-        state: one with the states of these members; their structure counts.
+        members: estimators by name; those that are external count, and one that is missing predicts NaN.
+        states: one of each, by name; their structure counts.
 
     Attributes:
         ended: the prefixes of the leaves of those that have ended.
     """
 
-    def __init__(self, description: Description, members: Mapping[str, Estimator], state: Any):
+    def __init__(self, description: Description, members: Mapping[str, Estimator], states: Mapping[str, State]):
         self.axis = "surge." if "surge" in description else ""
         own = description.get("surge", description)
         self.limit = min(PLAUSIBLE, own["numbers"]["surge_max"])
-        self.members = {name: members[name] for name in external_in(description)}
-        states = (state.surge if self.axis else state).members
+        self.columns = external_in(description)
+        self.members = {name: members[name] for name in self.columns if name in members}
         self._templates = {name: states[name] for name in self.members}
+        for name, member in self.members.items():
+            if cause := getattr(member, "cause", ""):
+                warnings.warn(f"estimators.{name}: {cause}", stacklevel=3)
         self.ended, self._told, self._done = set[str](), set[str](), 0
 
     def prefix(self, name: str) -> str:
@@ -78,9 +81,9 @@ class FirstPass:
         step = clean(tree_map(torch.as_tensor, samples), self.limit)
         if free:
             step = step._replace(learns=torch.zeros_like(step.learns))
-        given = np.full((*step.surge.shape, len(self.members)), np.nan, samples.surge.dtype)
+        given = np.full((*step.surge.shape, len(self.columns)), np.nan, samples.surge.dtype)
         after, kept = dict[str, np.ndarray](), dict[str, np.ndarray]()
-        for k, (name, member) in enumerate(self.members.items()):
+        for name, member in self.members.items():
             prefix = self.prefix(name)
             state = self._state(name, leaves)
             numbers = [leaf for _, leaf in named_leaves(state) if leaf.is_floating_point()]
@@ -89,7 +92,7 @@ class FirstPass:
             picked = {key: list[Tensor]() for key in record if key.startswith(prefix)}
             if prefix not in self.ended:
                 state, found = self._alone(name, member, state, step, picked)
-                given[..., k] = array_of(found)
+                given[..., self.columns.index(name)] = array_of(found)
             own = {key: array_of(leaf) for key, leaf in named_leaves(state, prefix[:-1])}
             after |= own
             for key, each in picked.items():
@@ -157,7 +160,8 @@ def first_pass(description: Description, estimator: Any, state: Any) -> FirstPas
     """The first pass of an ensemble or of a boat in the plane; None where kernels step all."""
     if not external_in(description):
         return None
-    return FirstPass(description, getattr(estimator, "surge", estimator).members, state)
+    members = getattr(estimator, "surge", estimator).members
+    return FirstPass(description, members, getattr(state, "surge", state).members)
 
 
 def roll_both(
@@ -184,6 +188,19 @@ class BothStepper:
         if name.startswith("_"):
             raise AttributeError(name)
         return getattr(self._kernels, name)
+
+    @property
+    def leaves(self) -> dict[str, np.ndarray]:
+        """The state, copied."""
+        return self._kernels.leaves
+
+    @leaves.setter
+    def leaves(self, leaves: Leaves) -> None:
+        self._kernels.leaves = leaves
+
+    def described(self, description: Description, leaves: Leaves) -> BothStepper:
+        """The same, of another description."""
+        return BothStepper(self._first, self._kernels.described(description, leaves))
 
     def step(self, sample: Sample | PlanarSample) -> Any:
         """Predict, then learn; returns the prediction, m/s: a float, or an array `(*batch,)`."""
@@ -226,7 +243,16 @@ class BothStepper:
         return after
 
 
-def stepper_of(description: Description, leaves: Leaves, first: FirstPass | None = None) -> Any:
-    """What makes single steps of a described estimator, or of a boat in the plane."""
-    live = (PlanarStepper if description["kind"] == "planar" else CompiledStepper)(description, leaves)
+def stepper_of(description: Description, leaves: Leaves, estimator: Any, state: Any) -> Any:
+    """What makes single steps of an estimator, or of a boat in the plane, in compiled code and by its own."""
+    live, first = live_of(description, leaves), first_pass(description, estimator, state)
     return live if first is None else BothStepper(first, live)
+
+
+def with_members(live: Any, description: Description, members: Mapping[str, Estimator]) -> Any:
+    """The same with the external members of these names."""
+    if unknown := sorted(members.keys() - {*external_in(description)}):
+        expected = ", ".join(external_in(description)) or "none"
+        raise ConfigError(f"members: found {unknown[0]}, expected those that other code steps: {expected}")
+    states = {name: member.init(live.batch) for name, member in members.items()}
+    return BothStepper(FirstPass(description, members, states), live) if members else live

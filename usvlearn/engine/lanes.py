@@ -103,6 +103,8 @@ class Lanes:
     def __init__(self, plan: Program, states: np.ndarray):
         if len(plan.head) > 1:
             raise ConfigError("found a Planar estimator on a GPU, whose kernels know the surge alone: use the CPU")
+        if plan.external:
+            raise ConfigError(f"found {plan.elsewhere[0]}… on a GPU, which no kernel steps: use the CPU")
         self.order = np.arange(plan.elements).reshape(-1, *plan.batch[-1:]).T.ravel()  # element of a lane, boat by boat
         self.steps = max(LAUNCH[0], min(LAUNCH[1], LAUNCH[2] // (plan.size + plan.work)))
         self.cuda, self.plan, self.own, self.dtype = imported(), plan, own_numbers(plan), plan.dtype

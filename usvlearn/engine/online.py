@@ -6,6 +6,7 @@ torch is not imported: `Online.open` continues from a checkpoint with compiled c
 from __future__ import annotations
 
 import copy
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
@@ -67,18 +68,18 @@ class Online:
             self._live = live(estimator, stepper.state, backend) or stepper
         else:
             from usvlearn.engine.backend import arrays_of
-            from usvlearn.engine.external import first_pass, stepper_of
+            from usvlearn.engine.external import stepper_of
 
             self.description, state = estimator.description(), estimator.init(batch)
-            first = first_pass(self.description, estimator, state)
-            self._live = stepper_of(self.description, arrays_of(state), first)
+            self._live = stepper_of(self.description, arrays_of(state), estimator, state)
 
     @classmethod
-    def open(cls, path: str | Path) -> Online:
+    def open(cls, path: str | Path, members: Mapping[str, Estimator] | None = None) -> Online:
         """Continue from a checkpoint with compiled code, without torch.
 
         Args:
             path: a checkpoint; or a folder of them, or the run's folder if it has one boat: the newest readable one.
+            members: by name those that other code than this package steps; without, they predict nothing.
 
         Returns:
             The estimator, with the state of the checkpoint.
@@ -92,16 +93,23 @@ class Online:
         ...     Online.open(Online(AID(mass=28.0)).save(f"{folder}/aid.safetensors")).description["kind"]
         'aid'
         """
+        from usvlearn.engine.parts import external_in
+
         found = checkpoint.newest(path, read_checkpoint) if Path(path).is_dir() else read_checkpoint(Path(path))
-        return cls.of(*found)
+        if missing := [name for name in external_in(found[1]["kernel"]) if name not in (members or {})]:
+            warnings.warn(f"{path}: {', '.join(missing)} predicts nothing, unless members={{…}} has it", stacklevel=2)
+        return cls.of(*found, members)
 
     @classmethod
-    def of(cls, leaves: Mapping[str, np.ndarray], facts: Mapping[str, Any]) -> Online:
+    def of(
+        cls, leaves: Mapping[str, np.ndarray], facts: Mapping[str, Any], members: Mapping[str, Estimator] | None = None
+    ) -> Online:
         """Continue, without torch, from what `read_checkpoint` has read.
 
         Args:
             leaves: of the state, arrays `(*batch, …)` by dotted name.
             facts: metadata: "estimator", its name; "kernel", its description; perhaps "setup".
+            members: as of `open`.
 
         Returns:
             The estimator, with this state.
@@ -114,8 +122,14 @@ class Online:
         """
         self = cls.__new__(cls)
         self._template, self._name, self.description = None, facts["estimator"], facts["kernel"]
+        from usvlearn.engine.single_steps import live_of
+
         self._live = live_of(facts["kernel"], leaves)
         self._live.current = False  # it may have been saved long ago
+        if members:
+            from usvlearn.engine.external import with_members
+
+            self._live = with_members(self._live, facts["kernel"], members)
         self.setup = facts.get("setup")
         return self
 
@@ -322,9 +336,7 @@ class Online:
 
         assert self._template is None and self.description is not None, "expected what `open` has made"
         leaves, description = with_fit(self._live.leaves, self.description, table)
-        current, self._live = self._live.current, live_of(description, leaves)
-        self.description = dict(description)
-        self._live.current = current
+        self._live, self.description = self._live.described(description, leaves), dict(description)
 
     def save(self, path: str | Path, **metadata: Any) -> Path:
         """Save the state, the description of the estimator and the setup; see `usvlearn.core.checkpoint.save`.
@@ -364,13 +376,6 @@ class Online:
         self.state, metadata = restored(Path(path), self.state, self._name, self.description)
         self.setup = metadata.get("setup", self.setup)
         return metadata
-
-
-def live_of(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -> Any:
-    """What makes single steps of a described estimator, or of a boat in the plane, in compiled code."""
-    from usvlearn.engine.single_steps import CompiledStepper, PlanarStepper
-
-    return (PlanarStepper if description["kind"] == "planar" else CompiledStepper)(description, leaves)
 
 
 def read_checkpoint(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:

@@ -57,6 +57,12 @@ class CompiledStepper:
     def __reduce__(self) -> tuple[Any, ...]:  # `_steps` holds views of `states`: a copy must make its own
         return type(self), (self._description, self.leaves)
 
+    def described(self, description: Description, leaves: Mapping[str, np.ndarray]) -> Any:
+        """The same, of another description."""
+        made = type(self)(description, leaves)
+        made.current = self.current
+        return made
+
     @property
     def batch(self) -> tuple[int, ...]:
         return self.plan.batch
@@ -208,6 +214,11 @@ class PlanarStepper(CompiledStepper):
         if not self.current:
             found[..., 6:] = np.inf, 0.0, np.inf
         return track_of(np.moveaxis(found, 0, 1).reshape(steps, *plan.batch, FOUND), lengths[0])
+
+
+def live_of(description: Description, leaves: Mapping[str, np.ndarray]) -> CompiledStepper:
+    """What makes single steps of a described estimator, or of a boat in the plane, in compiled code."""
+    return (PlanarStepper if description["kind"] == "planar" else CompiledStepper)(description, leaves)
 
 
 def _before_fork() -> None:

@@ -100,9 +100,9 @@ def live(estimator: Estimator, state: Any, backend: str) -> Any:
     obstacle = out_of_reach([*tensors_in(state), *of_kernels(estimator)])
     if (description := description_of(estimator, obstacle, backend)) is None:
         return None
-    from usvlearn.engine.external import first_pass, stepper_of
+    from usvlearn.engine.external import stepper_of
 
-    return stepper_of(description, arrays_of(state), first_pass(description, estimator, state))
+    return stepper_of(description, arrays_of(state), estimator, state)
 
 
 def walk(estimator: Estimator, state: State, steps: Step) -> Iterator[tuple[State, Tensor]]:

@@ -112,11 +112,14 @@ def _simulated(ensemble: Ensemble, state: Any, runs: Sequence[Sample], advance: 
     scored = masks(samples, ensemble.surge_limit).learns.to(dtype).sum(0).cpu().numpy()
     whole = tree_map(lambda x: x[:, None].expand(-1, *batch), samples)
     if (description := choose(ensemble, state, whole, backend)) is not None:
+        from usvlearn.engine.external import first_pass
         from usvlearn.engine.open_loop_scores import free_totals
 
         rules = [list(ensemble.combiners).index(name) for name in learning]
         arrays = arrays_of(state), tree_map(array_of, whole)
-        totals = free_totals(description, *arrays, rules, torch.get_num_threads())
+        first = first_pass(description, ensemble, state)
+        given = None if first is None else first.run(*arrays, True, ())[1]
+        totals = free_totals(description, *arrays, rules, torch.get_num_threads(), given)
         advance(scored.sum().item() * sets)
         return totals[..., 0], totals[..., 1], totals[..., 2] > 0, scored
     total: list[Any] = [0.0, 0.0, False]

@@ -250,8 +250,13 @@ class Session:
         try:
             from usvlearn.engine.online import Online
             from usvlearn.live.node import Node
+            from usvlearn.live.trusted_members import trusted_members, without
 
-            node = Node(self.setup, Online.of(self._begin.leaves, self._begin.facts), self.options.patience)
+            leaves, facts = self._begin.leaves, self._begin.facts
+            members = trusted_members(facts, self.options.trust)
+            node = Node(self.setup, Online.of(leaves, facts, members), self.options.patience)
+            if told := without(facts, members):
+                self._warnings["members"] = told
             node.warm()
             node.held.load(self._begin.facts.get(HELD))
             node.took = self._recent.add

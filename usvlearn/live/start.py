@@ -55,6 +55,7 @@ class Options:
     warp: float = 1.0  # how many times faster than a clock the stamps run
     unconfirmed: Mapping[str, Mapping[str, Any]] | None = None  # of a file with channels; None: those of the checkpoint
     refit: bool = True  # keep the missions, and fit all of them after each
+    trust: tuple[str, ...] = ()  # modules whose classes step members of the checkpoint
 
     def __post_init__(self) -> None:
         if not str(self.folder).strip(". ") or "\0" in str(self.folder):
@@ -302,6 +303,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--boat", default="boat", help="name of the boat")
     add("--record", action="store_true", help="record all messages, so that train.py can replay the session")
     add("--no-refit", dest="refit", action="store_false", help="keep no missions, and do not fit them after each")
+    add("--trust", action="append", default=[], metavar="MODULE",
+        help="a module, which is imported: its classes are members of the ensemble; repeatable")  # fmt: skip
     add("--save-period", type=float, default=300.0, metavar="S", help="time between two checkpoints, s (300)")
     add("--keep", type=int, default=100, metavar="N", help="number of checkpoints that are kept (100)")
     add("--patience", type=float, default=PATIENCE, metavar="S",
@@ -331,6 +334,7 @@ def options_of(given: argparse.Namespace, warp: float = 1.0) -> Options:
         Path(given.folder).expanduser(), None if given.start is None else Path(given.start).expanduser(), mass,
         top, channels, given.boat, given.record, given.save_period, given.keep, given.patience,
         None if given.tensorboard is None else Path(given.tensorboard).expanduser(), warp, asked, given.refit,
+        tuple(given.trust),
     )  # fmt: skip
 
 

@@ -33,9 +33,9 @@ class External(Stretched):
     `predict`, and get an array, `(1, 9)`; any other object has `predict(x)` and `learn(x, y)`, and gets an `X`. In all
     of them are, by name: speed, left, right, mean, mean_square, sin, cos, yaw_rate, dt (`estimators.external.inputs`).
 
-    A checkpoint has the state of the model: what its method `get_state` returns, numbers, text, arrays and containers of
-    them, and its method `set_state` takes; without them its attributes, if they are such. Nothing is pickled. Where
-    that is not possible, a warning says that this member cannot be resumed.
+    A checkpoint has the state of the model: what its method `get_state` returns, which are numbers, text, arrays and
+    containers of them, and its method `set_state` takes; without them its attributes, if they are such. Nothing is
+    pickled. Where that is not possible, a warning says that this member cannot be resumed.
 
     Args:
         model: as it is before the first sample.

@@ -57,7 +57,7 @@ class OwnKernel(Stretched):
 
 
 def kernel(made: type) -> type[OwnKernel]:
-    """Make an estimator of a class with two numba functions; they are compiled at the first step, and run at full speed.
+    """Make an estimator of a class with two numba functions, which are compiled at the first step.
 
     Its functions are `predict(s, x, p)`, which returns the speed at the end of the step, m/s, and `learn(s, x, y, p)`,
     which is given the measured one, and changes `s`. `s` is an array of what the class remembers, `x` an `X`
