@@ -19,7 +19,8 @@ LAYERS = (
     "certify.display", "certify.command", "certify.__main__",
     "usvlearn.errors", "usvlearn.core", "usvlearn.display", "usvlearn.logs", "usvlearn.simulate", "usvlearn.estimators",
     "usvlearn.engine", "usvlearn.evaluation", "usvlearn.live", "usvlearn.runs", "usvlearn.model", "usvlearn.report",
-    "usvlearn.sweeps", "usvlearn.learned", "usvlearn.composition", "usvlearn.cli", "usvlearn.api", "usvlearn.__main__",
+    "usvlearn.sweeps", "usvlearn.learned", "usvlearn.composition", "usvlearn.cli", "usvlearn.api",
+    "usvlearn.testing", "usvlearn.__main__",
 )  # fmt: skip
 # package -> the modules of certify that may import it, at their top or where they use it
 CERTIFY = {
@@ -35,8 +36,8 @@ NO_TORCH = ("usvlearn.errors", "usvlearn.core", "usvlearn.display", "usvlearn.en
             "usvlearn.evaluation", "usvlearn.model", "usvlearn.composition", "usvlearn.cli", "usvlearn.api",
             "usvlearn.learned")  # fmt: skip
 TORCH = ("usvlearn.core.protocol", "usvlearn.core.hyperparameters", "usvlearn.engine.rollouts",
-         "usvlearn.engine.backend", "usvlearn.engine.planar_runs", "usvlearn.engine.torch_steps",
-         "usvlearn.evaluation.crossval")  # fmt: skip
+         "usvlearn.engine.backend", "usvlearn.engine.external", "usvlearn.engine.planar_runs",
+         "usvlearn.engine.torch_steps", "usvlearn.evaluation.crossval", "usvlearn.testing")  # fmt: skip
 BENCHMARKS = ROOT / "benchmarks"
 MODULES = sorted(p for folder in ("usvlearn", "certify") for p in (ROOT / folder).rglob("*.py"))
 ROOTS = {"usvlearn", "certify"}  # their own imports are lazy, and tested below

@@ -8,7 +8,18 @@ import torch
 
 from tests.support import at, leaves, random_samples
 from usvlearn import (
-    AID, ARX, BOA, Ensemble, Estimator, ForecastSettings, JointEKF, Online, Persistence, Planar, PlanarSample, Sample,
+    AID,
+    ARX,
+    BOA,
+    Ensemble,
+    Estimator,
+    ForecastSettings,
+    JointEKF,
+    Online,
+    Persistence,
+    Planar,
+    PlanarSample,
+    Sample,
     rollout,
 )  # fmt: skip
 from usvlearn.engine.rollouts import simulate
@@ -62,11 +73,12 @@ def test_two_passes_equal_stepping_together(batch):
     record = ["predictions", "members.mine.mean"]
     end, surge, kept = rollout(made, made.init(batch), samples, record, backend="kernel")
     online, state = Online(made, batch), made.init(batch)
+    for k in range(6):
+        state, by_torch = made(state, at(samples, k))
+        torch.testing.assert_close(by_torch, surge[k], rtol=1e-12, atol=1e-12)
     for k in range(60):
         live = online.step(at(samples, k))
-        state, by_torch = made(state, at(samples, k))
         np.testing.assert_array_equal(live, surge[k])
-        torch.testing.assert_close(by_torch, surge[k], equal_nan=True, rtol=1e-12, atol=1e-12)
         np.testing.assert_array_equal(online.leaf("predictions"), kept["predictions"][k])
         np.testing.assert_array_equal(online.leaf("members.mine.mean"), kept["members.mine.mean"][k])
     for name, leaf in leaves(online.state).items():
@@ -149,7 +161,7 @@ def test_a_file_cannot_send_a_kernel_beyond_its_row():
     description, state = made.description(), {name: leaf.numpy() for name, leaf in leaves(made.init()).items()}
     check(description, state)
     description["members"]["mine"]["column"] = 3
-    with pytest.raises(CheckpointError, match="kernel.members: found .3., expected the kind external"):
+    with pytest.raises(CheckpointError, match=r"kernel\.members: found \[3\], expected the kind external"):
         check(description, state)
-    with pytest.raises(CheckpointError, match="kernel.kind"):
+    with pytest.raises(CheckpointError, match=r"kernel\.kind"):
         check({"kind": "external", "size": 0, "numbers": {}, "column": 0}, {})

@@ -11,7 +11,6 @@ from collections.abc import Callable, Container, Iterable
 from pathlib import Path
 
 import pytest
-import torch
 
 from usvlearn import (
     AID,
@@ -23,13 +22,11 @@ from usvlearn import (
     Ensemble,
     ExponentialWeights,
     FixedWeights,
-    Inputs,
     JointEKF,
     Persistence,
     QuasiStatic,
     RecursiveWeights,
     Robust,
-    Sample,
     SIFtRLS,
     SurgeDynamics,
     SwayEKF,
@@ -38,7 +35,9 @@ from usvlearn import (
 )
 from usvlearn.core.lock import Lock
 from usvlearn.core.protocol import KernelEstimator
-from usvlearn.core.samples import named_leaves, tree_map
+from usvlearn.testing import at as at
+from usvlearn.testing import leaves as leaves
+from usvlearn.testing import random_samples as random_samples
 
 ROOT = Path(__file__).parents[2]
 REAL_LOGS = ROOT.parent / "shared" / "data"
@@ -103,28 +102,6 @@ def unaided(estimator):
     if not isinstance(estimator, Ensemble):
         return estimator
     return Ensemble(estimator.members, estimator.combiners, watched=False, conditional=False)
-
-
-def random_samples(steps: int, *batch: int, seed: int = 0, dtype=torch.float64) -> Sample:
-    """Random inputs and speeds, all fresh and measured."""
-    generator = torch.Generator().manual_seed(seed)
-
-    def uniform() -> torch.Tensor:
-        return torch.rand(steps, *batch, generator=generator, dtype=dtype)
-
-    yes = torch.ones(steps, *batch, dtype=torch.bool)
-    inputs = Inputs(uniform(), uniform(), 6 * uniform(), uniform() - 0.5, torch.full((steps, *batch), 0.4, dtype=dtype))
-    return Sample(inputs, 2 * uniform(), yes, yes)
-
-
-def at(samples, k: int):
-    """The k-th of samples, or of inputs."""
-    return tree_map(lambda x: x[k], samples)
-
-
-def leaves(tree) -> dict[str, torch.Tensor]:
-    """The leaves of a state by name."""
-    return dict(named_leaves(tree))
 
 
 def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], None]) -> Path:

@@ -27,12 +27,20 @@ from usvlearn.core.samples import (
     rebuild,
     tree_map,
 )
-from usvlearn.engine.backend import array_of
+from usvlearn.engine.backend import (
+    BACKENDS,
+    array_of,
+    arrays_of,
+    description_of,
+    of_kernels,
+    out_of_reach,
+    tensors_in,
+)
 from usvlearn.engine.parts import Description, external_in
 from usvlearn.engine.run import Result, roll
 from usvlearn.engine.single_steps import CompiledStepper, live_of
 from usvlearn.engine.torch_steps import walk
-from usvlearn.errors import ConfigError, MemberError, ShapeError
+from usvlearn.errors import ConfigError, MemberError, ShapeError, check_choice
 
 Leaves = Mapping[str, np.ndarray]
 
@@ -247,6 +255,20 @@ def stepper_of(description: Description, leaves: Leaves, estimator: Any, state: 
     """What makes single steps of an estimator, or of a boat in the plane, in compiled code and by its own."""
     live, first = live_of(description, leaves), first_pass(description, estimator, state)
     return live if first is None else BothStepper(first, live)
+
+
+def live(estimator: Estimator, state: Any, backend: str) -> Any:
+    """What makes single steps of a state, or None where torch has to make them.
+
+    Raises:
+        ConfigError: as `choose`.
+    """
+    if check_choice("backend", backend, BACKENDS) == "torch":
+        return None
+    obstacle = out_of_reach([*tensors_in(state), *of_kernels(estimator)])
+    if (description := description_of(estimator, obstacle, backend)) is None:
+        return None
+    return stepper_of(description, arrays_of(state), estimator, state)
 
 
 def with_members(live: Any, description: Description, members: Mapping[str, Estimator]) -> Any:

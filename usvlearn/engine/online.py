@@ -57,7 +57,8 @@ class Online:
 
     def __init__(self, estimator: Estimator | Planar, batch: Sequence[int] = (), backend: str = "auto"):
         from usvlearn.core.protocol import Estimator, spec_of
-        from usvlearn.engine.torch_steps import TorchStepper, live
+        from usvlearn.engine.external import live
+        from usvlearn.engine.torch_steps import TorchStepper
 
         self._name, self._template = type(estimator).__name__, None
         self.setup: Mapping[str, Any] | None = None

@@ -13,17 +13,13 @@ from usvlearn.core.forecasts import NONE
 from usvlearn.core.protocol import EVERY, Estimator, Kinds, State, Step, advance, clean
 from usvlearn.core.samples import Inputs, Sample, check_inputs, check_sample, one_number, tree_map
 from usvlearn.engine.backend import (
-    BACKENDS,
     array_of,
     arrays_of,
-    description_of,
     is_transformed,
-    of_kernels,
-    out_of_reach,
     tensors_in,
     tree_of,
 )
-from usvlearn.errors import ConfigError, check_choice
+from usvlearn.errors import ConfigError
 
 
 class TorchStepper:
@@ -91,18 +87,6 @@ class TorchStepper:
 
     def _bool(self, value: Any) -> Tensor:
         return torch.as_tensor(one_number(value), dtype=torch.bool, device=self._like.device).expand(self.batch)
-
-
-def live(estimator: Estimator, state: Any, backend: str) -> Any:
-    """A `CompiledStepper` of a state, or None where torch has to make the steps; a ConfigError as of `choose`."""
-    if check_choice("backend", backend, BACKENDS) == "torch":
-        return None
-    obstacle = out_of_reach([*tensors_in(state), *of_kernels(estimator)])
-    if (description := description_of(estimator, obstacle, backend)) is None:
-        return None
-    from usvlearn.engine.external import stepper_of
-
-    return stepper_of(description, arrays_of(state), estimator, state)
 
 
 def walk(estimator: Estimator, state: State, steps: Step) -> Iterator[tuple[State, Tensor]]:

@@ -27,37 +27,9 @@ class ExternalState(NamedTuple):
 
 
 class External(Stretched):
-    """A model of another library, or any object, as an estimator; each vehicle has a copy of it.
+    """What `external` makes; each vehicle has a copy of the model."""
 
-    River's models have `learn_one` and `predict_one`, and get a dictionary; scikit-learn's have `partial_fit` and
-    `predict`, and get an array, `(1, 9)`; any other object has `predict(x)` and `learn(x, y)`, and gets an `X`. In all
-    of them are, by name: speed, left, right, mean, mean_square, sin, cos, yaw_rate, dt (`estimators.external.inputs`).
-
-    A checkpoint has the state of the model: what its method `get_state` returns, which are numbers, text, arrays and
-    containers of them, and its method `set_state` takes; without them its attributes, if they are such. Nothing is
-    pickled. Where that is not possible, a warning says that this member cannot be resumed.
-
-    Args:
-        model: as it is before the first sample.
-        target: what it learns: the "speed" at the end of the step, m/s, or its "change" in the step.
-        state_size: of its state, at most, compressed, bytes.
-
-    Raises:
-        ConfigError: it has no such methods.
-
-    >>> class Still:
-    ...     def predict(self, x):
-    ...         return x.speed
-    ...
-    ...     def learn(self, x, y):
-    ...         pass
-    >>> from usvlearn import BOA, Ensemble, JointEKF, external
-    >>> ensemble = Ensemble({"joint": JointEKF(2.7), "still": external(Still())}, {"ensemble": BOA()})
-    >>> ensemble.external
-    ('still',)
-    """
-
-    def __init__(self, model: Any, target: str = "speed", state_size: int = 16384):
+    def __init__(self, model: Any, target: str, state_size: int):
         super().__init__()
         self.model, self.target = model, check_choice("target", target, ("speed", "change"))
         self.size, self._run = int(state_size), 0
@@ -125,6 +97,42 @@ class External(Stretched):
         return found
 
 
+def external(model: Any, target: str = "speed", state_size: int = 16384) -> External:
+    """Make an estimator of a model of another library, or of any object; each vehicle has a copy of it.
+
+    River's models have `learn_one` and `predict_one`, and get a dictionary; scikit-learn's have `partial_fit` and
+    `predict`, and get an array, `(1, 9)`; any other object has `predict(x)` and `learn(x, y)`, and gets an `X`. In all
+    of them are, by name: speed, left, right, mean, mean_square, sin, cos, yaw_rate, dt (`estimators.external.inputs`).
+
+    A checkpoint has the state of the model: what its method `get_state` returns, which are numbers, text, arrays and
+    containers of them, and its method `set_state` takes; without them its attributes, if they are such. Nothing is
+    pickled. Where that is not possible, a warning says that this member cannot be resumed.
+
+    Args:
+        model: as it is before the first sample.
+        target: what it learns: the "speed" at the end of the step, m/s, or its "change" in the step.
+        state_size: of its state, at most, compressed, bytes.
+
+    Returns:
+        The estimator.
+
+    Raises:
+        ConfigError: it has no such methods.
+
+    >>> class Still:
+    ...     def predict(self, x):
+    ...         return x.speed
+    ...
+    ...     def learn(self, x, y):
+    ...         pass
+    >>> from usvlearn import BOA, Ensemble, JointEKF, external
+    >>> ensemble = Ensemble({"joint": JointEKF(2.7), "still": external(Still())}, {"ensemble": BOA()})
+    >>> ensemble.external
+    ('still',)
+    """
+    return External(model, target, state_size)
+
+
 def _calls(model: Any) -> tuple[Callable[[Any, X], Any], Callable[[Any, X, float], Any]]:
     """How a model is asked, None where it cannot say yet, and how it learns."""
     if hasattr(model, "predict_one") and hasattr(model, "learn_one"):
@@ -145,6 +153,3 @@ def _calls(model: Any) -> tuple[Callable[[Any, X], Any], Callable[[Any, X, float
 def _fitted(model: Any) -> bool:
     """Whether a model of scikit-learn has learned: it then has attributes whose names end with an underscore."""
     return any(name.endswith("_") and not name.startswith("_") for name in vars(model))
-
-
-external = External
