@@ -53,87 +53,75 @@ class FirstPass:
 
     Args:
         description: of the ensemble, or of the boat in the plane.
-        members: estimators by name; those that are external count, and one that is missing predicts NaN.
-        states: one of each, by name; their structure counts.
+        members: estimators by name; an external one that is missing predicts NaN.
+        states: of each, by name; their structure counts.
 
     Attributes:
-        ended: the prefixes of the leaves of those that have ended.
+        ended: prefixes of the leaves of those that have ended.
+        done: how many steps there were.
     """
 
     def __init__(self, description: Description, members: Mapping[str, Estimator], states: Mapping[str, State]):
-        self.axis = "surge." if "surge" in description else ""
-        own = description.get("surge", description)
-        self.limit = min(PLAUSIBLE, own["numbers"]["surge_max"])
-        self.columns = external_in(description)
-        self.members = {name: members[name] for name in self.columns if name in members}
-        self._templates = {name: states[name] for name in self.members}
-        for name, member in self.members.items():
+        axis, own = ("surge.", description["surge"]) if "surge" in description else ("", description)
+        self._limit, self._names = min(PLAUSIBLE, own["numbers"]["surge_max"]), external_in(description)
+        self._members: dict[str, Any] = {name: members[name] for name in self._names if name in members}
+        self._states, self._prefix = states, {name: f"{axis}members.{name}" for name in self._names}
+        self.ended, self.done, self._told = set[str](), 0, set[str]()
+        for name, member in self._members.items():
             if cause := getattr(member, "cause", ""):
                 warnings.warn(f"estimators.{name}: {cause}", stacklevel=3)
-        self.ended, self._told, self._done = set[str](), set[str](), 0
-
-    def prefix(self, name: str) -> str:
-        """Of the leaves of a member."""
-        return f"{self.axis}members.{name}."
 
     @torch.no_grad()
-    def run(
+    def run(self, leaves: Leaves, samples: Sample, free: bool) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """The leaves after samples, arrays `(time, *batch)`, and the predictions, m/s, `(time, *batch, members)`."""
+        steps = clean(tree_map(torch.as_tensor, samples), self._limit)
+        if free:
+            steps = steps._replace(learns=torch.zeros_like(steps.learns))
+        given = np.full((*steps.surge.shape, len(self._names)), np.nan, samples.surge.dtype)
+        after = dict[str, np.ndarray]()
+        for name, member in self._members.items():
+            prefix = self._prefix[name]
+            own = {key: torch.as_tensor(leaf) for key, leaf in leaves.items() if key.startswith(f"{prefix}.")}
+            state = rebuild(self._states[name], own, prefix)
+            numbers = [leaf for leaf in own.values() if leaf.is_floating_point()]
+            self.ended.discard(f"{prefix}.")
+            if not numbers or not all(bool(leaf.isnan().all()) for leaf in numbers):
+                state, found = self._alone(name, member, state, steps)
+                given[..., self._names.index(name)] = array_of(found)
+            else:
+                self.ended.add(f"{prefix}.")
+            after |= {key: array_of(leaf) for key, leaf in named_leaves(state, prefix)}
+        self.done += len(steps.surge)
+        return after, given
+
+    def recorded(
         self, leaves: Leaves, samples: Sample, free: bool, record: Sequence[str]
     ) -> tuple[dict[str, np.ndarray], np.ndarray, dict[str, np.ndarray]]:
-        """Run each over samples, arrays `(time, *batch)`.
+        """`run`, and after each step the leaves of external members that `record` names, `(time, *batch, …)`."""
+        names = [name for name in record if name.startswith(tuple(f"{each}." for each in self._prefix.values()))]
+        if not names:
+            return *self.run(leaves, samples, free), {}
+        after, given, kept = dict(leaves), list[np.ndarray](), list[dict[str, np.ndarray]]()
+        for k in range(len(samples.surge)):
+            after, one = self.run(after, tree_map(lambda x, k=k: x[k : k + 1], samples), free)
+            given.append(one)
+            kept.append({name: after[name] for name in names})
+        return after, np.concatenate(given), {name: np.stack([each[name] for each in kept]) for name in names}
 
-        Returns:
-            The leaves of their states at the end; what they predict, m/s, `(time, *batch, members)`; and those leaves
-            that `record` names, `(time, *batch, …)`.
-        """
-        step = clean(tree_map(torch.as_tensor, samples), self.limit)
-        if free:
-            step = step._replace(learns=torch.zeros_like(step.learns))
-        given = np.full((*step.surge.shape, len(self.columns)), np.nan, samples.surge.dtype)
-        after, kept = dict[str, np.ndarray](), dict[str, np.ndarray]()
-        for name, member in self.members.items():
-            prefix = self.prefix(name)
-            state = self._state(name, leaves)
-            numbers = [leaf for _, leaf in named_leaves(state) if leaf.is_floating_point()]
-            if numbers and all(bool(leaf.isnan().all()) for leaf in numbers):
-                self.ended.add(prefix)
-            picked = {key: list[Tensor]() for key in record if key.startswith(prefix)}
-            if prefix not in self.ended:
-                state, found = self._alone(name, member, state, step, picked)
-                given[..., self.columns.index(name)] = array_of(found)
-            own = {key: array_of(leaf) for key, leaf in named_leaves(state, prefix[:-1])}
-            after |= own
-            for key, each in picked.items():
-                rest = len(step.surge) - len(each)
-                kept[key] = np.stack([*map(array_of, each), *[own[key]] * rest])
-        self._done += len(step.surge)
-        return after, given, kept
-
-    def _state(self, name: str, leaves: Leaves) -> State:
-        prefix = self.prefix(name)
-        own = {key: torch.as_tensor(leaf) for key, leaf in leaves.items() if key.startswith(prefix)}
-        return rebuild(self._templates[name], own, prefix[:-1])
-
-    def _alone(
-        self, name: str, member: Any, state: State, steps: Step, picked: Mapping[str, list[Tensor]]
-    ) -> tuple[State, Tensor]:
+    def _alone(self, name: str, member: Any, before: State, steps: Step) -> tuple[State, Tensor]:
         """One member over all steps: the state at the end, and what it predicted, m/s."""
-        before, step, found = state, len(steps.surge) - 1, torch.full_like(steps.surge, torch.nan)
-        shapes = {key: leaf.shape for key, leaf in named_leaves(state)}
+        stretch = getattr(member, "stretch", None)
         try:
-            if hasattr(member, "stretch") and not picked:
-                state, found = member.stretch(state, steps)
-            else:
-                state, found = each_step(member, state, steps, picked, self.prefix(name)[:-1])
-            for key, leaf in named_leaves(state):
-                if leaf.shape != shapes.get(key):
-                    raise ShapeError(f"its state {key} has the shape {tuple(leaf.shape)}, expected {shapes.get(key)}")
+            state, found = stretch(before, steps) if stretch else each_step(member, before, steps)
+            shapes = ({key: tuple(leaf.shape) for key, leaf in named_leaves(tree)} for tree in (state, before))
+            if (now := next(shapes)) != (was := next(shapes)):
+                raise ShapeError(f"its state has the shapes {now}, expected {was}")
         except Exception as error:
-            cause: BaseException | None = error
+            step, found, cause = len(steps.surge) - 1, torch.full_like(steps.surge, torch.nan), error
             if isinstance(error, MemberError):
                 step, found, cause = error.step, error.predictions, error.__cause__
             self._tell(name, step, f"{type(cause).__name__}: {cause}: the run goes on without it from here")
-            self.ended.add(self.prefix(name))
+            self.ended.add(f"{self._prefix[name]}.")
             return tree_map(lambda x: torch.full_like(x, torch.nan) if x.is_floating_point() else x, before), found
         lost = (steps.steps & ~found.isfinite()).reshape(len(found), -1).any(1).nonzero()
         if len(lost) and name not in self._told:
@@ -142,13 +130,11 @@ class FirstPass:
 
     def _tell(self, name: str, step: int, what: str) -> None:
         self._told.add(name)
-        warnings.warn(f"estimators.{name}: step {self._done + step + 1:,}: {what}", stacklevel=2)
+        warnings.warn(f"estimators.{name}: step {self.done + step + 1:,}: {what}", stacklevel=2)
 
 
-def each_step(
-    member: Estimator, state: State, steps: Step, picked: Mapping[str, list[Tensor]], prefix: str
-) -> tuple[State, Tensor]:
-    """All steps of one member; `picked` takes leaves after each. Raises a MemberError, which knows the step."""
+def each_step(member: Estimator, state: State, steps: Step) -> tuple[State, Tensor]:
+    """All steps of one member by torch; raises a MemberError, which knows the step."""
     found, walked, k = torch.full_like(steps.surge, torch.nan), walk(member, state, steps), 0
     try:
         for k in range(len(found)):
@@ -156,9 +142,6 @@ def each_step(
             if surge.shape != found[k].shape:
                 raise ShapeError(f"it predicted the shape {tuple(surge.shape)}, expected {tuple(found[k].shape)}")
             found[k] = surge
-            now = dict(named_leaves(state, prefix)) if picked else {}
-            for key, each in picked.items():
-                each.append(now[key])
     except Exception as error:
         raise MemberError(k, found) from error
     return state, found
@@ -180,7 +163,7 @@ def roll_both(
     if first is None:
         return roll(description, leaves, samples, free, record, threads, device)
     own = samples.sample if isinstance(samples, PlanarSample) else samples
-    after, given, kept = first.run(leaves, own, free, record)
+    after, given, kept = first.recorded(leaves, own, free, record)
     theirs = [name for name in record if name not in kept]
     result = roll(description, leaves, samples, free, theirs, threads, device, given)
     return Result({**result.leaves, **after}, result.predictions, {**result.record, **kept})
@@ -235,6 +218,7 @@ class BothStepper:
     def _to_come(self, inputs: Inputs) -> None:
         check_inputs(inputs, self.batch)
         self._hand_over(Sample(inputs, np.nan, True, False), free=True)
+        self._first.done -= 1
 
     def _hand_over(self, sample: Sample, free: bool) -> dict[str, np.ndarray]:
         """Step the external members, give the kernels what they predict; returns the leaves of their new states."""
@@ -246,15 +230,9 @@ class BothStepper:
         inputs, surge, fresh, measured = sample
         numbers = Inputs(*(one(x, live.plan.dtype) for x in inputs))
         step = Sample(numbers, one(surge, live.plan.dtype), one(fresh, bool), one(measured, bool))
-        after, given, _ = self._first.run(live.others, step, free, ())
+        after, given = self._first.run(live.others, step, free)
         live.given[:] = given.reshape(len(live.given), -1)
         return after
-
-
-def stepper_of(description: Description, leaves: Leaves, estimator: Any, state: Any) -> Any:
-    """What makes single steps of an estimator, or of a boat in the plane, in compiled code and by its own."""
-    live, first = live_of(description, leaves), first_pass(description, estimator, state)
-    return live if first is None else BothStepper(first, live)
 
 
 def live(estimator: Estimator, state: Any, backend: str) -> Any:
@@ -268,7 +246,13 @@ def live(estimator: Estimator, state: Any, backend: str) -> Any:
     obstacle = out_of_reach([*tensors_in(state), *of_kernels(estimator)])
     if (description := description_of(estimator, obstacle, backend)) is None:
         return None
-    return stepper_of(description, arrays_of(state), estimator, state)
+    return both(description, estimator, state)
+
+
+def both(description: Description, estimator: Any, state: Any) -> Any:
+    """What makes single steps of an estimator, or of a boat in the plane, with its external members."""
+    live, first = live_of(description, arrays_of(state)), first_pass(description, estimator, state)
+    return live if first is None else BothStepper(first, live)
 
 
 def with_members(live: Any, description: Description, members: Mapping[str, Estimator]) -> Any:

@@ -57,7 +57,7 @@ class Online:
 
     def __init__(self, estimator: Estimator | Planar, batch: Sequence[int] = (), backend: str = "auto"):
         from usvlearn.core.protocol import Estimator, spec_of
-        from usvlearn.engine.external import live
+        from usvlearn.engine.external import both, live
         from usvlearn.engine.torch_steps import TorchStepper
 
         self._name, self._template = type(estimator).__name__, None
@@ -68,11 +68,8 @@ class Online:
             self.description = spec_of(estimator)
             self._live = live(estimator, stepper.state, backend) or stepper
         else:
-            from usvlearn.engine.backend import arrays_of
-            from usvlearn.engine.external import stepper_of
-
-            self.description, state = estimator.description(), estimator.init(batch)
-            self._live = stepper_of(self.description, arrays_of(state), estimator, state)
+            self.description = estimator.description()
+            self._live = both(self.description, estimator, estimator.init(batch))
 
     @classmethod
     def open(cls, path: str | Path, members: Mapping[str, Estimator] | None = None) -> Online:

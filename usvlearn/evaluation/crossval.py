@@ -118,7 +118,7 @@ def _simulated(ensemble: Ensemble, state: Any, runs: Sequence[Sample], advance: 
         rules = [list(ensemble.combiners).index(name) for name in learning]
         arrays = arrays_of(state), tree_map(array_of, whole)
         first = first_pass(description, ensemble, state)
-        given = None if first is None else first.run(*arrays, True, ())[1]
+        given = None if first is None else first.run(*arrays, True)[1]
         totals = free_totals(description, *arrays, rules, torch.get_num_threads(), given)
         advance(scored.sum().item() * sets)
         return totals[..., 0], totals[..., 1], totals[..., 2] > 0, scored
