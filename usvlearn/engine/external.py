@@ -133,18 +133,18 @@ class FirstPass:
         warnings.warn(f"estimators.{name}: step {self.done + step + 1:,}: {what}", stacklevel=2)
 
 
-def each_step(member: Estimator, state: State, steps: Step) -> tuple[State, Tensor]:
+def each_step(member: Estimator, begin: State, steps: Step) -> tuple[State, Tensor]:
     """All steps of one member by torch; raises a MemberError, which knows the step."""
-    found, walked, k = torch.full_like(steps.surge, torch.nan), walk(member, state, steps), 0
+    found, batch = list[Tensor](), steps.surge.shape[1:]
     try:
-        for k in range(len(found)):
-            state, surge = next(walked)
-            if surge.shape != found[k].shape:
-                raise ShapeError(f"it predicted the shape {tuple(surge.shape)}, expected {tuple(found[k].shape)}")
-            found[k] = surge
+        for state, surge in walk(member, begin, steps):
+            if surge.shape != batch:
+                raise ShapeError(f"it predicted the shape {tuple(surge.shape)}, expected {tuple(batch)}")
+            found.append(surge)
     except Exception as error:
-        raise MemberError(k, found) from error
-    return state, found
+        rest = torch.full_like(steps.surge[len(found) :], torch.nan)
+        raise MemberError(len(found), torch.cat([*(x[None] for x in found), rest])) from error
+    return state, torch.stack(found)
 
 
 def first_pass(description: Description, estimator: Any, state: Any) -> FirstPass | None:

@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from usvlearn.errors import CheckpointError
+
 DEEPEST, LARGEST = 20, 2**26  # levels, and bytes of a state
 CONTAINERS = {"list": list, "tuple": tuple, "set": set}
 
@@ -39,7 +41,7 @@ def unpacked(content: np.ndarray, model: Any) -> Any:
     """The object, as it was made, in the state of these bytes.
 
     Raises:
-        ValueError: they are of another object.
+        CheckpointError: they are of another object.
     """
     length = int.from_bytes(content[:4].tobytes(), "little")
     try:
@@ -50,7 +52,7 @@ def unpacked(content: np.ndarray, model: Any) -> Any:
         elif _built(found, model) is not model:
             raise ValueError("expected attributes")
     except (zlib.error, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise ValueError(f"its state does not fit {type(model).__name__} ({error})") from error
+        raise CheckpointError(f"its state does not fit {type(model).__name__} ({error})") from error
     return model
 
 
