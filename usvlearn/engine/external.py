@@ -135,9 +135,10 @@ class FirstPass:
 
 def each_step(member: Estimator, begin: State, steps: Step) -> tuple[State, Tensor]:
     """All steps of one member by torch; raises a MemberError, which knows the step."""
-    found, batch = list[Tensor](), steps.surge.shape[1:]
+    state, found, batch = begin, list[Tensor](), steps.surge.shape[1:]
     try:
-        for state, surge in walk(member, begin, steps):
+        for each in walk(member, begin, steps):
+            state, surge = each
             if surge.shape != batch:
                 raise ShapeError(f"it predicted the shape {tuple(surge.shape)}, expected {tuple(batch)}")
             found.append(surge)

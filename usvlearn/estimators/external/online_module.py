@@ -42,10 +42,10 @@ class OnlineModule(Estimator):
 
     Args:
         net: the module; parameters with `requires_grad` are trained.
-        states: length of x.
-        optimizer: "adam" or "sgd".
-        lr: learning rate.
-        window: steps through which gradients pass.
+        states: length of x, a count.
+        optimizer: "adam" (Kingma and Ba 2015) or "sgd".
+        lr: learning rate, no unit.
+        window: steps through which gradients pass, a count.
 
     Raises:
         ConfigError: nothing to train, or an argument outside its legal values.
