@@ -7,6 +7,7 @@ import itertools
 import math
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -96,8 +97,8 @@ def assert_same(found: Any, expected: Any, **tolerance: Any) -> None:
     """Raise an AssertionError, which names the leaf, unless two states are the same."""
     found, expected = leaves(found), leaves(expected)
     assert found.keys() == expected.keys(), f"leaves {', '.join(found)}, expected {', '.join(expected)}"
-    for name in expected:
-        torch.testing.assert_close(found[name], expected[name], msg=lambda m, n=name: f"{n}: {m}", **tolerance)
+    for name, leaf in expected.items():
+        torch.testing.assert_close(found[name], leaf, msg=partial("{}: {}".format, name), **tolerance)
 
 
 def shapes_and_dtypes(make: Make) -> None:
@@ -121,9 +122,10 @@ def vehicles_of_a_batch_are_independent(make: Make) -> None:
     estimator, samples = make(), random_samples(15, *batch)
     end, surge, _ = rollout(estimator, estimator.init(batch), samples)
     for element in itertools.product(*map(range, batch)):
-        alone = at(samples, (slice(None), *element))
+        own: Any = (slice(None), *element)
+        alone = at(samples, own)
         end1, surge1, _ = rollout(estimator, estimator.init(), alone)
-        torch.testing.assert_close(surge[(slice(None), *element)], surge1, rtol=1e-12, atol=1e-12)
+        torch.testing.assert_close(surge[own], surge1, rtol=1e-12, atol=1e-12)
         assert_same(at(end, element), end1, rtol=1e-12, atol=1e-12)
 
 

@@ -117,7 +117,8 @@ class FirstPass:
             if (now := next(shapes)) != (was := next(shapes)):
                 raise ShapeError(f"its state has the shapes {now}, expected {was}")
         except Exception as error:
-            step, found, cause = len(steps.surge) - 1, torch.full_like(steps.surge, torch.nan), error
+            cause: BaseException | None = error
+            step, found = len(steps.surge) - 1, torch.full_like(steps.surge, torch.nan)
             if isinstance(error, MemberError):
                 step, found, cause = error.step, error.predictions, error.__cause__
             self._tell(name, step, f"{type(cause).__name__}: {cause}: the run goes on without it from here")

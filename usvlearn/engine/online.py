@@ -93,10 +93,11 @@ class Online:
         """
         from usvlearn.engine.parts import external_in
 
-        found = checkpoint.newest(path, read_checkpoint) if Path(path).is_dir() else read_checkpoint(Path(path))
-        if missing := [name for name in external_in(found[1]["kernel"]) if name not in (members or {})]:
+        where = Path(path)
+        leaves, facts = checkpoint.newest(where, read_checkpoint) if where.is_dir() else read_checkpoint(where)
+        if missing := [name for name in external_in(facts["kernel"]) if name not in (members or {})]:
             warnings.warn(f"{path}: {', '.join(missing)} predicts nothing, unless members={{…}} has it", stacklevel=2)
-        return cls.of(*found, members)
+        return cls.of(leaves, facts, members)
 
     @classmethod
     def of(
@@ -118,10 +119,10 @@ class Online:
         >>> online.predict(Inputs(0.0, 0.0, 0.0, 0.0, 0.4))
         1.5
         """
-        self = cls.__new__(cls)
-        self._template, self._name, self.description = None, facts["estimator"], facts["kernel"]
         from usvlearn.engine.single_steps import live_of
 
+        self = cls.__new__(cls)
+        self._template, self._name, self.description = None, facts["estimator"], facts["kernel"]
         self._live = live_of(facts["kernel"], leaves)
         self._live.current = False  # it may have been saved long ago
         if members:

@@ -21,15 +21,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usvlearn.core.protocol import clean
-from usvlearn.core.samples import Inputs, Sample, masks, named_leaves, tree_map, where
+from usvlearn.core.samples import Inputs, Sample, masks, named_leaves, tree_map
 from usvlearn.engine.backend import array_of, arrays_of, choose
-from usvlearn.engine.rollouts import simulate
+from usvlearn.errors import ConfigError
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.season import Season
 
 ELEMENTS = 2048  # of one batch; about what fits into a processor's cache
-CHUNK = 128  # steps whose predictions are held at a time
 
 
 class FreeErrors(NamedTuple):
@@ -77,7 +75,6 @@ def cross_validate(
     runs: Sequence[Sample],
     elements: int = ELEMENTS,
     advance: Callable[[int], object] = lambda steps: None,
-    backend: str = "auto",
 ) -> FreeErrors:
     """Simulate every checkpoint, leaves `(sets, ...)`, free on every run, leaves `(time,)`.
 
@@ -94,7 +91,7 @@ def cross_validate(
     at_once = max(1, elements // sets)
     for first in range(0, len(runs), at_once):
         some = order[first : first + at_once]  # of nearly the same length
-        absolute, square, diverged, steps = _simulated(ensemble, state, [runs[k] for k in some], advance, backend)
+        absolute, square, diverged, steps = _simulated(ensemble, state, [runs[k] for k in some], advance)
         found.steps[some] = steps
         with np.errstate(invalid="ignore"):
             found.mae[:, some], found.mse[:, some] = absolute / steps[:, None], square / steps[:, None]
@@ -102,55 +99,28 @@ def cross_validate(
     return found
 
 
-def _simulated(ensemble: Ensemble, state: Any, runs: Sequence[Sample], advance: Callable[[int], object], backend: str):
+def _simulated(ensemble: Ensemble, state: Any, runs: Sequence[Sample], advance: Callable[[int], object]):
     """Sums of |error| and error², `(sets, runs, methods)`; which simulations diverged; measured steps of each run."""
     dtype, sets = state.predictions.dtype, state.predictions.shape[0]
-    samples = tree_map(lambda x: x.to(state.predictions.device), _side_by_side(runs, dtype))  # (time, runs)
+    from usvlearn.engine.external import first_pass
+    from usvlearn.engine.open_loop_scores import free_totals
+
+    samples = _side_by_side(runs, dtype)  # (time, runs)
     batch = (sets, len(runs))
     state = tree_map(lambda x: x[:, None].expand(*batch, *x.shape[1:]), state)
-    weights, learning = state.combiners, _learning(ensemble)
+    learning = _learning(ensemble)
     scored = masks(samples, ensemble.surge_limit).learns.to(dtype).sum(0).cpu().numpy()
     whole = tree_map(lambda x: x[:, None].expand(-1, *batch), samples)
-    if (description := choose(ensemble, state, whole, backend)) is not None:
-        from usvlearn.engine.external import first_pass
-        from usvlearn.engine.open_loop_scores import free_totals
-
-        rules = [list(ensemble.combiners).index(name) for name in learning]
-        arrays = arrays_of(state), tree_map(array_of, whole)
-        first = first_pass(description, ensemble, state)
-        given = None if first is None else first.run(*arrays, True)[1]
-        totals = free_totals(description, *arrays, rules, torch.get_num_threads(), given)
-        advance(scored.sum().item() * sets)
-        return totals[..., 0], totals[..., 1], totals[..., 2] > 0, scored
-    total: list[Any] = [0.0, 0.0, False]
-    for begin in range(0, len(samples.surge), CHUNK):
-        part = tree_map(lambda x, b=begin: x[b : b + CHUNK], whole)
-        state, _, published = simulate(ensemble, state, part, lambda s: s.predictions, backend="torch")
-        step = clean(part, ensemble.surge_limit)
-        if learning:
-            weights, combined = _reweighed(ensemble, weights, published, step, learning)
-            published = torch.cat([published, combined], -1)
-        limit = ensemble.surge_max
-        clipped = torch.where(published.isnan(), limit, published).clamp(-limit, limit)
-        error = torch.where(step.learns[..., None], (clipped - step.surge[..., None]).abs(), 0.0)
-        beyond = step.steps[..., None] & ~(published.abs() < limit)
-        for k, more in enumerate((error.sum(0), (error * error).sum(0))):
-            total[k] = total[k] + more
-        total[2] = total[2] | beyond.any(0)
-        advance(step.learns[:, 0].sum().item() * sets)
-    return (*(x.cpu().numpy() for x in total), scored)
-
-
-def _reweighed(ensemble: Ensemble, weights: dict, published: Tensor, step, learning: Sequence[str]):
-    """The combiners' final states, and their predictions with weights that learn, `(time, *batch, rules)`."""
-    combined = []
-    for k, predictions in enumerate(published[..., : len(ensemble.columns)]):
-        seen = ensemble.seen(predictions)
-        said = ensemble.combine(weights, seen)
-        combined.append(torch.stack([said[name] for name in learning], -1))
-        learned = ensemble.reweigh(weights, seen, step.surge[k], step.inputs.dt[k])
-        weights = tree_map(lambda new, old, k=k: where(step.learns[k], new, old), learned, weights)
-    return weights, torch.stack(combined)
+    if (description := choose(ensemble, state, whole, "auto")) is None:
+        raise ConfigError(
+            "cross-validation: found a combiner of other code, or a GPU, expected our combiners, on the CPU"
+        )
+    rules = [list(ensemble.combiners).index(name) for name in learning]
+    arrays, first = (arrays_of(state), tree_map(array_of, whole)), first_pass(description, ensemble, state)
+    given = None if first is None else first.run(*arrays, True)[1]
+    totals = free_totals(description, *arrays, rules, torch.get_num_threads(), given)
+    advance(scored.sum().item() * sets)
+    return totals[..., 0], totals[..., 1], totals[..., 2] > 0, scored
 
 
 def _side_by_side(runs: Sequence[Sample], dtype: torch.dtype) -> Sample:

@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import Any
 
 from usvlearn.engine.parts import external_in
-from usvlearn.errors import CheckpointError, ConfigError
+from usvlearn.errors import CheckpointError
 
 
 def trusted_members(facts: Mapping[str, Any], trust: Sequence[str]) -> dict[str, Any]:
@@ -24,29 +24,13 @@ def trusted_members(facts: Mapping[str, Any], trust: Sequence[str]) -> dict[str,
             f"trust: the checkpoint does not say how {lost[0]} is made: start from a run's checkpoint"
         )
     own = {name: known[name] for name in names} if isinstance(known, dict) else {}
-    import_module("usvlearn.runs.trust").check_settings("the checkpoint", own, list(trust))  # of a layer above
-    return {name: _made(name, value) for name, value in own.items()}
+    if own:  # by layers above this one
+        import_module("usvlearn.runs.trust").check_settings("the checkpoint", own, list(trust))
+        return import_module("usvlearn.composition.configuration").instantiate(own)
+    return {}
 
 
 def without(facts: Mapping[str, Any], members: Mapping[str, Any]) -> str:
     """What to say of those that are not made; or ""."""
     lost = [name for name in external_in(facts["kernel"]) if name not in members]
     return f"{', '.join(lost)} predicts nothing here: trust its module (--trust), if you do" if lost else ""
-
-
-def _made(name: str, value: Any) -> Any:
-    """An object from its class, `_target_`, and its arguments."""
-    if isinstance(value, list):
-        return [_made(name, each) for each in value]
-    if not isinstance(value, dict):
-        return value
-    own = {key: _made(f"{name}.{key}", each) for key, each in value.items() if key != "_target_"}
-    if "_target_" not in value:
-        return own
-    module, _, kind = value["_target_"].rpartition(".")
-    try:
-        return getattr(import_module(module), kind)(**own)
-    except Exception as error:
-        raise ConfigError(
-            f"{name}: {value['_target_']} cannot be made here: {type(error).__name__}: {error}"
-        ) from error

@@ -6,13 +6,12 @@ Values that are read there are 1, so that each method runs to its end (`tests/su
 import pytest
 import torch
 
-from tests.support import few, random_samples
+from tests.support import few
 from tests.support.configured import request
 from tests.support.placement import read_as_ones
-from usvlearn import AID, BOA, RLS, RNN, Ensemble, RecursiveWeights
+from usvlearn import AID
 from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.engine import lanes
-from usvlearn.evaluation.crossval import cross_validate
 from usvlearn.evaluation.objective import Measure
 from usvlearn.sweeps.tuning.batches import Objective, element_errors
 from usvlearn.sweeps.tuning.methods import descend, grid
@@ -73,11 +72,3 @@ def test_the_gradient_runs_on_the_device_of_the_estimator(short, meta):
     build, parameters = meta("aid")
     with read_as_ones():
         assert descend(Objective(build, short), parameters, 10).used >= 5
-
-
-def test_cross_validation_runs_on_the_device_of_the_sets():
-    members = {"aid": AID(28.0), "rls": RLS(), "rnn": RNN(4)}
-    ensemble = Ensemble(members, {"weighted": RecursiveWeights(), "boa": BOA()}).to("meta")
-    with read_as_ones(), torch.no_grad():
-        found = cross_validate(ensemble, ensemble.init((3,)), [random_samples(5), random_samples(4)])
-    assert found.mae.shape == (3, 2, 7)

@@ -34,7 +34,8 @@ class OwnKernel(Stretched):
         super().__init__()
         if unknown := sorted(settings.keys() - self.settings.keys()):
             raise ConfigError(f"{unknown[0]}: found no such setting, expected {', '.join(self.settings) or 'none'}")
-        self.numbers = {name: float(value) for name, value in (self.settings | settings).items()}
+        numbers = {name: float(value) for name, value in (self.settings | settings).items()}
+        self.numbers: Any = _settings(tuple(numbers))(**numbers) if numbers else ()
 
     def init(self, batch: Sequence[int] = ()) -> OwnKernelState:
         own = self.rest.new_tensor(self.first)
@@ -44,9 +45,8 @@ class OwnKernel(Stretched):
         wide, modes = (x.numpy() for x in columns_of(steps))
         surge, own = state.surge.reshape(-1).clone().numpy(), state.own.reshape(-1, len(self.first)).clone().numpy()
         found, at = np.full(modes.shape, np.nan, wide.dtype), np.zeros(1, np.int64)
-        numbers = namedtuple("Settings", self.numbers)(**self.numbers) if self.numbers else ()
         try:
-            loop(*self.functions)(wide, modes, surge, own, numbers, found, at)
+            loop(*self.functions)(wide, modes, surge, own, self.numbers, found, at)
         except Exception as error:
             found[at[0] :] = np.nan
             raise MemberError(int(at[0]), torch.from_numpy(found).reshape(steps.surge.shape)) from error
@@ -96,6 +96,12 @@ def kernel(made: type) -> type[OwnKernel]:
     named = {key: own.get(key) for key in ("__module__", "__doc__", "__qualname__") if key in own}
     facts = {"first": first, "settings": settings, "functions": (own["predict"], own["learn"])}
     return type(made.__name__, (OwnKernel,), named | facts)
+
+
+@cache
+def _settings(names: tuple[str, ...]) -> Any:
+    """Their type: one for the same names, because numba compiles anew for another one."""
+    return namedtuple("Settings", names)
 
 
 @cache

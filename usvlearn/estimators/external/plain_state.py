@@ -75,8 +75,8 @@ def _plain(value: Any, seen: set[int], depth: int) -> Any:
         if kind is container:
             return {name: [_plain(each, seen, depth + 1) for each in value]}
     slots = any(getattr(each, "__slots__", ()) for each in kind.__mro__)
-    own = kind.__reduce__ is object.__reduce__ and kind.__reduce_ex__ is object.__reduce_ex__
-    if not hasattr(value, "__dict__") or slots or not own:
+    own: Any = [vars(each).keys() & {"__reduce__", "__reduce_ex__"} for each in kind.__mro__ if each is not object]
+    if not hasattr(value, "__dict__") or slots or any(own):
         raise TypeError(f"{kind.__module__}.{kind.__qualname__} is not plain")
     return {"object": {key: _plain(each, seen, depth + 1) for key, each in vars(value).items()}}
 
