@@ -139,8 +139,16 @@ def test_a_state_is_plain_and_of_the_same_object():
     model, x = Plain(), np.zeros(3)
     content = packed(model, 4096)
     assert unpacked(content, Plain()).held["rule"] is math.sqrt
-    model.shared = [x, x]
-    for value, told in (([x, x], "held twice"), (object(), "is not plain"), (lambda: 0, None)):
+    model.turned = np.arange(6.0).reshape(3, 2).T  # a library may change it in place by its order
+    turned = unpacked(packed(model, 4096), Plain()).turned
+    assert turned.flags.f_contiguous and not turned.flags.c_contiguous and (turned == model.turned).all()
+    for value, told in (
+        ([x, x], "held twice"),
+        ([x, x[:2]], "share memory"),
+        (np.ones((4, 4))[::2], "not plain"),
+        (object(), "is not plain"),
+        (lambda: 0, None),
+    ):
         model.shared = value
         if told is not None:
             with pytest.raises(TypeError, match=told):

@@ -29,7 +29,7 @@ def packed(model: Any, size: int) -> np.ndarray:
         ValueError: it is too long.
     """
     given = model.get_state() if hasattr(model, "get_state") else model
-    content = zlib.compress(json.dumps(_plain(given, set(), 0)).encode(), 1)
+    content = zlib.compress(json.dumps(_plain(given, {}, 0)).encode(), 1)
     if len(content) + 4 > size:
         raise ValueError(f"its state has {len(content)} bytes, expected {size - 4} at most: give a larger state_size")
     found = np.zeros(size, np.uint8)
@@ -56,7 +56,7 @@ def unpacked(content: np.ndarray, model: Any) -> Any:
     return model
 
 
-def _plain(value: Any, seen: set[int], depth: int) -> Any:
+def _plain(value: Any, seen: dict[int, Any], depth: int) -> Any:
     if value is None or type(value) in (bool, int, float, str):
         return value
     if isinstance(value, np.generic) and value.dtype.kind in "biuf":
@@ -66,9 +66,13 @@ def _plain(value: Any, seen: set[int], depth: int) -> Any:
     kind = type(value)
     if id(value) in seen or depth > DEEPEST:
         raise TypeError(f"{kind.__name__} is held twice, or too deep")
-    seen.add(id(value))
-    if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
-        return {"array": base64.b64encode(value.tobytes()).decode(), "of": value.dtype.str, "shape": value.shape}
+    if kind is np.ndarray and value.dtype.kind in "biuf" and value.flags.forc:  # its order decides how it is changed
+        if any(np.may_share_memory(value, each) for each in seen.values() if isinstance(each, np.ndarray)):
+            raise TypeError("two arrays share memory")
+        seen[id(value)] = value
+        of = {"of": value.dtype.str, "shape": value.shape, "order": "C" if value.flags.c_contiguous else "F"}
+        return {"array": base64.b64encode(value.tobytes("A")).decode(), **of}
+    seen[id(value)] = value
     if isinstance(value, dict):
         return {"dict": [[_plain(each, seen, depth + 1) for each in pair] for pair in value.items()]}
     for name, container in CONTAINERS.items():
@@ -87,7 +91,8 @@ def _built(found: Any, before: Any) -> Any:
         return found
     (name, content), *_ = found.items()
     if name == "array":
-        return np.frombuffer(base64.b64decode(content), np.dtype(found["of"])).reshape(found["shape"]).copy()
+        flat, order = np.frombuffer(base64.b64decode(content), np.dtype(found["of"])), found["order"]
+        return flat.reshape(found["shape"], order=order).copy(order)
     if name == "dict":
         own = before if isinstance(before, dict) else {}
         pairs = [(_built(key, None), value) for key, value in content]
