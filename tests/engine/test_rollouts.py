@@ -77,8 +77,6 @@ NO_KERNEL = "OBSTACLE, or a part of it, has no compiled kernel"
 OBSTACLES = {
     "subclass": (lambda: OwnAID(), NO_KERNEL.replace("OBSTACLE", "OwnAID")),
     "model": (lambda: RLS(OwnModel()), NO_KERNEL.replace("OBSTACLE", "RLS")),
-    "member": (lambda: Ensemble({"a": AID(), "b": OwnAID()}), NO_KERNEL.replace("OBSTACLE", "Ensemble")),
-    "nested": (lambda: Ensemble({"a": Ensemble({"b": AID()})}), NO_KERNEL.replace("OBSTACLE", "Ensemble")),
     "rule": (
         lambda: Ensemble({"a": AID()}, {"own": OwnRule()}, watched=False, conditional=False),
         NO_KERNEL.replace("OBSTACLE", "Ensemble"),
