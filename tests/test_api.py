@@ -3,6 +3,7 @@ errors.
 """
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,11 @@ from hydra import compose, initialize_config_dir
 
 import usvlearn
 from tests.support import ROOT
-from usvlearn import AID, Ensemble, Online, Persistence
+from usvlearn import AID, Ensemble, Inputs, Online, Persistence, Sample
 from usvlearn.cli import train
 from usvlearn.core import checkpoint
-from usvlearn.core.samples import UNITS, named_leaves, tree_map
-from usvlearn.errors import CheckpointError, ConfigError, UsvlearnError
+from usvlearn.core.samples import UNITS, html_table, named_leaves, tree_map
+from usvlearn.errors import CheckpointError, ConfigError, MissingExtraError, UsvlearnError
 from usvlearn.learned import AlignedLogs, Learned
 
 HEAD = "time,L,R,heading,speed"
@@ -233,3 +234,48 @@ def test_a_real_log(real_logs, tmp_path):
     (free,) = learned.simulate(logs).scores.values()
     assert free["joint"]["mae"] < 0.5 * free["persistence"]["mae"]
     assert Online.open(learned.save(tmp_path / "blueboat.safetensors")).names == learned.ensemble.names
+
+
+def test_logs_become_tables_and_tables_are_learned_from(logs, monkeypatch):
+    pandas = pytest.importorskip("pandas", reason="needs the package pandas")
+    frame, first = logs.to_pandas(), logs.runs[0].to_pandas()
+    assert len(frame) == sum(len(run.time) for run in logs.runs) and frame.groupby(["boat", "run"]).ngroups == 4
+    assert first.attrs["units"]["heading"].startswith("rad") and (first["time"] == logs.runs[0].time).all()
+    own = first[["time", "command_left", "command_right", "heading", "surge"]]
+    assert usvlearn.learn(own, AID(mass=28.0)).scores["boat"]["aid"]["skill"] > 0
+    monkeypatch.setitem(sys.modules, pandas.__name__, None)
+    with pytest.raises(MissingExtraError, match=r"usvlearn\[tables\]"):
+        logs.to_pandas()
+
+
+def test_a_notebook_shows_tables_and_escapes_names(learned):
+    assert "<pre>" in learned._repr_html_() and "heron2" in learned.logs._repr_html_()
+    assert "&lt;b&gt;" in html_table([("<b>", "1")])
+
+
+NOW = Inputs(command_left=0.5, command_right=0.5, heading=0.0, yaw_rate=0.0, dt=0.4)
+SAMPLE = Sample(NOW, surge=1.2, fresh=True, measured=True)
+NO_STEP = {
+    "dt is 0: the sample starts a segment": SAMPLE._replace(inputs=NOW._replace(dt=0.0)),
+    "it has no speed to start from": SAMPLE._replace(inputs=NOW._replace(dt=0.0), surge=np.nan),
+    "fresh is False": SAMPLE._replace(fresh=False, measured=False),
+    "command_left is nan, expected -100 to 100": SAMPLE._replace(inputs=NOW._replace(command_left=np.nan)),
+    "dt is -0.4, expected 0 to 10000": SAMPLE._replace(inputs=NOW._replace(dt=-0.4)),
+    "": SAMPLE,
+}
+
+
+@pytest.mark.parametrize("words", NO_STEP)
+def test_an_online_says_why_it_predicts_nothing(words):
+    boat = Online(AID(mass=28.0))
+    assert boat.why == "no step was made yet" and "none yet" in repr(boat)
+    boat.step(SAMPLE)
+    predicted = boat.step(NO_STEP[words])
+    assert np.isfinite(predicted) == (not words) and words in boat.why and bool(words) == bool(boat.why)
+    assert (words or "m/s") in repr(boat) and "<th>last step" in boat._repr_html_()
+
+
+def test_why_of_a_batch_has_an_entry_for_each_boat():
+    boats = Online(AID(mass=28.0), batch=(2,))
+    boats.step(SAMPLE._replace(inputs=NOW._replace(heading=np.array([0.0, np.inf]))))
+    assert boats.why[0] == "" and boats.why[1].startswith("heading is inf")

@@ -140,14 +140,14 @@ def read(
 
 
 def learn(
-    logs: AlignedLogs,
+    logs: AlignedLogs | Mapping[str, Any] | Frame,
     estimator: Estimator | None = None,
     start: PathLike | Mapping[str, PathLike] | None = None,
 ) -> Learned:
     """Replay logs online, each boat a batch element: predict every speed, then learn from it.
 
     Args:
-        logs: of one boat or of several; see `read`.
+        logs: of one boat or of several; see `read`; or a table such as a `pandas.DataFrame`, as of `read`.
         estimator: an `Ensemble`, or another estimator, to which persistence is added; by default the ensemble
             of configs/train.yaml for the boat's mass and top speed.
         start: a checkpoint to start from, or a folder of them, of which the newest is used; or boat -> either.
@@ -170,7 +170,10 @@ def learn(
     from usvlearn.evaluation.season import predictions_of
     from usvlearn.runs.replay import replay
 
-    fleet, ensemble = check_logs(logs).fleet, _ensemble(logs, estimator)
+    if isinstance(logs, Mapping) or (hasattr(logs, "columns") and not isinstance(logs, tuple)):
+        logs = read(logs)
+    logs = check_logs(logs)
+    fleet, ensemble = logs.fleet, _ensemble(logs, estimator)
     state = ensemble.init((len(fleet.boats),))
     if start is not None:
         state = _started(state, fleet.boats, start, ensemble.description())

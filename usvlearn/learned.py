@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import io
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.core.samples import Fleet, Sample, masks, named_leaves, tree_map
-from usvlearn.errors import ConfigError
+from usvlearn.core.samples import UNITS, Fleet, Sample, masks, named_leaves, tree_map
+from usvlearn.errors import ConfigError, MissingExtraError
 from usvlearn.evaluation.season import Predictions, measured_surge, predictions_of, samples_of
 
 if TYPE_CHECKING:
@@ -42,17 +43,56 @@ class AlignedRun(NamedTuple):
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
-        """All arrays by name, `(time,)` each, as `pandas.DataFrame` takes them; `usvlearn.core.samples.UNITS` has their
-        units.
+        """All arrays by name, `(time,)` each; `usvlearn.core.samples.UNITS` has their units.
 
         A `dt` of 0 starts a segment; `surge` is NaN where it was not measured.
         """
         leaves = {name.rpartition(".")[2]: leaf for name, leaf in named_leaves(self.samples)}
         return {"time": self.time, **leaves, "surge": measured_surge(self.samples)}
 
+    def to_pandas(self) -> Any:
+        """`columns` as a table.
+
+        Returns:
+            A `pandas.DataFrame`, one row a step; its `attrs["units"]` has the units.
+
+        Raises:
+            MissingExtraError: pandas is not installed.
+
+        >>> from usvlearn import read
+        >>> run = read(data="simulated", hours=0.05).runs[0]
+        >>> run.to_pandas().columns[-1]  # doctest: +SKIP
+        'measured'
+        """
+        frame = _pandas().DataFrame(self.columns)
+        frame.attrs["units"] = UNITS
+        return frame
+
+
+class _Tables:
+    """Shows what `_parts` returns: as text in a terminal, and as HTML of the same look in a notebook."""
+
+    def _parts(self) -> Sequence[Any]:
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        from usvlearn.display.terminal import console
+
+        board = console()
+        with board.capture() as captured:
+            board.print(*filter(None, self._parts()), sep="\n")
+        return captured.get().rstrip()
+
+    def _repr_html_(self) -> str:
+        from rich.console import Console
+
+        board = Console(record=True, file=io.StringIO(), width=120, markup=False)
+        board.print(*filter(None, self._parts()), sep="\n")
+        return board.export_html(inline_styles=True, code_format="<pre>{code}</pre>")
+
 
 @dataclass(frozen=True, repr=False)
-class AlignedLogs:
+class AlignedLogs(_Tables):
     """The result of `read`: the runs of one or several boats on a grid of time.
 
     Attributes:
@@ -94,7 +134,22 @@ class AlignedLogs:
         """How many messages or steps were rejected: boat -> channel -> cause -> count."""
         return self.fleet.rejected
 
-    def __repr__(self) -> str:
+    def to_pandas(self) -> Any:
+        """All runs as one table.
+
+        Returns:
+            A `pandas.DataFrame`, one row a step: the columns of each run, then `boat` and `run`.
+
+        Raises:
+            MissingExtraError: pandas is not installed.
+
+        >>> from usvlearn import read
+        >>> read(data="simulated", hours=0.05).to_pandas().groupby("run")["surge"].mean()  # doctest: +SKIP
+        """
+        frames = [run.to_pandas().assign(boat=run.boat, run=run.name) for run in self.runs]
+        return _pandas().concat(frames, ignore_index=True)
+
+    def _parts(self) -> Sequence[Any]:
         from usvlearn.display.terminal import Blocks
         from usvlearn.report.tables import data_check_table, rejection_table
 
@@ -106,11 +161,11 @@ class AlignedLogs:
             minutes = (run.time[-1] - run.time[0]) / 60
             table.add(run.name, f"{minutes:.1f}", str(len(run.time)), f"{run.samples.measured.mean():.1%}")
         found = data_check_table([each._asdict() for each in self.findings]) if self.findings else None
-        return _printed(table, rejection_table(self.rejected), found)
+        return table, rejection_table(self.rejected), found
 
 
 @dataclass(frozen=True, repr=False)
-class Simulated:
+class Simulated(_Tables):
     """A simulation from the inputs and the speed at which each segment starts; nothing is learned.
 
     Attributes:
@@ -127,16 +182,14 @@ class Simulated:
     predictions: tuple[Predictions, ...]
     scores: dict[str, dict[str, dict[str, Any]]]
 
-    def __repr__(self) -> str:
+    def _parts(self) -> Sequence[Any]:
         from usvlearn.report.tables import score_table
 
-        return _printed(
-            score_table(self.scores, title="Simulation of surge from the inputs alone, errors in m/s, by MAE")
-        )
+        return [score_table(self.scores, title="Simulation of surge from the inputs alone, errors in m/s, by MAE")]
 
 
 @dataclass(frozen=True, repr=False)
-class Learned:
+class Learned(_Tables):
     """The result of `learn`: an ensemble, its final state for each boat, and all of its predictions.
 
     Attributes:
@@ -321,12 +374,12 @@ class Learned:
             f"boat: found {boat!r}, of which nothing was learned, expected one of {', '.join(self.boats)}"
         )
 
-    def __repr__(self) -> str:
+    def _parts(self) -> Sequence[Any]:
         from usvlearn.evaluation.diagnostics import explained, remarks
         from usvlearn.report.tables import error_tables, event_lines, rejection_table
 
         tables = error_tables(self.scores, remarks(self.ensemble), explained(self.ensemble), self.forecast_scores)
-        return _printed(rejection_table(self.logs.rejected), tables, "\n".join(event_lines(self.events)))
+        return rejection_table(self.logs.rejected), tables, "\n".join(event_lines(self.events))
 
 
 def check_logs(logs: AlignedLogs) -> AlignedLogs:
@@ -336,11 +389,14 @@ def check_logs(logs: AlignedLogs) -> AlignedLogs:
     return logs
 
 
-def _printed(*parts: Any) -> str:
-    """Tables as text, as rich prints them."""
-    from usvlearn.display.terminal import console
+def _pandas() -> Any:
+    """The package.
 
-    board = console()
-    with board.capture() as captured:
-        board.print(*filter(None, parts), sep="\n")
-    return captured.get().rstrip()
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    try:
+        import pandas  # pyright: ignore[reportMissingImports]
+    except ImportError as error:
+        raise MissingExtraError("pandas", "tables", "a table of pandas") from error
+    return pandas

@@ -11,6 +11,7 @@ from collections.abc import Callable, Container, Iterable
 from pathlib import Path
 
 import pytest
+import torch
 
 from usvlearn import (
     AID,

@@ -7,6 +7,7 @@ A *tree* is an array or tensor, a NamedTuple of trees, or a dict of trees.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from html import escape
 from numbers import Integral, Real
 from typing import Any, NamedTuple
 
@@ -21,8 +22,8 @@ class Inputs(NamedTuple):
     """Everything that a prediction may use. Leaves are `(*batch,)`.
 
     >>> inputs = Inputs(command_left=0.5, command_right=0.5, heading=0.0, yaw_rate=0.0, dt=0.4)
-    >>> inputs._replace(dt=0.2).dt
-    0.2
+    >>> inputs._replace(dt=0.2)
+    Inputs(command_left=0.5, command_right=0.5, heading=0.0 rad, yaw_rate=0.0 rad/s, dt=0.2 s)
     """
 
     command_left: Array  # xi_L in force over the step, share of full scale, -1 ... 1
@@ -30,6 +31,12 @@ class Inputs(NamedTuple):
     heading: Array  # rad, 0 north, clockwise
     yaw_rate: Array  # rad/s
     dt: Array  # s since the previous step; 0 starts a segment (see `Sample`)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(map('='.join, _with_units(self)))})"
+
+    def _repr_html_(self) -> str:
+        return html_table(_with_units(self))
 
 
 LIMIT = 10.0  # m/s; the default of every limit of a speed
@@ -40,18 +47,26 @@ PLAUSIBLE_INPUTS = Inputs(command_left=100.0, command_right=100.0, heading=1e6, 
 class Sample(NamedTuple):
     """One aligned time step. Leaves are `(*batch,)`, or `(time, *batch)` for a run.
 
-    `measured` implies `fresh`. A sample whose `inputs.dt` is 0 makes no step: it starts a segment (the start of a run,
-    the end of an outage), and its speed is the one from which the next step departs.
+    `fresh` says that the inputs are recent: only then a speed is predicted. `measured` says that the speed is, too:
+    only then it is learned from; it implies `fresh`. A loop at 10 Hz beside a GPS at 5 Hz makes 10 fresh samples a
+    second, and every second one is measured. If the GPS is silent, samples stay fresh and are only predicted. If the
+    commands stop coming, none is fresh, and the state waits.
 
-    >>> inputs = Inputs(command_left=0.5, command_right=0.5, heading=0.0, yaw_rate=0.0, dt=0.4)
-    >>> Sample(inputs, surge=1.2, fresh=True, measured=True).surge
-    1.2
+    A sample whose `inputs.dt` is 0 makes no step: it starts a segment (the start of a run, the end of an outage), and
+    its speed is the one from which the next step departs.
+
+    >>> inputs = Inputs(command_left=0.5, command_right=0.5, heading=0.0, yaw_rate=0.0, dt=0.1)
+    >>> for surge in (1.2, None, 1.3, None):  # what the GPS gave since the last step of the loop
+    ...     got = surge is not None
+    ...     sample = Sample(inputs, surge if got else float("nan"), fresh=True, measured=got)
     """
 
     inputs: Inputs  # of the step
     surge: Array  # measured forward speed at the end of the step, m/s; NaN where there was none
     fresh: Array  # bool: every input arrived inside its staleness window
     measured: Array  # bool: `fresh`, and the speed arrived inside its window
+
+    __repr__, _repr_html_ = Inputs.__repr__, Inputs._repr_html_
 
 
 class PlanarSample(NamedTuple):
@@ -95,6 +110,38 @@ UNITS = {  # of a run's time, and of all fields of its samples
     "heading": "rad, 0 north, clockwise", "yaw_rate": "rad/s", "dt": "s", "surge": "m/s", "fresh": "bool",
     "measured": "bool",
 }  # fmt: skip
+
+
+def _with_units(fields: Inputs | Sample) -> list[tuple[str, str]]:
+    """Name and value of each number of inputs or of a sample, with its unit; of arrays the shape."""
+    found = []
+    for path, leaf in named_leaves(fields):
+        name, shape = path.rpartition(".")[2], np.shape(leaf)
+        unit = UNITS[name].partition(",")[0]
+        value = f"array {shape}" if shape else f"{leaf}"
+        found.append((name, f"{value} {unit}" if unit in ("rad", "rad/s", "s", "m/s") else value))
+    return found
+
+
+def html_table(rows: Iterable[tuple[str, str]]) -> str:
+    """Names and values as a table for a notebook."""
+    return (
+        f"<table>{''.join(f'<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>' for name, value in rows)}</table>"
+    )
+
+
+def why_no_step(sample: Sample, surge_limit: float = PLAUSIBLE) -> str:
+    """Why `masks` lets a sample of one vehicle make no step, in words; "" if it makes one."""
+    inputs = sample.inputs
+    if inputs.dt == 0:
+        known = abs(sample.surge) < surge_limit
+        return f"dt is 0: the sample starts a segment{'' if known else ', but it has no speed to start from'}"
+    if not sample.fresh:
+        return "fresh is False: an input was too old to predict with"
+    for name, x, limit in zip(Inputs._fields, inputs, PLAUSIBLE_INPUTS, strict=True):
+        if not abs(x) < limit or (name == "dt" and x < 0):
+            return f"{name} is {x}, expected {'0' if name == 'dt' else f'-{limit:g}'} to {limit:g}"
+    return ""
 
 
 def speed_limit(top: float) -> float:

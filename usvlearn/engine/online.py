@@ -15,7 +15,7 @@ import numpy as np
 
 from usvlearn.core import checkpoint
 from usvlearn.core.forecasts import Forecast, Track, plan_inputs
-from usvlearn.core.samples import Inputs, PlanarSample, Sample, named_leaves
+from usvlearn.core.samples import Inputs, PlanarSample, Sample, html_table, named_leaves, tree_map, why_no_step
 from usvlearn.errors import CheckpointError, ConfigError
 
 if TYPE_CHECKING:
@@ -54,6 +54,7 @@ class Online:
 
     description: dict[str, Any] | None
     _template: TorchStepper | None
+    _last: tuple[Sample | PlanarSample, Any] | None = None  # of the last step: its sample and the predicted surge
 
     def __init__(self, estimator: Estimator | Planar, batch: Sequence[int] = (), backend: str = "auto"):
         from usvlearn.core.protocol import Estimator, spec_of
@@ -180,7 +181,44 @@ class Online:
                 is unchanged.
             ShapeError: a field is neither one number nor of the batch's shape; the state is unchanged.
         """
-        return self._live.step(sample)
+        predicted = self._live.step(sample)
+        self._last = sample, predicted
+        return predicted
+
+    @property
+    def why(self) -> str | list[str]:
+        """Why the last step returned NaN, in words; "" if it returned a number. Of a batch a list.
+
+        >>> from usvlearn import AID, Online
+        >>> boat = Online(AID(mass=28.0))
+        >>> inputs = Inputs(command_left=float("nan"), command_right=0.5, heading=0.0, yaw_rate=0.0, dt=0.4)
+        >>> boat.step(Sample(inputs, surge=1.2, fresh=True, measured=True)), boat.why
+        (nan, 'command_left is nan, expected -100 to 100')
+        """
+        if self._last is None:
+            return "no step was made yet"
+        sample, predicted = self._last
+        sample = sample.sample if isinstance(sample, PlanarSample) else sample
+        if batch := np.shape(predicted):
+            wide = tree_map(lambda leaf: np.broadcast_to(np.asarray(leaf), batch).reshape(-1), sample)
+            each = zip(np.ravel(predicted), range(predicted.size), strict=True)
+            return [_why(tree_map(lambda leaf, k=k: leaf[k].item(), wide), value) for value, k in each]
+        return _why(sample, predicted)
+
+    def __repr__(self) -> str:
+        return f"Online({'; '.join(map(': '.join, self._facts()))})"
+
+    def _repr_html_(self) -> str:
+        widths = self.last_predictions() if self.names and self._last is not None and not self._live.batch else {}
+        rows = [(name, f"{surge:.3f} ± {width:.3f} m/s (90 %)") for name, (surge, width) in widths.items()]
+        return html_table([*self._facts(), *rows])
+
+    def _facts(self) -> list[tuple[str, str]]:
+        of, batch = f" of {', '.join(self.names)}" if self.names else "", self._live.batch
+        facts = [("estimator", f"{self._name}{of}"), ("vehicles", f"{batch}" if batch else "1")]
+        if self._last is None or batch:
+            return [*facts, ("last step", "none yet" if self._last is None else "made")]
+        return [*facts, ("last step", str(self.why) or f"predicted {self._last[1]:.3f} m/s")]
 
     def leaf(self, name: str) -> np.ndarray:
         """A copy of one leaf of the state.
@@ -375,6 +413,13 @@ class Online:
         self.state, metadata = restored(Path(path), self.state, self._name, self.description)
         self.setup = metadata.get("setup", self.setup)
         return metadata
+
+
+def _why(sample: Sample, predicted: float) -> str:
+    """Why the step of one vehicle returned this prediction; "" of a number."""
+    if np.isfinite(predicted):
+        return ""
+    return why_no_step(sample) or "no estimator predicts: give a measured speed first, with dt=0"
 
 
 def read_checkpoint(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
