@@ -20,7 +20,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 
@@ -170,9 +170,8 @@ def learn(
     from usvlearn.evaluation.season import predictions_of
     from usvlearn.runs.replay import replay
 
-    if isinstance(logs, Mapping) or (hasattr(logs, "columns") and not isinstance(logs, tuple)):
-        logs = read(logs)
-    logs = check_logs(logs)
+    table = isinstance(logs, Mapping) or (hasattr(logs, "columns") and not isinstance(logs, tuple))
+    logs = check_logs(read(cast(Any, logs)) if table else logs)
     fleet, ensemble = logs.fleet, _ensemble(logs, estimator)
     state = ensemble.init((len(fleet.boats),))
     if start is not None:

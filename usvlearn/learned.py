@@ -382,7 +382,7 @@ class Learned(_Tables):
         return rejection_table(self.logs.rejected), tables, "\n".join(event_lines(self.events))
 
 
-def check_logs(logs: AlignedLogs) -> AlignedLogs:
+def check_logs(logs: Any) -> AlignedLogs:
     """Logs, if `read` returned them; a path, say, raises ConfigError."""
     if not isinstance(logs, AlignedLogs):
         raise ConfigError(f"logs: found {logs!r}, expected what usvlearn.read returns: learn(read(PATH))")

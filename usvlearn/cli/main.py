@@ -18,6 +18,7 @@ COMMANDS = {  # name -> the module whose `main` does it, and what it does
     "inspect": ("usvlearn.cli.inspect", "tell what own logs hold, and write their configuration"),
     "export": ("usvlearn.cli.export", "write what was learned for C, MATLAB, CasADi, ONNX, Gazebo, CSV"),
     "fit": ("usvlearn.cli.fit", "fit the model to all logs of a run, for its best parameters"),
+    "compare": ("usvlearn.cli.compare", "tell what changed between runs: dates, boats or settings"),
     "controller": ("usvlearn.cli.controller", "design a speed controller from what a run has identified"),
     "plan": ("usvlearn.cli.plan", "tell what to sail next to narrow the confidence intervals"),
     "live": ("usvlearn.cli.aboard", "learn aboard: a node on MOOS, MAVLink or ROS 2, and its status"),

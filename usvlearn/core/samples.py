@@ -66,7 +66,11 @@ class Sample(NamedTuple):
     fresh: Array  # bool: every input arrived inside its staleness window
     measured: Array  # bool: `fresh`, and the speed arrived inside its window
 
-    __repr__, _repr_html_ = Inputs.__repr__, Inputs._repr_html_
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(map('='.join, _with_units(self)))})"
+
+    def _repr_html_(self) -> str:
+        return html_table(_with_units(self))
 
 
 class PlanarSample(NamedTuple):

@@ -29,7 +29,7 @@ FOLDERS, FILES = ("figures", "tables"), "files.json"  # a report's, and the list
 LINKED = 40  # a table with more rows is a link in `report.md`
 TITLE = "What was learned"
 INLINE = 16  # most rows of a table that is shown without a click
-OPEN = ("fit", "identified", "forecast", "tracks")  # sections that are shown without a click
+OPEN = ("boat-1", "fit", "identified", "forecast", "tracks")  # sections that are shown without a click
 STYLE = Path(__file__).with_name("page.css").read_text()
 SCRIPT = "".join(Path(__file__).with_name(name).read_text() for name in ("viewer_plots.js", "viewer.js"))
 
@@ -41,6 +41,7 @@ def write_report(
     commands: Sequence[str] = (),
     errors: Mapping[str, FreeErrors] | None = None,
     front: Front | None = None,
+    heading: str = TITLE,
 ) -> Path:
     """Write the page, the Markdown, figures, tables and `crossval.npz`; those of an earlier report go."""
     check_report_folder(folder)
@@ -54,7 +55,7 @@ def write_report(
     own |= {name: each.csv().encode() for name, each in tables.items()}
     for path, whole in own.items():
         write_atomically(folder / path, whole)
-    write_atomically(folder / "report.md", _markdown(facts, sections, commands).encode())
+    write_atomically(folder / "report.md", _markdown(heading, facts, sections, commands).encode())
     if errors:
         archive = io.BytesIO()
         named = {f"{boat}_{name}": x for boat, found in errors.items() for name, x in found._asdict().items()}
@@ -62,9 +63,8 @@ def write_report(
         write_atomically(folder / "crossval.npz", archive.getvalue())
     index = folder / "index.html"
     write_atomically(folder / FILES, json.dumps(sorted(own), indent=2).encode())
-    write_atomically(
-        index, page(facts, sections, commands, {name: inline for name, (inline, _) in drawings.items()}, front).encode()
-    )
+    inline = {name: inline for name, (inline, _) in drawings.items()}
+    write_atomically(index, page(facts, sections, commands, inline, front, heading).encode())
     return index
 
 
@@ -115,8 +115,8 @@ def _drawing(name: str, figure: Any) -> tuple[str, bytes]:
     return inline.replace("<svg", label, 1), whole
 
 
-def _markdown(facts: Sequence[str], sections: Sequence[Section], commands: Sequence[str]) -> str:
-    parts = [f"# {TITLE}", *facts, *(_section_markdown(section) for section in sections)]
+def _markdown(heading: str, facts: Sequence[str], sections: Sequence[Section], commands: Sequence[str]) -> str:
+    parts = [f"# {heading}", *facts, *(_section_markdown(section) for section in sections)]
     if commands:
         parts.append("## To make this again\n\n" + "\n".join(f"    {command}" for command in commands))
     return "\n\n".join(parts) + "\n"
@@ -141,9 +141,10 @@ def page(
     commands: Sequence[str],
     drawings: Mapping[str, str],
     front: Front | None = None,
+    heading: str = TITLE,
 ) -> str:
     """The page, with the SVG of each figure. Open are sections with the paper's result, and those of OPEN."""
-    heading, script = (title(front) if front else TITLE), SCRIPT if front else ""
+    heading, script = (title(front) if front else heading), SCRIPT if front else ""
     links = "".join(f'<li><a href="#{s.key}">{escape(s.title)}</a></li>' for s in sections)
     runs = '<li><a href="#runs">Run by run</a></li>' if front else ""
     nav = f"<nav><ul>{runs}{links}</ul></nav>"
