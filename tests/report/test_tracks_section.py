@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from tests.support.pages import BAD, Page
 from tests.support.runs import SETTINGS
@@ -17,6 +18,7 @@ from usvlearn.core.samples import Inputs, PlanarSample, Sample
 from usvlearn.engine.online import read_checkpoint
 from usvlearn.evaluation.free_simulation import free_runs
 from usvlearn.logs.recordings import align_fleet
+from usvlearn.report.animation import write_animation
 from usvlearn.report.page import write_report
 from usvlearn.report.sections.tracks import RECKONED, _outline, chosen, tracks_section
 from usvlearn.report.track_maps import Ahead, Ellipse, saved_tracks
@@ -73,6 +75,15 @@ def test_the_table_has_the_scores_of_the_run(made):
         assert row["inside the ellipses"] == expected["inside"] and row["tracks"] == expected["count"]
         assert (row["commands stay"], row["move"]) == (expected["inside_stay"], expected["inside_move"])
     assert f"{scores['2']['position']:.2f} m at 2 s (constant turn" in section.here[0]
+
+
+@pytest.mark.thorough
+def test_an_animation_has_a_frame_for_each_track(made, tmp_path):
+    mission = made.tracks()[BOAT].mission
+    path = write_animation(tmp_path / "a.gif", mission._replace(ahead=mission.ahead[:3]), "$5 boat")
+    with Image.open(path) as picture:
+        assert picture.n_frames == 3 and picture.size == (720, 368)
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_the_tracks_are_those_that_the_boat_would_have_forecast_then(made):

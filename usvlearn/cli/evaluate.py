@@ -65,4 +65,5 @@ def main(cfg: DictConfig) -> None:
         if data is None and not (folders[-1] / "fit").exists():
             with Activity(board, "fitting the missions"):
                 fit_on_the_way(folders[-1], console(quiet=True))
-        evaluate(folders, Path(cfg.report or own), tools, data, asked=asked)
+        report = Path(cfg.report or own)
+        evaluate(folders, report, tools, data, asked=asked, animate=bool(cfg.animate), latex=bool(cfg.paper))

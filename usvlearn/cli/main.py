@@ -26,7 +26,7 @@ COMMANDS = {  # name -> the module whose `main` does it, and what it does
     "certify": ("certify.__main__", "prove whether the networks in checkpoints contract"),
 }
 QUICK = ("live",)  # which say something themselves
-ALL = "--help=all"
+FLAGS = {"--help=all": "--help", "--animate": "animate=true", "--paper": "paper=true"}  # as Hydra knows them
 HELP = {
     "train": """\
 usage: {program} my_boat.yaml [KEY=VALUE …] [FLAG …]
@@ -64,6 +64,8 @@ parameters. Of a sweep it prints the leaderboard.
   experiment=paper_small  make a whole study from nothing; or paper
   trust=MODULE            saved settings may name its classes: only if you trust
                           its code
+  --animate               also a GIF of the tracks with their ellipses
+  --paper                 also LaTeX, with figures, tables and equations
 
   --help=all              every key with its default
   --hydra-help            every flag""",
@@ -77,11 +79,11 @@ def begin(name: str) -> None:
         program = f"python {sys.argv[0]}" if sys.argv[0].endswith(".py") else sys.argv[0]
         print(HELP[name].format(program=program), flush=True)
         sys.exit(0)
-    sys.argv[1:] = ["--help" if each == ALL else each for each in arguments]
+    sys.argv[1:] = [FLAGS.get(each, each) for each in arguments]
     if (
         name not in QUICK
         and (arguments or name in HELP)
-        and not {"-h", "--help", ALL} & {*arguments}
+        and not {"-h", "--help", "--help=all"} & {*arguments}
         and sys.stderr.isatty()
     ):
         print(f"usvlearn {name}: loading …", file=sys.stderr, flush=True)

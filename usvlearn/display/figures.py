@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import io
+import logging
 import textwrap
 import warnings
 import zlib
@@ -57,6 +58,8 @@ def themed() -> Iterator[type]:
         from matplotlib.figure import Figure
     except ImportError as error:
         raise MissingExtraError("matplotlib", "plot", "a figure") from error
+    for package in ("matplotlib", "fontTools"):  # which say what they do where a command has set up logging
+        logging.getLogger(package).setLevel(logging.WARNING)
     ink = dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), INK)
     plain = {"axes.spines.top": False, "axes.spines.right": False, "axes.axisbelow": True, "grid.color": LINE}
     frame = {"legend.frameon": False, "axes.facecolor": "none", "grid.linewidth": 0.6, "font.size": 9}

@@ -17,7 +17,7 @@ from usvlearn.core.samples import Fleet, speed_limit, tree_map
 from usvlearn.core.unconfirmed import Questions, unconfirmed
 from usvlearn.display.terminal import Activity, show
 from usvlearn.engine.rollouts import stack
-from usvlearn.errors import CheckpointError, ConfigError
+from usvlearn.errors import CheckpointError, ConfigError, UsvlearnError
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.crossval import FreeErrors, cross_validate
 from usvlearn.evaluation.diagnostics import explained, remarks
@@ -29,6 +29,7 @@ from usvlearn.report.sections.cross import best_checkpoints, cross_section, flee
 from usvlearn.report.sections.errors import forecast_section, online_section, residual_section
 from usvlearn.report.sections.events import events_section
 from usvlearn.report.sections.fit import fit_section
+from usvlearn.report.sections.fit_file import FOLDER as FIT
 from usvlearn.report.sections.fit_file import SavedFit, saved_fits
 from usvlearn.report.sections.network import network_section
 from usvlearn.report.sections.parameters import cost_section, identified_section, parameters_section
@@ -36,6 +37,7 @@ from usvlearn.report.sections.section import Section
 from usvlearn.report.sections.tracks import tracks_section
 from usvlearn.report.track_maps import BoatTracks, saved_tracks
 from usvlearn.report.viewer import viewer_data
+from usvlearn.runs.files import CHECKPOINTS
 from usvlearn.runs.saved import configuration, data_check, questions_of_runs, read_seasons, results
 
 
@@ -100,8 +102,13 @@ def evaluate(
     commands: Sequence[str] = (),
     paper: bool = False,
     asked: Questions | None = None,
+    animate: bool = False,
+    latex: bool = False,
 ) -> Path:
-    """Judge every checkpoint of some runs and write the report, which names `commands`; returns its page."""
+    """Judge every checkpoint of some runs and write the report, which names `commands`; returns its page.
+
+    With `animate` also a GIF of the tracks of each boat; with `latex` also what a paper needs.
+    """
     with Lock(report, "report"):
         check_report_folder(report)
         found = [results(folder) for folder in folders]
@@ -133,8 +140,42 @@ def evaluate(
             said = [*facts(seasons, folders), *told, *notes]
             front = front._replace(notes=notes, unconfirmed=told)
             page = write_report(report, said, parts, commands, errors, front)
-    tools.say(f"report: {page}")
+            beside = _films(report, tracks, activity) if animate else []
+            beside += _latex(report, folders[-1], sections, front) if latex else []
+    for line in (*beside, f"report: {page}"):
+        tools.say(line)
     return page
+
+
+def _films(report: Path, tracks: Mapping[str, BoatTracks], activity: Activity) -> list[str]:
+    """Write the animation of each boat's tracks; lines for the terminal."""
+    from usvlearn.display.tensorboard import folder_names
+    from usvlearn.report.animation import write_animation
+
+    missions = {boat: each.mission for boat, each in tracks.items() if each.mission is not None and each.mission.ahead}
+    if not missions:
+        return ["no animation: the runs have no tracks, which need headings and positions or speeds (planar=true)"]
+    activity.begin("drawing the animation")
+    names = folder_names(missions)
+    return [
+        f"animation: {write_animation(report / 'figures' / f'tracks_{name}.gif', mission, boat)}"
+        for name, (boat, mission) in zip(names, missions.items(), strict=True)
+    ]
+
+
+def _latex(report: Path, run: Path, sections: Sequence[Section], front: Front) -> list[str]:
+    """Write LaTeX, figures and tables for a paper; lines for the terminal."""
+    from usvlearn.model.read_boats import read_boats
+    from usvlearn.report.latex import write_latex
+
+    said, boats = [], []
+    try:
+        boats = read_boats(run / FIT if (run / FIT / CHECKPOINTS).is_dir() else run)
+    except UsvlearnError as error:
+        said = [f"no equation of the model: {error}"]
+    quantities = {each.boat: each.batch or each.identified or {} for each in front.boats}
+    first, *others = write_latex(report / "paper", sections, quantities, boats)
+    return [*said, f"LaTeX: {first}, and {len(others)} figures, tables and equations beside it"]
 
 
 def known_quantities(found: Mapping[str, Any]) -> dict[str, dict[str, float]]:

@@ -190,7 +190,7 @@ def map_figure(mission: Mission, title: str):
             whole.plot(east + each.east, north + each.north, color=KNOWN["ensemble"], linewidth=1.6)
             whole.plot(east, north, color=INK, marker="o", markersize=3)
             whole.annotate(str(k + 1), (east, north), (4, 4), textcoords="offset points", fontsize=9, weight="bold")
-            _draw(panel, mission, each)
+            draw_track(panel, mission, each)
             minutes, seconds = divmod(int(mission.run.time[each.step]), 60)
             panel.set_title(f"{k + 1}: at {minutes}:{seconds:02d}", loc="left", fontsize=8.5)
         for panel in (whole, *panels):
@@ -200,7 +200,7 @@ def map_figure(mission: Mission, title: str):
         return figure
 
 
-def _draw(panel: Any, mission: Mission, each: Ahead) -> None:
+def draw_track(panel: Any, mission: Mission, each: Ahead) -> None:
     """A track and what came, m from its origin."""
     time, colour = mission.run.time - mission.run.time[each.step], KNOWN["ensemble"]
     part = (time >= -BEFORE) & (time <= each.time[-1] + 1e-6)
