@@ -19,6 +19,7 @@ from usvlearn.evaluation.free_simulation import FreeRun
 from usvlearn.evaluation.horizons import ensemble_scores
 from usvlearn.evaluation.metrics import PERSISTENCE, scores
 from usvlearn.evaluation.season import Season, SeasonRun
+from usvlearn.report.best_minutes import BestMinutes, best_minutes
 from usvlearn.report.viewer import number, runs_html
 
 MAIN = {  # the quantities that are shown first, in words
@@ -67,6 +68,7 @@ class Overview(NamedTuple):
     findings: Sequence[Mapping[str, Any]] | None  # of the data check; None if there was none
     batch: Mapping[str, Quantity] | None = None  # the quantities of a batch fit, if there is one
     doubted: bool = False  # whether something speaks against their use
+    best: BestMinutes | None = None  # of the open-loop simulations
 
 
 def overviews(
@@ -108,6 +110,7 @@ def _overview(
         _free_fit(season, free, column),
         events(fleet, published, ensemble.accommodated)[season.boat] if watched else None,
         findings,
+        best=best_minutes(season.runs, free, column),
     )
 
 
@@ -182,15 +185,18 @@ def title(front: Front) -> str:
     return f"{boats[0].boat}: what was learned" if len(boats) == 1 else f"{len(boats)} boats: what was learned"
 
 
-def first_page(front: Front, links: str) -> str:
-    """The cards of a boat, or a table of several boats and then the cards of each; and the runs."""
+def first_page(front: Front, links: str, drawings: Mapping[str, str] | None = None) -> str:
+    """The picture and the cards of a boat, or a table of several boats and then those of each; and the runs.
+
+    `drawings` has the SVG of each boat's best minutes, by its name.
+    """
     boats = front.boats
     notes = "".join(f'<p class="note">{escape(note)}</p>' for note in (*front.unconfirmed, *front.notes))
     if len(boats) == 1:
-        return "\n".join([notes, _cards(boats[0], front), links, runs_html(boats, front.viewer)])
+        return "\n".join([notes, _cards(boats[0], front, drawings or {}), links, runs_html(boats, front.viewer)])
     cards = (
         f'<details class="part"><summary><h2>{escape(boat.boat)}</h2></summary><div id="boat-{k}">'
-        f"{_cards(boat, front)}</div></details>"
+        f"{_cards(boat, front, drawings or {})}</div></details>"
         for k, boat in enumerate(boats)
     )
     return "\n".join([notes, _fleet(boats), links, *cards, runs_html(boats, front.viewer)])
@@ -233,7 +239,7 @@ def _judged(boat: Overview) -> str:
     return f"{len(boat.findings) or 'no'} finding{'s' * (len(boat.findings) != 1)}"
 
 
-def _cards(boat: Overview, front: Front) -> str:
+def _cards(boat: Overview, front: Front, drawings: Mapping[str, str]) -> str:
     wrong = boat.findings or (boat.identified is not None and boat.identified.unphysical)
     good = "" if front.unconfirmed or wrong else ' class="good"'
     cards = (
@@ -246,7 +252,17 @@ def _cards(boat: Overview, front: Front) -> str:
         "<div>" + "".join(f'<div class="card"><h3>{name}</h3>{body}</div>' for name, body in column) + "</div>"
         for column in cards
     )
-    return f'{who}<div class="cards">{inner}</div>'
+    picture = ""
+    if boat.best is not None and boat.boat in drawings:
+        fits = (
+            (boat.best.fit, "here"),
+            (boat.free_fit, "of all runs that it has not learned"),
+            (boat.fit, "one step ahead"),
+        )
+        rest = ", ".join(f"{x:.0f} % {how}" for x, how in fits if x is not None)
+        said = escape(f"{boat.best.caption}{f' Fit, 100 (1 − NRMSE): {rest}.' if rest else ''}")
+        picture = f'<figure><div class="wide">{drawings[boat.boat]}</div><figcaption>{said}</figcaption></figure>'
+    return f'{who}{picture}<div class="cards">{inner}</div>'
 
 
 def _identified(boat: Overview) -> str:

@@ -22,6 +22,7 @@ from usvlearn.display.figures import INK, LINE, attempted, themed
 from usvlearn.display.terminal import ResultTable
 from usvlearn.errors import ConfigError
 from usvlearn.evaluation.crossval import FreeErrors
+from usvlearn.report.best_minutes import best_figure
 from usvlearn.report.front import Front, first_page, title
 from usvlearn.report.sections.section import Section
 
@@ -46,6 +47,9 @@ def write_report(
     """Write the page, the Markdown, figures, tables and `crossval.npz`; those of an earlier report go."""
     check_report_folder(folder)
     figures = {drawn.name: drawn.figure for section in sections for drawn in section.figures}
+    boats = front.boats if front else ()
+    best = {boat.boat: f"best_minutes_{k + 1}" for k, boat in enumerate(boats) if boat.best is not None}
+    figures |= {best[boat.boat]: best_figure(boat.best) for boat in boats if boat.best is not None}
     drawings = {name: attempted(partial(_drawing, name, each), name, partial(_drawing, name))
                 for name, each in figures.items()}  # fmt: skip
     for old in _written(folder):
@@ -64,6 +68,7 @@ def write_report(
     index = folder / "index.html"
     write_atomically(folder / FILES, json.dumps(sorted(own), indent=2).encode())
     inline = {name: inline for name, (inline, _) in drawings.items()}
+    inline |= {boat: inline[name] for boat, name in best.items()}
     write_atomically(index, page(facts, sections, commands, inline, front, heading).encode())
     return index
 
@@ -148,7 +153,7 @@ def page(
     links = "".join(f'<li><a href="#{s.key}">{escape(s.title)}</a></li>' for s in sections)
     runs = '<li><a href="#runs">Run by run</a></li>' if front else ""
     nav = f"<nav><ul>{runs}{links}</ul></nav>"
-    body = [f"<h1>{escape(heading)}</h1>", first_page(front, nav) if front else nav]
+    body = [f"<h1>{escape(heading)}</h1>", first_page(front, nav, drawings) if front else nav]
     body += [_section(section, drawings) for section in sections]
     body.append("<h2>About this report</h2>")
     body += [f'<p class="facts">{escape(fact)}</p>' for fact in facts]
