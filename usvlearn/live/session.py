@@ -28,6 +28,7 @@ from usvlearn.live.node_folder import NodeFolder, unsaved
 from usvlearn.live.plan_requests import answer
 from usvlearn.live.recorder import Recorder
 from usvlearn.live.start import Begin, Middleware, Options, begin
+from usvlearn.live.web_page import WebPage
 from usvlearn.logs.channels.channel import SURGE, Source
 from usvlearn.logs.setup import KEY
 
@@ -62,6 +63,7 @@ class Session:
             self._begin: Begin = begin(self._folder, options, middleware)
             self.setup = self._begin.setup
             self.setup.check_live()
+            self._page = None if options.page is None else WebPage(options.page)
         except BaseException:
             self._release()
             raise
@@ -88,6 +90,9 @@ class Session:
         self._closed = self._checked = False  # whether the data were checked once
         self._learned = self._hoped = 0  # at the last save, and at the one that is being made
         self._warnings: dict[str, str] = {f"set {k}": each for k, each in enumerate(self._begin.warnings)}
+        if self._page is not None:
+            self.sentence += f"; page: {self._page.url}"
+            self.advise("page", self._page.warning)
         self._contraction: dict[str, dict[str, Any]] = {}
         self._identified: dict[str, tuple[float, float, float, str]] = {}
 
@@ -155,7 +160,7 @@ class Session:
         clock = time.monotonic() if clock is None else clock
         ages = self._listening.ages(clock)
         if not self._ready():
-            return COMPILING._replace(uptime=clock - self._began, ages=ages, warnings=self.warnings)
+            return self._shown(COMPILING._replace(uptime=clock - self._began, ages=ages, warnings=self.warnings))
         node = self._node
         assert node is not None
         self._finished()
@@ -179,6 +184,12 @@ class Session:
         if clock - self._told >= TELL and self._background.submit("status", self._tell, health.json()):
             self._told = clock
         self._draw(health=health)
+        return self._shown(health)
+
+    def _shown(self, health: Health) -> Health:
+        """The health, which the page shows from now on."""
+        if self._page is not None:
+            self._page.show(health, self.last)
         return health
 
     def save(self) -> Path | None:
@@ -204,6 +215,8 @@ class Session:
             if self._recorder is not None:
                 self._recorder.close()
             self._draw(close=True)
+            if self._page is not None:
+                self._page.close()
             self._background.close()
             self._release()
 
@@ -291,6 +304,8 @@ class Session:
         if steps:
             self.last = steps[-1]
             self._draw(steps)
+            if self._page is not None:
+                self._page.take(steps)
 
     def _draw(self, steps: Sequence[Step] = (), health: Health | None = None, close: bool = False) -> None:
         """Show in TensorBoard, where that is asked for; a full disk ends that, and nothing else."""

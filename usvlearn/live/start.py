@@ -56,6 +56,7 @@ class Options:
     unconfirmed: Mapping[str, Mapping[str, Any]] | None = None  # of a file with channels; None: those of the checkpoint
     refit: bool = True  # keep the missions, and fit all of them after each
     trust: tuple[str, ...] = ()  # modules whose classes step members of the checkpoint
+    page: str | None = None  # PORT or HOST:PORT at which a page for a browser is served
 
     def __post_init__(self) -> None:
         if not str(self.folder).strip(". ") or "\0" in str(self.folder):
@@ -310,6 +311,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--patience", type=float, default=PATIENCE, metavar="S",
         help=f"time for which a step waits for late messages, s ({PATIENCE})")  # fmt: skip
     add("--tensorboard", metavar="DIR", help="also write TensorBoard files there, where TensorBoard is installed")
+    add("--page", nargs="?", const="8808", metavar="PORT",
+        help="serve a page for a browser on this computer (8808), or with HOST:PORT for others")  # fmt: skip
 
 
 def options_of(given: argparse.Namespace, warp: float = 1.0) -> Options:
@@ -335,6 +338,7 @@ def options_of(given: argparse.Namespace, warp: float = 1.0) -> Options:
         top, channels, given.boat, given.record, given.save_period, given.keep, given.patience,
         None if given.tensorboard is None else Path(given.tensorboard).expanduser(), warp, asked, given.refit,
         tuple(given.trust),
+        given.page,
     )  # fmt: skip
 
 

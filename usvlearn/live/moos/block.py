@@ -182,7 +182,8 @@ MIDDLEWARE = Middleware(
     },
     {"north": {"name": "NAV_Y", "unit": "m"}, "east": {"name": "NAV_X", "unit": "m"}},
 )
-NODE = ("folder", "start", "mass", "surge_max", "channels", "boat", "save_period", "keep", "patience", "tensorboard")
+NODE = ("folder", "start", "mass", "surge_max", "channels", "boat", "save_period", "keep", "patience", "tensorboard",
+        "page")  # fmt: skip
 SWITCHES = ("record", "refit", "members")
 LEAST_TICK, MOST_TICK, MOST_WARP = 0.1, 1000.0, 500.0  # Hz, Hz, times real time
 OWN = ("apptick", "prefix", "plan")
@@ -206,6 +207,7 @@ ProcessConfig = {NAME}
   keep        = 100                   // checkpoints
   record      = false                 // true: record all messages, so that train.py can replay the session
   refit       = true                  // false: do not fit the missions after each
+  // page     = 8808                  // port of a page for a browser on this computer
   prefix      = {PREFIX}                  // of what is published
   plan        = {PLAN}         // variable: a plan that is posted there is answered by a forecast
   members     = false                 // true: publish the prediction of each member, too

@@ -40,7 +40,7 @@ PREFIX = "channels."
 PATHS = ("folder", "start", "tensorboard")
 OWN = {"frame_id": "base_link", "clock": "header", "members": False}  # and their defaults
 KINDS: dict[str, tuple[type, ...]] = {  # of all options; a whole number is legal where a number is
-    **dict.fromkeys((*PATHS, "boat", "frame_id", "clock"), (str,)),
+    **dict.fromkeys((*PATHS, "boat", "page", "frame_id", "clock"), (str,)),
     **dict.fromkeys(("mass", "surge_max", "save_period", "patience"), (float, int)),
     "keep": (int,),
     **dict.fromkeys(("record", "refit", "members"), (bool,)),
