@@ -56,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (CertifyError, OSError) as error:
         return _error(error)
     except KeyboardInterrupt:
-        print("stopped by SIGINT: the certificates written so far are complete", file=sys.stderr)
+        print("stopped: the certificates written so far are complete", file=sys.stderr)
         return STOPPED
     except ModuleNotFoundError as error:
         package = (error.name or "").partition(".")[0]

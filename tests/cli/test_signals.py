@@ -64,7 +64,7 @@ def test_a_replay_is_saved_and_goes_on_bit_for_bit(number, code, chunks, whole, 
         signalled(patch, TensorBoardLogger, "show", number, after=chunks)
         ended, error = called(train.main, RUN, patch, capsys)
     assert ended == code and len(error.splitlines()) == 1
-    assert error.startswith(f"stopped by {signal.Signals(number).name}; continue with: ")
+    assert error.startswith("stopped; continue with: ")
     partial = results(tmp_path / "run")
     assert partial.keys() == {"partial"} and finished(tmp_path / "run") == {}
     done = sum(map(len, predictions(tmp_path / "run")))
@@ -192,7 +192,7 @@ def test_a_worker_heeds_its_program_alone_and_stays_alive():
         "        print(stopped)\n"
         "    if k: signal.raise_signal(signal.SIGTERM)\n"
     )
-    assert done.returncode == 0 and done.stdout.split("\n") == ["0", "stopped by SIGTERM", "stopped by SIGTERM", ""]
+    assert done.returncode == 0 and done.stdout.split("\n") == ["0", "stopped", "stopped", ""]
 
 
 @pytest.mark.parametrize(
@@ -247,6 +247,6 @@ def test_workers_of_a_sweep_that_is_stopped_finish_their_chunks(tmp_path):
     _, error = process.communicate(timeout=300)
     assert process.returncode == 143 and "Traceback" not in error
     last = error.strip().splitlines()[-1]
-    assert last.startswith("stopped by SIGTERM")
+    assert last.startswith("stopped")
     assert sorted(again(last)) == sorted(JOBLIB) and (tmp_path / "sweep" / "leaderboard.csv").exists()
     assert all("partial" in results(tmp_path / "sweep" / job) for job in "01")

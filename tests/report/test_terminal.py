@@ -16,7 +16,7 @@ import pytest
 from rich.console import Console, Group
 
 from tests.support import ROOT, over
-from usvlearn.display.activity import doing
+from usvlearn.core.activity import doing
 from usvlearn.display.terminal import Activity, Blocks, console
 from usvlearn.estimators.joint.periodic_estimates import Identified, Quantity
 from usvlearn.evaluation.metrics import scores

@@ -17,12 +17,14 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from usvlearn.core.samples import Fleet
+    from usvlearn.estimators.joint.excitation_warnings import Quantity
     from usvlearn.model.fit.fitted import Fitted
     from usvlearn.model.fit.hand_over import Last
     from usvlearn.model.fit.open_loop import FreeMode
 
 USAGE = (
-    "usage: usvlearn fit RUN [--boat NAME] [--terms SET] [--out FOLDER] [data.KEY=VALUE …]; more: usvlearn fit --help"
+    "usage: usvlearn fit RUN [--boat NAME] [--terms SET] [--out FOLDER] [--all] [data.KEY=VALUE …]; more: usvlearn fit "
+    "--help"
 )
 SHOWN = 4  # names in a warning
 
@@ -36,11 +38,12 @@ def parser() -> argparse.ArgumentParser:
         "--terms", metavar="SET", help="of the model, in place of the one that does best on unseen missions"
     )
     found.add_argument("--out", metavar="FOLDER", help="where BOAT.fit.json is written (RUN/fit)")
+    found.add_argument("--all", action="store_true", help="print all quantities, sets of terms and remarks")
     return found
 
 
-def work(arguments: Sequence[str], console: Console | None = None) -> None:
-    """Fit each boat, print, and write; on the way of another command, on its console."""
+def work(arguments: Sequence[str], console: Console | None = None) -> dict[str, Mapping[str, Quantity]]:
+    """Fit each boat, print, and write; on the way of another command, on its console. Returns what is to be used."""
     given = parser().parse_intermixed_args(list(arguments))
     folder = Path(given.run).expanduser()
     out = folder / "fit" if given.out is None else out_folder(given.out)
@@ -50,7 +53,7 @@ def work(arguments: Sequence[str], console: Console | None = None) -> None:
         if given.boat or given.terms or given.out or given.data:
             raise ConfigError(f"{folder}: is the folder of a node, whose missions are fitted without options")
         print(f"{refit(folder)}\nvalues: usvlearn live status {folder}")
-        return
+        return {}
     from usvlearn.display import terminal
     from usvlearn.display.terminal import Activity
 
@@ -62,6 +65,8 @@ def work(arguments: Sequence[str], console: Console | None = None) -> None:
         from usvlearn.model.fit.logs import missions_of, without_losses
         from usvlearn.model.fit.shown import tables
         from usvlearn.model.fit.terms import SETS
+        from usvlearn.report.summary import displayed, glance, summary
+        from usvlearn.report.tables import quoted
         from usvlearn.runs.files import CHECKPOINTS
         from usvlearn.runs.saved import configuration, results
 
@@ -109,26 +114,33 @@ def work(arguments: Sequence[str], console: Console | None = None) -> None:
                 break
     if stopped is not None and not done:
         raise stopped
-    for number, (found, last, files) in enumerate(done):
-        if number or not alone:
-            console.print()
-        console.print(*tables(found, None if last is None else last.online), sep="\n")
-        terminal.show(f"Written to {', '.join(map(str, files))}", to=console)
-    terminal.show(*unconfirmed(open_questions({**settings, "data": data})) if alone else (), to=console)
+    whole = given.all or terminal.wants_all()
+    use: dict[str, Mapping[str, Quantity]] = {x.boat: displayed(x.found) for x, *_ in done if not x.doubts}
+    for found, last, files in done:
+        if whole or (alone and len(done) == 1):
+            console.print(*tables(found, None if last is None else last.online, whole), sep="\n")
+            terminal.show(f"Written to {', '.join(map(str, files))}", to=console)
+        else:
+            terminal.show(*(f"{found.boat}: its fit is not to be used: {each}" for each in found.doubts), to=console)
+    asked = open_questions({**settings, "data": data})
+    if alone:
+        terminal.show(*unconfirmed(asked), "", to=console)
     if out == folder / "fit":
         _add_to_results(folder, [found for found, _, _ in done])
-        if alone and not given.data:
-            terminal.show(f"report: usvlearn evaluate runs={folder}")
+        if alone and not given.data and (scored := results(folder)):
+            terminal.show(*summary(glance(scored, asked, use)), f"next         usvlearn evaluate {quoted(folder)}")
     if stopped is not None:
         raise SystemExit(stopped.code)
+    return use
 
 
-def fit_on_the_way(folder: Path, console: Console) -> None:
-    """Fit a run for a command that goes on without a fit, too."""
+def fit_on_the_way(folder: Path, console: Console) -> dict[str, Mapping[str, Quantity]]:
+    """Fit a run for a command that goes on without a fit, too; returns the quantities that are to be used."""
     try:
-        work([str(folder.absolute())], console)
+        return work([str(folder.absolute())], console)
     except (ValueError, ArithmeticError, OSError) as error:  # also of a folder that is only read
         complain(f"warning: no fit was made: {error}")
+        return {}
 
 
 def _check_run(folder: Path) -> None:

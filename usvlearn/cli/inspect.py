@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from usvlearn.core.unconfirmed import SECTION
 from usvlearn.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -17,6 +19,8 @@ USAGE = (
     "usage: usvlearn inspect LOG…\n       [--output my_boat.yaml] [--name BOAT] [--plot] [--force] [--all]\n"
     "       [--any-vehicle]\n       usvlearn inspect --confirm KEY[,KEY …] my_boat.yaml"
 )
+
+LONG = 2.0  # h of logs
 
 
 def parser() -> argparse.ArgumentParser:
@@ -70,22 +74,40 @@ def work(arguments: Sequence[str]) -> None:
     with Activity(console, "reading, and comparing the channels with each other"):
         found = inspect_logs(options.logs, options.name, options.output, options.any_vehicle)
     table_view.show(found, options.output, console, options.all)
-    if found.proposal.missing:
-        raise ConfigError(
-            f"{options.logs[0]}: found no {', '.join(found.proposal.missing)}, so that nothing was written: "
-            f"{found.proposal.unfit or _what_to_do(found)}"
-        )
-    if "${" in json.dumps(found.settings):
-        raise ConfigError(
-            f"{options.logs[0]}: found '${{' in the name of a file or a series, which a configuration takes for a "
-            "reference: rename it"
-        )
+    check_complete(found, options.logs[0])
     write_atomically(output, found.text.encode())
     if options.plot:
         from usvlearn.logs.inspection.figure import draw
 
         draw(found, output.with_suffix(".png"))
-    terminal.show(*_end(found, output, options.plot))
+    with Activity(console, "fitting"):
+        verdict = list(_verdict(found, output))
+    terminal.show(*verdict, "", *_end(found, output, options.plot))
+
+
+def _verdict(found: Inspected, output: Path) -> Iterator[str]:
+    """What the logs are good for; of long logs, whose fit takes a while, the command that tells it."""
+    from usvlearn.logs.inspection.table_view import hours
+    from usvlearn.model.fit.verdict import verdicts
+
+    if hours(found.recordings) > LONG:
+        yield f"What these logs are good for: usvlearn check {shlex.quote(str(output))}"
+    elif found.recordings:
+        yield from verdicts(found.recordings, found.settings, found.findings, found.settings[SECTION])
+
+
+def check_complete(found: Inspected, log: str) -> None:
+    """Raise a ConfigError if a required channel is missing, or a name cannot stand in a configuration."""
+    if found.proposal.missing:
+        raise ConfigError(
+            f"{log}: found no {', '.join(found.proposal.missing)}, so that nothing was written: "
+            f"{found.proposal.unfit or _what_to_do(found)}"
+        )
+    if "${" in json.dumps(found.settings):
+        raise ConfigError(
+            f"{log}: found '${{' in the name of a file or a series, which a configuration takes for a "
+            "reference: rename it"
+        )
 
 
 def _what_to_do(found: Inspected) -> str:

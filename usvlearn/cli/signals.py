@@ -31,7 +31,7 @@ class Stopped(BaseException):
     """A signal asked this process to end. It is not an Exception, so it is never recorded as a failure."""
 
     def __init__(self, number: int):
-        super().__init__(f"stopped by {signal.Signals(number).name}")
+        super().__init__("stopped")
         self.code = 128 + number
         self.folder: Path | None = None  # of the run that was stopped, if one had begun
 

@@ -19,18 +19,23 @@ from usvlearn.cli.signals import until_stopped
 from usvlearn.cli.sweep import do_job
 from usvlearn.composition.alignment import CheckedAlignment
 from usvlearn.composition.configuration import as_written, check_settings, ensemble_of, instantiate, plain, planar_of
-from usvlearn.core.unconfirmed import SECTION, open_questions, unconfirmed
+from usvlearn.core.unconfirmed import SECTION, open_questions
 from usvlearn.display import terminal
 from usvlearn.display.terminal import Activity
 from usvlearn.errors import check_positive
 from usvlearn.logs.setup import setups_of
+from usvlearn.report.summary import Quantities, displayed, glance, summary
 from usvlearn.report.tables import (
+    TOGGLE,
+    board_lines,
     error_tables,
     event_lines,
     fit_lines,
     identified_table,
+    program,
+    quoted,
+    rejection_line,
     rejection_table,
-    summary_lines,
     track_table,
 )
 from usvlearn.runs.files import TENSORBOARD
@@ -86,8 +91,9 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
             cfg.forecasts._target_ = FITTED  # from now on, as it is in what is saved
             ensemble, settings = ensemble_of(cfg), {**plain(cfg), "resume": None}
             planar, without = planar_of(cfg, ensemble)
+    whole = terminal.wants_all()
     if (rejected := rejection_table(fleet.rejected)) is not None:
-        console.print(rejected)
+        terminal.show(rejected if whole else rejection_line(fleet.rejected), to=console)
     check_measure(measure_of(cfg.get("objective"), ensemble.output), ensemble, fleet)
     setups = {boat: each.json() for boat, each in setups_of(settings, recordings).items()}
     run = RunFolder(folder, fleet, ensemble, settings, planar, align.json, setups)
@@ -113,17 +119,27 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
         found = run.finish(began, truth | turns)
         networks = stability(ensemble, run.state, fleet.boats, found.get("free"))
         logger.finish(settings, found, run.published, networks)
-    console.print(error_tables(found["boats"], remarks(ensemble), explained(ensemble), found.get("forecast")))
-    if (tracks := track_table(found.get("tracks"))) is not None:
-        console.print(tracks)
-    console.print(*fit_lines(found), sep="\n")
-    console.print(identified_table(identified_boats(ensemble, run.state, fleet.boats), truth))
+    quantities = identified_boats(ensemble, run.state, fleet.boats)
+    main = None if whole else (ensemble.output, ensemble.members)
+    console.print(error_tables(found["boats"], remarks(ensemble), explained(ensemble), found.get("forecast"), main))
+    if whole:
+        terminal.show(*filter(None, [track_table(found.get("tracks"))]), *fit_lines(found), to=console)
+    console.print(identified_table(quantities, truth, whole))
+    known: dict[str, Quantities] = {boat: displayed(each) for boat, each in quantities.items()}
     if cfg.get("refit"):
-        fit_on_the_way(folder, console)
-    elif planar is not None:
+        known |= fit_on_the_way(folder, console)
+    elif planar is not None and whole:
         terminal.show(FIRST, to=console)
-    guessed = unconfirmed(open_questions(settings))
-    terminal.show(*event_lines(found["events"]), *networks, "", *guessed, *summary_lines(found, folder), to=console)
+    happened = [*event_lines(found["events"], whole)[1:], *(networks if whole else ())]
+    terminal.show("", *happened, *[""] * bool(happened), to=console)
+    several = len(fleet.boats) > 1
+    board, *page = board_lines(folder / TENSORBOARD, f"?smoothing=0{'&runFilter=fleet%2F' * several}#timeseries")
+    terminal.show(
+        *summary(glance(found, open_questions(settings), known)),
+        *([board, *page, *[TOGGLE] * several] if whole else [board]),
+        f"next         {program('evaluate')} {quoted(folder)}",
+        to=console,
+    )
     return found["objective"]
 
 

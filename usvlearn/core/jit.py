@@ -33,6 +33,7 @@ from numba.core import config, types
 from numba.core.caching import IndexDataCacheFile
 from numba.core.typing import arraydecl
 
+from usvlearn.core.activity import SHOW
 from usvlearn.core.lock import NAME as LOCK
 from usvlearn.core.lock import Lock
 from usvlearn.errors import UsvlearnError
@@ -286,7 +287,7 @@ def announced(source: str, what: str) -> Iterator[None]:
     if NUMBA.DISABLE_JIT or mark.exists():
         yield
         return
-    with counted(f"usvlearn: compiling the {what}, only once …", f"kept in {mark.parent}"), _alone_in(mark):
+    with counted(f"compiling the {what}, only once …", f"kept in {mark.parent}"), _alone_in(mark):
         with rare_collections():
             yield
         with suppress(OSError):
@@ -295,28 +296,34 @@ def announced(source: str, what: str) -> Iterator[None]:
 
 @contextmanager
 def counted(text: str, end: str) -> Iterator[None]:
-    """Print on stderr what is done, then how long it took; a terminal counts seconds."""
-    print(text, end="", file=sys.stderr, flush=True)
-    began, ended, terminal = time.perf_counter(), threading.Event(), sys.stderr.isatty()
+    """Tell what is done, and count its seconds, in the line in which a command shows its progress; nothing is left of
+    it there. Else print it on stderr, and behind it how long it took; a terminal counts seconds in that line.
+    """
+    show, began, ended, terminal = SHOW.get(), time.perf_counter(), threading.Event(), sys.stderr.isatty()
+    whole = "" if show else f"usvlearn: {text}"
 
     def count() -> None:
         while not ended.wait(1.0):
-            print(f"\r{text} {time.perf_counter() - began:.0f} s", end="", file=sys.stderr, flush=True)
+            taken = f"{time.perf_counter() - began:.0f} s"
+            show(f"{taken} {text}") if show else print(f"\r{whole} {taken}", end="", file=sys.stderr, flush=True)
 
     counter = threading.Thread(target=count, daemon=True)
-    if terminal:
+    show(text) if show else print(whole, end="", file=sys.stderr, flush=True)
+    if show or terminal:
         counter.start()
     try:
         yield
     except BaseException:
         ended.set()
-        print(file=sys.stderr)  # end the line before the error is printed
+        if not show:
+            print(file=sys.stderr)  # end the line before the error is printed
         raise
     ended.set()
-    if terminal:
+    if counter.is_alive():
         counter.join()
-    taken = f" {time.perf_counter() - began:.0f} s"
-    print(f"\r{text}{taken}\033[K\n  {end}" if terminal else f"{taken}; {end}", file=sys.stderr)
+    if not show:
+        taken = f" {time.perf_counter() - began:.0f} s"
+        print(f"\r{whole}{taken}\033[K\n  {end}" if terminal else f"{taken}; {end}", file=sys.stderr)
 
 
 def _alone_in(mark: Path) -> AbstractContextManager[object]:

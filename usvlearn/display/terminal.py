@@ -20,9 +20,10 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn
 from rich.table import Column
 from rich.text import Text
 
-from usvlearn.display.activity import shown_by
+from usvlearn.core.activity import shown_by
 from usvlearn.errors import drop_output, folded, printable
 
+ALL = "--all"  # an argument of train, fit and evaluate
 UNLIMITED = 100_000  # columns of a file or a pipe
 GAP, RULE = "  ", "─"
 LEAST = 6  # least width, in columns, of a text that is folded
@@ -43,6 +44,23 @@ def console(quiet: bool = False) -> Console:
     if not found.is_terminal and "COLUMNS" not in os.environ:
         found.width = UNLIMITED
     return found
+
+
+class _Asked:
+    """What the user of this process asked for."""
+
+    all = False
+
+
+def take_all(arguments: list[str]) -> list[str]:
+    """The arguments without `--all`, which asks for all rows and sentences (`wants_all`)."""
+    _Asked.all = ALL in arguments
+    return [each for each in arguments if each != ALL]
+
+
+def wants_all() -> bool:
+    """Whether a command shows everything, and not only what is looked at first."""
+    return _Asked.all
 
 
 def show(*parts: str | Text | Blocks, to: Console | None = None) -> None:
@@ -146,7 +164,7 @@ BAR = 20  # columns
 
 
 class Activity:
-    """Shows what `usvlearn.display.activity.doing` tells; nothing is left of it, and nothing goes into a file."""
+    """Shows what `usvlearn.core.activity.doing` tells; nothing is left of it, and nothing goes into a file."""
 
     def __init__(self, console: Console, what: str = "starting"):
         text = TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis"))
@@ -160,7 +178,7 @@ class Activity:
         # one would lose the lines that a sweep prints of its jobs.
         if self._progress.console.is_terminal and not self._progress.console.quiet:
             self._stack.enter_context(self._progress)
-        self._stack.enter_context(shown_by(self.tell))
+            self._stack.enter_context(shown_by(self.tell))
         return self
 
     def __exit__(self, *error: object) -> None:

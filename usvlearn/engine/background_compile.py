@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 from usvlearn.core.jit import HERE, NUMBA, counted, mark_of
+from usvlearn.display.terminal import Activity, console
 
 DISPATCH = str(HERE / "engine" / "dispatch.py")
 RUNS, STEPS, TRACKS = "runs", "single steps", "tracks"  # what needs kernels
@@ -45,7 +46,7 @@ def compiling(dtype: str = "float64", tracks: bool = False) -> Iterator[subproce
     try:
         yield process
         if process is not None and process.poll() is None:
-            with counted(f"usvlearn: compiling the {parts[-1]}, only once …", "kept beside the others"):
+            with Activity(console()), counted(f"compiling the {parts[-1]}, only once …", "kept beside the others"):
                 process.wait()
     finally:
         if process is not None:

@@ -76,11 +76,13 @@ def _filter(
     return select_element(ensemble["members"][name], boats, element), own
 
 
-def sentences(found: Mapping[str, Identified]) -> list[str]:
-    """What is said of each boat: once where it is true of all of them, else with the names of the boats."""
+def sentences(found: Mapping[str, Identified], whole: bool = True) -> list[str]:
+    """What is said of each boat: once where it is true of all of them, else with the names of the boats. Not `whole`:
+    only what the logs lack.
+    """
     said: dict[str, list[str]] = {}
     for boat, each in found.items():
-        for sentence in filter(None, (each.basis, each.scale, *each.lacks)):
+        for sentence in filter(None, (*((each.basis, each.scale) if whole else ()), *each.lacks)):
             said.setdefault(sentence, []).append(boat)
     every = "all boats" if len(found) > 1 and len(said) > 2 else ""
     named = {sentence: every if len(of) == len(found) else ", ".join(of) for sentence, of in said.items()}

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from usvlearn.display.activity import doing
+from usvlearn.core.activity import doing
 from usvlearn.errors import ConfigError, LogFormatError, did_you_mean, printable, reading, under
 from usvlearn.logs.alignment.mixing import PER_NAME, SOURCE_KEYS, Mix, listed, mixed, parts_of
 from usvlearn.logs.channels.channel import (

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from usvlearn.core.activity import doing
 from usvlearn.core.samples import Fleet, Inputs, PlanarSample, Run, Sample, tree_map
-from usvlearn.display.activity import doing
 from usvlearn.errors import ConfigError, LogFormatError, under
 from usvlearn.logs.alignment.align import Aligned, align
 from usvlearn.logs.channels.channel import CHANNELS, COMMANDS, Recording

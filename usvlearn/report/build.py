@@ -35,6 +35,8 @@ from usvlearn.report.sections.network import network_section
 from usvlearn.report.sections.parameters import cost_section, identified_section, parameters_section
 from usvlearn.report.sections.section import Section
 from usvlearn.report.sections.tracks import tracks_section
+from usvlearn.report.summary import FULL, RATE, SPEED, TIME, summary, undetermined
+from usvlearn.report.tables import quoted
 from usvlearn.report.track_maps import BoatTracks, saved_tracks
 from usvlearn.report.viewer import viewer_data
 from usvlearn.runs.files import CHECKPOINTS
@@ -118,7 +120,8 @@ def evaluate(
             if not finished
         ]
         checks = [data_check(folder) for folder in folders]
-        told = unconfirmed(questions_of_runs(folders, tools.trust) | (asked or {}))
+        questions = questions_of_runs(folders, tools.trust) | (asked or {})
+        told = unconfirmed(questions)
         if data is not None and tools.checked is not None:
             align = tools.checked({**configuration(folders[-1], tools.trust), "data": data})
             ensemble, fleets = _built(folders, tools._replace(align=align), data)
@@ -142,8 +145,12 @@ def evaluate(
             page = write_report(report, said, parts, commands, errors, front)
             beside = _films(report, tracks, activity) if animate else []
             beside += _latex(report, folders[-1], sections, front) if latex else []
-    for line in (*beside, f"report: {page}"):
+    for line in beside:
         tools.say(line)
+    boats = {each.boat: each.quantities for each in front.boats}
+    wide = undetermined(boats, (SPEED, TIME, RATE, *FULL))
+    next_one = f"usvlearn {'plan' if wide else 'controller'} {quoted(folders[-1])}"
+    show("", *summary(front.glance(questions)), f"report       {page}", f"next         {next_one}", to=tools.console)
     return page
 
 

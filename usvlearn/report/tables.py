@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +19,14 @@ from usvlearn.estimators.joint.periodic_estimates import Identified, shown
 from usvlearn.estimators.joint.quantities import MEANING
 from usvlearn.estimators.regressors.terms import SURGE
 from usvlearn.evaluation.metrics import PERSISTENCE, by_error, mean, mean_mae
-from usvlearn.evaluation.objective import measure_of
 from usvlearn.runs.compared import label
-from usvlearn.runs.files import CHECKPOINTS, ERRORS, RESULTS, TENSORBOARD
-from usvlearn.runs.prediction_files import PREDICTIONS
 
 TOGGLE = "Of several boats, the pages IMAGES and TEXT open empty: press TOGGLE ALL RUNS there."
 COVERED = {
-    "intervals cover": "covers", "commands stay": "covers_stay", "move": "covers_move", "move much": "covers_move_much",
+    "90 % intervals cover": "covers", "while commands are steady": "covers_stay", "changing": "covers_move",
+    "changing strongly": "covers_move_much",
 }  # fmt: skip
+FEW, SEVERAL = 4, 8  # events, and columns of boats, that are shown without --all
 TRACKS = {
     "ours, m": "position", "constant turn and speed, m": "position_constant_turn",
     "forecast speed, held yaw rate, m": "position_held_rate",
@@ -64,7 +63,8 @@ def score_table(
     heads = [COLUMNS.get(column, column) for column in columns]
     table = Blocks(title, ["estimator"], heads)
     for boat, rows in boats.items():
-        table.group(boat)
+        if len(boats) > 1:
+            table.group(boat)
         for k, name in enumerate(by_error({name: row["mae"] for name, row in rows.items()})):
             row = rows[name]
             cells = [str(row["diverged"]) if column == "diverged" else _cell(column, row) for column in columns]
@@ -72,10 +72,15 @@ def score_table(
     return table
 
 
-def fleet_table(boats: Mapping[str, Mapping[str, Mapping]], remarks: Mapping[str, str] | None = None) -> Blocks:
-    """One row per estimator, by the mean MAE over boats, and one column per boat, in m/s; the best of each is bold."""
+def fleet_table(
+    boats: Mapping[str, Mapping[str, Mapping]], remarks: Mapping[str, str] | None = None, whole: bool = True
+) -> Blocks:
+    """One row per estimator, by the mean MAE over boats, and one column per boat, in m/s; the best of each is bold.
+    Not `whole`: many boats have no column.
+    """
     columns = {"mean": mean_mae(boats)}
-    columns |= {boat: {name: row["mae"] for name, row in scores.items()} for boat, scores in boats.items()}
+    if whole or len(boats) <= SEVERAL:
+        columns |= {boat: {name: row["mae"] for name, row in scores.items()} for boat, scores in boats.items()}
     best = {column: by_error(maes)[0] for column, maes in columns.items()}
     table = Blocks("The fleet: MAE in m/s", ["estimator"], list(columns))
     for name in by_error(columns["mean"]):
@@ -95,12 +100,29 @@ def rejection_table(rejected: Mapping[str, Mapping[str, Mapping[str, int]]]) -> 
     return table if table.rows else None
 
 
-def forecast_table(forecast: Mapping[str, Mapping[str, Mapping[str, Mapping]]]) -> Blocks | None:
-    """Skill by horizon: one row per boat and estimator, and the coverage of the ensemble's intervals; None without."""
+def rejection_line(rejected: Mapping[str, Mapping[str, Mapping[str, int]]]) -> str:
+    """The largest counts over all boats, in a sentence."""
+    sums: dict[str, int] = {}
+    for channels in rejected.values():
+        for channel, causes in channels.items():
+            for cause, n in causes.items():
+                sums[f"{channel} {cause}"] = sums.get(f"{channel} {cause}", 0) + n
+    largest = sorted(sums, key=lambda each: -sums[each])[:FEW]
+    more = ", …" if len(sums) > FEW else ""
+    return f"Rejected messages and stale steps: {', '.join(f'{each} {sums[each]}' for each in largest)}{more}"
+
+
+def forecast_table(
+    forecast: Mapping[str, Mapping[str, Mapping[str, Mapping]]], whole: bool = True, means: int = 0
+) -> Blocks | None:
+    """Skill by horizon: one row per boat and estimator, and the coverage of the ensemble's intervals; None without.
+    `means`: of how many boats they are the means.
+    """
     if not forecast:
         return None
     horizons = list(next(iter(next(iter(forecast.values())).values())))
-    table = Blocks("Forecasts: skill by horizon, s (–: too few, or one was no speed)", ["estimator"], horizons)
+    of = f", means of {means} boats" if means else ""
+    table = Blocks(f"Forecasts: skill by horizon, s{of} (–: too few, or one was no speed)", ["estimator"], horizons)
     for boat, rows in forecast.items():
         if len(forecast) > 1:
             table.group(boat)
@@ -113,7 +135,7 @@ def forecast_table(forecast: Mapping[str, Mapping[str, Mapping[str, Mapping]]]) 
             if key == "covers" or any(x is not None for x in held):
                 table.add(words, *("–" if x is None else f"{x:.0%}" for x in held))
         found = [rows[own][h].get("interval") for h in horizons]
-        if any(x is not None for x in found):
+        if whole and any(x is not None for x in found):
             table.add("interval score, m/s", *(_number(x, 3) for x in found))
     return table
 
@@ -159,11 +181,47 @@ def error_tables(
     remarks: Mapping[str, str] | None = None,
     notes: Sequence[str] = (),
     forecast: Mapping[str, Any] | None = None,
+    main: tuple[str, Collection[str]] | None = None,
 ) -> Group:
-    """The errors of a run, one step and further ahead, and notes on them."""
+    """The errors of a run, one step and further ahead, and notes on them.
+
+    Args:
+        main: the combiner that predicts and the members of the ensemble: only it, the baseline and the best member are
+            shown, means over boats where there are several; None: everything.
+    """
+    boats, forecast = _short(boats, main), _short(forecast or {}, main)
+    if main and len(boats) > 1:
+        forecast = {"": averaged(list(forecast.values()))} if forecast else {}
+        return Group(
+            *filter(None, [fleet_table(boats, remarks, whole=False), forecast_table(forecast, False, len(boats))])
+        )
     fleet = fleet_table(boats, remarks) if len(boats) > 1 else None
-    tables = [score_table(boats, remarks), fleet, forecast_table(forecast or {})]
-    return Group(*filter(None, tables), *map(Text, notes))
+    tables = [score_table(boats, remarks), fleet, forecast_table(forecast, main is None)]
+    return Group(*filter(None, tables), *map(Text, () if main else notes))
+
+
+def _short(boats: Mapping[str, Any], main: tuple[str, Collection[str]] | None) -> Mapping[str, Any]:
+    """The rows of the combiner, the baseline and the member with the least error, at the last horizon if there are
+    several, mean over boats; other rows are left out.
+    """
+    if main is None or not boats:
+        return boats
+    errors: dict[str, float | None] = {}
+    for name in set(main[1]) & next(iter(boats.values())).keys() - {PERSISTENCE}:
+        rows = [each[name] for each in boats.values()]
+        errors[name] = mean((row if "mae" in row else list(row.values())[-1])["mae"] for row in rows)
+    kept = {main[0], *by_error(errors)[:1], PERSISTENCE}
+    return {boat: {name: row for name, row in each.items() if name in kept} for boat, each in boats.items()}
+
+
+def averaged(tables: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """The means of tables of numbers, or of tables of such, with the same keys; None where one is unknown."""
+    return {
+        key: averaged([each[key] for each in tables])
+        if isinstance(value, Mapping)
+        else mean(x.get(key) for x in tables)
+        for key, value in tables[0].items()
+    }
 
 
 def fit_lines(results: Mapping[str, Any]) -> list[str]:
@@ -179,19 +237,22 @@ def fit_lines(results: Mapping[str, Any]) -> list[str]:
     return [f"Fit of {name}, 100 (1 - NRMSE): {', '.join(said)}"] if said else []
 
 
-def event_lines(events: Mapping[str, Sequence[Mapping]]) -> list[str]:
-    """A line for each event, below an empty one."""
+def event_lines(events: Mapping[str, Sequence[Mapping]], whole: bool = True) -> list[str]:
+    """A line for each event, or for the first few, below an empty one."""
     lines = [
         f"{'ALARM' if each['kind'] == LOSS else 'EVENT'}: {boat}, run {each['run']}, {each['time']:.0f} s: "
         f"{event_of(each).sentence}"
         for boat, found in events.items()
         for each in found
     ]
-    return ["", *lines]
+    more = [] if whole or len(lines) <= FEW else [f"{len(lines) - FEW} more events: add --all"]
+    return ["", *(lines[:FEW] if more else lines), *more]
 
 
-def identified_table(found: Mapping[str, Identified], truth: Mapping[str, Mapping[str, float]] | None = None) -> Group:
-    """Quantities with their 90 % intervals, boat by boat.
+def identified_table(
+    found: Mapping[str, Identified], truth: Mapping[str, Mapping[str, float]] | None = None, whole: bool = True
+) -> Group:
+    """Quantities with their 90 % intervals, boat by boat; not `whole`: only what is not determined, or not physical.
 
     The nine single parameters, which trade against each other, are shown of a single boat; of several boats they are in
     `results.json` and in the report.
@@ -213,10 +274,10 @@ def identified_table(found: Mapping[str, Identified], truth: Mapping[str, Mappin
     if any(each.unknown for each in found.values()):
         more.append("–: not known yet; the interval is wider than what such a boat can have.")
     wrong = [f"WARNING: {boat}: {each.unphysical}" for boat, each in found.items() if each.unphysical]
-    stated = [each for each in sentences(found) if not any(each in one for one in wrong)]
-    return Group(
-        Text(), table, *map(Text, [MEANING, *stated, *more]), *(Text(f"\n{each}", "bold red") for each in wrong)
-    )
+    stated = [each for each in sentences(found, whole) if not any(each in one for one in wrong)]
+    shown_first: list[Text | Blocks] = [Text(), table, Text(MEANING)] if whole else []
+    said = [*stated, *(more if whole else [])]
+    return Group(*shown_first, *map(Text, said), *(Text(f"\n{each}", "bold red") for each in wrong))
 
 
 def short_settings(settings: Mapping[str, str], keys: Sequence[str]) -> str:
@@ -224,32 +285,20 @@ def short_settings(settings: Mapping[str, str], keys: Sequence[str]) -> str:
     return label({key: settings[key] for key in keys if key in settings} or settings)
 
 
-def summary_lines(results: Mapping, folder: Path) -> list[str]:
-    """The last lines of a run: its result, its folder, and the commands that show more.
-
-    A folder below the current one is named without it.
-    """
-    measure, value = measure_of(results["measure"], ""), results["objective"]
-    folder = from_here(folder)
-    fleet = "&runFilter=fleet%2F" if len(results.get("boats", {})) > 1 else ""  # at first the means over boats
-    return [
-        f"{measure.title()}: {measure.shown(value)}; {results['seconds']:.1f} s",
-        f"files        {folder}: {RESULTS}, {ERRORS}, {PREDICTIONS}, {CHECKPOINTS}",
-        f"report       {program('evaluate')} runs={shlex.quote(str(folder))}",
-        *board_lines(folder / TENSORBOARD, f"?smoothing=0{fleet}#timeseries"),
-        *([TOGGLE] if fleet else []),
-    ]
-
-
 def from_here(folder: Path) -> Path:
     """A folder below the current one, named from there; else as it is."""
     return folder.relative_to(here) if folder.is_relative_to(here := Path.cwd()) else folder
 
 
+def quoted(folder: Path) -> str:
+    """A folder, named from here, in a command."""
+    return shlex.quote(str(from_here(folder)))
+
+
 def board_lines(folder: Path, page: str) -> list[str]:
     """The command that starts TensorBoard, and the address of a page of it."""
     return [
-        f"TensorBoard  tensorboard --logdir {shlex.quote(str(from_here(folder)))}",
+        f"TensorBoard  tensorboard --logdir {quoted(folder)}",
         f"             then http://localhost:6006/{page}",
     ]
 

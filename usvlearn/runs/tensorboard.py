@@ -30,8 +30,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
+from usvlearn.core.activity import doing
 from usvlearn.core.samples import Fleet
-from usvlearn.display.activity import doing
 from usvlearn.display.figures import SEVEN, attempted
 from usvlearn.display.tensorboard import TensorBoardWriter, folder_name, folder_names
 from usvlearn.engine.rollouts import stack

@@ -159,7 +159,7 @@ def test_ctrl_c_is_one_line_and_code_130(files, capsys, monkeypatch):
 
     monkeypatch.setattr("certify.__main__.find", interrupted)
     assert main([str(files)]) == 130
-    assert capsys.readouterr().err == "stopped by SIGINT: the certificates written so far are complete\n"
+    assert capsys.readouterr().err == "stopped: the certificates written so far are complete\n"
 
 
 def test_closed_forms_import_no_solver(files):

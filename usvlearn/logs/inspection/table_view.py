@@ -23,7 +23,7 @@ from usvlearn.logs.inspection.decision import PROBABLE, UNSURE, Decision, least
 from usvlearn.logs.inspection.inspected import Inspected
 from usvlearn.logs.inspection.logfiles import bytes_of
 
-LINES, END = 40, 5  # on the screen; of them after these parts
+LINES, END = 45, 11  # on the screen; of them after these parts
 PLAIN = ("series", "unit", "sign", "posting")  # what is told without its name
 
 

@@ -41,13 +41,29 @@ def intervals(
 ) -> dict[str, Quantity]:
     """All quantities of the chosen set with intervals, NaN where undefined; `beyond` as of `unreached`."""
     fit = fits[chosen]
-    values, slopes, covariance = quantities(fit.theta, fit.top, mass), _gradients(fit, mass), spread(fit)
+    values, slopes = quantities(fit.theta, fit.top, mass), gradients(fit, mass)
     differ = disagreement(fits, scores, chosen, mass)
+    return {
+        name: Quantity(float(values[name]), *around(name, float(values[name]), math.sqrt(variance)), QUANTITIES[name])
+        for name, variance in variances(values, slopes, differ, beyond, spread(fit)).items()
+    }
+
+
+def variances(
+    values: Mapping[str, Any], slopes: Mapping[str, np.ndarray], differ: Mapping[str, float], beyond: float,
+    C: np.ndarray,
+) -> dict[str, float]:  # fmt: skip
+    """The variance of each quantity in (1), of its value, its gradient, and what other sets say.
+
+    Args:
+        values, slopes, differ: of `quantities`, `gradients` and `disagreement`.
+        beyond: as of `intervals`.
+        C: covariance of the parameters, `(m, m)`.
+    """
     found = {}
     for name, value in ((name, float(each)) for name, each in values.items()):
         own = math.hypot(own_error(name, values), BEYOND.get(name, 0.0) * beyond * value)
-        variance = float(slopes[name] @ covariance @ slopes[name]) + differ[name] ** 2 + own**2
-        found[name] = Quantity(value, *around(name, value, math.sqrt(max(variance, 0.0))), QUANTITIES[name])
+        found[name] = max(float(slopes[name] @ C @ slopes[name]) + differ[name] ** 2 + own**2, 0.0)
     return found
 
 
@@ -95,7 +111,7 @@ def spread(fit: Fit) -> np.ndarray:
     return found
 
 
-def _gradients(fit: Fit, mass: float) -> dict[str, np.ndarray]:
+def gradients(fit: Fit, mass: float) -> dict[str, np.ndarray]:
     """The gradients of all quantities to the fitted parameters, `(m,)` each."""
     active, steps = fit.known.active, STEP * np.sqrt(np.diag(fit.covariance))
     shifts = np.zeros((len(active), len(fit.theta)))

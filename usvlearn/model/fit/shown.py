@@ -13,18 +13,32 @@ from usvlearn.estimators.joint.periodic_estimates import Identified, shown
 from usvlearn.estimators.joint.quantities import MEANING
 from usvlearn.model.fit.fitted import Fitted
 
+FEW, MORE = 3, "The logs lack more: add --all."  # sentences that are shown first
 USE = "Use the values of the fit: it has learned from all missions at once, online each sample is seen once."
+MAIN = (
+    "steady_speed_full", "steady_speed_half", "time_constant", "stopping_distance", "thrust_full_left",
+    "thrust_full_right", "drag_half_speed", "yaw_rate_full", "turning_radius_full", "thrust_lag", "dead_zone",
+    "compass_offset", "current",
+)  # fmt: skip  # what is shown first
 
 
-def tables(found: Fitted, online: Identified | None) -> list[RenderableType]:
-    """The quantities beside those learned online, the sets of terms, and what they mean."""
+def tables(found: Fitted, online: Identified | None, whole: bool = True) -> list[RenderableType]:
+    """The quantities beside those learned online, the sets of terms, and what they mean; not `whole`: the main ones."""
     use = "" if found.doubts else " (use)"
-    heads = [f"fit{use}", "from", "to", *(["online", "from", "to"] if online is not None else []), "unit"]
-    table = Blocks(f"{found.boat}: fitted to all missions, with 90 % intervals", ["quantity"], heads)
-    for name, each in found.quantities.items():
-        beside = [shown(x) for x in online.displayed(name)[:3]] if online is not None and name in online else []
-        beside = beside or ["–"] * (3 if online is not None else 0)
-        table.add(name, *map(shown, found.found.displayed(name)[:3]), *beside, each.unit)
+    beside = (["online", "from", "to"] if whole else ["online"]) if online is not None else []
+    table = Blocks(
+        f"{found.boat}: fitted to all missions, with 90 % intervals", ["quantity"],
+        [f"fit{use}", "from", "to", *beside, "unit"],
+    )  # fmt: skip
+    for name in found.quantities if whole else (each for each in MAIN if each in found.quantities):
+        own = online.displayed(name)[:3] if online is not None and name in online else (math.nan,) * 3
+        cells = [*found.found.displayed(name)[:3], *own[: len(beside)]]
+        table.add(name, *map(shown, cells), found.quantities[name].unit)
+    many = "1 mission errs" if found.missions.number == 1 else f"{found.missions.number} missions err"
+    doubts = ["Do not use the values of the fit before this is settled:", *found.doubts] if found.doubts else [USE]
+    lacks = [each for each in found.found.lacks if each not in found.doubts]
+    if not whole:
+        return [table, *map(Text, [*doubts, *lacks[:FEW]]), *[Text(MORE)] * (len(lacks) > FEW)]
     sets = Blocks(
         "Terms, by their loss on missions that they have not learned", ["set"], ["parameters", "worse by", "±", "MAE"]
     )
@@ -33,14 +47,13 @@ def tables(found: Fitted, online: Identified | None) -> list[RenderableType]:
         used = f"{name} (used)" if name == found.chosen else name
         worse, error = ("–", "–") if name == found.chosen else (worse, error)
         sets.add(used, str(len(found.fits[name].known.active)), worse, error, f"{found.errors[name]:.4f}")
-    many = "1 mission errs" if found.missions.number == 1 else f"{found.missions.number} missions err"
     lines = [
         MEANING,
         MEANING_OF_FIT,
-        *(["Do not use the values of the fit before this is settled:", *found.doubts] if found.doubts else [USE]),
+        *doubts,
         f"In open loop, {many} by {found.errors[found.chosen]:.4f} m/s; speeds are {found.found.late:.1f} s late.",
         *([] if found.simulation is None else [found.simulation.sentence]),
         found.found.scale,
-        *(each for each in found.found.lacks if each not in found.doubts),
+        *lacks,
     ]
     return [table, Text(), sets, *map(Text, lines)]

@@ -1,4 +1,4 @@
-"""Progress: library code reports a phase, and the command shows it."""
+"""Progress: library code reports a phase, and the command shows it (`usvlearn.display.terminal.Activity`)."""
 
 from __future__ import annotations
 
@@ -6,20 +6,21 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-_SHOW: ContextVar[Callable[[str], object] | None] = ContextVar("show", default=None)
+Show = Callable[[str], object]
+SHOW: ContextVar[Show | None] = ContextVar("show", default=None)  # what shows it; a thread of its own has none
 
 
 def doing(what: str) -> None:
     """Tell what is done now, in some words; it is nothing where nobody shows it."""
-    if show := _SHOW.get():
+    if show := SHOW.get():
         show(what)
 
 
 @contextmanager
-def shown_by(show: Callable[[str], object]) -> Iterator[None]:
+def shown_by(show: Show) -> Iterator[None]:
     """A context in which `doing` calls a function."""
-    before = _SHOW.set(show)
+    before = SHOW.set(show)
     try:
         yield
     finally:
-        _SHOW.reset(before)
+        SHOW.reset(before)
