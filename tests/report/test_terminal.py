@@ -20,7 +20,8 @@ from usvlearn.core.activity import doing
 from usvlearn.display.terminal import Activity, Blocks, console
 from usvlearn.estimators.joint.periodic_estimates import Identified, Quantity
 from usvlearn.evaluation.metrics import scores
-from usvlearn.report.tables import error_tables, identified_table, rejection_table, summary_lines, tuning_table
+from usvlearn.report.summary import summary
+from usvlearn.report.tables import error_tables, identified_table, quoted, rejection_table, tuning_table
 
 WIDTHS = [60, 80, 100, 160]
 NAMES = ["aid", "rls", "ambient_rls_short", "persistence", "average", "a_member_with_a_long_name"]
@@ -143,10 +144,63 @@ def test_a_notebook_is_sent_plain_text(monkeypatch, capsys):
 
 def test_a_folder_below_the_current_one_is_named_from_there(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    results = {"seconds": 2.0, "measure": "ensemble.mae", "objective": 0.05}
-    below, elsewhere = (summary_lines(results, folder) for folder in (tmp_path / "outputs" / "a b", Path("/elsewhere")))
-    assert below[1].startswith("files        outputs/a b:") and below[2].endswith("runs='outputs/a b'")
-    assert elsewhere[2].endswith("runs=/elsewhere")
+    assert quoted(tmp_path / "outputs" / "a b") == "'outputs/a b'" and quoted(Path("/elsewhere")) == "/elsewhere"
+
+
+@over("count", [1, 3, 20])
+def test_first_the_ensemble_the_baseline_and_the_best_member_are_shown(count):
+    boats = {boat: {**rows, "best": rows["rls"] | {"mae": 1e-6}} for boat, rows in fleet(count).items()}
+    horizons = {
+        h: {"mae": 0.1, "skill": 0.5, "covers": 0.9, "covers_stay": 0.9, "interval": 0.2} for h in ("2", "10")
+    }
+    forecast = {boat: {name: horizons for name in ("best", "aid", "persistence", "average")} for boat in boats}
+    main = "average", ["best", "aid", "rls", "persistence"]
+    lines = printed(error_tables(boats, REMARKS, ["a note"], forecast, main), 80)
+    first = [line.split()[0].strip(",") for line in lines if line]
+    assert {"average", "best", "persistence"} <= set(first) and not {"rls", "ambient_rls_short", "a"} & set(first)
+    assert "while commands are steady" in "\n".join(lines) and "interval score" not in "\n".join(lines)
+    assert len(lines) <= 22 and (count == 1 or f"means of {count} boats" in "\n".join(lines))
+    every = "\n".join(printed(error_tables(boats, REMARKS, ["a note"], forecast), 80))
+    assert "ambient_rls_short" in every and "a note" in every and "interval score" in every
+
+
+RESULTS = {
+    "output": "ensemble", "measure": "ensemble.mae", "objective": 0.0394, "data_check": [{}, {}], "events": {"heron": []},
+    "boats": {"heron": {"ensemble": {"mae": 0.0394, "fit": 95.04}}}, "free_fit": {"heron": {"ensemble": None}},
+    "forecast": {"heron": {"ensemble": {"2": {"mae": 0.05}, "30": {"mae": 0.12}}}},
+    "tracks": {"heron": {"30": {"position": 6.71}}}, "rejected": {"heron": {"surge": {"stale": 3, "lost": 4}}},
+}  # fmt: skip
+BOAT = {
+    "steady_speed_full": Quantity(2.78, 2.64, 2.91, "m/s"), "time_constant": Quantity(1.7, 0.2, 9.0, "s"),
+    "yaw_rate_full": Quantity(0.482, 0.465, 0.5, "rad/s"),
+}  # fmt: skip
+
+
+def test_a_run_ends_with_a_summary_of_eight_lines():
+    asked = {"mass": {"certainty": "unsure"}, "span": {"certainty": "probable"}}
+    assert summary(RESULTS, asked, {"heron": BOAT}) == [
+        "data         2 findings; 2 guesses unconfirmed, 1 unsure; 7 messages and steps rejected",
+        "speed        2.78 m/s (2.64 to 2.91) at full command",
+        "response     time constant not known; turns 27.6 °/s (26.6 to 28.6)",
+        "error        0.039 m/s a step ahead; 0.120 m/s and 6.71 m 30 s ahead",
+        "fit          95.0 % a step ahead",
+        "alarms       none",
+    ]
+    loss = {"kind": "loss", "side": "left", "run": "a\x1b", "time": 61.2}
+    many = {**RESULTS, "data_check": None, "objective": 0.5, "measure": "rnn.skill", "events": {"heron": [loss] * 3}}
+    said = summary(many | {"boats": {"heron": {"ensemble": {"mae": None, "fit": None}}}, "forecast": {}}, {}, {})
+    assert said[0].startswith("data         not checked") and said[1] == "speed        not known at full command"
+    assert said[3:] == [
+        "error        skill of rnn 0.5000",
+        "fit          unknown",
+        r"alarms       left thruster lost thrust, heron, run a\x1b, 61 s and 2 more",
+    ]
+    slow = BOAT | {"steady_speed_full": Quantity(1.5, 1.4, 1.6, "m/s")}
+    fast, none = {"a": BOAT, "b": slow, "c": {}}, {**RESULTS, "data_check": [], "events": None, "rejected": {}}
+    assert summary(none, {}, fast)[:2] == [
+        "data         ok",
+        "speed        1.50 to 2.78 m/s (2 of 3 boats) at full command",
+    ]
 
 
 @over("width", WIDTHS)

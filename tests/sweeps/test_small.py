@@ -6,7 +6,7 @@ import torch
 
 from usvlearn import RNN, Ensemble
 from usvlearn.report.sections.network import free_words, stability
-from usvlearn.report.tables import event_lines, fit_lines, short_settings
+from usvlearn.report.tables import event_lines, short_settings
 from usvlearn.sweeps.jobs import noted_sweep
 from usvlearn.sweeps.leaderboard import last_lines, shortened
 from usvlearn.sweeps.progress import duration
@@ -21,10 +21,6 @@ def test_words_of_a_sweep():
 
 
 def test_words_of_a_run():
-    said = fit_lines({"output": "all", "boats": {"a": {"all": {"fit": 95.25}}}, "free_fit": {"a": {"all": 61.0}}})
-    assert said == [
-        "Fit of all, 100 (1 - NRMSE): 95.2 % one step ahead, 61.0 % in open-loop simulations of the later half"
-    ]
     loss = {"run": "7", "time": 12.0, "kind": "loss", "side": "left", "effectiveness": 0.4, "low": 0.3, "high": 0.5}
     assert event_lines({"heron": [loss], "otter": []}) == [
         "", "ALARM: heron, run 7, 12 s: the left thruster gives 40 % of its thrust (30 ... 50 %)",

@@ -65,7 +65,7 @@ def work(arguments: Sequence[str], console: Console | None = None) -> dict[str, 
         from usvlearn.model.fit.logs import missions_of, without_losses
         from usvlearn.model.fit.shown import tables
         from usvlearn.model.fit.terms import SETS
-        from usvlearn.report.summary import displayed, glance, summary
+        from usvlearn.report.summary import displayed, summary
         from usvlearn.report.tables import quoted
         from usvlearn.runs.files import CHECKPOINTS
         from usvlearn.runs.saved import configuration, results
@@ -114,7 +114,7 @@ def work(arguments: Sequence[str], console: Console | None = None) -> dict[str, 
                 break
     if stopped is not None and not done:
         raise stopped
-    whole = given.all or terminal.wants_all()
+    whole = given.all or terminal.ALL in terminal.asked
     use: dict[str, Mapping[str, Quantity]] = {x.boat: displayed(x.found) for x, *_ in done if not x.doubts}
     for found, last, files in done:
         if whole or (alone and len(done) == 1):
@@ -128,7 +128,7 @@ def work(arguments: Sequence[str], console: Console | None = None) -> dict[str, 
     if out == folder / "fit":
         _add_to_results(folder, [found for found, _, _ in done])
         if alone and not given.data and (scored := results(folder)):
-            terminal.show(*summary(glance(scored, asked, use)), f"next         usvlearn evaluate {quoted(folder)}")
+            terminal.show(*summary(scored, asked, use), f"next         usvlearn evaluate {quoted(folder)}")
     if stopped is not None:
         raise SystemExit(stopped.code)
     return use

@@ -28,7 +28,7 @@ from usvlearn.cli.sweep import Sweep, again, cut_short, end_progress, load
 from usvlearn.composition.configuration import configs_folder
 from usvlearn.composition.data_files import SUFFIXES, hint_of_data, with_data_files
 from usvlearn.composition.errors import in_one_sentence, known_names
-from usvlearn.display.terminal import take_all
+from usvlearn.display import terminal
 from usvlearn.errors import ConfigError, UsvlearnError, complain, did_you_mean, exit_on_user_error
 from usvlearn.sweeps.launchers import check_launcher
 from usvlearn.sweeps.leaderboard import leaderboard
@@ -52,7 +52,8 @@ def command(name: str) -> Callable[[Callable[[DictConfig], Any]], Callable[[], N
         @functools.wraps(task)
         def main() -> None:
             with exit_on_user_error(), stoppable():
-                sys.argv[1:] = flags_first(take_all(sys.argv[1:]))
+                terminal.asked[:] = [each for each in sys.argv[1:] if each == terminal.ALL]
+                sys.argv[1:] = flags_first([each for each in sys.argv[1:] if each != terminal.ALL])
                 if name == "train":
                     sys.argv[1:] = with_seeds(sys.argv[1:])
                 sys.argv[1:] = with_data_files(with_keys(name, sys.argv[1:], parse(sys.argv[1:]).overrides))

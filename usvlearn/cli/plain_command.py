@@ -15,8 +15,8 @@ def run_command(work: Callable[[Sequence[str]], None], usage: str) -> int:
     from usvlearn.cli.signals import Stopped, stoppable
 
     if not sys.argv[1:]:
-        print(folded(usage, columns_of(sys.stdout)))
-        return 0
+        print(folded(usage, columns_of(sys.stderr)), file=sys.stderr)
+        return 2
     try:
         with exit_on_user_error(), stoppable():
             work(sys.argv[1:])

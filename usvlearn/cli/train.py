@@ -24,17 +24,15 @@ from usvlearn.display import terminal
 from usvlearn.display.terminal import Activity
 from usvlearn.errors import check_positive
 from usvlearn.logs.setup import setups_of
-from usvlearn.report.summary import Quantities, displayed, glance, summary
+from usvlearn.report.summary import Quantities, displayed, summary
 from usvlearn.report.tables import (
     TOGGLE,
     board_lines,
     error_tables,
     event_lines,
-    fit_lines,
     identified_table,
     program,
     quoted,
-    rejection_line,
     rejection_table,
     track_table,
 )
@@ -91,9 +89,9 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
             cfg.forecasts._target_ = FITTED  # from now on, as it is in what is saved
             ensemble, settings = ensemble_of(cfg), {**plain(cfg), "resume": None}
             planar, without = planar_of(cfg, ensemble)
-    whole = terminal.wants_all()
-    if (rejected := rejection_table(fleet.rejected)) is not None:
-        terminal.show(rejected if whole else rejection_line(fleet.rejected), to=console)
+    whole = terminal.ALL in terminal.asked
+    if whole and (rejected := rejection_table(fleet.rejected)) is not None:
+        console.print(rejected)
     check_measure(measure_of(cfg.get("objective"), ensemble.output), ensemble, fleet)
     setups = {boat: each.json() for boat, each in setups_of(settings, recordings).items()}
     run = RunFolder(folder, fleet, ensemble, settings, planar, align.json, setups)
@@ -122,8 +120,8 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
     quantities = identified_boats(ensemble, run.state, fleet.boats)
     main = None if whole else (ensemble.output, ensemble.members)
     console.print(error_tables(found["boats"], remarks(ensemble), explained(ensemble), found.get("forecast"), main))
-    if whole:
-        terminal.show(*filter(None, [track_table(found.get("tracks"))]), *fit_lines(found), to=console)
+    if whole and (tracks := track_table(found.get("tracks"))) is not None:
+        console.print(tracks)
     console.print(identified_table(quantities, truth, whole))
     known: dict[str, Quantities] = {boat: displayed(each) for boat, each in quantities.items()}
     if cfg.get("refit"):
@@ -135,7 +133,7 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
     several = len(fleet.boats) > 1
     board, *page = board_lines(folder / TENSORBOARD, f"?smoothing=0{'&runFilter=fleet%2F' * several}#timeseries")
     terminal.show(
-        *summary(glance(found, open_questions(settings), known)),
+        *summary(found, open_questions(settings), known),
         *([board, *page, *[TOGGLE] * several] if whole else [board]),
         f"next         {program('evaluate')} {quoted(folder)}",
         to=console,

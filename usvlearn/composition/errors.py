@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from usvlearn.composition.data_files import hint_of_data
 from usvlearn.core.unconfirmed import SECTION as UNCONFIRMED
 from usvlearn.errors import ConfigError, did_you_mean
 
+MEANT = {"lr": "rate", "learning_rate": "rate", "hidden": "neurons", "hidden_size": "neurons", "units": "neurons"}
 KEY = re.compile(r"Could not (?:override|delete(?: from config\.)?) '([^']+)'|config group '([^']+)' does not exist")
 
 
@@ -68,8 +69,7 @@ def _sentence(error: Exception, names: Callable[[str], Iterable[str]]) -> str:
         return f"{group or '--config-name'}: found {name!r}, expected one of {', '.join(sorted(options))}{hint}"
     if found := KEY.search(str(error)):
         key = found[1] or found[2]
-        hint = did_you_mean(key, names(key)) or ": see the keys by --cfg job, or add a new one by +KEY=VALUE"
-        return f"{key}: found no such key{hint}"
+        return f"{key}: found no such key{_instead_of(key, list(names(key)))}"
     if found := re.search(r"config directory '(.+?)'", str(error)):
         return f"{found[1]}: found no such folder: correct --config-dir or --config-path"
     if found := re.search(r"already at '([^']+)'|Multiple values for (\S+)\.", str(error)):
@@ -79,6 +79,20 @@ def _sentence(error: Exception, names: Callable[[str], Iterable[str]]) -> str:
     if isinstance(cause, OmegaConfBaseException):
         return _of_value(cause, error)
     return f"{_first_line(error)}: correct the command line or the file"
+
+
+def _instead_of(key: str, every: Sequence[str]) -> str:
+    """The key that was meant, or else those of the same section."""
+    section, _, own = key.rpartition(".")
+    meant = f"{section}.{MEANT.get(own, own)}"
+    if meant not in every:
+        close = did_you_mean(key, [each for each in every if each != section])
+        if close or not section:
+            return close or ": see the keys by --cfg job, or add a new one by +KEY=VALUE"
+    beside = [
+        each.removeprefix(f"{section}.") for each in every if each.rpartition(".")[0] == section and each[-1] != "_"
+    ]
+    return f"{f': did you mean {meant}?' * (meant in every) or ':'} {section} has {', '.join(beside)}"
 
 
 def _in_quotes(override: str) -> str:

@@ -23,7 +23,8 @@ from rich.text import Text
 from usvlearn.core.activity import shown_by
 from usvlearn.errors import drop_output, folded, printable
 
-ALL = "--all"  # an argument of train, fit and evaluate
+ALL = "--all"  # rows and sentences, of train, fit and evaluate: without it what is looked at first
+asked: list[str] = []  # ALL, where the user of this process has given it
 UNLIMITED = 100_000  # columns of a file or a pipe
 GAP, RULE = "  ", "─"
 LEAST = 6  # least width, in columns, of a text that is folded
@@ -44,23 +45,6 @@ def console(quiet: bool = False) -> Console:
     if not found.is_terminal and "COLUMNS" not in os.environ:
         found.width = UNLIMITED
     return found
-
-
-class _Asked:
-    """What the user of this process asked for."""
-
-    all = False
-
-
-def take_all(arguments: list[str]) -> list[str]:
-    """The arguments without `--all`, which asks for all rows and sentences (`wants_all`)."""
-    _Asked.all = ALL in arguments
-    return [each for each in arguments if each != ALL]
-
-
-def wants_all() -> bool:
-    """Whether a command shows everything, and not only what is looked at first."""
-    return _Asked.all
 
 
 def show(*parts: str | Text | Blocks, to: Console | None = None) -> None:

@@ -148,9 +148,10 @@ def evaluate(
     for line in beside:
         tools.say(line)
     boats = {each.boat: each.quantities for each in front.boats}
+    told = summary(found[-1], questions, boats) if data is None and found[-1] else []
     wide = undetermined(boats, (SPEED, TIME, RATE, *FULL))
     next_one = f"usvlearn {'plan' if wide else 'controller'} {quoted(folders[-1])}"
-    show("", *summary(front.glance(questions)), f"report       {page}", f"next         {next_one}", to=tools.console)
+    show("", *told, f"report       {page}", f"next         {next_one}", to=tools.console)
     return page
 
 

@@ -11,17 +11,16 @@ import numpy as np
 
 from usvlearn.core.events import LOSS, event_of
 from usvlearn.core.samples import tree_map
-from usvlearn.core.unconfirmed import Questions
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.joint.excitation_warnings import Quantity
 from usvlearn.estimators.joint.periodic_estimates import Identified, shown
 from usvlearn.evaluation.diagnostics import events, identified_boats
 from usvlearn.evaluation.free_simulation import FreeRun
 from usvlearn.evaluation.horizons import ensemble_scores
-from usvlearn.evaluation.metrics import PERSISTENCE, mean, scores
+from usvlearn.evaluation.metrics import PERSISTENCE, scores
 from usvlearn.evaluation.season import Season, SeasonRun
 from usvlearn.report.best_minutes import BestMinutes, best_minutes
-from usvlearn.report.summary import NEAR, Glance, displayed, error_words, loss_words, undetermined
+from usvlearn.report.summary import displayed, undetermined
 from usvlearn.report.viewer import number, runs_html
 
 MAIN = {  # the quantities that are shown first, in words
@@ -172,6 +171,7 @@ def _ahead(ensemble: Ensemble, season: Season) -> tuple[list[Ahead], float | Non
     return found, row["fit"]
 
 
+NEAR = "10 s"  # the horizon of the sentence, if it was forecast
 FINDING, WARNING = ("about", "found", "expected", "key"), "warning"  # of the data check (`results.json`)
 UNSEEN = '<td class="words" colspan="3">not known: no parameters were saved before the run; learn from two logs</td>'
 BAD = ' class="bad"'
@@ -185,22 +185,6 @@ class Front(NamedTuple):
     viewer: Mapping[str, Any]  # `usvlearn.report.viewer`
     notes: Sequence[str] = ()  # what a reader must know first, a sentence each
     unconfirmed: Sequence[str] = ()  # what was guessed (`usvlearn.core.unconfirmed`)
-
-    def glance(self, asked: Questions) -> Glance:
-        """What is said in the terminal, means over boats."""
-        checks, events = [each.findings for each in self.boats], [each.events for each in self.boats]
-        count = None if None in checks else sum(len(each or ()) for each in checks)
-        errors = error_words(_mean_ahead(self.boats, "the next step"), _mean_ahead(self.boats, NEAR), NEAR)
-        alarms = None if None in events else [
-            loss_words(each.boat, loss) for each in self.boats for loss in each.events or () if loss["kind"] == LOSS
-        ]  # fmt: skip
-        fit = mean(each.fit for each in self.boats), mean(each.free_fit for each in self.boats)
-        used = {each.boat: each.quantities for each in self.boats}
-        return Glance(count, asked, used, errors, fit, alarms)
-
-
-def _mean_ahead(boats: Sequence[Overview], what: str) -> float | None:
-    return mean(next((x.mae for x in each.ahead if x.what == what), None) for each in boats)
 
 
 def title(front: Front) -> str:

@@ -26,7 +26,7 @@ COVERED = {
     "90 % intervals cover": "covers", "while commands are steady": "covers_stay", "changing": "covers_move",
     "changing strongly": "covers_move_much",
 }  # fmt: skip
-FEW, SEVERAL = 4, 8  # events, and columns of boats, that are shown without --all
+FEW = 4  # events that are shown without --all
 TRACKS = {
     "ours, m": "position", "constant turn and speed, m": "position_constant_turn",
     "forecast speed, held yaw rate, m": "position_held_rate",
@@ -72,15 +72,10 @@ def score_table(
     return table
 
 
-def fleet_table(
-    boats: Mapping[str, Mapping[str, Mapping]], remarks: Mapping[str, str] | None = None, whole: bool = True
-) -> Blocks:
-    """One row per estimator, by the mean MAE over boats, and one column per boat, in m/s; the best of each is bold.
-    Not `whole`: many boats have no column.
-    """
+def fleet_table(boats: Mapping[str, Mapping[str, Mapping]], remarks: Mapping[str, str] | None = None) -> Blocks:
+    """One row per estimator, by the mean MAE over boats, and one column per boat, in m/s; the best of each is bold."""
     columns = {"mean": mean_mae(boats)}
-    if whole or len(boats) <= SEVERAL:
-        columns |= {boat: {name: row["mae"] for name, row in scores.items()} for boat, scores in boats.items()}
+    columns |= {boat: {name: row["mae"] for name, row in scores.items()} for boat, scores in boats.items()}
     best = {column: by_error(maes)[0] for column, maes in columns.items()}
     table = Blocks("The fleet: MAE in m/s", ["estimator"], list(columns))
     for name in by_error(columns["mean"]):
@@ -98,18 +93,6 @@ def rejection_table(rejected: Mapping[str, Mapping[str, Mapping[str, int]]]) -> 
         for channel, causes in channels.items():
             table.add(channel, ", ".join(f"{cause} {n}" for cause, n in causes.items()))
     return table if table.rows else None
-
-
-def rejection_line(rejected: Mapping[str, Mapping[str, Mapping[str, int]]]) -> str:
-    """The largest counts over all boats, in a sentence."""
-    sums: dict[str, int] = {}
-    for channels in rejected.values():
-        for channel, causes in channels.items():
-            for cause, n in causes.items():
-                sums[f"{channel} {cause}"] = sums.get(f"{channel} {cause}", 0) + n
-    largest = sorted(sums, key=lambda each: -sums[each])[:FEW]
-    more = ", …" if len(sums) > FEW else ""
-    return f"Rejected messages and stale steps: {', '.join(f'{each} {sums[each]}' for each in largest)}{more}"
 
 
 def forecast_table(
@@ -192,9 +175,7 @@ def error_tables(
     boats, forecast = _short(boats, main), _short(forecast or {}, main)
     if main and len(boats) > 1:
         forecast = {"": averaged(list(forecast.values()))} if forecast else {}
-        return Group(
-            *filter(None, [fleet_table(boats, remarks, whole=False), forecast_table(forecast, False, len(boats))])
-        )
+        return Group(*filter(None, [fleet_table(boats, remarks), forecast_table(forecast, False, len(boats))]))
     fleet = fleet_table(boats, remarks) if len(boats) > 1 else None
     tables = [score_table(boats, remarks), fleet, forecast_table(forecast, main is None)]
     return Group(*filter(None, tables), *map(Text, () if main else notes))
@@ -222,19 +203,6 @@ def averaged(tables: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         else mean(x.get(key) for x in tables)
         for key, value in tables[0].items()
     }
-
-
-def fit_lines(results: Mapping[str, Any]) -> list[str]:
-    """The fit of the combiner that predicts, one step ahead and open loop, mean over boats; none without a speed."""
-    name = results["output"]
-    near = mean(rows[name]["fit"] for rows in results["boats"].values())
-    free = mean(rows[name] for rows in results.get("free_fit", {}).values())
-    said = [
-        f"{x:.1f} % {how}"
-        for x, how in ((near, "one step ahead"), (free, "in open-loop simulations of the later half"))
-        if x is not None
-    ]
-    return [f"Fit of {name}, 100 (1 - NRMSE): {', '.join(said)}"] if said else []
 
 
 def event_lines(events: Mapping[str, Sequence[Mapping]], whole: bool = True) -> list[str]:
