@@ -150,22 +150,21 @@ def test_a_folder_below_the_current_one_is_named_from_there(tmp_path, monkeypatc
 @over("count", [1, 3, 20])
 def test_first_the_ensemble_the_baseline_and_the_best_member_are_shown(count):
     boats = {boat: {**rows, "best": rows["rls"] | {"mae": 1e-6}} for boat, rows in fleet(count).items()}
-    horizons = {
-        h: {"mae": 0.1, "skill": 0.5, "covers": 0.9, "covers_stay": 0.9, "interval": 0.2} for h in ("2", "10")
-    }
+    horizons = {h: {"mae": 0.1, "skill": 0.5, "covers": 0.9, "covers_stay": 0.9, "interval": 0.2} for h in ("2", "10")}
     forecast = {boat: {name: horizons for name in ("best", "aid", "persistence", "average")} for boat in boats}
     main = "average", ["best", "aid", "rls", "persistence"]
     lines = printed(error_tables(boats, REMARKS, ["a note"], forecast, main), 80)
     first = [line.split()[0].strip(",") for line in lines if line]
     assert {"average", "best", "persistence"} <= set(first) and not {"rls", "ambient_rls_short", "a"} & set(first)
     assert "while commands are steady" in "\n".join(lines) and "interval score" not in "\n".join(lines)
-    assert len(lines) <= 22 and (count == 1 or f"means of {count} boats" in "\n".join(lines))
+    assert len(lines) <= 24 and (count == 1 or f"means of {count} boats" in "\n".join(lines))
     every = "\n".join(printed(error_tables(boats, REMARKS, ["a note"], forecast), 80))
     assert "ambient_rls_short" in every and "a note" in every and "interval score" in every
 
 
 RESULTS = {
-    "output": "ensemble", "measure": "ensemble.mae", "objective": 0.0394, "data_check": [{}, {}], "events": {"heron": []},
+    "output": "ensemble", "measure": "ensemble.mae", "objective": 0.0394, "data_check": [{}, {}],
+    "events": {"heron": []},
     "boats": {"heron": {"ensemble": {"mae": 0.0394, "fit": 95.04}}}, "free_fit": {"heron": {"ensemble": None}},
     "forecast": {"heron": {"ensemble": {"2": {"mae": 0.05}, "30": {"mae": 0.12}}}},
     "tracks": {"heron": {"30": {"position": 6.71}}}, "rejected": {"heron": {"surge": {"stale": 3, "lost": 4}}},

@@ -42,7 +42,7 @@ def _number(value: float | None, digits: int = 4) -> str:
 def _cell(column: str, row: Mapping) -> str:
     value = row.get(column)
     if column == "steps":
-        return str(value)
+        return f"{value:.0f}"
     if column == "coverage":
         return "–" if value is None else f"{value:.1%}"
     return _number(value, 3 if column in ("skill", "halfwidth") else 4)
@@ -175,7 +175,9 @@ def error_tables(
     boats, forecast = _short(boats, main), _short(forecast or {}, main)
     if main and len(boats) > 1:
         forecast = {"": averaged(list(forecast.values()))} if forecast else {}
-        return Group(*filter(None, [fleet_table(boats, remarks), forecast_table(forecast, False, len(boats))]))
+        title = f"One-step prediction of surge, means of {len(boats)} boats, m/s, by MAE"
+        own = score_table({"": averaged(list(boats.values()))}, remarks, title)
+        return Group(*filter(None, [own, forecast_table(forecast, False, len(boats))]))
     fleet = fleet_table(boats, remarks) if len(boats) > 1 else None
     tables = [score_table(boats, remarks), fleet, forecast_table(forecast, main is None)]
     return Group(*filter(None, tables), *map(Text, () if main else notes))

@@ -3,7 +3,7 @@
 A purpose is served where the 90 % intervals of the batch fit are within `PURPOSES` of the values. Of the variance of a
 quantity, (1) of `usvlearn.model.fit.intervals`, that of the parameters shrinks with more data, whose amount is tried:
 
-    C after t more hours of the same: C · T / (T + t)                                                    (1)
+    C after t more hours of the same: C · T / (T + t), with its scatter from as many more pieces         (1)
     C after a test manoeuvre: (C⁻¹ + g H)⁻¹,   g = (det A / det C)^(1/m)                                 (2)
 
 H is the information of the manoeuvre (docs/controller.md), simulated with the fitted boat; the scatter of the logs
@@ -30,12 +30,13 @@ from usvlearn.logs.checks.finding import WARNING, Finding
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.model.fit.fitted import Fitted, fit_boat
 from usvlearn.model.fit.gauss_newton import Missions
-from usvlearn.model.fit.intervals import disagreement, gradients, spread, unreached, variances
+from usvlearn.model.fit.intervals import FEW, SCATTER, disagreement, gradients, spread, unreached, variances
 from usvlearn.model.fit.logs import APART, fine, missions_of
 from usvlearn.model.fit.logs import DT as GRID
 from usvlearn.model.fit.quantities import quantities
 
 Widths = dict[str, float]  # half-widths of intervals over the values
+UNKNOWN = "unknown"
 SPEED, SIDES, TURNING = "steady speed", "thrust of each side", "turning"
 PURPOSES = {  # the largest half-width of each quantity over its value
     SPEED: {"steady_speed_full": 0.1},
@@ -64,16 +65,21 @@ class Expected:
         self.one_command = float((rows[:, LEFT] - rows[:, RIGHT]).std()) < APART
         self._values, self._slopes = quantities(fit.theta, fit.top, mass), gradients(fit, mass)
         self._differ = disagreement(fitted.fits, fitted.scores, fitted.chosen, mass)
-        self._C = spread(fit)
 
     def after(self, hours: float) -> Widths:
         """(1)."""
         share = self.hours / (self.hours + hours)
-        return self._widths(self._C * share, self.beyond, share)
+        return self._widths(self._spread(share) * share, self.beyond, share)
+
+    def _spread(self, share: float) -> np.ndarray:
+        """C, whose scatter is known better from more pieces, of which the logs are a share."""
+        A, few = self.fitted.fit.covariance, FEW / len(self.fitted.fit.score)
+        return A + (SCATTER + few * share) / (SCATTER + few) * (spread(self.fitted.fit) - A)
 
     def after_manoeuvres(self, times: int) -> Widths:
         """(2); all commands are reached then."""
-        fit, C = self.fitted.fit, self._C
+        fit, share = self.fitted.fit, self.hours / (self.hours + times * MINUTES / 60)
+        C = self._spread(share)
         rows = np.zeros((sum(s for s, *_ in MANOEUVRE) * round(1 / GRID), ROW))
         both = np.repeat([each[1:] for each in MANOEUVRE], [s * round(1 / GRID) for s, *_ in MANOEUVRE], axis=0)
         rows[:, [LEFT, RIGHT]] = both.mean(1, keepdims=True) if self.one_command else both
@@ -85,7 +91,6 @@ class Expected:
         rows[:, SURGE] = np.nan_to_num(speed)
         H = alone.evaluate(fit.terms, fit.theta, fit.deviation).information.sum(0)
         g = math.exp((np.linalg.slogdet(fit.covariance)[1] - np.linalg.slogdet(C)[1]) / len(C))
-        share = self.hours / (self.hours + times * MINUTES / 60)
         return self._widths(np.linalg.inv(np.linalg.inv(C) + times * g * H), 0.0, share)
 
     def _widths(self, C: np.ndarray, beyond: float, share: float) -> Widths:
@@ -151,15 +156,19 @@ def _told(expected: Expected, channels: Mapping[str, Any]) -> Iterator[str]:
     back = [side for side, span in spans.items() if isinstance(span, int | float) and span < 0]
     said = ["one command for both sides"] * expected.one_command
     said.append(f"{' and '.join(back)} reversed" if back else "positive ahead")
-    dead, compass, current = (found.displayed(each).value for each in ("dead_zone", "compass_offset", "current"))
+    dead, compass, current = (
+        found.displayed(each).value if each in found else math.nan
+        for each in ("dead_zone", "compass_offset", "current")
+    )
     compass = np.nan_to_num(compass) + ((channels.get("heading") or {}).get("zero") or 0.0)
     said += [f"compass {compass:+.1f}°"] if abs(compass) >= 0.1 else []
     said += [f"dead zone {100 * dead:.0f} %"] if math.isfinite(dead) else []
     said += [f"current {current:.2f} m/s"] if math.isfinite(current) else []
     yield f"found     {', '.join(said)}"
     if bad:
-        hours = next((x for x in HOURS if all(_served(expected.after(x), each) for each in bad)), None)
-        times = next((x for x in TIMES if all(_served(expected.after_manoeuvres(x), each) for each in bad)), None)
+        told = [each for each in bad if words[each] != UNKNOWN]  # of others a first manoeuvre tells how many
+        hours = next((x for x in HOURS if told == bad and _served(expected.after(x), *bad)), None)
+        times = next((x for x in TIMES if _served(expected.after_manoeuvres(x), *told)), None)
         sailing = f"about {f'{hours:g} h' if hours and hours >= 1 else f'{60 * (hours or 0):.0f} min'} of such sailing"
         manoeuvre = f"{MINUTES * (times or 1)} min of the test manoeuvre"
         if hours is None:
@@ -168,10 +177,10 @@ def _told(expected: Expected, channels: Mapping[str, Any]) -> Iterator[str]:
             yield f"more      {sailing}{f', or {manoeuvre}' if times else ''}"
 
 
-def _served(widths: Widths, purpose: str) -> bool:
-    return all(widths[name] <= most for name, most in PURPOSES[purpose].items())
+def _served(widths: Widths, *purposes: str) -> bool:
+    return all(widths[name] <= most for each in purposes for name, most in PURPOSES[each].items())
 
 
 def _width(widths: Widths, purpose: str) -> str:
     widest = max(widths[name] for name in PURPOSES[purpose])
-    return f"± {100 * widest:.0f} %" if widest < 1 else "unknown"
+    return f"± {100 * widest:.0f} %" if widest < 1 else UNKNOWN
