@@ -118,7 +118,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from tests.support.commands import SEASON, ran
 
     def make(folder: Path) -> None:
-        done = ran(*SEASON, "hydra.run.dir=run", folder=folder)
+        done = ran(*SEASON, "--all", "hydra.run.dir=run", folder=folder)
         (folder / "output.txt").write_text(done.stdout)
 
     return made_once(tmp_path_factory, "finished", make) / "run"

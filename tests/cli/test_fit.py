@@ -28,7 +28,7 @@ pytestmark = pytest.mark.thorough  # the set-up of its tests takes long
 
 SCRIPT = "usvlearn/__main__.py"
 QUICKER = [each for each in QUICK[1:] if each != "~estimators.joint_averaged"]  # which tells the parameters
-MISSIONS = ["data.hours=0.5", "data.mission_minutes=10", "data.n=2", "hydra.run.dir=run", "refit=true", *QUICKER]
+MISSIONS = ["data.hours=0.5", "data.mission_minutes=10", "data.n=2", "hydra.run.dir=run", "refit=true", "--all", *QUICKER]
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def folder(tmp_path_factory):
 
 
 def test_it_is_nearer_to_the_truth_than_online_learning_and_says_how_sure_it_is(folder):
-    done = ran("fit", "run", folder=folder, script=SCRIPT)
+    done = ran("fit", "run", "--all", folder=folder, script=SCRIPT)
     assert done.stdout.count("(used)") == 2 and done.stdout.count("  online  ") == 2
     truth = json.loads((folder / "run" / "results.json").read_text())["identified"]
     inside, nearer = [], []
@@ -100,7 +100,7 @@ def test_a_run_is_fitted_on_the_way_of_another_command_which_goes_on_without_a_f
 
 def test_one_boat_and_one_set_may_be_named(folder, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(folder)
-    work(["run", "--boat", "heron2", "--terms", "nine", "--out", str(tmp_path)])
+    work(["run", "--boat", "heron2", "--terms", "nine", "--all", "--out", str(tmp_path)])
     assert [line.startswith("nine") for line in capsys.readouterr().out.splitlines() if "(used)" in line] == [True]
     (path,) = tmp_path.glob("*.json")
     found = json.loads(path.read_text())

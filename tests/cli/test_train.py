@@ -56,7 +56,10 @@ def test_results_have_what_was_identified(finished):
 def test_terminal(finished):
     text = (finished.parent / "output.txt").read_text()
     assert all(name in text for name in (*NAMES, "heron2", "MAE", "median", "RMSE", "skill", "m/s", "surge"))
-    assert f"tensorboard --logdir {finished.name}/tensorboard" in text  # of the folder in which it was started
+    *_, fit, _, board, _, toggle, last = text.splitlines()
+    assert fit.startswith("fit          ") and toggle.startswith("Of several boats")
+    assert last == f"next         python evaluate.py {finished.name}"
+    assert board == f"TensorBoard  tensorboard --logdir {finished.name}/tensorboard"  # of the folder in which it was started
 
 
 def test_parameter_sets(finished):

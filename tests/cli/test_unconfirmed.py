@@ -65,7 +65,7 @@ def test_it_is_said_everywhere_until_it_is_confirmed(tmp_path, monkeypatch, caps
         said = f"{len(left)} guess"
         mass = ["vehicle.mass=36"] * (name == "given")
         trained = ran("my_boat.yaml", f"hydra.run.dir={name}", *mass, folder=tmp_path)
-        assert trained.stdout.count(SENTENCE) == (2 if left else 0) == 2 * (said in trained.stdout)
+        assert trained.stdout.count(SENTENCE) == bool(left) == (said in trained.stdout)
         assert [each["key"] for each in results(tmp_path / name)[SECTION]] == left
         capsys.readouterr()
         if name == "given":

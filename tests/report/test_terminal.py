@@ -178,7 +178,7 @@ BOAT = {
 def test_a_run_ends_with_a_summary_of_eight_lines():
     asked = {"mass": {"certainty": "unsure"}, "span": {"certainty": "probable"}}
     assert summary(RESULTS, asked, {"heron": BOAT}) == [
-        "data         2 findings; 2 guesses unconfirmed, 1 unsure; 7 messages and steps rejected",
+        "data         2 findings; 2 guesses unconfirmed, 1 unsure; 7 values rejected",
         "speed        2.78 m/s (2.64 to 2.91) at full command",
         "response     time constant not known; turns 27.6 °/s (26.6 to 28.6)",
         "error        0.039 m/s a step ahead; 0.120 m/s and 6.71 m 30 s ahead",

@@ -114,7 +114,7 @@ def work(arguments: Sequence[str], console: Console | None = None) -> dict[str, 
                 break
     if stopped is not None and not done:
         raise stopped
-    whole = given.all or terminal.ALL in terminal.asked
+    whole = given.all if alone else terminal.ALL in terminal.asked
     use: dict[str, Mapping[str, Quantity]] = {x.boat: displayed(x.found) for x, *_ in done if not x.doubts}
     for found, last, files in done:
         if whole or (alone and len(done) == 1):

@@ -43,7 +43,7 @@ def summary(results: Mapping[str, Any], asked: Questions, boats: Mapping[str, Qu
     unsure = sum(each["certainty"] == UNSURE for each in asked.values())
     data += f"; {len(asked)} guesses unconfirmed, {unsure} unsure" if asked else ""
     lost = sum(n for boat in results.get("rejected", {}).values() for causes in boat.values() for n in causes.values())
-    data += f"; {lost} messages and steps rejected" if lost else ""
+    data += f"; {lost} values rejected" if lost else ""
     measure = measure_of(results["measure"], "")
     errors = [f"{measure.title()} {measure.shown(results['objective'])}"] if str(measure) != f"{name}.mae" else []
     one = mean(rows[name]["mae"] for rows in results["boats"].values())
