@@ -28,7 +28,15 @@ pytestmark = pytest.mark.thorough  # the set-up of its tests takes long
 
 SCRIPT = "usvlearn/__main__.py"
 QUICKER = [each for each in QUICK[1:] if each != "~estimators.joint_averaged"]  # which tells the parameters
-MISSIONS = ["data.hours=0.5", "data.mission_minutes=10", "data.n=2", "hydra.run.dir=run", "refit=true", "--all", *QUICKER]
+MISSIONS = [
+    "data.hours=0.5",
+    "data.mission_minutes=10",
+    "data.n=2",
+    "hydra.run.dir=run",
+    "refit=true",
+    "--all",
+    *QUICKER,
+]
 
 
 @pytest.fixture(scope="module")

@@ -59,7 +59,7 @@ def test_terminal(finished):
     *_, fit, _, board, _, toggle, last = text.splitlines()
     assert fit.startswith("fit          ") and toggle.startswith("Of several boats")
     assert last == f"next         python evaluate.py {finished.name}"
-    assert board == f"TensorBoard  tensorboard --logdir {finished.name}/tensorboard"  # of the folder in which it was started
+    assert board == f"TensorBoard  tensorboard --logdir {finished.name}/tensorboard"
 
 
 def test_parameter_sets(finished):

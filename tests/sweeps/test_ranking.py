@@ -62,7 +62,11 @@ def test_settings_are_compared_with_the_default():
     assert best.difference.high < 0 < worst.difference.low
     assert best.difference.mean == pytest.approx(best.value - default.value)
     text = "\n".join(lines(SIZES, DEFAULT))
-    assert "reference" in text and " tie " in text and "1 of 3 settings ties with it" in " ".join(text.split())
+    assert (
+        "reference" in text
+        and " no difference " in text
+        and "no difference to it was found for 1 of 3 settings" in " ".join(text.split())
+    )
     assert "Reference: the default, rnn.neurons=20." in text
 
 

@@ -101,6 +101,7 @@ def _run(start: Callable[[], None], names: Callable[[str], Sequence[str]]) -> No
         _show_sweep()
         raise ConfigError(f"{sentence}; continue with: {again(Sweep.folder, None)}") from error
     finally:
+        end_progress()
         if Sweep.lock is not None:
             Sweep.lock.release()
 

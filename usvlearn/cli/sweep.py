@@ -7,6 +7,7 @@ import shlex
 import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack
 from functools import cache, partial, wraps
 from pathlib import Path
 from typing import Any, ClassVar
@@ -25,6 +26,7 @@ from usvlearn.cli.signals import defer_signals, end_deferral
 from usvlearn.composition.errors import in_one_sentence
 from usvlearn.core.lock import Lock
 from usvlearn.core.safe_yaml import has_alias
+from usvlearn.display.terminal import Activity, console
 from usvlearn.errors import ConfigError, exit_on_user_error
 from usvlearn.evaluation.objective import measure_of
 from usvlearn.runs.files import JOURNAL, RUNS, check_own
@@ -125,6 +127,7 @@ class Sweep(Callback):
     folder: Path | None = None  # of the sweep that this process has started
     lock: Lock | None = None  # of the run
     progress: Progress | None = None
+    shown: ClassVar[ExitStack] = ExitStack()  # what a terminal shows while the jobs run
     lost: ClassVar[list[int]] = []  # jobs of the sweep whose process was killed
     outlived = ""  # what a signal does not end
 
@@ -138,6 +141,7 @@ class Sweep(Callback):
     def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
         folder = Path(config.hydra.sweep.dir)
         own: Any = OmegaConf.to_container(config.hydra)
+        Sweep.shown.enter_context(Activity(console(), "the jobs"))
         with exit_on_user_error(), in_one_sentence():
             check_launcher([f"hydra/launcher={config.hydra.runtime.choices['hydra/launcher']}"])  # of any file
             check_sweep(folder, load, own)
@@ -176,10 +180,11 @@ class Sweep(Callback):
 
 
 def end_progress() -> None:
-    """Say what happened to the last jobs, if a sweep is told."""
+    """Say what happened to the last jobs, if a sweep is told; a terminal shows no activity any more."""
     if Sweep.progress is not None:
         Sweep.progress.stop()
         Sweep.progress = None
+    Sweep.shown.close()
 
 
 def cut_short(error: BaseException) -> str | None:

@@ -84,10 +84,9 @@ def explained(ensemble: Ensemble) -> list[str]:
     """A sentence about the quasi-static maps, if there are any."""
     if not (maps := _maps(ensemble)):
         return []
-    shared = f" Averages with this error: {', '.join(rules)}." if (rules := _averages(ensemble)) else ""
     return [
         f"{', '.join(maps)}: a quasi-static map, which predicts the speed from the commands, the heading and the yaw "
-        f"rate, and does not use the present speed.{shared}"
+        "rate, and does not use the present speed."
     ]
 
 

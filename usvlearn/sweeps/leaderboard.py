@@ -132,7 +132,7 @@ def _difference(each: Standing, measure: Measure | None) -> str:
         return f"{scale * found.mean:+.1f}{sign}"
     low, high = scale * found.low, scale * found.high
     if found.tie:
-        return "tie"
+        return "no difference" if found.runs > 2 else "too few runs"
     if min(abs(low), abs(high)) > LARGE:
         return f"{'>' if low > 0 else '<'} {LARGE if low > 0 else -LARGE:+.0f}{sign}"
     return " … ".join(f"{x:+.1f}" if abs(x) < 100 else f"{x:+.0f}" for x in (low, high)) + sign
@@ -202,7 +202,7 @@ def _sentences(shown: Sequence[Standing], measure: Measure | None, keys: Sequenc
 
 def _ties(found: Sequence[Difference] | Sequence[SeedDifference]) -> str:
     ties = sum(bool(each.tie) for each in found)
-    return f"{ties} of {len(found)} settings {'ties' if ties == 1 else 'tie'} with it (0 is in the interval)"
+    return f"no difference to it was found for {ties} of {len(found)} settings (0 is in the interval)"
 
 
 def _networks_differ(shown: Sequence[Standing], measure: Measure | None) -> bool:
