@@ -75,7 +75,8 @@ def test_no_line_is_broken_within_a_word(name, folder, monkeypatch, capsys):
             main(PRINTED[name])
         except SystemExit as end:
             assert not end.code
-        said[columns] = capsys.readouterr().out
+        printed = capsys.readouterr()
+        said[columns] = printed.err if "usage" in name else printed.out
     for columns in (80, 60):
         assert words(said[columns]) <= words(said[None]), words(said[columns]) - words(said[None])
         if "help" in name or "usage" in name:

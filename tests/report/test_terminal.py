@@ -16,6 +16,7 @@ import pytest
 from rich.console import Console, Group
 
 from tests.support import ROOT, over
+from usvlearn.core import jit
 from usvlearn.core.activity import doing
 from usvlearn.display.terminal import Activity, Blocks, console
 from usvlearn.estimators.joint.periodic_estimates import Identified, Quantity
@@ -246,6 +247,21 @@ def test_the_line_of_activity_shows_what_is_done_and_leaves_nothing():
         doing("reading")
     assert file.getvalue() == ""
     doing("nobody shows this")
+
+
+def test_a_compilation_is_told_in_the_line_of_activity_alone(tmp_path, monkeypatch):
+    """Printed beside it, each second would be a line."""
+    shown, errors = io.StringIO(), io.StringIO()
+    monkeypatch.setattr(jit, "folder", lambda source: tmp_path)
+    monkeypatch.setattr("sys.stderr", errors)
+    with Activity(Console(file=shown, force_terminal=True, width=80, legacy_windows=False)):
+        with jit.announced(jit.__file__, "trial"):
+            for _ in range(600):
+                time.sleep(0.1)
+                if "compiling the trial" in shown.getvalue():
+                    break
+    assert "compiling the trial, only once" in shown.getvalue() and errors.getvalue() == ""
+    assert shown.getvalue().endswith("\x1b[1A\x1b[2K") and (tmp_path / "trial").exists()
 
 
 def test_a_quiet_line_of_activity_loses_nothing_that_others_print(capsys):

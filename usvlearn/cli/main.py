@@ -48,6 +48,7 @@ Learns online from logs, and saves errors, checkpoints and predictions.
   sweep=inputs               a sweep of configs/sweep, with -m
   experiment=paper_small     the settings of configs/experiment
 
+  --all                      print all rows, not only the main ones
   --cfg job                  print the settings that these arguments make
   --config-dir FOLDER        more configurations of your own
   --help=all                 every key with its default, and every group
@@ -68,6 +69,7 @@ parameters. Of a sweep it prints the leaderboard.
   --animate               also a GIF of the tracks with their ellipses
   --paper                 also LaTeX, with figures, tables and equations
 
+  --all                   print all rows of tables
   --help=all              every key with its default
   --hydra-help            every flag""",
 }

@@ -23,7 +23,7 @@ from usvlearn.evaluation.crossval import FreeErrors, cross_validate
 from usvlearn.evaluation.diagnostics import explained, remarks
 from usvlearn.evaluation.free_simulation import free_runs
 from usvlearn.evaluation.season import Season
-from usvlearn.report.front import Front, overviews
+from usvlearn.report.front import MAIN, Front, overviews
 from usvlearn.report.page import check_report_folder, write_report
 from usvlearn.report.sections.cross import best_checkpoints, cross_section, fleet_matrices, fleet_section
 from usvlearn.report.sections.errors import forecast_section, online_section, residual_section
@@ -35,7 +35,7 @@ from usvlearn.report.sections.network import network_section
 from usvlearn.report.sections.parameters import cost_section, identified_section, parameters_section
 from usvlearn.report.sections.section import Section
 from usvlearn.report.sections.tracks import tracks_section
-from usvlearn.report.summary import FULL, RATE, SPEED, TIME, summary, undetermined
+from usvlearn.report.summary import summary, undetermined
 from usvlearn.report.tables import quoted
 from usvlearn.report.track_maps import BoatTracks, saved_tracks
 from usvlearn.report.viewer import viewer_data
@@ -149,8 +149,7 @@ def evaluate(
         tools.say(line)
     boats = {each.boat: each.quantities for each in front.boats}
     told = summary(found[-1], questions, boats) if data is None and found[-1] else []
-    wide = undetermined(boats, (SPEED, TIME, RATE, *FULL))
-    next_one = f"usvlearn {'plan' if wide else 'controller'} {quoted(folders[-1])}"
+    next_one = f"usvlearn {'plan' if undetermined(boats, MAIN) else 'controller'} {quoted(folders[-1])}"
     show("", *told, f"report       {page}", f"next         {next_one}", to=tools.console)
     return page
 

@@ -16,7 +16,6 @@ from usvlearn.evaluation.objective import measure_of
 
 NEAR = "10"  # s, the horizon of the summary, or else the longest that was judged
 SPEED, TIME, RATE = "steady_speed_full", "time_constant", "yaw_rate_full"
-FULL = "thrust_full_left", "thrust_full_right"
 Quantities = Mapping[str, Quantity]
 
 

@@ -18,7 +18,7 @@ from usvlearn.engine.identified import sentences
 from usvlearn.estimators.joint.periodic_estimates import Identified, shown
 from usvlearn.estimators.joint.quantities import MEANING
 from usvlearn.estimators.regressors.terms import SURGE
-from usvlearn.evaluation.metrics import PERSISTENCE, by_error, mean, mean_mae
+from usvlearn.evaluation.metrics import PERSISTENCE, by_error, mean
 from usvlearn.runs.compared import label
 
 TOGGLE = "Of several boats, the pages IMAGES and TEXT open empty: press TOGGLE ALL RUNS there."
@@ -41,7 +41,7 @@ def _number(value: float | None, digits: int = 4) -> str:
 
 def _cell(column: str, row: Mapping) -> str:
     value = row.get(column)
-    if column == "steps":
+    if column in ("steps", "diverged"):
         return f"{value:.0f}"
     if column == "coverage":
         return "–" if value is None else f"{value:.1%}"
@@ -67,20 +67,8 @@ def score_table(
             table.group(boat)
         for k, name in enumerate(by_error({name: row["mae"] for name, row in rows.items()})):
             row = rows[name]
-            cells = [str(row["diverged"]) if column == "diverged" else _cell(column, row) for column in columns]
+            cells = [_cell(column, row) for column in columns]
             table.add(_name(name, remarks), *cells, style="bold" if k == 0 and row["mae"] is not None else "")
-    return table
-
-
-def fleet_table(boats: Mapping[str, Mapping[str, Mapping]], remarks: Mapping[str, str] | None = None) -> Blocks:
-    """One row per estimator, by the mean MAE over boats, and one column per boat, in m/s; the best of each is bold."""
-    columns = {"mean": mean_mae(boats)}
-    columns |= {boat: {name: row["mae"] for name, row in scores.items()} for boat, scores in boats.items()}
-    best = {column: by_error(maes)[0] for column, maes in columns.items()}
-    table = Blocks("The fleet: MAE in m/s", ["estimator"], list(columns))
-    for name in by_error(columns["mean"]):
-        cells = (Text(_number(maes.get(name)), "bold" if name == best[each] else "") for each, maes in columns.items())
-        table.add(_name(name, remarks), *cells)
     return table
 
 
@@ -172,14 +160,13 @@ def error_tables(
         main: the combiner that predicts and the members of the ensemble: only it, the baseline and the best member are
             shown, means over boats where there are several; None: everything.
     """
-    boats, forecast = _short(boats, main), _short(forecast or {}, main)
-    if main and len(boats) > 1:
+    boats, forecast, several = _short(boats, main), _short(forecast or {}, main), len(boats) > 1
+    title = f"One-step prediction of surge, means of {len(boats)} boats, m/s, by MAE"
+    means = score_table({"": averaged(list(boats.values()))}, remarks, title) if several else None
+    if main and several:
         forecast = {"": averaged(list(forecast.values()))} if forecast else {}
-        title = f"One-step prediction of surge, means of {len(boats)} boats, m/s, by MAE"
-        own = score_table({"": averaged(list(boats.values()))}, remarks, title)
-        return Group(*filter(None, [own, forecast_table(forecast, False, len(boats))]))
-    fleet = fleet_table(boats, remarks) if len(boats) > 1 else None
-    tables = [score_table(boats, remarks), fleet, forecast_table(forecast, main is None)]
+        return Group(*filter(None, [means, forecast_table(forecast, False, len(boats))]))
+    tables = [score_table(boats, remarks), means, forecast_table(forecast, main is None)]
     return Group(*filter(None, tables), *map(Text, () if main else notes))
 
 
