@@ -19,7 +19,7 @@ from usvlearn.cli.signals import until_stopped
 from usvlearn.cli.sweep import do_job
 from usvlearn.composition.alignment import CheckedAlignment
 from usvlearn.composition.configuration import as_written, check_settings, ensemble_of, instantiate, plain, planar_of
-from usvlearn.core.unconfirmed import SECTION, open_questions
+from usvlearn.core.unconfirmed import SECTION, open_questions, unconfirmed
 from usvlearn.display import terminal
 from usvlearn.display.terminal import Activity
 from usvlearn.errors import check_positive
@@ -130,10 +130,12 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
         terminal.show(FIRST, to=console)
     happened = [*event_lines(found["events"], whole)[1:], *(networks if whole else ())]
     terminal.show("", *happened, *[""] * bool(happened), to=console)
-    several = len(fleet.boats) > 1
+    several, asked_still = len(fleet.boats) > 1, open_questions(settings)
+    if align.findings is None:  # nothing was checked, so that nothing was said of them
+        terminal.show(*unconfirmed(asked_still), "", to=console)
     board, *page = board_lines(folder / TENSORBOARD, f"?smoothing=0{'&runFilter=fleet%2F' * several}#timeseries")
     terminal.show(
-        *summary(found, open_questions(settings), known),
+        *summary(found, asked_still, known),
         *([board, *page, *[TOGGLE] * several] if whole else [board]),
         f"next         {program('evaluate')} {quoted(folder)}",
         to=console,
