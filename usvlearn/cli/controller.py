@@ -13,9 +13,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from usvlearn.cli.plain_command import out_folder, without_key
+from usvlearn.errors import complain
 
 if TYPE_CHECKING:
+    from usvlearn.estimators.joint.periodic_estimates import Identified
     from usvlearn.model.controller.design import Controller
+    from usvlearn.model.read_boats import IdentifiedBoat
 
 USAGE = "usage: usvlearn controller RUN [--boat NAME] [--out FOLDER] …; all options: usvlearn controller --help"
 
@@ -56,30 +59,42 @@ def work(arguments: Sequence[str]) -> None:
     given["range"] = None if given["range"] is None else tuple(given["range"])
     wanted = Wanted(**given)
     with Activity(terminal.console(), "designing"):
-        boats = read_boats(path, name)
-        for boat in boats:
+        boats, designed = read_boats(path, name), []
+        for online in boats:
+            boat, fit = with_fit(path, online)
             boat.check_physical()
-        designed = [controller(boat, wanted) for boat in boats]
-        files = [[] if folder is None else _write(folder, found) for found in designed]
+            designed.append(controller(boat, wanted, fit))
+        names = [[] if folder is None else _write(folder, found) for found in designed]
     for number, found in enumerate(designed):
         terminal.show(*([""] if number else []), *parts(found))
         if folder is not None:
-            terminal.show(f"Written to {folder}: {', '.join(files[number])}")
+            terminal.show(f"Written to {folder}: {', '.join(names[number])}")
+
+
+def with_fit(path: str, boat: IdentifiedBoat) -> tuple[IdentifiedBoat, Identified | None]:
+    """The boat as the fit of its run knows it, and its fit where it has doubts."""
+    from usvlearn.model.read_boats import read_boats
+    from usvlearn.runs.files import CHECKPOINTS
+
+    folder = Path(path).expanduser() / "fit"
+    if not (folder / CHECKPOINTS / boat.name).is_dir():
+        return boat, None
+    (fitted,) = read_boats(folder, boat.name)
+    doubts = json.loads((folder / f"{boat.name}.fit.json").read_text())["doubts"]
+    if not doubts:
+        return fitted, None
+    complain(f"warning: {boat.name}: speeds are as learned online, as its fit has doubts: {doubts[0]}")
+    return boat, fitted.found
 
 
 def _write(folder: Path, found: Controller) -> list[str]:
     """Write all files of a boat; returns their names."""
     from usvlearn.core.checkpoint import write_atomically
-    from usvlearn.model.controller.design import facts, head
+    from usvlearn.model.controller.design import facts, files
 
     name = found.boat.stem
-    files = {
-        f"{name}.controller.json": (
-            json.dumps(facts(found), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-        ).encode(),
-        f"{name}.param": found.rover.text(head(found)).encode(),
-        f"{name}_pid.moos": found.moos.text(head(found)).encode(),
-    }
-    for file, content in files.items():
-        write_atomically(folder / file, content)
-    return list(files)
+    written = {name + end: text for end, text in files(found).items()}
+    written[f"{name}.controller.json"] = json.dumps(facts(found), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    for file, content in written.items():
+        write_atomically(folder / file, content.encode())
+    return list(written)

@@ -12,6 +12,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
 from usvlearn.core.unconfirmed import SECTION, open_questions, questions_of
 from usvlearn.errors import ConfigError, check_positive, under
 from usvlearn.logs.alignment.align import Aligner, checked
@@ -34,6 +36,7 @@ class Setup:
     surge_max: float | None = None  # top speed, m/s, by which the data check judges speeds, if it is known
     reader: str | None = None  # the class that reads logs of this boat, which says what the names of channels are
     unconfirmed: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # see `usvlearn.core.unconfirmed`
+    command_period: float | None = None  # s between two commands of the first log, if it is known
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "align", {"dt": _defaults()["dt"], **self.align})
@@ -53,10 +56,12 @@ class Setup:
         for name in ("mass", "surge_max"):
             if vehicle.get(name) is not None:
                 check_positive(f"vehicle.{name}", vehicle[name])
-        reader = given.get("reader")
+        reader, period = given.get("reader"), given.get("command_period")
+        if period is not None:
+            check_positive("command_period", period, "of s")
         return cls(
             sources_of(channels), dict(align), vehicle.get("mass"), vehicle.get("surge_max"),
-            reader if isinstance(reader, str) else None, questions_of(given.get(SECTION)),
+            reader if isinstance(reader, str) else None, questions_of(given.get(SECTION)), period,
         )  # fmt: skip
 
     @classmethod
@@ -73,7 +78,9 @@ class Setup:
         """As JSON values."""
         channels = {name: x.json() if isinstance(x, Mix) else asdict(x) for name, x in self.channels.items()}
         vehicle = {"mass": self.mass, "surge_max": self.surge_max}
-        asked = {SECTION: dict(self.unconfirmed)} if self.unconfirmed else {}
+        asked: dict[str, Any] = {SECTION: dict(self.unconfirmed)} if self.unconfirmed else {}
+        if self.command_period is not None:
+            asked["command_period"] = self.command_period
         return {"channels": channels, "align": dict(self.align), "vehicle": vehicle, "reader": self.reader, **asked}
 
     @property
@@ -146,9 +153,11 @@ def setups_of(settings: Mapping[str, Any], recordings: Iterable[Recording]) -> d
         for name, each in channels.items():
             if isinstance(each, Source) and each.period == AUTO:
                 channels[name] = settled(each, one.channels.get(SURGE))
+        steps = np.diff(one.channels[COMMANDS[0]].time) if COMMANDS[0] in one.channels else np.zeros(0)
+        period = float(np.median(steps[steps > 0])) if (steps > 0).any() else None
         found[one.boat] = Setup(
             channels, dict(settings.get("align") or {}), vehicle.get("mass"), vehicle.get("surge_max"), reader,
-            open_questions(settings),
+            open_questions(settings), period,
         )  # fmt: skip
     return found
 

@@ -17,6 +17,12 @@ whose period is h = 1/AppTick. The derivative is the mean of the last nine diffe
 (2) sums up to k_p and k_i of a PI controller with speed_pid_kd = 100 k_p h and speed_pid_kp = 100 k_i h. A speed_pid_ki
 would integrate twice, and is 0. With speed_factor > 0 there is no PID: thrust = speed_factor times the wanted speed.
 
+Steering is that of (3) and (4), with the wanted heading ψ_w, the yaw rate r and the errors e of heading and yaw rate.
+ArduRover limits r_w and its change; in AUTO it is the path's yaw rate + PSC_VEL_P sin e:
+
+    r_w = ATC_STR_ANG_P e,   steering = ATC_STR_RAT_FF r_w + ATC_STR_RAT_P (r_w − r) + I              (3)
+    rudder = yaw_pid_kp e + yaw_pid_kd (e_k − e_(k−9))/(9 h) + I,   I ← I + yaw_pid_ki e h within its limit  (4)
+
 Sources: ArduPilot, AR_AttitudeControl and AC_PID, "Tuning Speed and Throttle" of the Rover's manual; MOOS-IvP,
 lib_marine_pid.
 """
@@ -24,9 +30,9 @@ lib_marine_pid.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -83,17 +89,21 @@ def draws(found: Identified, count: int, seed: int = 0) -> np.ndarray:
 
 
 def simulate(
-    boat: Ahead, delay: np.ndarray, law: RoverLaw | MoosLaw, wanted: Sequence[float], hold: float
-) -> Responses:
-    """Boats from rest that are to have some speeds in turn.
+    boat: Any, delay: np.ndarray, law: Any, wanted: Sequence[float] | np.ndarray, hold: float,
+    step: Callable[..., np.ndarray] | None = None, start: np.ndarray | float = 0.0,
+) -> Responses:  # fmt: skip
+    """Boats, by default from rest, that are to have some speeds or headings in turn.
 
     Args:
-        boat: of parameters `(boats, m)`.
+        boat: what `step` takes: of speeds, an `Ahead` of parameters `(boats, m)`.
         delay: of the commands, s, `(boats,)`.
         law: the controller.
-        wanted: speeds, m/s, each for `hold` s.
+        wanted: speeds, m/s, or headings, rad, each for `hold` s.
         hold: s.
+        step: the state h s later, of a boat, a state, commands and h; by default `ahead_step`.
+        start: the state, `(boats,)`, or `(…, boats)` of which the first row is controlled.
     """
+    step = step or ahead_step
     boats = len(delay)
     substeps = math.ceil(law.period / STEP)
     h = law.period / substeps
@@ -102,7 +112,7 @@ def simulate(
     law.start(boats)
     total = ticks * len(wanted) * substeps
     time, target = h * np.arange(1, total + 1), np.repeat(np.asarray(wanted, float), ticks * substeps)
-    sent, speed, v = np.zeros((total, boats)), np.zeros((total, boats)), np.zeros(boats)
+    sent, speed, v = np.zeros((total, boats)), np.zeros((total, boats)), np.zeros(boats) + start
     column = np.arange(boats)
     for k in range(total):
         if k % substeps == 0:
@@ -110,8 +120,8 @@ def simulate(
         sent[k] = given
         place = k - late
         xi = np.where(place >= 0, sent[np.maximum(place, 0), column], 0.0)
-        v = ahead_step(boat, v, xi, h)
-        speed[k] = v
+        v = step(boat, v, xi, h)
+        speed[k] = v if v.ndim == 1 else v[0]
     return Responses(time, target, speed, sent)
 
 
@@ -192,10 +202,11 @@ class Rover(NamedTuple):
             "ATC_BRAKE": (0.0, "no thrust astern to brake: the controller was designed ahead only"),
         }
 
-    def text(self, head: list[str]) -> str:
-        """A parameter file, NAME,VALUE lines."""
-        lines = [f"{name},{value:g}  # {comment}" for name, (value, comment) in self.parameters().items()]
-        return "\n".join([*(f"# {line}" for line in head), *lines, ""])
+
+def rover_text(parameters: Mapping[str, tuple[float, str]], head: list[str]) -> str:
+    """A parameter file, NAME,VALUE lines."""
+    lines = [f"{name},{value:g}  # {comment}" for name, (value, comment) in parameters.items()]
+    return "\n".join([*(f"# {line}" for line in head), *lines, ""])
 
 
 class RoverLaw:
@@ -248,7 +259,7 @@ class Moos(NamedTuple):
         """Mean delay of (2), s."""
         return (DIFFERENCES / 2) / self.tick
 
-    def text(self, head: list[str]) -> str:
+    def text(self, head: list[str], yaw: MoosYaw | None = None) -> str:
         """The lines of a configuration block."""
         entries = [
             (f"AppTick = {self.tick}", "Hz; the gains hold for this AppTick only"),
@@ -265,6 +276,16 @@ class Moos(NamedTuple):
             ("speed_pid_integral_limit = 0", "% of thrust, of speed_pid_ki"),
             ("maxthrust = 100", "%: full command on both sides"),
         ]
+        if yaw is not None:
+            entries += [
+                (f"yaw_pid_kp = {yaw.kp:.4g}", "% of rudder per degree"),
+                (f"yaw_pid_kd = {yaw.kd:.4g}", "% of rudder per degree/s"),
+                (f"yaw_pid_ki = {yaw.ki:.4g}", "% of rudder per degree and s"),
+                (f"yaw_pid_integral_limit = {yaw.limit:g}", "% of rudder"),
+                ("maxrudder = 100", "%: left = thrust + rudder, right = thrust -"),
+                ("", "rudder"),
+            ]
+        own = "yaw and depth" if yaw is None else "depth"
         lines = [f"  {entry:<30}{'// ' + comment if comment else ''}".rstrip() for entry, comment in entries]
         top = [f"// {line}" for line in head]
         if self.late > self.period / 2 + 1e-9:
@@ -273,7 +294,7 @@ class Moos(NamedTuple):
             )
             top.append(f"// design them with --period {2 * self.late:.2g}")
         return "\n".join(
-            [*top, "ProcessConfig = pMarinePIDV22", "{", *lines, "  // keep your own lines for yaw and depth", "}", ""]
+            [*top, "ProcessConfig = pMarinePIDV22", "{", *lines, f"  // keep your own lines for {own}", "}", ""]
         )
 
 
@@ -289,10 +310,87 @@ class MoosLaw:
 
     def command(self, wanted: float, speed: np.ndarray) -> np.ndarray:
         error = wanted - speed
+        out = np.clip(self.moos.kp * error + self.moos.kd * self.slope(error), -100.0, 100.0)
+        self.thrust = np.clip(self.thrust + out, 0.0, 100.0)
+        return self.thrust / 100
+
+    def slope(self, error: np.ndarray) -> np.ndarray | float:
+        """The mean of the last differences."""
         if self.begun:
             self.slopes = [(error - self.before) / self.period, *self.slopes][:DIFFERENCES]
-        slope = np.mean(self.slopes, axis=0) if self.slopes else 0.0
-        out = np.clip(self.moos.kp * error + self.moos.kd * slope, -100.0, 100.0)
-        self.thrust = np.clip(self.thrust + out, 0.0, 100.0)
         self.before, self.begun = error, True
-        return self.thrust / 100
+        return np.mean(self.slopes, axis=0) if self.slopes else 0.0
+
+
+class MoosYaw(NamedTuple):
+    """Parameters of the heading's PID of pMarinePIDV22, in % of full rudder."""
+
+    kp: float  # per deg
+    kd: float  # per deg/s
+    ki: float  # per deg and s
+    limit: float  # of the integral
+
+
+class MoosYawLaw(MoosLaw):
+    """(4), sampled."""
+
+    def __init__(self, yaw: MoosYaw, tick: int):
+        self.yaw, self.period = yaw, 1 / tick
+
+    def command(self, wanted: float, x: np.ndarray) -> np.ndarray:
+        error, own = np.degrees(wanted - x[0]), self.yaw
+        self.thrust = np.clip(self.thrust + own.ki * error * self.period, -own.limit, own.limit)  # the integral
+        return np.clip(own.kp * error + own.kd * self.slope(error) + self.thrust, -100.0, 100.0) / 100
+
+
+class Cascade(NamedTuple):
+    """A PI controller of the yaw rate inside a P controller of the heading, as ArduRover and PX4 have them."""
+
+    feedforward: float  # share of full steering per rad/s
+    proportional: float  # likewise
+    integral: float  # per rad
+    angle: float  # 1/s
+    rate: float  # rad/s, limit
+    acceleration: float  # rad/s², limit
+
+
+class CascadeLaw:
+    """(3), sampled.
+
+    Args:
+        cascade: the parameters.
+        period: s.
+        base: command of both sides; where it leaves no more steering, ArduRover's integral only shrinks.
+        px4: the form of PX4: the wanted heading changes no faster than the limit of the yaw rate.
+    """
+
+    def __init__(self, cascade: Cascade, period: float, base: float, px4: bool = False):
+        self.own, self.period, self.base, self.px4 = cascade, period, base, px4
+        self.auto: float | None = None  # gain of the heading in AUTO, where the wanted yaw rate is known
+
+    def start(self, boats: int) -> None:
+        self.goal, self.turn, self.integral = np.zeros(boats), np.zeros(boats), np.zeros(boats)
+        self.limited, self.last = np.zeros(boats, bool), 0.0
+
+    def command(self, wanted: float, x: np.ndarray) -> np.ndarray:
+        own, h, (heading, r) = self.own, self.period, x[:2]
+        goal = self.goal + np.clip(wanted - self.goal, -own.rate * h, own.rate * h)
+        slow = self.px4 & (np.abs(goal - heading) <= np.abs(wanted - heading))
+        self.goal = np.where(slow, goal, wanted)
+        error = self.goal - heading
+        if self.px4:
+            turn = np.clip(own.angle * error, -own.rate, own.rate)
+        elif self.auto is not None:
+            turn = (wanted - self.last) / h + self.auto * np.sin(error)
+        else:
+            stop = np.sqrt(2 * own.acceleration * np.abs(error))
+            turn = np.clip(own.angle * error, -stop, stop)
+        self.last = wanted
+        change = np.clip(turn - self.turn, -own.acceleration * h, own.acceleration * h)
+        self.turn = np.clip(self.turn + change, -own.rate, own.rate)
+        error = self.turn - r
+        free = ~self.limited | (self.integral * error < 0)
+        self.integral = np.where(free, np.clip(self.integral + own.integral * error * h, -1, 1), self.integral)
+        out = own.feedforward * self.turn + own.proportional * error + self.integral
+        self.limited = ~np.full(out.shape, self.px4) & (np.abs(out) >= 1 - self.base)
+        return np.clip(out, -1, 1)

@@ -26,10 +26,13 @@ from usvlearn.model.controller.closed_loop import (
     RoverLaw,
     Step,
     draws,
+    rover_text,
     simulate,
     steps_of,
 )
-from usvlearn.model.controller.gains import Feedforward, Gains, Linearised, Margins, design, linearised
+from usvlearn.model.controller.gains import Feedforward, Gains, Linearised, Margins, design, late_of, linearised
+from usvlearn.model.controller.steering import Steering, Trial, steering, trials
+from usvlearn.model.controller.steering import parts as parts_of_steering
 from usvlearn.model.read_boats import IdentifiedBoat
 
 POINTS, MOST_BOATS = 9, 5000  # operating speeds; boats of the closed loop
@@ -38,11 +41,12 @@ SPARE = 1.3  # of the integral's limit, over what the feedforward errs
 LEAST_INTEGRAL = 0.1
 OVERSHOOT, TRIED = 0.2, 50  # of 95 % of so many boats: ArduRover's limits of acceleration are lowered until then
 SHARES = (1.0, 0.7, 0.5, 0.35, 0.25)  # shares of the accelerations that can be held
-PERIOD = 0.2  # s, of a loop: ArduRover keeps it easily, and pMarinePID at 45 Hz
+PERIOD, LONGEST_PERIOD = 0.2, 0.5  # s, of a loop, where the log tells none; of a log
 LEAST_ACCELERATION = 0.02  # m/s²: 0 would switch the limit off
 HOLD = 15.0  # time constants between two steps
 BOUNDS = {"speed": (0.01, 50.0), "bandwidth": (0.01, 50.0), "damping": (0.1, 10.0), "period": (0.01, 2.0)}  # m/s … s
-LONGEST_DELAY, LEAST_RANGE = 10.0, 0.05  # s; m/s
+LEAST_RANGE = 0.05  # m/s
+PARAM, MOOS, PX4 = ".param", "_pid.moos", "_px4.params"  # ends of files' names
 
 
 class Wanted(NamedTuple):
@@ -82,6 +86,8 @@ class Controller(NamedTuple):
     rover: Rover
     moos: Moos
     loops: tuple[Loop, ...]
+    steering: Steering | str  # or why there is none
+    trials: list[Trial]  # of the steering
 
     @property
     def delay(self) -> float:
@@ -89,8 +95,19 @@ class Controller(NamedTuple):
         return self.late + self.period / 2
 
 
-def controller(boat: IdentifiedBoat, wanted: Wanted | None = None) -> Controller:
+def proposed(setup: Setup | None) -> float:
+    """The period of the loop, s: that of the commands in the log from which it was learned."""
+    logged = None if setup is None else setup.command_period
+    return PERIOD if logged is None else min(max(logged, ROVER_PERIOD), LONGEST_PERIOD)
+
+
+def controller(boat: IdentifiedBoat, wanted: Wanted | None = None, fit: Identified | None = None) -> Controller:
     """Design it, and sail it on boats drawn from the intervals.
+
+    Args:
+        boat: whose speed is controlled.
+        wanted: options.
+        fit: which tells its turning; by default that of the boat.
 
     Raises:
         ConfigError: the boat is not identified well enough, or an option is not legal.
@@ -111,9 +128,10 @@ def controller(boat: IdentifiedBoat, wanted: Wanted | None = None) -> Controller
     low, high = _range(name, forward, wanted)
     speeds = np.linspace(low, high, POINTS)
     linear = linearised(name, found, forward.at(speeds))
-    late, spread = _late(name, found, boat.setup, wanted.delay)
-    period = PERIOD if wanted.period is None else wanted.period
-    gains, left = design(name, linear, max(late + NINETY * spread, 0.0) + period / 2, wanted.bandwidth, wanted.damping)
+    before, late, spread = late_of(name, found, boat.setup, wanted.delay)
+    most = max(late + NINETY * spread, 0.0)
+    period = proposed(boat.setup) if wanted.period is None else wanted.period
+    gains, left = design(name, linear, most + period / 2, wanted.bandwidth, wanted.damping)
     cruise = wanted.speed if wanted.speed is not None else (low + high) / 2
     up, down = (_force(found, speeds, full) for full in (1.0, 0.0))
     theta = draws(found, wanted.boats, wanted.seed)
@@ -136,10 +154,11 @@ def controller(boat: IdentifiedBoat, wanted: Wanted | None = None) -> Controller
             break
     rover, moos = slower, Moos.of(gains.proportional, gains.integral, rover.slope, period)
     loops = loop("ArduRover", RoverLaw(rover, period)), loop("MOOS-IvP", MoosLaw(moos))
+    steer = steering(fit or found, speeds, forward.at(speeds), cruise, before, period, moos.tick)
+    sailed = [] if isinstance(steer, str) else trials(steer, before, period, moos.tick, wanted.seed)
     return Controller(
-        boat, forward, speeds, linear, max(late + NINETY * spread, 0.0), period, gains, left, up, down, rover,
-        moos, loops,
-    )  # fmt: skip
+        boat, forward, speeds, linear, most, period, gains, left, up, down, rover, moos, loops, steer, sailed
+    )
 
 
 def _range(name: str, forward: Feedforward, wanted: Wanted) -> tuple[float, float]:
@@ -166,22 +185,6 @@ def _range(name: str, forward: Feedforward, wanted: Wanted) -> tuple[float, floa
     return low, high
 
 
-def _late(name: str, found: Identified, setup: Setup | None, given: float | None) -> tuple[float, float]:
-    """How late the commands act, s, and the standard deviation: `delay` of the commands and of the speed, and the
-    identified lag.
-    """
-    if given is not None:
-        if not 0 <= given <= LONGEST_DELAY:
-            raise ConfigError(f"--delay: found {given!r}, expected 0 to {LONGEST_DELAY:g} s")
-        return given, 0.0
-    if setup is None:
-        raise ConfigError(f"{name}: the checkpoint does not tell the step of its samples: give --delay")
-    aligned = setup.aligned
-    before = max(aligned[f"command_{side}"].delay for side in SIDES)
-    late, deviation = found.lag(float(setup.align["dt"]))
-    return before + late, deviation
-
-
 def _force(found: Identified, speeds: np.ndarray, command: float) -> Curve:
     """Acceleration at full command, or deceleration with both thrusters off, m/s²."""
     beside = found.beside
@@ -202,6 +205,21 @@ def _rover(forward: Feedforward, speeds: np.ndarray, cruise: float, gains: Gains
     most = min(1.0, max(LEAST_INTEGRAL, math.ceil(100 * SPARE * float(np.max(errors))) / 100))
     ends = (max(LEAST_ACCELERATION, float(np.interp(cruise, speeds, each.low))) for each in (up, down))
     return Rover(cruise, throttle, gains.proportional, gains.integral, most, *ends)
+
+
+def ardurover(found: Controller) -> dict[str, tuple[float, str]]:
+    """Value and comment by name."""
+    return found.rover.parameters() | ({} if isinstance(found.steering, str) else found.steering.ardurover())
+
+
+def files(found: Controller) -> dict[str, str]:
+    """What is written for the autopilots, by the ends of the files' names."""
+    steer, top = found.steering, head(found)
+    written = {PARAM: rover_text(ardurover(found), top), MOOS: found.moos.text(top)}
+    if isinstance(steer, str):
+        return written
+    lines = [f"1\t1\t{name}\t{value:.6g}\t9" for name, value in steer.px4().items()]
+    return written | {MOOS: found.moos.text(top, steer.moos), PX4: "\n".join([*(f"# {x}" for x in top), *lines, ""])}
 
 
 def facts(found: Controller) -> dict[str, Any]:
@@ -248,7 +266,8 @@ def facts(found: Controller) -> dict[str, Any]:
             "bandwidth_rad_s": list(left.bandwidth),
             "crossover_rad_s": list(left.crossover),
         },
-        "ardurover": {name: value for name, (value, _) in found.rover.parameters().items()},
+        "steering": _steering(found),
+        "ardurover": {name: value for name, (value, _) in ardurover(found).items()},
         "moos": found.moos._asdict(),
         "closed_loop": {
             loop.name: [
@@ -270,6 +289,19 @@ def facts(found: Controller) -> dict[str, Any]:
     }
 
 
+def _steering(found: Controller) -> Any:
+    steer = found.steering
+    if isinstance(steer, str):
+        return {"none": steer}
+    return {
+        "speed_m_s": steer.speed,
+        "delay_s": steer.delay,
+        **{name: each._asdict() for name, each in (("moos", steer.moos), ("yaw_rate", steer.cascade))},
+        "px4": steer.px4(),
+        "heading_rms_deg": {f"{each.autopilot} {each.gains}": float(np.median(each.rms)) for each in found.trials},
+    }
+
+
 def _finite(value: Any) -> float | None:
     return float(value) if math.isfinite(value) else None
 
@@ -279,7 +311,9 @@ def head(found: Controller) -> list[str]:
     gains, left, speeds = found.gains, found.margins, found.speeds
     name, file = found.boat.name, found.boat.path.name
     return [
-        printable(f"{name}: speed controller by usvlearn controller, from {file}").encode("ascii", "replace").decode(),
+        printable(f"{name}: speed and steering by usvlearn controller, from {file}")
+        .encode("ascii", "replace")
+        .decode(),
         f"for {speeds[0]:.2f} to {speeds[-1]:.2f} m/s, a loop of {found.period:g} s or faster, and "
         f"{found.late:.2f} s of delay of the commands",
         f"poles at {gains.bandwidth:.2f} rad/s with damping {gains.damping:.2f}; worst margins over the 90 % "
@@ -291,7 +325,7 @@ def head(found: Controller) -> list[str]:
 
 def parts(found: Controller) -> Iterator[str | Text | Blocks]:
     """All of it, for a terminal: sentences, tables, and lines of files, which are not broken."""
-    yield printable(f"{found.boat.name}: speed controller from {found.boat.path.name}")
+    yield printable(f"{found.boat.name}: speed and steering from {found.boat.path.name}")
     yield found.boat.found.basis
     yield from found.boat.lacks
     yield ""
@@ -301,11 +335,12 @@ def parts(found: Controller) -> Iterator[str | Text | Blocks]:
     yield ""
     yield from _closed_loop(found)
     yield ""
-    yield "ArduRover, a parameter file"
-    yield from map(Text, found.rover.text([]).rstrip().splitlines())
+    yield from parts_of_steering(found.steering, found.trials)
     yield ""
-    yield "MOOS-IvP, a block of the mission file"
-    yield from map(Text, found.moos.text([]).rstrip().splitlines())
+    for name, text in files(found).items():
+        yield {PARAM: "ArduRover, a parameter file", MOOS: "MOOS-IvP, a block of the mission file"}.get(name, "PX4")
+        yield from (Text(line.expandtabs(2)) for line in text.splitlines() if line[:1] != "#" and line[:2] != "//")
+        yield ""
 
 
 def _feedforward(found: Controller) -> Iterator[str | Blocks]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,10 +21,12 @@ from usvlearn.errors import ConfigError
 from usvlearn.estimators.joint.curves import Curve, banded
 from usvlearn.estimators.joint.periodic_estimates import Identified
 from usvlearn.estimators.joint.quantities import SIDES
+from usvlearn.logs.setup import Setup
 
 FASTEST, DELAYED, SLOWEST_INTEGRAL = 4.0, 0.5, 4.0  # of (4)
 PHASE, GAIN = 45.0, 6.0  # deg, dB: least margins of the default bandwidth
 SLOWER = 0.95  # from one trial of the bandwidth to the next
+LONGEST_DELAY = 10.0  # s
 GRID = np.geomspace(1e-3, 1e2, 2000)  # rad/s
 
 
@@ -59,6 +61,19 @@ class Margins(NamedTuple):
     delay: float  # s, by which the loop may be later before it is unstable
     bandwidth: tuple[float, float]  # rad/s, least and greatest: where the closed loop has −3 dB
     crossover: tuple[float, float]  # rad/s, least and greatest: where the open loop has 0 dB
+
+
+def late_of(name: str, found: Identified, setup: Setup | None, given: float | None) -> tuple[float, float, float]:
+    """How late the commands act, s: `delay` of the logged commands, that and the identified lag, and its deviation."""
+    if given is not None:
+        if not 0 <= given <= LONGEST_DELAY:
+            raise ConfigError(f"--delay: found {given!r}, expected 0 to {LONGEST_DELAY:g} s")
+        return given, given, 0.0
+    if setup is None:
+        raise ConfigError(f"{name}: the checkpoint does not tell the step of its samples: give --delay")
+    before = max(setup.aligned[f"command_{side}"].delay for side in SIDES)
+    late, deviation = found.lag(float(setup.align["dt"]))
+    return before, before + late, deviation
 
 
 def linearised(name: str, found: Identified, commands: np.ndarray) -> Linearised:
@@ -105,35 +120,27 @@ def poles(crossover: float, time_constant: float) -> tuple[float, float]:
 
 
 def margins(gains: Gains, a: np.ndarray, b: np.ndarray, delay: float) -> Margins:
-    """The worst margins over the corners a < 0, 1/s, and b > 0, m/s², `(corners,)`, at a delay in s.
+    """The worst margins over the corners a < 0, 1/s, and b > 0, m/s², `(corners,)`, at a delay in s."""
+    s = 1j * GRID[:, None]
+    return worst((gains.proportional + gains.integral / s) * b / (s - a) * np.exp(-s * delay))
 
-    The open loop falls with frequency, so that it crosses 0 dB once, at
-    ω⁴ + (a² − b² k_p²) ω² − b² k_i² = 0.
-    """
-    k_p, k_i = gains.proportional, gains.integral
-    half = (a * a - (b * k_p) ** 2) / 2
-    crossover = np.sqrt(-half + np.sqrt(half * half + (b * k_i) ** 2))
 
-    def phase(w):
-        return -np.arctan2(k_i, k_p * w) - np.arctan2(w, -a) - w * delay
+def worst(loop: np.ndarray) -> Margins:
+    """The worst margins of open loops at `GRID`, `(points, corners)`, that fall and begin between 0 and −180°."""
+    level, w = np.log(np.abs(loop)), np.broadcast_to(np.log(GRID)[:, None], loop.shape)
+    over = np.unwrap(np.angle(loop), axis=0) + np.pi
 
-    def loop(w):
-        return (k_p + k_i / (1j * w)) * b / (1j * w - a) * np.exp(-1j * w * delay)
+    def where_falls(y: np.ndarray, of: np.ndarray) -> np.ndarray:
+        """Another array where y first falls through 0; infinite where it does not."""
+        falls = (y[:-1] > 0) & (y[1:] <= 0)
+        at = falls.argmax(0)[None]
+        (first, second), (begin, end) = ([np.take_along_axis(x, at + k, 0)[0] for k in (0, 1)] for x in (y, of))
+        return np.where(falls.any(0), begin + first / (first - second) * (end - begin), np.inf)
 
-    left = np.pi + phase(crossover)
-    w = GRID[:, None]
-    over = phase(w) + np.pi
-    crossed = (over[:-1] > 0) & (over[1:] <= 0)
-    at = crossed.argmax(0)
-    share = np.take_along_axis(over, at[None], 0)[0]
-    share = share / (share - np.take_along_axis(over, at[None] + 1, 0)[0])
-    turning = GRID[at] + share * (GRID[at + 1] - GRID[at])
-    gain = np.where(crossed.any(0), -20 * np.log10(np.abs(loop(turning))), np.inf)
-    closed = np.abs(loop(w) / (1 + loop(w)))
-    dropped = (closed < np.sqrt(0.5)).argmax(0)
-    bandwidth = GRID[dropped]
+    crossover, left = np.exp(where_falls(level, w)), where_falls(level, over)
+    bandwidth = GRID[(np.abs(loop / (1 + loop)) < np.sqrt(0.5)).argmax(0)]
     return Margins(
-        float(gain.min()),
+        20 / math.log(10) * float(where_falls(over, -level).min()),
         float(np.degrees(left).min()),
         float((left / crossover).min()),
         (float(bandwidth.min()), float(bandwidth.max())),
@@ -142,7 +149,7 @@ def margins(gains: Gains, a: np.ndarray, b: np.ndarray, delay: float) -> Margins
 
 
 def design(
-    name: str, linear: Linearised, delay: float, bandwidth: float | None = None, damping: float | None = None
+    name: str, linear: Any, delay: float, bandwidth: float | None = None, damping: float | None = None
 ) -> tuple[Gains, Margins]:
     """Gains, and their worst margins.
 
@@ -150,7 +157,7 @@ def design(
 
     Args:
         name: of the boat, for errors.
-        linear: the boat.
+        linear: the boat, as a `Linearised` whose `corners` are used.
         delay: L, s.
         bandwidth: ω, rad/s; by default that of (4).
         damping: ζ; by default that of (4), or 1 with a bandwidth.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from usvlearn.model.fit.intervals import OWN_ERROR, disagreement, intervals, spr
 from usvlearn.model.fit.logs import DT
 from usvlearn.model.fit.quantities import CurvedAhead, quantities
 from usvlearn.model.fit.terms import NAMES, SETS, TIME_CONSTANT, by_name, prior
+from usvlearn.model.fit.turning_kernel import PARAMETERS
 from usvlearn.model.surge import SurgeModel
 
 SPEEDS = ("steady_speed_full", "steady_speed_half", "steady_speed_quarter")
@@ -33,6 +34,14 @@ FITTED = "fit"  # of a checkpoint's metadata
 LAGS = LAG, TIME_CONSTANT
 
 
+class Turning(NamedTuple):
+    """The fit of turning (`usvlearn.model.fit.turning`)."""
+
+    theta: np.ndarray  # (m,)
+    covariance: np.ndarray  # (m, m)
+    explained: float  # share of the yaw rate's mean square
+
+
 @dataclass(frozen=True, repr=False)
 class FittedBoat(Identified):
     """The quantities of a fitted boat; `theta` and `covariance` are of the fitted parameters, by `names`."""
@@ -40,6 +49,7 @@ class FittedBoat(Identified):
     terms: str = "nine"  # a name of `terms.SETS`
     top: float = 1.0  # m/s, top speed of the prior and of the nodes of drag
     late: float = 0.0  # s by which the measured speeds followed the commands, beside the lag of the thrust
+    turning: Turning | None = None  # None where the boat hardly turned, and of a fit of an earlier version
 
     @classmethod
     def of(
@@ -119,6 +129,7 @@ class FittedBoat(Identified):
             },
             "common": self.beside.common,
             "late": self.late,
+            "turning": self.turning and [np.asarray(each).tolist() for each in self.turning],
             "lacks": list(self.lacks),
             "basis": self.basis,
         }
@@ -150,10 +161,16 @@ class FittedBoat(Identified):
             if missing := [name for name in QUANTITIES if name not in found and name != "mass"]:
                 raise KeyError(missing[0])
             lacks, basis = tuple(map(str, facts["lacks"])), str(facts["basis"])
+            turning = None
+            if facts.get("turning") is not None:
+                own, spread_of, explained = facts["turning"]
+                turning = Turning(np.array(own, float), np.array(spread_of, float), float(explained))
+                if not (np.shape(own), np.shape(spread_of)) == ((PARAMETERS,), (PARAMETERS,) * 2):
+                    raise ValueError("its turning has other parameters")
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise CheckpointError(f"its fit is damaged ({error!r}): run usvlearn fit again") from error
         impossible = unphysical({name: found[name] for name in POSITIVE_OF_BOATS})
         turns, own = ({name: found.pop(name) for name in names if name in found} for names in (TURNING, OF_FIT))
         lacks = tuple(x for x in lacks if x != impossible)
         made = cls._made(terms, top, mass, theta, covariance, found, common, lacks, basis, late)
-        return replace(joined(made, turns, ()), quantities=made.quantities | turns | own)
+        return replace(joined(made, turns, ()), quantities=made.quantities | turns | own, turning=turning)

@@ -141,8 +141,9 @@ def fit_boat(
         made, lag = FittedBoat.of(missions, fits, scores, name, mass, lacks, steps * DT), 0.0
         if turning is not None:
             both = zip(missions.rows, missions.simulate(fits[name], True), strict=True)
-            turns = fitted((prepared(each, top, end) for each, (_, end) in both), turning.theta)
-            made = with_ground(with_turning(made, turns), rows)
+            sailed = [prepared(each, top, end) for each, (_, end) in both]
+            turns = fitted(sailed, turning.theta)
+            made = with_ground(with_turning(made, turns, sailed), rows)
             lag = 0.0 if HARDLY in made.lacks else float(natural(turns.theta)[LAG_OF_TURNS])
         return Fitted(boat, missions, fits, scores, name, made, errors, online=online, lag=lag)
 

@@ -23,7 +23,7 @@ from usvlearn.estimators.axis.turning_quantities import INNER, OF_FIT, QUANTITIE
 from usvlearn.estimators.joint.excitation_warnings import Quantity
 from usvlearn.estimators.joint.quantities import COMMANDS
 from usvlearn.model.fit import turning_kernel as at
-from usvlearn.model.fit.boat import FittedBoat
+from usvlearn.model.fit.boat import FittedBoat, Turning
 from usvlearn.model.fit.gauss_newton import Fit
 from usvlearn.model.fit.intervals import spread
 from usvlearn.model.fit.logs import DT as GRID
@@ -111,6 +111,33 @@ def first_fit(missions: Mapping[str, np.ndarray], top: float) -> tuple[dict[str,
     return found, fit
 
 
+def push(p: np.ndarray, xi: np.ndarray, u: np.ndarray | float) -> np.ndarray:
+    """τ of (1) of the kernel, rad/s², of commands at speeds u over the top speed; p is `(m, …)`."""
+    c = np.maximum(np.abs(xi) - p[at.DEAD], 0.0) / (1 - p[at.DEAD])
+    found: np.ndarray = np.where(xi > 0, c, -p[at.ASTERN] * c) * (p[at.K1] + p[at.LOSS] * u + p[at.K2] * c)
+    return found
+
+
+def rate(p: np.ndarray, left: np.ndarray, right: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """The steady yaw rate, rad/s; arguments as of `push`."""
+    turn = push(p, left, u) - p[at.SIDE] * push(p, right, u) + p[at.RUDDER] * u * u * (left - right) + p[at.BIAS]
+    return np.asarray(balance(-p[at.D1], -(p[at.D0] + p[at.D2] * u), turn))
+
+
+def explained(fit: Fit, missions: Sequence[np.ndarray]) -> float:
+    """The share of the yaw rate's mean square that the commands explain, without any heading measured on the way."""
+    p, m, missed, whole = natural(fit.theta), at.PARAMETERS, 0.0, 0.0
+    for rows in missions:
+        alone, rates = rows.copy(), np.zeros((2, len(rows), 2))
+        begun = np.cumsum(np.isfinite(rows[:, at.HEADING])) > 1
+        alone[begun & np.append(False, rows[:-1, MODE] >= PREDICT), at.HEADING :] = np.nan
+        for each, out in zip((rows, alone), rates, strict=True):
+            at.turned(each, p, np.zeros(m), np.zeros((m, m)), out, np.zeros((12, m)))
+        measured, predicted = rates[:, np.isfinite(rates[..., 0]).all(0), 0]
+        missed, whole = missed + np.sum((measured - predicted) ** 2), whole + np.sum(measured**2)
+    return float(1 - missed / whole) if whole else 0.0
+
+
 def quantities(theta: np.ndarray, boat: FittedBoat, faster: np.ndarray) -> dict[str, np.ndarray]:
     """The quantities of turning by name, `(n,)`, of θ, `(n, m)`, with speeds times exp(`faster`), `(n,)`. The surge has
     the speed of one command with the thrust of both sides; under full difference the boat creeps ahead.
@@ -118,29 +145,24 @@ def quantities(theta: np.ndarray, boat: FittedBoat, faster: np.ndarray) -> dict[
     p, surge, top = natural(theta).T, boat.ahead(boat.theta), boat.top
     outer, inner = np.array([[1.0, -1.0], *([x, INNER * x] for x in COMMANDS.values())]).T
     left, right = np.stack([outer, inner])[..., None], np.stack([inner, outer])[..., None]  # to starboard, to port
-
-    def side(xi: np.ndarray, u: np.ndarray | float) -> np.ndarray:  # τ of (1) of the kernel
-        c = np.maximum(np.abs(xi) - p[at.DEAD], 0.0) / (1 - p[at.DEAD])
-        return np.where(xi > 0, c, -p[at.ASTERN] * c) * (p[at.K1] + p[at.LOSS] * u + p[at.K2] * c)
-
-    def rate(u: np.ndarray) -> np.ndarray:
-        push = side(left, u) - p[at.SIDE] * side(right, u) + p[at.RUDDER] * u * u * (left - right) + p[at.BIAS]
-        return np.asarray(balance(-p[at.D1], -(p[at.D0] + p[at.D2] * u), push))
-
-    mean = np.maximum(side(left, 0.0) + p[at.SIDE] * side(right, 0.0), 0.0) / (1 + p[at.SIDE])
+    mean = np.maximum(push(p, left, 0.0) + p[at.SIDE] * push(p, right, 0.0), 0.0) / (1 + p[at.SIDE])
     both = p[at.DEAD] + (1 - p[at.DEAD]) * balance(-p[at.K2], -p[at.K1], mean)
     both = np.where((both > 0) & (both < 1.2), both, (left + right) / 2)  # without a curve, as of a rudder alone
     low, high = np.zeros(both.shape), np.full(both.shape, FASTEST * top)
     for _ in range(HALVINGS):
         u = (low + high) / 2
-        up = surge.motion(u, both)[0] + boat.every(boat.theta)[AT["drag_cross"]] * np.abs(rate(u / top)) * u > 0
+        up = (
+            surge.motion(u, both)[0]
+            + boat.every(boat.theta)[AT["drag_cross"]] * np.abs(rate(p, left, right, u / top)) * u
+            > 0
+        )
         low, high = np.where(up, u, low), np.where(up, high, u)
-    u, r = u * np.exp(faster), rate(u * np.exp(faster) / top)
+    u, r = u * np.exp(faster), rate(p, left, right, u * np.exp(faster) / top)
     constants = [1 / (p[at.D0] + p[at.D2] * speed / top) for speed in (boat["steady_speed_half"].value, 0.0)]
     return dict(zip(QUANTITIES, [*(r[0] - r[1]) / 2, *((u[0] + u[1]) / (r[0] - r[1]))[1:], *constants], strict=True))
 
 
-def with_turning(boat: FittedBoat, fit: Fit) -> FittedBoat:
+def with_turning(boat: FittedBoat, fit: Fit, missions: Sequence[np.ndarray] = ()) -> FittedBoat:
     """The fitted boat with the quantities of turning behind those of the surge; NaN if it hardly turned."""
     m, steps, P, lag = at.PARAMETERS, STEP * np.diag(DEVIATION), spread(fit), natural(fit.theta)[at.LAG]
     found, vague = {}, False
@@ -166,4 +188,5 @@ def with_turning(boat: FittedBoat, fit: Fit) -> FittedBoat:
         found[name] = Quantity(value, max(value - half, 0.0), value + half, OF_FIT[name])
     lacks = (NO_DEAD,) if math.isnan(value) else ()
     own_quantities = {name: found[name] for name in ("thrust_lag", "dead_zone")}
-    return replace(boat, quantities=boat.quantities | own_quantities, lacks=(*boat.lacks, *lacks))
+    turning = None if vague else Turning(fit.theta, P, explained(fit, missions))
+    return replace(boat, quantities=boat.quantities | own_quantities, lacks=(*boat.lacks, *lacks), turning=turning)
