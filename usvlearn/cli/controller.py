@@ -1,4 +1,4 @@
-"""The command `usvlearn controller RUN`: a speed controller from what a run has identified.
+"""The command `usvlearn controller RUN`: speed and steering controllers from what a run has identified.
 
 It prints the feedforward, PI gains that hold over the identified intervals, their margins, the parameters for ArduRover
 and the block for MOOS-IvP, and how the closed loop follows steps on boats that are drawn from the intervals.
@@ -34,7 +34,7 @@ def parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     found.add_argument("--bandwidth", type=float, help="ω of the wanted poles, rad/s (from time constant and delay)")
     found.add_argument("--damping", type=float, help="ζ of the wanted poles (from the same, or 1 with --bandwidth)")
-    found.add_argument("--period", type=float, help="of the control loop, s (0.2)")
+    found.add_argument("--period", type=float, help="of the loop, s (that of the logged commands, at most 0.2)")
     found.add_argument("--delay", type=float, help="of the commands, s (identified: their delay and lag)")
     found.add_argument("--boats", type=int, default=200, help="drawn from the intervals for the closed loop (200)")
     found.add_argument("--seed", type=int, default=0, help="of the draws (0)")

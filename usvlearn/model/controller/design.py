@@ -41,7 +41,7 @@ SPARE = 1.3  # of the integral's limit, over what the feedforward errs
 LEAST_INTEGRAL = 0.1
 OVERSHOOT, TRIED = 0.2, 50  # of 95 % of so many boats: ArduRover's limits of acceleration are lowered until then
 SHARES = (1.0, 0.7, 0.5, 0.35, 0.25)  # shares of the accelerations that can be held
-PERIOD, LONGEST_PERIOD = 0.2, 0.5  # s, of a loop, where the log tells none; of a log
+PERIOD = 0.2  # s, of a loop, at most: ArduRover keeps it easily, and pMarinePID at 45 Hz
 LEAST_ACCELERATION = 0.02  # m/s²: 0 would switch the limit off
 HOLD = 15.0  # time constants between two steps
 BOUNDS = {"speed": (0.01, 50.0), "bandwidth": (0.01, 50.0), "damping": (0.1, 10.0), "period": (0.01, 2.0)}  # m/s … s
@@ -95,12 +95,6 @@ class Controller(NamedTuple):
         return self.late + self.period / 2
 
 
-def proposed(setup: Setup | None) -> float:
-    """The period of the loop, s: that of the commands in the log from which it was learned."""
-    logged = None if setup is None else setup.command_period
-    return PERIOD if logged is None else min(max(logged, ROVER_PERIOD), LONGEST_PERIOD)
-
-
 def controller(boat: IdentifiedBoat, wanted: Wanted | None = None, fit: Identified | None = None) -> Controller:
     """Design it, and sail it on boats drawn from the intervals.
 
@@ -130,7 +124,8 @@ def controller(boat: IdentifiedBoat, wanted: Wanted | None = None, fit: Identifi
     linear = linearised(name, found, forward.at(speeds))
     before, late, spread = late_of(name, found, boat.setup, wanted.delay)
     most = max(late + NINETY * spread, 0.0)
-    period = proposed(boat.setup) if wanted.period is None else wanted.period
+    logged = boat.setup.command_period if boat.setup else None
+    period = wanted.period or min(max(logged or PERIOD, ROVER_PERIOD), PERIOD)
     gains, left = design(name, linear, most + period / 2, wanted.bandwidth, wanted.damping)
     cruise = wanted.speed if wanted.speed is not None else (low + high) / 2
     up, down = (_force(found, speeds, full) for full in (1.0, 0.0))
@@ -154,7 +149,7 @@ def controller(boat: IdentifiedBoat, wanted: Wanted | None = None, fit: Identifi
             break
     rover, moos = slower, Moos.of(gains.proportional, gains.integral, rover.slope, period)
     loops = loop("ArduRover", RoverLaw(rover, period)), loop("MOOS-IvP", MoosLaw(moos))
-    steer = steering(fit or found, speeds, forward.at(speeds), cruise, before, period, moos.tick)
+    steer = steering(found if fit is None else fit, speeds, forward.at(speeds), cruise, before, period, moos.tick)
     sailed = [] if isinstance(steer, str) else trials(steer, before, period, moos.tick, wanted.seed)
     return Controller(
         boat, forward, speeds, linear, most, period, gains, left, up, down, rover, moos, loops, steer, sailed

@@ -130,17 +130,17 @@ def worst(loop: np.ndarray) -> Margins:
     level, w = np.log(np.abs(loop)), np.broadcast_to(np.log(GRID)[:, None], loop.shape)
     over = np.unwrap(np.angle(loop), axis=0) + np.pi
 
-    def where_falls(y: np.ndarray, of: np.ndarray) -> np.ndarray:
-        """Another array where y first falls through 0; infinite where it does not."""
+    def where_falls(y: np.ndarray, of: np.ndarray, never: np.ndarray | float) -> np.ndarray:
+        """Another array where y first falls through 0; `never` where it does not."""
         falls = (y[:-1] > 0) & (y[1:] <= 0)
         at = falls.argmax(0)[None]
         (first, second), (begin, end) = ([np.take_along_axis(x, at + k, 0)[0] for k in (0, 1)] for x in (y, of))
-        return np.where(falls.any(0), begin + first / (first - second) * (end - begin), np.inf)
+        return np.where(falls.any(0), begin + first / (first - second) * (end - begin), never)
 
-    crossover, left = np.exp(where_falls(level, w)), where_falls(level, over)
+    crossover, left = np.exp(where_falls(level, w, w[-1])), where_falls(level, over, over[-1])
     bandwidth = GRID[(np.abs(loop / (1 + loop)) < np.sqrt(0.5)).argmax(0)]
     return Margins(
-        20 / math.log(10) * float(where_falls(over, -level).min()),
+        20 / math.log(10) * float(where_falls(over, -level, np.inf).min()),
         float(np.degrees(left).min()),
         float((left / crossover).min()),
         (float(bandwidth.min()), float(bandwidth.max())),

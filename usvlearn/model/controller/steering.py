@@ -154,7 +154,7 @@ def steering(
     if not found.turning.explained > EXPLAINED:
         return (
             f"The commands explain {100 * found.turning.explained:.0f} % of the turns, expected "
-            f"{100 * EXPLAINED:.0f} % or more: the boat turns by something else, such as a rudder, or its sides are wrong."
+            f"{100 * EXPLAINED:.0f} % or more: the boat turns by something else, such as a rudder, or sides are wrong."
         )
     yaw = yaw_of(found, speeds, commands)
     if not (yaw.gain.high < WIDEST * yaw.gain.low).all():
