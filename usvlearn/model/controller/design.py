@@ -16,7 +16,6 @@ from usvlearn.errors import ConfigError, check_positive, printable
 from usvlearn.estimators.joint.curves import Curve, banded
 from usvlearn.estimators.joint.periodic_estimates import Identified
 from usvlearn.estimators.joint.quantities import SIDES
-from usvlearn.logs.setup import Setup
 from usvlearn.model.controller.closed_loop import (
     ROVER_PERIOD,
     Moos,

@@ -32,13 +32,14 @@ from usvlearn.model.controller.closed_loop import (
 from usvlearn.model.controller.gains import GRID, Gains, Margins, design, worst
 from usvlearn.model.fit import turning_kernel as at
 from usvlearn.model.fit.boat import FittedBoat
-from usvlearn.model.fit.turning import DEVIATION, OWN_LAG, STEP, SWAPPED, natural, push, rate
+from usvlearn.model.fit.turning import DEVIATION, STEP, SWAPPED, natural, push, rate
 
 STEERING, GRAVITY = 0.1, 9.81  # share of full command, over which K is taken; m/s²
 OWN_TIME, OWN_GAIN = 0.1, 0.05  # own errors of T and K, as of `usvlearn.model.fit.turning`
 ASTERN = 0.15  # deviation of the logarithm of the thrust astern, below which it is known
 EXPLAINED, WIDEST = 0.5, 4.0  # least share of the turns that the model explains; high over low of K
 PHASE, GAIN, SLOWER = 60.0, 6.0, 0.95  # deg, dB: least margins of the heading loop; from one trial to the next
+STEEP, SLUGGISH = 2.0, 0.05  # greatest K over that of the feedforward; least gain of the heading, 1/delay
 SPARE = 0.8  # of the yaw rate and its change that the steering can hold: the limits
 FILTER, HOLDS, MOST = 10.0, 40.0, 20.0  # Hz of ATC_STR_RAT_FLTE; the crossover over ki/kp; % of rudder, of ki
 DESIGNED, BOATS = "designed", 50
@@ -157,21 +158,25 @@ def steering(
             f"{100 * EXPLAINED:.0f} % or more: the boat turns by something else, such as a rudder, or sides are wrong."
         )
     yaw = yaw_of(found, speeds, commands)
-    if not (yaw.gain.high < WIDEST * yaw.gain.low).all():
+    if not all((each.high < WIDEST * each.low).all() for each in yaw[:2]):
         return (
-            f"Full steering turns the boat by {yaw.gain.low.min():.2g} … {yaw.gain.high.max():.2g} rad/s, which is too "
-            "uncertain for gains: learn from a log with more turns at all speeds."
+            f"Full steering turns the boat by {yaw.gain.low.min():.2g} … {yaw.gain.high.max():.2g} rad/s within "
+            f"{yaw.time_constant.low.min():.2g} … {yaw.time_constant.high.max():.2g} s, which is too uncertain for "
+            "gains: learn from a log with more turns at all speeds."
         )
     p, by = natural(found.turning.theta), np.zeros(at.PARAMETERS)
     by[at.LATE], by[at.LAG] = 1.0, p[at.LAG]
-    spread = math.hypot(math.sqrt(by @ found.turning.covariance @ by), OWN_LAG[0], OWN_LAG[1] * p[at.LAG])
+    spread = math.sqrt(by @ found.turning.covariance @ by)
     late = max(before + float(p[at.LATE] + p[at.LAG]) + NINETY * spread, 0.0)
     delay = late + period / 2 + 1 / (2 * math.pi * FILTER)
     gains, left = design("steering", yaw, delay)
     by_heading, crossed = design("steering", yaw, late + (DIFFERENCES + 1) / 2 / tick)
     curves = commands, yaw.gain.value, yaw.greatest.low, yaw.gain.low / yaw.time_constant.high
     base, K, held, quick = (float(np.interp(cruise, speeds, each)) for each in curves)
+    K = max(K, yaw.gain.high.max() / STEEP)
     angle, heading = _heading(yaw, gains, 1 / K, delay)
+    if angle * delay < SLUGGISH:
+        return "The yaw rate of full steering differs too much between the speeds for one gain: narrow --range."
     cascade = Cascade(
         1 / K, float(gains.proportional), gains.integral, angle, SPARE * held, SPARE * quick * min(base, 1 - base)
     )
