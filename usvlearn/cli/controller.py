@@ -1,7 +1,7 @@
 """The command `usvlearn controller RUN`: speed and steering controllers from what a run has identified.
 
-It prints the feedforward, PI gains that hold over the identified intervals, their margins, the parameters for ArduRover
-and the block for MOOS-IvP, and how the closed loop follows steps on boats that are drawn from the intervals.
+It prints the feedforward, gains that hold over the identified intervals, their margins, how the closed loops follow on
+boats that are drawn from the intervals, and the parameters for ArduRover, MOOS-IvP and PX4. Steering needs a fit.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def parser() -> argparse.ArgumentParser:
     found.add_argument("--delay", type=float, help="of the commands, s (identified: their delay and lag)")
     found.add_argument("--boats", type=int, default=200, help="drawn from the intervals for the closed loop (200)")
     found.add_argument("--seed", type=int, default=0, help="of the draws (0)")
-    found.add_argument("--out", metavar="FOLDER", help="write BOAT.controller.json, BOAT.param, BOAT_pid.moos")
+    found.add_argument("--out", metavar="FOLDER", help="write BOAT.controller.json, and a file for each autopilot")
     return found
 
 
@@ -77,10 +77,10 @@ def with_fit(path: str, boat: IdentifiedBoat) -> tuple[IdentifiedBoat, Identifie
     from usvlearn.runs.files import CHECKPOINTS
 
     folder = Path(path).expanduser() / "fit"
-    if not (folder / CHECKPOINTS / boat.name).is_dir():
+    values = folder / f"{boat.name}.fit.json"
+    if not (values.is_file() and (folder / CHECKPOINTS / boat.name).is_dir()):
         return boat, None
-    (fitted,) = read_boats(folder, boat.name)
-    doubts = json.loads((folder / f"{boat.name}.fit.json").read_text())["doubts"]
+    (fitted,), doubts = read_boats(folder, boat.name), json.loads(values.read_text()).get("doubts")
     if not doubts:
         return fitted, None
     complain(f"warning: {boat.name}: speeds are as learned online, as its fit has doubts: {doubts[0]}")

@@ -70,3 +70,27 @@ def test_a_log_without_excitation_is_told_what_to_sail(tmp_path, monkeypatch, ca
     with pytest.raises(SystemExit):
         main(["controller", str(path)])
     assert "sail straight ahead" in capsys.readouterr().err
+
+
+@pytest.mark.thorough
+def test_a_fit_gives_the_values_and_the_steering_and_its_doubts_are_told(tmp_path, monkeypatch, capsys):
+    logs = usvlearn.read(data="planar", hours=0.4, seed=3)
+    learned = usvlearn.learn(logs, JointEKF(surge_max=2.74, mass=33.75, read_every=600.0))
+    fitted = learned.fit("cubic")["planar"]
+    learned.save(tmp_path / "checkpoints" / "planar" / "1.safetensors")
+    monkeypatch.setattr(sys, "argv", [])
+    main(["controller", str(tmp_path), "--boats", "5"])
+    said = capsys.readouterr().out
+    assert "from 1.safetensors" in said and "no gains. The batch fit tells" in said and "yaw_pid_kp" not in said
+    learned.save(tmp_path / "fit" / "checkpoints" / "planar" / "fit.safetensors", fit=fitted)
+    for doubts, basis in (([], "fit"), (["It drifts."], "1")):
+        (tmp_path / "fit" / "planar.fit.json").write_text(json.dumps({"doubts": doubts}))
+        main(["controller", str(tmp_path), "--boats", "5", "--out", str(tmp_path / "out")])
+        told = capsys.readouterr()
+        assert f"from {basis}.safetensors" in told.out and ("has doubts: It drifts." in told.err) == bool(doubts)
+        assert all(x in told.out for x in ("ATC_STR_RAT_FF,", "yaw_pid_kp = ", "RO_YAW_P"))
+    lines = (tmp_path / "out" / "planar_px4.params").read_text().splitlines()
+    values = {name: float(value) for *_, name, value, _ in (x.split("\t") for x in lines if x[0] != "#")}
+    facts = json.loads((tmp_path / "out" / "planar.controller.json").read_text())
+    assert values == pytest.approx(facts["steering"]["px4"], rel=1e-5)
+    assert facts["period_s"] == pytest.approx(0.1)  # that of the logged commands

@@ -13,9 +13,8 @@ from rich.text import Text
 from usvlearn.core.events import NINETY
 from usvlearn.display.terminal import Blocks
 from usvlearn.errors import ConfigError, check_positive, printable
-from usvlearn.estimators.joint.curves import Curve, banded
+from usvlearn.estimators.joint.curves import Curve
 from usvlearn.estimators.joint.periodic_estimates import Identified
-from usvlearn.estimators.joint.quantities import SIDES
 from usvlearn.model.controller.closed_loop import (
     ROVER_PERIOD,
     Moos,
@@ -29,7 +28,7 @@ from usvlearn.model.controller.closed_loop import (
     simulate,
     steps_of,
 )
-from usvlearn.model.controller.gains import Feedforward, Gains, Linearised, Margins, design, late_of, linearised
+from usvlearn.model.controller.gains import Feedforward, Gains, Linearised, Margins, design, force, late_of, linearised
 from usvlearn.model.controller.steering import Steering, Trial, steering, trials
 from usvlearn.model.controller.steering import parts as parts_of_steering
 from usvlearn.model.read_boats import IdentifiedBoat
@@ -45,7 +44,7 @@ LEAST_ACCELERATION = 0.02  # m/s²: 0 would switch the limit off
 HOLD = 15.0  # time constants between two steps
 BOUNDS = {"speed": (0.01, 50.0), "bandwidth": (0.01, 50.0), "damping": (0.1, 10.0), "period": (0.01, 2.0)}  # m/s … s
 LEAST_RANGE = 0.05  # m/s
-PARAM, MOOS, PX4 = ".param", "_pid.moos", "_px4.params"  # ends of files' names
+TITLES = "ArduRover, a parameter file", "MOOS-IvP, a block of the mission file", "PX4, a parameter file"  # of `files`
 
 
 class Wanted(NamedTuple):
@@ -93,6 +92,11 @@ class Controller(NamedTuple):
         """L, s: of the commands, and half of a period of the loop, for which a command is held."""
         return self.late + self.period / 2
 
+    @property
+    def ardurover(self) -> dict[str, tuple[float, str]]:
+        """Value and comment of its parameters, by name."""
+        return self.rover.parameters() | ({} if isinstance(self.steering, str) else self.steering.ardurover())
+
 
 def controller(boat: IdentifiedBoat, wanted: Wanted | None = None, fit: Identified | None = None) -> Controller:
     """Design it, and sail it on boats drawn from the intervals.
@@ -127,7 +131,7 @@ def controller(boat: IdentifiedBoat, wanted: Wanted | None = None, fit: Identifi
     period = wanted.period or min(max(logged or PERIOD, ROVER_PERIOD), PERIOD)
     gains, left = design(name, linear, most + period / 2, wanted.bandwidth, wanted.damping)
     cruise = wanted.speed if wanted.speed is not None else (low + high) / 2
-    up, down = (_force(found, speeds, full) for full in (1.0, 0.0))
+    up, down = (force(found, speeds, full) for full in (1.0, 0.0))
     theta = draws(found, wanted.boats, wanted.seed)
     normal = np.random.default_rng([wanted.seed, 1]).standard_normal(len(theta))
     delays = np.maximum(late + spread * normal, 0.0)
@@ -179,20 +183,6 @@ def _range(name: str, forward: Feedforward, wanted: Wanted) -> tuple[float, floa
     return low, high
 
 
-def _force(found: Identified, speeds: np.ndarray, command: float) -> Curve:
-    """Acceleration at full command, or deceleration with both thrusters off, m/s²."""
-    beside = found.beside
-    assert beside is not None
-
-    def force(theta: np.ndarray) -> np.ndarray:
-        boat = found.ahead(theta[..., None, :])
-        if command == 0:
-            return boat.drag(speeds)
-        return sum(boat.thrust(command, side) for side in SIDES) + boat.lift * command * speeds - boat.drag(speeds)
-
-    return banded(found, beside, "acceleration", speeds, force)
-
-
 def _rover(forward: Feedforward, speeds: np.ndarray, cruise: float, gains: Gains, up: Curve, down: Curve) -> Rover:
     throttle = max(1.0, round(100 * float(forward.at(cruise))))
     errors = [np.abs(each - throttle / 100 / cruise * speeds) for each in (forward.at(speeds), *forward.band(speeds))]
@@ -201,19 +191,15 @@ def _rover(forward: Feedforward, speeds: np.ndarray, cruise: float, gains: Gains
     return Rover(cruise, throttle, gains.proportional, gains.integral, most, *ends)
 
 
-def ardurover(found: Controller) -> dict[str, tuple[float, str]]:
-    """Value and comment by name."""
-    return found.rover.parameters() | ({} if isinstance(found.steering, str) else found.steering.ardurover())
-
-
 def files(found: Controller) -> dict[str, str]:
     """What is written for the autopilots, by the ends of the files' names."""
     steer, top = found.steering, head(found)
-    written = {PARAM: rover_text(ardurover(found), top), MOOS: found.moos.text(top)}
+    written = {".param": rover_text(found.ardurover, top), "_pid.moos": found.moos.text(top)}
     if isinstance(steer, str):
         return written
     lines = [f"1\t1\t{name}\t{value:.6g}\t9" for name, value in steer.px4().items()]
-    return written | {MOOS: found.moos.text(top, steer.moos), PX4: "\n".join([*(f"# {x}" for x in top), *lines, ""])}
+    written["_px4.params"] = "\n".join([*(f"# {line}" for line in top), *lines, ""])
+    return written | {"_pid.moos": found.moos.text(top, steer.moos)}
 
 
 def facts(found: Controller) -> dict[str, Any]:
@@ -222,7 +208,7 @@ def facts(found: Controller) -> dict[str, Any]:
     def curve(each: Curve) -> dict[str, list[float]]:
         return {name: [round(float(x), 6) for x in getattr(each, name)] for name in ("value", "low", "high")}
 
-    forward, left = found.feedforward, found.margins
+    forward, left, steer = found.feedforward, found.margins, found.steering
     low, high = forward.band(found.speeds)
     return {
         "boat": found.boat.name,
@@ -260,8 +246,16 @@ def facts(found: Controller) -> dict[str, Any]:
             "bandwidth_rad_s": list(left.bandwidth),
             "crossover_rad_s": list(left.crossover),
         },
-        "steering": _steering(found),
-        "ardurover": {name: value for name, (value, _) in ardurover(found).items()},
+        "steering": steer
+        if isinstance(steer, str)
+        else {
+            "speed_m_s": steer.speed,
+            "delay_s": steer.delay,
+            "moos": steer.moos._asdict(),
+            "px4": steer.px4(),
+            "heading_rms_deg": {f"{x.autopilot} {x.gains}": float(np.median(x.rms)) for x in found.trials},
+        },
+        "ardurover": {name: value for name, (value, _) in found.ardurover.items()},
         "moos": found.moos._asdict(),
         "closed_loop": {
             loop.name: [
@@ -280,19 +274,6 @@ def facts(found: Controller) -> dict[str, Any]:
             ]
             for loop in found.loops
         },
-    }
-
-
-def _steering(found: Controller) -> Any:
-    steer = found.steering
-    if isinstance(steer, str):
-        return {"none": steer}
-    return {
-        "speed_m_s": steer.speed,
-        "delay_s": steer.delay,
-        **{name: each._asdict() for name, each in (("moos", steer.moos), ("yaw_rate", steer.cascade))},
-        "px4": steer.px4(),
-        "heading_rms_deg": {f"{each.autopilot} {each.gains}": float(np.median(each.rms)) for each in found.trials},
     }
 
 
@@ -320,9 +301,7 @@ def head(found: Controller) -> list[str]:
 def parts(found: Controller) -> Iterator[str | Text | Blocks]:
     """All of it, for a terminal: sentences, tables, and lines of files, which are not broken."""
     yield printable(f"{found.boat.name}: speed and steering from {found.boat.path.name}")
-    yield found.boat.found.basis
-    yield from found.boat.lacks
-    yield ""
+    yield from (found.boat.found.basis, *found.boat.lacks, "")
     yield from _feedforward(found)
     yield ""
     yield from _gains(found)
@@ -330,11 +309,9 @@ def parts(found: Controller) -> Iterator[str | Text | Blocks]:
     yield from _closed_loop(found)
     yield ""
     yield from parts_of_steering(found.steering, found.trials)
-    yield ""
-    for name, text in files(found).items():
-        yield {PARAM: "ArduRover, a parameter file", MOOS: "MOOS-IvP, a block of the mission file"}.get(name, "PX4")
+    for title, text in zip(TITLES, files(found).values(), strict=False):  # without steering none of PX4
+        yield from ("", title)
         yield from (Text(line.expandtabs(2)) for line in text.splitlines() if line[:1] != "#" and line[:2] != "//")
-        yield ""
 
 
 def _feedforward(found: Controller) -> Iterator[str | Blocks]:

@@ -76,6 +76,20 @@ def late_of(name: str, found: Identified, setup: Setup | None, given: float | No
     return before, before + late, deviation
 
 
+def force(found: Identified, speeds: np.ndarray, command: float) -> Curve:
+    """Acceleration at full command, or deceleration with both thrusters off, m/s²."""
+    beside = found.beside
+    assert beside is not None
+
+    def pull(theta: np.ndarray) -> np.ndarray:
+        boat = found.ahead(theta[..., None, :])
+        if command == 0:
+            return boat.drag(speeds)
+        return sum(boat.thrust(command, side) for side in SIDES) + boat.lift * command * speeds - boat.drag(speeds)
+
+    return banded(found, beside, "acceleration", speeds, pull)
+
+
 def linearised(name: str, found: Identified, commands: np.ndarray) -> Linearised:
     """(1) at some commands, `(points,)`.
 
