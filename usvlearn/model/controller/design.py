@@ -291,7 +291,7 @@ def head(found: Controller) -> list[str]:
         .decode(),
         f"for {speeds[0]:.2f} to {speeds[-1]:.2f} m/s, a loop of {found.period:g} s or faster, and "
         f"{found.late:.2f} s of delay of the commands",
-        f"poles at {gains.bandwidth:.2f} rad/s with damping {gains.damping:.2f}; worst margins over the 90 % "
+        f"speed: poles at {gains.bandwidth:.2f} rad/s with damping {gains.damping:.2f}; worst margins over the 90 % "
         f"intervals: {_decibels(left.gain)}, {left.phase:.0f} deg",
         *(line for each in found.boat.guessed for line in wrap(each.encode("ascii", "replace").decode(), 90)),
         "throttle or thrust must be in proportion to the command that was learned (ArduRover: MOT_THST_EXPO 0)",
