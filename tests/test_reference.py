@@ -21,6 +21,8 @@ from typing import Any, ForwardRef, NamedTuple
 
 import numpy as np
 
+import usvlearn
+from tests.support import ROOT
 from tests.support.reference import listed
 from usvlearn.errors import ConfigError
 
@@ -271,3 +273,9 @@ def test_what_is_missing_is_counted():
     found = Counter(lack.kind for lack in function_lacks("bare", bare))
     assert found == {"args": 2, "units": 1, "returns": 1, "raises": 1, "examples": 1}
     assert [lack.what for lack in class_lacks("Unit", Unit, "model", True)] == ["unknown: float"]
+
+
+def test_every_public_name_is_on_a_page():
+    pages = "\n".join(page.read_text() for page in sorted((ROOT / "docs" / "reference").glob("*.md")))
+    named = set(re.findall(r"^::: usvlearn\.(\w+)$", pages, re.MULTILINE))
+    assert not usvlearn._HOME.keys() - named
