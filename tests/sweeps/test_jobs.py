@@ -97,7 +97,7 @@ def test_a_killed_sweep_goes_on_and_equals_an_uninterrupted_one(swept, tmp_path)
     )
     sweep, began = tmp_path / "sweep", time.monotonic()
     while len(list(sweep.glob("2/checkpoints/heron/*.safetensors"))) < 2 and process.poll() is None:
-        assert time.monotonic() - began < 120
+        assert time.monotonic() - began < 300
         time.sleep(0.01)
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
