@@ -38,7 +38,7 @@ def summary(results: Mapping[str, Any], asked: Questions, boats: Mapping[str, Qu
         boats: the quantities of each boat that are to be used.
     """
     name, check, events = results["output"], results.get("data_check"), results.get("events")
-    data = "not checked" if check is None else f"{len(check)} findings" if check else "ok"
+    data = "not checked" if check is None else f"{len(check)} finding{'s' * (len(check) > 1)}" if check else "ok"
     unsure = sum(each["certainty"] == UNSURE for each in asked.values())
     data += f"; {len(asked)} guesses unconfirmed, {unsure} unsure" if asked else ""
     lost = sum(n for boat in results.get("rejected", {}).values() for causes in boat.values() for n in causes.values())
