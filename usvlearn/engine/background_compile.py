@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 from usvlearn.core.jit import HERE, NUMBA, counted, mark_of
-from usvlearn.display.terminal import Activity, console
 
 DISPATCH = str(HERE / "engine" / "dispatch.py")
 RUNS, STEPS, TRACKS = "runs", "single steps", "tracks"  # what needs kernels
@@ -46,6 +45,8 @@ def compiling(dtype: str = "float64", tracks: bool = False) -> Iterator[subproce
     try:
         yield process
         if process is not None and process.poll() is None:
+            from usvlearn.display.terminal import Activity, console  # a boat has no rich
+
             with Activity(console()), counted(f"compiling the {parts[-1]}, only once …", "kept beside the others"):
                 process.wait()
     finally:

@@ -41,7 +41,8 @@ def summary(results: Mapping[str, Any], asked: Questions, boats: Mapping[str, Qu
     data = "not checked" if check is None else f"{len(check)} finding{'s' * (len(check) > 1)}" if check else "ok"
     unsure = sum(each["certainty"] == UNSURE for each in asked.values())
     data += f"; {len(asked)} guesses unconfirmed, {unsure} unsure" if asked else ""
-    lost = sum(n for boat in results.get("rejected", {}).values() for causes in boat.values() for n in causes.values())
+    causes = [each for boat in results.get("rejected", {}).values() for each in boat.values()]
+    lost = sum(n for each in causes for cause, n in each.items() if cause != "copied")  # of a slower sensor
     data += f"; {lost} values rejected" if lost else ""
     measure = measure_of(results["measure"], "")
     errors = [f"{measure.title()} {measure.shown(results['objective'])}"] if str(measure) != f"{name}.mae" else []
