@@ -319,14 +319,15 @@ def write_leaderboard(
     made = result_table(folder, ranks, keys)
     try:
         write_atomically(folder / TABLE, made.csv().encode())
-        write_atomically(folder / TEXT, made.markdown().encode())
         (folder / FIGURE).unlink(missing_ok=True)
         if (png := _figure(ranks, keys, measure)) is not None:
             write_atomically(folder / FIGURE, png)
+        picture = f"![jobs, mean and interval of each setting]({FIGURE})\n\n" if png else ""
+        write_atomically(folder / TEXT, f"{picture}{made.markdown()}".encode())
         write_board(folder / FOLDER, ranks, {} if png is None else {"settings": png})
     except OSError as cause:
         raise ConfigError(f"{folder}: cannot hold the leaderboard ({cause}): make it writable") from cause
-    return [TABLE, TEXT, *([FIGURE] if png else [])]
+    return [*([FIGURE] if png else []), TABLE, TEXT]
 
 
 def check_own_board(folder: Path, option: str) -> None:
