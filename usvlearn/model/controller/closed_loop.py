@@ -66,11 +66,7 @@ class Step(NamedTuple):
 
 
 def draws(found: Identified, count: int, seed: int = 0) -> np.ndarray:
-    """Parameters of boats, `(count, m)`: the mean, the present estimate, and draws in which drag brakes.
-
-    Raises:
-        ConfigError: hardly any draw is a boat.
-    """
+    """Parameters of boats, `(count, m)`: the mean, the present estimate, and draws in which drag brakes."""
     beside = found.beside
     assert beside is not None
     values, vectors = np.linalg.eigh(found.covariance)
@@ -92,16 +88,10 @@ def simulate(
     boat: Any, delay: np.ndarray, law: Any, wanted: Sequence[float] | np.ndarray, hold: float,
     step: Callable[..., np.ndarray] | None = None, start: np.ndarray | float = 0.0,
 ) -> Responses:  # fmt: skip
-    """Boats, by default from rest, that are to have some speeds or headings in turn.
+    """Boats whose commands act after a delay, s, `(boats,)`, and which are to have some speeds, m/s, or headings, rad.
 
-    Args:
-        boat: what `step` takes: of speeds, an `Ahead` of parameters `(boats, m)`.
-        delay: of the commands, s, `(boats,)`.
-        law: the controller.
-        wanted: speeds, m/s, or headings, rad, each for `hold` s.
-        hold: s.
-        step: the state h s later, of a boat, a state, commands and h; by default `ahead_step`.
-        start: the state, `(boats,)`, or `(…, boats)` of which the first row is controlled.
+    Each is wanted for `hold` s. `step` makes the state h s later, of a boat, a state, commands and h. The state is
+    `(boats,)`, or `(…, boats)` of which the first row is controlled.
     """
     step = step or ahead_step
     boats = len(delay)
@@ -191,14 +181,8 @@ class Rover(NamedTuple):
             "ATC_SPEED_IMAX": (round(self.integral_most, 3), "greatest throttle of the integral, 0 ... 1"),
             "ATC_SPEED_FLTT": (0.0, "Hz; 0: the wanted speed is not filtered"),
             "ATC_SPEED_FLTE": (10.0, "Hz; the default"),
-            "ATC_ACCEL_MAX": (
-                round(self.acceleration, 3),
-                "m/s2; what full throttle can hold at the cruise speed",
-            ),
-            "ATC_DECEL_MAX": (
-                round(self.deceleration, 3),
-                "m/s2; what drag alone can hold at the cruise speed",
-            ),
+            "ATC_ACCEL_MAX": (round(self.acceleration, 3), "m/s2; what full throttle can hold at the cruise speed"),
+            "ATC_DECEL_MAX": (round(self.deceleration, 3), "m/s2; what drag alone can hold at the cruise speed"),
             "ATC_BRAKE": (0.0, "no thrust astern to brake: the controller was designed ahead only"),
         }
 
@@ -210,14 +194,9 @@ def rover_text(parameters: Mapping[str, tuple[float, str]], head: list[str]) -> 
 
 
 class RoverLaw:
-    """(1), sampled.
+    """(1), sampled."""
 
-    Args:
-        rover: the parameters.
-        period: s.
-    """
-
-    def __init__(self, rover: Rover, period: float):
+    def __init__(self, rover: Rover, period: float):  # s
         self.rover, self.period = rover, period
 
     def start(self, boats: int) -> None:
@@ -355,13 +334,9 @@ class Cascade(NamedTuple):
 
 
 class CascadeLaw:
-    """(3), sampled.
+    """(3), sampled each `period`, s, around a base of both sides: where it leaves no more, the integral only shrinks.
 
-    Args:
-        cascade: the parameters.
-        period: s.
-        base: command of both sides; where it leaves no more steering, ArduRover's integral only shrinks.
-        px4: the form of PX4: the wanted heading changes no faster than the limit of the yaw rate.
+    In the form of PX4, the wanted heading changes no faster than the limit of the yaw rate.
     """
 
     def __init__(self, cascade: Cascade, period: float, base: float, px4: bool = False):

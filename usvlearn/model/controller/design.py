@@ -11,6 +11,7 @@ import numpy as np
 from rich.text import Text
 
 from usvlearn.core.events import NINETY
+from usvlearn.display.json_values import finite
 from usvlearn.display.terminal import Blocks
 from usvlearn.errors import ConfigError, check_positive, printable
 from usvlearn.estimators.joint.curves import Curve
@@ -19,7 +20,6 @@ from usvlearn.model.controller.closed_loop import (
     ROVER_PERIOD,
     Moos,
     MoosLaw,
-    Responses,
     Rover,
     RoverLaw,
     Step,
@@ -60,14 +60,6 @@ class Wanted(NamedTuple):
     seed: int = 0
 
 
-class Loop(NamedTuple):
-    """The closed loop over drawn boats under one autopilot."""
-
-    name: str
-    responses: Responses
-    steps: list[Step]
-
-
 class Controller(NamedTuple):
     """The speed controller of a boat."""
 
@@ -83,7 +75,7 @@ class Controller(NamedTuple):
     deceleration: Curve  # m/s² with both thrusters off, over the speed
     rover: Rover
     moos: Moos
-    loops: tuple[Loop, ...]
+    loops: dict[str, list[Step]]  # over drawn boats, by autopilot
     steering: Steering | str  # or why there is none
     trials: list[Trial]  # of the steering
 
@@ -99,16 +91,7 @@ class Controller(NamedTuple):
 
 
 def controller(boat: IdentifiedBoat, wanted: Wanted | None = None, fit: Identified | None = None) -> Controller:
-    """Design it, and sail it on boats drawn from the intervals.
-
-    Args:
-        boat: whose speed is controlled.
-        wanted: options.
-        fit: which tells its turning; by default that of the boat.
-
-    Raises:
-        ConfigError: the boat is not identified well enough, or an option is not legal.
-    """
+    """Design it, and sail it on boats drawn from the intervals; a fit, by default its own, tells the turning."""
     wanted = wanted or Wanted()
     for option in ("speed", "bandwidth", "damping", "period"):
         if (value := getattr(wanted, option)) is not None:
@@ -141,22 +124,25 @@ def controller(boat: IdentifiedBoat, wanted: Wanted | None = None, fit: Identifi
     rover = _rover(forward, speeds, cruise, gains, up, down)
     hold += (high - low) / (SHARES[-1] * min(rover.acceleration, rover.deceleration))
 
-    def loop(each: str, law: RoverLaw | MoosLaw, boats: int = wanted.boats) -> Loop:
-        responses = simulate(found.ahead(theta[:boats]), delays[:boats], law, course, hold)
-        return Loop(each, responses, steps_of(responses))
+    def loop(law: RoverLaw | MoosLaw, boats: int = wanted.boats) -> list[Step]:
+        return steps_of(simulate(found.ahead(theta[:boats]), delays[:boats], law, course, hold))
 
     for share in SHARES:  # ArduRover's base is a straight line, and acts before the boat follows
         slower = rover._replace(acceleration=share * rover.acceleration, deceleration=share * rover.deceleration)
-        tried = loop("ArduRover", RoverLaw(slower, period), TRIED)
-        if max(float(np.quantile(step.overshoot, 0.95)) for step in tried.steps) <= OVERSHOOT:
+        if _overshoot(loop(RoverLaw(slower, period), TRIED)) <= OVERSHOOT:
             break
     rover, moos = slower, Moos.of(gains.proportional, gains.integral, rover.slope, period)
-    loops = loop("ArduRover", RoverLaw(rover, period)), loop("MOOS-IvP", MoosLaw(moos))
+    loops = {"ArduRover": loop(RoverLaw(rover, period)), "MOOS-IvP": loop(MoosLaw(moos))}
     steer = steering(found if fit is None else fit, speeds, forward.at(speeds), cruise, before, period, moos.tick)
     sailed = [] if isinstance(steer, str) else trials(steer, before, period, moos.tick, wanted.seed)
     return Controller(
         boat, forward, speeds, linear, most, period, gains, left, up, down, rover, moos, loops, steer, sailed
     )
+
+
+def _overshoot(steps: list[Step]) -> float:
+    """The greatest of all steps, of 95 % of the boats."""
+    return max(float(np.quantile(step.overshoot, 0.95)) for step in steps)
 
 
 def _range(name: str, forward: Feedforward, wanted: Wanted) -> tuple[float, float]:
@@ -210,7 +196,7 @@ def facts(found: Controller) -> dict[str, Any]:
 
     forward, left, steer = found.feedforward, found.margins, found.steering
     low, high = forward.band(found.speeds)
-    return {
+    made = {
         "boat": found.boat.name,
         "set": found.boat.path.name,
         "basis": found.boat.found.basis,
@@ -240,11 +226,11 @@ def facts(found: Controller) -> dict[str, Any]:
             "damping": found.gains.damping,
         },
         "worst_margins": {
-            "gain_db": left.gain if math.isfinite(left.gain) else None,
+            "gain_db": left.gain,
             "phase_deg": left.phase,
             "delay_s": left.delay,
-            "bandwidth_rad_s": list(left.bandwidth),
-            "crossover_rad_s": list(left.crossover),
+            "bandwidth_rad_s": left.bandwidth,
+            "crossover_rad_s": left.crossover,
         },
         "steering": steer
         if isinstance(steer, str)
@@ -258,7 +244,7 @@ def facts(found: Controller) -> dict[str, Any]:
         "ardurover": {name: value for name, (value, _) in found.ardurover.items()},
         "moos": found.moos._asdict(),
         "closed_loop": {
-            loop.name: [
+            name: [
                 {
                     "from_m_s": step.before,
                     "to_m_s": step.after,
@@ -266,19 +252,16 @@ def facts(found: Controller) -> dict[str, Any]:
                     "overshoot_median": float(np.median(step.overshoot)),
                     "overshoot_95": float(np.quantile(step.overshoot, 0.95)),
                     "settled_within_5_percent": int(np.isfinite(step.settled).sum()),
-                    "settling_median_s": _finite(np.median(step.settled)),
-                    "settling_95_s": _finite(np.quantile(step.settled, 0.95, method="higher")),
+                    "settling_median_s": float(np.median(step.settled)),
+                    "settling_95_s": float(np.quantile(step.settled, 0.95, method="higher")),
                     "unstable": int(step.sways.sum()),
                 }
-                for step in loop.steps
+                for step in steps
             ]
-            for loop in found.loops
+            for name, steps in found.loops.items()
         },
     }
-
-
-def _finite(value: Any) -> float | None:
-    return float(value) if math.isfinite(value) else None
+    return finite(made)
 
 
 def head(found: Controller) -> list[str]:
@@ -366,19 +349,20 @@ def _gains(found: Controller) -> Iterator[str]:
 
 
 def _closed_loop(found: Controller) -> Iterator[str | Blocks]:
-    count = found.loops[0].responses.speed.shape[1]
+    rover = found.loops["ArduRover"]
+    count = len(rover[0].settled)
     table = Blocks(
         f"Closed loop on {count} boats drawn from the intervals: median, and in brackets the 95 % quantile",
         ["autopilot", "step, m/s"],
         ["overshoot", "settled to ±5 %", "boats settled", "unstable"],
     )
-    for loop in found.loops:
-        for step in loop.steps:
+    for name, steps in found.loops.items():
+        for step in steps:
             over, settled = step.overshoot, step.settled
             times = (np.median(settled), np.quantile(settled, 0.95, method="higher"))
             middle, most = (f"{each:.1f} s" if math.isfinite(each) else "–" for each in times)
             table.add(
-                loop.name, f"{step.before:.2f} → {step.after:.2f}",
+                name, f"{step.before:.2f} → {step.after:.2f}",
                 f"{100 * np.median(over):.0f} % ({100 * np.quantile(over, 0.95):.0f} %)", f"{middle} ({most})",
                 f"{np.isfinite(settled).sum()} of {len(settled)}", f"{int(step.sways.sum())}",
             )  # fmt: skip
@@ -387,8 +371,7 @@ def _closed_loop(found: Controller) -> Iterator[str | Blocks]:
         "Overshoot is a share of the step. ArduRover's base acts at once, so that what the integral collects while "
         "the boat speeds up is undone by an overshoot; ATC_ACCEL_MAX and ATC_DECEL_MAX limit it."
     )
-    worst = max(float(np.quantile(step.overshoot, 0.95)) for step in found.loops[0].steps)
-    if worst > OVERSHOOT:
+    if (worst := _overshoot(rover)) > OVERSHOOT:
         yield (
             f"{100 * worst:.0f} % is more than the {100 * OVERSHOOT:.0f} % that was aimed at: the base is a straight "
             "line, and the boat's curve is not. A narrower --range helps, or a faster loop (--period)."

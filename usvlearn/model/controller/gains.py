@@ -12,7 +12,7 @@ operating speed. The loop (k_p + k_i/s) b e^(−sL)/(s − a) is then judged at 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +20,7 @@ import numpy as np
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.joint.curves import Curve, banded
 from usvlearn.estimators.joint.periodic_estimates import Identified
-from usvlearn.estimators.joint.quantities import SIDES
+from usvlearn.estimators.joint.quantities import SIDES, Ahead
 from usvlearn.logs.setup import Setup
 
 FASTEST, DELAYED, SLOWEST_INTEGRAL = 4.0, 0.5, 4.0  # of (4)
@@ -76,38 +76,31 @@ def late_of(name: str, found: Identified, setup: Setup | None, given: float | No
     return before, before + late, deviation
 
 
+def curve_of(found: Identified, name: str, at: np.ndarray, of: Callable[[Ahead], Any]) -> Curve:
+    """A quantity of the boat at some points, with its 90 % band."""
+    assert found.beside is not None
+    return banded(found, found.beside, name, at, lambda theta: of(found.ahead(theta[..., None, :])))
+
+
 def force(found: Identified, speeds: np.ndarray, command: float) -> Curve:
     """Acceleration at full command, or deceleration with both thrusters off, m/s²."""
-    beside = found.beside
-    assert beside is not None
 
-    def pull(theta: np.ndarray) -> np.ndarray:
-        boat = found.ahead(theta[..., None, :])
+    def pull(boat: Ahead) -> np.ndarray:
         if command == 0:
             return boat.drag(speeds)
         return sum(boat.thrust(command, side) for side in SIDES) + boat.lift * command * speeds - boat.drag(speeds)
 
-    return banded(found, beside, "acceleration", speeds, pull)
+    return curve_of(found, "acceleration", speeds, pull)
 
 
 def linearised(name: str, found: Identified, commands: np.ndarray) -> Linearised:
-    """(1) at some commands, `(points,)`.
+    """(1) at some commands, `(points,)`; a ConfigError where an interval of T or b holds 0."""
 
-    Raises:
-        ConfigError: an interval of a holds 0, or one of b.
-    """
-    beside = found.beside
-    assert beside is not None
-
-    def time_constant(theta: np.ndarray) -> np.ndarray:
-        boat = found.ahead(theta[..., None, :])
-        return boat.settling(boat.steady_speed(commands), commands)
-
-    def gain(theta: np.ndarray) -> np.ndarray:
-        boat = found.ahead(theta[..., None, :])
+    def gain(boat: Ahead) -> np.ndarray:
         return sum(boat.thrust_slope(commands, side) for side in SIDES) + boat.lift * boat.steady_speed(commands)
 
-    T, b = (banded(found, beside, each, commands, f) for each, f in (("time_constant", time_constant), ("gain", gain)))
+    T = curve_of(found, "time_constant", commands, lambda boat: boat.settling(boat.steady_speed(commands), commands))
+    b = curve_of(found, "gain", commands, gain)
     for curve, what, unit in ((T, "time constant", "s"), (b, "gain of the thrust", "m/s²")):
         wrong = np.flatnonzero(~(curve.low > 0))
         if len(wrong):
@@ -165,19 +158,10 @@ def worst(loop: np.ndarray) -> Margins:
 def design(
     name: str, linear: Any, delay: float, bandwidth: float | None = None, damping: float | None = None
 ) -> tuple[Gains, Margins]:
-    """Gains, and their worst margins.
+    """Gains, and their worst margins over the corners of a `Linearised`, or a `Yaw`, at a delay L, s.
 
-    Without a bandwidth, the crossover of (4) is lowered until all corners have `PHASE` and `GAIN`.
-
-    Args:
-        name: of the boat, for errors.
-        linear: the boat, as a `Linearised` whose `corners` are used.
-        delay: L, s.
-        bandwidth: ω, rad/s; by default that of (4).
-        damping: ζ; by default that of (4), or 1 with a bandwidth.
-
-    Raises:
-        ConfigError: with the bandwidth that was given, a corner is unstable.
+    Without a bandwidth ω, rad/s, the crossover of (4) is lowered until all corners have `PHASE` and `GAIN`. With one,
+    the damping ζ is 1 by default; a ConfigError where a corner is unstable then.
     """
     a, b = linear.corners
     middle_a, middle_b = -float(np.exp(np.log(-a).mean())), float(np.exp(np.log(b).mean()))
@@ -210,28 +194,17 @@ SAIL = (
 )
 
 
-@dataclass(frozen=True)
-class Feedforward:
-    """Steady speeds over commands, on the rising part of the curve; all arrays `(points,)`, rising.
+class Feedforward(NamedTuple):
+    """Steady speeds over commands, on the rising part of the curve; all arrays `(points,)`, rising."""
 
-    Attributes:
-        command: share of full scale, both sides.
-        speed: m/s.
-        low, high: m/s, the 90 % band.
-    """
-
-    command: np.ndarray
-    speed: np.ndarray
-    low: np.ndarray
+    command: np.ndarray  # share of full scale, both sides
+    speed: np.ndarray  # m/s
+    low: np.ndarray  # m/s, the 90 % band
     high: np.ndarray
 
     @classmethod
     def of(cls, name: str, found: Identified) -> Feedforward:
-        """The curve of what was identified.
-
-        Raises:
-            ConfigError: the log did not excite the boat, or the curve does not rise.
-        """
+        """The curve of what was identified; a ConfigError if the log did not excite the boat, or it does not rise."""
         beside = found.beside
         if beside is None or beside.vague:
             because = found.lacks[0] if found.lacks else "Nothing is identified."
@@ -239,17 +212,7 @@ class Feedforward:
                 f"{name}: the steady speeds are not identified, so there is no feedforward ({because}): {SAIL}"
             )
         commands = np.linspace(0.0, 1.0, POINTS)
-        return cls._rising(
-            name,
-            banded(
-                found, beside, "steady_speed", commands,
-                lambda theta: found.ahead(theta[..., None, :]).steady_speed(commands),
-            ),
-        )  # fmt: skip
-
-    @classmethod
-    def _rising(cls, name: str, curve: Curve) -> Feedforward:
-        """The rising part of a curve over all commands."""
+        curve = curve_of(found, "steady_speed", commands, lambda boat: boat.steady_speed(commands))
         speeds = curve.value
         if not (np.isfinite(speeds).all() and speeds[-1] > 0):
             raise ConfigError(

@@ -138,15 +138,10 @@ def yaw_of(found: FittedBoat, speeds: np.ndarray, commands: np.ndarray) -> Yaw:
 def steering(
     found: Identified, speeds: np.ndarray, commands: np.ndarray, cruise: float, before: float, period: float, tick: int
 ) -> Steering | str:
-    """Design it; a sentence where the turning is not known.
+    """Design it for speeds, m/s, and the commands that hold them; a sentence where the turning is not known.
 
-    Args:
-        found: of a batch fit.
-        speeds, commands: operating speeds, m/s, and what holds them.
-        cruise: m/s, at which the feedforward is true.
-        before: s by which the commands are late, as logged.
-        period: of the loop, s.
-        tick: AppTick of pMarinePID, Hz.
+    The feedforward is true at `cruise`, m/s. The commands are late by `before`, s, as logged; the loop's period is in
+    s, and pMarinePID's AppTick in Hz.
     """
     if not isinstance(found, FittedBoat):
         return "The batch fit tells how a boat turns: run usvlearn fit RUN, then this command again."
