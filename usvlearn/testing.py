@@ -111,9 +111,7 @@ def shapes_and_dtypes(make: Make) -> None:
             assert leaf.shape[: len(batch)] == batch, f"{key}: found {tuple(leaf.shape)}, expected {batch} and more"
             assert leaf.dtype == dtype or not leaf.is_floating_point(), f"{key}: found {leaf.dtype}, expected {dtype}"
             last = leaves(end)[key]
-            assert last.shape == leaf.shape and last.dtype == leaf.dtype, (
-                f"{key}: {last.shape}, {last.dtype} at the end"
-            )
+            assert (last.shape, last.dtype) == (leaf.shape, leaf.dtype), f"{key}: {last.shape}, {last.dtype} at the end"
 
 
 @torch.no_grad()

@@ -49,16 +49,7 @@ class FirstPass:
     """Steps the external members of an ensemble, or of the surge of a boat in the plane, each alone.
 
     A member that raises, or returns what has another shape, ends: from that step on it predicts NaN, all numbers of its
-    state are NaN, and the run goes on without it.
-
-    Args:
-        description: of the ensemble, or of the boat in the plane.
-        members: estimators by name; an external one that is missing predicts NaN.
-        states: of each, by name; their structure counts.
-
-    Attributes:
-        ended: prefixes of the leaves of those that have ended.
-        done: how many steps there were.
+    state are NaN, and the run goes on without it. One that is missing predicts NaN. Of the states the structure counts.
     """
 
     def __init__(self, description: Description, members: Mapping[str, Estimator], states: Mapping[str, State]):
@@ -66,7 +57,8 @@ class FirstPass:
         self._limit, self._names = min(PLAUSIBLE, own["numbers"]["surge_max"]), external_in(description)
         self._members: dict[str, Any] = {name: members[name] for name in self._names if name in members}
         self._states, self._prefix = states, {name: f"{axis}members.{name}" for name in self._names}
-        self.ended, self.done, self._told = set[str](), 0, set[str]()
+        self.ended, self._told = set[str](), set[str]()  # prefixes of leaves; names
+        self.done = 0  # steps
         for name, member in self._members.items():
             if cause := getattr(member, "cause", ""):
                 warnings.warn(f"estimators.{name}: {cause}", stacklevel=3)
@@ -238,17 +230,11 @@ class BothStepper:
 
 
 def live(estimator: Estimator, state: Any, backend: str) -> Any:
-    """What makes single steps of a state, or None where torch has to make them.
-
-    Raises:
-        ConfigError: as `choose`.
-    """
+    """What makes single steps of a state, or None where torch has to make them; a ConfigError as of `choose`."""
     if check_choice("backend", backend, BACKENDS) == "torch":
         return None
-    obstacle = out_of_reach([*tensors_in(state), *of_kernels(estimator)])
-    if (description := description_of(estimator, obstacle, backend)) is None:
-        return None
-    return both(description, estimator, state)
+    description = description_of(estimator, out_of_reach([*tensors_in(state), *of_kernels(estimator)]), backend)
+    return None if description is None else both(description, estimator, state)
 
 
 def both(description: Description, estimator: Any, state: Any) -> Any:

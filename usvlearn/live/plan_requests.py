@@ -142,13 +142,9 @@ def _of_text(text: str) -> list[list[float]]:
 
 
 def sampled(plan: PlannedCommands, edges: np.ndarray, before: np.ndarray, side: str) -> np.ndarray:
-    """The mean command of a side in each step, `(steps,)`.
+    """The mean command of a side in each step between edges in the plan's time, s, `(steps + 1,)`; `(steps,)`.
 
-    Args:
-        plan: of the commands.
-        edges: ends of the steps in the plan's time, s, `(steps + 1,)`.
-        before: the commands in force, which hold until the first row, `(steps,)`.
-        side: "left" or "right".
+    The commands in force before, `(steps,)`, hold until the plan's first row.
     """
     values, time, length = getattr(plan, side), plan.time, np.diff(edges)
     after = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(time))])  # the integral up to each row

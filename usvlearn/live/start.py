@@ -223,11 +223,7 @@ def _changed(own: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, An
 
 
 def channel_options(given: Mapping[str, str]) -> dict[str, dict[str, Any]]:
-    """Changes to channels from text by dotted key, as on a command line or in a mission file.
-
-    Args:
-        given: such as {"surge": "NAV_SPEED"}, the name, or {"surge.unit": "knots"}; several names are comma-separated.
-    """
+    """Changes to channels from text by dotted key: {"surge": "NAV_SPEED"}, comma-separated names, or "surge.unit"."""
     found: dict[str, dict[str, Any]] = {}
     for dotted, text in given.items():
         channel, _, key = dotted.partition(".")

@@ -30,11 +30,7 @@ POLICY = (  # of what the page may load: nothing but its own script, and its own
 
 
 def address_of(text: str) -> tuple[str, int]:
-    """Host and port of PORT or HOST:PORT.
-
-    >>> address_of("8808"), address_of("0.0.0.0:80")
-    (('127.0.0.1', 8808), ('0.0.0.0', 80))
-    """
+    """Host and port of PORT or HOST:PORT."""
     host, colon, port = text.strip().rpartition(":")
     host = host.strip("[]") if colon else HOST
     try:
@@ -46,14 +42,7 @@ def address_of(text: str) -> tuple[str, int]:
 
 
 class WebPage:
-    """Serves the page in a thread; each request gets what `show` was given last.
-
-    Args:
-        address: PORT, which is served to this computer alone, or HOST:PORT; port 0 takes a free one.
-
-    Raises:
-        ConfigError: the address cannot be used.
-    """
+    """Serves the page in a thread; each request gets what `show` was given last. Port 0 takes a free one."""
 
     def __init__(self, address: str):
         host, port = address_of(address)

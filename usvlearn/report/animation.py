@@ -15,16 +15,7 @@ MOST, RATE = 120, 4  # frames, and how many a second
 
 
 def write_animation(path: Path, mission: Mission, title: str) -> Path:
-    """A GIF with a frame for each track: left on the boat's way, right beside the measured path, with ellipses.
-
-    Args:
-        path: of the file.
-        mission: with its tracks, one at least.
-        title: the boat's name.
-
-    Returns:
-        The path.
-    """
+    """A GIF with a frame for each track: left on the boat's way, right beside the measured path; returns its path."""
     from matplotlib.animation import FuncAnimation, PillowWriter
 
     shown = mission.ahead[:: 1 + (len(mission.ahead) - 1) // MOST]

@@ -46,12 +46,8 @@ class BestMinutes(NamedTuple):
 def best_minutes(runs: Sequence[SeasonRun], free: Sequence[FreeRun], column: int) -> BestMinutes | None:
     """The part with the least mean error of those whose speed changes at least as much as in half of all parts.
 
-    Runs that the model has not learned go first. None where nothing was measured for so long.
-
-    Args:
-        runs: of one boat.
-        free: their simulations.
-        column: of the estimator.
+    Runs of a boat that the model has not learned go first. None where nothing was measured for so long. The column is
+    that of the estimator in the runs' simulations.
     """
     pairs = list(zip(runs, free, strict=True))
     pairs = [pair for pair in pairs if not pair[1].learned] or pairs
@@ -72,8 +68,7 @@ def _parts(run: SeasonRun, made: FreeRun, column: int) -> list[BestMinutes]:
         part = slice(*np.searchsorted(run.time, (begin, begin + LENGTH)))
         measured = np.where(np.isfinite(simulated[part]), run.measured[part], np.nan)
         if np.isfinite(measured).sum() * run.spacing >= KNOWN_SHARE * min(LENGTH, run.time[-1] - run.time[0]) > 0:
-            inputs = run.samples.inputs
-            sides = inputs.command_left[part], inputs.command_right[part]
+            sides = (side[part] for side in run.samples.inputs[:2])
             found.append(BestMinutes(run.name, made.learned, run.time[part] / 60, measured, simulated[part], *sides))
     return found
 

@@ -58,22 +58,13 @@ class Tools(NamedTuple):
 
 
 def read(folders: Sequence[Path], tools: Tools, data: Any = None) -> tuple[Ensemble, list[Season]]:
-    """The ensemble of some runs, and the season of each boat.
-
-    Args:
-        folders: of the runs, the oldest first.
-        tools: see `Tools`.
-        data: configuration of other logs of the same boats; by default the logs of the runs.
-
-    Raises:
-        CheckpointError, ConfigError: the saved files cannot be read, or do not fit the data.
-    """
+    """The ensemble of some runs, the oldest first, and the season of each boat, in their logs or in those of `data`."""
     ensemble, fleets = _built(folders, tools, data)
     return ensemble, read_seasons(folders, ensemble, fleets)
 
 
 def _built(folders: Sequence[Path], tools: Tools, data: Any) -> tuple[Ensemble, list[Fleet]]:
-    """The ensemble and the aligned logs; arguments and errors as of `read`."""
+    """The ensemble and the aligned logs; arguments as of `read`."""
     if data is not None and "_target_" not in data:
         raise ConfigError(f"data: found {', '.join(data)} alone, expected a file of configs/data: set data=NAME")
     settings = [configuration(folder, tools.trust) for folder in folders]

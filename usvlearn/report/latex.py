@@ -61,16 +61,9 @@ def write_latex(
     folder: Path, sections: Sequence[Section], quantities: Mapping[str, Mapping[str, Quantity]],
     boats: Sequence[IdentifiedBoat],
 ) -> list[Path]:  # fmt: skip
-    """Write `paper.tex`, which includes all, `cited.bib`, and the parts: PDF and SVG figures, tables and equations.
+    """Write `paper.tex`, which includes all, `cited.bib`, and the parts; returns the files, `paper.tex` first.
 
-    Args:
-        folder: of the files.
-        sections: of the report; their figures are made narrower.
-        quantities: of each boat, with 90 % intervals.
-        boats: whose models become equations.
-
-    Returns:
-        The files, `paper.tex` first.
+    The parts are the figures of a report's sections as PDF and SVG, tables, and the models of boats as equations.
     """
     import usvlearn
 
@@ -107,11 +100,7 @@ def _plain(name: str) -> str:
 
 
 def escaped(text: str) -> str:
-    """A text for LaTeX; letters that its default fonts lack become question marks.
-
-    >>> print(escaped("50 % of a_b"))
-    50 \\% of a\\_b
-    """
+    """A text for LaTeX; letters that its default fonts lack become question marks."""
     return "".join(SPECIAL.get(x, x if ord(x) < 0x180 else "?") for x in text)
 
 

@@ -26,7 +26,7 @@ VERDICTS = CHANGED, SAME, VAGUE = "changed", "no change found", "not known well 
 HORIZONS = (("next step", ONE_STEP, 0.0), ("10 s ahead", FORECAST, 10.0), ("open loop", FREE, 0.0))
 CHANCE = "Intervals are 90 %: of 20 quantities that did not change, one or two are called changed."
 DEPENDENT = "Both have learned from the same missions: their errors of quantities are not independent."
-UNPAIRED = "They share no missions with equal samples, so their errors are not compared."
+UNPAIRED = "they share no missions with equal samples, so their errors are not compared."
 
 
 class KnownBoat(NamedTuple):
@@ -55,11 +55,7 @@ class Change(NamedTuple):
 
 
 def change(first: Quantity, other: Quantity) -> Change:
-    """The difference of two independent estimates, from their intervals (Zou and Donner, 2008).
-
-    >>> change(Quantity(2.6, 2.5, 2.7, "m/s"), Quantity(2.3, 2.2, 2.4, "m/s")).verdict
-    'changed'
-    """
+    """The difference of two independent estimates, from their intervals (Zou and Donner, 2008)."""
     mean = other.value - first.value
     low = mean - math.hypot(other.value - other.low, first.high - first.value)
     high = mean + math.hypot(other.high - other.value, first.value - first.low)
@@ -70,16 +66,7 @@ def change(first: Quantity, other: Quantity) -> Change:
 
 
 def read_boats(folders: Sequence[str], name: str | None = None) -> list[list[KnownBoat]]:
-    """The boats to compare, each as it is in every run: by name, or the only one of each run.
-
-    Args:
-        folders: of runs, two at least.
-        name: of a boat, if only this one is wanted.
-
-    Raises:
-        ConfigError: a folder is no run, or the runs have no boat in common and several each.
-        CheckpointError: a file is damaged, or a run is not finished.
-    """
+    """The boats to compare, or the one of a name, each as it is in every run: by name, or the only one of each run."""
     if not 2 <= len(folders) <= len(ascii_uppercase):
         raise ConfigError(f"compare: found {len(folders)} runs, expected 2 to {len(ascii_uppercase)}")
     runs = [_boats_of(folder, letter) for folder, letter in zip(folders, ascii_uppercase, strict=False)]
@@ -164,7 +151,7 @@ def _section(index: int, runs: Sequence[KnownBoat]) -> Section:
             ends = (None,) * 3 if paired is None else (paired.mean, paired.low, paired.high)
             verdict = VAGUE if paired is None or paired.tie is None else SAME if paired.tie else CHANGED
             errors.append((pair, words, before, after, *ends, verdict))
-        here += [DEPENDENT if shared else f"{pair}: {UNPAIRED[0].lower()}{UNPAIRED[1:]}"]
+        here += [DEPENDENT if shared else f"{pair}: {UNPAIRED}"]
     columns = "pair", "quantity", "unit", "before", "after", "change", "from (90 %)", "to (90 %)", "verdict"
     heads = "pair", "error, m/s", "before", "after", "change", "from (95 %)", "to (95 %)", "verdict"
     names = [name for name in first.quantities if any(name == row[1] for row in rows)]
@@ -186,12 +173,10 @@ def forest(runs: Sequence[KnownBoat], names: Sequence[str]) -> Any:
         for panel, name in zip(panels_of(figure, len(names), across), names, strict=True):
             first = runs[0].quantities[name]
             for row, each in enumerate(runs):
-                if (own := each.quantities.get(name)) is None:
-                    continue
-                changed = row and change(first, own).verdict == CHANGED
-                colour = WORSE if changed else INK
-                panel.plot([own.low, own.high], [row, row], color=colour, linewidth=1.6)
-                panel.plot(own.value, row, "o", color=colour, markersize=4)
+                if own := each.quantities.get(name):
+                    colour = WORSE if row and change(first, own).verdict == CHANGED else INK
+                    panel.plot([own.low, own.high], [row, row], color=colour, linewidth=1.6)
+                    panel.plot(own.value, row, "o", color=colour, markersize=4)
             panel.axvline(first.value, color=LINE, linewidth=1.0)
             panel.set_yticks(range(len(runs)), [each.letter for each in runs])
             panel.set_ylim(len(runs) - 0.5, -0.5)

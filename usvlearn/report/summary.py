@@ -30,13 +30,7 @@ def displayed(found: Identified) -> dict[str, Quantity]:
 
 
 def summary(results: Mapping[str, Any], asked: Questions, boats: Mapping[str, Quantities]) -> list[str]:
-    """The lines of a run, each behind its label.
-
-    Args:
-        results: of `results.json`.
-        asked: what nobody has confirmed.
-        boats: the quantities of each boat that are to be used.
-    """
+    """The lines of a run, each behind its label, of `results.json` and the quantities of boats that are to be used."""
     name, check, events = results["output"], results.get("data_check"), results.get("events")
     data = "not checked" if check is None else f"{len(check)} finding{'s' * (len(check) > 1)}" if check else "ok"
     unsure = sum(each["certainty"] == UNSURE for each in asked.values())

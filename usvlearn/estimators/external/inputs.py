@@ -47,11 +47,7 @@ class Stretched(Estimator):
 
     @abc.abstractmethod
     def stretch(self, state: Any, steps: Step) -> tuple[Any, Tensor]:
-        """All steps, leaves `(time, *batch)`; raises a MemberError, which knows the step.
-
-        Returns:
-            The state at the end; the predictions, m/s, `(time, *batch)`, NaN where no step was made.
-        """
+        """The state after all steps, and predictions, m/s, `(time, *batch)`, NaN where none was; or a MemberError."""
 
     def start(self, state: Any, surge: Tensor) -> State:
         return state._replace(surge=surge.clone())

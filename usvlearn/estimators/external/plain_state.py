@@ -20,13 +20,9 @@ CONTAINERS = {"list": list, "tuple": tuple, "set": set}
 
 
 def packed(model: Any, size: int) -> np.ndarray:
-    """The state of an object, `(size,)` bytes.
+    """The state of an object, `(size,)` bytes: what its method `get_state` returns, or else all its attributes.
 
-    It is what its method `get_state` returns; without one, all attributes of the object.
-
-    Raises:
-        TypeError: the object holds what is not plain.
-        ValueError: it is too long.
+    A TypeError where the object holds what is not plain, a ValueError where it is too long.
     """
     given = model.get_state() if hasattr(model, "get_state") else model
     content = zlib.compress(json.dumps(_plain(given, {}, 0)).encode(), 1)
@@ -38,11 +34,7 @@ def packed(model: Any, size: int) -> np.ndarray:
 
 
 def unpacked(content: np.ndarray, model: Any) -> Any:
-    """The object, as it was made, in the state of these bytes.
-
-    Raises:
-        CheckpointError: they are of another object.
-    """
+    """The object, as it was made, in the state of these bytes; a CheckpointError if they are of another one."""
     length = int.from_bytes(content[:4].tobytes(), "little")
     try:
         unzip = zlib.decompressobj()
@@ -101,9 +93,8 @@ def _built(found: Any, before: Any) -> Any:
         own.update(built)
         return own
     if name in CONTAINERS:
-        parts = (
-            list(before) if isinstance(before, list | tuple) and len(before) == len(content) else [None] * len(content)
-        )
+        fits = isinstance(before, list | tuple) and len(before) == len(content)
+        parts = list(before) if fits else [None] * len(content)
         return CONTAINERS[name](_built(*each) for each in zip(content, parts, strict=True))
     if name == "same" and getattr(before, "__qualname__", None) == content:
         return before

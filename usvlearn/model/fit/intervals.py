@@ -53,13 +53,7 @@ def variances(
     values: Mapping[str, Any], slopes: Mapping[str, np.ndarray], differ: Mapping[str, float], beyond: float,
     C: np.ndarray,
 ) -> dict[str, float]:  # fmt: skip
-    """The variance of each quantity in (1), of its value, its gradient, and what other sets say.
-
-    Args:
-        values, slopes, differ: of `quantities`, `gradients` and `disagreement`.
-        beyond: as of `intervals`.
-        C: covariance of the parameters, `(m, m)`.
-    """
+    """The variance of each quantity in (1), of its value, its gradient, and what other sets say; C is that of θ."""
     found = {}
     for name, value in ((name, float(each)) for name, each in values.items()):
         own = math.hypot(own_error(name, values), BEYOND.get(name, 0.0) * beyond * value)

@@ -106,14 +106,7 @@ class Expected:
 def verdicts(
     recordings: Sequence[Recording], settings: Mapping[str, Any], findings: Sequence[Finding], asked: Questions
 ) -> Iterator[str]:
-    """The lines for each boat.
-
-    Args:
-        recordings: of all boats, as the settings read them.
-        settings: `data` and `vehicle`, perhaps `align`, of a configuration.
-        findings: of the data check.
-        asked: what nobody has confirmed.
-    """
+    """The lines for each boat, as the settings of a configuration read the recordings; asked: what nobody confirmed."""
     mass, top = float(settings["vehicle"]["mass"]), float(settings["vehicle"]["surge_max"])
     unsure = [key for key, each in asked.items() if each["certainty"] == UNSURE]
     try:
