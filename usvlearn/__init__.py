@@ -38,7 +38,7 @@ if TYPE_CHECKING:  # what type checkers and editors see; a test compares it with
     from usvlearn.estimators.ensemble.layer import Ensemble as Ensemble
     from usvlearn.estimators.external.adapter import external as external
     from usvlearn.estimators.external.online_module import OnlineModule as OnlineModule
-    from usvlearn.estimators.external.own_kernel import kernel as kernel
+    from usvlearn.estimators.external.own_numba import kernel as kernel
     from usvlearn.estimators.joint.change_detection import Trial as Trial
     from usvlearn.estimators.joint.layer import JointEKF as JointEKF
     from usvlearn.estimators.least_squares.rls import RLS as RLS
@@ -72,7 +72,7 @@ _HOME = {
     "RNN": "estimators.rnn.layer",
     "OnlineModule": "estimators.external.online_module",
     "external": "estimators.external.adapter",
-    "kernel": "estimators.external.own_kernel",
+    "kernel": "estimators.external.own_numba",
     "Persistence": "estimators.baselines.persistence.layer",
     "JointEKF": "estimators.joint.layer",
     "YawEKF": "estimators.axis.layer",

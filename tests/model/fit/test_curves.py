@@ -13,7 +13,7 @@ from usvlearn.estimators.joint.excitation_warnings import Quantity
 from usvlearn.model.fit import motion_kernel as kernel
 from usvlearn.model.fit.choice import Score
 from usvlearn.model.fit.gauss_newton import Fit, Missions, legal
-from usvlearn.model.fit.intervals import _gradients, alike, intervals, own_error, spread, unreached
+from usvlearn.model.fit.intervals import alike, gradients, intervals, own_error, spread, unreached
 from usvlearn.model.fit.open_loop import usual_current
 from usvlearn.model.fit.quantities import CurvedAhead, quantities
 from usvlearn.model.fit.shown import tables
@@ -96,7 +96,7 @@ def fit_of(terms: str = "cubic", count: int = 3) -> Fit:
 def test_gradients_are_those_of_closed_forms():
     """Thrust is linear in its parameters; of a steady speed it is that of an implicit function."""
     fit = fit_of()
-    found, own = _gradients(fit, MASS), [NAMES[place] for place in fit.known.active]
+    found, own = gradients(fit, MASS), [NAMES[place] for place in fit.known.active]
     for name, value in zip(own, found["thrust_full_left"], strict=True):
         assert value == pytest.approx(MASS * (name in [f"thrust_{x}_left" for x in ("linear", "quadratic", "cubic")]))
     slope = 1 / 2.5 - CurvedAhead(fit.theta, TOP).lift

@@ -87,9 +87,9 @@ def effectiveness(state: ThrusterState) -> tuple[Tensor, Tensor]:
 
 
 def yaw_explained(state: ThrusterState) -> Tensor:
-    """The share of the yaw rate's variance, but for its own past, that the commands explain, `(*batch,)`; NaN: none."""
+    """The share of the yaw rate's variance, but for its own past, that the commands explain, `(*batch,)`; 0 without turns."""
     error, made = state.explained.unbind(-1)
-    return 1 - error / made
+    return torch.where(made > 0, 1 - error / made, 0.0)
 
 
 def monitor_report(state: MonitorState, members: Sequence[str], memory: float = 500.0) -> dict[str, Tensor]:
