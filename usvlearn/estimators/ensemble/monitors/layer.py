@@ -87,7 +87,7 @@ def effectiveness(state: ThrusterState) -> tuple[Tensor, Tensor]:
 
 
 def yaw_explained(state: ThrusterState) -> Tensor:
-    """The share of the yaw rate's variance, but for its own past, that the commands explain, `(*batch,)`; 0 without turns."""
+    """The share of the yaw rate's variance, without its own past, that the commands explain, `(*batch,)`; else 0."""
     error, made = state.explained.unbind(-1)
     return torch.where(made > 0, 1 - error / made, 0.0)
 
