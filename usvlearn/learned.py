@@ -390,11 +390,7 @@ def check_logs(logs: Any) -> AlignedLogs:
 
 
 def _pandas() -> Any:
-    """The package.
-
-    Raises:
-        MissingExtraError: it is not installed.
-    """
+    """The package, or a MissingExtraError."""
     try:
         import pandas  # pyright: ignore[reportMissingImports]
     except ImportError as error:

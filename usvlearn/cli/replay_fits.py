@@ -38,11 +38,7 @@ def takes_fits(ensemble: Ensemble) -> bool:
 def replay_with_fits(
     run: RunFolder, begin: Position, fits: Callable[[int], np.ndarray], every: int, save_every: int
 ) -> Iterator[Chunk]:
-    """`usvlearn.runs.replay.replay` of a run's folder, to which each chunk is saved before the next one is made.
-
-    Args:
-        fits: of `fits_of`.
-    """
+    """`usvlearn.runs.replay.replay` of a run's folder, to which each chunk is saved before the next one is made."""
     from usvlearn.engine.backend import arrays_of, tree_of
     from usvlearn.engine.fit_member import with_fit
     from usvlearn.runs.replay import replay

@@ -22,15 +22,9 @@ if TYPE_CHECKING:
 def planar_stretches(
     planar: Planar, state: PlanarState, parts: Iterable[PlanarSample], record: Sequence[str]
 ) -> Iterator[tuple[PlanarState, dict[str, np.ndarray]]]:
-    """`usvlearn.engine.rollouts.chunked_rollout` of a boat in the plane.
+    """`usvlearn.engine.rollouts.chunked_rollout` of a boat in the plane, of NumPy samples of consecutive stretches.
 
-    Args:
-        planar, state: as of `Online`.
-        parts: NumPy samples of consecutive stretches, leaves `(time, *batch)`.
-        record: names of leaves of the state, such as "surge.predictions" and "track.due".
-
-    Yields:
-        The state after each stretch; the leaves after each of its steps, `(time, *batch, …)`.
+    Yields the state after each stretch, and the leaves that `record` names after each step, `(time, *batch, …)`.
     """
     from usvlearn.engine.external import first_pass, roll_both
 

@@ -276,11 +276,7 @@ def run(
 def kernel_step(
     description: dict[str, Any], state: State, sample: Sample, given: Sequence[Tensor] = ()
 ) -> tuple[State, Tensor]:
-    """The state after one sample, leaves `(*batch,)`, and the prediction, m/s, without gradients; see `protocol`.
-
-    Raises:
-        ConfigError: the kernels cannot read these tensors.
-    """
+    """The state after one sample, leaves `(*batch,)`, and the prediction, m/s, without gradients; see `protocol`."""
     device = sample.surge.device
     if sample.surge.numel() == 0:
         return state, sample.surge

@@ -222,9 +222,7 @@ class Usable:
     def judged(self, node: Node, ages: Mapping[str, float]) -> Cause | None:
         """Why many of the last steps were lost; None if they were not, or if the node has made too few to tell.
 
-        Args:
-            node: which counts.
-            ages: part -> s since its last message. While one is silent for long, or never came, nothing is concluded.
+        While a part is silent for long, s by part, or never came, nothing is concluded.
         """
         stale = Counter({name: causes.get("stale", 0) for name, causes in node.counts.items()})
         if "yaw_rate" not in self._names:  # it is the slope of the heading

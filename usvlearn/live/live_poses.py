@@ -23,11 +23,7 @@ NONE = np.full(1, math.nan)
 
 
 class LivePoses:
-    """Keeps the messages that the next step may need.
-
-    Args:
-        channels: how each is received; others than the heading, the yaw rate and the auxiliary ones are not used.
-    """
+    """Keeps the messages of the heading, the yaw rate and the auxiliary channels that the next step may need."""
 
     def __init__(self, channels: Mapping[str, Source]):
         self._gyro, self._sway, self._pair = (

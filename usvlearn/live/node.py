@@ -138,13 +138,7 @@ class Node:
         return stamp - self.origin
 
     def push(self, part: str, stamp: float, raw: float) -> list[Step]:
-        """Take one message; returns the steps that it completes.
-
-        Args:
-            part: a channel, or one of several sources of a command, such as "command_left[0]": see `Setup.parts`.
-            stamp: s; it may be any number, on any clock.
-            raw: the value as the source has it.
-        """
+        """Take a message of a part (`Setup.parts`), stamped in s of any clock; returns the steps that it completes."""
         source = self.parts.get(part)
         if source is None:
             raise ConfigError(f"part: found {part!r}, expected one of {', '.join(self.parts)}")

@@ -26,12 +26,7 @@ LARGEST = 1_000_000  # bytes of a status
 
 
 class NodeFolder:
-    """The checkpoints of a folder. Those that a node has written are numbered; the oldest of them are removed.
-
-    Args:
-        folder: it is made.
-        keep: how many of its own checkpoints a node keeps, at least 2.
-    """
+    """The checkpoints of a folder. Those that a node has written are numbered; the oldest of them are removed."""
 
     def __init__(self, folder: Path, keep: int = 100):
         self.folder, self._keep = folder, max(keep, 2)
@@ -48,11 +43,7 @@ class NodeFolder:
         return bool(checkpoint.checkpoints(self.folder))
 
     def save(self, leaves: Mapping[str, np.ndarray], facts: Mapping[str, Any]) -> Path:
-        """Write a checkpoint, then remove the oldest of the node's own.
-
-        Raises:
-            OSError: the disk is full, or the like; the checkpoints that are there stay.
-        """
+        """Write a checkpoint, then remove the oldest of the node's own, unless the disk is full."""
         path = self.folder / f"live_{next(self._count):08d}{checkpoint.SUFFIX}"
         checkpoint.save(path, dict(leaves), **facts)
         own = sorted((each for each in self.folder.iterdir() if NAME.fullmatch(each.name)), key=lambda each: each.name)
@@ -75,11 +66,7 @@ def unsaved(folder: Path, error: BaseException | None) -> str:
 def newest(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any], Path, list[str]]:
     """A checkpoint, or the newest readable one of a folder or of a run with one boat.
 
-    Returns:
-        Leaves, metadata, the path, and sentences about newer checkpoints that cannot be read.
-
-    Raises:
-        CheckpointError: none can be read.
+    Returns leaves, metadata, the path, and sentences about newer checkpoints that cannot be read.
     """
     if not path.exists():
         raise CheckpointError(f"{path}: there is no such file or folder: correct the path")
@@ -115,11 +102,7 @@ def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
 
 
 def status_of(folder: Path, name: str = STATUS) -> dict[str, Any]:
-    """What a node, or a fit of its missions, wrote last; {} if it wrote nothing.
-
-    Raises:
-        CheckpointError: the file is damaged, or something else.
-    """
+    """What a node, or a fit of its missions, wrote last; {} if it wrote nothing."""
     path = folder / name
     try:
         if not stat.S_ISREG(path.stat().st_mode):

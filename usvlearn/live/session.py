@@ -47,12 +47,7 @@ WARNINGS = 20  # sentences, at most
 
 
 class Session:
-    """One node aboard.
-
-    Raises:
-        ConfigError: another node has the folder, there is nothing to start from, or a channel is not legal.
-        CheckpointError: no set of the folder can be read.
-    """
+    """One node aboard; no other node may have its folder."""
 
     def __init__(self, options: Options, middleware: Middleware):
         self.options, self.middleware = options, middleware

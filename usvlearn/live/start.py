@@ -93,12 +93,7 @@ class Begin(NamedTuple):
 
 
 def begin(folder: NodeFolder, options: Options, middleware: Middleware) -> Begin:
-    """Read the checkpoint from which a node starts, or make a prior.
-
-    Raises:
-        CheckpointError: there are checkpoints, and none of them can be read.
-        ConfigError: there is no checkpoint, and no mass and top speed for a prior; or a channel is not legal.
-    """
+    """Read the checkpoint from which a node starts; without any, make a prior of a mass and a top speed."""
     leaves, facts, sentence, told = _found(folder, options)
     setup = _setup(facts, options, middleware)
     return Begin(leaves, facts, setup, sentence, [*told, *unconfirmed(setup.unconfirmed)])
@@ -260,12 +255,7 @@ def _value(dotted: str, key: str, text: str) -> Any:
 
 
 def boat_of(path: Path) -> tuple[dict[str, dict[str, Any]], dict[str, float], Questions]:
-    """The channels, the mass and top speed, and the open questions of a configuration of data, such as `usvlearn
-    inspect` writes.
-
-    Raises:
-        ConfigError: there is no such file, it holds no channels, or PyYAML is not installed.
-    """
+    """The channels, mass and top speed, and open questions of a configuration of data, as `usvlearn inspect` writes."""
     try:
         from usvlearn.core.safe_yaml import read_yaml
     except ImportError as error:

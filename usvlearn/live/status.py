@@ -296,12 +296,7 @@ def _brief(step: Step) -> str:
 
 
 def status_lines(folder: Path) -> list[str]:
-    """What a running or dead node last knew, as lines.
-
-    Raises:
-        ConfigError: there is no such folder.
-        CheckpointError: its status is damaged.
-    """
+    """What a running or dead node last knew, as lines."""
     if not folder.is_dir():
         raise ConfigError(f"status: found no folder {folder}, expected the one of a node: correct the path")
     found, saved = status_of(folder), checkpoint.checkpoints(folder)

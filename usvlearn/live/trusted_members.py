@@ -11,12 +11,7 @@ from usvlearn.errors import CheckpointError
 
 
 def trusted_members(facts: Mapping[str, Any], trust: Sequence[str]) -> dict[str, Any]:
-    """Such members of a checkpoint, by name, if modules are trusted: only they, and this package, are imported.
-
-    Raises:
-        CheckpointError: the settings in the checkpoint do not say how one is made, or name another module.
-        ConfigError: a class cannot be made.
-    """
+    """Such members of a checkpoint, by name, if modules are trusted: only they, and this package, are imported."""
     names, settings = external_in(facts["kernel"]) if trust else [], facts.get("configuration")
     known = settings.get("estimators") if isinstance(settings, dict) else None
     if lost := [name for name in names if not isinstance(known, dict) or name not in known]:

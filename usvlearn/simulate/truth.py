@@ -49,12 +49,8 @@ def true_quantities(
     """What `identified` is compared with: boat -> quantity -> value on one mission.
 
     Tables of thrust and a knee in the drag count as they are, except for the parameters, which are fits.
-
-    Args:
-        mass: declared, kg.
-        parameters: of `true_parameters`.
-        n, plant, season: as of `usvlearn.simulate.fleet.fleet`.
-        mission: its index; by default the last one: what the boat is at the end.
+    The declared mass is in kg; `n`, `plant` and `season` are those of `usvlearn.simulate.fleet.fleet`. By default the
+    last mission counts: what the boat is at the end.
     """
     missions, vessel = _season(n, plant, **season)
     both = torch.ones(2, dtype=torch.float64)

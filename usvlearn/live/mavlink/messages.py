@@ -63,12 +63,7 @@ class Frames:
         self.skipped = 0  # bytes that belong to no frame of a known message
 
     def take(self, data: bytes, whole: bool = False) -> list[Any]:
-        """The messages that are complete now, as pymavlink decodes them.
-
-        Args:
-            data: what was received.
-            whole: it is a datagram, which begins with a frame and ends with one.
-        """
+        """The messages that are complete now, as pymavlink decodes them; whole: a datagram begins and ends with one."""
         data, place, found = self._rest + data, 0, []
         while (first := FIRST.search(data, place)) is not None:
             self.skipped += first.start() - place

@@ -94,13 +94,9 @@ class Vehicle:
     # ------------------------------------------------------------ receiving
 
     def receive(self, data: bytes, now: float, whole: bool = False, place: str = "") -> bool:
-        """Take what a link has received; returns whether a frame of the vehicle was in it.
+        """Take what a link has received, now in s of a steady clock; returns whether a frame of the vehicle was in it.
 
-        Args:
-            data: any bytes.
-            now: s of a steady clock.
-            whole: `data` is a datagram.
-            place: where it came from, if several can send.
+        `whole`: the data are a datagram; `place`: where they came from, if several can send.
         """
         heard = False
         for message in self.frames.take(data, whole):

@@ -120,13 +120,9 @@ class Messages:
         self._now = 0  # ns
 
     def take(self, topic: str, fields: Mapping[str, str], message: Any, now: int) -> list[Any]:
-        """Push the parts of a message; returns the steps that it completes.
+        """Push the parts of a message, by field; returns the steps that it completes.
 
-        Args:
-            topic: its name.
-            fields: part -> field.
-            message: of any type.
-            now: the node's clock, ns; 0 while a simulated clock has not been received.
+        `now` is the node's clock, ns; 0 while a simulated clock has not been received.
         """
         steps, wrong = self.notice(now), {}
         if now == 0:

@@ -42,12 +42,7 @@ def init(batch: Sequence[int], like: Tensor) -> AccommodationState:
 
 
 def thrust_remaining(thrusters: ThrusterState, given: Any) -> tuple[Tensor, Tensor]:
-    """The effectiveness of each thruster and its standard deviation, `(*batch, 2)` each.
-
-    Args:
-        thrusters: the monitor's.
-        given: an `AccommodationState`, or {}: then the monitor alone tells.
-    """
+    """The effectiveness of each thruster and its standard deviation, `(*batch, 2)` each; given {}, the monitor's."""
     share, deviation = effectiveness(thrusters)
     if not given:
         return share, deviation
