@@ -21,7 +21,8 @@ from usvlearn.evaluation.metrics import PERSISTENCE, scores
 from usvlearn.evaluation.season import Season, SeasonRun
 from usvlearn.report.best_minutes import BestMinutes, best_minutes
 from usvlearn.report.summary import displayed, undetermined
-from usvlearn.report.viewer import number, runs_html
+from usvlearn.report.tables import number
+from usvlearn.report.viewer import runs_html
 
 MAIN = {  # the quantities that are shown first, in words
     "steady_speed_full": "Steady speed at full ahead",

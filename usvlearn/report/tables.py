@@ -35,7 +35,8 @@ COLUMNS = {"mae": "MAE", "median": "median", "rmse": "RMSE", "skill": "skill", "
            "steps": "steps"}  # fmt: skip
 
 
-def _number(value: float | None, digits: int = 4) -> str:
+def number(value: float | None, digits: int = 3) -> str:
+    """A dash where it is unknown."""
     return "–" if value is None or value != value else f"{value:.{digits}f}"
 
 
@@ -45,7 +46,7 @@ def _cell(column: str, row: Mapping) -> str:
         return f"{value:.0f}"
     if column == "coverage":
         return "–" if value is None else f"{value:.1%}"
-    return _number(value, 3 if column in ("skill", "halfwidth") else 4)
+    return number(value, 3 if column in ("skill", "halfwidth") else 4)
 
 
 def _name(name: str, remarks: Mapping[str, str] | None) -> str:
@@ -99,7 +100,7 @@ def forecast_table(
             table.group(boat)
         *others, own = [name for name in rows if name != PERSISTENCE]
         for name in (own, *others):
-            cells = [_number(rows[name][h]["skill"], 3) for h in horizons]
+            cells = [number(rows[name][h]["skill"], 3) for h in horizons]
             table.add(name, *cells, style="bold" if name == own else "")
         for words, key in COVERED.items():  # runs of before have the first alone
             held = [rows[own][h].get(key) for h in horizons]
@@ -107,7 +108,7 @@ def forecast_table(
                 table.add(words, *("–" if x is None else f"{x:.0%}" for x in held))
         found = [rows[own][h].get("interval") for h in horizons]
         if whole and any(x is not None for x in found):
-            table.add("interval score, m/s", *(_number(x, 3) for x in found))
+            table.add("interval score, m/s", *(number(x, 3) for x in found))
     return table
 
 
@@ -121,7 +122,7 @@ def track_table(tracks: Mapping[str, Mapping[str, Mapping[str, Any]]] | None) ->
         if len(tracks) > 1:
             table.group(boat)
         for words, key in TRACKS.items():
-            table.add(words, *(_number(rows[h][key], 2) for h in horizons), style="bold" if key == "position" else "")
+            table.add(words, *(number(rows[h][key], 2) for h in horizons), style="bold" if key == "position" else "")
         turned = [rows[h]["heading"] for h in horizons]
         table.add("heading error, °", *("–" if x is None else f"{math.degrees(x):.1f}" for x in turned))
         held = [rows[h]["inside"] for h in horizons]
@@ -156,9 +157,7 @@ def error_tables(
 ) -> Group:
     """The errors of a run, one step and further ahead, and notes on them.
 
-    Args:
-        main: the combiner that predicts and the members of the ensemble: only it, the baseline and the best member are
-            shown, means over boats where there are several; None: everything.
+    Given the combiner that predicts and the members, only it, the baseline and the best member are shown, as means.
     """
     boats, forecast, several = _short(boats, main), _short(forecast or {}, main), len(boats) > 1
     title = f"One-step prediction of surge, means of {len(boats)} boats, m/s, by MAE"
@@ -271,5 +270,5 @@ def tuning_table(title: str, rows: Sequence[tuple[str, str, Mapping]]) -> Blocks
     table = Blocks(title, ["", "setting"], ["MAE, m/s", "gain, %"], folded=["setting"])
     for k, (rank, setting, row) in enumerate(rows):
         mae = "diverged" if row["mae"] is None else f"{row['mae']:.5f}"
-        table.add(rank, setting, mae, _number(row.get("gain"), 1), style="" if k else "bold")
+        table.add(rank, setting, mae, number(row.get("gain"), 1), style="" if k else "bold")
     return table

@@ -23,6 +23,7 @@ from usvlearn.display.figures import PAPER, SIDES, colours
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.free_simulation import FreeRun
 from usvlearn.evaluation.season import Season, SeasonRun
+from usvlearn.report.tables import number
 from usvlearn.report.track_maps import Ahead, BoatTracks
 
 BUDGET = 1_500_000  # numbers; 4 MB in a page
@@ -180,11 +181,6 @@ def residuals(x: np.ndarray, error: np.ndarray) -> list[list[float]]:
             numbers = (middle, here.mean(), *np.percentile(here, (5, 95)))
             found.append([*(float(f"{each:.4g}") for each in numbers), len(here)])
     return found
-
-
-def number(value: float | None, digits: int = 3) -> str:
-    """Of a table; a dash where it is unknown."""
-    return "–" if value is None or value != value else f"{value:.{digits}f}"
 
 
 def runs_html(boats: Sequence[Any], viewer: Mapping[str, Any]) -> str:

@@ -61,12 +61,7 @@ class Stretch(NamedTuple):
 class Published:
     """The stretches in a run's folder, in order. Each is read when it is needed, so that memory contains one at a time.
 
-    Args:
-        folder: of the run.
-        lengths: steps of each run.
-        boats: how many there are.
-        widths: see `widths_of`.
-        names: of the arrays that are read.
+    The lengths are the steps of each run, the widths those of `widths_of`.
     """
 
     def __init__(

@@ -125,18 +125,11 @@ def sail(
     gusts: Gusts | None = None,
     wind: np.ndarray | None = None,
 ) -> tuple[float, Tensor, Tensor, Tensor]:
-    """All missions of all boats with the autopilot in the loop, to the length of the longest one.
+    """All missions of all boats, `(missions, boats)`, with the autopilot in the loop, to the length of the longest one.
 
-    Args:
-        vessel: leaves broadcast against `(missions, boats, ...)`.
-        courses: `[mission][boat]`.
-        current, direction: m/s and rad, broadcast against `(missions, boats)`.
-        later: the vessel's new parameters, by the tick from which they hold; the autopilot does not know them.
-        gusts, wind: how strong a gust is, and its course, `Gusts.course`; by default there is none.
-
-    Returns:
-        The step in s, surge over ground and heading at its multiples `(steps + 1, missions, boats)`, and the
-        commands `(ticks, missions, boats, 2)`.
+    The current is in m/s, its direction in rad. `later` are the vessel's new parameters by the tick from which they
+    hold; the autopilot does not know them. The wind is that of `Gusts.course`. Returns the step in s, surge over ground
+    and heading at its multiples, `(steps + 1, missions, boats)`, and the commands, `(ticks, missions, boats, 2)`.
     """
     from usvlearn.core.jit import announced  # numba takes a moment to import
     from usvlearn.simulate import missions_kernel as kernel

@@ -57,14 +57,7 @@ def choose_topics(
 
     A name without `*` is resolved as ROS resolves it: with the node's namespace and the remappings. A name with `*`
     chooses the only topic below the namespace that it matches.
-
-    Args:
-        sources: part -> where it is found.
-        names: of all topics.
-        kinds: the types that are published on a topic.
-        resolve: the full name of a topic.
-        namespace: of the node.
-        current: topic -> type that is subscribed to; it stays while somebody publishes it, or nobody publishes.
+    A `current` topic stays with its type while somebody publishes it, or nobody publishes.
     """
     below, current = namespace.rstrip("/") + "/", current or {}
     names = sorted(name for name in names if name.startswith(below))

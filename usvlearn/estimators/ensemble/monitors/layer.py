@@ -23,9 +23,7 @@ class Whiteness(NamedTuple):
 def excitation(factor: Tensor, prior: Tensor | float) -> Tensor:
     """The share of each parameter's first variance that the data have removed, 0 (a guess) to 1, `(*batch, p)`.
 
-    Args:
-        factor: S, a square root of the covariance, `(*batch, p, p)`.
-        prior: diagonal of P₀, broadcasts against `(*batch, p)`.
+    The factor is a square root of the covariance, `(*batch, p, p)`; the prior is the diagonal of P₀.
     """
     return (1 - (factor * factor).sum(-1) / prior).clamp(0, 1)
 
