@@ -52,7 +52,6 @@ class Responses(NamedTuple):
     time: np.ndarray  # (steps,) s
     wanted: np.ndarray  # (steps,) m/s
     speed: np.ndarray  # (steps, boats) m/s
-    command: np.ndarray  # (steps, boats) share of full command, as the controller sends it
 
 
 class Step(NamedTuple):
@@ -112,7 +111,7 @@ def simulate(
         xi = np.where(place >= 0, sent[np.maximum(place, 0), column], 0.0)
         v = step(boat, v, xi, h)
         speed[k] = v if v.ndim == 1 else v[0]
-    return Responses(time, target, speed, sent)
+    return Responses(time, target, speed)
 
 
 def ahead_step(boat: Ahead, v: np.ndarray, xi: np.ndarray, h: float) -> np.ndarray:
@@ -136,15 +135,8 @@ def steps_of(responses: Responses) -> list[Step]:
         time = responses.time[begin:end] - responses.time[begin - 1]
         settled = np.where(outside.any(0), time[np.minimum(last + 1, len(course) - 1)], 0.0)
         late = course[3 * len(course) // 4 :]
-        found.append(
-            Step(
-                before,
-                after,
-                np.maximum(course.max(0) - 1, 0.0),
-                np.where(outside[-1], np.inf, settled),
-                ~(np.ptp(late, axis=0) <= SWAY),
-            )
-        )
+        over, sways = np.maximum(course.max(0) - 1, 0.0), ~(np.ptp(late, axis=0) <= SWAY)
+        found.append(Step(before, after, over, np.where(outside[-1], np.inf, settled), sways))
     return found
 
 

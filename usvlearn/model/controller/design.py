@@ -192,7 +192,7 @@ def facts(found: Controller) -> dict[str, Any]:
     """As JSON values, with units in the names."""
 
     def curve(each: Curve) -> dict[str, list[float]]:
-        return {name: [round(float(x), 6) for x in getattr(each, name)] for name in ("value", "low", "high")}
+        return dict(zip(("value", "low", "high"), np.round(each[1:], 6).tolist(), strict=True))
 
     forward, left, steer = found.feedforward, found.margins, found.steering
     low, high = forward.band(found.speeds)
@@ -202,15 +202,12 @@ def facts(found: Controller) -> dict[str, Any]:
         "basis": found.boat.found.basis,
         "lacks": list(found.boat.lacks),
         "feedforward": {
-            "command": [round(float(x), 5) for x in forward.command],
-            "speed_m_s": [round(float(x), 5) for x in forward.speed],
-            "low_m_s": [round(float(x), 5) for x in forward.low],
-            "high_m_s": [round(float(x), 5) for x in forward.high],
+            **dict(zip(("command", "speed_m_s", "low_m_s", "high_m_s"), np.round(forward, 5).tolist(), strict=True)),
             "least_speed_m_s": forward.least[0],
             "top_speed_m_s": dict(zip(("value", "low", "high"), forward.top, strict=True)),
         },
         "operating": {
-            "speed_m_s": [round(float(x), 5) for x in found.speeds],
+            "speed_m_s": np.round(found.speeds, 5).tolist(),
             "command": {"value": forward.at(found.speeds).tolist(), "low": low.tolist(), "high": high.tolist()},
             "time_constant_s": curve(found.linear.time_constant),
             "gain_m_s2": curve(found.linear.gain),
