@@ -53,15 +53,12 @@ class Stretched(Estimator):
         return state._replace(surge=surge.clone())
 
     def predict(self, state: Any, inputs: Inputs) -> tuple[State, Tensor]:
-        return self._once(state, inputs, None)
+        return self.learn(state, inputs, None)
 
     def update(self, state: Any, inputs: Inputs, surge: Tensor) -> State:
-        return self._once(state, inputs, surge)[0]
+        return self.learn(state, inputs, surge)[0]
 
-    def learn(self, state: Any, inputs: Inputs, surge: Tensor) -> tuple[State, Tensor]:
-        return self._once(state, inputs, surge)
-
-    def _once(self, state: Any, inputs: Inputs, surge: Tensor | None) -> tuple[State, Tensor]:
+    def learn(self, state: Any, inputs: Inputs, surge: Tensor | None) -> tuple[State, Tensor]:
         own, yes = Inputs(*(x[None] for x in inputs)), torch.ones_like(inputs.dt, dtype=torch.bool)[None]
         target, no = torch.zeros_like(inputs.dt) if surge is None else surge, torch.zeros_like(yes)
         state, found = self.stretch(state, Step(own, target[None], yes, no if surge is None else yes, no))
