@@ -180,7 +180,7 @@ def test_a_class_of_ones_own_is_in_runs_sweeps_and_resumes(tmp_path, monkeypatch
     (tmp_path / "mine.py").write_text("\n".join(block for block in BLOCKS if "NLMS" in block))
     monkeypatch.syspath_prepend(str(tmp_path))
     quick = [each.replace("members=[aid,sift_map,joint]", "members=[aid,joint]") for each in QUICK] + MINE
-    done = run(*quick, "hydra.run.dir=whole", folder=tmp_path)
+    done = run(*quick, "--all", "hydra.run.dir=whole", folder=tmp_path)
     assert done.returncode == 0 and re.search(r"^ensemble.*\n(?:.*\n)*mine", done.stdout, re.M), done.stderr
     shutil.copytree(tmp_path / "whole", tmp_path / "part")
     for kind in ("checkpoints/heron", "predictions"):
