@@ -25,30 +25,30 @@ class Room(NamedTuple):
 
 
 PRODUCT = {
-    "logs": Room(14_336, 12_600, ("usvlearn/logs/",)),
-    "estimators": Room(9_330, 9_600, ("usvlearn/estimators/",)),
-    "certify": Room(6_133, 6_500, ("certify/",)),
-    "live": Room(5_950, 5_900, ("usvlearn/live/",)),
-    "model": Room(5_958, 5_300, ("usvlearn/model/",)),
-    "report": Room(3_462, 3_500, ("usvlearn/report/",)),
-    "engine": Room(3_504, 3_200, ("usvlearn/engine/",)),
-    "cli": Room(2_696, 2_400, ("usvlearn/cli/", "usvlearn/composition/", "train.py", "evaluate.py")),
-    "runs": Room(2_200, 2_100, ("usvlearn/runs/",)),
-    "sweeps": Room(2_074, 1_800, ("usvlearn/sweeps/",)),
-    "core, errors": Room(2_702, 2_500, ("usvlearn/core/", "usvlearn/errors.py")),
-    "simulate": Room(1_858, 1_800, ("usvlearn/simulate/",)),
-    "evaluation": Room(1_472, 1_600, ("usvlearn/evaluation/",)),
+    "logs": Room(13_912, 12_600, ("usvlearn/logs/",)),
+    "estimators": Room(9_889, 9_600, ("usvlearn/estimators/",)),
+    "certify": Room(5_992, 6_500, ("certify/",)),
+    "live": Room(6_345, 5_900, ("usvlearn/live/",)),
+    "model": Room(6_193, 5_300, ("usvlearn/model/",)),
+    "report": Room(4_102, 3_500, ("usvlearn/report/",)),
+    "engine": Room(3_810, 3_200, ("usvlearn/engine/",)),
+    "cli": Room(2_909, 2_400, ("usvlearn/cli/", "usvlearn/composition/", "train.py", "evaluate.py")),
+    "runs": Room(2_197, 2_100, ("usvlearn/runs/",)),
+    "sweeps": Room(2_075, 1_800, ("usvlearn/sweeps/",)),
+    "core, errors": Room(2_762, 2_500, ("usvlearn/core/", "usvlearn/errors.py")),
+    "simulate": Room(1_847, 1_800, ("usvlearn/simulate/",)),
+    "evaluation": Room(1_437, 1_600, ("usvlearn/evaluation/",)),
     "display, top": Room(
-        1_291,
+        1_582,
         1_200,
         ("usvlearn/display/", "usvlearn/_", "usvlearn/api.py", "usvlearn/learned.py", "usvlearn/testing.py"),
     ),
 }
 OTHERS = {
-    "tests": Room(44_303, 38_000, ("tests/",)),
-    "benchmarks": Room(6_938, 5_000, ("benchmarks/",)),
+    "tests": Room(45_002, 38_000, ("tests/",)),
+    "benchmarks": Room(5_964, 5_000, ("benchmarks/",)),
     "building": Room(878, None, (".ci/", "aboard/", "docs/")),
-    "pages": Room(8_685, None, ("README.md", "CONTRIBUTING.md", "aboard/README.md", "docs/")),
+    "pages": Room(8_650, None, ("README.md", "CONTRIBUTING.md", "aboard/README.md", "docs/")),
 }
 ROOMS = PRODUCT | OTHERS
 NOT_COUNTED = "CHANGELOG.md", "docs/adr/", "docs/tutorials/"  # records that only grow, and what the site's build writes
