@@ -186,6 +186,7 @@ def test_kernels_run_without_torch():
             "planar_runs",
             "backend",
             "torch_steps",
+            "external",
         ):
             packages = {found.partition(".")[0] for found in imports(path)}
             assert packages <= {"numpy", "numba", "usvlearn", *sys.stdlib_module_names}, path

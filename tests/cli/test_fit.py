@@ -86,7 +86,7 @@ def test_a_fit_of_the_missions_so_far_forecasts_too_and_a_resumed_run_is_the_sam
     for path in (tmp_path / "run" / "predictions").glob("*.npz"):
         if path.name > kept.name:
             path.unlink()
-    monkeypatch.setattr("usvlearn.cli.train.fit_on_the_way", lambda *_: None)  # the last fit is that of the others
+    monkeypatch.setattr("usvlearn.cli.train.fit_on_the_way", lambda *_: {})  # the last fit is that of the others
     done = run(*MISSIONS, "resume=latest", folder=tmp_path)
     assert done.returncode == 0 and "resuming after" in done.stdout, done.stderr
     for one, other in zip(whole, predictions(tmp_path / "run"), strict=True):

@@ -154,6 +154,7 @@ def half() -> FixedWeights:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("rule", few([BOA, Average, ExponentialWeights, RecursiveWeights, half], [BOA], "thorough"))
+@pytest.mark.filterwarnings("ignore:estimators.wild")
 def test_a_member_that_says_nonsense_does_not_spoil_the_rest(rule):
     wrong = torch.tensor([math.nan, math.inf, -math.inf, 1e30, -11.0], dtype=torch.float64)  # a batch element each
     samples = random_samples(200, 5)

@@ -153,7 +153,7 @@ def test_a_run_ends_with_what_it_measures(objective, tmp_path):
     found = results(tmp_path / "run")
     assert found["output"] == "ensemble" and found["measure"] == objective
     measure = measure_of(objective, "")
-    assert f"{measure.title()}: {found['objective']:.4f} m/s; " in done.stdout
+    assert f"{measure.title()} {found['objective']:.4f} m/s; " in done.stdout
     rows = found["forecast"]["heron"]["aid"]
     expected = rows["2"]["mae"] if "forecast" in objective else found["free"]["heron"]["ensemble"]
     assert found["objective"] == pytest.approx(expected)

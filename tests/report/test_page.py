@@ -40,7 +40,7 @@ def test_the_page_is_one_file_without_links(saved):
     }
     assert len(ids) == len(set(ids)) and links <= set(ids)
     assert "currentColor" in text and "prefers-color-scheme: dark" in text
-    assert text.count("<svg") == 20
+    assert text.count("<svg") == 22
 
 
 def test_only_the_viewer_may_run_and_nothing_may_be_loaded(saved):

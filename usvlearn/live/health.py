@@ -175,11 +175,11 @@ class Pace:
         self._counts: deque[tuple[float, int, int]] = deque()  # s of the clock, steps, learned
 
     def judged(self, node: Node, clock: float) -> Cause | None:
-        """Why hardly a step was made, or nothing learned, in the last 30 s; None if that is not so."""
+        """Why hardly a step was made, or nothing learned, in the last 45 s; None if that is not so."""
         if self._counts and (node.grid < self._counts[-1][1] or clock - self._counts[-1][0] > IDLE):
             self._counts.clear()
         self._counts.append((clock, node.grid, node.learned))
-        while self._counts[0][0] < clock - SPAN:
+        while self._counts[0][0] < clock - 1.5 * SPAN:
             self._counts.popleft()
         begin, steps, learned = self._counts[0]
         elapsed, made, new = clock - begin, node.grid - steps, node.learned - learned
@@ -187,6 +187,8 @@ class Pace:
         if elapsed < IDLE or wanted < LEAST or (made >= PACE * wanted and new):
             return None
         if made >= PACE * wanted:
+            if elapsed < 1.4 * SPAN:  # a channel that is to blame is named first
+                return None
             return Cause("nothing is learned", f"none of the last {made} steps had all inputs and a measured speed")
         share = f"{made} of {wanted:.0f} steps were made in the last {elapsed:.0f} s"
         return Cause(

@@ -161,7 +161,7 @@ def observe_thrusters(node, s, q, inputs, work):
     evidence, sums = s[node[at.evidence] : node[at.evidence] + 3], s[node[at.sums] : node[at.sums] + 12].reshape(3, 4)
     z, x, effects, rest = work[: 1 + YAW], work[1 + YAW : 1 + YAW + n], work[2 * n : 2 * n + 3], work[2 * n + 3 :]
     dt, rate, left, right, speed = inputs[DT], inputs[YAW_RATE], inputs[LEFT], inputs[RIGHT], before[2]
-    calm = np.exp(-max(evidence[0], evidence[1], evidence[2]) / q[Number.CALM])
+    calm = np.exp(-max(max(evidence[0], evidence[1]), evidence[2]) / q[Number.CALM])
     place = node[at.known] + CELLS * cell(left) + cell(right)
     inside, loss = s[place] >= q[Number.LEARNED], q[Number.LOSS]
     keep = np.exp(-min(abs(left) + abs(right), 1.0) * dt / q[Number.YAW_MEMORY])  # only thrust makes it forget
