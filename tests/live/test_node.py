@@ -280,7 +280,7 @@ def test_posts_are_those_of_the_table(start):
     health = COMPILING._replace(state="ok", identified=found, contraction={"rnn": network}, refit=Refit())
     posts = of_step(steps[-1]._replace(events=(Event(1.0, LOSS, "left", 0.4),)), members=True) + of_health(health)
     kinds = {each.name: each.kind for each in TABLE}
-    assert {post.name for post in posts} == set(kinds) - {PLANNED, TRACK, "TRACK_IF_HELD"}
+    assert {post.name for post in posts} == set(kinds) - {PLANNED, TRACK}
     assert all((kinds[post.name] == "D") == isinstance(post.value, float) for post in posts)
     assert all(len(each.short) <= 10 for each in TABLE)
     first = of_step(steps[0])

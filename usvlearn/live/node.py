@@ -273,14 +273,12 @@ class Node:
             self.changed = f"since it has changed, the boat is {way} at the same command by {100 * abs(more):.0f} %"
 
     def reset_alarm(self, everything: bool = False) -> None:
-        """Forget an alarm and its evidence; or everything: also evidence below, and what the filters have got."""
+        """Forget the evidence against the thrusters, and, if asked, that the filters have got a loss of thrust."""
         begin = diagnostics.surge_of(self.online)[1]
         names = [f"{begin}monitors.thrusters.{name}" for name in ("evidence", "sums", "held", "raised")]
         if everything:
             names.append(f"{begin}accommodation.handed")
         leaves = self.online.state
-        if not (everything or np.any(leaves.get(f"{begin}monitors.thrusters.raised", 0.0))):
-            return
         self.online.state = leaves | {name: np.zeros_like(leaves[name]) for name in names if name in leaves}
 
     def answer(self, text: str) -> str:
