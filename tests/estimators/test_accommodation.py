@@ -129,13 +129,12 @@ def test_an_alarm_that_ends_is_a_recovery_only_if_the_filters_agree(course):
     assert ((after.accommodation.share[:, 0] - SHARE).abs() < 0.1).all()
 
 
-def test_one_command_for_both_sides_blames_both():
-    """Nothing tells the sides apart: what the speed finds is given to both."""
+def test_one_command_for_both_sides_raises_no_alarm():
+    """Nothing tells the sides apart, and a loss of one would be blamed on both."""
     one, samples = ensemble(), sail(5)
     inputs = samples.inputs._replace(command_right=samples.inputs.command_left)
     _, _, kept = rollout(one, one.init((BOATS,)), samples._replace(inputs=inputs), LEAVES)
-    for name in ("monitors.thrusters.raised", "accommodation.handed"):
-        assert (kept[name][..., 0] == kept[name][..., 1]).all() and (kept[name][:FAILS] == 0).all()
+    assert (kept["monitors.thrusters.raised"] == 0).all() and (kept["accommodation.handed"] == 0).all()
 
 
 @pytest.mark.thorough
