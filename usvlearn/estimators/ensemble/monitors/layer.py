@@ -8,8 +8,47 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from usvlearn.estimators.ensemble.monitors import state as at
-from usvlearn.estimators.ensemble.monitors.state import InnovationState, MonitorState, Number, ThrusterState
+from usvlearn.estimators.ensemble.monitors.state import (
+    BACKWARDS,
+    BOTH,
+    CALM,
+    CELLS,
+    CLEARED,
+    CLIP,
+    DOUBT,
+    EFFECT,
+    EXPLAINED,
+    FIRST_SCALE,
+    HOLD,
+    HORIZON,
+    HUBER,
+    HUBER_MEAN,
+    HUBER_RATE,
+    KNEE,
+    LEARNED,
+    LEAST_SCALE,
+    LEVELS,
+    LOSS,
+    MISFIT,
+    SLOW_SCALE,
+    SLOWNESS,
+    SURGE_FLOOR,
+    SURGES,
+    THRESHOLD,
+    UNSURE,
+    VARIANCE,
+    WHITE,
+    YAW,
+    YAW_FLOOR,
+    YAW_MEMORY,
+    YAW_RATE,
+    YAW_RIDGE,
+    YAW_SCALE,
+    YAW_SPREAD,
+    InnovationState,
+    MonitorState,
+    ThrusterState,
+)
 
 
 class Whiteness(NamedTuple):
@@ -47,22 +86,28 @@ def excitation_report(names: Sequence[str], factor: Tensor, prior: Tensor | floa
     return informed | {f"least_informed_{name}": x for name, x in zip(names, direction, strict=True)}
 
 
-def description(threshold: float = at.THRESHOLD, memory: float = 500.0) -> dict[str, float]:
-    """The numbers of the kernel: the constants of those names, and variances for standard deviations."""
-    found = {number.key: getattr(at, number.name) for number in Number if number is not Number.INNOVATION_MEMORY}
-    squares = {name: found[name] ** 2 for name in ("least_scale", "yaw_floor", "surge_floor")}
-    return found | squares | {"innovation_memory": memory, "threshold": threshold}
+def description(threshold: float = THRESHOLD, memory: float = 500.0) -> dict[str, float]:
+    """The numbers of the kernel."""
+    innovations = {"huber": HUBER, "huber_mean": HUBER_MEAN, "huber_rate": HUBER_RATE, "least_scale": LEAST_SCALE**2}
+    return innovations | {
+        "innovation_memory": memory, "yaw_memory": YAW_MEMORY, "yaw_ridge": YAW_RIDGE, "yaw_floor": YAW_FLOOR**2,
+        "surge_floor": SURGE_FLOOR**2,
+        "yaw_rate": YAW_RATE, "knee": KNEE, "yaw_spread": YAW_SPREAD, "loss": LOSS, "horizon": HORIZON,
+        "misfit": MISFIT, "clip": CLIP, "effect": EFFECT, "calm": CALM, "threshold": threshold, "backwards": BACKWARDS,
+        "doubt": DOUBT, "cleared": CLEARED, "both": BOTH, "hold": HOLD, "slowness": SLOWNESS, "unsure": UNSURE,
+        "learned": LEARNED, "explained": EXPLAINED,
+    }  # fmt: skip
 
 
 def init(batch: Sequence[int], columns: int, like: Tensor) -> MonitorState:
     """The monitors before the first sample, of the dtype and device of `like`; `columns` innovation sequences."""
     b, k, zero = tuple(batch), columns, like.new_zeros
-    innovations = InnovationState(zero((*b, k, 4)), zero((*b, k)) + at.FIRST_SCALE**2, zero((*b, k)))
+    innovations = InnovationState(zero((*b, k, 4)), zero((*b, k)) + FIRST_SCALE**2, zero((*b, k)))
     errors, two, none = zero((*b, 2, 6)), zero((*b, 2)), zero(b)
-    errors[..., at.VARIANCE], errors[..., at.LEVELS] = at.YAW_SCALE**2, at.SLOW_SCALE**2
-    models = zero((*b, 1 + at.YAW, 1 + at.YAW)), zero((*b, 1 + at.SURGES, 1 + at.SURGES)), errors, zero((*b, 4))
-    seen = zero((*b, at.SURGES - 2)), two, zero((*b, at.CELLS * at.CELLS)), zero((*b, 3)), zero((*b, 3, 4)), none
-    thrusters = ThrusterState(*models, *seen, two, two + 1, two + at.DOUBT**-0.5, none, none)
+    errors[..., VARIANCE], errors[..., LEVELS] = YAW_SCALE**2, SLOW_SCALE**2
+    models = zero((*b, 1 + YAW, 1 + YAW)), zero((*b, 1 + SURGES, 1 + SURGES)), errors, zero((*b, 4))
+    seen = zero((*b, SURGES - 2)), two, zero((*b, CELLS * CELLS)), zero((*b, 3)), zero((*b, 3, 4)), none
+    thrusters = ThrusterState(*models, *seen, two, two + 1, two + DOUBT**-0.5, none, none)
     return MonitorState(innovations, thrusters)
 
 
@@ -73,7 +118,7 @@ def whiteness(state: InnovationState, memory: float = 500.0) -> Whiteness:
     variance = square - mean * mean
     correlation = torch.where(variance > 0, (lagged - mean * mean) / torch.where(variance > 0, variance, 1.0), 0.0)
     samples = weight * (2 * memory - 1) / (2 - weight)  # (1)
-    return Whiteness(correlation, at.WHITE / samples.clamp(min=1).sqrt(), samples)
+    return Whiteness(correlation, WHITE / samples.clamp(min=1).sqrt(), samples)
 
 
 def effectiveness(state: ThrusterState) -> tuple[Tensor, Tensor]:
