@@ -160,11 +160,7 @@ def test_a_second_fault_leaves_the_share_of_the_first(course):
     one, _, state, _ = course
     surge, two = torch.ones(BOATS, dtype=torch.float64), torch.ones(BOATS, 2, dtype=torch.float64)
     thrusters = state.monitors.thrusters._replace(
-        raised=two,
-        since=12 * surge,
-        held=12 * surge,
-        evidence=30 * torch.ones(BOATS, 3, dtype=torch.float64),
-        sums=torch.tensor([-24.0, 37.0, 0.0, 0.0]).double().expand(BOATS, 3, 4).clone(),
+        raised=two, since=12 * surge, evidence=30 * two, sums=torch.tensor([-60.0, 90.0]).double() * two[..., None]
     )
     handed, share = (two * two.new_tensor(both) for both in ([1.0, 0.0], [0.3, 1.0]))
     first = state.accommodation._replace(handed=handed, share=share)
@@ -175,7 +171,7 @@ def test_a_second_fault_leaves_the_share_of_the_first(course):
     joint, past = after.members["joint"], after.members["joint"].trial.past_mean[:, 0]
     assert (after.accommodation.handed == 1).all()
     torch.testing.assert_close((joint.mean / past)[:, THETA + 3], 0.3 * surge)
-    share = effectiveness(after.monitors.thrusters)[0][:, 1]  # some 1 − 24/(37 + 3)
+    share = effectiveness(after.monitors.thrusters)[0][:, 1]  # some 1 − 60/(90 + 10)
     torch.testing.assert_close((joint.mean / past)[:, THETA + 6], share)
     torch.testing.assert_close(share, 0.4 * surge, rtol=0, atol=0.1)
     assert joint.started.all() and (joint.trial.run == 0).all()

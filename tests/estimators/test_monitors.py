@@ -231,7 +231,7 @@ def test_a_lost_thruster_raises_one_alarm_that_names_side_and_share_and_ends_whe
     share, deviation = monitors.effectiveness(during)
     # the mean of 20 boats: what was learned of the fault before the alarm draws it to 1 by some hundredths
     assert share[:, 0].mean().item() == pytest.approx(0.4, abs=0.1)
-    assert deviation[:, 0].median() < 0.2
+    assert deviation[:, 0].max() < 0.2
     first = 0.4 * sum((state.alarms == 0).double() for state in course)  # s without an alarm, per boat
     assert during.since == pytest.approx(0.4 * 2400 - first - 0.4, abs=1e-6)
     assert (course[2400 + 150].raised == 0).all()  # 60 s
