@@ -168,14 +168,14 @@ PACE, IDLE = 0.5, 20.0  # share of the steps that a second should bring, below w
 
 
 class Pace:
-    """Counts steps and learned speeds in real seconds: stamps that stand still bring none. It is asked each second."""
+    """Counts steps and learned speeds in real seconds: stamps that stand still bring none. It is asked once a second."""
 
     def __init__(self, warp: float):
         self._warp = warp
         self._counts: deque[tuple[float, int, int]] = deque()  # s of the clock, steps, learned
 
     def judged(self, node: Node, clock: float) -> Cause | None:
-        """Why hardly a step was made, or nothing learned, in the last 45 s; None if that is not so."""
+        """Why hardly a step was made, or nothing learned, in the last 30 s; None if it was not so, or `clock` is new."""
         if self._counts and (node.grid < self._counts[-1][1] or clock - self._counts[-1][0] > IDLE):
             self._counts.clear()
         self._counts.append((clock, node.grid, node.learned))

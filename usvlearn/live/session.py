@@ -29,7 +29,7 @@ from usvlearn.live.node_folder import NodeFolder, unsaved
 from usvlearn.live.plan_requests import answer
 from usvlearn.live.recorder import Recorder
 from usvlearn.live.start import Begin, Middleware, Options, begin
-from usvlearn.live.status import of_last
+from usvlearn.live.status import of_step
 from usvlearn.live.web_page import WebPage
 from usvlearn.logs.channels.channel import SURGE, Source
 from usvlearn.logs.setup import KEY
@@ -406,7 +406,10 @@ class Session:
                 self._warnings[name] = f"{what.get(name, 'the missions cannot be kept')}: {error}"
 
     def _tell(self, health: Mapping[str, Any]) -> None:
-        last = None if self.last is None else of_last(self.last)
+        last: Any = None
+        if self.last is not None:
+            posts = {post.name: post.value for post in of_step(self.last) if post.name in ("FORECAST", "TRACK")}
+            last = {"time": self.last.time, "speed": self.last.speed, "next": self.last.next, "posts": posts}
         facts = {
             "middleware": self.middleware.name, "boat": self.options.boat, "began_from": self.sentence,
             "written": time.time(), "last": last,

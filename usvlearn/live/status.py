@@ -56,7 +56,7 @@ TABLE = (
               "speeds under the commands in force, intervals whatever is commanded: 10=1.23:1.10:1.36,…"),
     Published("FORECAST_IF_HELD", TEXT, "s: m/s", STEP, "the same, intervals where the commands stay"),
     Published(TRACK, TEXT, "s: m, deg", STEP,
-              "places under the commands in force, ellipses whatever is commanded: north, east, heading and ellipse, "
+              "places under the commands in force: north, east, heading, and an ellipse that holds whatever is commanded, "
               "10=9.80:1.20:8.5:1.10:0.60:95.0,…"),
     Published("TRACK_IF_HELD", TEXT, "s: m, deg", STEP, "the same, ellipses where the commands stay"),
     Published(PLANNED, TEXT, "s: m/s", ASKED,
@@ -94,12 +94,6 @@ def of_step(step: Step, members: bool = False) -> list[Post]:
         found.append(Post("MEMBERS", ",".join(f"{name}={value:.3f}" for name, value in step.members.items())))
     found += [Post("ALARM", event.sentence) for event in step.events if event.is_alarm]
     return found + [Post("EVENT", event.sentence) for event in step.events]
-
-
-def of_last(step: Step) -> dict[str, Any]:
-    """What a status file tells of the last step."""
-    posts = {post.name: post.value for post in of_step(step) if post.name.startswith(("FORECAST", TRACK))}
-    return {"time": step.time, "speed": step.speed, "next": step.next, "posts": posts}
 
 
 def _ends(forecast: tuple[float, float, float]) -> str:
