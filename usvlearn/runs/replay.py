@@ -17,9 +17,7 @@ from usvlearn.estimators.ensemble.state import EnsembleState
 from usvlearn.estimators.planar.layer import Planar, PlanarState
 from usvlearn.runs.prediction_files import BEGIN, Position
 
-THRUSTERS = tuple(
-    f"monitors.thrusters.{name}" for name in ("evidence", "share", "deviation", "raised")
-)  # leaves of a state
+THRUSTERS = tuple(f"monitors.thrusters.{name}" for name in ("evidence", "sums", "raised"))  # leaves of a state
 GIVEN = tuple(f"accommodation.{name}" for name in ("handed", "share", "deviation"))
 FORECASTS = {"forecasts": "predictions", "forecast_halfwidths": "halfwidths"}  # published, and its leaf
 
@@ -112,10 +110,10 @@ def _published(state: EnsembleState, kept: dict[str, np.ndarray], filters: Seque
         published |= {name: flat(kept[f"forecasts.{leaf}"]) for name, leaf in FORECASTS.items()}
     if not state.monitors:
         return published
-    thrusters = {name.rpartition(".")[2]: kept[name] for name in THRUSTERS}
-    evidence, raised = thrusters["evidence"][..., :2], thrusters["raised"]
-    health = state.monitors.thrusters._replace(**{name: torch.from_numpy(x) for name, x in thrusters.items()})
-    handed, given = np.zeros_like(raised), state.accommodation
+    evidence, sums, raised = (kept[name] for name in THRUSTERS)
+    thrusters = zip(("evidence", "sums", "raised"), (evidence, sums, raised), strict=True)
+    health = state.monitors.thrusters._replace(**{name: torch.from_numpy(x) for name, x in thrusters})
+    handed, given = np.zeros_like(evidence), state.accommodation
     if filters:
         handed = kept[GIVEN[0]]
         given = given._replace(**{name.rpartition(".")[2]: torch.from_numpy(kept[name]) for name in GIVEN})

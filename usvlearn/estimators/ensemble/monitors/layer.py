@@ -10,35 +10,26 @@ from torch import Tensor
 
 from usvlearn.estimators.ensemble.monitors.state import (
     BACKWARDS,
-    BOTH,
     CALM,
-    CELLS,
     CLEARED,
     CLIP,
     DOUBT,
+    DOUBTFUL,
     EFFECT,
-    EXPLAINED,
     FIRST_SCALE,
-    HOLD,
     HORIZON,
     HUBER,
     HUBER_MEAN,
     HUBER_RATE,
     KNEE,
-    LEARNED,
     LEAST_SCALE,
-    LEVELS,
     LOSS,
     MISFIT,
-    SLOW_SCALE,
-    SLOWNESS,
-    SURGE_FLOOR,
-    SURGES,
+    ROUNDING,
+    SIGNIFICANT,
     THRESHOLD,
-    UNSURE,
-    VARIANCE,
+    THRUST,
     WHITE,
-    YAW,
     YAW_FLOOR,
     YAW_MEMORY,
     YAW_RATE,
@@ -48,6 +39,7 @@ from usvlearn.estimators.ensemble.monitors.state import (
     InnovationState,
     MonitorState,
     ThrusterState,
+    Z,
 )
 
 
@@ -91,11 +83,9 @@ def description(threshold: float = THRESHOLD, memory: float = 500.0) -> dict[str
     innovations = {"huber": HUBER, "huber_mean": HUBER_MEAN, "huber_rate": HUBER_RATE, "least_scale": LEAST_SCALE**2}
     return innovations | {
         "innovation_memory": memory, "yaw_memory": YAW_MEMORY, "yaw_ridge": YAW_RIDGE, "yaw_floor": YAW_FLOOR**2,
-        "surge_floor": SURGE_FLOOR**2,
         "yaw_rate": YAW_RATE, "knee": KNEE, "yaw_spread": YAW_SPREAD, "loss": LOSS, "horizon": HORIZON,
         "misfit": MISFIT, "clip": CLIP, "effect": EFFECT, "calm": CALM, "threshold": threshold, "backwards": BACKWARDS,
-        "doubt": DOUBT, "cleared": CLEARED, "both": BOTH, "hold": HOLD, "slowness": SLOWNESS, "unsure": UNSURE,
-        "learned": LEARNED, "explained": EXPLAINED,
+        "doubt": DOUBT, "cleared": CLEARED,
     }  # fmt: skip
 
 
@@ -103,12 +93,9 @@ def init(batch: Sequence[int], columns: int, like: Tensor) -> MonitorState:
     """The monitors before the first sample, of the dtype and device of `like`; `columns` innovation sequences."""
     b, k, zero = tuple(batch), columns, like.new_zeros
     innovations = InnovationState(zero((*b, k, 4)), zero((*b, k)) + FIRST_SCALE**2, zero((*b, k)))
-    errors, two, none = zero((*b, 2, 6)), zero((*b, 2)), zero(b)
-    errors[..., VARIANCE], errors[..., LEVELS] = YAW_SCALE**2, SLOW_SCALE**2
-    models = zero((*b, 1 + YAW, 1 + YAW)), zero((*b, 1 + SURGES, 1 + SURGES)), errors, zero((*b, 4))
-    seen = zero((*b, SURGES - 2)), two, zero((*b, CELLS * CELLS)), zero((*b, 3)), zero((*b, 3, 4)), none
-    thrusters = ThrusterState(*models, *seen, two, two + 1, two + DOUBT**-0.5, none, none)
-    return MonitorState(innovations, thrusters)
+    two = zero((*b, 2))
+    yaw = zero((*b, Z, Z)), zero(b) + YAW_SCALE**2, two, two, zero((*b, 2, 2)), two, zero(b), zero(b)
+    return MonitorState(innovations, ThrusterState(*yaw))
 
 
 def whiteness(state: InnovationState, memory: float = 500.0) -> Whiteness:
@@ -121,18 +108,32 @@ def whiteness(state: InnovationState, memory: float = 500.0) -> Whiteness:
     return Whiteness(correlation, WHITE / samples.clamp(min=1).sqrt(), samples)
 
 
+def solve_model(moments: Tensor, columns: Tensor) -> Tensor:
+    """ϑ of (4), and (Σ w x xᵀ + R)⁻¹ times columns, `(*batch, 9, 1 + n)`; 0 where there is no solution."""
+    information = moments[..., 1:, 1:]
+    share = ROUNDING * torch.finfo(moments.dtype).eps * information[..., :1, 0]
+    ridge = (share * information.diagonal(dim1=-2, dim2=-1)).clamp(min=YAW_RIDGE)  # (7)
+    root, broken = torch.linalg.cholesky_ex(information + ridge.diag_embed())
+    right = torch.cat([moments[..., 1:, :1], columns.expand(*moments.shape[:-2], *columns.shape[-2:])], -1)
+    return torch.cholesky_solve(right, root).masked_fill((broken > 0)[..., None, None], 0.0)
+
+
 def effectiveness(state: ThrusterState) -> tuple[Tensor, Tensor]:
     """The share of each thruster's thrust that remains, by (6), and its standard deviation, `(*batch, 2)` each.
 
     It is 1 without an alarm where the evidence is below SIGNIFICANT: healthy thrusters show some evidence, too.
     """
-    return state.share, state.deviation
-
-
-def yaw_explained(state: ThrusterState) -> Tensor:
-    """The share of the yaw rate's variance, without its own past, that the commands explain, `(*batch,)`; else 0."""
-    error, made = state.explained.unbind(-1)
-    return torch.where(made > 0, 1 - error / made, 0.0)
+    moment, weight = state.sums.unbind(-1)
+    weight = weight + DOUBT
+    lost = torch.where((state.evidence > SIGNIFICANT) | (state.raised > 0), -moment / weight, 0.0)
+    full = torch.eye(2, dtype=weight.dtype, device=weight.device).repeat(3, 1)  # h of both sides
+    full = torch.cat([full.new_zeros(THRUST, 2), full])
+    solved = solve_model(state.moments, full)
+    effect = (full * solved[..., :1]).sum(-2)  # F
+    square = state.variance[..., None] * (full * solved[..., 1:]).sum(-2)
+    unsure = DOUBTFUL**2 * square / (effect * effect).clamp(min=torch.finfo(weight.dtype).tiny)
+    doubtful = torch.where(lost == 0, 0.0, lost * lost * unsure)
+    return 1 - lost, (1 / weight + doubtful).sqrt()
 
 
 def monitor_report(state: MonitorState, members: Sequence[str], memory: float = 500.0) -> dict[str, Tensor]:
@@ -142,12 +143,11 @@ def monitor_report(state: MonitorState, members: Sequence[str], memory: float = 
         "alarm": thrusters.raised.amax(-1),
         "alarms": thrusters.alarms,
         "since_alarm": thrusters.since,
-        "yaw_explained": yaw_explained(thrusters),
         "whiteness_band": white.band.amax(-1),
     }
     columns = {
         "effectiveness": (("left", "right"), effectiveness(thrusters)[0]),
-        "evidence": (("left", "right", "both"), thrusters.evidence),
+        "evidence": (("left", "right"), thrusters.evidence),
         "whiteness": (members, white.correlation),
         "scale": (members, state.innovations.scale.sqrt()),
     }
