@@ -69,7 +69,7 @@ def _plain(value: Any, seen: dict[int, Any], depth: int) -> Any:
         return {"dict": [[_plain(each, seen, depth + 1) for each in pair] for pair in value.items()]}
     for name, container in CONTAINERS.items():
         if kind is container:
-            return {name: [_plain(each, seen, depth + 1) for each in value]}
+            return {name: [_plain(each, seen, depth + 1) for each in value]}  # pyright: ignore[reportGeneralTypeIssues]
     slots = any(getattr(each, "__slots__", ()) for each in kind.__mro__)
     own: Any = [vars(each).keys() & {"__reduce__", "__reduce_ex__"} for each in kind.__mro__ if each is not object]
     if not hasattr(value, "__dict__") or slots or any(own):

@@ -139,7 +139,7 @@ def _told(expected: Expected, channels: Mapping[str, Any]) -> Iterator[str]:
     words = {each: _width(now, each) for each in purposes}
     bad = [each for each in purposes if not _served(now, each)]
     few = f"commands up to {100 - 100 * expected.beyond:.0f} %" if expected.beyond > BEYOND else "too short"
-    why = dict.fromkeys((SIDES, TURNING), "turns too little")
+    why: dict[str, str] = {SIDES: "turns too little", TURNING: "turns too little"}
     top = f"{SPEED} {shown(found['steady_speed_full'].value)} m/s {words[SPEED]}"
     good = [top if each == SPEED else each for each in purposes if each not in bad]
     yield f"good for  {', '.join(good) or 'nothing yet'}"
