@@ -28,7 +28,7 @@ PRODUCT = {
     "logs": Room(13_912, 12_600, ("usvlearn/logs/",)),
     "estimators": Room(9_807, 9_600, ("usvlearn/estimators/",)),
     "certify": Room(5_992, 6_500, ("certify/",)),
-    "live": Room(6_056, 5_900, ("usvlearn/live/",)),
+    "live": Room(6_060, 5_900, ("usvlearn/live/",)),
     "model": Room(6_193, 5_300, ("usvlearn/model/",)),
     "report": Room(4_102, 3_500, ("usvlearn/report/",)),
     "engine": Room(3_810, 3_200, ("usvlearn/engine/",)),

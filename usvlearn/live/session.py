@@ -28,13 +28,13 @@ from usvlearn.live.node_folder import NodeFolder, unsaved
 from usvlearn.live.plan_requests import answer
 from usvlearn.live.recorder import Recorder
 from usvlearn.live.start import Begin, Middleware, Options, begin
-from usvlearn.live.web_page import WebPage
 from usvlearn.logs.channels.channel import SURGE, Source
 from usvlearn.logs.setup import KEY
 
 if TYPE_CHECKING:
     from usvlearn.live.live_board import Board
     from usvlearn.live.node import Node, Step
+    from usvlearn.live.web_page import WebPage
 
 HELD = "held"  # of a checkpoint's metadata: what the node knows of forecasts under held commands
 REPORT = 5.0  # s between two reports of what is identified and of the networks
@@ -58,7 +58,11 @@ class Session:
             self._begin: Begin = begin(self._folder, options, middleware)
             self.setup = self._begin.setup
             self.setup.check_live()
-            self._page = None if options.page is None else WebPage(options.page)
+            self._page: WebPage | None = None
+            if options.page is not None:  # else no server is imported
+                from usvlearn.live.web_page import WebPage
+
+                self._page = WebPage(options.page)
         except BaseException:
             self._release()
             raise
