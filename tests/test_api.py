@@ -242,7 +242,11 @@ def test_logs_become_tables_and_tables_are_learned_from(logs, monkeypatch):
     assert len(frame) == sum(len(run.time) for run in logs.runs) and frame.groupby(["boat", "run"]).ngroups == 4
     assert first.attrs["units"]["heading"].startswith("rad") and (first["time"] == logs.runs[0].time).all()
     own = first[["time", "command_left", "command_right", "heading", "surge"]]
-    assert usvlearn.learn(own, AID(mass=28.0)).scores["boat"]["aid"]["skill"] > 0
+    again, before = (usvlearn.learn(each, AID(mass=28.0)).predictions[0] for each in (own, logs))
+    tables = again.to_pandas(), before.to_pandas()
+    one, other = ((each["measured"] - each["aid"]).abs().mean() for each in tables)
+    assert one == pytest.approx(other, rel=0.15)  # read as messages, the steps come a step late
+    assert (tables[0]["aid"] - tables[0]["aid_halfwidth"]).equals(pandas.Series(again.interval("aid")[0]))
     monkeypatch.setitem(sys.modules, pandas.__name__, None)
     with pytest.raises(MissingExtraError, match=r"usvlearn\[tables\]"):
         logs.to_pandas()

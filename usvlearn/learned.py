@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from usvlearn.core.samples import UNITS, Fleet, Sample, masks, named_leaves, tree_map
-from usvlearn.errors import ConfigError, MissingExtraError
-from usvlearn.evaluation.season import Predictions, measured_surge, predictions_of, samples_of
+from usvlearn.errors import ConfigError
+from usvlearn.evaluation.season import Predictions, measured_surge, pandas, predictions_of, samples_of
 
 if TYPE_CHECKING:
     from usvlearn.estimators.ensemble.layer import Ensemble
@@ -51,10 +51,11 @@ class AlignedRun(NamedTuple):
         return {"time": self.time, **leaves, "surge": measured_surge(self.samples)}
 
     def to_pandas(self) -> Any:
-        """`columns` as a table.
+        """`columns` as a table: of steps, whose inputs are means over the step that ends there.
 
         Returns:
-            A `pandas.DataFrame`, one row a step; its `attrs["units"]` has the units.
+            A `pandas.DataFrame`, one row a step; its `attrs["units"]` has the units. `read` takes a table of messages
+            instead: of this one, it would see the commands a step late.
 
         Raises:
             MissingExtraError: pandas is not installed.
@@ -64,7 +65,7 @@ class AlignedRun(NamedTuple):
         >>> run.to_pandas().columns[-1]  # doctest: +SKIP
         'measured'
         """
-        frame = _pandas().DataFrame(self.columns)
+        frame = pandas().DataFrame(self.columns)
         frame.attrs["units"] = UNITS
         return frame
 
@@ -147,7 +148,7 @@ class AlignedLogs(_Tables):
         >>> read(data="simulated", hours=0.05).to_pandas().groupby("run")["surge"].mean()  # doctest: +SKIP
         """
         frames = [run.to_pandas().assign(boat=run.boat, run=run.name) for run in self.runs]
-        return _pandas().concat(frames, ignore_index=True)
+        return pandas().concat(frames, ignore_index=True)
 
     def _parts(self) -> Sequence[Any]:
         from usvlearn.display.terminal import Blocks
@@ -387,12 +388,3 @@ def check_logs(logs: Any) -> AlignedLogs:
     if not isinstance(logs, AlignedLogs):
         raise ConfigError(f"logs: found {logs!r}, expected what usvlearn.read returns: learn(read(PATH))")
     return logs
-
-
-def _pandas() -> Any:
-    """The package, or a MissingExtraError."""
-    try:
-        import pandas  # pyright: ignore[reportMissingImports]
-    except ImportError as error:
-        raise MissingExtraError("pandas", "tables", "a table of pandas") from error
-    return pandas

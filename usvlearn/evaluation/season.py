@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.core.samples import PLAUSIBLE, Fleet, Masks, Run, Sample, masks, tree_map
-from usvlearn.errors import ConfigError, did_you_mean
+from usvlearn.errors import ConfigError, MissingExtraError, did_you_mean
 
 
 def measured(samples: Sample, surge_limit: float) -> np.ndarray:
@@ -105,9 +105,7 @@ class Predictions:
     time: np.ndarray  # (time,) s since its first step
     measured: np.ndarray  # (time,) m/s, NaN where it was not measured
     predicted: dict[str, np.ndarray]  # member or combiner -> (time,) m/s, NaN where no step was made
-    halfwidth: dict[
-        str, np.ndarray
-    ]  # (time,) m/s, of its interval; infinite before ten measurements; empty in a simulation
+    halfwidth: dict[str, np.ndarray]  # (time,) m/s, of its interval; infinite before ten errors; {} in a simulation
 
     def interval(self, name: str = "ensemble") -> tuple[np.ndarray, np.ndarray]:
         """The 90 % interval of a member or combiner.
@@ -125,6 +123,30 @@ class Predictions:
             hint = did_you_mean(name, self.halfwidth)
             raise ConfigError(f"interval: found {name!r}, expected one of {', '.join(self.halfwidth) or 'none'}{hint}")
         return self.predicted[name] - self.halfwidth[name], self.predicted[name] + self.halfwidth[name]
+
+    def to_pandas(self) -> Any:
+        """The predictions as a table.
+
+        Returns:
+            A `pandas.DataFrame`, one row a step: `time`, s, `measured`, then each member and combiner and the
+            half-width of its interval, `NAME_halfwidth`, m/s.
+
+        Raises:
+            MissingExtraError: pandas is not installed.
+
+        >>> Predictions("heron", "001", np.zeros(1), np.ones(1), {}, {}).to_pandas()  # doctest: +SKIP
+        """
+        widths = {f"{name}_halfwidth": each for name, each in self.halfwidth.items()}
+        return pandas().DataFrame({"time": self.time, "measured": self.measured, **self.predicted, **widths})
+
+
+def pandas() -> Any:
+    """The package, or a MissingExtraError."""
+    try:
+        import pandas  # pyright: ignore[reportMissingImports]
+    except ImportError as error:
+        raise MissingExtraError("pandas", "tables", "a table of pandas") from error
+    return pandas
 
 
 def predictions_of(
