@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -15,7 +15,7 @@ from usvlearn.cli.plain_command import out_folder, without_key
 from usvlearn.errors import ConfigError, printable
 
 if TYPE_CHECKING:
-    from usvlearn.estimators.joint.periodic_estimates import Identified
+    from usvlearn.estimators.joint.excitation_warnings import Quantity
     from usvlearn.model.planning.course import Limits
     from usvlearn.model.planning.search import BestCourse, Rehearsal
     from usvlearn.model.read_boats import IdentifiedBoat
@@ -30,6 +30,7 @@ WALK = (
     "An interval may become wider: the filter lets the parameters walk, and forgets what a mission does not show, as a "
     "lawn mower at one speed does not show the drag."
 )
+REFIT = "Intervals are those of the batch fit, expected once it is made anew with this mission (usvlearn fit)."
 
 
 def parser() -> argparse.ArgumentParser:
@@ -86,13 +87,15 @@ class Planned(NamedTuple):
     quantities: list[str]  # that the boat's commands can tell
     aims: list[str]  # those that are not well known
     plan: BestCourse
-    mower: Identified  # what a lawn mower is expected to tell
+    after: Mapping[str, Quantity]  # what the plan is expected to tell, of RUN/fit by a refit
+    mower: Mapping[str, Quantity]  # likewise a lawn mower
 
 
 def _planned(boat: IdentifiedBoat, limits: Limits, seed: int) -> Planned:
     """Plan for one boat; a ConfigError if its thrust points astern, or no course stays in the area."""
+    from usvlearn.model.fit.boat import FittedBoat
     from usvlearn.model.planning.course import lawn_mower
-    from usvlearn.model.planning.search import Rehearsal, derived, search, wide
+    from usvlearn.model.planning.search import Rehearsal, derived, refitted, search, wide
 
     boat.check_physical()
     top = boat.found["steady_speed_full"].value
@@ -108,28 +111,31 @@ def _planned(boat: IdentifiedBoat, limits: Limits, seed: int) -> Planned:
         limits = replace(limits, steering=0.0)  # a turn is the rudder's
     aims, quantities = wide(rehearsal.found, one_command), derived(rehearsal.found, one_command)
     plan = search(rehearsal, limits, dt, aims or quantities, seed)
-    mower = rehearsal(lawn_mower(limits, rehearsal.top_speed(limits.most), dt).rows).found
-    return Planned(boat, rehearsal, quantities, aims, plan, mower)
+    mower = lawn_mower(limits, rehearsal.top_speed(limits.most), dt)
+    expected: list[Mapping[str, Quantity]] = [plan.expected.found, rehearsal(mower.rows).found]
+    if isinstance(boat.found, FittedBoat) and math.isfinite(boat.found.noise):
+        expected = [refitted(boat.found, each.rows, dt) for each in (plan.course, mower)]
+    return Planned(boat, rehearsal, quantities, aims, plan, *expected)
 
 
 def _show(planned: Planned, limits: Limits, folder: Path) -> None:
     """Write the files of a plan, and print it."""
     from usvlearn.display import terminal
 
-    boat, rehearsal, quantities, aims, plan, mower = planned
+    boat, rehearsal, quantities, aims, plan, after, mower = planned
     console, written = terminal.console(), list(_written(boat, limits, plan, folder))
     for table in (
         _segments(boat, rehearsal, plan, limits, aims or quantities),
-        _intervals(boat, mower, plan, quantities),
+        _intervals(boat, mower, after, quantities),
     ):
         console.print(table)
         console.print()
     if not aims:
-        terminal.show(*_determined(rehearsal.found, plan.expected.found, quantities))
-    terminal.show(*boat.lacks, WALK, "", *written)
+        terminal.show(*_determined(boat.found, after, quantities))
+    terminal.show(*boat.lacks, WALK if after is plan.expected.found else REFIT, "", *written)
 
 
-def _width(found: Identified, name: str) -> float:
+def _width(found: Mapping[str, Quantity], name: str) -> float:
     return found[name].high - found[name].low
 
 
@@ -158,7 +164,9 @@ def _segments(boat: IdentifiedBoat, rehearsal: Rehearsal, plan: BestCourse, limi
     return table
 
 
-def _intervals(boat: IdentifiedBoat, mower: Identified, plan: BestCourse, quantities: list[str]):
+def _intervals(
+    boat: IdentifiedBoat, mower: Mapping[str, Quantity], after: Mapping[str, Quantity], quantities: list[str]
+):
     """The table of the intervals."""
     from usvlearn.display import terminal
     from usvlearn.estimators.joint.periodic_estimates import shown
@@ -170,14 +178,14 @@ def _intervals(boat: IdentifiedBoat, mower: Identified, plan: BestCourse, quanti
         ["value", "now", "after a lawn mower", "after this plan", "unit"],
     )  # fmt: skip
     for name in quantities:
-        widths = [_width(each, name) / 2 for each in (boat.found, mower, plan.expected.found)]
+        widths = [_width(each, name) / 2 for each in (boat.found, mower, after)]
         table.add(
             name, shown(boat.found.displayed(name).value), *(shown(each) for each in widths), boat.found[name].unit
         )
     return table
 
 
-def _determined(now: Identified, after: Identified, quantities: list[str]) -> Iterator[str]:
+def _determined(now: Mapping[str, Quantity], after: Mapping[str, Quantity], quantities: list[str]) -> Iterator[str]:
     """What is said where nothing is wide."""
     from usvlearn.model.planning.search import WELL
 

@@ -73,7 +73,7 @@ def test_a_fit_of_a_version_whose_sets_had_no_lag_is_read(fitted):
         {"terms": "other"}, {"terms": ["nine"]}, {"top": 0.0}, {"top": None}, {"mass": -1.0}, {"common": -0.1},
         {"theta": {}}, {"theta": [1.0]}, {"covariance": [[1.0]]}, {"covariance": "x"}, {"quantities": {}},
         {"quantities": {"drag_linear": [1.0]}}, {"quantities": 3}, {"lacks": None}, {"top": 1e400},
-        {"turning": [[1.0], [[1.0]], 0.5]}, {"turning": 1.0},
+        {"turning": [[1.0], [[1.0]], 0.5]}, {"turning": 1.0}, {"noise": 0.0},
     ],
 )  # fmt: skip
 def test_a_damaged_one_is_refused_in_one_sentence(fitted, change):

@@ -7,8 +7,10 @@ from tests.support.fitted_boats import MASS, TOP, log
 from usvlearn.core.prepared_samples import LEFT, RIGHT
 from usvlearn.logs.checks.finding import Finding
 from usvlearn.model.fit import verdict as at
+from usvlearn.model.fit.boat import FittedBoat
 from usvlearn.model.fit.fitted import fit_boat
 from usvlearn.model.fit.verdict import Expected, verdicts
+from usvlearn.model.planning.search import refitted
 
 NAMES = "thrust_full_left", "thrust_full_right", "steady_speed_half", "time_constant"
 
@@ -41,6 +43,16 @@ def test_as_much_more_is_as_it_was_expected(short):
         whole = expected(3000, seeds=seeds).after(0.0)
         ratios = [whole[name] / more[name] for name in NAMES]
         assert 0.5 < np.exp(np.mean(np.log(ratios))) < 1.6, ratios
+
+
+@pytest.mark.thorough
+def test_a_refit_is_as_it_was_expected(short):
+    found, more = short.fitted.found, log(6000, 7, 0.3)
+    told = refitted(FittedBoat.read(found.facts()), more, 0.1)
+    done = fit_boat("heron", {"1": log(3000, 1, 0.3), "7": more}, MASS, TOP, "nine").quantities
+    now, expected, then = ([x[name].high - x[name].low for name in NAMES] for x in (found, told, done))
+    assert all(0 < x < y for x, y in zip(expected, now, strict=True))
+    assert 0.6 < np.exp(np.mean(np.log(then) - np.log(expected))) < 1.6, (now, expected, then)
 
 
 @pytest.mark.thorough

@@ -19,7 +19,7 @@ from usvlearn.estimators.joint.quantities import QUANTITIES
 from usvlearn.estimators.regressors.terms import LAG
 from usvlearn.model.fit.choice import Score
 from usvlearn.model.fit.gauss_newton import Fit, Missions
-from usvlearn.model.fit.intervals import OWN_ERROR, disagreement, intervals, spread, unreached
+from usvlearn.model.fit.intervals import OWN_ERROR, disagreement, intervals, spread, unreached, worth
 from usvlearn.model.fit.logs import DT
 from usvlearn.model.fit.quantities import CurvedAhead, quantities
 from usvlearn.model.fit.terms import NAMES, SETS, TIME_CONSTANT, by_name, prior
@@ -50,6 +50,7 @@ class FittedBoat(Identified):
     top: float = 1.0  # m/s, top speed of the prior and of the nodes of drag
     late: float = 0.0  # s by which the measured speeds followed the commands, beside the lag of the thrust
     turning: Turning | None = None  # None where the boat hardly turned, and of a fit of an earlier version
+    noise: float = math.nan  # m/s, σ over √g of `intervals`; NaN of a fit of an earlier version
 
     @classmethod
     def of(
@@ -74,12 +75,13 @@ class FittedBoat(Identified):
             fit.terms, fit.top, mass, fit.theta[fit.known.active], spread(fit), found,
             math.hypot(OWN_ERROR, common if math.isfinite(common) else 0.0), lacks,
             f"Fitted to {many} at once, with 90 % intervals; terms: {chosen}.", late,
+            fit.deviation / math.sqrt(worth(missions, fit, spread(fit))),
         )  # fmt: skip
 
     @classmethod
     def _made(
         cls, terms: str, top: float, mass: float, theta: np.ndarray, covariance: np.ndarray,
-        found: Mapping[str, Quantity], common: float, lacks: tuple[str, ...], basis: str, late: float,
+        found: Mapping[str, Quantity], common: float, lacks: tuple[str, ...], basis: str, late: float, noise: float,
     ) -> FittedBoat:  # fmt: skip
         known = prior(terms, top)
         start = known.mean[known.active]
@@ -90,7 +92,7 @@ class FittedBoat(Identified):
             np.zeros(len(theta)), theta, covariance,
             IntervalTerms(common, theta, start, np.diag(np.linalg.inv(known.information)), vague=False),
             frozenset(name for name, each in found.items() if says_nothing(name, each, first, mass)), impossible,
-            terms, top, late,
+            terms, top, late, noise=noise,
         )  # fmt: skip
 
     @property
@@ -129,6 +131,7 @@ class FittedBoat(Identified):
             },
             "common": self.beside.common,
             "late": self.late,
+            "noise": self.noise,
             "turning": self.turning and [np.asarray(each).tolist() for each in self.turning],
             "lacks": list(self.lacks),
             "basis": self.basis,
@@ -143,6 +146,7 @@ class FittedBoat(Identified):
             wanted = [name for name in NAMES if name in SETS[terms]]
             theta = np.array([float(given.get(name, 0.0) if name in LAGS else given[name]) for name in wanted])
             saved, late = np.array(facts["covariance"], dtype=float), float(facts.get("late", 0.0))
+            noise = float(facts.get("noise", math.nan))
             places = [k for k, name in enumerate(wanted) if name in given]
             if saved.shape != (len(places), len(places)):
                 raise ValueError(f"its covariance has the shape {saved.shape}, expected {(len(places),) * 2}")
@@ -150,8 +154,8 @@ class FittedBoat(Identified):
             covariance[np.ix_(places, places)] = saved
             if not (all(np.isfinite(x).all() for x in (theta, covariance, late)) and 0 <= common < LARGEST):
                 raise ValueError("a number is not finite")
-            if not (1 / LARGEST < top < LARGEST and 1 / LARGEST < mass < LARGEST):
-                raise ValueError(f"its top speed is {top:g} m/s, and its mass {mass:g} kg")
+            if not (1 / LARGEST < top < LARGEST and 1 / LARGEST < mass < LARGEST) or noise <= 0:
+                raise ValueError(f"its top speed is {top:g} m/s, its mass {mass:g} kg, its noise {noise:g} m/s")
             if np.linalg.eigvalsh(covariance)[0] < -1e-9 * np.abs(covariance).max():
                 raise ValueError("its covariance has a negative variance")
             found = {}
@@ -172,5 +176,5 @@ class FittedBoat(Identified):
         impossible = unphysical({name: found[name] for name in POSITIVE_OF_BOATS})
         turns, own = ({name: found.pop(name) for name in names if name in found} for names in (TURNING, OF_FIT))
         lacks = tuple(x for x in lacks if x != impossible)
-        made = cls._made(terms, top, mass, theta, covariance, found, common, lacks, basis, late)
+        made = cls._made(terms, top, mass, theta, covariance, found, common, lacks, basis, late, noise)
         return replace(joined(made, turns, ()), quantities=made.quantities | turns | own, turning=turning)

@@ -4,10 +4,9 @@ A purpose is served where the 90 % intervals of the batch fit are within `PURPOS
 quantity, (1) of `usvlearn.model.fit.intervals`, that of the parameters shrinks with more data, whose amount is tried:
 
     C after t more hours of the same: C · T / (T + t), with its scatter from as many more pieces         (1)
-    C after a test manoeuvre: (C⁻¹ + g H)⁻¹,   g = (det A / det C)^(1/m)                                 (2)
+    C after a test manoeuvre: (C⁻¹ + g H)⁻¹,   as in `usvlearn.model.fit.intervals`                      (2)
 
-H is the information of the manoeuvre (docs/controller.md), simulated with the fitted boat; the scatter of the logs
-shows that theirs is worth the share g of what a simulation says. Other weather needs more or less.
+H is the information of the manoeuvre (docs/controller.md). Other weather needs more or less.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ import numpy as np
 
 from usvlearn.core.activity import doing
 from usvlearn.core.events import NINETY
-from usvlearn.core.prepared_samples import COS, DT, LEARN, LEFT, MODE, PREDICT, RIGHT, ROW, SIN, SURGE, YAW_RATE
+from usvlearn.core.prepared_samples import COS, DT, LEARN, LEFT, MODE, PREDICT, RIGHT, ROW, SIN, YAW_RATE
 from usvlearn.core.samples import speed_limit
 from usvlearn.core.unconfirmed import UNSURE, Questions
 from usvlearn.errors import UsvlearnError, printable
@@ -29,8 +28,17 @@ from usvlearn.logs.channels.channel import Recording
 from usvlearn.logs.checks.finding import WARNING, Finding
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.model.fit.fitted import Fitted, fit_boat
-from usvlearn.model.fit.gauss_newton import Missions
-from usvlearn.model.fit.intervals import FEW, SCATTER, disagreement, gradients, spread, unreached, variances
+from usvlearn.model.fit.intervals import (
+    FEW,
+    SCATTER,
+    disagreement,
+    gradients,
+    rehearsed,
+    spread,
+    unreached,
+    variances,
+    worth,
+)  # fmt: skip
 from usvlearn.model.fit.logs import APART, fine, missions_of
 from usvlearn.model.fit.logs import DT as GRID
 from usvlearn.model.fit.quantities import quantities
@@ -86,12 +94,8 @@ class Expected:
         rows[:, YAW_RATE], rows[:, DT], rows[:, MODE] = RATE * (both[:, 0] - both[:, 1]), GRID, LEARN
         heading = np.cumsum(rows[:, YAW_RATE]) * GRID
         rows[:, SIN], rows[:, COS] = np.sin(heading), np.cos(heading)
-        alone = Missions([rows], fit.top)
-        ((speed, _),) = alone.simulate(alone.evaluate(fit.terms, fit.theta, fit.deviation))
-        rows[:, SURGE] = np.nan_to_num(speed)
-        H = alone.evaluate(fit.terms, fit.theta, fit.deviation).information.sum(0)
-        g = math.exp((np.linalg.slogdet(fit.covariance)[1] - np.linalg.slogdet(C)[1]) / len(C))
-        return self._widths(np.linalg.inv(np.linalg.inv(C) + times * g * H), 0.0, share)
+        H = worth(self.fitted.missions, fit, C) * rehearsed(rows, fit).information.sum(0)
+        return self._widths(np.linalg.inv(np.linalg.inv(C) + times * H), 0.0, share)
 
     def _widths(self, C: np.ndarray, beyond: float, share: float) -> Widths:
         found = variances(self._values, self._slopes, self._differ, beyond, C)

@@ -12,17 +12,24 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from usvlearn.core.events import NINETY
 from usvlearn.core.jit import announced, jit
 from usvlearn.core.prepared_samples import COS, DT, LEARN, LEFT, MODE, RIGHT, ROW
 from usvlearn.engine import select_element
 from usvlearn.engine.identified import reader_leaves
 from usvlearn.engine.program import program_for
 from usvlearn.errors import ConfigError
+from usvlearn.estimators.joint.excitation_warnings import Quantity
 from usvlearn.estimators.joint.kernel import forecast, learn, start
-from usvlearn.estimators.joint.periodic_estimates import Identified, identify, tells_sides
+from usvlearn.estimators.joint.periodic_estimates import POSITIVE, Identified, around, identify, tells_sides
 from usvlearn.estimators.joint.quantities import QUANTITIES
 from usvlearn.estimators.joint.state import AT, NORTH, THETA
 from usvlearn.estimators.regressors.terms import SURGE
+from usvlearn.model.fit.boat import FittedBoat
+from usvlearn.model.fit.gauss_newton import Fit
+from usvlearn.model.fit.intervals import gradients, rehearsed
+from usvlearn.model.fit.logs import DT as GRID
+from usvlearn.model.fit.terms import prior
 from usvlearn.model.planning.course import Course, Limits, planned, steps_of
 
 
@@ -74,6 +81,22 @@ class Rehearsal:
 
     def _identified(self, state: np.ndarray) -> Identified:
         return identify(self.description, {key: leaf.copy() for key, leaf in self._plan.unpack(state).items()})
+
+
+def refitted(boat: FittedBoat, course: np.ndarray, dt: float) -> dict[str, Quantity]:
+    """The quantities with the intervals of a refit with one more mission, `(time, ROW)`, of steps of dt, s."""
+    rows = np.repeat(course, max(round(dt / GRID), 1), axis=0)
+    rows[:, DT] = GRID
+    C, known, none = boat.covariance, prior(boat.terms, boat.top), np.zeros(0)
+    own = (np.linalg.inv(C) - known.information)[None]
+    fit = Fit(boat.terms, boat.top, boat.every(boat.theta), known, none, none, none, own, boat.noise)
+    less, found = C - np.linalg.inv(np.linalg.inv(C) + rehearsed(rows, fit).information.sum(0)), {}
+    for name, slope in gradients(fit, boat.mass).items():
+        value, low, high, unit = boat[name]
+        width = value * math.log(high / low) if name in POSITIVE and low > 0 else high - low
+        rest = (width / 2 / NINETY) ** 2 - float(slope @ less @ slope)
+        found[name] = Quantity(value, *around(name, value, math.sqrt(max(rest, 0.0))), unit)
+    return found
 
 
 @jit(entry=True)
