@@ -103,7 +103,7 @@ def _table(
     solved, boxed = (any(key in row for row in rows) for key in ("lmi", "box"))
     paths, shared = _short([row["path"] for row in rows])
     marks = ", ".join(f"{mark} {word}" for word, (mark, _) in MARKS.items() if word != "not certified")
-    title = f"Below {shared}: margins, > 0 where a condition holds, and rates" + f"; {marks}" * (solved or boxed)
+    title = f"Margins, > 0 where a condition holds, and rates of what is in {shared}" + f"; {marks}" * (solved or boxed)
     headings = ["checkpoint", "n", *MARGINS, "rate K", "τ, steps" if dt is None else "τ, s"]
     headings += ["LMI lmi, exact"] * solved + ["on the box"] * boxed + ["equilibria"]
     found: list[list[str | Text]] = []
@@ -223,7 +223,7 @@ def _vector_table(
             found = row.get("steps")
             line.append("–" if found is None else below(Fraction(found["proved"]) * Fraction(dt or 1), 4))
         lines.append(line)
-    return f"Below {shared}: proved rates, < 1 contracts", headings, lines, ()
+    return f"Proved rates of what is in {shared}; below 1 it contracts", headings, lines, ()
 
 
 def _proved_rate(row: dict[str, Any], name: str) -> Text:

@@ -35,7 +35,7 @@ def study(cfg: DictConfig, tools) -> None:
 @command("evaluate")
 def main(cfg: DictConfig) -> None:
     if cfg.study is None and cfg.runs is None:
-        raise ConfigError("runs is not set: set runs=FOLDER, a folder that `train` has written")
+        raise ConfigError("runs is not set: set runs=FOLDER, or give a run of `train`: usvlearn evaluate FOLDER")
     for key in ("runs", "report", "folder"):
         if OmegaConf.is_config(cfg[key]):
             raise ConfigError(f"{key}: found {cfg[key]!r}, expected a folder")

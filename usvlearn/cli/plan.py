@@ -173,9 +173,9 @@ def _intervals(
     from usvlearn.model.planning.course import SURVEY
 
     table = terminal.Blocks(
-        f"Half-width of each 90 % interval, as expected; a lawn mower keeps {SURVEY:.0%} throttle on parallel lines",
+        f"Half-widths of 90 % intervals, as expected; a lawn mower is parallel lines at {SURVEY:.0%} throttle",
         ["quantity"],
-        ["value", "now", "after a lawn mower", "after this plan", "unit"],
+        ["value", "now", "lawn mower", "this plan", "unit"],
     )  # fmt: skip
     for name in quantities:
         widths = [_width(each, name) / 2 for each in (boat.found, mower, after)]

@@ -56,7 +56,7 @@ def test_the_command_prints_its_tables_and_writes_its_files(saved, tmp_path, mon
     arguments = (saved, "--minutes", 1, "--out", folder)
     assert run(monkeypatch, *arguments) == 0
     shown = capsys.readouterr().out
-    assert "heron: what to sail for 1 min" in shown and "after a lawn mower" in shown and "thrust_full_left" in shown
+    assert "heron: what to sail for 1 min" in shown and "this plan" in shown and "thrust_full_left" in shown
     assert sorted(path.name for path in folder.iterdir()) == ["heron.csv"]
     before = (folder / "heron.csv").read_text()
     assert run(monkeypatch, *arguments) == 0 and (folder / "heron.csv").read_text() == before
