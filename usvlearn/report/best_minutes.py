@@ -77,7 +77,7 @@ def _parts(run: SeasonRun, made: FreeRun, column: int) -> list[BestMinutes]:
 def best_figure(best: BestMinutes) -> Any:
     """Speeds above, commands below."""
     with themed() as Figure:
-        figure = Figure(figsize=(9.5, 2.9), layout="constrained")
+        figure = Figure(figsize=(9.5, 3.1), layout="constrained")
         speeds, commands = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
         speeds.plot(best.time, best.measured, color=INK, linewidth=1.2, label="measured")
         speeds.plot(best.time, best.simulated, color=KNOWN["ensemble"], linewidth=1.6, label="from the commands alone")
@@ -87,6 +87,6 @@ def best_figure(best: BestMinutes) -> Any:
         commands.set(ylabel="command", xlabel="time of the run, min")
         for panel in (speeds, commands):
             panel.grid(color=LINE)
-            panel.legend(fontsize=8, loc="upper left", ncols=2)
+            panel.legend(fontsize=8, loc="lower left", bbox_to_anchor=(0, 0.95), ncols=2)
             panel.tick_params(labelsize=8)
         return figure

@@ -20,7 +20,7 @@ from usvlearn.evaluation.horizons import ensemble_scores
 from usvlearn.evaluation.metrics import PERSISTENCE, scores
 from usvlearn.evaluation.season import Season, SeasonRun
 from usvlearn.report.best_minutes import BestMinutes, best_minutes
-from usvlearn.report.summary import displayed, undetermined
+from usvlearn.report.summary import displayed, known, undetermined
 from usvlearn.report.tables import number
 from usvlearn.report.viewer import runs_html
 
@@ -33,6 +33,7 @@ MAIN = {  # the quantities that are shown first, in words
     "stopping_distance": "Stopping distance with thrusters off",
     "mass": "Mass",
 }
+TURNS = {"yaw_rate_full": "Yaw rate, outer side full, inner half", "turning_radius_full": "Radius of that turn"}
 
 
 class Ahead(NamedTuple):
@@ -303,8 +304,8 @@ def _rows(quantities: Mapping[str, Quantity]) -> str:
     rows = "".join(
         f'<tr><th scope="row">{words}</th><td class="n"><b>{shown(found.value)}</b> {escape(found.unit)}</td>'
         f'<td class="n">{shown(found.low)} to {shown(found.high)}</td></tr>'
-        for name, words in MAIN.items()
-        if (found := quantities.get(name))
+        for name, words in (MAIN | TURNS).items()
+        if (found := quantities.get(name)) and (name in MAIN or known(found))
     )
     head = '<thead><tr><th></th><th class="n">value</th><th class="n">90 % interval</th></tr></thead>'
     return f"<table>{head}<tbody>{rows}</tbody></table>"

@@ -51,7 +51,11 @@ def summary(results: Mapping[str, Any], asked: Questions, boats: Mapping[str, Qu
         errors += [] if near is None else [f"{near:.3f} m/s{far} {horizon} s ahead"]
     near, free = (mean(rows[name]["fit"] for rows in results["boats"].values()),
                   mean(rows.get(name) for rows in results.get("free_fit", {}).values()))  # fmt: skip
-    fits = [f"{x:.1f} % {how}" for x, how in ((near, "a step ahead"), (free, "in open loop")) if x is not None]
+    fits = [
+        f"{x:.1f} % {how}"
+        for x, how in ((near, "a step ahead"), (free, "in open loop over the later half"))
+        if x is not None
+    ]
     alarms = [f"{each['side']} thruster lost thrust, {boat}, run {each['run']}, {each['time']:.0f} s"
               for boat, found in (events or {}).items() for each in found if each["kind"] == LOSS]  # fmt: skip
     more = f" and {len(alarms) - 1} more" if len(alarms) > 1 else ""

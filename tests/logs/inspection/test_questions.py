@@ -49,7 +49,7 @@ def test_what_is_asked_follows_a_rule_also_for_words_that_are_new():
         [
             *(decided(side, what) for side in ("command_left", "command_right") for what in ("delay", "series")),
             decided("surge", "unit", CERTAIN), decided("surge", "series", UNSURE), decided("surge", "period"),
-            decided("command_left", "posting"), decided("yaw_rate", "series"), decided("yaw_rate", "rejected"),
+            decided("command_left", "messages"), decided("yaw_rate", "series"), decided("yaw_rate", "rejected"),
             decided("reader", "calendar", UNSURE), decided("tide", "datum"), decided("vehicle", "mass", UNSURE),
         ],
         SETTINGS,

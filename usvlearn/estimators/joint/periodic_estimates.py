@@ -228,13 +228,13 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
         return _nothing(mass, inverse, now, P[THETA:, THETA:])
     if used:
         theta, spread, inflation = state["reading"], (1 + FEW_C / used) * state["spread"], 1 + FEW_P / used
-        many = "Values of 1 periodic estimate" if used == 1 else f"Means of {used:.0f} periodic estimates"
-        basis = f"{many}, one in {every / 60:g} min of update steps, with 90 % intervals."
+        many = "One estimate, after" if used == 1 else f"Means of {used:.0f} estimates, one in"
+        basis = f"{many} {every / 60:g} min of learning, with 90 % intervals."
     else:
         theta, spread, inflation = now, np.zeros_like(state["spread"]), 5 * (1 + FIRST / (learned + FADES)) ** 2
         basis = (
-            "Present values, with wider 90 % intervals: a mean of periodic estimates needs "
-            f"{(DROPPED + 1) * every / 60:g} min of update steps."
+            "Present values, with wider 90 % intervals: means of several estimates need "
+            f"{(DROPPED + 1) * every / 60:g} min of learning."
         )
     silent = float(state["noise"]) <= SILENT**2
     found = lacking(P, variance, float(numbers["current"]), float(state["updates"]), silent)

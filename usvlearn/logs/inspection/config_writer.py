@@ -20,7 +20,7 @@ from usvlearn.logs.read import read_recordings
 
 MASS = 36.0  # kg, of configs/data/csv.yaml
 UNITS = {"mass": ["kg, added mass included"], "surge_max": ["m/s, top speed"]}
-KEYS = {"series": "name", "unit": "unit", "zero": "zero", "span": "span", "sign": "span", "posting": "held",
+KEYS = {"series": "name", "unit": "unit", "zero": "zero", "span": "span", "sign": "span", "messages": "held",
         "period": "period", "delay": "delay"}  # fmt: skip
 PLAIN = re.compile(r"[\w/.:-]+", re.ASCII)  # what Hydra takes without quotes
 SPECIAL = set('"$`\\!')  # to a shell, within double quotes

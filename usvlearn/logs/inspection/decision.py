@@ -18,7 +18,7 @@ class Decision(NamedTuple):
     """
 
     channel: str  # such as "surge"
-    what: str  # "series", "unit", "zero", "span", "sign", "posting", "period", "delay"
+    what: str  # "series", "unit", "zero", "span", "sign", "messages", "period", "delay"
     value: str
     certainty: str  # CERTAIN, PROBABLE or UNSURE
     reason: str

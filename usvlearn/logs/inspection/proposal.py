@@ -282,15 +282,15 @@ def tell_commands(commands: Sequence[Commands], channels: dict, series: dict) ->
         label, level = _listed(one), one.levels[0]
         ahead = "reversed" if min((one.sign, *one.weights[:1])) < 0 else "positive ahead"
         held = channels[channel].get("held", False)
-        how = "on change: held until the next one" if held else "periodic: window auto"
-        rate = f"{one.parts[0].repeats:.0%} repeat the one before; every {one.parts[0].interval:.2g} s"
+        how = "sent on change, then held" if held else f"sent every {best.left.parts[0].interval:.2g} s"
+        rate = f"{one.parts[0].repeats:.0%} repeat the one before"
         span, span_reason = f"{one.sign * level.span:g}", f"{level.kind}: {level.span_reason}"
         decisions += [
             Decision(channel, "series", label, best.certainty, best.reason, others),
             Decision(channel, "zero", f"{level.zero:g}", level.zero_certainty, level.zero_reason, level.zeros),
             Decision(channel, "span", span, level.span_certainty, span_reason, level.alternatives),
             Decision(channel, "sign", ahead, best.sign_certainty, best.sign_reason, best.alternatives),
-            Decision(channel, "posting", how, _on_change(one.parts[0])[1], rate),
+            Decision(channel, "messages", how, _on_change(one.parts[0])[1], rate),
         ]
     return decisions
 

@@ -20,7 +20,7 @@ from usvlearn.logs.channels.channel import COMMANDS
 from usvlearn.logs.inspection.config_writer import path_of, scalar
 from usvlearn.logs.inspection.decision import CERTAIN, UNSURE, Decision, least
 
-DETAILS = ("posting", "period", "window", "rejected")
+DETAILS = ("messages", "period", "window", "rejected")
 
 
 def key_of(decision: Decision) -> str:

@@ -24,8 +24,7 @@ from usvlearn.logs.inspection.inspected import Inspected
 from usvlearn.logs.inspection.logfiles import bytes_of
 
 LINES, END = 45, 11  # on the screen; of them after these parts
-PLAIN = ("series", "unit", "sign", "posting")  # what is told without its name
-SHOWN = {"periodic: window auto": "sent regularly", "on change: held until the next one": "sent on change, then held"}
+PLAIN = ("series", "unit", "sign", "messages")  # what is told without its name
 
 
 def show(found: Inspected, output: str, console: Console, whole: bool = False) -> None:
@@ -96,7 +95,7 @@ def _decisions(found: Inspected, whole: bool) -> Blocks:
         reason = each.reason
         below = f"  {each.what}" if each.channel in (channel, "both commands") else f"{each.channel} {each.what}"
         name, channel = each.channel if each.what == "series" else below, each.channel
-        table.add(name, printable(SHOWN.get(each.value, each.value)), _sure(each.certainty), why)
+        table.add(name, printable(each.value), _sure(each.certainty), why)
     return table
 
 
@@ -108,7 +107,7 @@ def _channels(found: Inspected) -> Blocks:
     for each in _merged(found.decisions):
         rows.setdefault(each.channel, []).append(each)
     for channel, own in rows.items():
-        words = ((each.what.removesuffix(" of both"), SHOWN.get(each.value, each.value)) for each in own)
+        words = ((each.what.removesuffix(" of both"), each.value) for each in own)
         told = ", ".join(value if what in PLAIN else f"{what} {value}" for what, value in words)
         table.add(channel, printable(told), _sure(least(*(each.certainty for each in own))))
     return table
