@@ -35,7 +35,7 @@ from usvlearn.report.sections.network import network_section
 from usvlearn.report.sections.parameters import cost_section, identified_section, parameters_section
 from usvlearn.report.sections.section import Section
 from usvlearn.report.sections.tracks import tracks_section
-from usvlearn.report.summary import summary, undetermined
+from usvlearn.report.summary import of_one_command, summary, undetermined
 from usvlearn.report.tables import quoted
 from usvlearn.report.track_maps import BoatTracks, saved_tracks
 from usvlearn.report.viewer import viewer_data
@@ -254,7 +254,7 @@ def front_of(
         free[season.boat] = list(free_runs(ensemble, season))
         advance(sum(int(run.steps.sum()) for run in season.runs))
     boats = [
-        each._replace(batch=fit.quantities, doubted=bool(fit.doubts))
+        each._replace(batch=of_one_command(fit.quantities, fit.lacks), doubted=bool(fit.doubts))
         if isinstance(fit := (fits or {}).get(each.boat), SavedFit)
         else each
         for each in overviews(ensemble, seasons, free, checks)

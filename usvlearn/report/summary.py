@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from usvlearn.core.events import LOSS
 from usvlearn.core.unconfirmed import UNSURE, Questions
 from usvlearn.errors import printable
-from usvlearn.estimators.joint.excitation_warnings import WIDE, Quantity
-from usvlearn.estimators.joint.periodic_estimates import Identified, shown
+from usvlearn.estimators.joint.excitation_warnings import ONE_COMMAND, WIDE, Quantity
+from usvlearn.estimators.joint.periodic_estimates import Identified, shown, tells_sides
 from usvlearn.evaluation.metrics import mean
 from usvlearn.evaluation.objective import measure_of
 
@@ -26,7 +26,12 @@ def known(found: Quantity | None) -> bool:
 
 def displayed(found: Identified) -> dict[str, Quantity]:
     """The quantities as people are told them."""
-    return {name: found.displayed(name) for name in found}
+    return of_one_command({name: found.displayed(name) for name in found}, found.lacks)
+
+
+def of_one_command(found: Quantities, lacks: Sequence[str]) -> dict[str, Quantity]:
+    """Quantities; where both sides had one command, without those that tell them apart."""
+    return {name: each for name, each in found.items() if not (ONE_COMMAND in lacks and tells_sides(name))}
 
 
 def summary(results: Mapping[str, Any], asked: Questions, boats: Mapping[str, Quantities]) -> list[str]:
@@ -59,13 +64,15 @@ def summary(results: Mapping[str, Any], asked: Questions, boats: Mapping[str, Qu
     alarms = [f"{each['side']} thruster lost thrust, {boat}, run {each['run']}, {each['time']:.0f} s"
               for boat, found in (events or {}).items() for each in found if each["kind"] == LOSS]  # fmt: skip
     more = f" and {len(alarms) - 1} more" if len(alarms) > 1 else ""
+    alike = [ONE_COMMAND in each for each in results.get("lacks", {}).values()]
+    none = "none can be found: both sides have one command" if alike and all(alike) else "none"
     rows = {
         "data": data,
         "speed": f"{_words(boats, SPEED)} at full command",
         "response": f"time constant {_words(boats, TIME)}; turns {_words(boats, RATE)}",
         "error": "; ".join(errors) or "unknown",
         "fit": ", ".join(fits) or "unknown",
-        "alarms": alarms[0] + more if alarms else "nobody watched the thrusters" if events is None else "none",
+        "alarms": alarms[0] + more if alarms else "nobody watched the thrusters" if events is None else none,
     }
     return [f"{label:13}{printable(words)}" for label, words in rows.items()]
 

@@ -1,5 +1,7 @@
 """What logs are good for: the intervals that are expected after more data are those of more data."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from usvlearn.model.fit.boat import FittedBoat
 from usvlearn.model.fit.fitted import fit_boat
 from usvlearn.model.fit.verdict import Expected, verdicts
 from usvlearn.model.planning.search import refitted
+from usvlearn.report.summary import displayed
 
 NAMES = "thrust_full_left", "thrust_full_right", "steady_speed_half", "time_constant"
 
@@ -61,7 +64,10 @@ def test_the_advice_is_an_amount_and_nothing_that_was_done(short):
     assert first.startswith("good for  ") and len(rest) <= 3
     assert any(each.startswith("found     left reversed, compass +7.5°") for each in rest)
     assert ("min of the test manoeuvre" in rest[-1]) == any(each.startswith("not for") for each in rest)
-    one = list(at._told(expected(3000, same=True), {}))
+    alike = expected(3000, same=True)
+    assert "thrust_ratio" not in displayed(alike.fitted.found) and "drag_half_speed" in displayed(alike.fitted.found)
+    assert math.isnan(alike.fitted.found.displayed("thrust_full_left").value)
+    one = list(at._told(alike, {}))
     assert "one command for both sides" in "".join(one) and not any("each side" in each for each in one)
     good = list(at._told(expected(6000, 0.01, range(4)), {}))
     assert "thrust of each side" in good[0] and good[1] == "not for   turning (unknown: turns too little)"

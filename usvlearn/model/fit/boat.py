@@ -13,8 +13,14 @@ from usvlearn.errors import CheckpointError
 from usvlearn.estimators.axis.turning_intervals import joined
 from usvlearn.estimators.axis.turning_quantities import OF_FIT
 from usvlearn.estimators.axis.turning_quantities import QUANTITIES as TURNING
-from usvlearn.estimators.joint.excitation_warnings import POSITIVE_OF_BOATS, Quantity, unphysical
-from usvlearn.estimators.joint.periodic_estimates import Identified, IntervalTerms, says_nothing, scale_sentence
+from usvlearn.estimators.joint.excitation_warnings import ONE_COMMAND, POSITIVE_OF_BOATS, Quantity, unphysical
+from usvlearn.estimators.joint.periodic_estimates import (
+    Identified,
+    IntervalTerms,
+    says_nothing,
+    scale_sentence,
+    tells_sides,
+)  # fmt: skip
 from usvlearn.estimators.joint.quantities import QUANTITIES
 from usvlearn.estimators.regressors.terms import LAG
 from usvlearn.model.fit.choice import Score
@@ -87,12 +93,16 @@ class FittedBoat(Identified):
         start = known.mean[known.active]
         first = {name: float(each) for name, each in quantities(known.mean, top, mass).items()}
         impossible = unphysical({name: found[name] for name in POSITIVE_OF_BOATS})
+        unknown = frozenset(
+            name
+            for name, each in found.items()
+            if says_nothing(name, each, first, mass) or (ONE_COMMAND in lacks and tells_sides(name))
+        )
         return cls(
             dict(found), basis, scale_sentence(np.zeros(0), mass), tuple(filter(None, [impossible, *lacks])), mass,
             np.zeros(len(theta)), theta, covariance,
             IntervalTerms(common, theta, start, np.diag(np.linalg.inv(known.information)), vague=False),
-            frozenset(name for name, each in found.items() if says_nothing(name, each, first, mass)), impossible,
-            terms, top, late, noise=noise,
+            unknown, impossible, terms, top, late, noise=noise,
         )  # fmt: skip
 
     @property

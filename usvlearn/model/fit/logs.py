@@ -18,6 +18,7 @@ from usvlearn.core.events import LOSS, RECOVERY
 from usvlearn.core.prepared_samples import COS, HOLD, LEFT, MODE, PREDICT, RIGHT, ROW, SIN, SURGE, YAW_RATE
 from usvlearn.core.samples import Fleet, Sample, tree_map
 from usvlearn.errors import ConfigError, complain
+from usvlearn.estimators.joint.excitation_warnings import ONE_COMMAND
 from usvlearn.logs.channels.correlations import without_sign
 from usvlearn.logs.channels.poses import reckoned, slope
 from usvlearn.model.fit.gauss_newton import rows_of, scored
@@ -155,10 +156,7 @@ def lacking(boat: str, missions: Sequence[np.ndarray]) -> tuple[str, ...]:
         )
     found = []
     if np.std(commands[:, 0] - commands[:, 1]) < APART:
-        found.append(
-            "Both thrusters always had the same command: the thrust of the left side cannot be separated from that of "
-            "the right side."
-        )
+        found.append(ONE_COMMAND)
     if not all((commands[:, side] < ASTERN).mean() > SOME for side in range(2)):
         found.append("The thrusters hardly ever pushed astern: their thrust astern is an assumption.")
     size = np.abs(commands)
