@@ -16,7 +16,7 @@ COMMANDS = {  # name -> the module whose `main` does it, and what it does
     "evaluate": ("usvlearn.cli.evaluate", "judge saved runs, compare the jobs of a sweep, or make a study"),
     "example": ("usvlearn.cli.example", "write logs of a simulated boat, to try the other commands on"),
     "inspect": ("usvlearn.cli.inspect", "tell what your logs hold, and write their configuration"),
-    "check": ("usvlearn.cli.check", "tell in five lines what your logs are good for, and what is missing"),
+    "check": ("usvlearn.cli.check", "tell in five lines what logs are good for, and what is missing"),
     "export": ("usvlearn.cli.export", "write what was learned for C, MATLAB, CasADi, ONNX, Gazebo, CSV"),
     "fit": ("usvlearn.cli.fit", "fit the model to all logs of a run, for its best parameters"),
     "compare": ("usvlearn.cli.compare", "tell what changed between runs: dates, boats or settings"),
