@@ -32,9 +32,12 @@ from usvlearn import (
     rollout,
 )
 from usvlearn.core import checkpoint
+from usvlearn.core.family import defaults
 from usvlearn.core.protocol import spec_of
 from usvlearn.core.samples import named_leaves, rebuild, tree_map
 from usvlearn.engine import select_element
+from usvlearn.engine.parts import KINDS
+from usvlearn.engine.program import Program
 from usvlearn.engine.validate import check
 from usvlearn.errors import CheckpointError
 from usvlearn.runs.resuming import from_checkpoints
@@ -136,7 +139,7 @@ FORGED = {  # case: a place in the description, what is put there, and what the 
     "given_beyond": ("accommodation", {"members": [9], "numbers": {}}, r"accommodation.members\[0\]: found 9"),
     "given_nobody": ("accommodation", {"members": [], "numbers": {}}, r"accommodation.members: found \[\]"),
     "longer": ("members/rnn/replay_size", 70_000, "state.members.rnn.replay.samples: found the shape"),
-    "no_replay": ("members/rnn/replay_size", 0, "members.rnn.replay_size: found 0, expected 1 … "),
+    "no_replay": ("members/rnn/replay_size", 0, "replay.learned: found a leaf that the estimator does not have"),
     "endless": ("members/rnn/replay_steps", 10**9, "members.rnn.replay_steps: found 1000000000, expected 1 … "),
     "no_members": ("members", {}, "kernel.members: found {}, expected at least one"),
 }  # fmt: skip
@@ -317,6 +320,17 @@ def test_numbers_that_differ_by_boat_are_opened(tmp_path):
         np.testing.assert_allclose(boats.step(sample), torchs.step(sample), rtol=1e-12)
     again = Online.open(boats.save(tmp_path / "a.safetensors"))
     np.testing.assert_allclose(again.step(sample), torchs.step(sample), rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["aid_estimate", "rnn_replay", "joint"])
+def test_what_is_absent_has_its_default(name):
+    """As if there were no such number or choice: so checkpoints from before it open."""
+    own = FAMILIES[name]().description()
+    choices, numbers = (defaults(each) for each in (KINDS[own["kind"]].choices, KINDS[own["kind"]].numbers))
+    full = Program(own | choices | {"numbers": own["numbers"] | numbers})
+    numbers = {key: x for key, x in own["numbers"].items() if key not in numbers}
+    bare = Program({key: x for key, x in own.items() if key not in choices} | {"numbers": numbers})
+    assert bare.leaves == full.leaves and (bare.program == full.program).all() and (bare.numbers == full.numbers).all()
 
 
 def test_whole_numbers_may_be_given_as_others(tmp_path):

@@ -10,7 +10,6 @@ import pytest
 from tests.support.commands import python
 from usvlearn import Inputs, Online, Sample
 from usvlearn.core import checkpoint
-from usvlearn.engine.program import program_for
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.live.prior import FILE, prior
 
@@ -57,15 +56,6 @@ def test_what_it_becomes_is_saved_and_opened(tmp_path):
     boat.step(Sample(Inputs(0.5, 0.5, 0.0, 0.0, 0.4), 0.2, True, True))
     again = Online.open(boat.save(tmp_path / "set.safetensors"))
     assert again.predict(Inputs(0.5, 0.5, 0.0, 0.0, 0.4)) == boat.predict(Inputs(0.5, 0.5, 0.0, 0.0, 0.4))
-
-
-def test_a_number_that_is_absent_has_its_default(tmp_path):
-    """So a prior and checkpoints from before there was such a number open."""
-    leaves, facts = prior(20.0, 1.7)
-    expected = program_for(facts["kernel"], (), float).numbers
-    assert facts["kernel"]["accommodation"]["numbers"].pop("wait") == 30.0
-    np.testing.assert_array_equal(program_for(facts["kernel"], (), float).numbers, expected)
-    Online.open(Online.of(leaves, facts).save(tmp_path / "boat.safetensors"))
 
 
 @pytest.mark.thorough

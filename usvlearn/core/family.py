@@ -3,12 +3,16 @@
 The layer reads the names, the kernel the places, the engine both, and `engine.validate` the ranges. A family is an
 estimator, a wrapper, a combiner, or another part of an ensemble. It declares in its `state.py`
 
-    class Number(Parameters):       numbers, by name; each has its legal range
+    class Number(Parameters):       numbers, by name; each has its legal range, and perhaps a default
         GAIN = POSITIVE
     class Vector(ParameterVectors): several numbers of one name, as many as the size says
     class Choice(Options):          one of several allowed values
     FAMILY = Family(("aid",), lambda p: AIDState(theta=leaf(p), surge=leaf()), Number, Choice, Vector)
     AT = FAMILY.at                  an AIDState that holds places
+
+A default, as in `LEAK = BELOW_ONE, 0.0`, is what a description states where an estimator has no such attribute, or
+None: the value that leaves the steps as they are without. A description that lacks the entry means it, too, so
+checkpoints and priors from before there was such a number open.
 
 `engine.program` writes a row of integers for each part: the places of its leaves, numbers and vectors, and its choices.
 A kernel receives this row as `node`, and the state `s` and the numbers `q` of one batch element:
@@ -19,7 +23,7 @@ A kernel receives this row as `node`, and the state `s` and the numbers `q` of o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from itertools import count
@@ -126,6 +130,8 @@ def leaf(*shape: int, legal: Range = FINITE, flag: bool = False) -> Any:
 class Named(IntEnum):
     """Members are numbered in the order of their declaration. A description has their names in lower case."""
 
+    default: Any  # the value of an entry that is absent; None: it must be stated
+
     @property
     def key(self) -> str:
         return self.name.lower()
@@ -136,18 +142,14 @@ class Named(IntEnum):
         if place >= end:
             raise TypeError(f"{cls.__module__}.{cls.__name__}: found more than {end - first} members: widen the table")
         member = int.__new__(cls, place)
-        member._value_ = place
+        member._value_, member.default = place, None
         return member
 
 
 class Parameters(Named):
-    """Named numbers with their legal range; a value is an offset from the part's first number.
-
-    One with a default, as `LEAK = BELOW_ONE, 0.0`, may be absent from a description: so older checkpoints open.
-    """
+    """Named numbers with their legal range and perhaps a default; a value is an offset from the part's first number."""
 
     legal: Range
-    default: float | None
 
     def __new__(cls, legal: Range, default: float | None = None) -> Any:
         member = cls._member(0, inf)
@@ -171,9 +173,10 @@ class ParameterVectors(Named):
 
 
 class Options(Named):
-    """Named choices with what is allowed: some values, or the whole numbers of a `Range`.
+    """Named choices with what is allowed: some values, or the whole numbers of a `Range`, and perhaps a default.
 
-    A value is the place in a row that holds the choice: the index of the chosen value, or the whole number itself.
+    Where one value alone is allowed, it is the default. A value is the place in a row that holds the choice: the index
+    of the chosen value, or the whole number itself.
     """
 
     allowed: tuple[Any, ...]
@@ -181,6 +184,7 @@ class Options(Named):
     def __new__(cls, *allowed: Any) -> Any:
         member = cls._member(CHOICES, VECTORS)
         member.allowed = allowed
+        member.default = allowed[-1] if len(allowed) == 1 + isinstance(allowed[0], Range) else None
         return member
 
     @property
@@ -199,10 +203,7 @@ class Family(Generic[S]):
     choices: type[Options] = Options
     vectors: type[ParameterVectors] = ParameterVectors
     size: Range | Callable[[Mapping[str, Any]], int] = Range(0, 0)  # the legal ones, or that of a description
-    facts: Mapping[str, str] = field(default_factory=dict)  # beside choices; descriptions of version 0.2 have none
-    optional: tuple[Options, ...] = ()  # choices that a description has all or none of
-    last: tuple[Parameters, ...] = ()  # numbers, the last ones, that a description has where it has those choices
-    lengths: tuple[Options, ...] = ()  # choices that size the state, too: whole numbers; 0 where a description has none
+    lengths: tuple[Options, ...] = ()  # choices that size the state, too: whole numbers
     work: Callable[[int], int] = lambda size: 0  # the length of the work array that its kernel needs
     heading: Callable[[Mapping[str, Any]], bool] = lambda own: False  # whether a description needs the heading
     frozen: tuple[str, ...] | None = None  # leaves that `free_step` reads or changes, by dotted name; None: all
@@ -213,22 +214,15 @@ class Family(Generic[S]):
         """A state that holds, for each leaf, the place in a row that holds the leaf's place."""
         return _counted(self.state(1, *(1 for _ in self.lengths)), count(LEAVES))
 
-    def leaves(self, size: Any, prefix: str = "", own: Mapping[str, Any] | None = None) -> dict[str, Field]:
+    def leaves(self, size: Any, prefix: str, own: Mapping[str, Any]) -> dict[str, Field]:
         """The leaves of its state by dotted name, in its order; `own` is its entries in a description."""
-        lengths = ((own or {}).get(choice.key, 0) for choice in self.lengths)
+        lengths = (own[choice.key] for choice in self.lengths)
         return {prefix + name: each for name, each in named_leaves(self.state(size, *lengths))}
 
-    def chosen(self, own: Mapping[str, Any]) -> list[Options]:
-        """The choices that a description must state."""
-        return [choice for choice in self.choices if self.stated(own) or choice not in self.optional]
 
-    def numbered(self, own: Mapping[str, Any]) -> list[Parameters]:
-        """The numbers that a description must have."""
-        return [number for number in self.numbers if self.stated(own) or number not in self.last]
-
-    def stated(self, own: Mapping[str, Any]) -> bool:
-        """Whether a description has the optional choices."""
-        return any(choice.key in own for choice in self.optional)
+def defaults(declared: Iterable[Named]) -> dict[str, Any]:
+    """What a description that lacks them has: the defaults by name."""
+    return {each.key: each.default for each in declared if each.default is not None}
 
 
 def _counted(tree: Any, places: Iterator[int]) -> Any:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import abc
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import import_module
 from typing import Any, NamedTuple, final
 
 import torch
 from torch import Tensor, nn
 
-from usvlearn.core.family import Family, Parameters, ParameterVectors
+from usvlearn.core.family import Family, Named, Parameters, ParameterVectors
 from usvlearn.core.hyperparameters import numbers
 from usvlearn.core.samples import PLAUSIBLE, Inputs, Sample, masks, tree_map, where
 from usvlearn.errors import ConfigError
@@ -276,14 +276,17 @@ def describe(family: Family[Any], part: Any, **own: Any) -> dict[str, Any]:
     Values that are not attributes of the part, and `kind` and `size`, are `own`.
     """
     found = {"kind": own.get("kind", family.kinds[0]), "size": own.get("size", 0)}
-    for choice in family.choices:
-        if choice not in family.optional:
-            found[choice.key] = own[choice.key] if choice.key in own else getattr(part, choice.key)
-    found |= family.facts
-    found["numbers"] = numbers_of([each for each in family.numbers if each not in family.last], part, **own)
+    found |= {choice.key: _value(choice, part, own) for choice in family.choices}
+    found["numbers"] = numbers_of(family.numbers, part, **own)
     return found | ({"vectors": numbers_of(family.vectors, part, **own)} if len(family.vectors) else {})
 
 
 def numbers_of(declared: Iterable[Parameters | ParameterVectors], part: Any, **own: Any) -> dict[str, Any]:
     """The declared numbers as JSON values, from attributes of a part or from `own`."""
-    return numbers(**{each.key: own[each.key] if each.key in own else getattr(part, each.key) for each in declared})
+    return numbers(**{each.key: _value(each, part, own) for each in declared})
+
+
+def _value(each: Named, part: Any, own: Mapping[str, Any]) -> Any:
+    """What is declared, from `own` or an attribute; its default where that is None or, if there is one, missing."""
+    value = own[each.key] if each.key in own else getattr(part, each.key, *([] if each.default is None else [None]))
+    return each.default if value is None else value

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.core.family import FINITE, MOST, Family, Field, Options, Parameters, Range
+from usvlearn.core.family import FINITE, MOST, Family, Field, Options, Parameters, Range, defaults
 from usvlearn.errors import CheckpointError, ShapeError
 from usvlearn.estimators import COMPILED
 from usvlearn.estimators.ensemble import state as ensemble
@@ -195,7 +195,7 @@ def _accommodation(entry: str, own: Description, prefix: str) -> Part:
         raise CheckpointError(f"{entry}: found no monitors, expected them where filters are accommodated")
     columns = _columns(f"{entry}.members", given["members"], len(members))
     for k, column in enumerate(columns):
-        if members[column]["kind"] != "joint" or "trial_steps" not in members[column]:
+        if members[column]["kind"] != "joint" or not members[column].get("trial_steps"):
             raise wrong(f"{entry}.members[{k}]", column, "the column of a joint EKF with trials")
     numbers = _numbers(f"{entry}.numbers", given["numbers"], accommodation.Number)
     return Part("accommodation", accommodation.FAMILY, given, 0, prefix, numbers, columns)
@@ -243,17 +243,15 @@ def _estimator(entry: str, own: Any, prefix: str, kinds: Collection[str]) -> Ite
         yield from _estimator(f"{entry}.inner", own["inner"], f"{prefix}inner.", ALONE[:-1])
         yield Part("robust", ROBUST, own, 0, prefix, _numbers(f"{entry}.numbers", own["numbers"], ROBUST.numbers))
         return
-    chosen, facts = family.chosen(own), own.keys() & family.facts.keys()
-    for key in facts:
-        _choose(f"{entry}.{key}", own[key], [family.facts[key]])
+    own = defaults(family.choices) | own
     vectors = ("vectors",) if len(family.vectors) else ()
-    check_keys(entry, own, ("kind", "size", "numbers", *facts, *(choice.key for choice in chosen), *vectors))
-    _choices(entry, own, chosen)
+    check_keys(entry, own, ("kind", "size", "numbers", *(choice.key for choice in family.choices), *vectors))
+    _choices(entry, own, family.choices)
     legal = family.size
     if not isinstance(legal, Range):
         legal = Range(count := legal(own), count)
     size = _whole(f"{entry}.size", own["size"], legal)
-    numbers = _numbers(f"{entry}.numbers", own["numbers"], family.numbered(own))
+    numbers = _numbers(f"{entry}.numbers", own["numbers"], family.numbers)
     numbers += _vectors(f"{entry}.vectors", own["vectors"], family, size) if vectors else ()
     yield Part("estimator", family, own, size, prefix, numbers)
 
@@ -281,7 +279,7 @@ def _numbers(entry: str, given: Any, declared: Iterable[Parameters]) -> tuple[En
     """Numbers by name; one that is absent has its default."""
     declared = list(declared)
     if isinstance(given, dict):
-        given = {each.key: each.default for each in declared if each.default is not None} | given
+        given = defaults(declared) | given
     check_keys(entry, given, [each.key for each in declared])
     return tuple(Entry(f"{entry}.{each.key}", given[each.key], each.legal) for each in declared)
 

@@ -224,7 +224,7 @@ class Program:
             row[place] = self.size
             self.size += prod(field.shape)
         row[Row.END] = self.size
-        for choice in part.family.chosen(part.own):
+        for choice in part.family.choices:
             value = part.own[choice.key]
             row[choice] = value if choice.whole else choice.allowed.index(value)
         for each in part.numbers:

@@ -157,8 +157,7 @@ class AID(Estimator):
     def description(self) -> dict[str, Any] | None:
         if (terms := spec_of(self.model)) is None:
             return None
-        leak = self.leak if self.feedback == "estimate" else 1.0
-        return describe(FAMILY, self, size=len(self.model.names), terms=terms, scale=self.model.scale, leak=leak)
+        return describe(FAMILY, self, size=len(self.model.names), terms=terms, scale=self.model.scale)
 
     def monitor(self, state: AIDState) -> dict[str, Tensor]:
         numbers, theta = {"prior_distance": self._distance(state.theta)}, state.theta

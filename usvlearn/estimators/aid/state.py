@@ -41,8 +41,8 @@ class Number(Parameters):
     SCALE = MODEST  # the mass, or 1
     SURGE_MAX = POSITIVE
     GAIN = POSITIVE
-    LEAK = POSITIVE
-    DEAD_ZONE = NOT_NEGATIVE
+    LEAK = POSITIVE, 1.0  # of the feedback "estimate"
+    DEAD_ZONE = NOT_NEGATIVE, 0.0
     FLOOR = NOT_NEGATIVE
     SIGMA = NOT_NEGATIVE
     BOUND = POSITIVE

@@ -16,12 +16,8 @@ from usvlearn.core.samples import Inputs, named_leaves
 from usvlearn.errors import ConfigError, check_positive, did_you_mean, under
 from usvlearn.estimators.ensemble.accommodation import layer as accommodation
 from usvlearn.estimators.ensemble.combiners.layer import Average, Combiner
-from usvlearn.estimators.ensemble.conformal.layer import (
-    conformal_numbers,
-    conformal_start,
-    conformal_step,
-    published,
-)
+from usvlearn.estimators.ensemble.conformal.layer import conformal_start, conformal_step, published
+from usvlearn.estimators.ensemble.conformal.state import Number as Interval
 from usvlearn.estimators.ensemble.forecasts.layer import ForecastSettings
 from usvlearn.estimators.ensemble.monitors import layer as monitors
 from usvlearn.estimators.ensemble.state import EnsembleState, Number
@@ -250,7 +246,7 @@ class Ensemble(Estimator):
             return None
         return {
             "kind": "ensemble", "members": members, "output": self.output, "columns": list(self.columns),
-            "rules": rules, "numbers": numbers_of(Number, self), "conformal": conformal_numbers(self.coverage),
+            "rules": rules, "numbers": numbers_of(Number, self), "conformal": numbers_of(Interval, self),
             "monitors": monitors.description() if self.watched else None,
             **({"conditional": 1} if self.conditional else {}),
             **({"accommodation": self._accommodation()} if self.accommodated else {}),

@@ -7,9 +7,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from usvlearn.core.hyperparameters import Hyper, Positive, as_tensor, numbers
+from usvlearn.core.hyperparameters import Hyper, Positive, as_tensor
 from usvlearn.errors import ConfigError
-from usvlearn.estimators.joint import state as at
 from usvlearn.estimators.joint.state import THETA, JointState, TrialState
 
 
@@ -81,10 +80,9 @@ class Trial(nn.Module):
             *(torch.stack([leaf] * 2, axis) for leaf in (state.mean, state.factor, state.noise)),
         )  # fmt: skip
 
-    def description(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Choices and numbers for a description."""
-        named = {each.key: getattr(self, each.key) for each in at.FAMILY.last}
-        return {"trial_steps": self.steps}, numbers(**named)
+    def description(self) -> dict[str, Any]:
+        """What a description of the filter states beside its own attributes."""
+        return {"trial_steps": self.steps, **{name: getattr(self, name) for name in Trial.__annotations__}}
 
 
 SWAPPED = ("mean", "factor", "noise", "updates")  # the leaves of a filter that has a second one

@@ -167,12 +167,8 @@ class JointEKF(KernelEstimator):
         return state if self.trial is None else state._replace(trial=self.trial.init(state))
 
     def description(self) -> dict[str, Any]:
-        even = self.even is not None
-        found = describe(FAMILY, self, size=THETA + len(self.names), even=even)
-        if self.trial is None:
-            return found
-        steps, numbers = self.trial.description()
-        return found | steps | {"numbers": found["numbers"] | numbers}
+        own = {} if self.trial is None else self.trial.description()
+        return describe(FAMILY, self, size=THETA + len(self.names), even=self.even is not None, **own)
 
     def monitor(self, state: JointState) -> dict[str, Tensor]:
         numbers = dict(zip(self.names, (state.mean[..., THETA:] * self.mass[..., None]).unbind(-1), strict=True))

@@ -111,13 +111,13 @@ class Number(Parameters):
     OUTLIER = POSITIVE_OR_INFINITE  # k
     READ_EVERY = POSITIVE_OR_INFINITE
     MASS = MODEST  # kg: for the units of what is read
-    THRESHOLD = POSITIVE  # of g; this one and the next six only with trials
-    LEADS = FINITE
-    CONFIRMED = POSITIVE
-    DROPPED = FINITE
-    FALLEN = POSITIVE
-    SIDE = NOT_NEGATIVE  # s of (9)
-    EACH = NOT_NEGATIVE  # r
+    THRESHOLD = POSITIVE, 12.0  # of g; this one and the next six are of trials
+    LEADS = FINITE, 5.0
+    CONFIRMED = POSITIVE, 150.0
+    DROPPED = FINITE, -2.0
+    FALLEN = POSITIVE, 4.0
+    SIDE = NOT_NEGATIVE, 0.6  # s of (9)
+    EACH = NOT_NEGATIVE, 0.3  # r
 
 
 class Vector(ParameterVectors):
@@ -132,7 +132,7 @@ class Choice(Options):
     """Choices."""
 
     EVEN = False, True
-    TRIAL_STEPS = Range(1, 10**6)  # the longest trial; only with trials
+    TRIAL_STEPS = Range(0, 10**6), 0  # the longest trial; 0: there is none
 
 
 def trial(n: int, steps: int) -> TrialState | dict[str, Any]:
@@ -179,8 +179,6 @@ FAMILY = Family(
     Choice,
     Vector,
     size=lambda own: SIZES[own["even"]],
-    optional=(Choice.TRIAL_STEPS,),
-    last=tuple(Number)[Number.THRESHOLD :],
     lengths=(Choice.TRIAL_STEPS,),
     work=lambda n: 4 * n + 2,
     heading=lambda own: True,

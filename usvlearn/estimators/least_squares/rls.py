@@ -15,7 +15,7 @@ from usvlearn.core.protocol import Estimator, describe, spec_of
 from usvlearn.core.samples import Inputs
 from usvlearn.errors import check_choice, check_positive
 from usvlearn.estimators.ensemble.monitors.layer import excitation_report
-from usvlearn.estimators.least_squares.state import FAMILY, LOOSEST, NOISE, NOISE_LEAST, NOISE_SHARE, RLSState
+from usvlearn.estimators.least_squares.state import FAMILY, NOISE, NOISE_LEAST, NOISE_SHARE, RLSState
 from usvlearn.estimators.regressors.layer import LinearModel, QuasiStatic, linearised
 
 
@@ -131,14 +131,12 @@ class LeastSquares(Estimator):
         return state._replace(surge=surge)
 
     def _spec(self, kind: str, **own: Any) -> dict[str, Any] | None:
-        """`description` of a kind, whose numbers are `own`."""
+        """`description` of a kind; numbers that are not attributes are `own`."""
         if (terms := spec_of(self.model)) is None:
             return None
         p, scale = len(self.model.names), self.model.scale
-        none = {"forgetting": 1.0, "trace_max": 0.0, "memory": 1.0, "longest": 0.0, "floor": 0.0}
-        limits = {"loosest": LOOSEST, "noise_share": NOISE_SHARE, "noise_least": NOISE_LEAST**2}
-        given = none | limits | {"prior": p * self.covariance() * scale**2, "scale": scale} | own
-        return describe(FAMILY, self, kind=kind, size=p, terms=terms, **given)
+        prior = p * self.covariance() * scale**2
+        return describe(FAMILY, self, kind=kind, size=p, terms=terms, prior=prior, scale=scale, **own)
 
     def monitor(self, state: RLSState) -> dict[str, Tensor]:
         parameters = dict(zip(self.model.names, state.theta.unbind(-1), strict=True))
@@ -199,7 +197,7 @@ class RLS(LeastSquares):
         self.register_buffer("trace_max", growth * as_tensor(covariance) * self.model.scale**2)
 
     def description(self) -> dict[str, Any] | None:
-        return self._spec("rls", forgetting=self.forgetting, trace_max=self.trace_max)
+        return self._spec("rls")
 
     def _step(
         self, theta: Tensor, factor: Tensor, phi: Tensor, innovation: Tensor, dt: Tensor

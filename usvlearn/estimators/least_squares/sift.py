@@ -76,7 +76,7 @@ class SIFtRLS(LeastSquares):
         self.floor = check_not_negative("floor", floor)
 
     def description(self) -> dict[str, Any] | None:
-        return self._spec("sift", memory=self.memory, longest=LONGEST, floor=self.floor)
+        return self._spec("sift", longest=LONGEST)
 
     def _step(
         self, theta: Tensor, factor: Tensor, phi: Tensor, innovation: Tensor, dt: Tensor

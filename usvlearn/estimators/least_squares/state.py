@@ -50,19 +50,19 @@ class RLSState(NamedTuple):
 
 
 class Number(Parameters):
-    """Numbers of both kinds; a number that a kind does not use has the value that forgets nothing."""
+    """Numbers of both kinds; by default a number that a kind does not use forgets nothing."""
 
     SCALE = MODEST  # the mass, or 1
     SURGE_MAX = POSITIVE
     PRIOR = POSITIVE  # the trace of P₀
-    LOOSEST = NOT_NEGATIVE
-    NOISE_SHARE = UNIT
-    NOISE_LEAST = POSITIVE  # m²/s²
-    FORGETTING = FACTOR  # of "rls"
-    TRACE_MAX = NOT_NEGATIVE  # of "rls"
-    MEMORY = POSITIVE  # s, of "sift"
-    LONGEST = Range(0.0, 80.0)  # of "sift": the exponent of 1/λ
-    FLOOR = NOT_NEGATIVE  # of "sift"
+    LOOSEST = NOT_NEGATIVE, LOOSEST
+    NOISE_SHARE = UNIT, NOISE_SHARE
+    NOISE_LEAST = POSITIVE, NOISE_LEAST**2  # m²/s²
+    FORGETTING = FACTOR, 1.0  # of "rls"
+    TRACE_MAX = NOT_NEGATIVE, 0.0  # of "rls"
+    MEMORY = POSITIVE, 1.0  # s, of "sift"
+    LONGEST = Range(0.0, 80.0), 0.0  # of "sift": the exponent of 1/λ
+    FLOOR = NOT_NEGATIVE, 0.0  # of "sift"
 
 
 class Choice(Options):

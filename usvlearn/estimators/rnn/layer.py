@@ -272,16 +272,11 @@ class RNN(Estimator):
         return state._replace(surge=surge, unbroken=torch.zeros_like(state.unbroken))
 
     def description(self) -> dict[str, Any]:
-        found = describe(
+        return describe(
             FAMILY, self, size=len(self.a), unroll=int(self.unroll), best=self.gauge == "best",
             condition="none" if self.contraction_rate is None else self.condition,
-            decay=math.inf if self.decay is None else self.decay, clip=math.inf if self.clip is None else self.clip,
-            contraction_rate=1.0 if self.contraction_rate is None else self.contraction_rate,
-            penalty=0.0 if self.penalty is None else self.penalty, share2=1 - BETA2, log_beta2=math.log(BETA2),
-            epsilon=EPSILON, tiny=torch.finfo(self.a.dtype).tiny, bounds=self.bounds.flatten(),
+            tiny=torch.finfo(self.a.dtype).tiny, bounds=self.bounds.flatten(),
         )  # fmt: skip
-        again = {"replay_size": self.replay_size, "replay_steps": self.replay_steps}
-        return found | (again if self.replay_size else {})
 
     def monitor(self, state: RNNState) -> dict[str, Tensor]:
         a, w1 = state.weights.a, state.weights.w1

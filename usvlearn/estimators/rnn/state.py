@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from enum import IntEnum
 from itertools import accumulate
-from math import prod
+from math import inf, log, prod
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from certify.networks.shallow import ShallowWeights
@@ -93,14 +93,14 @@ class Number(Parameters):
     SCALE = MODEST  # h, s/m
     SURGE_MAX = POSITIVE
     RATE = POSITIVE
-    DECAY = POSITIVE_OR_INFINITE
+    DECAY = POSITIVE_OR_INFINITE, inf
     MOMENTUM = BELOW_ONE
-    CLIP = POSITIVE_OR_INFINITE
-    CONTRACTION_RATE = FACTOR
-    PENALTY = NOT_NEGATIVE
-    SHARE2 = UNIT  # 1 − β₂
-    LOG_BETA2 = Range(-100.0, -1e-6)
-    EPSILON = POSITIVE
+    CLIP = POSITIVE_OR_INFINITE, inf
+    CONTRACTION_RATE = FACTOR, 1.0
+    PENALTY = NOT_NEGATIVE, 0.0
+    SHARE2 = UNIT, 1 - BETA2
+    LOG_BETA2 = Range(-100.0, -1e-6), log(BETA2)
+    EPSILON = POSITIVE, EPSILON
     TINY = UNIT
 
 
@@ -118,8 +118,9 @@ class Choice(Options):
     UNROLL = 1, 2
     CONDITION = tuple(each.name.lower() for each in Condition)
     BEST = False, True
-    REPLAY_SIZE = Range(1, MOST_KEPT)
-    REPLAY_STEPS = Range(1, MOST_STEPS)
+    REPLAY_SIZE = Range(0, MOST_KEPT), 0
+    REPLAY_STEPS = Range(1, MOST_STEPS), 8
+    ACTIVATION = ("relu",)  # by which `certify` knows φ
 
 
 def replay(kept: int) -> Replay | dict[str, Any]:
@@ -148,8 +149,6 @@ FAMILY = Family(
     Choice,
     Vector,
     size=Range(1, 100_000),
-    facts={"activation": "relu"},  # by which `certify` knows φ
-    optional=(Choice.REPLAY_SIZE, Choice.REPLAY_STEPS),
     lengths=(Choice.REPLAY_SIZE,),
     work=lambda n: INPUTS + 16 * n,
     heading=lambda own: True,

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import abc
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from usvlearn.core.hyperparameters import Hyper, Positive, UnitInterval, as_tensor, check_broadcast, numbers
+from usvlearn.core.family import Family
+from usvlearn.core.hyperparameters import Hyper, Positive, UnitInterval, as_tensor, check_broadcast
+from usvlearn.core.protocol import numbers_of
 from usvlearn.errors import ConfigError, check_choice, check_not_negative, check_positive
+from usvlearn.estimators.ensemble.combiners import state as at
 from usvlearn.estimators.ensemble.combiners.state import LOSSES, TINY, BOAState, ExponentialState, WeightsState
 from usvlearn.estimators.least_squares.rls import rls_step
 
@@ -86,7 +88,7 @@ class Average(Combiner):
         return fill_inactive(predictions, torch.ones_like(predictions)).mean(-1)
 
     def description(self) -> dict[str, Any]:
-        return {"kind": "average", "numbers": numbers(tiny=TINY)}
+        return {"kind": "average", "numbers": numbers_of(at.Plain, self)}
 
 
 class FixedWeights(Combiner):
@@ -111,7 +113,7 @@ class FixedWeights(Combiner):
         return (self.weights * fill_inactive(predictions, self.weights.abs())).sum(-1)
 
     def description(self) -> dict[str, Any]:
-        return {"kind": "fixed", "numbers": numbers(tiny=TINY), "vector": self.weights.tolist()}
+        return {"kind": "fixed", "numbers": numbers_of(at.Plain, self), "vector": self.weights.tolist()}
 
 
 class RecursiveWeights(Combiner):
@@ -168,10 +170,7 @@ class RecursiveWeights(Combiner):
         return WeightsState(*rls_step(state.weights, state.factor, x, innovation, forgetting, self.trace_max))
 
     def description(self) -> dict[str, Any]:
-        values = numbers(
-            tiny=TINY, forgetting=self.forgetting, trace_max=self.trace_max, surge_max=self.surge_max
-        )  # fmt: skip
-        return {"kind": "recursive", "numbers": values}
+        return {"kind": "recursive", "numbers": numbers_of(at.Recursive, self)}
 
     def monitor(self, state: WeightsState) -> dict[str, Tensor]:
         return {**self._weights(state.weights), "covariance_trace": (state.factor**2).sum((-2, -1))}
@@ -205,9 +204,9 @@ class Prior(Combiner):
     def monitor(self, state: ExponentialState | BOAState) -> dict[str, Tensor]:
         return self._weights(state.weights)
 
-    def _spec(self, kind: str, **own: Any) -> dict[str, Any]:
-        values = numbers(tiny=TINY, memory=math.inf if self.memory is None else self.memory, **own)
-        return {"kind": kind, "loss": self.loss, "numbers": values, "vector": self.log_prior.exp().tolist()}
+    def _spec(self, family: Family[Any]) -> dict[str, Any]:
+        values, prior = numbers_of(family.numbers, self), self.log_prior.exp().tolist()
+        return {"kind": family.kinds[0], "loss": self.loss, "numbers": values, "vector": prior}
 
     def _kept(self, dt: Tensor) -> Tensor | float:
         """κ, `(*batch, 1)`."""
@@ -261,7 +260,7 @@ class ExponentialWeights(Prior):
         return ExponentialState((self.log_prior - self.rate()[..., None] * losses).softmax(-1), losses)
 
     def description(self) -> dict[str, Any]:
-        return self._spec("exponential", rate=self.rate)
+        return self._spec(at.EXPONENTIAL)
 
 
 class BOA(Prior):
@@ -322,7 +321,7 @@ class BOA(Prior):
         return BOAState(weights, losses, squares, ranges)
 
     def description(self) -> dict[str, Any]:
-        found = self._spec("boa", scale=self.scale, share=self.share)
+        found = self._spec(at.BOA)
         return found | {"vector": [*found["vector"], *self._costs().tolist()]}
 
     def _costs(self) -> Tensor:

@@ -7,6 +7,7 @@ what differs from the published rule: `docs/theory/ensemble.md#combiners`.
 
 from __future__ import annotations
 
+from math import inf
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from usvlearn.core.family import (
@@ -62,13 +63,13 @@ class BOAState(NamedTuple):
 class Plain(Parameters):
     """The number that every combiner has."""
 
-    TINY = POSITIVE
+    TINY = POSITIVE, TINY
 
 
 class Recursive(Parameters):
     """Numbers of `RecursiveWeights`."""
 
-    TINY = POSITIVE
+    TINY = POSITIVE, TINY
     FORGETTING = FACTOR
     TRACE_MAX = POSITIVE
     SURGE_MAX = POSITIVE
@@ -77,16 +78,16 @@ class Recursive(Parameters):
 class Exponential(Parameters):
     """Numbers of `ExponentialWeights`."""
 
-    TINY = POSITIVE
-    MEMORY = POSITIVE_OR_INFINITE  # s
+    TINY = POSITIVE, TINY
+    MEMORY = POSITIVE_OR_INFINITE, inf  # s
     RATE = POSITIVE
 
 
 class Bernstein(Parameters):
     """Numbers of `BOA`."""
 
-    TINY = POSITIVE
-    MEMORY = POSITIVE_OR_INFINITE  # s
+    TINY = POSITIVE, TINY
+    MEMORY = POSITIVE_OR_INFINITE, inf  # s
     SCALE = POSITIVE  # E₀
     SHARE = UNIT
 

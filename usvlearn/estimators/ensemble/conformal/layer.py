@@ -23,11 +23,6 @@ def published(state: ConformalState) -> Tensor:
     return torch.where(state.count < FEW, torch.inf, state.halfwidth)
 
 
-def conformal_numbers(coverage: float) -> dict[str, float]:
-    """The numbers of `conformal_step`, for its kernel."""
-    return {"coverage": coverage, "rate": RATE, "boost": BOOST, "least": LEAST}
-
-
 def conformal_step(state: ConformalState, innovation: Tensor, coverage: float) -> ConformalState:
     """The intervals after innovations, m/s, `(*batch, k)`: equation (1). A column that is not finite stays."""
     known = innovation.isfinite()

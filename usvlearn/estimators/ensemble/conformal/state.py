@@ -36,15 +36,15 @@ class Number(Parameters):
     """Constants and the coverage."""
 
     COVERAGE = UNIT  # 1 − α
-    RATE = AT_MOST_TEN  # η
-    BOOST = AT_MOST_TEN  # η₀
-    LEAST = POSITIVE  # m/s
+    RATE = AT_MOST_TEN, RATE  # η
+    BOOST = AT_MOST_TEN, BOOST  # η₀
+    LEAST = POSITIVE, LEAST  # m/s
 
 
 class Choice(Options):
     """Whether the published half-widths know the manoeuvre, 0 or 1."""
 
-    CONDITIONAL = (Range(0, 1),)
+    CONDITIONAL = Range(0, 1)
 
 
 def _state(k: int, conditional: int = 0) -> ConformalState:

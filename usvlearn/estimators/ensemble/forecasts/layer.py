@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from usvlearn.core.protocol import has_kernel
+from usvlearn.core.protocol import has_kernel, numbers_of
 from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.errors import ConfigError, check_not_negative, check_positive
 from usvlearn.estimators.ensemble.combiners.layer import BOA
@@ -151,10 +151,7 @@ class ForecastSettings(nn.Module):
         return {
             "members": [list(columns).index(name) for name in self.names],
             "slots": self.slots,
-            "numbers": {
-                "overlap": self.overlap, "coverage": self.coverage, "tiny": TINY, "scale": self.rule.scale,
-                "share": self.rule.share,
-            },
+            "numbers": numbers_of(at.Number, self, scale=self.rule.scale, share=self.rule.share),
             "vectors": {
                 "horizons": self.horizons.tolist(), "memory": self.rule.memory().tolist(),
                 "prior": prior.tolist(), "costs": costs.tolist(),

@@ -26,7 +26,7 @@ from usvlearn.core.family import (
     Range,
     leaf,
 )
-from usvlearn.estimators.ensemble.combiners.state import BOAState
+from usvlearn.estimators.ensemble.combiners.state import TINY, BOAState
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -84,7 +84,7 @@ class Number(Parameters):
 
     OVERLAP = POSITIVE  # n
     COVERAGE = UNIT
-    TINY = POSITIVE
+    TINY = POSITIVE, TINY
     SCALE = POSITIVE  # m/s
     SHARE = UNIT
 
