@@ -43,8 +43,7 @@ from usvlearn.cli.train import work
 from usvlearn.composition.configuration import planar_of
 from usvlearn.core import checkpoint
 from usvlearn.core.samples import named_leaves, tree_map
-from usvlearn.engine.planar_runs import planar_stretches, with_poses
-from usvlearn.engine.rollouts import simulate
+from usvlearn.engine.rollouts import chunked_rollout, simulate
 from usvlearn.errors import UsvlearnError
 from usvlearn.logs.inspection.inspected import inspect_logs
 from usvlearn.logs.recordings import align_fleet
@@ -122,7 +121,7 @@ def called(name: str, online: Online, calls: Sequence[Any]) -> Case:
 def track_steps() -> Case:
     """The default ensemble with sway, yaw rate and tracks, on a simulated boat that turns and drifts."""
     run = align_fleet(planar_fleet(n=2, hours=0.08, mission_minutes=2.4, seed=3)).runs[0]
-    part: PlanarSample = tree_map(lambda x: x[:STEPS], with_poses(run.samples, run.poses))
+    part: PlanarSample = tree_map(lambda x: x[:STEPS], run.planar)
     found: Case = {}
     for name, dtype in TYPES.items():
         configured = accuracy.configuration(())
@@ -130,7 +129,7 @@ def track_steps() -> Case:
         planar = copy.deepcopy(planar).to(dtype)
         start = planar.init(part.sample.surge.shape[1:])
         recorded = [leaf for leaf, _ in named_leaves(start)]
-        [(state, states)] = planar_stretches(planar, start, [part], recorded)
+        [(state, states)] = chunked_rollout(planar, start, [part], recorded)
         found[f"{name} replay by step"] = states
         online = Online(planar)
         alone = [tree_map(lambda x, k=k: x[k, 0].item(), part) for k in range(len(part.sample.surge))]

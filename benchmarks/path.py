@@ -23,7 +23,6 @@ from pages import machine, publish, table
 
 from usvlearn.composition.configuration import planar_of
 from usvlearn.core.samples import Fleet
-from usvlearn.engine.planar_runs import planar_stretches, with_poses
 from usvlearn.engine.rollouts import chunked_rollout
 from usvlearn.estimators.planar.layer import Planar
 from usvlearn.estimators.planar.state import CONSTANT, ERROR, GROUP, HEADING_ERROR, HELD_RATE, HORIZONS, RADIUS, RHO
@@ -63,9 +62,9 @@ def planar(overrides: tuple[str, ...]) -> Planar:
 
 def followed(model: Planar, fleet: Fleet) -> Iterator[np.ndarray]:
     """What became due in each run."""
-    parts = [with_poses(run.samples, run.poses) for run in fleet.runs]
+    parts = [run.planar for run in fleet.runs]
     with torch.no_grad():
-        for _, kept in planar_stretches(model, model.init((len(fleet.boats),)), parts, ["track.due"]):
+        for _, kept in chunked_rollout(model, model.init((len(fleet.boats),)), parts, ["track.due"]):
             yield kept["track.due"]
 
 

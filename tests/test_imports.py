@@ -36,8 +36,8 @@ NO_TORCH = ("usvlearn.errors", "usvlearn.core", "usvlearn.display", "usvlearn.en
             "usvlearn.evaluation", "usvlearn.model", "usvlearn.composition", "usvlearn.cli", "usvlearn.api",
             "usvlearn.learned")  # fmt: skip
 TORCH = ("usvlearn.core.protocol", "usvlearn.core.hyperparameters", "usvlearn.engine.rollouts",
-         "usvlearn.engine.backend", "usvlearn.engine.external", "usvlearn.engine.planar_runs",
-         "usvlearn.engine.torch_steps", "usvlearn.evaluation.crossval", "usvlearn.testing")  # fmt: skip
+         "usvlearn.engine.backend", "usvlearn.engine.external", "usvlearn.engine.torch_steps",
+         "usvlearn.evaluation.crossval", "usvlearn.testing")  # fmt: skip
 BENCHMARKS = ROOT / "benchmarks"
 MODULES = sorted(p for folder in ("usvlearn", "certify") for p in (ROOT / folder).rglob("*.py"))
 ROOTS = {"usvlearn", "certify"}  # their own imports are lazy, and tested below
@@ -181,13 +181,7 @@ def test_kernels_run_without_torch():
     code = "from usvlearn.engine import open_loop_scores, single_steps, run, online"
     assert not loaded(code) & {*HEAVY, "hydra", "rich"} - {"numba", "scipy"}  # which numba imports where it is there
     for path in MODULES:
-        if within(name_of(path), ["usvlearn.engine"]) and path.stem not in (
-            "rollouts",
-            "planar_runs",
-            "backend",
-            "torch_steps",
-            "external",
-        ):
+        if within(name_of(path), ["usvlearn.engine"]) and name_of(path) not in TORCH:
             packages = {found.partition(".")[0] for found in imports(path)}
             assert packages <= {"numpy", "numba", "usvlearn", *sys.stdlib_module_names}, path
 

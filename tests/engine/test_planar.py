@@ -23,7 +23,6 @@ from usvlearn import (
 )
 from usvlearn.core.samples import rebuild, tree_map
 from usvlearn.engine.backend import arrays_of
-from usvlearn.engine.planar_runs import planar_stretches, with_poses
 from usvlearn.engine.rollouts import chunked_rollout
 from usvlearn.errors import CheckpointError, ConfigError, ShapeError
 from usvlearn.estimators.planar.state import CONSTANT, ERROR, GROUP, HELD_RATE, RADIUS, RHO, USED
@@ -45,7 +44,7 @@ def planar(**options) -> Planar:
 def boats():
     """Two boats, an hour each: samples and poses of each run, (time, boats, …)."""
     fleet = align_fleet(planar_fleet(n=2, hours=1.0, seed=7), **ALIGN)
-    return [with_poses(run.samples, run.poses) for run in fleet.runs]
+    return [run.planar for run in fleet.runs]
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +52,7 @@ def learned(boats):
     """The `Planar`, its state at the end, and what became due, (time, boats, horizons, columns)."""
     own = planar()
     with torch.no_grad():
-        *_, (state, _) = found = list(planar_stretches(own, own.init((2,)), boats, ["track.due"]))
+        *_, (state, _) = found = list(chunked_rollout(own, own.init((2,)), boats, ["track.due"]))
     return own, state, np.concatenate([kept["track.due"] for _, kept in found])
 
 
@@ -76,7 +75,7 @@ def test_live_is_replay_and_goes_on_from_a_file(boats, tmp_path):
     samples = element(boats[0], 0, slice(300))
     own = planar()
     with torch.no_grad():
-        ((state, _),) = planar_stretches(own, own.init(), [samples], [])
+        ((state, _),) = chunked_rollout(own, own.init(), [samples], [])
     online = followed(Online(own), element(boats[0], 0, slice(200)))
     online.save(tmp_path / "boat.safetensors")
     online = followed(Online.open(tmp_path / "boat.safetensors"), element(boats[0], 0, slice(200, 300)))
@@ -258,7 +257,7 @@ def test_numbers_of_single_precision_stay_finite_for_long(boats):
     own = planar().to(torch.float32)
     parts = [tree_map(lambda x: x if x.dtype == bool else x.astype(np.float32), each) for each in boats]
     with torch.no_grad():
-        *_, (state, kept) = planar_stretches(own, own.init((2,)), parts, ["track.due"])
+        *_, (state, kept) = chunked_rollout(own, own.init((2,)), parts, ["track.due"])
     assert all(torch.isfinite(x).all() for x in (state.yaw.members["yaw"].mean, state.track.covariance))
     errors = kept["track.due"][:, :, 0, ERROR]
     assert np.nanmean(errors) < 0.2
@@ -270,7 +269,7 @@ def test_a_million_steps_of_single_precision(boats):
     one = tree_map(lambda x: x[:, :1] if x.dtype == bool else x[:, :1].astype(np.float32), boats[0])
     state, rounds = own.init((1,)), -(-1_000_000 // len(one.heading))
     with torch.no_grad():
-        for after, kept in planar_stretches(own, state, [one] * rounds, ["track.due"]):
+        for after, kept in chunked_rollout(own, state, [one] * rounds, ["track.due"]):
             assert all(torch.isfinite(x).all() for x in (after.yaw.members["yaw"].mean, after.track.covariance))
             errors = kept["track.due"][:, :, 0, ERROR]
             assert np.nanmean(errors) < 0.5

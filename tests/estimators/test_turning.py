@@ -10,9 +10,9 @@ import torch
 
 from usvlearn import Ensemble, ForecastSettings, JointEKF
 from usvlearn.core.events import NINETY
-from usvlearn.core.samples import Inputs, Run, Sample, named_leaves
+from usvlearn.core.samples import Inputs, PlanarSample, Run, Sample, named_leaves
 from usvlearn.engine.identified import identified_planar
-from usvlearn.engine.planar_runs import planar_stretches, with_poses
+from usvlearn.engine.rollouts import chunked_rollout
 from usvlearn.estimators.axis import turning_intervals
 from usvlearn.estimators.axis.state import THETA, names
 from usvlearn.estimators.axis.turning_intervals import FIRST
@@ -114,7 +114,7 @@ def run() -> Run:
 def learned(samples: Sample, poses: np.ndarray) -> tuple[Planar, Any]:
     """The estimators, and their state after a mission of one boat."""
     own = planar()
-    ((state, _),) = planar_stretches(own, own.init((1,)), [with_poses(samples, poses)], [])
+    ((state, _),) = chunked_rollout(own, own.init((1,)), [PlanarSample(samples, *np.moveaxis(poses, -1, 0))], [])
     return own, state
 
 

@@ -13,7 +13,7 @@ from usvlearn.core import checkpoint
 from usvlearn.core.samples import tree_map
 from usvlearn.engine.backend import arrays_of
 from usvlearn.engine.online import Online
-from usvlearn.engine.planar_runs import planar_stretches, with_poses
+from usvlearn.engine.rollouts import chunked_rollout
 from usvlearn.live.health import COMPILING
 from usvlearn.live.moos.block import MIDDLEWARE, interface
 from usvlearn.live.node import Node
@@ -53,10 +53,10 @@ def test_live_is_replay(sailed):
     """To the last bit: what is learned, the tracks that have become due, and so all samples."""
     one, steps, due = sailed
     (replayed,) = align_fleet([turning()], dt=0.4).runs
-    samples = tree_map(lambda x: x[:, 0], with_poses(replayed.samples, replayed.poses))
+    samples = tree_map(lambda x: x[:, 0], replayed.planar)
     own = planar()
     with torch.no_grad():
-        ((state, kept),) = planar_stretches(own, own.init(), [samples], ["track.due"])
+        ((state, kept),) = chunked_rollout(own, own.init(), [samples], ["track.due"])
     np.testing.assert_array_equal(due, kept["track.due"])
     assert len(steps) == len(due) == 901 and np.isfinite(due[:, 0, 0]).sum() > 100
     for name, leaf in arrays_of(state).items():

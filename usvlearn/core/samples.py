@@ -191,6 +191,12 @@ class Run(NamedTuple):
     position: np.ndarray | None = None  # (time, boats, 2) m north and east of the first; NaN where unknown
     poses: np.ndarray | None = None  # (time, boats, 5) of a `PlanarSample`: rad, rad/s, m/s, m, m; NaN likewise
 
+    @property
+    def planar(self) -> PlanarSample:
+        """The samples with the poses; NaN where there are none."""
+        none = np.broadcast_to(np.nan, (*self.samples.surge.shape, len(PlanarSample._fields) - 1))
+        return PlanarSample(self.samples, *np.moveaxis(none if self.poses is None else self.poses, -1, 0))
+
 
 class Fleet(NamedTuple):
     """All runs of all boats, in the order in which they are replayed.

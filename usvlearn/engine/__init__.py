@@ -13,7 +13,7 @@ in which they build on each other:
     first_use, background_compile    compile what runs and live steps need together, in a second process
     run, single_steps, open_loop_scores    runs over samples, single steps, scored simulations, of arrays
     lanes, fit_member    runs on a GPU; a batch fit joins the forecasts
-    planar, planar_runs    surge, sway and yaw rate together, and their tracks; as rollouts, of these three
+    planar        the steps of sway and yaw rate beside the surge's, and tracks
     external      members that other code steps, before the kernels
     backend, torch_steps    who makes the steps, and single steps by torch
     rollouts, online, identified    what the rest of the library calls

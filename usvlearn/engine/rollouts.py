@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -17,6 +17,9 @@ from usvlearn.engine.backend import array_of, arrays_of, choose, out_of_reach, t
 from usvlearn.engine.torch_steps import walk
 from usvlearn.engine.validate import afresh
 from usvlearn.errors import ConfigError, ShapeError
+
+if TYPE_CHECKING:
+    from usvlearn.estimators.planar.layer import Planar, PlanarState
 
 CHUNK = 256  # most steps whose whole states are held at a time, for a `record` that is a function,
 CELLS = 2**24  # and most numbers in those states
@@ -124,9 +127,7 @@ def forecast(estimator: Any, state: State, inputs: Inputs) -> Forecast | Track:
     torch.Size([75, 8])
     """
     if inputs.heading is None:
-        from usvlearn.engine.planar_runs import forecast_tracks
-
-        return forecast_tracks(estimator, state, inputs)
+        return _tracks(estimator, state, inputs)
     if not hasattr(estimator, "forecast"):
         raise ConfigError(NONE)
     check_plan(Inputs(*map(array_of, inputs)), tuple(state.predictions.shape[:-1]))
@@ -134,39 +135,52 @@ def forecast(estimator: Any, state: State, inputs: Inputs) -> Forecast | Track:
     return Forecast(inputs.dt.cumsum(0), surge, surge - width, surge + width)
 
 
+def _tracks(planar: Any, state: PlanarState, inputs: Inputs) -> Track:
+    """`forecast` of boats in the plane."""
+    from usvlearn.engine.single_steps import PlanarStepper
+
+    if not hasattr(planar, "yaw"):
+        raise ConfigError(
+            f"inputs.heading: found None with {type(planar).__name__}, expected headings, or a Planar, which forecasts "
+            "them, too"
+        )
+    left, right, dt = (np.asarray(x, float) for x in (inputs.command_left, inputs.command_right, inputs.dt))
+    if dt.size == 0 or not (dt == dt.flat[0]).all():
+        raise ConfigError(f"inputs.dt: found {dt.size} lengths that differ, expected one for all steps, s")
+    return PlanarStepper(planar.description(), arrays_of(state)).track(np.stack([left, right], -1), float(dt.flat[0]))
+
+
 def chunked_rollout(
-    estimator: Estimator, state: State, samples: Iterable[Sample], record: Sequence[str]
-) -> Iterator[tuple[State, dict[str, np.ndarray]]]:
+    estimator: Estimator | Planar, state: Any, samples: Iterable[Any], record: Sequence[str]
+) -> Iterator[tuple[Any, dict[str, np.ndarray]]]:
     """`rollout` without gradients, over consecutive stretches of NumPy samples, which the kernels read uncopied.
 
-    Yields the state after each stretch, in which a member that is not finite has begun again, and the recorded leaves
-    after each step. A ShapeError if the first samples do not fit the state.
+    A `Planar` takes `PlanarSample`s. Yields the state after each stretch, in which a member that is not finite has
+    begun again, and the recorded leaves after each step. A ShapeError if the first samples do not fit the state.
     """
     from usvlearn.engine.external import first_pass, roll_both
 
-    leaves, description = arrays_of(state), dict[str, Any]()
-    own, begun = None, False
+    leaves, description = arrays_of(state), None if isinstance(estimator, Estimator) else estimator.description()
+    own = None if description is None else first_pass(description, estimator, state)
     dtype = next(leaf.dtype for leaf in leaves.values() if leaf.dtype != bool)
-    batch = leaves["predictions"].shape[:-1] if "predictions" in leaves else ()
+    batch = next((leaf.shape[:-1] for name, leaf in leaves.items() if name in ("predictions", "surge.predictions")), ())
     device = next(tensors_in(state)).device
     for part in samples:
         part = tree_map(lambda x: x if x.dtype == bool else x.astype(dtype, copy=False), part)
         with torch.no_grad():
-            if not begun:
+            if description is None:
                 _check(state, whole := _moved(part, device))
-                description, begun = choose(estimator, state, whole, "auto") or {}, True
+                description = choose(estimator, state, whole, "auto") or {}
                 own = first_pass(description, estimator, state)
             if description:
                 leaves, _, kept = roll_both(own, description, leaves, part, False, record, torch.get_num_threads())
-                state = tree_of(state, leaves)
             else:
                 state, _, named = rollout(estimator, state, _moved(part, device), record, backend="torch")
-                kept = tree_map(array_of, named)
-                leaves = arrays_of(state)
+                leaves, kept = arrays_of(state), tree_map(array_of, named)
             leaves, told = afresh(leaves, lambda: arrays_of(estimator.init(batch)), own.ended if own else ())
             if told:
                 warnings.warn(told, stacklevel=2)
-                state = tree_of(state, leaves, device)
+            state = tree_of(state, leaves, device) if description or told else state
         yield state, kept
 
 

@@ -9,7 +9,6 @@ import numpy as np
 import torch
 
 from usvlearn.core.samples import Fleet, masks, tree_map
-from usvlearn.engine.planar_runs import planar_stretches, with_poses
 from usvlearn.engine.rollouts import chunked_rollout
 from usvlearn.estimators.ensemble.accommodation.layer import thrust_remaining
 from usvlearn.estimators.ensemble.layer import Ensemble
@@ -52,15 +51,14 @@ def replay(
     and yaw rate beside the ensemble, and makes tracks, from the state `beside`.
     """
     places, filters = list(_places(fleet, begin, every, save_every)), ensemble.accommodated
-    parts = (tree_map(lambda x, a=a, b=b: x[a:b], fleet.runs[run].samples) for run, a, b, _ in places)
+    samples = [run.samples if planar is None else run.planar for run in fleet.runs]
+    parts = (tree_map(lambda x, a=a, b=b: x[a:b], samples[run]) for run, a, b, _ in places)
     names, whole = _recorded(state, filters), None
     if planar is None:
         replayed: Iterator[Any] = chunked_rollout(ensemble, state, parts, names)
     else:
         first = (planar.init((len(fleet.boats),)) if beside is None else beside)._replace(surge=state)
-        poses = (None if (all_ := fleet.runs[run].poses) is None else all_[a:b] for run, a, b, _ in places)
-        both = (with_poses(part, pose) for part, pose in zip(parts, poses, strict=True))
-        replayed = planar_stretches(planar, first, both, [*(f"surge.{name}" for name in names), "track.due"])
+        replayed = chunked_rollout(planar, first, parts, [*(f"surge.{name}" for name in names), "track.due"])
     for (run, done, stop, save), (after, kept) in zip(places, replayed, strict=True):
         state = after
         if planar is not None:
