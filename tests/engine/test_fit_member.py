@@ -10,7 +10,7 @@ from tests.support.live import planar
 from usvlearn import Ensemble, ForecastSettings, JointEKF, Online, Persistence
 from usvlearn.core.samples import Inputs, PlanarSample, Sample
 from usvlearn.engine.fit_member import with_fit
-from usvlearn.engine.online import read_checkpoint
+from usvlearn.engine.validate import read_checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.ensemble.forecasts.fit_layer import FittedForecasts
 from usvlearn.estimators.ensemble.forecasts.state import FIT_WEIGHT, LATE, TABLE

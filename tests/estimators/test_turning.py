@@ -11,7 +11,7 @@ import torch
 from usvlearn import Ensemble, ForecastSettings, JointEKF
 from usvlearn.core.events import NINETY
 from usvlearn.core.samples import Inputs, PlanarSample, Run, Sample, named_leaves
-from usvlearn.engine.identified import identified_planar
+from usvlearn.engine.identified import identified
 from usvlearn.engine.rollouts import chunked_rollout
 from usvlearn.estimators.axis import turning_intervals
 from usvlearn.estimators.axis.state import THETA, names
@@ -28,7 +28,7 @@ from usvlearn.estimators.joint.periodic_estimates import Identified
 from usvlearn.estimators.joint.quantities import COMMANDS
 from usvlearn.estimators.planar.layer import Planar
 from usvlearn.estimators.planar.state import HEADING, TURN
-from usvlearn.evaluation.diagnostics import as_results, identified_planars
+from usvlearn.evaluation.diagnostics import as_results, identified_boats
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.simulate import truth as simulated
 from usvlearn.simulate.planar import HERON, simulate_planar
@@ -129,7 +129,7 @@ def mission():
 
 @pytest.mark.thorough
 def test_a_mission_tells_the_quantities(mission):
-    found = identified_planars(*mission, ["planar"])["planar"]
+    found = identified_boats(*mission, ["planar"])["planar"]
     (boat,) = planar_boats(1, seed=3)
     known = simulated.true_turning(boat)
     assert set(QUANTITIES) < set(found) and "steady_speed_full" in found
@@ -144,7 +144,7 @@ def test_a_boat_that_went_straight_tells_nothing_of_turning():
     poses, inputs = run().poses.copy(), run().samples.inputs
     poses[..., HEADING], poses[..., TURN] = 1.0, 0.0
     samples = run().samples._replace(inputs=inputs._replace(command_left=inputs.command_right))
-    found = identified_planars(*learned(samples, poses), ["planar"])["planar"]
+    found = identified_boats(*learned(samples, poses), ["planar"])["planar"]
     assert "hardly turned by its thrusters" in sentences(found)
     for name in ("yaw_rate_half", "turning_radius_half", "yaw_rate_full_difference"):
         assert found[name].high > 3 * found[name].low, name
@@ -153,7 +153,7 @@ def test_a_boat_that_went_straight_tells_nothing_of_turning():
 def test_without_heading_and_yaw_rate_nothing_is_known():
     poses = run().poses.copy()
     poses[..., [HEADING, TURN]] = np.nan
-    found = identified_planars(*learned(run().samples, poses), ["planar"])["planar"]
+    found = identified_boats(*learned(run().samples, poses), ["planar"])["planar"]
     assert "Neither heading nor yaw rate was measured" in sentences(found)
     assert all(math.isnan(found[name].value) and name in found.unknown for name in QUANTITIES)
     assert math.isfinite(found["steady_speed_full"].value)
@@ -163,7 +163,7 @@ def test_an_interval_is_that_of_draws_from_the_filters(mission):
     """(1) against the spread of the quantity over the filters' normal distributions; ε is taken out."""
     own, state = mission
     leaves = leaves_of(state)
-    found = identified_planar(own.description(), leaves)[0]
+    found = identified(own.description(), leaves)[0]
     yaw = leaves["yaw.members.yaw.mean"][0, THETA:]
     sway = leaves["sway.members.sway.mean"][0, THETA:]
     P = turning_intervals.covariance_of(leaves["yaw.members.yaw.factor"][0])[THETA:, THETA:]
@@ -177,7 +177,7 @@ def test_an_interval_is_that_of_draws_from_the_filters(mission):
 
 
 def test_results_have_the_truth(mission):
-    found = identified_planars(*mission, ["planar"])
+    found = identified_boats(*mission, ["planar"])
     truth = simulated.turning_of([{"_target_": "usvlearn.simulate.planar_fleet.planar_fleet", "seed": 3}])
     results = as_results(found, truth)["identified"]["planar"]
     assert results["turning_radius_half"]["truth"] == truth["planar"]["turning_radius_half"]

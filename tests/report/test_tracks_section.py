@@ -15,7 +15,7 @@ from tests.support.pages import BAD, Page
 from tests.support.runs import SETTINGS
 from usvlearn import Ensemble, ForecastSettings, JointEKF, Online, Persistence, Planar
 from usvlearn.core.samples import Inputs, PlanarSample, Sample
-from usvlearn.engine.online import read_checkpoint
+from usvlearn.engine.validate import read_checkpoint
 from usvlearn.evaluation.free_simulation import free_runs
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.report.animation import write_animation

@@ -17,6 +17,7 @@ in which they build on each other:
     external      members that other code steps, before the kernels
     backend, torch_steps    who makes the steps, and single steps by torch
     rollouts, online, identified    what the rest of the library calls
+    summary       what a person is told of an `Online`
 """
 
 from collections.abc import Mapping

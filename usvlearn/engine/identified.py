@@ -42,22 +42,23 @@ def reader_leaves(
     return description, own
 
 
-def identified(members: Members, leaves: Mapping[str, np.ndarray]) -> list[Identified]:
+def identified(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -> list[Identified]:
     """What the averaged joint EKF has identified of each boat, from leaves `(boats, …)`; a ConfigError without one."""
-    description, own = reader_leaves(members, leaves)
+    if description["kind"] == "planar":
+        return _with_turning(description, leaves)
+    found, own = reader_leaves(members_of(description), leaves)
     boats = len(own["mean"])
     return [
-        identify(select_element(description, boats, element), {key: leaf[element] for key, leaf in own.items()})
+        identify(select_element(found, boats, element), {key: leaf[element] for key, leaf in own.items()})
         for element in range(boats)
     ]
 
 
-def identified_planar(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -> list[Identified]:
+def _with_turning(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -> list[Identified]:
     """As `identified`, of a `Planar`: the quantities of turning follow those of the surge."""
     surge = {name.removeprefix("surge."): leaf for name, leaf in leaves.items() if name.startswith("surge.")}
-    members = members_of(description["surge"])
-    own, _ = reader_leaves(members, surge)
-    found, boats = [], identified(members, surge)
+    own, _ = reader_leaves(members_of(description["surge"]), surge)
+    found, boats = [], identified(description["surge"], surge)
     for element, each in enumerate(boats):
         yaw, sway = (_filter(axis, description[axis], leaves, len(boats), element) for axis in ("yaw", "sway"))
         variance = np.asarray(select_element(own, len(boats), element)["vectors"]["variance"], dtype=np.float64)

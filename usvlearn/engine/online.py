@@ -15,8 +15,9 @@ import numpy as np
 
 from usvlearn.core import checkpoint
 from usvlearn.core.forecasts import Forecast, Track, plan_inputs
-from usvlearn.core.samples import Inputs, PlanarSample, Sample, html_table, named_leaves, tree_map, why_no_step
-from usvlearn.errors import CheckpointError, ConfigError
+from usvlearn.core.samples import Inputs, PlanarSample, Sample, html_table, named_leaves
+from usvlearn.engine import summary
+from usvlearn.errors import ConfigError
 
 if TYPE_CHECKING:
     from usvlearn.core.protocol import Estimator
@@ -54,7 +55,7 @@ class Online:
 
     description: dict[str, Any] | None
     _template: TorchStepper | None
-    _last: tuple[Sample | PlanarSample, Any] | None = None  # of the last step: its sample and the predicted surge
+    _last: summary.Last = None
 
     def __init__(self, estimator: Estimator | Planar, batch: Sequence[int] = (), backend: str = "auto"):
         from usvlearn.core.protocol import Estimator, spec_of
@@ -93,6 +94,7 @@ class Online:
         'aid'
         """
         from usvlearn.engine.parts import external_in
+        from usvlearn.engine.validate import read_checkpoint
 
         where = Path(path)
         leaves, facts = checkpoint.newest(where, read_checkpoint) if where.is_dir() else read_checkpoint(where)
@@ -195,30 +197,17 @@ class Online:
         >>> boat.step(Sample(inputs, surge=1.2, fresh=True, measured=True)), boat.why
         (nan, 'command_left is nan, expected -100 to 100')
         """
-        if self._last is None:
-            return "no step was made yet"
-        sample, predicted = self._last
-        sample = sample.sample if isinstance(sample, PlanarSample) else sample
-        if batch := np.shape(predicted):
-            wide = tree_map(lambda leaf: np.broadcast_to(np.asarray(leaf), batch).reshape(-1), sample)
-            each = zip(np.ravel(predicted), range(predicted.size), strict=True)
-            return [_why(tree_map(lambda leaf, k=k: leaf[k].item(), wide), value) for value, k in each]
-        return _why(sample, predicted)
+        return summary.why(self._last)
 
     def __repr__(self) -> str:
         return f"Online({'; '.join(map(': '.join, self._facts()))})"
 
     def _repr_html_(self) -> str:
         widths = self.last_predictions() if self.names and self._last is not None and not self._live.batch else {}
-        rows = [(name, f"{surge:.3f} ± {width:.3f} m/s (90 %)") for name, (surge, width) in widths.items()]
-        return html_table([*self._facts(), *rows])
+        return html_table([*self._facts(), *summary.intervals(widths)])
 
     def _facts(self) -> list[tuple[str, str]]:
-        of, batch = f" of {', '.join(self.names)}" if self.names else "", self._live.batch
-        facts = [("estimator", f"{self._name}{of}"), ("vehicles", f"{batch}" if batch else "1")]
-        if self._last is None or batch:
-            return [*facts, ("last step", "none yet" if self._last is None else "made")]
-        return [*facts, ("last step", str(self.why) or f"predicted {self._last[1]:.3f} m/s")]
+        return summary.facts(self._name, self.names, self._live.batch, self._last)
 
     def leaf(self, name: str) -> np.ndarray:
         """A copy of one leaf of the state.
@@ -339,22 +328,18 @@ class Online:
         >>> Online(JointEKF(surge_max=2.7, mass=28.0, read_every=600.0)).identified()["steady_speed_full"].unit
         'm/s'
         """
-        from usvlearn.engine.identified import identified, identified_planar, members_of
+        from usvlearn.engine.identified import identified
 
-        batch = self._live.batch
+        batch, description = self._live.batch, self.description
         leaves = {name: leaf.reshape(-1, *leaf.shape[len(batch) :]) for name, leaf in self._live.leaves.items()}
-        if self.description is not None and "surge" in self.description:
-            turning = identified_planar(self.description, leaves)
-            return turning if batch else turning[0]
-        if self.description is not None:
-            members = members_of(self.description)
-        else:  # an ensemble that runs in torch; its averaged joint EKF alone is described
+        if description is None:  # an ensemble that runs in torch; its averaged joint EKF alone is described
             from usvlearn.core.protocol import spec_of
 
             ensemble: Any = getattr(self._template, "estimator", None)
             name = getattr(ensemble, "averaged", None)
             members = {} if name is None else {name: spec_of(ensemble.members[name])}
-        found = identified(members, leaves)
+            description = {"kind": "ensemble", "members": members}
+        found = identified(description, leaves)
         return found if batch else found[0]
 
     def take_fit(self, table: Sequence[float]) -> None:
@@ -413,32 +398,3 @@ class Online:
         self.state, metadata = restored(Path(path), self.state, self._name, self.description)
         self.setup = metadata.get("setup", self.setup)
         return metadata
-
-
-def _why(sample: Sample, predicted: float) -> str:
-    """Why the step of one vehicle returned this prediction; "" of a number."""
-    if np.isfinite(predicted):
-        return ""
-    return why_no_step(sample) or "no estimator predicts: give a measured speed first, with dt=0"
-
-
-def read_checkpoint(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """The leaves and the metadata of a checkpoint from which compiled code can continue; else a CheckpointError."""
-    from usvlearn.engine.parts import wrong
-    from usvlearn.engine.validate import check
-
-    leaves, facts = checkpoint.load(path)
-    torch = "Online(ESTIMATOR).restore(path), with torch"
-    if facts.get("kernel") is None:
-        raise CheckpointError(
-            f"{path}: does not say how its estimator is built, or it has no compiled code: use {torch}"
-        )
-    try:
-        if not isinstance(name := facts.get("estimator"), str):
-            raise wrong("estimator", name, "the name of an estimator")
-        check(facts["kernel"], leaves)
-    except CheckpointError as error:
-        raise CheckpointError(
-            f"{path}: {str(error)[: checkpoint.QUOTED]}: use the checkpoint saved before it, or {torch}"
-        ) from error
-    return leaves, facts

@@ -19,7 +19,7 @@ from usvlearn.engine.validate import afresh
 from usvlearn.errors import ConfigError, ShapeError
 
 if TYPE_CHECKING:
-    from usvlearn.estimators.planar.layer import Planar, PlanarState
+    from usvlearn.estimators.planar.layer import PlanarState
 
 CHUNK = 256  # most steps whose whole states are held at a time, for a `record` that is a function,
 CELLS = 2**24  # and most numbers in those states
@@ -27,11 +27,7 @@ Record = Callable[[Any], Any] | Sequence[str]
 
 
 def rollout(
-    estimator: Estimator,
-    state: State,
-    samples: Sample,
-    record: Record | None = None,
-    backend: str = "auto",
+    estimator: Estimator, state: State, samples: Sample, record: Record | None = None, backend: str = "auto"
 ) -> tuple[State, Tensor, Any]:
     """Run an estimator over samples, predicting before learning.
 
@@ -151,12 +147,13 @@ def _tracks(planar: Any, state: PlanarState, inputs: Inputs) -> Track:
 
 
 def chunked_rollout(
-    estimator: Estimator | Planar, state: Any, samples: Iterable[Any], record: Sequence[str]
+    estimator: Any, state: Any, samples: Iterable[Any], record: Sequence[str]
 ) -> Iterator[tuple[Any, dict[str, np.ndarray]]]:
     """`rollout` without gradients, over consecutive stretches of NumPy samples, which the kernels read uncopied.
 
-    A `Planar` takes `PlanarSample`s. Yields the state after each stretch, in which a member that is not finite has
-    begun again, and the recorded leaves after each step. A ShapeError if the first samples do not fit the state.
+    The estimator may be a `Planar`, which takes `PlanarSample`s. Yields the state after each stretch, in which a member
+    that is not finite has begun again, and the recorded leaves after each step. A ShapeError if the first samples do
+    not fit the state.
     """
     from usvlearn.engine.external import first_pass, roll_both
 
@@ -254,43 +251,37 @@ def _check(state: State, samples: Sample) -> None:
 
 
 def run(
-    description: dict[str, Any], state: Any, samples: Sample, record: Record | None, free: bool,
-    estimator: Any = None, given: np.ndarray | None = None,
-) -> tuple[Any, Tensor, Any]:  # fmt: skip
-    """`rollout`, or `simulate` (`free`), by the kernels; the predictions of external members are `given`, or made."""
+    description: dict[str, Any], state: Any, samples: Sample, record: Record | None, free: bool, estimator: Any
+) -> tuple[Any, Tensor, Any]:
+    """`rollout`, or `simulate` (`free`), by the kernels."""
     from usvlearn.engine.external import first_pass, roll_both
-    from usvlearn.engine.run import roll
 
     leaves, arrays, device = arrays_of(state), tree_map(array_of, samples), samples.surge.device
-    first = None if given is not None else first_pass(description, estimator, state)
-    if given is not None:
-        result = roll(description, leaves, arrays, free, given=given)
-        return tree_of(state, leaves | result.leaves, device), torch.as_tensor(result.predictions, device=device), None
-    threads = torch.get_num_threads()
-    if not callable(record):
-        leaves, predictions, kept = roll_both(
-            first, description, leaves, arrays, free, record or (), threads, device.type
-        )
-        named = {name: torch.as_tensor(x, device=device) for name, x in kept.items()}
-        predicted = torch.as_tensor(predictions, device=device)
-        return tree_of(state, leaves, device), predicted, None if record is None else named
-    parts, records = [], []
-    steps = max(1, min(CHUNK, CELLS // sum(x.size for x in leaves.values())))
+    first, steps = first_pass(description, estimator, state), len(arrays.surge)
+    names = tuple(leaves) if callable(record) else tuple(record or ())
+    if callable(record):
+        steps = max(1, min(CHUNK, CELLS // sum(x.size for x in leaves.values())))
+    parts, records, kept = [], [], dict[str, np.ndarray]()
     for begin in range(0, len(arrays.surge), steps):
         part = tree_map(lambda x, b=begin: x[b : b + steps], arrays)
         leaves, predictions, kept = roll_both(
-            first, description, leaves, part, free, tuple(leaves), threads, device.type
+            first, description, leaves, part, free, names, torch.get_num_threads(), device.type
         )
         parts.append(torch.as_tensor(predictions, device=device))
-        for k in range(len(predictions)):
-            records.append(record(tree_of(state, {name: x[k] for name, x in kept.items()}, device)))
-    return tree_of(state, leaves, device), torch.cat(parts), stack(records)
+        if callable(record):
+            states = ({name: x[k] for name, x in kept.items()} for k in range(len(predictions)))
+            records += [record(tree_of(state, one, device)) for one in states]
+    named = {name: torch.as_tensor(x, device=device) for name, x in kept.items()}
+    recorded = stack(records) if callable(record) else None if record is None else named
+    return tree_of(state, leaves, device), parts[0] if len(parts) == 1 else torch.cat(parts), recorded
 
 
 def kernel_step(
     description: dict[str, Any], state: State, sample: Sample, given: Sequence[Tensor] = ()
 ) -> tuple[State, Tensor]:
     """The state after one sample, leaves `(*batch,)`, and the prediction, m/s, without gradients; see `protocol`."""
+    from usvlearn.engine.run import roll
+
     device = sample.surge.device
     if sample.surge.numel() == 0:
         return state, sample.surge
@@ -301,8 +292,9 @@ def kernel_step(
             "conditional=False and no forecasts"
         )
     handed = np.stack([array_of(_here(x)) for x in given], -1)[None] if given else None
-    after, surge, _ = run(description, state, one, None, free=False, given=handed)
-    return tree_map(lambda x: x.to(device), after), surge[0].to(device)
+    leaves, threads = arrays_of(state), torch.get_num_threads()
+    result = roll(description, leaves, tree_map(array_of, one), threads=threads, given=handed)
+    return tree_of(state, leaves | result.leaves, device), torch.as_tensor(result.predictions[0], device=device)
 
 
 def _here(x: Tensor) -> Tensor:

@@ -14,7 +14,7 @@ import numpy as np
 from numba.core.errors import NumbaError
 
 from usvlearn.core.family import Row
-from usvlearn.core.forecasts import NONE, Track, plan_commands, track_of
+from usvlearn.core.forecasts import NONE, Track, plan_inputs, track_of
 from usvlearn.core.samples import Inputs, PlanarSample, Sample, check_sample, one_number
 from usvlearn.engine import dispatch as step
 from usvlearn.engine.first_use import COMPILING, compile_planar, compile_plans, compile_steps
@@ -202,7 +202,7 @@ class PlanarStepper(CompiledStepper):
 
     def track(self, commands: Any, dt: float) -> Track:
         """Where the boat will be under a plan; `Online.forecast`."""
-        plan, (left, right, lengths) = self.plan, plan_commands(commands, dt, self.plan.batch)
+        plan, (left, right, _, _, lengths) = self.plan, plan_inputs(commands, 0.0, 0.0, dt, self.plan.batch)
         steps, count = len(left), plan.elements
         left, right, lengths = (
             np.ascontiguousarray(x.reshape(steps, count).T, plan.dtype) for x in (left, right, lengths)

@@ -12,13 +12,7 @@ from torch import Tensor
 from usvlearn.core.forecasts import NONE
 from usvlearn.core.protocol import EVERY, Estimator, Kinds, State, Step, advance, clean
 from usvlearn.core.samples import Inputs, Sample, check_inputs, check_sample, one_number, tree_map
-from usvlearn.engine.backend import (
-    array_of,
-    arrays_of,
-    is_transformed,
-    tensors_in,
-    tree_of,
-)
+from usvlearn.engine.backend import array_of, arrays_of, is_transformed, tensors_in, tree_of
 from usvlearn.errors import ConfigError
 
 
@@ -45,13 +39,14 @@ class TorchStepper:
     @torch.no_grad()
     def predict(self, inputs: Inputs) -> float | np.ndarray:
         check_inputs(inputs, self.batch)
-        return _plain(self.estimator.predict(self.state, Inputs(*map(self._float, inputs)))[1])
+        return _plain(self.estimator.predict(self.state, Inputs(*map(self._wide, inputs)))[1])
 
     @torch.no_grad()
     def step(self, sample: Sample) -> float | np.ndarray:
         check_sample(sample, self.batch)
-        inputs, surge, fresh, measured = sample
-        sample = Sample(Inputs(*map(self._float, inputs)), self._float(surge), self._bool(fresh), self._bool(measured))
+        inputs, surge, *given = sample
+        known = (self._wide(mask, torch.bool) for mask in given)
+        sample = Sample(Inputs(*map(self._wide, inputs)), self._wide(surge), *known)
         step = clean(sample, self.estimator.surge_limit)
         masks = step.learns, step.steps & ~step.learns, step.starts, ~(step.steps | step.starts)
         some = Kinds(*(bool(mask.any()) for mask in masks))
@@ -67,7 +62,7 @@ class TorchStepper:
     @torch.no_grad()
     def predict_members(self, inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:
         check_inputs(inputs, self.batch)
-        return self._pair(self.estimator.predict(self.state, Inputs(*map(self._float, inputs)))[0])
+        return self._pair(self.estimator.predict(self.state, Inputs(*map(self._wide, inputs)))[0])
 
     @staticmethod
     def _pair(state: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -82,11 +77,9 @@ class TorchStepper:
         surge, width = estimator.forecast(self.state, plan)
         return array_of(surge), array_of(width)
 
-    def _float(self, value: Any) -> Tensor:
-        return torch.as_tensor(one_number(value), dtype=self._like.dtype, device=self._like.device).expand(self.batch)
-
-    def _bool(self, value: Any) -> Tensor:
-        return torch.as_tensor(one_number(value), dtype=torch.bool, device=self._like.device).expand(self.batch)
+    def _wide(self, value: Any, dtype: torch.dtype | None = None) -> Tensor:
+        like = self._like
+        return torch.as_tensor(one_number(value), dtype=dtype or like.dtype, device=like.device).expand(self.batch)
 
 
 def walk(estimator: Estimator, state: State, steps: Step) -> Iterator[tuple[State, Tensor]]:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from usvlearn.core.checkpoint import QUOTED, as_array, newest, restore
+from usvlearn.core.checkpoint import QUOTED, as_array, load, newest, restore
 from usvlearn.core.family import WIDTH, Field
 from usvlearn.core.samples import named_leaves
 from usvlearn.engine.parts import Entry, Part, batch_of, elsewhere, parts, wrong
@@ -39,6 +39,25 @@ def check(description: Any, leaves: Mapping[str, np.ndarray]) -> None:
     batch, dtype = _check_state(found, leaves)
     for each in numbers:
         _check_numbers(each, batch, dtype)
+
+
+def read_checkpoint(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """The leaves and the metadata of a checkpoint from which compiled code can continue; else a CheckpointError."""
+    leaves, facts = load(path)
+    torch = "Online(ESTIMATOR).restore(path), with torch"
+    if facts.get("kernel") is None:
+        raise CheckpointError(
+            f"{path}: does not say how its estimator is built, or it has no compiled code: use {torch}"
+        )
+    try:
+        if not isinstance(name := facts.get("estimator"), str):
+            raise wrong("estimator", name, "the name of an estimator")
+        check(facts["kernel"], leaves)
+    except CheckpointError as error:
+        raise CheckpointError(
+            f"{path}: {str(error)[:QUOTED]}: use the checkpoint saved before it, or {torch}"
+        ) from error
+    return leaves, facts
 
 
 def restored(path: Path, template: Any, estimator: str, description: Any) -> tuple[Any, dict[str, Any]]:

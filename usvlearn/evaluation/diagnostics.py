@@ -12,7 +12,7 @@ from usvlearn.core.checkpoint import as_array
 from usvlearn.core.events import CHANGE, LOSS, RAISED, TOGETHER, Event, EventWatch
 from usvlearn.core.protocol import spec_of
 from usvlearn.core.samples import Fleet, named_leaves
-from usvlearn.engine.identified import identified, identified_planar
+from usvlearn.engine.identified import identified
 from usvlearn.estimators.ensemble.combiners.layer import Average
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.state import EnsembleState
@@ -26,23 +26,20 @@ Truth = Mapping[str, Mapping[str, float]]  # boat -> quantity -> value
 
 
 def identified_boats(
-    ensemble: Ensemble, state: Any, boats: Sequence[str], required: bool = False
+    model: Ensemble | Planar, state: Any, boats: Sequence[str], required: bool = False
 ) -> dict[str, Identified]:
     """The quantities of each boat by name, leaves `(boats, …)`; {} or an error without an averaged joint EKF."""
+    ensemble = model.surge if isinstance(model, Planar) else model
     name = ensemble.averaged
     if name is None and not required:
         return {}
-    members = {} if name is None else {name: spec_of(ensemble.members[name])}
-    leaves = {key: as_array(leaf) for key, leaf in named_leaves(state.members.get(name, {}), f"members.{name}")}
-    return dict(zip(boats, identified(members, leaves), strict=True))
-
-
-def identified_planars(planar: Planar, state: Any, boats: Sequence[str]) -> dict[str, Identified]:
-    """As `identified_boats`, with the quantities of turning."""
-    if planar.surge.averaged is None:
-        return {}
-    leaves = {key: as_array(leaf) for key, leaf in named_leaves(state) if ".members." in key}
-    return dict(zip(boats, identified_planar(planar.description(), leaves), strict=True))
+    if isinstance(model, Planar):
+        described, some = model.description(), named_leaves(state)
+    else:
+        described = {"kind": "ensemble", "members": {} if name is None else {name: spec_of(ensemble.members[name])}}
+        some = named_leaves(state.members.get(name, {}), f"members.{name}")
+    leaves = {key: as_array(leaf) for key, leaf in some if "members." in key}
+    return dict(zip(boats, identified(described, leaves), strict=True))
 
 
 def as_results(found: Mapping[str, Identified], truth: Truth) -> dict[str, Any]:

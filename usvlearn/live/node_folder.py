@@ -16,7 +16,7 @@ import numpy as np
 
 from usvlearn.core import checkpoint
 from usvlearn.display.json_values import finite
-from usvlearn.engine.online import read_checkpoint
+from usvlearn.engine.validate import read_checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.logs.setup import Setup
 

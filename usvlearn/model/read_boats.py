@@ -14,7 +14,7 @@ import numpy as np
 from usvlearn.core import checkpoint
 from usvlearn.core.unconfirmed import unconfirmed
 from usvlearn.engine.identified import identified, members_of
-from usvlearn.engine.online import read_checkpoint
+from usvlearn.engine.validate import read_checkpoint
 from usvlearn.errors import CheckpointError, ConfigError, did_you_mean, printable
 from usvlearn.estimators.joint.periodic_estimates import Identified
 from usvlearn.logs.setup import Setup
@@ -154,7 +154,7 @@ def _read(path: Path) -> IdentifiedBoat:
             found = FittedBoat.read(facts[FITTED])
             model = found.model
         else:
-            (found,) = identified(members_of(facts["kernel"]), {name: leaf[None] for name, leaf in leaves.items()})
+            (found,) = identified(facts["kernel"], {name: leaf[None] for name, leaf in leaves.items()})
             if found.beside is None:
                 raise ConfigError("; ".join(found.lacks))
             model = SurgeModel.of(found)

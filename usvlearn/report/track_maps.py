@@ -11,7 +11,8 @@ import numpy as np
 from usvlearn.core.checkpoint import checkpoints
 from usvlearn.core.forecasts import Track
 from usvlearn.core.samples import Fleet, PlanarSample, Sample
-from usvlearn.engine.online import Online, read_checkpoint
+from usvlearn.engine.online import Online
+from usvlearn.engine.validate import read_checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.planar.state import HEADING, NORTH, TURN
 from usvlearn.evaluation.season import Season, SeasonRun
@@ -105,8 +106,7 @@ def last_mission(folder: Path, season: Season, fleets: Sequence[Fleet]) -> Missi
     if not paths:
         raise CheckpointError(f"{folder / PLANAR}: has no checkpoint of {season.boat}")
     before = [path for path in paths if (at := position(path)) is not None and at.run < index]
-    online = Online.of(*read_checkpoint((before or paths)[-1]))
-    made = tuple(forecast_along(online, run, poses))
+    made = tuple(forecast_along(Online.of(*read_checkpoint((before or paths)[-1])), run, poses))
     return Mission(run, poses[:, NORTH:], poses[:, [HEADING, TURN]], run.position is not None, not before, made)
 
 

@@ -25,14 +25,7 @@ from usvlearn.estimators.ensemble.state import EnsembleState
 from usvlearn.estimators.planar.layer import Planar, PlanarState
 from usvlearn.estimators.planar.state import AXES
 from usvlearn.evaluation.comparison import as_csv, one_step_sums, run_errors
-from usvlearn.evaluation.diagnostics import (
-    Truth,
-    as_results,
-    events,
-    identified_boats,
-    identified_planars,
-    verdicts,
-)
+from usvlearn.evaluation.diagnostics import Truth, as_results, events, identified_boats, verdicts
 from usvlearn.evaluation.free_simulation import FreeErrors, free_errors, has_halves, middle
 from usvlearn.evaluation.horizons import ensemble_sums, horizon_scores, track_scores
 from usvlearn.evaluation.metrics import fleet_scores
@@ -54,16 +47,7 @@ from usvlearn.runs.files import (
     same_run,
     save_results,
 )
-from usvlearn.runs.prediction_files import (
-    BEGIN,
-    PREDICTIONS,
-    Position,
-    Published,
-    joined,
-    packed,
-    position,
-    stem,
-)
+from usvlearn.runs.prediction_files import BEGIN, PREDICTIONS, Position, Published, joined, packed, position, stem
 from usvlearn.runs.replay import Chunk
 from usvlearn.runs.resuming import Resumption, Start, checkpoint_path, of_boat, own_settings
 
@@ -220,10 +204,8 @@ class RunFolder:
         """The content of `results.json` and of `errors.csv`."""
         ensemble, fleet, published = self.ensemble, self.fleet, self.published
         names, limit = ensemble.names, ensemble.surge_limit
-        if self.planar is None or self.beside is None:
-            boats = identified_boats(ensemble, self.state, fleet.boats)
-        else:
-            boats = identified_planars(self.planar, self.beside, fleet.boats)
+        model, state = (ensemble, self.state) if self.beside is None else (self.planar or ensemble, self.beside)
+        boats = identified_boats(model, state, fleet.boats)
         found: dict[str, Any] = {
             "boats": fleet_scores(fleet, published.only("predictions", "halfwidths"), names, limit),
             "events": events(fleet, published.only("thrusters", "health"), ensemble.accommodated),

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.core import checkpoint
-from usvlearn.engine.online import read_checkpoint
+from usvlearn.engine.validate import read_checkpoint
 from usvlearn.errors import CheckpointError, ConfigError, printable
 from usvlearn.estimators.planar.state import USED, filter_of
 from usvlearn.model.planar import PlanarModel

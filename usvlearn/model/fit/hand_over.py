@@ -16,7 +16,7 @@ import numpy as np
 
 from usvlearn.core import checkpoint
 from usvlearn.engine.identified import identified, members_of
-from usvlearn.engine.online import read_checkpoint
+from usvlearn.engine.validate import read_checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.augmented_ekf.state import LAG_LEAST, LAG_MOST
 from usvlearn.estimators.ensemble.forecasts import state as at
@@ -54,7 +54,7 @@ def last_of(folder: Path) -> Last | None:
     except CheckpointError:
         return None
     try:
-        (online,) = identified(members_of(facts["kernel"]), {name: leaf[None] for name, leaf in leaves.items()})
+        (online,) = identified(facts["kernel"], {name: leaf[None] for name, leaf in leaves.items()})
     except ConfigError:
         return Last(leaves, facts, None)
     return Last(leaves, facts, online)
