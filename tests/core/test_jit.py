@@ -77,7 +77,7 @@ def test_damaged_machine_code_is_said_and_compiled_anew(tmp_path, monkeypatch, c
     monkeypatch.setattr(compiled, "folder", lambda source: tmp_path)
 
     def restarted():
-        compiled._say_damaged.cache_clear()
+        compiled._say.cache_clear()
         function = compiled.jit(twice, entry=True)
         assert function(1.5) == 3.0
         return function.stats.cache_hits, capsys.readouterr().err

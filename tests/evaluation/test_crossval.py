@@ -62,7 +62,7 @@ def plain(ensemble: Ensemble, state, samples: Sample) -> dict[str, tuple[float, 
         if not (sample.fresh and sample.inputs.dt > 0):
             continue
         columns = state.predictions[: len(ensemble.columns)]
-        seen = ensemble.seen(columns)
+        seen = ensemble._seen(columns)
         learning = {f"{name}+": ensemble.combiners[name].combine(weights[name], seen[name]) for name in weights}
         said = {**dict(zip(ensemble.names, state.predictions, strict=True)), **learning}
         measured = bool(sample.measured & sample.surge.isfinite())
@@ -73,7 +73,8 @@ def plain(ensemble: Ensemble, state, samples: Sample) -> dict[str, tuple[float, 
                 value = ensemble.surge_max if np.isnan(value) else np.clip(value, -4.0, 4.0)
                 errors[name].append(abs(value - float(sample.surge)))
         if measured:
-            weights = ensemble.reweigh(weights, seen, sample.surge, sample.inputs.dt)
+            given = sample.surge, sample.inputs.dt
+            weights = {name: ensemble.combiners[name].learn(weights[name], seen[name], *given) for name in weights}
     return {name: (float(np.mean(e)), float(np.mean(np.square(e))), diverged[name]) for name, e in errors.items()}
 
 

@@ -106,10 +106,7 @@ def restore(path: str | Path, template: Any, estimator: str | None = None) -> tu
             f"give a checkpoint of {estimator}"
         )
     wanted = dict(named_leaves(template))
-    for kind, names in (
-        ("lacks", wanted.keys() - leaves.keys()),
-        ("has in addition", leaves.keys() - wanted.keys()),
-    ):
+    for kind, names in (("lacks", wanted.keys() - leaves.keys()), ("has in addition", leaves.keys() - wanted.keys())):
         if names:
             raise CheckpointError(
                 f"{path}: does not fit this estimator, it {kind} {', '.join(sorted(names)[:5])}: "

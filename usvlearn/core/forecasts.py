@@ -103,12 +103,6 @@ def track_of(found: np.ndarray, dt: np.ndarray) -> Track:
     return Track(np.cumsum(dt), surge, sway, yaw_rate, heading, north, east, covariance)
 
 
-def plan_commands(commands: Any, dt: Any, batch: tuple[int, ...] = ()) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The commands of a plan without headings: left, right and lengths of the steps, `(time, *batch)`."""
-    inputs = plan_inputs(commands, 0.0, 0.0, dt, batch)
-    return inputs.command_left, inputs.command_right, inputs.dt
-
-
 def plan_inputs(commands: Any, headings: Any, yaw_rates: Any, dt: Any, batch: tuple[int, ...] = ()) -> Inputs:
     """The inputs of a plan's steps, arrays `(time, *batch)`, with `dt` in s of all steps.
 

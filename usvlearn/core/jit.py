@@ -232,7 +232,7 @@ class CheckedFiles(IndexDataCacheFile):
             if whole(Path(self._data_path(name))):
                 return self._load_data(name)
         index.unlink(missing_ok=True)  # without it numba asks for no other file
-        _say_damaged(index.parent)
+        _say(f"compiled code in {index.parent} is damaged; it is compiled anew, in a minute or so")
         return None
 
     def save(self, key: object, data: object) -> None:
@@ -240,7 +240,8 @@ class CheckedFiles(IndexDataCacheFile):
         try:
             super().save(key, data)
         except OSError as error:
-            _say_unkept(Path(self._index_path).parent, error.strerror)
+            where = f"{self._cache_path} ({error.strerror})"
+            _say(f"compiled code cannot be kept in {where}; the next start compiles it anew")
 
     @contextmanager
     def _open_for_write(self, filepath: str) -> Iterator[io.BytesIO]:
@@ -260,16 +261,9 @@ def whole(path: Path) -> bool:
 
 
 @cache
-def _say_damaged(folder: Path) -> None:
-    print(f"usvlearn: compiled code in {folder} is damaged; it is compiled anew, in a minute or so", file=sys.stderr)
-
-
-@cache
-def _say_unkept(folder: Path, cause: str) -> None:
-    print(
-        f"usvlearn: compiled code cannot be kept in {folder} ({cause}); the next start compiles it anew",
-        file=sys.stderr,
-    )
+def _say(text: str) -> None:
+    """Print this once."""
+    print(f"usvlearn: {text}", file=sys.stderr)
 
 
 def mark_of(source: str, what: str) -> Path:

@@ -66,11 +66,7 @@ class Sample(NamedTuple):
     fresh: Array  # bool: every input arrived inside its staleness window
     measured: Array  # bool: `fresh`, and the speed arrived inside its window
 
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({', '.join(map('='.join, _with_units(self)))})"
-
-    def _repr_html_(self) -> str:
-        return html_table(_with_units(self))
+    __repr__, _repr_html_ = Inputs.__repr__, Inputs._repr_html_  # type: ignore[misc]  # mypy expects fields alone
 
 
 class PlanarSample(NamedTuple):

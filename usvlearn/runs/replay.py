@@ -108,9 +108,9 @@ def _published(state: EnsembleState, kept: dict[str, np.ndarray], filters: Seque
         published |= {name: flat(kept[f"forecasts.{leaf}"]) for name, leaf in FORECASTS.items()}
     if not state.monitors:
         return published
-    evidence, sums, raised = (kept[name] for name in THRUSTERS)
-    thrusters = zip(("evidence", "sums", "raised"), (evidence, sums, raised), strict=True)
-    health = state.monitors.thrusters._replace(**{name: torch.from_numpy(x) for name, x in thrusters})
+    evidence, _, raised = (kept[name] for name in THRUSTERS)
+    told = {name.rpartition(".")[2]: torch.from_numpy(kept[name]) for name in THRUSTERS}
+    health = state.monitors.thrusters._replace(**told)
     handed, given = np.zeros_like(evidence), state.accommodation
     if filters:
         handed = kept[GIVEN[0]]

@@ -30,7 +30,7 @@ from usvlearn.estimators.axis.state import THETA
 from usvlearn.estimators.axis.turning_quantities import QUANTITIES, Theta, quantities
 from usvlearn.estimators.joint.excitation_warnings import FEW, Quantity
 from usvlearn.estimators.joint.periodic_estimates import Identified, covariance_of
-from usvlearn.estimators.joint.quantities import steps_of
+from usvlearn.estimators.joint.quantities import gradients, steps_of
 
 SURGE = 0.1  # of (1)
 OWN_ERROR = {name: 0.45 if "radius" in name else 0.35 for name in QUANTITIES} | {
@@ -91,14 +91,8 @@ def _gradients(parts: list[_Part]) -> tuple[dict[str, float], dict[str, list[np.
     theta = np.concatenate([part.theta for part in parts])
     steps = np.concatenate([steps_of(part.variance) for part in parts])
     ends = np.cumsum([len(part.theta) for part in parts])[:-1]
-    shifted = np.concatenate([theta[None], theta + np.diag(steps), theta - np.diag(steps)])
-    every = quantities(Theta(*np.split(shifted, ends, -1)))
-    m = len(theta)
-    with np.errstate(invalid="ignore"):
-        slopes = {name: (each[1 : m + 1] - each[m + 1 :]) / (2 * steps) for name, each in every.items()}
-    return {name: float(each[0]) for name, each in every.items()}, {
-        name: np.split(slope, ends) for name, slope in slopes.items()
-    }
+    values, slopes = gradients(lambda each: quantities(Theta(*np.split(each, ends, -1))), theta, steps)
+    return values, {name: np.split(slope, ends) for name, slope in slopes.items()}
 
 
 def on_log_scale(value: float, variance: float, own: float, unit: str) -> Quantity:
@@ -123,8 +117,5 @@ def joined(surge: B, found: dict[str, Quantity], lacks: Sequence[str], told: boo
     """A boat with the quantities of turning behind those of the surge, told or not, and what its log lacks for them."""
     unknown = {name for name, each in found.items() if not (told and each.high <= RATIO * each.low)}
     return dataclasses.replace(
-        surge,
-        quantities=surge.quantities | found,
-        lacks=(*surge.lacks, *lacks),
-        unknown=surge.unknown | unknown,
+        surge, quantities=surge.quantities | found, lacks=(*surge.lacks, *lacks), unknown=surge.unknown | unknown
     )

@@ -192,12 +192,14 @@ class Ensemble(Estimator):
             members = {name: members[name] if name in surges else own for name, own in new.members.items()}
         columns = new.predictions.unbind(-1)
         single = torch.stack([surges.get(name, columns[k]) for k, name in enumerate(self.columns)], -1)
-        seen = self.seen(single)
-        predictions = torch.cat([single, torch.stack(list(self.combine(state.combiners, seen).values()), -1)], -1)
+        seen, rules, before = self._seen(single), self.combiners.items(), state.combiners
+        together = [rule.combine(before[name], seen[name]) for name, rule in rules]
+        predictions = torch.cat([single, torch.stack(together, -1)], -1)
         if self.forecasts is not None:  # after steps without measured speed the output is a forecast
             predictions = torch.where(state.forecasts.coasted[..., None] > 0, new.predictions, predictions)
         if surge is not None:
-            new = new._replace(combiners=self.reweigh(state.combiners, seen, surge, inputs.dt))
+            learned = {name: rule.learn(before[name], seen[name], surge, inputs.dt) for name, rule in rules}
+            new = new._replace(combiners=learned)
         if not self.aided:
             new = new._replace(halfwidths=published(state.conformal))
             if surge is not None:
@@ -274,46 +276,11 @@ class Ensemble(Estimator):
             shown |= {f"forecasts/{key}": value for key, value in report.items()}
         return shown
 
-    def seen(self, predictions: Tensor) -> dict[str, Tensor]:
-        """The predictions of each combiner's members.
-
-        Args:
-            predictions: of all members, m/s, `(*batch, columns)`.
-
-        Returns:
-            Of each combiner by name, m/s, `(*batch, its members)`, NaN where they are inactive.
-        """
+    def _seen(self, predictions: Tensor) -> dict[str, Tensor]:
+        """Of each combiner what its members predict, m/s, `(*batch, its members)`, NaN where they are inactive."""
         active = torch.where(predictions.abs() < self.surge_max, predictions, torch.nan)
         every, columns = list(range(len(self.columns))), active.unbind(-1)
         return {  # no index that is a list: it would be copied to the device at every step
             name: active if places == every else torch.stack([columns[k] for k in places], -1)
             for name, places in self._places.items()
         }
-
-    def combine(self, combiners: Mapping[str, Any], seen: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """The prediction of each combiner.
-
-        Args:
-            combiners: their states by name.
-            seen: as the method returns it, m/s, `(*batch, its members)`.
-
-        Returns:
-            Of each combiner by name, m/s, `(*batch,)`.
-        """
-        return {name: rule.combine(combiners[name], seen[name]) for name, rule in self.combiners.items()}
-
-    def reweigh(
-        self, combiners: Mapping[str, Any], seen: Mapping[str, Tensor], surge: Tensor, dt: Tensor
-    ) -> dict[str, Any]:
-        """The combiners' states after a measurement.
-
-        Args:
-            combiners: their states before it, by name.
-            seen: as the method returns it, m/s, `(*batch, its members)`.
-            surge: measured, m/s, `(*batch,)`.
-            dt: since the measurement before, s, `(*batch,)`.
-
-        Returns:
-            The states by name.
-        """
-        return {name: rule.learn(combiners[name], seen[name], surge, dt) for name, rule in self.combiners.items()}

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -50,12 +51,7 @@ class IntervalTerms(NamedTuple):
     vague: bool  # whether the interval contains the prior's
 
     def interval(
-        self,
-        name: str,
-        values: Sequence[float],
-        slope: np.ndarray,
-        slope_of_prior: np.ndarray,
-        covariance: np.ndarray,
+        self, name: str, values: Sequence[float], slope: np.ndarray, slope_of_prior: np.ndarray, covariance: np.ndarray
     ) -> tuple[float, float]:
         """The 90 % interval of a quantity, or of a point of a curve; NaN where it is undefined.
 
@@ -239,7 +235,8 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
     silent = float(state["noise"]) <= SILENT**2
     found = lacking(P, variance, float(numbers["current"]), float(state["updates"]), silent)
     total = inflation * P[THETA:, THETA:] + spread + np.diag(found.astern)
-    values, slopes = gradients(theta, mass, inverse, steps_of(variance))
+    of = partial(quantities_of, mass=mass, inverse_mass=inverse)
+    values, slopes = gradients(of, theta, steps_of(variance))
     top = values["steady_speed_full"]
     total *= astray(top, variance)
     single = total + (FEW_SINGLE - FEW_P) / used * P[THETA:, THETA:] if used else total
@@ -247,10 +244,7 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
     beside = IntervalTerms(
         math.hypot(2 * found.blind / speed, MODEL if used else 0.0), now, prior, variance, found.vague
     )
-    present, (first, first_slopes) = (
-        quantities_of(now, mass, inverse),
-        gradients(prior, mass, inverse, steps_of(variance)),
-    )
+    present, (first, first_slopes) = of(now), gradients(of, prior, steps_of(variance))
 
     def interval(name: str) -> tuple[float, float]:
         each = values[name], float(present[name]), first[name]

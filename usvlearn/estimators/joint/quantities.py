@@ -7,6 +7,7 @@ Equations (1) to (5): `docs/theory/identification.md#quantities`. All parameters
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -144,12 +145,11 @@ def steps_of(variance: np.ndarray) -> np.ndarray:
 
 
 def gradients(
-    theta: np.ndarray, mass: float, inverse_mass: np.ndarray, steps: np.ndarray
+    of: Callable[[np.ndarray], Mapping[str, np.ndarray]], theta: np.ndarray, steps: np.ndarray
 ) -> tuple[dict[str, float], dict[str, np.ndarray]]:
-    """All quantities at `theta`, `(m,)`, and their gradients by central differences of `steps`, `(m,)`."""
-    shifts = np.diag(steps)
-    every = quantities(np.concatenate([theta[None], theta + shifts, theta - shifts]), mass, inverse_mass)
-    m = len(theta)
+    """Quantities `of` θ, `(m,)`, by name, and their gradients by central differences of `steps`, `(m,)`."""
+    shifts, m = np.diag(steps), len(theta)
+    every = of(np.concatenate([theta[None], theta + shifts, theta - shifts]))
     with np.errstate(invalid="ignore"):
         return (
             {name: float(found[0]) for name, found in every.items()},

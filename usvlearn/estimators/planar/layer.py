@@ -72,8 +72,11 @@ class Planar(nn.Module):
         super().__init__()
         top = check_positive("surge_max", surge_max, "of m/s")
         self.surge = surge
-        self.sway = axis_ensemble(sway_members(top)) if sway is None else sway
-        self.yaw = axis_ensemble(yaw_members(top)) if yaw is None else yaw
+        arx = ARX(lags=2, even=False, turning=True, surge_max=LIMIT)
+        fast = ARX(lags=2, even=False, turning=True, thrust_speed=True, surge_max=LIMIT)
+        members = {"sway": SwayEKF(surge_max=top), "arx": arx, "persistence": Persistence()}
+        self.sway = axis_ensemble(members) if sway is None else sway
+        self.yaw = axis_ensemble({"yaw": YawEKF(surge_max=top), "arx": fast}) if yaw is None else yaw
         if not isinstance(horizons, Sequence) or isinstance(horizons, str):
             raise ConfigError(f"horizons: found {horizons!r}, expected a list of times, s")
         self.horizons = tuple(check_positive("horizons", h, "of s") for h in horizons)
@@ -149,23 +152,6 @@ class Planar(nn.Module):
 
 
 def axis_ensemble(members: dict[str, Estimator]) -> Ensemble:
-    """An ensemble of a sway or a yaw rate."""
+    """An ensemble of a sway or a yaw rate. The default members were chosen on the first halves of recorded logs."""
     forecasts = ForecastSettings(members=list(members))
     return Ensemble(members, {"ensemble": BOA()}, surge_max=LIMIT, watched=False, forecasts=forecasts)
-
-
-def yaw_members(top: float) -> dict[str, Estimator]:
-    """Those that are weighed by default: chosen on the first halves of recorded logs, of several sets."""
-    return {
-        "yaw": YawEKF(surge_max=top),
-        "arx": ARX(lags=2, even=False, turning=True, thrust_speed=True, surge_max=LIMIT),
-    }
-
-
-def sway_members(top: float) -> dict[str, Estimator]:
-    """Likewise."""
-    return {
-        "sway": SwayEKF(surge_max=top),
-        "arx": ARX(lags=2, even=False, turning=True, surge_max=LIMIT),
-        "persistence": Persistence(),
-    }

@@ -227,9 +227,8 @@ class RNN(Estimator):
             kappa = self.a.new_full((), self.initial_rate) if self.contraction_rate is None else self.contraction_rate()
             weights = self._stable(weights._replace(a=weights.a * ((1 - 1e-12) * kappa)[..., None]))
             a, b = weights.a, weights.b
-            constant = (
-                -(a * b)[..., :1] / b[..., 1:2]
-            )  # a condition stricter than `exact` may have shrunk the first neuron's
+            # A condition stricter than `exact` may have shrunk the first neuron's.
+            constant = -(a * b)[..., :1] / b[..., 1:2]
             weights = weights._replace(a=torch.cat([a[..., :1], constant, a[..., 2:]], -1))
         weights = self._stable(weights)
         zero = self.a.new_zeros
@@ -323,14 +322,7 @@ class RNN(Estimator):
         return grad if self.clip is None else clipped(grad, self.clip)
 
     def _descend(self, state: RNNState, grad: Tensor) -> RNNState:
-        """One step of Adam and one projection."""
-        weights, moment1, moment2 = self._adam(state, grad)
-        return state._replace(
-            weights=self._stable(weights), moment1=moment1, moment2=moment2, updates=state.updates + 1
-        )
-
-    def _adam(self, state: RNNState, grad: Tensor) -> tuple[ShallowWeights, Tensor, Tensor]:
-        """One step of Adam (Kingma & Ba 2015, algorithm 1)."""
+        """One step of Adam (Kingma & Ba 2015, algorithm 1), and one projection."""
         rate, count = self.rate(), state.updates + 1
         if self.decay is not None:
             rate = rate * (1 + (state.updates / self.decay).floor()).rsqrt()
@@ -343,4 +335,5 @@ class RNN(Estimator):
         n = state.weights.a.shape[-1]
         da, dw1, dW2, db = step.split([n * size for size in SIZES], -1)
         a, w1, W2, b = state.weights
-        return ShallowWeights(a - da, w1 - dw1, W2 - dW2.unflatten(-1, (n, INPUTS)), b - db), m, v
+        weights = self._stable(ShallowWeights(a - da, w1 - dw1, W2 - dW2.unflatten(-1, (n, INPUTS)), b - db))
+        return state._replace(weights=weights, moment1=m, moment2=v, updates=count)
