@@ -12,17 +12,7 @@ from torch.utils._pytree import tree_leaves
 from tests.support import ESTIMATORS, at, few, layers, over, random_samples, unaided
 from tests.support.kernel_cases import VARIANTS
 from tests.support.placement import on_device, read_as_ones
-from usvlearn import (
-    AID,
-    BOA,
-    RNN,
-    Ensemble,
-    Inputs,
-    Online,
-    Persistence,
-    Sample,
-    rollout,
-)
+from usvlearn import AID, BOA, RNN, Ensemble, Inputs, Online, Persistence, Sample, rollout
 from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.engine.rollouts import chunked_rollout
 from usvlearn.errors import ShapeError

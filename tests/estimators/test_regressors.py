@@ -4,10 +4,7 @@ import torch
 
 from tests.support import random_samples
 from usvlearn import SurgeDynamics
-from usvlearn.estimators.regressors.layer import (
-    quasi_static_regressor,
-    surge_regressor,
-)
+from usvlearn.estimators.regressors.layer import quasi_static_regressor, surge_regressor
 from usvlearn.estimators.regressors.terms import TERMS, UNITS
 
 THETA = torch.tensor([-3.0, -16.0, -8.0, 20.0, 15.0, -3.0, 16.0, 18.0, -2.0], dtype=torch.float64)

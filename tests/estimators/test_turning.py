@@ -16,14 +16,7 @@ from usvlearn.engine.rollouts import chunked_rollout
 from usvlearn.estimators.axis import turning_intervals
 from usvlearn.estimators.axis.state import THETA, names
 from usvlearn.estimators.axis.turning_intervals import FIRST
-from usvlearn.estimators.axis.turning_quantities import (
-    INNER,
-    QUANTITIES,
-    Theta,
-    acceleration,
-    quantities,
-    steady_turns,
-)
+from usvlearn.estimators.axis.turning_quantities import INNER, QUANTITIES, Theta, acceleration, quantities, steady_turns
 from usvlearn.estimators.joint.periodic_estimates import Identified
 from usvlearn.estimators.joint.quantities import COMMANDS
 from usvlearn.estimators.planar.layer import Planar

@@ -10,15 +10,7 @@ import pytest
 
 from certify.errors import CertifyError
 from certify.networks.shallow import ShallowWeights
-from certify.networks.vector import (
-    RELU,
-    VectorNetwork,
-    VectorWeights,
-    activation,
-    check,
-    from_tensors,
-    of_shallow,
-)
+from certify.networks.vector import RELU, VectorNetwork, VectorWeights, activation, check, from_tensors, of_shallow
 from certify.proofs import vector_certificate as certificates
 from certify.proofs import vector_exact
 from certify.proofs.certificate import _checksum, described, read, write

@@ -9,13 +9,7 @@ import torch
 
 from certify.networks.shallow import ShallowWeights
 from certify.proofs import exact as proofs
-from certify.training.conditions import (
-    BEST_GAUGE,
-    CONDITIONS,
-    exact,
-    fixed_signs,
-    interval,
-)
+from certify.training.conditions import BEST_GAUGE, CONDITIONS, exact, fixed_signs, interval
 from tests.support.placement import on_device
 
 EPS = torch.finfo(torch.float64).eps

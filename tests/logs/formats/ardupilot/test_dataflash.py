@@ -10,16 +10,7 @@ import numpy as np
 import pytest
 
 from tests.support import few, files
-from tests.support.ardupilot import (
-    LAYOUTS,
-    PACKED,
-    PARAMETERS,
-    SERVOS,
-    dataflash,
-    described,
-    header,
-    logged,
-)
+from tests.support.ardupilot import LAYOUTS, PACKED, PARAMETERS, SERVOS, dataflash, described, header, logged
 from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.logs.formats import messages
 from usvlearn.logs.formats.ardupilot.dataflash import PLAIN, DataFlash
