@@ -87,7 +87,7 @@ def test_two_passes_equal_stepping_together(batch):
 
 
 def refuse(found):
-    raise RuntimeError("no licence")
+    raise RuntimeError("no \x1b[1m\n  licence")
 
 
 BAD = {  # what goes wrong from the ninth step on, and what is said

@@ -6,6 +6,7 @@ alone over the samples, and the kernels of the ensemble read what it predicted: 
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -27,15 +28,7 @@ from usvlearn.core.samples import (
     rebuild,
     tree_map,
 )
-from usvlearn.engine.backend import (
-    BACKENDS,
-    array_of,
-    arrays_of,
-    description_of,
-    of_kernels,
-    out_of_reach,
-    tensors_in,
-)
+from usvlearn.engine.backend import BACKENDS, array_of, arrays_of, description_of, of_kernels, out_of_reach, tensors_in
 from usvlearn.engine.parts import Description, external_in
 from usvlearn.engine.run import Result, roll
 from usvlearn.engine.single_steps import CompiledStepper, live_of
@@ -43,6 +36,7 @@ from usvlearn.engine.torch_steps import walk
 from usvlearn.errors import ConfigError, MemberError, ShapeError, check_choice
 
 Leaves = Mapping[str, np.ndarray]
+PAINT, LONGEST = re.compile(r"\x1b\[[\d;]*m"), 300  # of what others raise: colours of a terminal, and characters
 
 
 class FirstPass:
@@ -57,7 +51,7 @@ class FirstPass:
         self._limit, self._names = min(PLAUSIBLE, own["numbers"]["surge_max"]), external_in(description)
         self._members: dict[str, Any] = {name: members[name] for name in self._names if name in members}
         self._states, self._prefix = states, {name: f"{axis}members.{name}" for name in self._names}
-        self.ended, self._told = set[str](), set[str]()  # prefixes of leaves; names
+        self.ended, self._told = dict[str, str](), set[str]()  # prefix of leaves -> what happened; names
         self.done = 0  # steps
         for name, member in self._members.items():
             if cause := getattr(member, "cause", ""):
@@ -76,12 +70,12 @@ class FirstPass:
             own = {key: torch.as_tensor(leaf) for key, leaf in leaves.items() if key.startswith(f"{prefix}.")}
             state = rebuild(self._states[name], own, prefix)
             numbers = [leaf for leaf in own.values() if leaf.is_floating_point()]
-            self.ended.discard(f"{prefix}.")
-            if not numbers or not all(bool(leaf.isnan().all()) for leaf in numbers):
+            if numbers and all(bool(leaf.isnan().all()) for leaf in numbers):
+                self.ended.setdefault(f"{prefix}.", f"estimators.{name}: it failed before: the run goes on without it")
+            else:
+                self.ended.pop(f"{prefix}.", None)
                 state, found = self._alone(name, member, state, steps)
                 given[..., self._names.index(name)] = array_of(found)
-            else:
-                self.ended.add(f"{prefix}.")
             after |= {key: array_of(leaf) for key, leaf in named_leaves(state, prefix)}
         self.done += len(steps.surge)
         return after, given
@@ -113,17 +107,19 @@ class FirstPass:
             step, found = len(steps.surge) - 1, torch.full_like(steps.surge, torch.nan)
             if isinstance(error, MemberError):
                 step, found, cause = error.step, error.predictions, error.__cause__
-            self._tell(name, step, f"{type(cause).__name__}: {cause}: the run goes on without it from here")
-            self.ended.add(f"{self._prefix[name]}.")
+            what = " ".join(PAINT.sub("", f"{type(cause).__name__}: {cause}").split())[:LONGEST]
+            told = self._tell(name, step, f"{what}: the run goes on without it from here")
+            self.ended[f"{self._prefix[name]}."] = told
             return tree_map(lambda x: torch.full_like(x, torch.nan) if x.is_floating_point() else x, before), found
         lost = (steps.steps & ~found.isfinite()).reshape(len(found), -1).any(1).nonzero()
         if len(lost) and name not in self._told:
             self._tell(name, int(lost[0]), "it predicted no finite number: it is inactive there")
         return state, found
 
-    def _tell(self, name: str, step: int, what: str) -> None:
+    def _tell(self, name: str, step: int, what: str) -> str:
         self._told.add(name)
-        warnings.warn(f"estimators.{name}: step {self.done + step + 1:,}: {what}", stacklevel=2)
+        warnings.warn(told := f"estimators.{name}: step {self.done + step + 1:,}: {what}", stacklevel=2)
+        return told
 
 
 def each_step(member: Estimator, begin: State, steps: Step) -> tuple[State, Tensor]:
@@ -167,7 +163,7 @@ class BothStepper:
     """Single steps of an ensemble, or of a boat in the plane, with external members: as a `CompiledStepper`."""
 
     def __init__(self, first: FirstPass, kernels: CompiledStepper):
-        self._first, self._kernels = first, kernels
+        self._first, self._kernels, self.ended = first, kernels, first.ended
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):

@@ -156,6 +156,11 @@ class Online:
         own = self.description.get("surge", self.description)
         return (*own.get("columns", ()), *own.get("rules", ()))
 
+    @property
+    def ended(self) -> Mapping[str, str]:
+        """Of members that other code steps, and that have failed: the prefix of their leaves -> what happened."""
+        return getattr(self._live, "ended", {})
+
     def predict(self, inputs: Inputs) -> float | np.ndarray:
         """The predicted surge at the end of a step; nothing is learned.
 

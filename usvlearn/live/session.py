@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import usvlearn
 from usvlearn.core.lock import Lock
+from usvlearn.engine.parts import external_in
 from usvlearn.engine.validate import afresh
 from usvlearn.errors import ConfigError
 from usvlearn.live import diagnostics
@@ -178,6 +179,7 @@ class Session:
         told, before = self._missions.told, diagnostics.fit_of(node.online.description)
         if told is not None and (fit := (told.table or before) if told.use else (0.0,) * len(before)) != before:
             node.online.take_fit(fit)
+        self.advise("ended", "; ".join(node.online.ended.values()))
         health = self._health(ages, clock)
         self.state = health.state
         if clock - self._told >= TELL and self._background.submit("status", self._tell, health.json()):
@@ -267,8 +269,7 @@ class Session:
             leaves, facts = self._begin.leaves, self._begin.facts
             members = trusted_members(facts, self.options.trust)
             node = Node(self.setup, Online.of(leaves, facts, members), self.options.patience)
-            if told := without(facts, members):
-                self._warnings["members"] = told
+            self.advise("members", without(facts, members))
             node.warm()
             node.held.load(self._begin.facts.get(HELD))
             node.took = self._recent.add
@@ -341,14 +342,15 @@ class Session:
 
     def _checkpoint(self) -> tuple[dict[str, Any], dict[str, Any]]:
         """A checkpoint of now: copies of the leaves, and the metadata."""
-        node = self._node
+        node, begun = self._node, self._begin.facts
         assert node is not None
         facts = {
-            "estimator": self._begin.facts["estimator"], "kernel": node.online.description,
+            "estimator": begun["estimator"], "kernel": node.online.description,
             KEY: self.setup.json(), HELD: node.held.json(), "boat": self.options.boat, "run": "live",
             "step": node.steps, "time": 0.0 if self.last is None else self.last.time, "version": usvlearn.__version__,
+            "configuration": begun.get("configuration") if external_in(begun["kernel"]) else None,  # how they are made
         }  # fmt: skip
-        leaves, told = afresh(node.online.state, lambda: self._begin.leaves)
+        leaves, told = afresh(node.online.state, lambda: self._begin.leaves, node.online.ended)
         if told:
             node.online.state = leaves
             node.drop("members", "not_finite")

@@ -15,9 +15,7 @@ def trusted_members(facts: Mapping[str, Any], trust: Sequence[str]) -> dict[str,
     names, settings = external_in(facts["kernel"]) if trust else [], facts.get("configuration")
     known = settings.get("estimators") if isinstance(settings, dict) else None
     if lost := [name for name in names if not isinstance(known, dict) or name not in known]:
-        raise CheckpointError(
-            f"trust: the checkpoint does not say how {lost[0]} is made: start from a run's checkpoint"
-        )
+        raise CheckpointError(f"trust: the checkpoint does not say how {lost[0]} is made: start from that of a run")
     own = {name: known[name] for name in names} if isinstance(known, dict) else {}
     if own:  # by layers above this one
         import_module("usvlearn.runs.trust").check_settings("the checkpoint", own, list(trust))
