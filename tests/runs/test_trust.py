@@ -15,6 +15,7 @@ from tests.support import ROOT
 from tests.support.commands import run
 from tests.support.runs import forge, tools
 from usvlearn import Persistence
+from usvlearn.cli.fit import work as fit
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.report.build import read
 from usvlearn.runs.saved import configuration
@@ -135,6 +136,12 @@ def test_an_estimator_of_the_users_own_is_opened_by_trust_alone(saved, tmp_path,
     folder = forged(saved, tmp_path / "run", lambda cfg: cfg["estimators"].update(persistence=mine))
     with pytest.raises(CheckpointError, match=r"estimators\.persistence\._target_: found 'boats\.own\.Mine'"):
         read([folder], tools())
+    assert configuration(folder, unused=["estimators"])["estimators"]["persistence"] == mine  # a fit makes none of them
+    data = forged(saved, tmp_path / "read", lambda cfg: cfg["data"].update(_target_="boats.own.Mine"))
+    with pytest.raises(CheckpointError, match=r"data\._target_: found 'boats\.own\.Mine'.*add trust=MODULE"):
+        fit([str(data)])
+    with pytest.raises(ConfigError, match=r"found 'b c', expected the name of a module"):
+        fit([str(data), "trust=b c"])
     for trust in ("boats", "boats.own", ["elsewhere", "boats.own"], OmegaConf.create(["boats"])):
         ensemble, _ = read([folder], tools(trust))
         assert type(ensemble.members["persistence"]) is module.Mine

@@ -64,6 +64,6 @@ def main(cfg: DictConfig) -> None:
         show(*unconfirmed(questions_of_runs(folders, cfg.trust) | asked))
         if data is None and not (folders[-1] / "fit").exists():
             with Activity(board, "fitting the missions"):
-                fit_on_the_way(folders[-1], console(quiet=True))
+                fit_on_the_way(folders[-1], console(quiet=True), cfg.trust)
         report = Path(cfg.report or own)
         evaluate(folders, report, tools, data, asked=asked, animate=bool(cfg.animate), latex=bool(cfg.paper))

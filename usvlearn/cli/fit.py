@@ -17,34 +17,33 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from usvlearn.core.samples import Fleet
-    from usvlearn.estimators.joint.excitation_warnings import Quantity
     from usvlearn.model.fit.fitted import Fitted
     from usvlearn.model.fit.hand_over import Last
     from usvlearn.model.fit.open_loop import FreeMode
+    from usvlearn.report.summary import Quantities
 
 USAGE = (
     "usage: usvlearn fit RUN [--boat NAME] [--terms SET] [--out FOLDER] [--all] [data.KEY=VALUE …]; more: usvlearn fit "
     "--help"
 )
-SHOWN = 4  # names in a warning
+SHOWN, TRUST = 4, "trust="  # names in a warning; before a module that is trusted
 
 
 def parser() -> argparse.ArgumentParser:
     found = argparse.ArgumentParser("usvlearn fit", description=__doc__)
     found.add_argument("run", metavar="RUN", type=without_key, help="the folder of a run")
-    found.add_argument("data", metavar="data.KEY=VALUE", nargs="*", help="such as data.path=LOGS, if they have moved")
+    found.add_argument("data", metavar="KEY=VALUE", nargs="*", help="data.path=LOGS; trust=MODULE, which reads them")
     found.add_argument("--boat", help="only this one")
-    found.add_argument(
-        "--terms", metavar="SET", help="of the model, in place of the one that does best on unseen missions"
-    )
+    found.add_argument("--terms", metavar="SET", help="of the model, in place of what is best on unseen missions")
     found.add_argument("--out", metavar="FOLDER", help="where BOAT.fit.json is written (RUN/fit)")
     found.add_argument("--all", action="store_true", help="print all quantities, sets of terms and remarks")
     return found
 
 
-def work(arguments: Sequence[str], console: Console | None = None) -> dict[str, Mapping[str, Quantity]]:
+def work(arguments: Sequence[str], console: Console | None = None, trust: Any = None) -> dict[str, Quantities]:
     """Fit each boat, print, and write; on the way of another command, on its console. Returns what is to be used."""
-    given = parser().parse_intermixed_args(list(arguments))
+    given = parser().parse_intermixed_args([each for each in arguments if not each.startswith(TRUST)])
+    trust = trust or [each.removeprefix(TRUST) for each in arguments if each.startswith(TRUST)]
     folder = Path(given.run).expanduser()
     out = folder / "fit" if given.out is None else out_folder(given.out)
     if (folder / "missions").is_dir():
@@ -72,7 +71,7 @@ def work(arguments: Sequence[str], console: Console | None = None) -> dict[str, 
 
         check_terms(given.terms)
         _check_run(folder)
-        settings = configuration(folder)
+        settings = configuration(folder, trust, ["estimators", "combiners", "forecasts"])
         data = _changed_data(settings["data"], given.data)
         coarse, fine = _logs(folder, settings, data)
         changed = _changed(folder, coarse)
@@ -115,7 +114,7 @@ def work(arguments: Sequence[str], console: Console | None = None) -> dict[str, 
     if stopped is not None and not done:
         raise stopped
     whole = given.all if alone else terminal.ALL in terminal.asked
-    use: dict[str, Mapping[str, Quantity]] = {x.boat: displayed(x.found) for x, *_ in done if not x.doubts}
+    use: dict[str, Quantities] = {x.boat: displayed(x.found) for x, *_ in done if not x.doubts}
     for found, last, files in done:
         if whole or (alone and len(done) == 1):
             console.print(*tables(found, None if last is None else last.online, whole), sep="\n")
@@ -134,10 +133,10 @@ def work(arguments: Sequence[str], console: Console | None = None) -> dict[str, 
     return use
 
 
-def fit_on_the_way(folder: Path, console: Console) -> dict[str, Mapping[str, Quantity]]:
+def fit_on_the_way(folder: Path, console: Console, trust: Any = None) -> dict[str, Quantities]:
     """Fit a run for a command that goes on without a fit, too; returns the quantities that are to be used."""
     try:
-        return work([str(folder.absolute())], console)
+        return work([str(folder.absolute())], console, trust)
     except (ValueError, ArithmeticError, OSError) as error:  # also of a folder that is only read
         complain(f"warning: no fit was made: {error}")
         return {}

@@ -75,7 +75,7 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
         from usvlearn.simulate.truth import quantities_of, turning_of
 
     began, settings = time.perf_counter(), {**plain(cfg), "resume": None}
-    set_threads(cfg.threads)
+    set_threads(cfg.threads, int(cfg.seed))
     check_log(log := cfg.get("log", "main"))
     save_minutes = check_positive("save_minutes", cfg.save_minutes, "of min")
     save_every = max(1, round(60 * save_minutes / check_positive("align.dt", cfg.align.dt)))

@@ -53,13 +53,13 @@ def is_sweep(folder: Path) -> bool:
     return True
 
 
-def configuration(folder: Path, trust: str | Sequence[str] | None = None) -> dict[str, Any]:
-    """The settings of a run, from its newest readable checkpoint; they can be instantiated.
+def configuration(folder: Path, trust: str | Sequence[str] | None = None, unused: Sequence[str] = ()) -> dict[str, Any]:
+    """The settings of a run, from its newest readable checkpoint; all but the `unused` ones can be instantiated.
 
     A CheckpointError if none can be read, or they name code that is not trusted (`runs.trust.check_settings`).
     """
     path, found = _configuration(folder)
-    check_settings(str(path), found, trust)
+    check_settings(str(path), {key: each for key, each in found.items() if key not in unused}, trust)
     check_positive(f"{path}: align.dt", found["align"].get("dt"), "of s")
     check_positive(f"{path}: vehicle.mass", found["vehicle"].get("mass"), "of kg")
     return found

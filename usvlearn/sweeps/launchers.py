@@ -31,8 +31,7 @@ def check_launcher(arguments: Sequence[str]) -> None:
                 hint = did_you_mean(name, LAUNCHERS)
                 raise ConfigError(f"hydra/launcher: found {name!r}, expected one of {', '.join(LAUNCHERS)}{hint}")
             raise MissingExtraError(plugin.replace("_", "-"), extra, argument)
-        missing = [tool for tool in SLURM if which(tool) is None] if name.endswith("slurm") else []
-        if missing:
+        if missing := [tool for tool in SLURM if which(tool) is None] if name.endswith("slurm") else []:
             found = " and ".join(missing)
             raise ConfigError(f"{argument}: found no {found}, expected a Slurm cluster: start it there, or take joblib")
 
@@ -43,8 +42,9 @@ def prepare_workers(root: Path) -> None:
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(root), os.environ.get("PYTHONPATH")]))
 
 
-def set_threads(count: float) -> None:
-    """Set the number of threads of torch."""
+def set_threads(count: float, seed: int = 0) -> None:
+    """Set the number of threads of torch, and the seed of the random weights of modules that others have written."""
     import torch
 
     torch.set_num_threads(max(1, int(check_positive("threads", count))))
+    torch.manual_seed(seed)
