@@ -97,11 +97,9 @@ def cells():
     figure, (axes,) = panes(1, 4.2)
     figure.set_figwidth(6)
     net = ShallowWeights(
-        np.array([0.7, -0.5, 0.6, -0.3]),
-        np.array([1.0, 1.0, 0.75, -1.0]),
-        np.array([[0.5], [-1.0], [1.0], [0.5]]),
+        np.array([0.7, -0.5, 0.6, -0.3]), np.array([1.0, 1.0, 0.75, -1.0]), np.array([[0.5], [-1.0], [1.0], [0.5]]),
         np.array([-0.25, 0.125, -0.5, 0.5]),
-    )
+    )  # fmt: skip
     box = Box(np.array([0.0, -1.0]), np.ones(2))
     x, u = np.meshgrid(np.linspace(0, 1, 700), np.linspace(-1, 1, 700))
     z = net.w1 * x[..., None] + net.W2[:, 0] * u[..., None] + net.b

@@ -14,16 +14,7 @@ import griffe
 
 
 def fenced(text: str) -> str:
-    """A docstring in which every doctest, with its output, is a fenced block.
-
-    >>> print(fenced("Sums.\\n\\n>>> 1 + 1\\n2"))
-    Sums.
-    <BLANKLINE>
-    ```pycon
-    >>> 1 + 1
-    2
-    ```
-    """
+    """A docstring in which every doctest, with its output, is a fenced block."""
     lines: list[str] = []
     inside = False
     for line in text.splitlines():
@@ -45,13 +36,7 @@ def comments(path: Path) -> dict[int, str]:
 
 
 def starred(text: str) -> str:
-    """A docstring in whose prose the star of an optimum, as in x*, begins no emphasis. Code is indented.
-
-    >>> print(starred("The optimum x*, and *words*.\\n\\n    x* = 1"))
-    The optimum x\\*, and *words*.
-    <BLANKLINE>
-        x* = 1
-    """
+    """A docstring in whose prose the star of an optimum, as in x*, begins no emphasis. Code is indented."""
     return re.sub(r"^(?!    ).*$", lambda line: re.sub(r"(?<![\w*])(\w)\*(?!\*)", r"\1\\*", line[0]), text, flags=re.M)
 
 

@@ -22,13 +22,7 @@ LIMIT = 240  # s of one notebook
 
 
 class Page(HTMLParser):
-    """What a page points to, and what can be pointed to in it.
-
-    >>> page = Page()
-    >>> page.feed('<h1 id="top"></h1><a href="other.html#x">other</a><img src="a.png" srcset="b.png, c.png 2x">')
-    >>> page.links, page.loaded, page.places
-    (['other.html#x'], ['a.png', 'b.png', 'c.png'], {'top'})
-    """
+    """What a page points to, and what can be pointed to in it."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -18,15 +18,9 @@ from usvlearn.estimators.ensemble.monitors.layer import effectiveness
 from usvlearn.simulate.truth import quantities_of
 
 SEASON = {
-    "n": 1,
-    "plant": "heron",
-    "hours": 3.0,
-    "mission_minutes": 10.0,
-    "missions": ["patrol"],
-    "seed": 4,
-    "aborted_share": 0.0,
-    "paused_share": 0.0,
-}
+    "n": 1, "plant": "heron", "hours": 3.0, "mission_minutes": 10.0, "missions": ["patrol"], "seed": 4,
+    "aborted_share": 0.0, "paused_share": 0.0,
+}  # fmt: skip
 MASS = 28.0  # kg, of the Heron in `configs/data/simulated.yaml`
 START, BEFORE, AHEAD = 432.0, 20.0, 30.0  # s in the last run: of the forecast, shown before it, and its length
 FAULT, SHARE = 10.0, 0.4  # min from which the left thruster has that share of its thrust

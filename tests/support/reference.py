@@ -9,6 +9,7 @@ import re
 from typing import Any, NamedTuple
 
 import yaml
+from site_hooks import with_families
 
 from tests.support import ROOT
 
@@ -26,7 +27,7 @@ def blocks() -> dict[str, Listed]:
     """Everything behind `:::` by its name."""
     found = {}
     for page in PAGES:
-        for name, block in re.findall(r"^::: (\S+)((?:\n    .*)*)", page.read_text(), re.MULTILINE):
+        for name, block in re.findall(r"^::: (\S+)((?:\n    .*)*)", with_families(page.read_text()), re.MULTILINE):
             options = (yaml.safe_load(block) or {}).get("options", {})
             found[name] = Listed(load(name), page.stem, options.get("members", True))
     return found
