@@ -19,9 +19,9 @@ from usvlearn.errors import CheckpointError, ConfigError, ShapeError
 from usvlearn.estimators.external.plain_state import packed, unpacked
 from usvlearn.testing import CONTRACTS, at, check_estimator, random_samples
 
-BLOCKS = re.findall(
-    r"```python\n(.*?)```", (ROOT / "docs/estimators.md").read_text().partition("{#own}")[2].partition("\n## ")[0], re.S
-)
+PAGE = (ROOT / "docs/estimators.md").read_text().partition("{#own}")[2].partition("\n## ")[0]
+BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.S)
+SWEEPS = re.findall(r"^usvlearn sweep my_boat.yaml ((?:.*\\\n)*.*)", PAGE.replace("$MINE", "+estimators.mine"), re.M)
 LIBRARIES = all(map(importlib.util.find_spec, ("river", "sklearn")))
 needs_libraries = pytest.mark.skipif(not LIBRARIES, reason="river and scikit-learn are not installed")
 
@@ -172,14 +172,15 @@ def test_what_is_no_model_is_refused(own):
         module.predict(module.init(), at(random_samples(1), 0).inputs)
 
 
-MINE = ["+estimators.mine._target_=mine.NLMS", "combiners.ensemble.members=[aid,joint,mine]"]
-
-
 @pytest.mark.thorough
-def test_a_class_of_ones_own_is_in_runs_sweeps_and_resumes(tmp_path, monkeypatch):
-    (tmp_path / "mine.py").write_text("\n".join(block for block in BLOCKS if "NLMS" in block))
+@pytest.mark.parametrize("sweep", SWEEPS, ids=lambda sweep: re.findall(r"_target_=\S*?(\w+) ", sweep)[-1])
+def test_a_class_of_ones_own_is_in_runs_sweeps_and_resumes(sweep, tmp_path, monkeypatch):
+    if not LIBRARIES and ("river" in sweep or "sklearn" in sweep):
+        pytest.skip("river and scikit-learn are not installed")
+    (tmp_path / "mine.py").write_text("\n".join(block for block in BLOCKS if "class" in block))
     monkeypatch.syspath_prepend(str(tmp_path))
-    quick = [each.replace("members=[aid,sift_map,joint]", "members=[aid,joint]") for each in QUICK] + MINE
+    *mine, swept = sweep.replace("\\", " ").split()
+    quick = [each.replace("members=[aid,sift_map,joint]", "members=[aid,joint,mine]") for each in [*QUICK, *mine]]
     done = run(*quick, "--all", "hydra.run.dir=whole", folder=tmp_path)
     assert done.returncode == 0 and re.search(r"^ensemble.*\n(?:.*\n)*mine", done.stdout, re.M), done.stderr
     shutil.copytree(tmp_path / "whole", tmp_path / "part")
@@ -190,5 +191,5 @@ def test_a_class_of_ones_own_is_in_runs_sweeps_and_resumes(tmp_path, monkeypatch
     done = run(*quick, "hydra.run.dir=part", "resume=latest", folder=tmp_path)
     assert done.returncode == 0 and "resuming after step" in done.stdout, done.stderr
     assert_equal_runs(tmp_path / "part", tmp_path / "whole")
-    done = run("-m", *quick, "+estimators.mine.rate=0.02,0.05", "hydra.sweep.dir=sweep", folder=tmp_path)
+    done = run("-m", *quick, swept, "hydra.sweep.dir=sweep", folder=tmp_path)
     assert done.returncode == 0 and "2 of 2 done" in done.stdout, done.stderr
