@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from tests.support.seasons import boats
-from usvlearn import AID, ARX, RLS, RNN, Ensemble, JointEKF, Robust, SIFtRLS, SurgeDynamics
+from usvlearn import AID, ARX, RLS, RNN, Ensemble, JointEKF, Persistence, Robust, SIFtRLS, SurgeDynamics, external
 from usvlearn.display.terminal import ResultTable
 from usvlearn.evaluation.diagnostics import physical_members
 from usvlearn.report.sections.errors import box, online_section
@@ -60,6 +60,19 @@ def test_cost_counts_the_papers_parameters():
     assert {row[0]: row[2] for row in result_table.rows[:6]} == counts
     assert [row[3:5] for row in result_table.rows[4:6]] == [("O(p)", "O(p²)")] * 2
     assert all(row[5] > 0 and row[6] > 0 for row in result_table.rows)
+
+
+class Broken:
+    def predict(self, x):
+        raise RuntimeError("no licence")
+
+    learn = None
+
+
+def test_the_cost_of_a_member_that_raises_is_not_known():
+    with pytest.warns(UserWarning, match="estimators.broken: step 1: RuntimeError: no licence"):
+        table = cost_section(Ensemble({"broken": external(Broken()), "still": Persistence()})).sheets[0]
+    assert [bool(row[5] > 0) for row in table.rows] == [False, True, True]
 
 
 def test_intervals_are_those_of_the_covariance():

@@ -191,17 +191,17 @@ def cost_section(ensemble: Ensemble) -> Section:
 
 
 def _times(estimator: Estimator, sample: Sample) -> tuple[float, float]:
-    """The times in µs: to predict, and to predict and learn."""
+    """The times in µs: to predict, and to predict and learn; NaN of a member of other code that raises."""
     boat = Online(estimator)
-    return _median(lambda: boat.predict(sample.inputs)), _median(lambda: boat.step(sample))
+    try:
+        return _median(lambda: boat.predict(sample.inputs)), _median(lambda: boat.step(sample))
+    except Exception:
+        return np.nan, np.nan
 
 
 def _parameters(state: Any) -> int:
     """The identified parameters of a method: θ, the network's weights, or what a joint EKF reads of its state."""
-    identified = [
-        leaf for name, leaf in named_leaves(state) if name in ("theta", "reading") or name.startswith("weights.")
-    ]
-    return sum(leaf.numel() for leaf in identified)
+    return sum(x.numel() for n, x in named_leaves(state) if n in ("theta", "reading") or n.startswith("weights."))
 
 
 def _median(work: Callable[[], object]) -> float:
