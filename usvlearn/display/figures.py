@@ -52,7 +52,7 @@ def colours(names: Sequence[str]) -> dict[str, str]:
 
 @contextmanager
 def themed() -> Iterator[type]:
-    """A context with Matplotlib's Figure, in which text is INK, lines are LINE, and no name is read as a formula."""
+    """A context with Matplotlib's Figure and one look: text INK, lines LINE, small letters, no names as formulas."""
     try:
         from matplotlib import rc_context
         from matplotlib.figure import Figure
@@ -62,8 +62,10 @@ def themed() -> Iterator[type]:
         logging.getLogger(package).setLevel(logging.WARNING)
     ink = dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), INK)
     plain = {"axes.spines.top": False, "axes.spines.right": False, "axes.axisbelow": True, "grid.color": LINE}
-    frame = {"legend.frameon": False, "axes.facecolor": "none", "grid.linewidth": 0.6, "font.size": 9}
-    settings: Any = {**ink, **plain, **frame, "text.parse_math": False}
+    frame = {"legend.frameon": False, "axes.facecolor": "none", "axes.grid": True, "grid.linewidth": 0.6}
+    small = dict.fromkeys(("axes.labelsize", "xtick.labelsize", "ytick.labelsize", "legend.fontsize"), 8)
+    title = {"axes.titlesize": 8.5, "axes.titlelocation": "left", "figure.titlesize": 9, "figure.labelsize": 9}
+    settings: Any = {**ink, **plain, **frame, **small, **title, "font.size": 9, "text.parse_math": False}
     with rc_context(settings):
         yield Figure
 
@@ -87,7 +89,7 @@ def attempted(draw: Callable[[], T], what: str, instead: Callable[[Any], T] = la
 
 
 def guarded(draw: Callable[P, Any]) -> Callable[P, Any]:
-    """A function that draws, in `attempted`."""
+    """A function that draws, in `attempted`, and so in `themed`."""
 
     @functools.wraps(draw)
     def drawn(*args: P.args, **options: P.kwargs) -> Any:
@@ -107,12 +109,29 @@ def rendered(figure: Any, **options: Any) -> bytes:
     return attempted(lambda: saved(figure), "a figure", saved)
 
 
-def panels_of(figure: Any, count: int, across: int, **options: Any) -> list[Any]:
-    """So many panels, in rows of `across`; `options` are those of `subplots`."""
-    every = figure.subplots(-(-count // across), across, squeeze=False, **options).reshape(-1)
-    for panel in every[count:]:
-        panel.set_visible(False)
-    return list(every[:count])
+def figure_of(width: float, height: float, **options: Any) -> Any:
+    """An empty figure, inches, in `themed`."""
+    from matplotlib.figure import Figure
+
+    return Figure(**{"figsize": (width, height), "layout": "constrained", **options})
+
+
+def panels_of(
+    count: int, across: int, size: tuple[float, float], room: tuple[float, float] = (0.0, 0.0), least: float = 0.0,
+    shared: bool | str = True,
+) -> tuple[Any, list[Any]]:  # fmt: skip
+    """A figure and its panels, in rows of at most `across`, each of a size in inches, with `room` beside and above.
+
+    `least` is of the whole width; `shared`: both axes of the panels, or "x" or False.
+    """
+    across = min(across, count)
+    down = -(-count // across)
+    figure = figure_of(max(least, room[0] + size[0] * across), room[1] + size[1] * down)
+    every = figure.subplots(down, across, squeeze=False, sharex=bool(shared), sharey=shared is True).reshape(-1)
+    for k, panel in enumerate(every):
+        panel.set_visible(k < count)
+        panel.tick_params(labelbottom=not shared or k + across >= count)
+    return figure, list(every[:count])
 
 
 def set_reach(panel: Any, low: float, high: float) -> None:

@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 
 from usvlearn.core.checkpoint import write_atomically
-from usvlearn.display.figures import INK, KNOWN, LINE, themed
+from usvlearn.display.figures import INK, KNOWN, figure_of, themed
 from usvlearn.errors import printable
 from usvlearn.report.sections.tracks import POINTS, draw_track
 from usvlearn.report.track_maps import Mission
@@ -19,8 +19,8 @@ def write_animation(path: Path, mission: Mission, title: str) -> Path:
     from matplotlib.animation import FuncAnimation, PillowWriter
 
     shown = mission.ahead[:: 1 + (len(mission.ahead) - 1) // MOST]
-    with themed() as Figure:
-        figure = Figure(figsize=(9, 4.6), dpi=80, layout="constrained")
+    with themed():
+        figure = figure_of(9, 4.6, dpi=80)
         whole, near = figure.subplots(1, 2)
         way = mission.position[:: 1 + len(mission.position) // POINTS]
         whole.plot(way[:, 1], way[:, 0], color=INK, linewidth=0.8)
@@ -35,11 +35,10 @@ def write_animation(path: Path, mission: Mission, title: str) -> Path:
             boat.set_data([east], [north])
             near.clear()
             draw_track(near, mission, each)
-            near.grid(color=LINE)
             near.set_xlabel("m from the boat, 90 % ellipses")
-            near.legend(fontsize=7, loc="upper right")
+            near.legend(loc="upper right")
             minutes, seconds = divmod(math.floor(mission.run.time[each.step]), 60)
-            near.set_title(f"{printable(title)}, {printable(mission.run.name)}, at {minutes}:{seconds:02d}", fontsize=9)
+            near.set_title(f"{printable(title)}, {printable(mission.run.name)}, at {minutes}:{seconds:02d}")
 
         found = FuncAnimation(figure, draw, frames=len(shown), cache_frame_data=False)
         part = path.with_suffix(".part.gif")

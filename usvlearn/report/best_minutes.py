@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.display.figures import INK, KNOWN, LINE, SIDES, guarded, themed
+from usvlearn.display.figures import INK, KNOWN, SIDES, figure_of, guarded
 from usvlearn.evaluation.free_simulation import FreeRun
 from usvlearn.evaluation.metrics import fit
 from usvlearn.evaluation.season import SeasonRun
@@ -76,17 +76,14 @@ def _parts(run: SeasonRun, made: FreeRun, column: int) -> list[BestMinutes]:
 @guarded
 def best_figure(best: BestMinutes) -> Any:
     """Speeds above, commands below."""
-    with themed() as Figure:
-        figure = Figure(figsize=(9.5, 3.1), layout="constrained")
-        speeds, commands = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
-        speeds.plot(best.time, best.measured, color=INK, linewidth=1.2, label="measured")
-        speeds.plot(best.time, best.simulated, color=KNOWN["ensemble"], linewidth=1.6, label="from the commands alone")
-        speeds.set_ylabel("speed, m/s")
-        for name, values in (("left", best.left), ("right", best.right)):
-            commands.plot(best.time, values, color=SIDES[name], linewidth=1.0, label=name)
-        commands.set(ylabel="command", xlabel="time of the run, min")
-        for panel in (speeds, commands):
-            panel.grid(color=LINE)
-            panel.legend(fontsize=8, loc="lower left", bbox_to_anchor=(0, 0.95), ncols=2)
-            panel.tick_params(labelsize=8)
-        return figure
+    figure = figure_of(9.5, 3.1)
+    speeds, commands = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+    speeds.plot(best.time, best.measured, color=INK, linewidth=1.2, label="measured")
+    speeds.plot(best.time, best.simulated, color=KNOWN["ensemble"], linewidth=1.6, label="from the commands alone")
+    speeds.set_ylabel("speed, m/s")
+    for name, values in (("left", best.left), ("right", best.right)):
+        commands.plot(best.time, values, color=SIDES[name], linewidth=1.0, label=name)
+    commands.set(ylabel="command", xlabel="time of the run, min")
+    for panel in (speeds, commands):
+        panel.legend(loc="lower left", bbox_to_anchor=(0, 0.95), ncols=2)
+    return figure

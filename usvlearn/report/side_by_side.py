@@ -8,7 +8,7 @@ from pathlib import Path
 from string import ascii_uppercase
 from typing import Any, NamedTuple
 
-from usvlearn.display.figures import INK, LINE, guarded, panels_of, themed
+from usvlearn.display.figures import INK, LINE, guarded, panels_of
 from usvlearn.display.terminal import Cell, ResultTable
 from usvlearn.errors import CheckpointError, ConfigError, did_you_mean
 from usvlearn.estimators.axis.turning_quantities import OF_FIT
@@ -167,19 +167,16 @@ def _section(index: int, runs: Sequence[KnownBoat]) -> Section:
 @guarded
 def forest(runs: Sequence[KnownBoat], names: Sequence[str]) -> Any:
     """A panel for each quantity, in which each run has a point with its interval."""
-    across = min(3, max(1, len(names)))
-    with themed() as Figure:
-        figure = Figure(figsize=(9.5, (0.55 + 0.22 * len(runs)) * -(-len(names) // across) + 0.3), layout="constrained")
-        for panel, name in zip(panels_of(figure, len(names), across), names, strict=True):
-            first = runs[0].quantities[name]
-            for row, each in enumerate(runs):
-                if own := each.quantities.get(name):
-                    colour = WORSE if row and change(first, own).verdict == CHANGED else INK
-                    panel.plot([own.low, own.high], [row, row], color=colour, linewidth=1.6)
-                    panel.plot(own.value, row, "o", color=colour, markersize=4)
-            panel.axvline(first.value, color=LINE, linewidth=1.0)
-            panel.set_yticks(range(len(runs)), [each.letter for each in runs])
-            panel.set_ylim(len(runs) - 0.5, -0.5)
-            panel.set_title(f"{name}, {first.unit}", loc="left", fontsize=8.5)
-            panel.tick_params(labelsize=8)
-        return figure
+    figure, panels = panels_of(len(names), 3, (3.1, 0.55 + 0.22 * len(runs)), (0.2, 0.3), 9.5, shared=False)
+    for panel, name in zip(panels, names, strict=True):
+        first = runs[0].quantities[name]
+        for row, each in enumerate(runs):
+            if own := each.quantities.get(name):
+                colour = WORSE if row and change(first, own).verdict == CHANGED else INK
+                panel.plot([own.low, own.high], [row, row], color=colour, linewidth=1.6)
+                panel.plot(own.value, row, "o", color=colour, markersize=4)
+        panel.axvline(first.value, color=LINE, linewidth=1.0)
+        panel.set_yticks(range(len(runs)), [each.letter for each in runs])
+        panel.set(title=f"{name}, {first.unit}", ylim=(len(runs) - 0.5, -0.5))
+        panel.grid(False)
+    return figure

@@ -13,14 +13,13 @@ from usvlearn.core.samples import Fleet, Inputs, tree_map
 from usvlearn.display.figures import (
     INK,
     KNOWN,
-    LINE,
     SIDES,
     WORST,
     colours,
+    figure_of,
     guarded,
     panels_of,
     set_reach,
-    themed,
     worst_stretch,
 )
 from usvlearn.estimators.ensemble.layer import Ensemble
@@ -62,34 +61,31 @@ def runs_figure(runs: Sequence[Traces], name: str, title: str):
     floor = min((float(x.min()) for x in known if len(x)), default=0.0)
     span = max((float(x.max()) for x in known if len(x)), default=0.0) - floor + 0.1  # m/s, between two runs
     scale = 2 * float(np.nanmax(worst)) + 0.02 if np.isfinite(worst).any() else 1.0  # m/s, between two errors
-    with themed() as Figure:
-        height = 1.2 + 0.42 * max(len(runs), 4)
-        figure = Figure(figsize=(9, height), dpi=90)
-        figure.subplots_adjust(left=0.25, right=0.985, top=1 - 0.6 / height, bottom=0.45 / height, wspace=0.06)
-        left, right = figure.subplots(1, 2, width_ratios=(3, 2))
-        colour, whole = colours([name])[name], [slice(None)] * len(runs)
-        measured, predicted = [run.surge - floor for run in runs], [run.predicted - floor for run in runs]
-        left.plot(*_rows(runs, measured, whole, span), color=INK, linewidth=1.6, label="measured")
-        left.plot(*_rows(runs, predicted, whole, span), color=colour, linewidth=0.9, label=name)
-        right.plot(*_rows(runs, errors, parts, scale), color=colour, linewidth=1.0)
-        right.hlines([-k * scale for k in range(len(runs))], 0, WORST, color=INK, linewidth=0.5)
-        for k, (run, part) in enumerate(zip(runs, parts, strict=True)):
-            if len(run.time[part]):
-                ends = run.time[part][[0, -1]]
-                left.fill_between(ends, -k * span, (0.9 - k) * span, color=INK, alpha=0.12, linewidth=0)
-        labels = [f"{_short(run.name)}  {_mae(error)}" for run, error in zip(runs, errors, strict=True)]
-        left.set_yticks([-k * span for k in range(len(runs))], labels, fontsize=8)
-        left.set(xlabel=f"time in the run, s; {span:.1f} m/s between two runs", ylim=((0.5 - len(runs)) * span, span))
-        right.set_yticks([])
-        right.set(xlabel=f"s; {scale:.2f} m/s between two runs", title="predicted − measured, worst minute")
-        right.set_ylim((0.5 - len(runs)) * scale, 0.6 * scale)
-        for panel in (left, right):
-            panel.margins(x=0)
-            panel.grid(color=LINE, axis="x")
-            panel.title.set_fontsize(9)
-        figure.suptitle(f"{title}, MAE in m/s", x=0.01, ha="left", fontsize=9)
-        left.legend(ncols=2, fontsize=8, loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0.1)
-        return figure
+    height = 1.2 + 0.42 * max(len(runs), 4)
+    figure = figure_of(9, height, dpi=90, layout=None)
+    figure.subplots_adjust(left=0.25, right=0.985, top=1 - 0.6 / height, bottom=0.45 / height, wspace=0.06)
+    left, right = figure.subplots(1, 2, width_ratios=(3, 2))
+    colour, whole = colours([name])[name], [slice(None)] * len(runs)
+    measured, predicted = [run.surge - floor for run in runs], [run.predicted - floor for run in runs]
+    left.plot(*_rows(runs, measured, whole, span), color=INK, linewidth=1.6, label="measured")
+    left.plot(*_rows(runs, predicted, whole, span), color=colour, linewidth=0.9, label=name)
+    right.plot(*_rows(runs, errors, parts, scale), color=colour, linewidth=1.0)
+    right.hlines([-k * scale for k in range(len(runs))], 0, WORST, color=INK, linewidth=0.5)
+    for k, (run, part) in enumerate(zip(runs, parts, strict=True)):
+        if len(run.time[part]):
+            ends = run.time[part][[0, -1]]
+            left.fill_between(ends, -k * span, (0.9 - k) * span, color=INK, alpha=0.12, linewidth=0)
+    labels = [f"{_short(run.name)}  {_mae(error)}" for run, error in zip(runs, errors, strict=True)]
+    left.set_yticks([-k * span for k in range(len(runs))], labels)
+    left.set(xlabel=f"time in the run, s; {span:.1f} m/s between two runs", ylim=((0.5 - len(runs)) * span, span))
+    right.set(xlabel=f"s; {scale:.2f} m/s between two runs", title="predicted − measured, worst minute", yticks=[])
+    right.set_ylim((0.5 - len(runs)) * scale, 0.6 * scale)
+    for panel in (left, right):
+        panel.margins(x=0)
+        panel.grid(False, axis="y")
+    figure.suptitle(f"{title}, MAE in m/s", x=0.01, ha="left")
+    left.legend(ncols=2, loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0.1)
+    return figure
 
 
 def _rows(
@@ -130,62 +126,53 @@ def identified_figure(
         (1, 1.0, "thrust_full_right", RIGHT),
         *((2, at, f"steady_speed_{name}", INK) for name, at in COMMANDS.items()),
     ]
-    with themed() as Figure:
-        figure = Figure(figsize=(9.5, 2.9), dpi=90)
-        figure.subplots_adjust(left=0.06, right=0.985, top=0.88, bottom=0.17, wspace=0.22)
-        panels = figure.subplots(1, 3)
-        for k, shown in enumerate(seasons, 1):
-            strength, last = k / len(seasons), k == len(seasons)
-            for name, (place, colour) in lines.items():
-                curve, label = shown[name], name.rpartition("_")[2] if last else None
-                panels[place].plot(curve.at, curve.value, color=colour, linewidth=1.4, alpha=strength, label=label)
-                style = {"color": colour, "alpha": 0.22 * strength if last else 0.06, "linewidth": 0}
-                panels[place].fill_between(curve.at, curve.low, curve.high, **style)
-        for place, at, name, colour in points:
-            if name in truth:
-                panels[place].plot(at, truth[name], marker="x", color=colour, linestyle="", clip_on=False)
-        for panel, (xlabel, ylabel) in zip(panels, labels, strict=True):
-            panel.set(xlabel=xlabel, ylabel=ylabel)
-            panel.grid(color=LINE)
-        if len(seasons) > 1:  # early bands may be very wide
-            for name, (place, _) in lines.items():
-                set_reach(
-                    panels[place], min(0.0, 1.1 * seasons[-1][name].low.min()), 1.3 * seasons[-1][name].high.max()
-                )
-        panels[1].legend(fontsize=8)
-        figure.suptitle(f"{title}: identified", fontsize=9.5)
-        return figure
+    figure = figure_of(9.5, 2.9, dpi=90, layout=None)
+    figure.subplots_adjust(left=0.06, right=0.985, top=0.88, bottom=0.17, wspace=0.22)
+    panels = figure.subplots(1, 3)
+    for k, shown in enumerate(seasons, 1):
+        strength, last = k / len(seasons), k == len(seasons)
+        for name, (place, colour) in lines.items():
+            curve, label = shown[name], name.rpartition("_")[2] if last else None
+            panels[place].plot(curve.at, curve.value, color=colour, linewidth=1.4, alpha=strength, label=label)
+            style = {"color": colour, "alpha": 0.22 * strength if last else 0.06, "linewidth": 0}
+            panels[place].fill_between(curve.at, curve.low, curve.high, **style)
+    for place, at, name, colour in points:
+        if name in truth:
+            panels[place].plot(at, truth[name], marker="x", color=colour, linestyle="", clip_on=False)
+    for panel, (xlabel, ylabel) in zip(panels, labels, strict=True):
+        panel.set(xlabel=xlabel, ylabel=ylabel)
+    if len(seasons) > 1:  # early bands may be very wide
+        for name, (place, _) in lines.items():
+            set_reach(panels[place], min(0.0, 1.1 * seasons[-1][name].low.min()), 1.3 * seasons[-1][name].high.max())
+    panels[1].legend()
+    figure.suptitle(f"{title}: identified")
+    return figure
 
 
 @guarded
 def forecast_figure(found: Scores):
     """Skill against horizon, of `evaluation.horizons.horizon_scores`; a panel per boat, a line per estimator."""
     names = list(next(iter(found.values())))
-    palette, across = colours(names), min(ACROSS, len(found))
-    down = -(-len(found) // across)
-    with themed() as Figure:
-        figure = Figure(figsize=(max(4.6, 2.4 * across), 2.3 * down + 0.8), layout="constrained")
-        panels = panels_of(figure, len(found), across, sharex=True, sharey=True)
-        for panel, (boat, table) in zip(panels, found.items(), strict=False):
-            panel.axhline(0.0, color=palette[PERSISTENCE], linewidth=1.0, linestyle=":")
-            for name in (each for each in names if each != PERSISTENCE):
-                at = [float(h) for h in table[name]]
-                skill = [np.nan if row["skill"] is None else row["skill"] for row in table[name].values()]
-                wide = 2.0 if name == names[-1] else 1.1
-                panel.plot(at, skill, color=palette[name], linewidth=wide, marker="o", markersize=3, label=name)
-            panel.set(title=boat, xscale="log")
-            panel.grid(color=LINE)
-            ticks = [float(h) for h in table[names[0]]]
-            panel.set_xticks(ticks, [f"{h:g}" for h in ticks])
-            panel.minorticks_off()
-            panel.set_xlabel("horizon, s", fontsize=8)
-        least = min((row["skill"] for t in found.values() for r in t.values() for row in r.values()
-                     if row["skill"] is not None), default=0.0)  # fmt: skip
-        panels[0].set_ylim(max(-0.5, min(least, 0.0)) - 0.05, 1.0)
-        figure.supylabel("skill", fontsize=9, color=INK)
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, ncols=min(6, len(labels)), loc="outside lower center", fontsize=8)
-        return figure
+    palette = colours(names)
+    figure, panels = panels_of(len(found), ACROSS, (2.4, 2.3), (0.0, 0.8), least=4.6)
+    for panel, (boat, table) in zip(panels, found.items(), strict=False):
+        panel.axhline(0.0, color=palette[PERSISTENCE], linewidth=1.0, linestyle=":")
+        for name in (each for each in names if each != PERSISTENCE):
+            at = [float(h) for h in table[name]]
+            skill = [np.nan if row["skill"] is None else row["skill"] for row in table[name].values()]
+            wide = 2.0 if name == names[-1] else 1.1
+            panel.plot(at, skill, color=palette[name], linewidth=wide, marker="o", markersize=3, label=name)
+        panel.set(title=boat, xlabel="horizon, s", xscale="log")
+        ticks = [float(h) for h in table[names[0]]]
+        panel.set_xticks(ticks, [f"{h:g}" for h in ticks])
+        panel.minorticks_off()
+    least = min((row["skill"] for t in found.values() for r in t.values() for row in r.values()
+                 if row["skill"] is not None), default=0.0)  # fmt: skip
+    panels[0].set_ylim(max(-0.5, min(least, 0.0)) - 0.05, 1.0)
+    figure.supylabel("skill")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, ncols=min(6, len(labels)), loc="outside lower center")
+    return figure
 
 
 class Course(NamedTuple):
@@ -244,42 +231,40 @@ def event_figure(
         course = course.about(marks[0][0] - BEFORE, marks[0][0] + AFTER)
         marks = [(time, kind) for time, kind in marks if time <= course.time[-1]]
     palette, minutes = colours(list(course.predictions)), course.time / 60
-    with themed() as Figure:
-        figure = Figure(figsize=(9, 9.5), dpi=80)
-        figure.subplots_adjust(left=0.09, right=0.98, top=0.92, bottom=0.06, hspace=0.12)
-        axes = figure.subplots(5, 1, sharex=True, height_ratios=(2, 3, 2, 3, 2))
-        command, speed, turn, thrust, proof = axes
-        for k, (side, colour) in enumerate(SIDES.items()):
-            share = course.effectiveness[:, k]
-            spread = np.where(share == 1, np.nan, NINETY * course.deviation[:, k])  # 1: there is little evidence
-            command.plot(minutes, course.commands[:, k], color=colour, linewidth=1.1, label=side)
-            thrust.fill_between(minutes, share - spread, share + spread, color=colour, alpha=0.18, linewidth=0)
-            thrust.plot(minutes, share, color=colour, linewidth=1.4, label=side)
-            proof.plot(minutes, course.evidence[:, k], color=colour, linewidth=1.4, label=side)
-        speed.plot(minutes, course.surge, color=INK, linewidth=2.2, label="measured")
-        for name, prediction in course.predictions.items():
-            speed.plot(minutes, prediction, color=palette[name], linewidth=0.9, label=name)
-        turn.plot(minutes, course.yaw_rate, color=INK, linewidth=1.1, label="measured")
-        proof.axhline(threshold, color=INK, linewidth=1, linestyle=":", label="threshold")
-        for panel in axes:
-            if fault is not None and course.time[0] <= fault <= course.time[-1]:
-                panel.axvline(fault / 60, color=FAULT, linewidth=1.5, linestyle="--")
-            for time, _ in marks:
-                panel.axvline(time / 60, color=MARK, linewidth=1.5)
-            panel.grid(alpha=0.25)
-            panel.margins(x=0, y=0.08)
-        _mark(command, fault, marks)
-        labels = ("command", "surge, m/s", "yaw rate, rad/s", "share of the thrust", "evidence of a loss")
-        for panel, label in zip(axes, labels, strict=True):
-            panel.set_ylabel(label)
-            low, high = panel.get_ylim()
-            if panel is thrust:
-                low, high = max(low, -0.6), min(high, 1.8)
-            panel.set_ylim(low, high + 0.28 * (high - low))  # room for the legend
-            panel.legend(loc="upper left", ncols=6, fontsize=8)
-        proof.set_xlabel("time, min")
-        figure.suptitle(title)
-        return figure
+    figure = figure_of(9, 9.5, dpi=80, layout=None)
+    figure.subplots_adjust(left=0.09, right=0.98, top=0.92, bottom=0.06, hspace=0.12)
+    axes = figure.subplots(5, 1, sharex=True, height_ratios=(2, 3, 2, 3, 2))
+    command, speed, turn, thrust, proof = axes
+    for k, (side, colour) in enumerate(SIDES.items()):
+        share = course.effectiveness[:, k]
+        spread = np.where(share == 1, np.nan, NINETY * course.deviation[:, k])  # 1: there is little evidence
+        command.plot(minutes, course.commands[:, k], color=colour, linewidth=1.1, label=side)
+        thrust.fill_between(minutes, share - spread, share + spread, color=colour, alpha=0.18, linewidth=0)
+        thrust.plot(minutes, share, color=colour, linewidth=1.4, label=side)
+        proof.plot(minutes, course.evidence[:, k], color=colour, linewidth=1.4, label=side)
+    speed.plot(minutes, course.surge, color=INK, linewidth=2.2, label="measured")
+    for name, prediction in course.predictions.items():
+        speed.plot(minutes, prediction, color=palette[name], linewidth=0.9, label=name)
+    turn.plot(minutes, course.yaw_rate, color=INK, linewidth=1.1, label="measured")
+    proof.axhline(threshold, color=INK, linewidth=1, linestyle=":", label="threshold")
+    for panel in axes:
+        if fault is not None and course.time[0] <= fault <= course.time[-1]:
+            panel.axvline(fault / 60, color=FAULT, linewidth=1.5, linestyle="--")
+        for time, _ in marks:
+            panel.axvline(time / 60, color=MARK, linewidth=1.5)
+        panel.margins(x=0, y=0.08)
+    _mark(command, fault, marks)
+    labels = ("command", "surge, m/s", "yaw rate, rad/s", "share of the thrust", "evidence of a loss")
+    for panel, label in zip(axes, labels, strict=True):
+        panel.set_ylabel(label)
+        low, high = panel.get_ylim()
+        if panel is thrust:
+            low, high = max(low, -0.6), min(high, 1.8)
+        panel.set_ylim(low, high + 0.28 * (high - low))  # room for the legend
+        panel.legend(loc="upper left", ncols=6)
+    proof.set_xlabel("time, min")
+    figure.suptitle(title)
+    return figure
 
 
 def _mark(panel, fault: float | None, marks: Sequence[tuple[float, str]]) -> None:

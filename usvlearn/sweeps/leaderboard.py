@@ -20,7 +20,7 @@ from rich.text import Text
 from certify.proofs.rounding import above
 from usvlearn.core.checkpoint import write_atomically
 from usvlearn.core.unconfirmed import SECTION, unconfirmed
-from usvlearn.display.figures import INK, LINE, attempted, colours, rendered, themed
+from usvlearn.display.figures import INK, attempted, colours, figure_of, rendered, themed
 from usvlearn.display.terminal import Blocks, ResultTable, console, show
 from usvlearn.errors import ConfigError, MissingExtraError, printable
 from usvlearn.evaluation.comparison import Difference, SeedDifference, short_keys
@@ -233,8 +233,8 @@ def settings_figure(ranks: Sequence[Standing], keys: Sequence[str], measure: Mea
     own = measure.estimator if measure else "ensemble"
     reference = next((each.value for each in known if each.reference), None)
     intervals, paired = [_interval(each) for each in shown], any(_interval(each, "seeds") for each in shown)
-    with themed() as Figure:
-        figure = Figure(figsize=(7.4, 1.5 + 0.27 * len(shown)), dpi=90, layout="constrained")
+    with themed():
+        figure = figure_of(7.4, 1.5 + 0.27 * len(shown), dpi=90)
         panel, colour = figure.subplots(), colours([own])[own]
         for k, (each, interval) in enumerate(zip(shown, intervals, strict=True)):
             values = list(each.by_seed.values())
@@ -248,13 +248,12 @@ def settings_figure(ranks: Sequence[Standing], keys: Sequence[str], measure: Mea
         names = [" ".join(f"{short}={each.settings[key]}" for short, key in zip(short_keys(keys), keys, strict=True)
                           if key in each.settings) for each in shown]  # fmt: skip
         panel.set_yticks(range(len(shown)), [shortened(name, 44) for name in names])
-        panel.set_ylim(len(shown) - 0.5, -0.5)
-        panel.grid(axis="x", color=LINE, alpha=0.6)
-        panel.set_xlabel(_words(measure))
+        panel.set(xlabel=_words(measure), ylim=(len(shown) - 0.5, -0.5))
+        panel.grid(False, axis="y")
         over = "seeds" if paired else "runs"
         bars = f"; bar: 95 % of the paired difference, over {over}" if any(intervals) else ""
         more = f"; {len(known) - len(shown)} more settings" if len(known) > len(shown) else ""
-        panel.set_title(f"point: job; disc: mean; dotted: reference{bars}{more}", loc="left", fontsize=8.5)
+        panel.set_title(f"point: job; disc: mean; dotted: reference{bars}{more}")
         return rendered(figure, facecolor="white")
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from usvlearn.display.figures import LINE, guarded, rendered, themed
+from usvlearn.display.figures import LINE, figure_of, guarded, rendered
 from usvlearn.errors import printable
 from usvlearn.logs.channels.bins import Series, bin_directions
 from usvlearn.logs.channels.channel import SURGE
@@ -36,28 +36,27 @@ def _picture(found: Inspected) -> Any:
     course = np.where(rate > MOVING * e.fastest, _degrees(np.arctan2(east, north)), np.nan)
     stamps, angle = _broken(e.series["heading"])
     turn, (times, yaw) = np.degrees(e.turn), _broken(e.series.get("yaw_rate", NONE))
-    with themed() as Figure:
-        figure = Figure(figsize=(11, 12), layout="constrained", facecolor="white")
-        rows = figure.subfigures(2, 1, height_ratios=[2.4, 1])
-        axes = rows[0].subplots(4, 1, sharex=True)
-        left, right = ((seconds, np.where(np.isfinite(e.speed), each, np.nan)) for each in e.commands)
-        _panel(axes[0], "commands, share", (left, LEFT, "left"), (right, RIGHT, "right"))
-        _panel(axes[1], "heading, deg", ((stamps, _degrees(angle)), MAIN, "heading"),
-               ((at, course), OTHER, "course over ground"), dots=True)  # fmt: skip
-        _panel(axes[2], "yaw rate, deg/s", ((seconds, turn), OTHER, "derivative of the heading"),
-               ((times, np.degrees(yaw)), MAIN, "yaw rate"), clip=True)  # fmt: skip
-        speed = _broken(e.series[SURGE])
-        _panel(axes[3], "speed, m/s", ((at, rate), OTHER, "speed over ground"), (speed, MAIN, "speed"), limit=limit)
-        axes[3].set_xlabel("time, s (runs one behind the other)")
-        runs = f"{len(e.recordings)} run{'s' * (len(e.recordings) > 1)}"
-        figure.suptitle(printable(f"{e.boat}: {runs} as configured"))
-        below = rows[1].subplots(1, 3)
-        heading = _degrees(np.angle(bin_directions(e.series["heading"], edges)))
-        _against(below[0], course, heading, "course, deg", "heading, deg", line=True)
-        rates = np.degrees(e.means("yaw_rate")) if len(yaw) else np.full(len(turn), np.nan)
-        _against(below[1], turn, rates, "derivative of heading, deg/s", "yaw rate, deg/s", line=True)
-        _against(below[2], e.thrust, e.speed, "mean command, share", "speed, m/s")
-        return figure
+    figure = figure_of(11, 12, facecolor="white")
+    rows = figure.subfigures(2, 1, height_ratios=[2.4, 1])
+    axes = rows[0].subplots(4, 1, sharex=True)
+    left, right = ((seconds, np.where(np.isfinite(e.speed), each, np.nan)) for each in e.commands)
+    _panel(axes[0], "commands, share", (left, LEFT, "left"), (right, RIGHT, "right"))
+    _panel(axes[1], "heading, deg", ((stamps, _degrees(angle)), MAIN, "heading"),
+           ((at, course), OTHER, "course over ground"), dots=True)  # fmt: skip
+    _panel(axes[2], "yaw rate, deg/s", ((seconds, turn), OTHER, "derivative of the heading"),
+           ((times, np.degrees(yaw)), MAIN, "yaw rate"), clip=True)  # fmt: skip
+    speed = _broken(e.series[SURGE])
+    _panel(axes[3], "speed, m/s", ((at, rate), OTHER, "speed over ground"), (speed, MAIN, "speed"), limit=limit)
+    axes[3].set_xlabel("time, s (runs one behind the other)")
+    runs = f"{len(e.recordings)} run{'s' * (len(e.recordings) > 1)}"
+    figure.suptitle(printable(f"{e.boat}: {runs} as configured"))
+    below = rows[1].subplots(1, 3)
+    heading = _degrees(np.angle(bin_directions(e.series["heading"], edges)))
+    _against(below[0], course, heading, "course, deg", "heading, deg", line=True)
+    rates = np.degrees(e.means("yaw_rate")) if len(yaw) else np.full(len(turn), np.nan)
+    _against(below[1], turn, rates, "derivative of heading, deg/s", "yaw rate, deg/s", line=True)
+    _against(below[2], e.thrust, e.speed, "mean command, share", "speed, m/s")
+    return figure
 
 
 def _middles(edges: np.ndarray) -> np.ndarray:
@@ -94,13 +93,11 @@ def _panel(axes, label: str, *curves: tuple[Series, str, str], dots: bool = Fals
     if limit < math.inf:
         axes.set_ylim(top=min(axes.get_ylim()[1], 1.1 * limit))
     axes.set_ylabel(label)
-    axes.grid(True)
-    axes.legend(loc="lower right", bbox_to_anchor=(1, 0.97), fontsize=8, ncols=3)
+    axes.legend(loc="lower right", bbox_to_anchor=(1, 0.97), ncols=3)
 
 
 def _against(axes, x: np.ndarray, y: np.ndarray, name: str, other: str, line: bool = False) -> None:
     axes.set(xlabel=name, ylabel=other)
-    axes.grid(True)
     known = np.isfinite(x) & np.isfinite(y)
     if not known.any():
         axes.text(0.5, 0.5, "not logged", ha="center", transform=axes.transAxes)

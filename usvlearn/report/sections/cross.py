@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from usvlearn.display.figures import INK, PAPER, guarded, panels_of, themed
+from usvlearn.display.figures import INK, PAPER, guarded, panels_of
 from usvlearn.display.terminal import ResultTable
 from usvlearn.evaluation.crossval import FreeErrors
 from usvlearn.evaluation.metrics import by_error
@@ -172,36 +172,32 @@ def matrix_figure(matrices: Mapping[str, np.ndarray], boats: Sequence[str]):
     from matplotlib.patches import Rectangle
     from matplotlib.ticker import LogLocator
 
-    across, size = min(2, len(matrices)), 0.42 * len(boats) + 1.4
-    down = -(-len(matrices) // across)
+    size = 0.42 * len(boats) + 1.4
     every = np.concatenate([matrix[np.isfinite(matrix) & (matrix > 0)] for matrix in matrices.values()])
     low, high = (every.min(), every.max()) if len(every) else (1e-4, 1.0)
     norm = LogNorm(low, high if high > low else low * 1.01)  # one scale, so that the methods can be compared
-    with themed() as Figure:
-        figure = Figure(figsize=(size * across + 0.4, size * down), layout="constrained")
-        panels = panels_of(figure, len(matrices), across)
-        for panel, (name, matrix) in zip(panels, matrices.items(), strict=True):
-            image = panel.imshow(np.where(matrix > 0, matrix, np.nan), norm=norm, cmap="cividis", aspect="equal")
-            for (row, column), value in np.ndenumerate(matrix):
-                dark = not np.isfinite(value) or value <= 0 or norm(value) < 0.55
-                text = "–" if not np.isfinite(value) else f"{1000 * value:.3g}"
-                style = {"ha": "center", "va": "center", "fontsize": 7.5, "color": "white" if dark else "#010101"}
-                panel.text(column, row, text, **style)
-            for column in range(matrix.shape[1]):
-                if np.isfinite(matrix[:, column]).any():
-                    best = int(np.nanargmin(matrix[:, column]))
-                    frame: dict[str, Any] = {"fill": False, "edgecolor": WORSE, "linewidth": 1.8}
-                    panel.add_patch(Rectangle((column - 0.47, best - 0.47), 0.94, 0.94, **frame))
-            panel.set_xticks(range(len(boats)), boats, rotation=45, ha="right", rotation_mode="anchor", fontsize=8)
-            panel.set_yticks(range(len(boats)), boats, fontsize=8)
-            panel.tick_params(length=0)
-            panel.spines[:].set_visible(False)
-            panel.set_title(name, loc="left", fontsize=10)
-            panel.set(xlabel="runs of", ylabel="best checkpoint of")
-        bar = figure.colorbar(image, ax=panels, shrink=0.75, ticks=LogLocator(subs=(1, 2, 5)))
-        bar.ax.yaxis.set_major_formatter(lambda x, _: f"{1000 * x:g}")
-        bar.ax.minorticks_off()
-        bar.ax.tick_params(labelsize=7.5)
-        bar.set_label("MSE, 10⁻³ m²/s²", color=INK)
-        bar.outline.set_visible(False)
-        return figure
+    figure, panels = panels_of(len(matrices), 2, (size, size), (0.4, 0.0), shared=False)
+    for panel, (name, matrix) in zip(panels, matrices.items(), strict=True):
+        image = panel.imshow(np.where(matrix > 0, matrix, np.nan), norm=norm, cmap="cividis", aspect="equal")
+        for (row, column), value in np.ndenumerate(matrix):
+            dark = not np.isfinite(value) or value <= 0 or norm(value) < 0.55
+            text = "–" if not np.isfinite(value) else f"{1000 * value:.3g}"
+            style = {"ha": "center", "va": "center", "fontsize": 7.5, "color": "white" if dark else "#010101"}
+            panel.text(column, row, text, **style)
+        for column in range(matrix.shape[1]):
+            if np.isfinite(matrix[:, column]).any():
+                best = int(np.nanargmin(matrix[:, column]))
+                frame: dict[str, Any] = {"fill": False, "edgecolor": WORSE, "linewidth": 1.8}
+                panel.add_patch(Rectangle((column - 0.47, best - 0.47), 0.94, 0.94, **frame))
+        panel.set_xticks(range(len(boats)), boats, rotation=45, ha="right", rotation_mode="anchor")
+        panel.set_yticks(range(len(boats)), boats)
+        panel.tick_params(length=0)
+        panel.grid(False)
+        panel.spines[:].set_visible(False)
+        panel.set(title=name, xlabel="runs of", ylabel="best checkpoint of")
+    bar = figure.colorbar(image, ax=panels, shrink=0.75, ticks=LogLocator(subs=(1, 2, 5)))
+    bar.ax.yaxis.set_major_formatter(lambda x, _: f"{1000 * x:g}")
+    bar.ax.minorticks_off()
+    bar.set_label("MSE, 10⁻³ m²/s²", color=INK)
+    bar.outline.set_visible(False)
+    return figure

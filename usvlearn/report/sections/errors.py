@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from usvlearn.display.figures import INK, LINE, PAPER, colours, guarded, panels_of, themed
+from usvlearn.display.figures import INK, PAPER, colours, guarded, panels_of
 from usvlearn.display.terminal import ResultTable
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.horizons import GROUPS, Scores, ensemble_scores
@@ -145,22 +145,17 @@ def residual_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section |
 @guarded
 def residual_figure(boats: Mapping[str, Autocorrelation], name: str):
     """A panel per boat: the autocorrelation against the lag, and the 99 % bounds."""
-    colour, across = colours([name])[name], min(ACROSS, len(boats))
-    down = -(-len(boats) // across)
-    with themed() as Figure:
-        figure = Figure(figsize=(1.2 + 2.9 * across, 0.4 + 1.7 * down), layout="constrained")
-        panels = panels_of(figure, len(boats), across, sharex=True, sharey=True)
-        for panel, (boat, found) in zip(panels, boats.items(), strict=False):
-            lags = np.arange(1, len(found.values) + 1)
-            panel.fill_between(lags, -found.bounds, found.bounds, color=INK, alpha=0.14, linewidth=0)
-            panel.axhline(0.0, color=INK, linewidth=0.8)
-            panel.vlines(lags, 0, found.values, color=colour, linewidth=2)
-            panel.plot(lags, found.values, ".", color=colour, markersize=5)
-            panel.set_title(boat, loc="left", fontsize=8.5)
-            panel.set_xlabel("lag, steps", fontsize=8)
-            panel.grid(axis="y", color=LINE)
-            panel.tick_params(labelsize=8)
-        return figure
+    colour = colours([name])[name]
+    figure, panels = panels_of(len(boats), ACROSS, (2.9, 1.7), (1.2, 0.4))
+    for panel, (boat, found) in zip(panels, boats.items(), strict=False):
+        lags = np.arange(1, len(found.values) + 1)
+        panel.fill_between(lags, -found.bounds, found.bounds, color=INK, alpha=0.14, linewidth=0)
+        panel.axhline(0.0, color=INK, linewidth=0.8)
+        panel.vlines(lags, 0, found.values, color=colour, linewidth=2)
+        panel.plot(lags, found.values, ".", color=colour, markersize=5)
+        panel.set(title=boat, xlabel="lag, steps")
+        panel.grid(False, axis="x")
+    return figure
 
 
 def forecast_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | None:
@@ -272,33 +267,26 @@ def boxes_figure(
     The axis is logarithmic and starts at `least` or above; the mean of `reference` is a line.
     """
     names = list(next(iter(boats.values())))
-    palette, across = colours(names), min(BOXES_ACROSS, len(boats))
-    down = -(-len(boats) // across)
+    palette = colours(names)
     values = [x for row in boats.values() for each in row.values() if each for x in (each.low, each.high, each.mean)]
     values += [x for row in boats.values() for each in row.values() if each and points for x in each.beyond]
     known = np.array([x for x in values if x > 0])
     room = 4.0 if any(each and each.diverged for row in boats.values() for each in row.values()) else 1.3
     limits = (max(least, known.min() * 0.8), known.max() * room) if len(known) else (0.01, 1.0)
-    height = ROW * len(names) + 0.55
-    with themed() as Figure:
-        figure = Figure(figsize=(1.4 + 2.3 * across, 0.45 + height * down), layout="constrained")
-        panels = panels_of(figure, len(boats), across, sharex=True, sharey=True)
-        for panel, (boat, row) in zip(panels, boats.items(), strict=True):
-            panel.set_title(f"{boat}, {subtitles[boat]}", loc="left", fontsize=8.5)
-            panel.set(xscale="log", xlim=limits, ylim=(len(names) - 0.4, -0.6), yticks=range(len(names)))
-            panel.set_yticklabels(names, fontsize=8)
-            panel.tick_params(axis="y", length=0)
-            panel.grid(axis="x", which="major")
-            if reference is not None and (base := row.get(reference)) is not None:
-                panel.axvline(base.mean, color=INK, linewidth=0.8, linestyle=":")
-            for k, name in enumerate(names):
-                _draw_box(panel, k, row[name], palette[name], name.endswith("+"), points)
-        for k, panel in enumerate(panels):
-            panel.xaxis.set_major_formatter("{x:g}")
-            panel.xaxis.set_minor_formatter("")
-            panel.tick_params(labelbottom=k + across >= len(boats), labelsize=8)
-        figure.supxlabel(xlabel, fontsize=9, color=INK)
-        return figure
+    figure, panels = panels_of(len(boats), BOXES_ACROSS, (2.3, ROW * len(names) + 0.55), (1.4, 0.45))
+    for panel, (boat, row) in zip(panels, boats.items(), strict=True):
+        panel.set(title=f"{boat}, {subtitles[boat]}", xscale="log", xlim=limits, ylim=(len(names) - 0.4, -0.6))
+        panel.set_yticks(range(len(names)), names)
+        panel.tick_params(axis="y", length=0)
+        panel.grid(False, axis="y")
+        panel.xaxis.set_major_formatter("{x:g}")
+        panel.xaxis.set_minor_formatter("")
+        if reference is not None and (base := row.get(reference)) is not None:
+            panel.axvline(base.mean, color=INK, linewidth=0.8, linestyle=":")
+        for k, name in enumerate(names):
+            _draw_box(panel, k, row[name], palette[name], name.endswith("+"), points)
+    figure.supxlabel(xlabel)
+    return figure
 
 
 def _draw_box(panel, place: int, found: Box | None, colour: str, learning: bool, points: bool) -> None:

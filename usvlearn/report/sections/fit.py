@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from usvlearn.core.samples import tree_map
-from usvlearn.display.figures import INK, LINE, SIDES, guarded, set_reach, themed
+from usvlearn.display.figures import INK, SIDES, figure_of, guarded, set_reach
 from usvlearn.display.terminal import ResultTable
 from usvlearn.estimators.axis.turning_quantities import MEANING_OF_FIT, OF_FIT
 from usvlearn.estimators.ensemble.layer import Ensemble
@@ -225,27 +225,22 @@ def curves_figure(found: Diagnostics, title: str, truth: Mapping[str, float]):
         ("thrust_right", "right", SIDES["right"], "command of the right side", "thrust at standstill, N"),
         ("drag", "speed", FITTED, "speed, m/s", "drag, N"),
     )
-    with themed() as Figure:
-        figure = Figure(figsize=(9.5, 3.7), layout="constrained")
-        above, below = figure.subplots(2, 3, sharex="col", height_ratios=(3, 1))
-        for upper, lower, (name, place, colour, xlabel, ylabel) in zip(above, below, panels, strict=True):
-            curve, where = found.curves[name], found.sailed[place]
-            known = _drawn(upper, curve, where, colour)
-            if points[name][1] is not None:
-                upper.plot(*points[name], marker="x", color=INK, linestyle="", clip_on=False, label="truth")
-            lower.stairs(where.seconds / 60, where.edges, fill=True, color=colour, alpha=0.55)
-            upper.set_ylabel(ylabel, fontsize=8)
-            lower.set_xlabel(xlabel, fontsize=8)
-            set_reach(upper, *_limits(curve, known))
-            for panel in (upper, lower):
-                panel.grid(color=LINE)
-                panel.tick_params(labelsize=8)
-                panel.margins(x=0)
-        below[0].set_ylabel("sailed, min", fontsize=8)
-        above[0].set_title(title, loc="left", fontsize=8.5)
-        handles, labels = above[0].get_legend_handles_labels()
-        figure.legend(handles, labels, ncols=5, fontsize=8, loc="outside lower center")
-        return figure
+    figure = figure_of(9.5, 3.7)
+    above, below = figure.subplots(2, 3, sharex="col", height_ratios=(3, 1))
+    for upper, lower, (name, place, colour, xlabel, ylabel) in zip(above, below, panels, strict=True):
+        curve, where = found.curves[name], found.sailed[place]
+        known = _drawn(upper, curve, where, colour)
+        if points[name][1] is not None:
+            upper.plot(*points[name], marker="x", color=INK, linestyle="", clip_on=False, label="truth")
+        lower.stairs(where.seconds / 60, where.edges, fill=True, color=colour, alpha=0.55)
+        upper.set(ylabel=ylabel, xmargin=0)
+        lower.set(xlabel=xlabel, xmargin=0)
+        set_reach(upper, *_limits(curve, known))
+    below[0].set_ylabel("sailed, min")
+    above[0].set_title(title)
+    handles, labels = above[0].get_legend_handles_labels()
+    figure.legend(handles, labels, ncols=5, loc="outside lower center")
+    return figure
 
 
 def _drawn(panel: Any, curve: Curve, where: Sailed, colour: str) -> np.ndarray:
@@ -283,24 +278,19 @@ def residuals_figure(found: Diagnostics, title: str):
         (cross["mean"], "with the mean command", "error after the command by, s"),
         (cross["difference"], "with the difference, left − right", "error after the command by, s"),
     )
-    with themed() as Figure:
-        figure = Figure(figsize=(9.5, 2.5), layout="constrained")
-        panels = figure.subplots(1, 3, width_ratios=(3, 4, 4))
-        for panel, (lags, name, xlabel) in zip(panels, parts, strict=True):
-            at, values, bounds = (x[np.isfinite(lags.values)] for x in lags)  # a slow sensor has few lags
-            panel.fill_between(at, -bounds, bounds, color=INK, alpha=0.14, linewidth=0)
-            panel.axhline(0.0, color=INK, linewidth=0.8)
-            panel.plot(at, values, color=FITTED, linewidth=1.4)
-            if lags.lags[0] < 0:
-                panel.axvline(0.0, color=INK, linewidth=0.8, linestyle=":")
-            panel.set_title(name, loc="left", fontsize=8.5)
-            panel.set_xlabel(xlabel, fontsize=8)
-            panel.set_ylim(*_correlations(lags))
-            panel.grid(axis="y", color=LINE)
-            panel.tick_params(labelsize=8)
-            panel.margins(x=0)
-        figure.suptitle(title, x=0.01, ha="left", fontsize=8.5)
-        return figure
+    figure = figure_of(9.5, 2.5)
+    panels = figure.subplots(1, 3, width_ratios=(3, 4, 4))
+    for panel, (lags, name, xlabel) in zip(panels, parts, strict=True):
+        at, values, bounds = (x[np.isfinite(lags.values)] for x in lags)  # a slow sensor has few lags
+        panel.fill_between(at, -bounds, bounds, color=INK, alpha=0.14, linewidth=0)
+        panel.axhline(0.0, color=INK, linewidth=0.8)
+        panel.plot(at, values, color=FITTED, linewidth=1.4)
+        if lags.lags[0] < 0:
+            panel.axvline(0.0, color=INK, linewidth=0.8, linestyle=":")
+        panel.set(title=name, xlabel=xlabel, ylim=_correlations(lags), xmargin=0)
+        panel.grid(False, axis="x")
+    figure.suptitle(title, x=0.01, ha="left")
+    return figure
 
 
 def _correlations(lags: Lags) -> tuple[float, float]:
@@ -316,36 +306,30 @@ def worst_figure(courses: Sequence[Course], title: str):
     """The worst minutes, shaded, and what is around them: measured and simulated speed, and below the commands."""
     across = min(ACROSS, len(courses))
     down = -(-len(courses) // across)
-    with themed() as Figure:
-        figure = Figure(figsize=(1.0 + 3.2 * across, 0.5 + 2.7 * down), layout="constrained")
-        panels = figure.subplots(2 * down, across, squeeze=False, height_ratios=(2, 1) * down)
-        for panel in panels.reshape(-1):
-            panel.set_visible(False)
-        for k, each in enumerate(courses):
-            row, column = divmod(k, across)
-            speed, command = panels[2 * row, column], panels[2 * row + 1, column]
-            speed.plot(*_joined(each.time, each.measured), color=INK, linewidth=1.8, label="measured")
-            speed.plot(each.time, each.simulated, color=FITTED, linewidth=1.2, label="simulated")
-            for side, colour in SIDES.items():
-                command.plot(each.time, getattr(each, side), color=colour, linewidth=1.1, label=side)
-            for panel in (speed, command):
-                panel.set_visible(True)
-                panel.axvspan(each.start, each.start + MINUTE, color=INK, alpha=0.1, linewidth=0)
-                panel.grid(color=LINE)
-                panel.tick_params(labelsize=8)
-                known = each.time[np.isfinite(each.time)]
-                panel.set_xlim(*((known.min(), known.max()) if len(known) > 1 else (0.0, 1.0)))
-            speed.tick_params(labelbottom=False)
-            speed.set_title(_short(each.name), loc="left", fontsize=8.5)
-            command.set_xlabel("time in the log, s", fontsize=8)
-            if column == 0:
-                speed.set_ylabel("speed, m/s", fontsize=8)
-                command.set_ylabel("command", fontsize=8)
-        handles, labels = panels[0, 0].get_legend_handles_labels()
-        more, names = panels[1, 0].get_legend_handles_labels()
-        figure.legend([*handles, *more], [*labels, *names], ncols=4, fontsize=8, loc="outside upper right")
-        figure.suptitle(title, x=0.01, ha="left", fontsize=8.5)
-        return figure
+    figure = figure_of(1.0 + 3.2 * across, 0.5 + 2.7 * down)
+    panels = figure.subplots(2 * down, across, squeeze=False, height_ratios=(2, 1) * down)
+    for panel in panels.reshape(-1):
+        panel.set_visible(False)
+    for k, each in enumerate(courses):
+        row, column = divmod(k, across)
+        speed, command = panels[2 * row, column], panels[2 * row + 1, column]
+        speed.plot(*_joined(each.time, each.measured), color=INK, linewidth=1.8, label="measured")
+        speed.plot(each.time, each.simulated, color=FITTED, linewidth=1.2, label="simulated")
+        for side, colour in SIDES.items():
+            command.plot(each.time, getattr(each, side), color=colour, linewidth=1.1, label=side)
+        for panel in (speed, command):
+            panel.set_visible(True)
+            panel.axvspan(each.start, each.start + MINUTE, color=INK, alpha=0.1, linewidth=0)
+            known = each.time[np.isfinite(each.time)]
+            panel.set_xlim(*((known.min(), known.max()) if len(known) > 1 else (0.0, 1.0)))
+        speed.tick_params(labelbottom=False)
+        speed.set(title=_short(each.name), ylabel="" if column else "speed, m/s")
+        command.set(xlabel="time in the log, s", ylabel="" if column else "command")
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    more, names = panels[1, 0].get_legend_handles_labels()
+    figure.legend([*handles, *more], [*labels, *names], ncols=4, loc="outside upper right")
+    figure.suptitle(title, x=0.01, ha="left")
+    return figure
 
 
 def _joined(time: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -12,7 +12,7 @@ from certify.display.figures import equilibria_figure
 from certify.proofs import exact
 from certify.proofs.equilibria import surge_inputs, sweep
 from certify.proofs.rounding import above, below, float_above, float_below
-from usvlearn.display.figures import LINE, guarded, set_reach, themed
+from usvlearn.display.figures import figure_of, guarded, set_reach
 from usvlearn.display.terminal import ResultTable
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.state import EnsembleState
@@ -170,19 +170,16 @@ def rates_figure(hours: Mapping[str, np.ndarray], rates: Mapping[str, np.ndarray
     from matplotlib import colormaps
 
     shades = colormaps["viridis"](np.linspace(0.25, 0.92, max(2, len(hours))))  # hues are reserved for methods
-    with themed() as Figure:
-        figure = Figure(figsize=(6.4, 2.9), layout="constrained")
-        panel = figure.subplots()
-        for (boat, values), shade in zip(rates.items(), shades, strict=False):
-            panel.plot(hours[boat], values, color=shade, linewidth=1.3, marker=".", markersize=3, label=boat)
-        every = np.concatenate(list(rates.values()))
-        low, high = np.nanmin(every, initial=1.0), np.nanmax(every, initial=1.0)
-        room = 0.08 * (high - low) + 1e-3
-        set_reach(panel, low - room, high + room)
-        panel.axhspan(1.0, high + room, color=WORSE, alpha=0.12, linewidth=0)
-        panel.axhline(1.0, color=WORSE, linewidth=1)
-        panel.set_ylabel("contraction rate K, per step")
-        panel.set_xlabel("time on the water, h")
-        panel.grid(color=LINE)
-        figure.legend(*panel.get_legend_handles_labels(), loc="outside upper left", ncols=8, fontsize=8)
-        return figure
+    figure = figure_of(6.4, 2.9)
+    panel = figure.subplots()
+    for (boat, values), shade in zip(rates.items(), shades, strict=False):
+        panel.plot(hours[boat], values, color=shade, linewidth=1.3, marker=".", markersize=3, label=boat)
+    every = np.concatenate(list(rates.values()))
+    low, high = np.nanmin(every, initial=1.0), np.nanmax(every, initial=1.0)
+    room = 0.08 * (high - low) + 1e-3
+    set_reach(panel, low - room, high + room)
+    panel.axhspan(1.0, high + room, color=WORSE, alpha=0.12, linewidth=0)
+    panel.axhline(1.0, color=WORSE, linewidth=1)
+    panel.set(xlabel="time on the water, h", ylabel="contraction rate K, per step")
+    figure.legend(*panel.get_legend_handles_labels(), loc="outside upper left", ncols=8)
+    return figure

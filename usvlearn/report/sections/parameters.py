@@ -16,7 +16,7 @@ import numpy as np
 
 from usvlearn.core.protocol import Estimator
 from usvlearn.core.samples import Inputs, Sample, named_leaves, tree_map
-from usvlearn.display.figures import INK, LINE, colours, guarded, panels_of, themed
+from usvlearn.display.figures import INK, colours, guarded, panels_of
 from usvlearn.display.terminal import Cell, ResultTable
 from usvlearn.engine.identified import sentences
 from usvlearn.engine.online import Online
@@ -121,43 +121,34 @@ def parameters_figure(
 ):
     """A panel per parameter: each method's value over the hours, the band of the noise, and the truth."""
     palette = colours(list(dict.fromkeys(name for row in courses.values() for name in row)))
-    across = min(3, len(courses))
-    down = -(-len(courses) // across)
-    with themed() as Figure:
-        figure = Figure(figsize=(3.1 * across + 0.2, 1.65 * down + 0.8), layout="constrained")
-        panels = panels_of(figure, len(courses), across, sharex=True)
-        for panel, (parameter, row) in zip(panels, courses.items(), strict=True):
-            shown = []
-            for name, (hours, value, deviation) in row.items():
-                panel.plot(hours, value, color=palette[name], linewidth=1.4, label=name)
-                shown.append(value)
-                if deviation is not None:
-                    low, high = value - 1.645 * deviation, value + 1.645 * deviation
-                    label = f"{name}, 90 % of noise alone"
-                    panel.fill_between(hours, low, high, color=palette[name], alpha=0.22, linewidth=0, label=label)
-                    settled = slice(len(value) // 4, None)  # the first bands are those of the prior
-                    shown += [low[settled], high[settled]]
-            if parameter in truth:
-                panel.axhline(truth[parameter], color=INK, linewidth=1.4, linestyle="--", label="truth")
-                shown.append(np.array([truth[parameter]]))
-            known = np.concatenate(shown)
-            known = known[np.isfinite(known)]
-            if len(known):
-                room = 0.08 * (known.max() - known.min()) + 1e-6
-                panel.set_ylim(known.min() - room, known.max() + room)
-            panel.set_title(f"{parameter}, {UNITS.get(parameter, '')}", loc="left", fontsize=8.5)
-            panel.tick_params(labelsize=8)
-        for k, panel in enumerate(panels):
-            panel.grid(color=LINE)
-            if k + across >= len(panels):
-                panel.set_xlabel("time on the water, h")
-                panel.tick_params(labelbottom=True)
-        handles: dict[str, Any] = {}
-        for panel in panels:
-            handles |= {label: handle for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)}
-        figure.legend(handles.values(), handles, loc="outside upper left", ncols=5, fontsize=8, title=title,
-                      title_fontsize=9, alignment="left")  # fmt: skip
-        return figure
+    figure, panels = panels_of(len(courses), 3, (3.1, 1.65), (0.2, 0.8), shared="x")
+    for panel, (parameter, row) in zip(panels, courses.items(), strict=True):
+        shown = []
+        for name, (hours, value, deviation) in row.items():
+            panel.plot(hours, value, color=palette[name], linewidth=1.4, label=name)
+            shown.append(value)
+            if deviation is not None:
+                low, high = value - 1.645 * deviation, value + 1.645 * deviation
+                label = f"{name}, 90 % of noise alone"
+                panel.fill_between(hours, low, high, color=palette[name], alpha=0.22, linewidth=0, label=label)
+                settled = slice(len(value) // 4, None)  # the first bands are those of the prior
+                shown += [low[settled], high[settled]]
+        if parameter in truth:
+            panel.axhline(truth[parameter], color=INK, linewidth=1.4, linestyle="--", label="truth")
+            shown.append(np.array([truth[parameter]]))
+        known = np.concatenate(shown)
+        known = known[np.isfinite(known)]
+        if len(known):
+            room = 0.08 * (known.max() - known.min()) + 1e-6
+            panel.set_ylim(known.min() - room, known.max() + room)
+        panel.set_title(f"{parameter}, {UNITS.get(parameter, '')}")
+    figure.supxlabel("time on the water, h")
+    handles: dict[str, Any] = {}
+    for panel in panels:
+        handles |= {label: handle for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)}
+    figure.legend(handles.values(), handles, loc="outside upper left", ncols=5, title=title,
+                  title_fontsize=9, alignment="left")  # fmt: skip
+    return figure
 
 
 PAPER_RESULT = (

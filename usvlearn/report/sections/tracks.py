@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from usvlearn.display.figures import INK, KNOWN, LINE, OTHERS, guarded, panels_of, themed
+from usvlearn.display.figures import INK, KNOWN, OTHERS, figure_of, guarded, panels_of
 from usvlearn.display.terminal import ResultTable
 from usvlearn.evaluation.horizons import GROUPS
 from usvlearn.evaluation.metrics import mean
@@ -129,27 +129,20 @@ def _caption(boat: str, mission: Mission) -> str:
 @guarded
 def errors_figure(found: Mapping[str, Scores]):
     """Mean position error against the horizon, a panel for each boat."""
-    across = min(ACROSS, len(found))
-    down = -(-len(found) // across)
     known = any(row[key] for table in found.values() for row in table.values() for key in LINES)
-    with themed() as Figure:
-        figure = Figure(figsize=(max(4.6, 2.4 * across), 2.3 * down + 0.8), layout="constrained")
-        panels = panels_of(figure, len(found), across, sharex=True, sharey=True)
-        for panel, (boat, table) in zip(panels, found.items(), strict=False):
-            at = [float(h) for h in table]
-            for key, (name, colour, style) in LINES.items():
-                errors = [np.nan if row[key] is None else max(row[key], 1e-3) for row in table.values()]
-                panel.plot(at, errors, style, color=colour, marker="o", markersize=3, linewidth=1.6, label=name)
-            panel.set(xscale="log", yscale="log" if known else "linear")
-            panel.set_title(boat)
-            panel.grid(color=LINE)
-            panel.set_xticks(at, [f"{h:g}" for h in at])
-            panel.yaxis.set_major_formatter(lambda y, _: f"{y:g}")
-            panel.minorticks_off()
-            panel.set_xlabel("horizon, s", fontsize=8)
-        figure.supylabel("position error, m", fontsize=9, color=INK)
-        figure.legend(*panels[0].get_legend_handles_labels(), ncols=3, loc="outside lower center", fontsize=8)
-        return figure
+    figure, panels = panels_of(len(found), ACROSS, (2.4, 2.3), (0.0, 0.8), least=4.6)
+    for panel, (boat, table) in zip(panels, found.items(), strict=False):
+        at = [float(h) for h in table]
+        for key, (name, colour, style) in LINES.items():
+            errors = [np.nan if row[key] is None else max(row[key], 1e-3) for row in table.values()]
+            panel.plot(at, errors, style, color=colour, marker="o", markersize=3, linewidth=1.6, label=name)
+        panel.set(title=boat, xlabel="horizon, s", xscale="log", yscale="log" if known else "linear")
+        panel.set_xticks(at, [f"{h:g}" for h in at])
+        panel.yaxis.set_major_formatter(lambda y, _: f"{y:g}")
+        panel.minorticks_off()
+    figure.supylabel("position error, m")
+    figure.legend(*panels[0].get_legend_handles_labels(), ncols=3, loc="outside lower center")
+    return figure
 
 
 def chosen(ahead: Sequence[Ahead], count: int = SHOWN) -> list[Ahead]:
@@ -174,30 +167,24 @@ def chosen(ahead: Sequence[Ahead], count: int = SHOWN) -> list[Ahead]:
 def map_figure(mission: Mission, title: str):
     """The way of a boat in one mission, and beside it six tracks with their ellipses, each in a panel of its own."""
     shown = chosen(mission.ahead)
-    with themed() as Figure:
-        figure = Figure(figsize=(11, 5.2), layout="constrained")
-        whole, *panels = figure.subplot_mosaic("wabc;wdef", width_ratios=(1.5, 1, 1, 1)).values()
-        way = mission.position[:: 1 + len(mission.position) // POINTS]
-        whole.plot(way[:, 1], way[:, 0], color=INK, linewidth=0.8)
-        whole.set_aspect("equal", adjustable="datalim")
-        whole.set_title(f"{title}, {mission.run.name}", loc="left", fontsize=8.5)
-        whole.set_xlabel("east, m", fontsize=8)
-        whole.set_ylabel("north, m", fontsize=8)
-        for panel in panels[len(shown) :]:
-            panel.set_visible(False)
-        for k, (panel, each) in enumerate(zip(panels, shown, strict=False)):
-            north, east = mission.position[each.step]
-            whole.plot(east + each.east, north + each.north, color=KNOWN["ensemble"], linewidth=1.6)
-            whole.plot(east, north, color=INK, marker="o", markersize=3)
-            whole.annotate(str(k + 1), (east, north), (4, 4), textcoords="offset points", fontsize=9, weight="bold")
-            draw_track(panel, mission, each)
-            minutes, seconds = divmod(int(mission.run.time[each.step]), 60)
-            panel.set_title(f"{k + 1}: at {minutes}:{seconds:02d}", loc="left", fontsize=8.5)
-        for panel in (whole, *panels):
-            panel.grid(color=LINE)
-            panel.tick_params(labelsize=7.5)
-        figure.legend(*panels[0].get_legend_handles_labels(), ncols=4, loc="outside lower center", fontsize=8)
-        return figure
+    figure = figure_of(11, 5.2)
+    whole, *panels = figure.subplot_mosaic("wabc;wdef", width_ratios=(1.5, 1, 1, 1)).values()
+    way = mission.position[:: 1 + len(mission.position) // POINTS]
+    whole.plot(way[:, 1], way[:, 0], color=INK, linewidth=0.8)
+    whole.set_aspect("equal", adjustable="datalim")
+    whole.set(title=f"{title}, {mission.run.name}", xlabel="east, m", ylabel="north, m")
+    for panel in panels[len(shown) :]:
+        panel.set_visible(False)
+    for k, (panel, each) in enumerate(zip(panels, shown, strict=False)):
+        north, east = mission.position[each.step]
+        whole.plot(east + each.east, north + each.north, color=KNOWN["ensemble"], linewidth=1.6)
+        whole.plot(east, north, color=INK, marker="o", markersize=3)
+        whole.annotate(str(k + 1), (east, north), (4, 4), textcoords="offset points", fontsize=9, weight="bold")
+        draw_track(panel, mission, each)
+        minutes, seconds = divmod(int(mission.run.time[each.step]), 60)
+        panel.set_title(f"{k + 1}: at {minutes}:{seconds:02d}")
+    figure.legend(*panels[0].get_legend_handles_labels(), ncols=4, loc="outside lower center")
+    return figure
 
 
 def draw_track(panel: Any, mission: Mission, each: Ahead) -> None:

@@ -65,10 +65,9 @@ def explore(folder: Path, parameters: Sequence[Hyperparameter], found: Sequence[
 def _picture(parameters: Sequence[Hyperparameter], places: np.ndarray, maes: np.ndarray) -> bytes:
     """A PNG: the least error over each pair of hyperparameters, whatever the others are; of one alone a curve."""
     pairs = list(itertools.combinations(range(len(parameters)), 2))[:MOST_PANELS] or [(0, 0)]
-    with themed() as Figure:
-        across, down = min(ACROSS, len(pairs)), -(-len(pairs) // ACROSS)
-        figure = Figure(figsize=(4.8 * across, 3.8 * down), dpi=90, layout="constrained")
-        for panel, pair in zip(panels_of(figure, len(pairs), across), pairs, strict=True):
+    with themed():
+        figure, panels = panels_of(len(pairs), ACROSS, (4.8, 3.8), shared=False)
+        for panel, pair in zip(panels, pairs, strict=True):
             x, y = places[:, pair].T
             for axis, k in zip((panel.yaxis, panel.xaxis), pair[::-1], strict=True):
                 axis.set_major_formatter(lambda x, _, of=parameters[k]: f"{of.from_scale(x):.3g}")
@@ -82,6 +81,7 @@ def _picture(parameters: Sequence[Hyperparameter], places: np.ndarray, maes: np.
 
                 counts: Any = [min(CELLS, len({*each})) for each in (x, y)]
                 cells, *ends, _ = binned_statistic_2d(x, y, maes, "min", counts)
+                panel.grid(False)
                 image = panel.pcolormesh(*ends, cells.T, cmap="cividis", vmax=np.percentile(maes, WORST))
                 panel.plot(x[maes.argmin()], y[maes.argmin()], "ow", markeredgecolor="black", clip_on=False)
                 figure.colorbar(image, ax=panel, label="MAE, m/s")
