@@ -7,7 +7,7 @@ import pytest
 from tensorboard.backend.event_processing.event_file_loader import EventFileLoader
 
 from tests.support.boards import boards, texts, values
-from usvlearn.display.figures import colours, worst_stretch
+from usvlearn.display.figures import colours, worst_minute
 from usvlearn.display.json_values import finite
 from usvlearn.display.tensorboard import TensorBoardWriter, folder_names
 
@@ -23,7 +23,7 @@ def test_an_estimator_has_one_colour_and_the_next_only_where_two_would_share_it(
 
 
 def test_the_worst_minute_is_found_and_json_has_finite_numbers():
-    assert worst_stretch(np.arange(200.0), np.where(np.arange(200) == 100, 1.0, 0.0)) == slice(40, 101)
+    assert worst_minute(np.arange(200.0), np.where(np.arange(200) == 100, 1.0, 0.0)) == (41, 101)
     assert finite({"a": np.nan, "b": (1.0, np.inf)}) == {"a": None, "b": [1.0, None]}
 
 

@@ -19,7 +19,7 @@ from usvlearn.errors import MissingExtraError, cause_of, printable
 P = ParamSpec("P")
 T = TypeVar("T")
 
-WORST = 60.0  # s, the stretch that is enlarged
+MINUTE, HALF = 60.0, 0.5  # s, what is enlarged; of the known steps of the fullest minute: fewer are not compared
 INK, LINE = "#1f2430", "#c8ccd4"  # text and axes; grids. A report replaces them by the colours of its theme
 SEVEN = {  # the colours of TensorBoard's runs, in its order, and who has them: estimators that are never compared share
     ("persistence",): "#425066", ("aid",): "#12b5cb", ("ensemble",): "#e52592", ("sift_map", "rls"): "#f9ab00",
@@ -140,15 +140,21 @@ def set_reach(panel: Any, low: float, high: float) -> None:
         panel.set_ylim(low, high)
 
 
-def worst_stretch(time: np.ndarray, error: np.ndarray) -> slice:
-    """The steps of the WORST seconds with the largest mean error, of which half are known; all of a shorter run."""
-    sums, counts = (np.append(0.0, np.cumsum(x)) for x in (np.nan_to_num(error), np.isfinite(error)))
-    ends = np.searchsorted(time, time + WORST, side="right")  # of the stretch that begins at each step
-    begins = np.arange(len(time))
-    known = counts[ends] - counts[begins]
-    full = (time + WORST <= time[-1]) & (2 * known > ends - begins) if len(time) else np.array([], bool)
-    if not full.any():
-        return slice(0, len(time))
-    mean = np.where(full, (sums[ends] - sums[begins]) / np.where(known > 0, known, 1.0), -1.0)
+def worst_minute(time: np.ndarray, error: np.ndarray) -> tuple[int, int] | None:
+    """The first step and the end of the minute with the largest mean |error|; all of a mission that is shorter.
+
+    Minutes with less than `HALF` of the known steps of the fullest one are left out; None without a known step.
+    """
+    known = np.isfinite(error)
+    if not known.any():
+        return None
+    sums, counts = (np.append(0.0, np.cumsum(x)) for x in (np.abs(np.nan_to_num(error)), known))
+    begins, ends = np.arange(len(time)), np.searchsorted(time, time + MINUTE - 1e-6)
+    whole = begins == 0 if time[-1] - time[0] < MINUTE else time + MINUTE <= time[-1] + 1e-6
+    number = np.where(whole, counts[ends] - counts[begins], 0)
+    enough = number >= max(HALF * number.max(), 1)
+    if not enough.any():
+        return None
+    mean = np.where(enough, (sums[ends] - sums[begins]) / np.maximum(number, 1), -1.0)
     k = int(mean.argmax())
-    return slice(k, int(ends[k]))
+    return k, int(ends[k])

@@ -5,15 +5,19 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from usvlearn.errors import printable
 
 
-def finite(value: Any) -> Any:
-    """JSON values, in which a number that is not finite becomes None, and text cannot control a terminal."""
+def finite(value: Any, digits: int | None = None) -> Any:
+    """JSON values with so many digits, also of arrays; not finite is None, and no text controls a terminal."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
     if isinstance(value, float):
-        return value if math.isfinite(value) else None
+        return None if not math.isfinite(value) else value if digits is None else float(f"{value:.{digits}g}")
     if isinstance(value, dict):
-        return {str(key): finite(each) for key, each in value.items()}
+        return {str(key): finite(each, digits) for key, each in value.items()}
     if isinstance(value, list | tuple):
-        return [finite(each) for each in value]
+        return [finite(each, digits) for each in value]
     return printable(value) if isinstance(value, str) else value

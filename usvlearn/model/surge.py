@@ -31,18 +31,21 @@ WITHOUT_EVEN, WITH_EVEN = (tuple(name for name in names(even) if name != LAG) fo
 class Tables(NamedTuple):
     """What a batch fit adds to (1), linear between its points; beyond the last one the line goes on."""
 
+    theta: np.ndarray  # (parameters,) all parameters by `terms.NAMES`, per unit mass
     top: float  # m/s
-    thrust: Mapping[str, np.ndarray]  # N, of "left" and "right", at `TABLE_COMMANDS`, 0 at ξ = 0
-    drag: np.ndarray  # N, the force, at speeds of `terms.DRAG_NODES` times `top`; 0 at v = 0, and odd in v
+    mass: float  # kg
 
-    @classmethod
-    def of(cls, theta: np.ndarray, top: float, mass: float) -> Tables:
-        """Those of parameters by `terms.NAMES`, per unit mass."""
-        nodes = mass * theta[terms.PLACE_THRUST : terms.PLACE_DRAG].reshape(2, 2, -1)  # side, sign, node
-        thrust = {
-            side: np.concatenate([0.0 - each[1][::-1], [0.0], each[0]]) for side, each in zip(SIDES, nodes, strict=True)
-        }
-        return cls(top, thrust, mass * theta[terms.PLACE_DRAG : terms.PLACE_LAG])
+    @property
+    def thrust(self) -> dict[str, np.ndarray]:
+        """N, of "left" and "right", at `TABLE_COMMANDS`, 0 at ξ = 0."""
+        nodes = self.mass * self.theta[terms.PLACE_THRUST : terms.PLACE_DRAG].reshape(2, 2, -1)  # side, sign, node
+        return {side: np.concatenate([0.0 - back[::-1], [0.0], ahead])
+                for side, (ahead, back) in zip(SIDES, nodes, strict=True)}  # fmt: skip
+
+    @property
+    def drag(self) -> np.ndarray:
+        """N, the force, at `speeds`; 0 at v = 0, and odd in v."""
+        return self.mass * self.theta[terms.PLACE_DRAG : terms.PLACE_LAG]
 
     @property
     def speeds(self) -> np.ndarray:
@@ -133,20 +136,7 @@ class SurgeModel:
         """
         even = any(theta[terms.AT[name]] for name in terms.EVEN)
         coefficients = {name: mass * float(theta[terms.AT[name]]) for name in (WITH_EVEN if even else WITHOUT_EVEN)}
-        return cls(mass, coefficients, Tables.of(theta, top, mass), float(theta[terms.PLACE_TIME]))
-
-    @property
-    def theta(self) -> np.ndarray:
-        """All parameters of a batch fit per unit mass, by `terms.NAMES`, without a lag, `(parameters,)`."""
-        found = np.zeros(len(terms.NAMES))
-        for name, value in self.coefficients.items():
-            found[terms.AT[name]] = value / self.mass
-        if self.tables is not None:
-            middle = len(terms.THRUST_NODES)
-            nodes = [(each[middle + 1 :], -each[:middle][::-1]) for each in (self.tables.thrust[s] for s in SIDES)]
-            found[terms.PLACE_THRUST : terms.PLACE_DRAG] = np.ravel(nodes) / self.mass
-            found[terms.PLACE_DRAG : terms.PLACE_LAG] = self.tables.drag / self.mass
-        return found
+        return cls(mass, coefficients, Tables(theta, top, mass), float(theta[terms.PLACE_TIME]))
 
     @property
     def even(self) -> bool:
@@ -161,7 +151,7 @@ class SurgeModel:
     @property
     def ahead(self) -> Ahead:
         """Forces per mass and steady speeds of motion straight ahead."""
-        return Ahead(self.per_mass) if self.tables is None else CurvedAhead(self.theta, self.tables.top)
+        return Ahead(self.per_mass) if self.tables is None else CurvedAhead(self.tables.theta, self.tables.top)
 
     def step(self, surge: Any, left: Any, right: Any, yaw_rate: Any, dt: Any) -> np.ndarray:
         """v⁺ of (2); all arguments broadcast.
@@ -205,7 +195,7 @@ class SurgeModel:
             rows[:, place] = array.reshape(-1)
         out = np.empty(len(rows))
         if self.tables is not None:
-            _fitted_steps(self.theta, self.tables.top, rows, chained, np.empty((2, len(terms.NAMES))), out)
+            _fitted_steps(self.tables.theta, self.tables.top, rows, chained, np.empty((2, len(terms.NAMES))), out)
         else:
             mean = np.concatenate([np.zeros(THETA), self.per_mass])  # x of a joint EKF
             _steps(self.even, mean, rows, chained, np.empty_like(mean), out)

@@ -13,14 +13,14 @@ from usvlearn.core.samples import Fleet, Inputs, tree_map
 from usvlearn.display.figures import (
     INK,
     KNOWN,
+    MINUTE,
     SIDES,
-    WORST,
     colours,
     figure_of,
     guarded,
     panels_of,
     set_reach,
-    worst_stretch,
+    worst_minute,
 )
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.monitors.state import THRESHOLD
@@ -56,7 +56,9 @@ def runs_figure(runs: Sequence[Traces], name: str, title: str):
     """Measured and predicted speed of a boat's runs above each other, with their MAE; beside each its worst minute."""
     known = [run.surge[np.isfinite(run.surge)] for run in runs]
     errors = [run.predicted - run.surge for run in runs]
-    parts = [worst_stretch(run.time, np.abs(error)) for run, error in zip(runs, errors, strict=True)]
+    parts = [
+        slice(*(worst_minute(run.time, error) or (0, len(error)))) for run, error in zip(runs, errors, strict=True)
+    ]
     worst = np.concatenate([np.abs(error[part]) for error, part in zip(errors, parts, strict=True)])
     floor = min((float(x.min()) for x in known if len(x)), default=0.0)
     span = max((float(x.max()) for x in known if len(x)), default=0.0) - floor + 0.1  # m/s, between two runs
@@ -70,7 +72,7 @@ def runs_figure(runs: Sequence[Traces], name: str, title: str):
     left.plot(*_rows(runs, measured, whole, span), color=INK, linewidth=1.6, label="measured")
     left.plot(*_rows(runs, predicted, whole, span), color=colour, linewidth=0.9, label=name)
     right.plot(*_rows(runs, errors, parts, scale), color=colour, linewidth=1.0)
-    right.hlines([-k * scale for k in range(len(runs))], 0, WORST, color=INK, linewidth=0.5)
+    right.hlines([-k * scale for k in range(len(runs))], 0, MINUTE, color=INK, linewidth=0.5)
     for k, (run, part) in enumerate(zip(runs, parts, strict=True)):
         if len(run.time[part]):
             ends = run.time[part][[0, -1]]

@@ -16,6 +16,8 @@ import numpy as np
 
 from usvlearn.core.events import NINETY
 from usvlearn.core.prepared_samples import DT, LEFT, MODE, PREDICT, RIGHT, SURGE
+from usvlearn.display.figures import MINUTE, worst_minute
+from usvlearn.display.json_values import finite
 from usvlearn.estimators.joint.excitation_warnings import Quantity
 from usvlearn.estimators.joint.quantities import SIDES
 from usvlearn.estimators.regressors.terms import SURGE as COEFFICIENTS
@@ -27,7 +29,7 @@ from usvlearn.model.fit.motion_kernel import REST
 from usvlearn.model.fit.quantities import CurvedAhead
 from usvlearn.model.fit.terms import PLACE_LAG, PLACE_TIME
 
-MINUTE, AROUND = 60.0, 30.0  # s: the worst stretch of a mission, and what is shown before and after it
+AROUND = 30.0  # s, what is shown before and after a worst minute
 SHOWN = 6  # missions whose worst minutes are kept as courses, those with the largest errors
 EVERY = 0.5  # s, between two steps of a course
 DIGITS = 5  # significant, of what is saved
@@ -39,7 +41,6 @@ TINY = 1e-6  # of the drag at half speed: a smaller force is rounding
 SLOW, LESS = 0.25, 0.5  # time constants of the surge, beyond which thrusters are slow; of their lag, what is too little
 LATE = 0.2  # s: a thrust that follows so late does not begin before its command
 FOLLOW = 1.5  # 99 % bounds, beyond which errors follow a command: with that many lags, some are beyond one by chance
-HALF = 0.5  # of the known steps of the fullest minute: fewer are no minute that is compared
 
 
 class Simulated(NamedTuple):
@@ -78,13 +79,13 @@ def diagnostics(missions: Missions, fit: Fit, mass: float, others: Sequence[Fit]
     }
     rows = [_mission(each, dt) for each in every]
     worst = sorted((k for k in range(len(rows)) if rows[k]["worst"]), key=lambda k: -rows[k]["worst"]["mae"])
-    return _plain({
+    return finite({
         "missions": rows,
         "worst": [_course(every[k], dt, rows[k]["worst"]["start"]) for k in worst[:SHOWN]],
         "autocorrelation": autocorrelation(errors, dt)._asdict(),
         "cross_correlation": {name: cross_correlation(errors, u, dt)._asdict() for name, u in pushes.items()},
         **_curves(every, fit, mass, others, dt),
-    })  # fmt: skip
+    }, DIGITS)  # fmt: skip
 
 
 def doubts(
@@ -146,26 +147,6 @@ def simulated(name: str, rows: np.ndarray, speed: np.ndarray, current: np.ndarra
     return Simulated(
         name, dt * np.arange(len(rows)), np.where(counts, rows[:, SURGE], np.nan), speed, left, right, moves, current
     )
-
-
-def worst_minute(time: np.ndarray, error: np.ndarray) -> tuple[int, int] | None:
-    """The first step and the end of the minute with the largest mean |error|; all of a mission that is shorter.
-
-    Minutes with less than `HALF` of the known steps of the fullest one are left out; None without a known step.
-    """
-    known = np.isfinite(error)
-    if not known.any():
-        return None
-    sums, counts = (np.append(0.0, np.cumsum(x)) for x in (np.abs(np.nan_to_num(error)), known))
-    begins, ends = np.arange(len(time)), np.searchsorted(time, time + MINUTE - 1e-6)
-    whole = begins == 0 if time[-1] - time[0] < MINUTE else time + MINUTE <= time[-1] + 1e-6
-    number = np.where(whole, counts[ends] - counts[begins], 0)
-    enough = number >= max(HALF * number.max(), 1)
-    if not enough.any():
-        return None
-    mean = np.where(enough, (sums[ends] - sums[begins]) / np.maximum(number, 1), -1.0)
-    k = int(mean.argmax())
-    return k, int(ends[k])
 
 
 def _mission(each: Simulated, dt: float) -> dict[str, Any]:
@@ -240,14 +221,3 @@ def band(
 def _seconds(x: np.ndarray, edges: np.ndarray, dt: float) -> dict[str, np.ndarray]:
     """The seconds in each bin; what is beyond the edges counts in the last ones."""
     return {"edges": edges, "seconds": dt * np.histogram(np.clip(x, edges[0], edges[-1]), edges)[0]}
-
-
-def _plain(x: Any) -> Any:
-    """JSON values, with `DIGITS` digits; None for what is no finite number."""
-    if isinstance(x, dict):
-        return {key: _plain(each) for key, each in x.items()}
-    if isinstance(x, list | tuple | np.ndarray):
-        return [_plain(each) for each in x]
-    if isinstance(x, float | np.floating):
-        return float(f"{x:.{DIGITS}g}") if np.isfinite(x) else None
-    return x.item() if isinstance(x, np.generic) else x

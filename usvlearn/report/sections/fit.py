@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from usvlearn.core.samples import tree_map
-from usvlearn.display.figures import INK, SIDES, figure_of, guarded, set_reach
+from usvlearn.display.figures import INK, MINUTE, SIDES, figure_of, guarded, set_reach
 from usvlearn.display.terminal import ResultTable
 from usvlearn.estimators.axis.turning_quantities import MEANING_OF_FIT, OF_FIT
 from usvlearn.estimators.ensemble.layer import Ensemble
@@ -206,7 +206,6 @@ FITTED = "#D55E00"  # the colour of what is simulated with a fit
 ENOUGH = 5.0  # s in a bin or beside it: the boat sailed there
 ACROSS = 3  # worst minutes in a row
 ROOM = 0.6  # of the height of a curve, by which its band may be higher
-MINUTE = 60.0  # s
 
 
 def sailed_at(where: Sailed) -> np.ndarray:
