@@ -2,19 +2,12 @@
 
 import sys
 
-import numpy as np
 import pytest
 
 from tests.support import ROOT
-from tests.support.ardupilot import dataflash, tlog
 from tests.support.commands import python, run
 from usvlearn.__main__ import main
 from usvlearn.cli import warm
-from usvlearn.logs.channels import position_kernel
-from usvlearn.logs.channels.derived_surge import filtered
-from usvlearn.logs.formats.ardupilot import binary_kernel
-from usvlearn.logs.formats.ardupilot.dataflash import DataFlash
-from usvlearn.logs.formats.ardupilot.tlog import Tlog
 
 NODE = """
 from pathlib import Path
@@ -45,39 +38,21 @@ def test_a_run_and_a_node_after_it_compile_nothing(tmp_path):
     assert sorted((tmp_path / "kept").rglob("*.nb*")) == files
 
 
-def test_readers_that_were_warmed_compile_nothing(tmp_path):
-    entries = [binary_kernel.scan_dataflash, binary_kernel.dataflash_stamps, binary_kernel.scan_tlog,
-               binary_kernel.gather, position_kernel.velocities]  # fmt: skip
-    warm._compile_readers()
-    before = [list(each.signatures) for each in entries]
-    assert all(before)
-    for reader, content in ((DataFlash(), dataflash()), (Tlog(), tlog())):
-        path = tmp_path / "log.bin"
-        path.write_bytes(content)
-        assert reader.survey(path)
-    filtered(*np.ones((3, 10)))
-    assert [list(each.signatures) for each in entries] == before
-
-
-@pytest.mark.parametrize("arguments, expected", [
-    ([], (False, False)), (["float32"], (True, False)), (["readers", "float32"], (True, True)),
-])  # fmt: skip
-def test_arguments(arguments, expected, capsys, monkeypatch, tmp_path):
+def test_it_tells_where_the_code_is_kept(capsys, monkeypatch, tmp_path):
     found, kept = [], [tmp_path / "kept", tmp_path / "kept", tmp_path / "temporary" / "usvlearn-0"]
-    monkeypatch.setattr(warm, "warm", lambda *options: found.append(options) or kept[len(found) - 1])
+    monkeypatch.setattr(warm, "warm", lambda live: found.append(live) or kept[len(found) - 1])
     monkeypatch.setattr(warm.tempfile, "gettempdir", lambda: str(tmp_path / "temporary"))
-    monkeypatch.setattr(sys, "argv", ["usvlearn warm", *arguments])
-    assert (warm.main(), warm.warm_live(arguments)) == (0, 0)
-    assert found == [(*expected, False), (*expected, True)]
+    monkeypatch.setattr(sys, "argv", ["usvlearn warm"])
+    assert (warm.main(), warm.warm_live([])) == (0, 0) and found == [False, True]
     assert capsys.readouterr() == (f"usvlearn: everything is compiled; it is kept in {kept[0]}\n" * 2, "")
     assert warm.main() == 0
     assert capsys.readouterr().err.startswith("warning: a restart of the computer empties this folder")
 
 
 @pytest.mark.parametrize("argument, code", [("--help", 0), ("float64", 2)])
-def test_other_arguments(argument, code, capsys, monkeypatch):
+def test_it_takes_no_arguments(argument, code, capsys, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["usvlearn"])
     assert main(["warm", argument]) == code
     said = capsys.readouterr()
-    assert "usage: usvlearn warm [float32] [readers]" in (said.err if code else said.out)
-    assert not code or said.err.startswith("error: found 'float64', expected nothing, float32 or readers")
+    assert "usage: usvlearn warm" in (said.err if code else said.out)
+    assert not code or said.err.startswith("error: found 'float64', expected nothing")

@@ -181,7 +181,7 @@ def test_the_best_set_is_chosen_on_runs_that_it_was_not_saved_in():
 def test_judge_writes_every_section_of_a_simulated_fleet():
     ensemble, seasons = boats(np.random.default_rng(2).uniform(0.8, 1.2, (2, 9)))
     sections, errors = assemble(ensemble, seasons)
-    assert [section.key for section in sections] == ["online", "crossval", "fleet", "parameters", "cost"]
+    assert [section.key for section in sections] == ["online", "crossval", "fleet", "cost"]
     assert "no online predictions" in sections[0].here[0]
     result_table = sections[1].sheets[1]
     rows = {row[0]: dict(zip(result_table.columns, row, strict=True)) for row in result_table.rows if row[1] == "rls"}

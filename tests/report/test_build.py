@@ -20,7 +20,7 @@ from usvlearn.errors import CheckpointError, ConfigError, MissingExtraError
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.report.build import known_quantities, read
 from usvlearn.report.page import check_report_folder, write_report
-from usvlearn.report.sections.parameters import identified_section, parameters_section
+from usvlearn.report.sections.parameters import identified_section
 from usvlearn.runs.saved import configuration, is_sweep, read_seasons, results, run_folders
 
 pytestmark = pytest.mark.thorough  # the set-up of its tests takes long
@@ -47,7 +47,7 @@ def test_every_file_is_there_and_replaced(saved):
              *(f"fit_{kind}_heron{k}" for kind in ("curves", "residuals", "worst") for k in (1, 2))}  # fmt: skip
     assert figures == {f"{name}.svg" for name in names}
     tables = {"online", "online_fleet", "forecast", "crossval", "crossval_fleet", "fleet", "equilibria", "certificates",
-              "identified", "parameters", "cost", "residuals", "tracks", "fit", "fit_sets", "fit_missions"}  # fmt: skip
+              "identified", "cost", "residuals", "tracks", "fit", "fit_sets", "fit_missions"}  # fmt: skip
     assert {path.name for path in (report / "tables").iterdir()} == {f"{name}.csv" for name in tables}
     text = (report / "report.md").read_text()
     assert "The paper found" not in text  # it stands where a study is judged
@@ -264,26 +264,6 @@ def test_runs_of_several_ensembles_are_not_pooled(copy, saved, tmp_path):
     shutil.rmtree(copy / ".hydra"), shutil.rmtree(copy / "below" / ".hydra")
     with pytest.raises(ConfigError, match="runs of several ensembles"):
         is_sweep(copy)
-
-
-def test_no_band_of_parameters_stands_without_its_caveat(saved):
-    """On a recorded boat, which has no truth, and on a simulated one; on the page, in each figure and in the table."""
-    ensemble, seasons = read([saved], tools())
-    for known in ({}, known_quantities(results(saved))):
-        section = parameters_section(seasons, ensemble, known)
-        (caveat,) = (sentence for sentence in section.here if "±" in sentence)
-        for text in (caveat, *(drawn.caption for drawn in section.figures)):
-            assert "noise of the samples" in text and "not the bias of the model" in text
-        assert len(section.figures) == 2
-        for drawn in section.figures:  # also where it is a file of its own
-            labels = {text.get_text() for text in drawn.figure.legends[0].get_texts()}
-            assert labels == {"aid", "dynamic_rls", "dynamic_rls, 90 % of noise alone", *(["truth"] if known else [])}
-        (table,) = section.sheets
-        assert [head for head in table.columns if "±" in head] == ["±, of the noise alone (90 %)"]
-        for boat, parameter, *_, true in table.rows:
-            assert true == known.get(boat, {}).get(parameter) and bool(known) == (true is not None)
-    section = parameters_section(seasons, Ensemble({"aid": ensemble.members["aid"]}), {})
-    assert not any("±" in text or "Band" in text for text in (*section.here, *(d.caption for d in section.figures)))
 
 
 def test_identified_boats_are_drawn_with_their_truth_and_their_sentences(saved):

@@ -11,13 +11,12 @@ from usvlearn.display.figures import attempted, rendered
 from usvlearn.estimators.joint.curves import Curve
 from usvlearn.evaluation.metrics import Autocorrelation
 from usvlearn.report.page import _drawing
-from usvlearn.report.sections import cross, network, parameters, tracks
+from usvlearn.report.sections import cross, network, tracks
 from usvlearn.report.sections import fit as fit_section
 from usvlearn.report.sections.errors import box, boxes_figure, residual_figure
 from usvlearn.report.sections.fit_file import Course as Minute
 from usvlearn.report.sections.fit_file import Curve as FitCurve
 from usvlearn.report.sections.fit_file import Lags, Sailed
-from usvlearn.report.sections.parameters import Course as Season
 from usvlearn.runs.figures import Course, Traces, event_figure, forecast_figure, identified_figure, runs_figure
 
 NAMES = ["a$b$c", "a$\\frac{$_^", "run_{1}^2_$", "艇 №1", "\\", "<&>%", "x" * 300]
@@ -57,7 +56,6 @@ def drawn(kind: str, name: str) -> dict:
     last = float(v[-1]) if count and np.isfinite(v[-1]) else None
     skill = {name: {"persistence": {"2": {"skill": 0.0}}, "ensemble": {"2": {"skill": last}}}}
     errors = {name: {"2": dict.fromkeys(tracks.LINES, last)}}
-    season = Season(np.arange(9.0), series(kind, 9), series(kind, 9))
     found = {"steady_speed_full": SimpleNamespace(value=float(v[-1]) if count else np.nan)}
     course = Course(time, two, v, {name: v}, v, two, two, two)
     pairs = Autocorrelation(series(kind, 9), np.ones(9))
@@ -69,7 +67,6 @@ def drawn(kind: str, name: str) -> dict:
         "boxes": lambda: boxes_figure({name: {name: box(v)}}, {name: name}, name),
         "matrix": lambda: cross.matrix_figure({name: series(kind, 9).reshape(3, 3)}, [name] * 3),
         "certificates": lambda: network.rates_figure({name: time}, {name: v}),
-        "parameters": lambda: parameters.parameters_figure({name: {name: season}}, {}, name),
         "fit curves": lambda: fit_section.curves_figure(fitted, name, {}),
         "fit residuals": lambda: fit_section.residuals_figure(fitted, name),
         "worst": lambda: fit_section.worst_figure([Minute(name, 0.0, time, v, v, v, v)], name),

@@ -18,7 +18,7 @@ from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.state import EnsembleState
 from usvlearn.estimators.joint.periodic_estimates import Identified
 from usvlearn.estimators.planar.layer import Planar
-from usvlearn.estimators.regressors.layer import QuasiStatic, SurgeDynamics
+from usvlearn.estimators.regressors.layer import QuasiStatic
 from usvlearn.estimators.rnn.layer import RNN, element_weights
 from usvlearn.evaluation.metrics import PERSISTENCE, Stretch
 
@@ -58,16 +58,6 @@ def unwrapped(estimator: Any, state: Any = None) -> tuple[Any, Any]:
     while hasattr(estimator, "estimator"):
         estimator, state = estimator.estimator, getattr(state, "inner", state)
     return estimator, state
-
-
-def physical_members(ensemble: Ensemble) -> list[str]:
-    """The members that identify the surge dynamics without further terms."""
-    found = []
-    for name, member in ensemble.members.items():
-        model = getattr(unwrapped(member)[0], "model", None)
-        if isinstance(model, SurgeDynamics) and not model.cubic:
-            found.append(name)
-    return found
 
 
 def remarks(ensemble: Ensemble) -> dict[str, str]:

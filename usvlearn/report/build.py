@@ -32,7 +32,7 @@ from usvlearn.report.sections.fit import fit_section
 from usvlearn.report.sections.fit_file import FOLDER as FIT
 from usvlearn.report.sections.fit_file import SavedFit, saved_fits
 from usvlearn.report.sections.network import network_section
-from usvlearn.report.sections.parameters import cost_section, identified_section, parameters_section
+from usvlearn.report.sections.parameters import cost_section, identified_section
 from usvlearn.report.sections.section import Section
 from usvlearn.report.sections.tracks import tracks_section
 from usvlearn.report.summary import of_one_command, summary, undetermined
@@ -233,7 +233,6 @@ def assemble(
         residual_section(seasons, ensemble),
         cross_section(seasons, errors, beside),
         between,
-        parameters_section(seasons, ensemble, known or {}),
         network_section(seasons, ensemble, errors),
         cost_section(ensemble),
     ]
