@@ -5,6 +5,7 @@ from hydra.utils import instantiate
 from rich.console import Console
 
 from usvlearn import AID, RLS, Ensemble, Persistence, SurgeDynamics
+from usvlearn.composition.configuration import ensemble_of
 from usvlearn.core import checkpoint
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.report.build import Tools
@@ -66,7 +67,7 @@ def assert_same(found, expected) -> None:
 
 
 def tools(trust=None) -> Tools:
-    return Tools(instantiate, align_fleet, Console(quiet=True), trust)
+    return Tools(instantiate, ensemble_of, align_fleet, Console(quiet=True), trust)
 
 
 def forge(folder, change) -> None:

@@ -10,7 +10,7 @@ from usvlearn.cli.fit import fit_on_the_way
 from usvlearn.cli.hydra_command import command
 from usvlearn.cli.sweep import load
 from usvlearn.composition.alignment import CheckedAlignment
-from usvlearn.composition.configuration import instantiate, plain
+from usvlearn.composition.configuration import ensemble_of, instantiate, plain
 from usvlearn.core.unconfirmed import open_questions, unconfirmed
 from usvlearn.display.terminal import Activity, console, show
 from usvlearn.errors import ConfigError  # what needs torch is imported where it is used: --help is quick
@@ -50,7 +50,7 @@ def main(cfg: DictConfig) -> None:
         from usvlearn.runs.saved import is_sweep, questions_of_runs, run_folders
 
         set_threads(1)
-    tools = Tools(instantiate, align_fleet, board, cfg.trust, partial(CheckedAlignment, console=board))
+    tools = Tools(instantiate, ensemble_of, align_fleet, board, cfg.trust, partial(CheckedAlignment, console=board))
     if cfg.study is not None:
         study(cfg, tools)
     elif is_sweep(Path(cfg.runs)):

@@ -13,7 +13,7 @@ import numpy as np
 from rich.console import Console
 
 from usvlearn.core.lock import Lock
-from usvlearn.core.samples import Fleet, speed_limit, tree_map
+from usvlearn.core.samples import Fleet, tree_map
 from usvlearn.core.unconfirmed import Questions, unconfirmed
 from usvlearn.display.terminal import Activity, show
 from usvlearn.engine.rollouts import stack
@@ -47,6 +47,7 @@ class Tools(NamedTuple):
     """Functions that a report needs from the command."""
 
     instantiate: Callable[..., Any]  # makes the object that a configuration node describes
+    ensemble: Callable[[Mapping[str, Any]], Ensemble]  # that a configuration describes
     align: Callable[..., Fleet]  # recordings to a fleet, with the options of `align`
     console: Console
     trust: str | Sequence[str] | None = None  # the user's own modules that saved settings may name
@@ -73,12 +74,7 @@ def _built(folders: Sequence[Path], tools: Tools, data: Any) -> tuple[Ensemble, 
         if each not in sources:  # several folders may have used the same logs
             sources.append(each)
     try:
-        combiners = tools.instantiate(last["combiners"], _convert_="all")
-        forecasts = last.get("forecasts") and tools.instantiate(last["forecasts"])
-        output = str(last["output"]).partition(".")[0] if last.get("output") else None  # older ones named a measure
-        members, knows = tools.instantiate(last["estimators"]), bool(last.get("conditional", False))
-        limit = speed_limit(last["vehicle"]["surge_max"])
-        ensemble = Ensemble(members, combiners, output, surge_max=limit, forecasts=forecasts, conditional=knows)
+        ensemble = tools.ensemble(last)
         with Activity(tools.console):
             fleets = [tools.align(tools.instantiate(each), **last["align"]) for each in sources]
     except (TypeError, AttributeError, KeyError, OverflowError, MemoryError) as error:

@@ -154,23 +154,21 @@ def lacking(boat: str, missions: Sequence[np.ndarray]) -> tuple[str, ...]:
             f"{boat}: found speeds of {slow:.2f} to {fast:.2f} m/s that hardly ever changed, expected a boat that "
             "speeds up and slows down: check the speed channel"
         )
-    found = []
-    if np.std(commands[:, 0] - commands[:, 1]) < APART:
-        found.append(ONE_COMMAND)
-    if not all((commands[:, side] < ASTERN).mean() > SOME for side in range(2)):
-        found.append("The thrusters hardly ever pushed astern: their thrust astern is an assumption.")
-    size = np.abs(commands)
-    if (size > LARGE).any(1).mean() < SOME:
-        most = 100 * float(np.quantile(size.max(1), 1 - SOME))
-        found.append(f"Commands were hardly ever above {most:.0f} %: what is beyond is an extrapolation.")
-    if ((size > SOME) & (size < SMALL)).any(1).mean() < SOME:
-        found.append(f"Commands were hardly ever below {100 * SMALL:.0f} %: a dead band would not show.")
+    size, axes = np.abs(commands), rows[:, [COS, SIN]]
+    most = 100 * float(np.quantile(size.max(1), 1 - SOME))
     bins = np.histogram(size, np.arange(0.0, 1.1, 0.05))[0] > SOME * size.size
-    if (levels := int((np.diff(np.append(0, bins.astype(int))) > 0).sum())) <= 2 and bins.sum() <= 3:
-        found.append(f"Only {levels} levels of the command were used: the thrust between them is an assumption.")
-    axes = rows[:, [COS, SIN]]
-    if np.linalg.eigvalsh(axes.T @ axes / len(axes))[0] < TURNS:
-        found.append(
-            "The boat kept one heading, or its opposite: the current cannot be separated from the boat's own speed."
-        )
-    return tuple(found)
+    levels = int((np.diff(np.append(0, bins.astype(int))) > 0).sum())
+    checks = {
+        ONE_COMMAND: np.std(commands[:, 0] - commands[:, 1]) < APART,
+        "The thrusters hardly ever pushed astern: their thrust astern is an assumption.":
+            not ((commands < ASTERN).mean(0) > SOME).all(),
+        f"Commands were hardly ever above {most:.0f} %: what is beyond is an extrapolation.":
+            (size > LARGE).any(1).mean() < SOME,
+        f"Commands were hardly ever below {100 * SMALL:.0f} %: a dead band would not show.":
+            ((size > SOME) & (size < SMALL)).any(1).mean() < SOME,
+        f"Only {levels} levels of the command were used: the thrust between them is an assumption.":
+            levels <= 2 and bins.sum() <= 3,
+        "The boat kept one heading, or its opposite: the current cannot be separated from the boat's own speed.":
+            np.linalg.eigvalsh(axes.T @ axes / len(axes))[0] < TURNS,
+    }  # fmt: skip
+    return tuple(sentence for sentence, lacks in checks.items() if lacks)

@@ -38,11 +38,9 @@ class Limits:
 
     def __post_init__(self) -> None:
         for name, value, unit in (
-            ("--minutes", self.minutes, "of minutes"),
-            ("--area", self.area, "of m"),
-            ("--segment", self.segment, "of s"),
-            ("--turn-rate", self.turn_rate, "of rad/s"),
-        ):
+            ("--minutes", self.minutes, "of minutes"), ("--area", self.area, "of m"),
+            ("--segment", self.segment, "of s"), ("--turn-rate", self.turn_rate, "of rad/s"),
+        ):  # fmt: skip
             check_positive(name, value, unit)
         for name, value in (("--command-min", self.least), ("--command-max", self.most)):
             if not -1 <= value <= 1:
@@ -52,21 +50,17 @@ class Limits:
                 f"--command-max: found commands from {self.least:g} to {self.most:g}, expected a range of "
                 f"{LEAST_RANGE:g} or more, part of it ahead: thrust and drag show only where the commands change"
             )
-        if self.segment < LEAST_SEGMENT:
-            raise ConfigError(f"--segment: found {self.segment:g}, expected {LEAST_SEGMENT:g} s or more")
-        if self.minutes > MOST_MINUTES:
-            raise ConfigError(f"--minutes: found {self.minutes:g}, expected {MOST_MINUTES:g} at most")
-        if self.segments > MOST_SEGMENTS:
-            raise ConfigError(
-                f"--minutes: found {self.minutes:g}, expected {MOST_SEGMENTS * self.segment / 60:g} or less, which are "
-                f"{MOST_SEGMENTS} segments of {self.segment:g} s: sail a shorter plan, learn from it, and plan again, "
-                "or give a longer --segment"
-            )
-        if self.segments < LEAST_SEGMENTS:
-            raise ConfigError(
-                f"--minutes: found {self.minutes:g}, expected {LEAST_SEGMENTS * self.segment / 60:g} or more, so that "
-                f"there are {LEAST_SEGMENTS} segments of {self.segment:g} s: give more minutes, or a shorter --segment"
-            )
+        low, high = (count * self.segment / 60 for count in (LEAST_SEGMENTS, MOST_SEGMENTS))
+        for wrong, name, value, expected in (
+            (self.segment < LEAST_SEGMENT, "--segment", self.segment, f"{LEAST_SEGMENT:g} s or more"),
+            (self.minutes > MOST_MINUTES, "--minutes", self.minutes, f"{MOST_MINUTES:g} at most"),
+            (self.segments > MOST_SEGMENTS, "--minutes", self.minutes, f"{high:g} or less ({MOST_SEGMENTS} segments): "
+             "sail a shorter plan, learn from it, and plan again, or give a longer --segment"),
+            (self.segments < LEAST_SEGMENTS, "--minutes", self.minutes, f"{low:g} or more ({LEAST_SEGMENTS} segments): "
+             "give more minutes, or a shorter --segment"),
+        ):  # fmt: skip
+            if wrong:
+                raise ConfigError(f"{name}: found {value:g}, expected {expected}")
 
     @property
     def segments(self) -> int:
