@@ -9,7 +9,7 @@ import torch
 from tests.support.seasons import boats
 from usvlearn import AID, ARX, RLS, RNN, Ensemble, JointEKF, Persistence, Robust, SIFtRLS, SurgeDynamics, external
 from usvlearn.display.terminal import ResultTable
-from usvlearn.evaluation.diagnostics import physical_members
+from usvlearn.report.page import html_of
 from usvlearn.report.sections.errors import box, online_section
 from usvlearn.report.sections.parameters import cost_section, course
 from usvlearn.simulate.fleet import fleet_vessels
@@ -48,7 +48,7 @@ def test_online_section_by_hand():
 
 def test_sheets_escape_and_keep_digits():
     result_table = ResultTable("a", ("name", "x, m"), [("<b>", 1 / 3), ("c,d", None)])
-    assert "&lt;b&gt;" in result_table.html() and "<b>" not in result_table.html()
+    assert "&lt;b&gt;" in html_of(result_table) and "<b>" not in html_of(result_table)
     assert result_table.csv() == 'name,"x, m"\n<b>,0.3333333333333333\n"c,d",\n'
 
 

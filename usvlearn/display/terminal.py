@@ -11,7 +11,6 @@ import io
 import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from html import escape
 from typing import Any, NamedTuple
 
 from rich.cells import cell_len
@@ -210,22 +209,14 @@ class ResultTable(NamedTuple):
         """The table with four digits; columns of numbers are right-aligned."""
         lines = [
             "| " + " | ".join(self.columns) + " |",
-            "|" + "|".join("---:" if right else "---" for right in self._numeric()) + "|",
+            "|" + "|".join("---:" if right else "---" for right in self.numeric) + "|",
             *("| " + " | ".join(map(shown, row)) + " |" for row in self.rows),
         ]
         return "\n".join(lines)
 
-    def html(self) -> str:
-        """A `<table>`; four digits."""
-        right = [' class="n"' if each else "" for each in self._numeric()]
-        head = "".join(f"<th{r}>{escape(name)}</th>" for name, r in zip(self.columns, right, strict=True))
-        body = "".join(
-            "<tr>" + "".join(f"<td{r}>{escape(shown(x))}</td>" for x, r in zip(row, right, strict=True)) + "</tr>\n"
-            for row in self.rows
-        )
-        return f"<table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}</tbody>\n</table>"
-
-    def _numeric(self) -> list[bool]:
+    @property
+    def numeric(self) -> list[bool]:
+        """Which columns have numbers."""
         columns = zip(*self.rows, strict=True) if self.rows else [()] * len(self.columns)
         return [any(isinstance(x, int | float) for x in cells) for cells in columns]
 
