@@ -62,8 +62,8 @@ def read_recordings(
         raise ConfigError(f"data.reader: found {reader!r}, expected a reader such as Table or Rosbag")
     if isinstance(path, Mapping):
         if boat is not None or not path:
-            found = f"boat {boat!r} beside a path per boat" if path else "no boat"
-            raise ConfigError(f"data.path: found {found}, expected BOAT: FILE entries that name the boats")
+            text = f"boat {boat!r} beside a path per boat" if path else "no boat"
+            raise ConfigError(f"data.path: found {text}, expected BOAT: FILE entries that name the boats")
         each_of = (read_recordings(each, reader, channels, str(name), boat_column) for name, each in path.items())
         return list(itertools.chain.from_iterable(each_of))
     sources = sources_of(channels)
@@ -109,9 +109,9 @@ def recordings_of(
     """One log as its runs: each jump of its clock begins one. A surge is computed where there is none."""
     read, dropped = _channels(log, reader, sources)
     parts, jumps = segments(read.values())
-    found = [{name: each for name, each in zip(read, part, strict=True) if len(each.time)} for part in parts]
+    complete = [{name: each for name, each in zip(read, part, strict=True) if len(each.time)} for part in parts]
     runs: list[Recording] = []
-    for channels in [each for each in found if _needed(sources).keys() <= each.keys()] or [read]:
+    for channels in [each for each in complete if _needed(sources).keys() <= each.keys()] or [read]:
         lost = {name: dict(causes) for name, causes in dropped.items()} if not runs else {}
         if SURGE not in channels:
             channels[SURGE], lost[SURGE] = derived_surge(str(log), channels)
@@ -137,16 +137,16 @@ def _channels(
     """The channels of a log, without those that only a track needs if one of these is missing."""
     try:
         with reading(file):
-            found = reader.read(file, parts_of(sources))
-        return mixed(sources, *found)
+            contents = reader.read(file, parts_of(sources))
+        return mixed(sources, *contents)
     except LogFormatError as error:
-        own = _needed(sources)
-        if len(own) == len(sources):
+        needed = _needed(sources)
+        if len(needed) == len(sources):
             raise
         with reading(file):
-            found = reader.read(file, parts_of(own))
+            contents = reader.read(file, parts_of(needed))
         warnings.warn(f"no track: {error}", stacklevel=2)
-        return mixed(own, *found)
+        return mixed(needed, *contents)
 
 
 def _needed(sources: Mapping[str, Source | Mix]) -> dict[str, Source | Mix]:
@@ -257,10 +257,10 @@ def _source(channel: str, given: Source | Mix | Mapping | None) -> Source | Mix 
 
 
 def _check_unit(key: str, channel: str, unit: Any) -> None:
-    own = ("1", *OWN_UNITS[channel])
-    if unit not in own:
-        hint = did_you_mean(unit, own) if isinstance(unit, str) else ""
-        raise ConfigError(f"{key}.unit: found {unit!r}, expected one of {', '.join(own)}, where 1 means SI{hint}")
+    legal = ("1", *OWN_UNITS[channel])
+    if unit not in legal:
+        hint = did_you_mean(unit, legal) if isinstance(unit, str) else ""
+        raise ConfigError(f"{key}.unit: found {unit!r}, expected one of {', '.join(legal)}, where 1 means SI{hint}")
 
 
 def _described(channel: str, given: Mapping, key: str) -> Source | Mix | None:

@@ -45,8 +45,8 @@ def align_fleet(recordings: Iterable[Recording], **options) -> Fleet:
         steps = int(aligned.samples.measured.sum())
         if steps < SHORTEST:
             lost = [f"{name} {cause} {n}" for name, causes in aligned.rejected.items() for cause, n in causes.items()]
-            told = ", ".join(lost) or "nothing"
-            short.append(f"{recording.boat}, run {recording.run}: {steps} (rejected: {told})")
+            reasons = ", ".join(lost) or "nothing"
+            short.append(f"{recording.boat}, run {recording.run}: {steps} (rejected: {reasons})")
         else:
             position = track(recording.channels, aligned.time)
             pose = poses(recording.channels, aligned.time, aligned.samples, aligned.came)

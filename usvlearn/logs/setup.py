@@ -100,10 +100,10 @@ class Setup:
 
         A surge that is computed from a pair has the window and the period of the pair's first.
         """
-        found = {name: each.parts[0] if isinstance(each, Mix) else each for name, each in self.channels.items()}
-        if SURGE not in found and (pair := pair_of(found)) is not None:
-            found[SURGE] = found[pair[0]]
-        return {name: found[name] for name in CHANNELS if name in found}
+        sources = {name: each.parts[0] if isinstance(each, Mix) else each for name, each in self.channels.items()}
+        if SURGE not in sources and (pair := pair_of(sources)) is not None:
+            sources[SURGE] = sources[pair[0]]
+        return {name: sources[name] for name in CHANNELS if name in sources}
 
     def aligner(self, **options: Any) -> Aligner:
         """An aligner of live messages, with options in place of those of the setup; ConfigError if one is illegal."""
@@ -145,9 +145,9 @@ def setups_of(settings: Mapping[str, Any], recordings: Iterable[Recording]) -> d
     data, vehicle = settings.get("data") or {}, settings.get("vehicle") or {}
     declared = sources_of(data["channels"]) if data.get("channels") else {}
     reader = (data.get("reader") or {}).get("_target_") if isinstance(data.get("reader"), Mapping) else None
-    found: dict[str, Setup] = {}
+    setups: dict[str, Setup] = {}
     for one in recordings:
-        if one.boat in found:
+        if one.boat in setups:
             continue
         channels = dict(declared) or {name: _own(name, each) for name, each in one.channels.items()}
         for name, each in channels.items():
@@ -155,11 +155,11 @@ def setups_of(settings: Mapping[str, Any], recordings: Iterable[Recording]) -> d
                 channels[name] = settled(each, one.channels.get(SURGE))
         steps = np.diff(one.channels[COMMANDS[0]].time) if COMMANDS[0] in one.channels else np.zeros(0)
         period = float(np.median(steps[steps > 0])) if (steps > 0).any() else None
-        found[one.boat] = Setup(
+        setups[one.boat] = Setup(
             channels, dict(settings.get("align") or {}), vehicle.get("mass"), vehicle.get("surge_max"), reader,
             open_questions(settings), period,
         )  # fmt: skip
-    return found
+    return setups
 
 
 def settled(source: Source, surge: Channel | None) -> Source:

@@ -90,11 +90,11 @@ class Aligner:
     @property
     def rejected(self) -> dict[str, dict[str, int]]:
         """Counts of rejected messages: channel -> cause -> count."""
-        found = {
+        counts = {
             name: {cause: int(n) for cause, n in zip(_compiled().CAUSES, row, strict=True) if n}
             for name, row in zip(CHANNELS, self._memory["rejected"][0], strict=True)
         }
-        return {name: causes for name, causes in found.items() if causes}
+        return {name: causes for name, causes in counts.items() if causes}
 
     @property
     def windows(self) -> dict[str, tuple[float, float]]:

@@ -104,11 +104,11 @@ def feed(settings, memory, times, values, channels, stamps, numbers, flush):
         flush: whether to continue to the newest message, without waiting for late ones.
     """
     settings, memory = settings[0], memory[0]
-    rows, count, told = np.empty((len(stamps) // 4 + 16, COLUMNS)), 0, 0
+    rows, count, finished = np.empty((len(stamps) // 4 + 16, COLUMNS)), 0, 0
     for k in range(len(stamps)):
         channel, time, value = channels[k], stamps[k], numbers[k]
-        if told < count:
-            rows[told:count, COMPLETED], told = k - 1, count
+        if finished < count:
+            rows[finished:count, COMPLETED], finished = k - 1, count
         action = _action(settings, memory, channel, time, value)
         if action == DROP:
             continue
@@ -124,10 +124,10 @@ def feed(settings, memory, times, values, channels, stamps, numbers, flush):
             count += 1
         elif memory.newest > memory.tick + settings.dt + settings.patience:  # false before the first tick, which is NaN
             rows, count = _advance(settings, memory, times, values, memory.newest - settings.patience, rows, count)
-    rows[told:count, COMPLETED], told = len(stamps) - 1, count
+    rows[finished:count, COMPLETED], finished = len(stamps) - 1, count
     if flush:
         rows, count = _advance(settings, memory, times, values, memory.newest, rows, count)
-        rows[told:count, COMPLETED] = len(stamps)
+        rows[finished:count, COMPLETED] = len(stamps)
     return rows[:count]
 
 
@@ -150,20 +150,20 @@ def forget(settings, memory, times, values):
 def ahead(settings, memory, times, values, steps):
     """Inputs of the steps after the last one, `(4, steps)`; see `Aligner.ahead`."""
     settings, memory = settings[0], memory[0]
-    found = np.full((4, steps), np.nan)
+    inputs = np.full((4, steps), np.nan)
     begin, dt = memory.tick, settings.dt
     _open_windows(settings, memory)
     if math.isnan(begin):
-        return found
+        return inputs
     for c in (LEFT, RIGHT):
         if _in_force(settings, memory, times, c):
             known = memory.count[c]
             for k in range(steps):
                 start = begin + k * dt
-                found[c, k] = mean(times[c, :known], values[c, :known], start, start + dt)
+                inputs[c, k] = mean(times[c, :known], values[c, :known], start, start + dt)
     last = memory.count[HEADING] - 1
     if not _in_force(settings, memory, times, HEADING):
-        return found
+        return inputs
     rate = math.nan
     if not settings.logged[YAW_RATE]:
         held = settings.held[HEADING] and memory.newest - times[HEADING, last] > _longest(settings, memory)
@@ -173,9 +173,9 @@ def ahead(settings, memory, times, values, steps):
     heading = values[HEADING, last] + rate * (begin - times[HEADING, last])
     for k in range(steps):
         now = rate * math.exp(-max(k * dt - TURNS, 0.0) / STRAIGHTENS)
-        found[HEADING, k], found[YAW_RATE, k] = heading % TURN, now
+        inputs[HEADING, k], inputs[YAW_RATE, k] = heading % TURN, now
         heading += now * dt
-    return found
+    return inputs
 
 
 @jit(memory=True)

@@ -97,32 +97,32 @@ def listed(value: Any) -> list | None:
 
 def parts_of(sources: Mapping[str, Source | Mix]) -> dict[str, Source]:
     """What a reader is asked for: each source, those of a mix under names such as "command_left[0]"."""
-    found: dict[str, Source] = {}
+    parts: dict[str, Source] = {}
     for name, source in sources.items():
         if isinstance(source, Mix):
-            found |= {f"{name}[{k}]": part for k, part in enumerate(source.parts)}
+            parts |= {f"{name}[{k}]": part for k, part in enumerate(source.parts)}
         else:
-            found[name] = source
-    return found
+            parts[name] = source
+    return parts
 
 
 def mixed(
     sources: Mapping[str, Source | Mix], channels: Mapping[str, Channel], dropped: Mapping[str, dict[str, int]]
 ) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
     """The channels of the sources, and the counts of what was dropped, from those of `parts_of`."""
-    found, counts = {}, {}
+    combined, counts = {}, {}
     for name, source in sources.items():
         if not isinstance(source, Mix):
-            found[name], counts[name] = channels[name], dropped[name]
+            combined[name], counts[name] = channels[name], dropped[name]
             continue
         names = [f"{name}[{k}]" for k in range(len(source.parts))]
-        found[name], alone = mix([channels[each] for each in names], source.weights)
+        combined[name], alone = mix([channels[each] for each in names], source.weights)
         total = {"alone": alone} if alone else {}
         for each in names:
             for cause, count in dropped[each].items():
                 total[cause] = total.get(cause, 0) + count
         counts[name] = total
-    return found, counts
+    return combined, counts
 
 
 def mix(parts: Sequence[Channel], weights: Sequence[float]) -> tuple[Channel, int]:
@@ -139,10 +139,10 @@ def mix(parts: Sequence[Channel], weights: Sequence[float]) -> tuple[Channel, in
     known = np.ones(len(order), dtype=bool)
     begin = 0
     for part, weight in zip(parts, weights, strict=True):
-        own = last[begin : begin + len(part.order)]
-        begin += len(own)
+        indices = last[begin : begin + len(part.order)]
+        begin += len(indices)
         place = np.full(len(order), -1)
-        np.maximum.at(place, own, np.arange(len(own)))
+        np.maximum.at(place, indices, np.arange(len(indices)))
         has = place >= 0
         place = np.maximum.accumulate(place)
         known &= place >= 0

@@ -82,11 +82,11 @@ def window_of(seen, intervals, place):
 def windows_after(times):
     """The window after each message of one channel, s, `(n,)`, of stamps `(n,)`."""
     counted, seen, intervals = np.full(1, -math.inf), np.zeros(1, np.int64), np.zeros((1, RECENT))
-    found = np.empty(len(times))
+    windows = np.empty(len(times))
     for k in range(len(times)):
         follow(counted, seen, intervals, 0, times[k])
-        found[k] = window_of(seen, intervals, 0)
-    return found
+        windows[k] = window_of(seen, intervals, 0)
+    return windows
 
 
 def new_followed(channels: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -167,12 +167,12 @@ def degrees(ddmm: np.ndarray) -> np.ndarray:
 def match_name(pattern: str, available: Iterable[str], where: str) -> str:
     """The only name in `available` that matches `pattern`, but for a leading slash; else a LogFormatError."""
     names = sorted(set(available))
-    found = matching(pattern, names)
-    if len(found) == 1:
-        return found[0]
-    if found:
+    matches = matching(pattern, names)
+    if len(matches) == 1:
+        return matches[0]
+    if matches:
         raise LogFormatError(
-            f"{where}: channel {pattern!r} matches {_listing(found)}: name one of them in data.channels"
+            f"{where}: channel {pattern!r} matches {_listing(matches)}: name one of them in data.channels"
         )
     close = difflib.get_close_matches(pattern, names, n=3, cutoff=0.5)
     hint = f" Did you mean {' or '.join(name[:QUOTED] for name in close)}?" if close else ""
@@ -210,8 +210,8 @@ def as_number(cell: str) -> float:
     try:
         return float(text) if "_" not in text else math.nan
     except ValueError:
-        found = HEMISPHERE.fullmatch(text)
-        return (-1 if found[2] in "SW" else 1) * float(found[1]) if found else math.nan
+        match = HEMISPHERE.fullmatch(text)
+        return (-1 if match[2] in "SW" else 1) * float(match[1]) if match else math.nan
 
 
 def build_channel(

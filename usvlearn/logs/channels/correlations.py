@@ -62,10 +62,10 @@ def in_series(runs: Iterable[Mapping[str, Series]]) -> dict[str, Series]:
     parts: dict[str, list[Series]] = {}
     end = 0.0
     for run in runs:
-        kept = {name: series for name, given in run.items() if len((series := cleaned(given))[0])}
-        first = min((time[0] for time, _ in kept.values()), default=0.0)
-        last = max((time[-1] for time, _ in kept.values()), default=0.0)
-        for name, (time, value) in kept.items():
+        nonempty = {name: series for name, given in run.items() if len((series := cleaned(given))[0])}
+        first = min((time[0] for time, _ in nonempty.values()), default=0.0)
+        last = max((time[-1] for time, _ in nonempty.values()), default=0.0)
+        for name, (time, value) in nonempty.items():
             parts.setdefault(name, []).append((time - first + end, value))
         end += last - first + OUTAGE
     return {name: (np.concatenate([t for t, _ in s]), np.concatenate([v for _, v in s])) for name, s in parts.items()}
@@ -78,8 +78,8 @@ def heading_rate(heading: Series) -> Series:
     """
     time, angle = cleaned(heading)
     turned, passed = np.diff(angle), np.diff(time)
-    kept = (np.abs(turned) <= np.ptp(angle) / 2) & (passed > 0) if len(angle) else passed > 0
-    return (time[:-1] + passed / 2)[kept], turned[kept] / passed[kept]
+    valid = (np.abs(turned) <= np.ptp(angle) / 2) & (passed > 0) if len(angle) else passed > 0
+    return (time[:-1] + passed / 2)[valid], turned[valid] / passed[valid]
 
 
 def rate_slope(
@@ -193,9 +193,9 @@ def relate_sides(
     The relation is that of what is left of both after regression on the other side (partial correlation). A yaw rate
     rises with the left command and falls with the right one; a speed rises with both. All are as of `relate`.
     """
-    found = [relate(side, response, step, lags) for side in (left, right)]
+    relations = [relate(side, response, step, lags) for side in (left, right)]
     best = max(
-        (each.lag for each in found if each.seconds),
+        (each.lag for each in relations if each.seconds),
         key=lambda lag: _fit(left, right, response, lag, step),
         default=0.0,
     )
@@ -254,12 +254,12 @@ def without_sign(left: np.ndarray, right: np.ndarray, speed: np.ndarray) -> np.n
     if float(np.quantile(known, 0.005)) < -SIGNED * fastest or back.mean() > MOSTLY:
         return none
     edges = np.flatnonzero(np.diff(np.concatenate([[False], back, [False]]).astype(np.int8)))
-    found, stretches = none.copy(), 0
+    unsigned, stretches = none.copy(), 0
     for first, last in edges.reshape(-1, 2):
         part = speed[first:last]
         if not np.isfinite(part).any():
             continue
         low = int(np.nanargmin(part))
         if np.nanmax(part[low:]) - part[low] > RISES * fastest and part[low] < 0.5 * fastest:
-            found[first + low : last], stretches = True, stretches + 1
-    return found if stretches >= ENOUGH else none
+            unsigned[first + low : last], stretches = True, stretches + 1
+    return unsigned if stretches >= ENOUGH else none

@@ -87,8 +87,8 @@ def filtered(time: np.ndarray, north: np.ndarray, east: np.ndarray) -> tuple[np.
     """Velocities, m/s, from positions, m, in the order of the log; NaN where they are not sure, and at copies."""
     from usvlearn.logs.channels.position_kernel import velocities  # numba takes a moment to import
 
-    found = velocities(*(np.ascontiguousarray(x, dtype=np.float64) for x in (time, north, east)))
-    return found[0], found[1]
+    velocity = velocities(*(np.ascontiguousarray(x, dtype=np.float64) for x in (time, north, east)))
+    return velocity[0], velocity[1]
 
 
 class LiveSurge:

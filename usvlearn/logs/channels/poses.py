@@ -57,18 +57,18 @@ def poses(
     message with which each step was made; None: all had come. Returns `(n, 5)`, NaN where nothing fresh is known.
     """
     came = np.full(len(time), np.inf) if came is None else came
-    found, begins = np.empty((len(time), 5)), [0, *(np.flatnonzero(np.diff(time) < 0) + 1), len(time)]
+    pose, begins = np.empty((len(time), 5)), [0, *(np.flatnonzero(np.diff(time) < 0) + 1), len(time)]
     for begin, end in pairwise(begins):
         since = float(came[begin]) if begin else -math.inf
-        found[begin:end] = _rising(channels, time[begin:end], came[begin:end], since)
-    way, known = reckoned(time, found[:, 0], np.where(samples.measured, samples.surge, np.nan), found[:, 2])
+        pose[begin:end] = _rising(channels, time[begin:end], came[begin:end], since)
+    way, known = reckoned(time, pose[:, 0], np.where(samples.measured, samples.surge, np.nan), pose[:, 2])
     for begin, end in pairwise(begins):
-        position = found[begin:end, 3:]
+        position = pose[begin:end, 3:]
         fixed = np.flatnonzero(np.isfinite(position[:, 0]))
         first = fixed[0] if len(fixed) else end - begin
         position[first:] += way[begin + first] - position[first] if len(fixed) else 0.0
         position[:first] = np.where(known[begin : begin + first, None], way[begin : begin + first], np.nan)
-    return found
+    return pose
 
 
 def _rising(channels: Mapping[str, Channel], time: np.ndarray, came: np.ndarray, since: float) -> np.ndarray:
@@ -187,8 +187,8 @@ def metres(pair: tuple[str, str], first: np.ndarray, second: np.ndarray) -> np.n
 
 def velocity(way: np.ndarray, step: np.ndarray) -> np.ndarray:
     """The velocities, m/s, `(n, 2)`, from ways between fixes, m, in times, s; 0 where a position jumps or was away."""
-    found = way / np.maximum(step, LATE)[:, None]
-    return np.where((np.hypot(*found.T) < JUMP)[:, None] & (step <= GAP)[:, None], found, 0.0)
+    rates = way / np.maximum(step, LATE)[:, None]
+    return np.where((np.hypot(*rates.T) < JUMP)[:, None] & (step <= GAP)[:, None], rates, 0.0)
 
 
 def over_ground(surge: np.ndarray, sway: np.ndarray, heading: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ SURE = 0.5  # m/s, standard deviation of the speed, above which none is given
 @jit(entry=True, memory=True)
 def velocities(time, north, east):
     """Velocities north and east, `(2, n)`; see `usvlearn.logs.channels.derived_surge.filtered`."""
-    found = np.full((2, len(time)), np.nan)
+    velocity = np.full((2, len(time)), np.nan)
     taken, missed = -math.inf, 0  # time of the last position that was used; outliers in a row
     p, v, last = np.zeros(2), np.zeros(2), np.zeros(2)
     pp, pv, vv = 0.0, 0.0, 0.0  # covariance, equal for both axes
@@ -77,8 +77,8 @@ def velocities(time, north, east):
         recent[0, 2], recent[1, 2], stamps[2] = z0, z1, time[k]
         known = min(known + 1, 3)
         if vv < SURE**2:
-            found[0, k], found[1, k] = v[0], v[1]
-    return found
+            velocity[0, k], velocity[1, k] = v[0], v[1]
+    return velocity
 
 
 @jit

@@ -60,8 +60,8 @@ def speed_on_positions(
         straight = np.abs(_moved(_sum((stamps, np.exp(1j * angle))), edges))
         least = STRAIGHT[0] if (straight > STRAIGHT[0]).sum() > OFTEN * len(straight) else STRAIGHT[1]
         rates.append(rates[0] / np.where(straight > least, straight, np.nan))
-    found = [_ratio(clipped(each), size, step) for each in rates]
-    return max(found, key=lambda each: np.nan_to_num(each.correlation, nan=-1.0))
+    relations = [_ratio(clipped(each), size, step) for each in rates]
+    return max(relations, key=lambda each: np.nan_to_num(each.correlation, nan=-1.0))
 
 
 def _sum(series: Series) -> Series:
@@ -78,13 +78,13 @@ def _moved(series: Series, edges: np.ndarray) -> np.ndarray:
 
 def _ratio(rate: np.ndarray, size: np.ndarray, step: float) -> Relation:
     """The relation, with the median of the ratios as its slope; noise across the way makes a rate greater."""
-    found = relate(rate, size, step, NO_LAG)
+    relation = relate(rate, size, step, NO_LAG)
     known = np.isfinite(rate) & np.isfinite(size)
-    if not found.seconds or not (fast := known & (rate > FAST * np.max(rate[known], initial=0.0))).any():
-        return found
+    if not relation.seconds or not (fast := known & (rate > FAST * np.max(rate[known], initial=0.0))).any():
+        return relation
     rate, size = rate[fast], size[fast]
     noise = 1.48 * np.median(np.abs(rate - size / max(np.median(size / rate), 1e-9)))  # m/s
-    return found._replace(slope=float(np.median(size / np.maximum(rate - noise**2 / rate / 2, rate / 2))))
+    return relation._replace(slope=float(np.median(size / np.maximum(rate - noise**2 / rate / 2, rate / 2))))
 
 
 def position_on_velocity(position: tuple[Series, Series], velocity: tuple[Series, Series], step: float = 5.0) -> Motion:
@@ -114,8 +114,8 @@ def sway_on_positions(north: Series, east: Series, heading: Series, sway: Series
     with np.errstate(invalid="ignore"):
         along /= np.abs(along)
     rate = _plane([bin_rates(north, edges), bin_rates(east, edges)]) * along.conj()
-    across, own = (residual(each, rate.real) for each in (rate.imag, clipped(bin_means(sway, edges))))
-    return relate(across, own, step, NO_LAG)
+    across, measured = (residual(each, rate.real) for each in (rate.imag, clipped(bin_means(sway, edges))))
+    return relate(across, measured, step, NO_LAG)
 
 
 def _plane(parts: list[np.ndarray]) -> np.ndarray:
@@ -137,8 +137,8 @@ class Legs(NamedTuple):
 
 def compass_error(legs: Legs) -> tuple[float, float] | None:
     """What has to be added to a heading, and its standard error, rad; None unless it is surely more than `OFF`."""
-    found = offset(legs, AHEAD)
-    return found if found and abs(found[0]) > max(OFF, SURE * found[1]) and found[1] < EXACT else None
+    error = offset(legs, AHEAD)
+    return error if error and abs(error[0]) > max(OFF, SURE * error[1]) and error[1] < EXACT else None
 
 
 def legs_on(north: Series, east: Series, heading: Series, speed: Series) -> Legs:

@@ -42,13 +42,13 @@ def track(channels: Mapping[str, Channel], time: np.ndarray) -> np.ndarray | Non
     pair = next((pair for pair in (DEGREES, METRES) if all(name in channels for name in pair)), None)
     if pair is None:
         return None
-    found = np.full((len(time), 2), np.nan)
+    positions = np.full((len(time), 2), np.nan)
     parts = []
     for name in pair:
         stamps, first = np.unique(channels[name].time, return_index=True)
         parts.append((stamps, channels[name].value[first]))
     if any(len(stamps) == 0 for stamps, _ in parts):
-        return found
+        return positions
     if pair == DEGREES:
         stamps, *metres = in_metres(*parts)
         parts = [(stamps, each) for each in metres]
@@ -57,6 +57,6 @@ def track(channels: Mapping[str, Channel], time: np.ndarray) -> np.ndarray | Non
         inside = (after > 0) & (after < len(stamps))
         k = np.clip(after, 1, max(1, len(stamps) - 1))
         near = inside & (stamps[k % len(stamps)] - stamps[k - 1] <= GAP)
-        found[near, column] = np.interp(time[near], stamps, value - value[0])
-    found[np.isnan(found).any(1)] = np.nan
-    return found
+        positions[near, column] = np.interp(time[near], stamps, value - value[0])
+    positions[np.isnan(positions).any(1)] = np.nan
+    return positions

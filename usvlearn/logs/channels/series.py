@@ -124,14 +124,14 @@ def _jumps(series: Collection[T]) -> list[tuple[int, float]]:
             ahead = np.median(after) - np.median(before)
             if min(len(before), len(after)) > 2 and (ahead < -JUMP or ahead > AHEAD):
                 spans.append((int(each.order[k]), int(each.order[k + 1]), float(each.time[k] - each.time[k + 1])))
-    found: list[tuple[int, float]] = []
+    jumps: list[tuple[int, float]] = []
     while spans:  # the fewest places that divide all jumps
         end = min(spans, key=lambda span: span[1])
         together = [span for span in spans if span[0] < end[1] <= span[1]]
         if 2 * len(together) > sum(len(each.order) > 0 and each.order[0] < end[1] <= each.order[-1] for each in series):
-            found.append((end[1], end[2]))
+            jumps.append((end[1], end[2]))
         spans = [span for span in spans if span[0] >= end[1]]
-    return found if len(found) <= MOST else []
+    return jumps if len(jumps) <= MOST else []
 
 
 def interleaved(times: Sequence[np.ndarray]) -> list[np.ndarray]:

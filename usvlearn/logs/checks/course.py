@@ -42,11 +42,11 @@ def compass(e: Evidence) -> Iterator[Finding]:
     known = np.isfinite(velocity + thrust + turn + ahead)
     if known.sum() < FEWEST:
         return
-    found = []
+    sizes = []
     for goal, *others in parts:
         fits = jackknife(np.stack([one, *others], 1)[known], goal[known])[:, -2:]
-        found.append((float(np.hypot(*fits[0])), math.sqrt((BLOCKS - 1) * float(fits[1:].var(0).sum()))))
-    (along, error), (across, _) = found
+        sizes.append((float(np.hypot(*fits[0])), math.sqrt((BLOCKS - 1) * float(fits[1:].var(0).sum()))))
+    (along, error), (across, _) = sizes
     if along > max(LEAST, SURE * error) and across < ACROSS * along:
         text = f"a current of {along:.2f} m/s along the heading, and {across:.2f} m/s across it: it may be a course"
         expected = "as much across a compass's heading, unless the position is computed from it"
@@ -64,11 +64,11 @@ def compass(e: Evidence) -> Iterator[Finding]:
 
 def compass_of_runs(e: Evidence) -> Iterator[Finding]:
     """A heading whose error is not the same in all logs, or in all thirds of one of them."""
-    each = {own.recordings[0].run: _legs(own)[1] for own in e.alone or [e] if own.sense != -1}
-    told = {run: off for run, legs in each.items() if (off := offset(legs, WHOLE))}
-    far = {off: sum(_apart(off, other) for other in told.values()) for off in told.values()}
+    each = {log.recordings[0].run: _legs(log)[1] for log in e.alone or [e] if log.sense != -1}
+    offsets = {run: off for run, legs in each.items() if (off := offset(legs, WHOLE))}
+    far = {off: sum(_apart(off, other) for other in offsets.values()) for off in offsets.values()}
     usual = min(far, key=lambda off: (far[off], abs(off[0])), default=(0.0, 0.0))
-    odd = [f"{round(math.degrees(-off[0])):+d}° off in {run}" for run, off in told.items() if _differ(off, usual)]
+    odd = [f"{round(math.degrees(-off[0])):+d}° off in {run}" for run, off in offsets.items() if _differ(off, usual)]
     if odd:
         text = f"a heading that is {', '.join(odd)}, and {round(math.degrees(-usual[0])):+d}° off in other logs"
         expected = "one error in all logs: read those by a configuration with a heading.zero of their own"

@@ -72,11 +72,11 @@ def check_data(
     boats: dict[str, list[Recording]] = {}
     for one in recordings:
         boats.setdefault(one.boat, []).append(one)
-    evidence = [Evidence(boat, own, fleet, align, surge_max, channels or {}, horizons) for boat, own in boats.items()]
-    found = [finding for each in evidence for check in CHECKS for finding in check(each)]
-    causes = {(each.boat, kind) for each in found for kind in CONSEQUENCES.get(each.kind, ())}
-    own = [each for each in dict.fromkeys(found) if (each.boat, each.kind) not in causes]
-    return sorted(own, key=lambda each: each.severity != WARNING)
+    evidence = [Evidence(boat, logs, fleet, align, surge_max, channels or {}, horizons) for boat, logs in boats.items()]
+    findings = [finding for each in evidence for check in CHECKS for finding in check(each)]
+    causes = {(each.boat, kind) for each in findings for kind in CONSEQUENCES.get(each.kind, ())}
+    remaining = [each for each in dict.fromkeys(findings) if (each.boat, each.kind) not in causes]
+    return sorted(remaining, key=lambda each: each.severity != WARNING)
 
 
 def refuse(findings: Sequence[Finding]) -> None:

@@ -32,13 +32,13 @@ LIMITS = {SURGE: "surge_max", "yaw_rate": "yaw_rate_max", **dict.fromkeys(COMMAN
 
 def _rejected(e: Evidence) -> dict[str, Counter]:
     """Counts by channel and cause, those of the readers among them."""
-    found: dict[str, Counter] = {}
+    counts: dict[str, Counter] = {}
     if e.fleet is not None:
         return {name: Counter(causes) for name, causes in e.fleet.rejected.get(e.boat, {}).items()}
     for one in e.recordings:
         for name, causes in one.dropped.items():
-            found.setdefault(name, Counter()).update(causes)
-    return found
+            counts.setdefault(name, Counter()).update(causes)
+    return counts
 
 
 def rejected(e: Evidence) -> Iterator[Finding]:

@@ -98,8 +98,8 @@ class Evidence:
         """The run in which a time of `series` lies, and the seconds since its first value."""
         began, run = 0.0, ""
         for one in self.recordings:
-            own = in_series([_series_of(one.channels)])
-            lasted = max((each[-1] for each, _ in own.values()), default=0.0)
+            series = in_series([_series_of(one.channels)])
+            lasted = max((each[-1] for each, _ in series.values()), default=0.0)
             run = one.run
             if time <= began + lasted:
                 break
@@ -113,8 +113,8 @@ class Evidence:
 
     def means(self, name: str) -> np.ndarray:
         """Means of a channel, `(bins,)`; commands are held between their messages."""
-        found = bin_means(self.series[name], self.edges, held=name in COMMANDS)
-        return clipped(found) if name == SURGE else found
+        means = bin_means(self.series[name], self.edges, held=name in COMMANDS)
+        return clipped(means) if name == SURGE else means
 
     @cached_property
     def commands(self) -> tuple[np.ndarray, np.ndarray]:
@@ -245,9 +245,9 @@ class Evidence:
     @property
     def sense(self) -> float | None:
         """1 if the heading turns with the course, -1 if against it, None where that is not known."""
-        found = self.course
-        clear = found.seconds >= LONG_ENOUGH and found.concentration > 0.8 and found.rival < 0.6
-        return found.sign if clear else None
+        course = self.course
+        clear = course.seconds >= LONG_ENOUGH and course.concentration > 0.8 and course.rival < 0.6
+        return course.sign if clear else None
 
     def sides(self, part: slice = slice(None)) -> tuple[tuple[Relation, Relation], tuple[Relation, Relation]]:
         """The turn, and the speed, against the command of each side, over some of the bins."""
@@ -291,10 +291,10 @@ def mirrored(unit: str) -> str:
 
 def _series_of(channels: Mapping[str, Channel]) -> dict[str, Series]:
     """The channels of a run as pairs of time and value."""
-    found = {name: (each.time + each.delay, each.value) for name, each in channels.items()}
-    if all(name in found for name in DEGREES):
-        latitude, longitude = (cleaned(found[name]) for name in DEGREES)
+    series = {name: (each.time + each.delay, each.value) for name, each in channels.items()}
+    if all(name in series for name in DEGREES):
+        latitude, longitude = (cleaned(series[name]) for name in DEGREES)
         if len(latitude[0]) and len(longitude[0]):
             time, *metres = in_metres(latitude, longitude)
-            found |= {name: (time, each) for name, each in zip(METRES, metres, strict=True)}
-    return found
+            series |= {name: (time, each) for name, each in zip(METRES, metres, strict=True)}
+    return series

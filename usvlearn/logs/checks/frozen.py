@@ -51,21 +51,21 @@ def frozen(e: Evidence) -> Iterator[Finding]:
     for name, witness in WITNESSES.items():
         if name not in e.series or not len(e.edges):
             continue
-        found = []
+        cases = []
         for first, last, value in zip(*stretches(e.series[name]), strict=True):
             begin, end = np.searchsorted(e.edges, (first, last))
             part = slice(int(begin), int(end) - 1)
             if part.stop - part.start >= LONGEST / STEP / 2 and (why := witness(e, name, float(value), part)):
-                found.append((float(last - first), float(first), float(value), why))
-        if not found:
+                cases.append((float(last - first), float(first), float(value), why))
+        if not cases:
             continue
-        lasted, first, value, why = max(found)
+        lasted, first, value, why = max(cases)
         run, began = e.place(first)
-        share = sum(each[0] for each in found) / max(STEP * np.isfinite(e.means(name)).sum(), lasted)
+        share = sum(each[0] for each in cases) / max(STEP * np.isfinite(e.means(name)).sum(), lasted)
         number = f"{math.degrees(value):.4g}°" if name == "heading" else f"{value:.4g}" + " m" * (name in METRES)
         about = dict(zip(METRES, e.places, strict=True)).get(name, name)
         text = f"{number} from {began:.0f} to {began + lasted:.0f} s of {run} ({share:.0%} of the time) while {why}"
-        also = f", one of {len(found)} such stretches" if len(found) > 1 else ""
+        also = f", one of {len(cases)} such stretches" if len(cases) > 1 else ""
         yield Finding(e.boat, about, "frozen", text + also, see("a value that changes", about), without(e, about))
 
 
@@ -74,9 +74,9 @@ def _speed(e: Evidence, name: str, value: float, part: slice) -> str | None:
     rate = np.hypot(*_moves(e, part))
     if _range(rate) > least or (value == 0 and _middle(rate) > least):
         return f"the rate of position reaches {np.nanmax(rate):.2g} m/s"
-    found, demanded = e.thrust_on_speed, _range(_smooth(e.thrust[part]))
-    follows = found.correlation > FOLLOWS and found.certainty > CERTAIN
-    if value != 0 and follows and found.slope * demanded > least:
+    relation, demanded = e.thrust_on_speed, _range(_smooth(e.thrust[part]))
+    follows = relation.correlation > FOLLOWS and relation.certainty > CERTAIN
+    if value != 0 and follows and relation.slope * demanded > least:
         return f"the commands change by {demanded:.2g}"
     return None
 
@@ -92,9 +92,9 @@ def _heading(e: Evidence, name: str, value: float, part: slice) -> str | None:
     moving = np.hypot(*moves) > MOVING * min(e.surge_max, e.fastest)
     if moving.sum() > LONGEST and abs(np.mean(np.exp(1j * np.arctan2(east, north)[moving]))) < ONE_WAY:
         return "the course over ground changes"
-    found = e.turns
-    if abs(found.correlation) > FOLLOWS and abs(found.certainty) > CERTAIN:
-        demanded = _turned(found.slope * (e.commands[0] - e.commands[1])[part])
+    turns = e.turns
+    if abs(turns.correlation) > FOLLOWS and abs(turns.certainty) > CERTAIN:
+        demanded = _turned(turns.slope * (e.commands[0] - e.commands[1])[part])
         if demanded > TURNED:
             return f"the commands demand turns by {math.degrees(demanded):.0f}°"
     return None
@@ -106,8 +106,8 @@ def _yaw_rate(e: Evidence, name: str, value: float, part: slice) -> str | None:
 
 
 def _command(e: Evidence, name: str, value: float, part: slice) -> str | None:
-    own, other = e.commands[::-1] if name == COMMANDS[1] else e.commands
-    low, high = (float(each) for each in np.nanquantile(own, [0.005, 0.995]))
+    command, other = e.commands[::-1] if name == COMMANDS[1] else e.commands
+    low, high = (float(each) for each in np.nanquantile(command, [0.005, 0.995]))
     inside = low + EDGE * (high - low) < value < high - EDGE * (high - low)
     if not inside or _range(other[part]) < USED or (part.stop - part.start) * STEP < 2 * LONGEST:
         return None

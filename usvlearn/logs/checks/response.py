@@ -92,14 +92,14 @@ def responses(e: Evidence) -> list[Response]:
     places = {delay: slice(before - round(delay / STEP), before - round(delay / STEP) + size) for delay in DELAYS}
     forces, unknown = {delay: terms[:, place] for delay, place in places.items()}, ~np.isfinite(terms.sum(0))
     driven = ~np.any([unknown[place] for place in places.values()], axis=0)
-    found = []
+    collected = []
     for value in (speed, turn):
         at = np.full(bins + 1, np.nan)  # at the edges
         at[1:-1] = (value[:-1] + value[1:]) / 2
         change = at[OVER:] - at[:-OVER]
         motion = _means(value, value * np.abs(value), np.abs(turn) * value, np.ones(bins))
-        found.append(Response(change, motion, forces, driven & np.isfinite(change + motion.sum(0))))
-    return found
+        collected.append(Response(change, motion, forces, driven & np.isfinite(change + motion.sum(0))))
+    return collected
 
 
 def best_delay(response: Response, within: tuple[float, float] = (0.0, 1.0)) -> Fit | None:
@@ -139,15 +139,15 @@ def _means(*values: np.ndarray) -> np.ndarray:
 
 def implausible_lag(e: Evidence) -> float | None:
     """The lag of the speed if no boat can have it, s."""
-    found, near = e.searched, e.thrust_on_speed
-    if not found.seconds or PLAUSIBLE[0] <= found.lag <= PLAUSIBLE[1] or found.correlation < FOUND:
+    searched, near = e.searched, e.thrust_on_speed
+    if not searched.seconds or PLAUSIBLE[0] <= searched.lag <= PLAUSIBLE[1] or searched.correlation < FOUND:
         return None
-    return found.lag if found.correlation > max(near.correlation, 0) + BETTER else None
+    return searched.lag if searched.correlation > max(near.correlation, 0) + BETTER else None
 
 
 def delays(e: Evidence) -> Iterator[Finding]:
     """Delays of all logs together, of the thirds of the longest one, and of one log that has another."""
-    whole, each = responses(e), [responses(own) for own in e.alone]
+    whole, each = responses(e), [responses(log) for log in e.alone]
     yield from _delay(e, whole)
     if whole:
         yield from _apart(e, whole[1])
@@ -158,17 +158,17 @@ def delays(e: Evidence) -> Iterator[Finding]:
 
 def _delay(e: Evidence, whole: Sequence[Response]) -> Iterator[Finding]:
     """A speed or a turn that follows the commands too late, before them, or not at all."""
-    found, turn = [best_delay(each) for each in whole] or (None, None)
+    speed, turn = [best_delay(each) for each in whole] or (None, None)
     lag = implausible_lag(e)
     given = float(max((each.delay for each in e.logs(COMMANDS[0])), default=0.0))
-    turned, exact = (each.clear if each else 0 for each in (turn, found))
-    late = LATE - bool(found and found.delay < LATE - 1)  # s, of a turn: less where the speed is not late, too
-    shift = exact or lag or (found.delay if found else 0)
-    if lag is not None or (found and _is_told(found, given)):
+    turned, exact = (each.clear if each else 0 for each in (turn, speed))
+    late = LATE - bool(speed and speed.delay < LATE - 1)  # s, of a turn: less where the speed is not late, too
+    shift = exact or lag or (speed.delay if speed else 0)
+    if lag is not None or (speed and _is_told(speed, given)):
         text = f"speeds {_side(shift)} the commands (r = {e.searched.correlation:.2f})"
         limits = f"{PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g} s behind them"
-        if lag is None and found:
-            text = f"changes of speed that fit commands {_side(shift)} best (squares × {found.ratio:.2f})"
+        if lag is None and speed:
+            text = f"changes of speed that fit commands {_side(shift)} best (squares × {speed.ratio:.2f})"
             limits = f"0 to {LATE} s behind"
         right = float(round(max(0.0, given + shift)))
         fix = " ".join(override(name, {"delay": right}) for name in COMMANDS) if given != right <= LONGEST else ""
@@ -188,20 +188,20 @@ def _delay(e: Evidence, whole: Sequence[Response]) -> Iterator[Finding]:
 
 def _drift(boat: str, longest: Sequence[Response]) -> Iterator[Finding]:
     """A delay that grows or falls from third to third of a log: the clock of one table runs faster."""
-    told = {}
+    drifting = {}
     for name, response in zip(("speed", "heading"), longest, strict=False):
         fits = [best_delay(response, (k / 3, (k + 1) / 3)) for k in range(3)]
         known = [each for each in fits if each and each.explained >= DRIFTING[0]]
         lags = [each.delay for each in known]
         sure = any(each.ratio <= DRIFTING[1] and each.certainty > 2 for each in known)
         if len(lags) == 3 and sure and abs(lags[2] - lags[0]) >= LATE and lags[1] == sorted(lags)[1]:
-            told[name] = lags
-    if told:
-        lags = next(iter(told.values()))
-        text = f"changes of {' and '.join(told)} {', then '.join(f'{each} s' for each in lags)} behind the commands"
+            drifting[name] = lags
+    if drifting:
+        lags = next(iter(drifting.values()))
+        text = f"changes of {' and '.join(drifting)} {', then '.join(f'{each} s' for each in lags)} behind the commands"
         side = "faster" if lags[2] > lags[0] else "slower"
         expected = f"one delay in all thirds of the log: its clock runs {side} than that of the commands: correct one"
-        yield Finding(boat, "commands, heading" if "speed" not in told else PAIR, "clock drift", text, expected)
+        yield Finding(boat, "commands, heading" if "speed" not in drifting else PAIR, "clock drift", text, expected)
 
 
 def _apart(e: Evidence, turn: Response) -> Iterator[Finding]:
@@ -228,8 +228,8 @@ def _apart(e: Evidence, turn: Response) -> Iterator[Finding]:
 def _of_runs(e: Evidence, each: Sequence[Sequence[Response]]) -> Iterator[Finding]:
     """A delay in some logs that is another one than in the others: their clocks differ."""
     both = [
-        (own.recordings[0].run, best_delay(response[0]))
-        for own, response in zip(e.alone, each, strict=True)
+        (log.recordings[0].run, best_delay(response[0]))
+        for log, response in zip(e.alone, each, strict=True)
         if response
     ]
     fits = {run: fit for run, fit in both if fit and fit.explained >= CLEAR[1]}
@@ -245,13 +245,13 @@ def _of_runs(e: Evidence, each: Sequence[Sequence[Response]]) -> Iterator[Findin
         yield Finding(e.boat, PAIR, "delay of runs", text, f"one delay in all logs: {CLOCKS} there")
 
 
-def _is_told(found: Fit, given: float) -> bool:
+def _is_told(fit: Fit, given: float) -> bool:
     """Whether a delay beyond the configured one, s, is surely one that no boat has."""
-    if found.delay in (DELAYS[0], DELAYS[-1]) or found.clear < 0 or found.clear >= FAR:
-        return found.delay not in (DELAYS[0], DELAYS[-1])
-    sure = any(found.certainty >= certain and found.ratio <= ratio for certain, ratio in SURE)
-    early = found.delay <= EARLY and (given > 0 or found.delay <= -FAR)
-    return sure and found.explained >= EXPLAINED and found.bins >= ENOUGH and (found.delay >= LATE or early)
+    if fit.delay in (DELAYS[0], DELAYS[-1]) or fit.clear < 0 or fit.clear >= FAR:
+        return fit.delay not in (DELAYS[0], DELAYS[-1])
+    sure = any(fit.certainty >= certain and fit.ratio <= ratio for certain, ratio in SURE)
+    early = fit.delay <= EARLY and (given > 0 or fit.delay <= -FAR)
+    return sure and fit.explained >= EXPLAINED and fit.bins >= ENOUGH and (fit.delay >= LATE or early)
 
 
 def _side(shift: float) -> str:

@@ -47,8 +47,8 @@ def zeros(e: Evidence) -> Iterator[Finding]:
     for name in ("heading", SURGE):
         value = e.values.get(name, np.empty(0))
         if len(value) and np.ptp(value) == 0:
-            found = f"{value[0]:g} in all of its {len(value)} values"
-            yield Finding(e.boat, name, "constant", found, see("a measured value", name), without(e, name))
+            text = f"{value[0]:g} in all of its {len(value)} values"
+            yield Finding(e.boat, name, "constant", text, see("a measured value", name), without(e, name))
 
 
 def rest(e: Evidence) -> Iterator[Finding]:
@@ -107,18 +107,18 @@ def sign(e: Evidence) -> Iterator[Finding]:
 
 def runs(e: Evidence) -> Iterator[Finding]:
     """Logs whose commands, or whose speeds, are in another unit than those of the others."""
-    moved = [own for own in e.alone if own.fastest > RESTING and own.has_position == e.has_position]
-    fastest = [own.fastest for own in moved]
-    commands = [np.abs(np.concatenate([own.values[name] for name in COMMANDS])) for own in moved]
+    moved = [log for log in e.alone if log.fastest > RESTING and log.has_position == e.has_position]
+    fastest = [log.fastest for log in moved]
+    commands = [np.abs(np.concatenate([log.values[name] for name in COMMANDS])) for log in moved]
     sizes = [float(np.quantile(each, 0.995)) if len(each) else 0.0 for each in commands]
     expected = "logs of one boat in one unit: read these by a configuration of their own, or as another boat"
     text, driven, faster = _odd(moved, sizes, fastest)
     if (driven > math.log(OTHER) or abs(driven - math.log(BYTES)) < 0.02) and abs(faster) < driven / 2:
         yield Finding(e.boat, ", ".join(COMMANDS), "commands of runs", text, expected)
-    found = [own.thrust_on_speed for own in moved]
+    relations = [log.thrust_on_speed for log in moved]
     if e.has_position:
-        found = [speed_on_positions(own.series["north"], own.series["east"], own.size) for own in moved]
-    slopes = [each.slope if each.correlation > 0.5 and each.seconds > TELLING else 0.0 for each in found]
+        relations = [speed_on_positions(log.series["north"], log.series["east"], log.size) for log in moved]
+    slopes = [each.slope if each.correlation > 0.5 and each.seconds > TELLING else 0.0 for each in relations]
     text, ratio, faster, driven = _odd(moved, slopes, fastest, sizes)
     known = e.speeds and any(abs(abs(math.log(x)) - (ratio + faster) / 2) < 0.1 for x in _other_units(e).values())
     known = known and abs(faster - ratio) < math.log(SAME) and abs(driven) < math.log(ALIKE)
@@ -240,17 +240,17 @@ def heading_unit(e: Evidence) -> Iterator[Finding]:
 
 def heading_sense(e: Evidence) -> Iterator[Finding]:
     """The heading against the course over ground: sense, and an offset that no current makes."""
-    found = e.course
+    course = e.course
     if e.sense == -1 and not (e.has_position and heading_is_right(e)):
-        text = f"a heading that turns against the course (mean vector {found.concentration:.2f})"
+        text = f"a heading that turns against the course (mean vector {course.concentration:.2f})"
         fix = override("heading", {"unit": mirrored(angular(e, "heading"))})
-        if not e.turns.correlation < -0.3 and (other := mirror_fix(e, found.offset, e.places)):
+        if not e.turns.correlation < -0.3 and (other := mirror_fix(e, course.offset, e.places)):
             fix = f"{fix} or {other}"
-        yield Finding(e.boat, "heading", "heading sense", text, f"with it ({found.rival:.2f})", fix)
-    elif e.sense == 1 and abs(found.offset) > TURNED_AWAY:
-        zero = e.settings("heading")["zero"] - found.offset / e.factor("heading")
-        text = f"a course {math.degrees(found.offset):+.0f}° from the heading"
-        other = half_turn_fix(e, found.offset)
+        yield Finding(e.boat, "heading", "heading sense", text, f"with it ({course.rival:.2f})", fix)
+    elif e.sense == 1 and abs(course.offset) > TURNED_AWAY:
+        zero = e.settings("heading")["zero"] - course.offset / e.factor("heading")
+        text = f"a course {math.degrees(course.offset):+.0f}° from the heading"
+        other = half_turn_fix(e, course.offset)
         fix = " or ".join(filter(None, [override("heading", {"zero": float(zero)}), other]))
         yield Finding(e.boat, "heading", "heading offset", text, f"within {math.degrees(TURNED_AWAY):.0f}°", fix)
     elif e.sense != -1 and e.has_position and (off := compass_error(legs_on(*(e.series[name] for name in MOVED)))):
@@ -264,26 +264,26 @@ def yaw_rate(e: Evidence) -> Iterator[Finding]:
     """The logged yaw rate against the derivative of the heading: unit, sense, delay."""
     if "yaw_rate" not in e.series or next(heading_unit(e), None):
         return
-    found, unit = rate_slope(e.series["heading"], e.series["yaw_rate"], (-5.0, 5.0)), angular(e, "yaw_rate")
-    if not found.seconds:
+    relation, unit = rate_slope(e.series["heading"], e.series["yaw_rate"], (-5.0, 5.0)), angular(e, "yaw_rate")
+    if not relation.seconds:
         return
     pair, expected = "heading, yaw_rate", "the rate of the heading"
-    slope, without = abs(found.slope), override("yaw_rate", {"name": None})
-    if abs(found.correlation) < 0.3:
-        if found.seconds > 60 and spread(e.turn) > TURNED:
-            text = f"no relation to the turns of the heading (r = {found.correlation:.2f})"
+    slope, without = abs(relation.slope), override("yaw_rate", {"name": None})
+    if abs(relation.correlation) < 0.3:
+        if relation.seconds > 60 and spread(e.turn) > TURNED:
+            text = f"no relation to the turns of the heading (r = {relation.correlation:.2f})"
             yield Finding(e.boat, pair, "yaw rate", text, expected, without)
         return
-    if abs(found.certainty) < SURE:
+    if abs(relation.certainty) < SURE:
         return
-    if found.slope < 0:
-        text = f"{found.slope:.2g} times the rate of the heading (r = {found.correlation:.2f})"
+    if relation.slope < 0:
+        text = f"{relation.slope:.2g} times the rate of the heading (r = {relation.correlation:.2f})"
         turned = e.turns.correlation
         wrong = "heading" if turned < -0.3 and abs(e.turns.certainty) > SURE else "yaw_rate"
         yield Finding(e.boat, pair, "yaw sense", text, "1 times",
                       override(wrong, {"unit": mirrored(angular(e, wrong))}))  # fmt: skip
     if not 1 / 3 < slope < 3:
-        text = f"{slope:.2g} times the rate of the heading (r = {found.correlation:.2f})"
+        text = f"{slope:.2g} times the rate of the heading (r = {relation.correlation:.2f})"
         wrong, right = ("rad/s", "deg/s") if slope > 1 else ("deg/s", "rad/s")
         likely = 20 < max(slope, 1 / slope) < 160 and wrong in unit
         fix = override("yaw_rate", {"unit": unit.replace(wrong, right)}) if likely else without
@@ -295,6 +295,6 @@ def yaw_rate(e: Evidence) -> Iterator[Finding]:
         zero = e.settings("yaw_rate")["zero"] + (bias := (low + high) / 2) / e.factor("yaw_rate")
         text = f"a gyro that reads {math.degrees(bias):+.2g}°/s where the heading stays"
         yield Finding(e.boat, "yaw_rate", "yaw rate bias", text, "0", override("yaw_rate", {"zero": round(zero, 4)}))
-    if abs(found.lag) >= 1.0:
-        text = f"a yaw rate {abs(found.lag):g} s {'behind' if found.lag > 0 else 'before'} the heading"
+    if abs(relation.lag) >= 1.0:
+        text = f"a yaw rate {abs(relation.lag):g} s {'behind' if relation.lag > 0 else 'before'} the heading"
         yield Finding(e.boat, pair, "yaw rate delay", text, "less than 1 s", without, NOTE)

@@ -79,21 +79,21 @@ def lost(e: Evidence) -> Iterator[Finding]:
         if any(gone) and [1, -1] in signs:
             text = "a turn that follows it by {:+.2f} in the first half of the time, and by {:+.2f} in the second one"
             expected = "one partial correlation: leave out the time in which the thruster had stopped"
-            found = text.format(*(part[side].correlation for part in parts))
-            yield Finding(e.boat, name, "thruster lost", found, expected, severity=NOTE)
+            observed = text.format(*(part[side].correlation for part in parts))
+            yield Finding(e.boat, name, "thruster lost", observed, expected, severity=NOTE)
 
 
 def sides_of_runs(e: Evidence) -> Iterator[Finding]:
     """Logs in which the boat turns by the commands of the sides in another way than in others."""
-    told: dict[tuple[int, ...], list[str]] = {}
-    for own in e.alone:
-        turns = own.sides()[0]
+    by_signs: dict[tuple[int, ...], list[str]] = {}
+    for log in e.alone:
+        turns = log.sides()[0]
         signs = tuple(_sign(each, TURN, CLEAR_TURN) for each in turns)
         surely = min(abs(each.correlation) for each in turns) > SURELY  # a dead thruster can turn one sign
         if all(signs) and (sum(signs) == 0 or surely):
-            told.setdefault(signs, []).append(own.recordings[0].run)
-    usual = max(told, key=lambda signs: (len(told[signs]), signs == (1, -1)), default=())
-    for signs, odd in told.items():
+            by_signs.setdefault(signs, []).append(log.recordings[0].run)
+    usual = max(by_signs, key=lambda signs: (len(by_signs[signs]), signs == (1, -1)), default=())
+    for signs, odd in by_signs.items():
         wrong = [name for name, one, other in zip(COMMANDS, signs, usual, strict=True) if one != other]
         if wrong:
             names = ", ".join(odd[:SHOWN]) + ", …" * (len(odd) > SHOWN)
@@ -126,8 +126,8 @@ def _changed(e: Evidence, names: Sequence[str], swap: bool = False, reverse: boo
     """The overrides that swap commands, reverse them, or both."""
     changes = []
     for name, other in zip(names, names[::-1] if swap else names, strict=True):
-        own, given = e.settings(name), e.settings(other)
-        options = {key: given.get(key) for key in SHARED if own.get(key) != given.get(key)}
+        current, given = e.settings(name), e.settings(other)
+        options = {key: given.get(key) for key in SHARED if current.get(key) != given.get(key)}
         if reverse:
             span = given["span"]
             options["span"] = -span if isinstance(span, int | float) else [-each for each in span]

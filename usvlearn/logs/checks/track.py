@@ -73,10 +73,10 @@ def axes(e: Evidence) -> Iterator[Finding]:
 
 def mirrored_by(e: Evidence) -> float | None:
     """The angle from the mirror image of the measured velocity to that of the track, rad; None if it is no image."""
-    found = e.motion
-    if found.is_mirrored:
-        return float(np.angle(found.against))
-    return e.course.offset if e.sense == -1 and abs(found.against) > abs(found.along) else None
+    motion = e.motion
+    if motion.is_mirrored:
+        return float(np.angle(motion.against))
+    return e.course.offset if e.sense == -1 and abs(motion.against) > abs(motion.along) else None
 
 
 def _velocity_is_mirrored(e: Evidence) -> bool:
@@ -119,15 +119,15 @@ def half_turn_fix(e: Evidence, offset: float) -> str:
 
 def follows(e: Evidence) -> Iterator[Finding]:
     """A position that has nothing to do with the measured velocity."""
-    found, logged = e.motion, e.places
-    if found.seconds < LONG or not e.speeds or found.spread < max(CHANGES * e.fastest, LEAST):
+    motion, logged = e.motion, e.places
+    if motion.seconds < LONG or not e.speeds or motion.spread < max(CHANGES * e.fastest, LEAST):
         return
     north, east = (e.series.get(name, NONE) for name in METRES)
     of_speed = speed_on_positions(north, east, e.size)
-    both = max(abs(found.along), abs(found.against))
+    both = max(abs(motion.along), abs(motion.against))
     if both < UNLIKE and not of_speed.correlation >= UNLIKE:
-        still = f"stands still (its rate changes by {found.scale * found.spread:.2g} m/s)"
-        text = still if found.scale < 0.1 else f"does not follow speed and heading (r = {both:.2f})"
+        still = f"stands still (its rate changes by {motion.scale * motion.spread:.2g} m/s)"
+        text = still if motion.scale < 0.1 else f"does not follow speed and heading (r = {both:.2f})"
         expected = see("one that follows them", *logged)
         fix = without(e, logged[0])
         yield Finding(e.boat, ", ".join(logged), "position", f"a position that {text}", expected, fix)
@@ -167,13 +167,13 @@ def sway(e: Evidence) -> Iterator[Finding]:
     if SWAY not in e.series or not e.has_position or mirrored_by(e) is not None:
         return
     north, east = (e.series[name] for name in METRES)
-    found = sway_on_positions(north, east, e.series["heading"], e.series[SWAY])
-    if abs(found.correlation) < REVERSED or not abs(found.certainty) > CERTAIN:
+    relation = sway_on_positions(north, east, e.series["heading"], e.series[SWAY])
+    if abs(relation.correlation) < REVERSED or not abs(relation.certainty) > CERTAIN:
         return
-    text = f"{found.slope:.2g} times the rate of position across the hull (r = {found.correlation:.2f})"
-    sign = -1.0 if found.slope < 0 else 1.0
-    if abs(math.log(abs(found.slope))) > math.log(OTHER) and abs(found.correlation) > CLOSE:
-        fix = override(SWAY, {"span": float(f"{found.slope * _span(e, SWAY):.3g}")})
+    text = f"{relation.slope:.2g} times the rate of position across the hull (r = {relation.correlation:.2f})"
+    sign = -1.0 if relation.slope < 0 else 1.0
+    if abs(math.log(abs(relation.slope))) > math.log(OTHER) and abs(relation.correlation) > CLOSE:
+        fix = override(SWAY, {"span": float(f"{relation.slope * _span(e, SWAY):.3g}")})
         yield Finding(e.boat, SWAY, "sway unit", text, "1 times", fix)
     elif sign < 0:
         fix = override(SWAY, {"span": -_span(e, SWAY)})

@@ -45,15 +45,15 @@ def arrays_among(given: Any, settings: MutableMapping[str, Any]) -> dict[str, An
 
     The settings are the keywords; those that are arrays are taken out.
     """
-    found = {name: settings.pop(name) for name in NAMES if name in settings}
+    arrays = {name: settings.pop(name) for name in NAMES if name in settings}
     if isinstance(given, str | os.PathLike):
-        if found:
-            raise ConfigError(f"{', '.join(found)}: found values beside a path, expected either of them")
+        if arrays:
+            raise ConfigError(f"{', '.join(arrays)}: found values beside a path, expected either of them")
         return None
     if hasattr(given, "columns") and hasattr(given, "__getitem__"):
         table = {str(name): given[name] for name in given.columns}
         index = getattr(given, "index", None)
-        if TIME not in table and TIME not in found and getattr(index, "name", None) == TIME:
+        if TIME not in table and TIME not in arrays and getattr(index, "name", None) == TIME:
             table[TIME] = index
     elif isinstance(given, Mapping) and not all(isinstance(each, str | os.PathLike) for each in given.values()):
         table = {str(name): each for name, each in given.items()}
@@ -64,11 +64,11 @@ def arrays_among(given: Any, settings: MutableMapping[str, Any]) -> dict[str, An
             f"path: found {described(given)}, expected a path, a pattern, a dictionary of boat: path, or arrays by "
             "name (time=…, surge=…)"
         )
-    if isinstance(column := found.get(TIME), str):
+    if isinstance(column := arrays.get(TIME), str):
         if column not in table:
             raise ConfigError(f"time: found {column!r}, expected a column{did_you_mean(column, table)}")
-        found[TIME] = table.pop(column)
-    return {name: each for name, each in (table | found).items() if each is not None} or None
+        arrays[TIME] = table.pop(column)
+    return {name: each for name, each in (table | arrays).items() if each is not None} or None
 
 
 def described(value: Any) -> str:
@@ -86,15 +86,15 @@ def channels_of_arrays(
     Keys of channels count where they differ from its own name, SI units and automatic windows. A ConfigError if an
     array is missing, of another length, or holds something else than numbers.
     """
-    units, own = dict(units or {}), {name: dict(keys or {}) for name, keys in (channels or {}).items()}
+    units, asked = dict(units or {}), {name: dict(keys or {}) for name, keys in (channels or {}).items()}
     for name in units:
         if name not in NAMES:
             raise ConfigError(f"units: found {name!r}, expected one of {', '.join(NAMES)}{did_you_mean(name, NAMES)}")
     unit = units.get(TIME, "s")
     if unit not in TIME_UNITS:
         raise ConfigError(f"units.time: found {unit!r}, expected one of {', '.join(TIME_UNITS)}")
-    log = Arrays.of(columns, TIME_UNITS[unit], {*NAMES, *(str(keys.get("name")) for keys in own.values())})
-    wanted = {name: own.get(name, {}) for name in NAMES[1:] if own.get(name, {}).get("name") or name in log.columns}
+    log = Arrays.of(columns, TIME_UNITS[unit], {*NAMES, *(str(keys.get("name")) for keys in asked.values())})
+    wanted = {name: asked.get(name, {}) for name in NAMES[1:] if asked.get(name, {}).get("name") or name in log.columns}
     wanted = {name: keys for name, keys in wanted.items() if keys.get("name", name) is not None}
     if missing := [name for name in REQUIRED if name not in wanted and (name != SURGE or pair_of(wanted) is None)]:
         more = f", or {PAIRS_TOLD}" if SURGE in missing else ""
@@ -102,12 +102,12 @@ def channels_of_arrays(
             f"{missing[0]}: found no such array among {', '.join(list(columns)[:20])}, expected {', '.join(REQUIRED)}"
             f"{more}: give it by this name, or name its column in channels"
         )
-    found: dict[str, dict[str, Any]] = {name: {"name": None} for name in NAMES[1:]}
-    found |= {name: keys for name, keys in own.items() if name not in NAMES}  # named in an error
+    settings: dict[str, dict[str, Any]] = {name: {"name": None} for name in NAMES[1:]}
+    settings |= {name: keys for name, keys in asked.items() if name not in NAMES}  # named in an error
     for name, keys in wanted.items():
         period = {"period": AUTO} if name == SURGE else {}
-        found[name] = {"name": name, "unit": units.get(name, "1"), "window": AUTO, **period, **keys}
-    return log, found
+        settings[name] = {"name": name, "unit": units.get(name, "1"), "window": AUTO, **period, **keys}
+    return log, settings
 
 
 def read_arrays(log: Arrays, channels: Mapping[str, Mapping[str, Any]], boat: str | None) -> list[Recording]:
@@ -184,16 +184,16 @@ class Arrays:
 
 def _stamps(given: Any, unit: float) -> tuple[np.ndarray, float]:
     """Seconds since the first stamp, and that one, s; of date-times, durations, or numbers of so many seconds."""
-    found = _array(TIME, given)
-    if found.dtype.kind == "O" and any(hasattr(each, "tzinfo") for each in found):  # of datetime, or with a zone
-        known = [None if each is None or each != each else each for each in found]  # without NaT
+    stamps = _array(TIME, given)
+    if stamps.dtype.kind == "O" and any(hasattr(each, "tzinfo") for each in stamps):  # of datetime, or with a zone
+        known = [None if each is None or each != each else each for each in stamps]  # without NaT
         given, unit = [each and each.replace(tzinfo=each.tzinfo or UTC).timestamp() for each in known], 1.0
-    dates = found.dtype.kind in "mM"
-    found = found if dates else unwrapped(_numbers(TIME, given))
-    readable = ~np.isnat(found) if dates else np.isfinite(found)
+    dates = stamps.dtype.kind in "mM"
+    stamps = stamps if dates else unwrapped(_numbers(TIME, given))
+    readable = ~np.isnat(stamps) if dates else np.isfinite(stamps)
     if not readable.any():
-        raise ConfigError(f"time: found {len(found)} values and no finite one, expected stamps")
-    first, passed = found[readable][0], found - found[readable][0]
+        raise ConfigError(f"time: found {len(stamps)} values and no finite one, expected stamps")
+    first, passed = stamps[readable][0], stamps - stamps[readable][0]
     if dates:  # only what has passed is counted in ns: 64 bits of ns since 1970 end in 2262
         passed, unit = passed.astype("m8[ns]").astype(np.int64), 1e-9
         first = (first - first.dtype.type(0, "s")) / np.timedelta64(1, "ns")
@@ -202,32 +202,32 @@ def _stamps(given: Any, unit: float) -> tuple[np.ndarray, float]:
 
 def _numbers(name: str, given: Any) -> np.ndarray:
     """Values as float64."""
-    found = _array(name, given)
-    if found.dtype.kind == "O" and hasattr(given, "to_numpy"):  # a nullable column of pandas
+    array = _array(name, given)
+    if array.dtype.kind == "O" and hasattr(given, "to_numpy"):  # a nullable column of pandas
         try:
-            found = given.to_numpy(dtype=np.float64, na_value=np.nan)
+            array = given.to_numpy(dtype=np.float64, na_value=np.nan)
         except (TypeError, ValueError):
             pass
-    if found.dtype.kind == "O" and all(each is None or type(each) in (int, float) for each in found):
-        found = found.astype(np.float64)  # None is NaN
-    if found.dtype.kind not in "fiu":
-        what = {"U": "text", "S": "text", "b": "booleans", "c": "complex numbers", "O": "objects"}.get(found.dtype.kind)
-        raise ConfigError(f"{name}: found {what or found.dtype}, expected numbers: convert it with .astype(float)")
-    return found.astype(np.float64)
+    if array.dtype.kind == "O" and all(each is None or type(each) in (int, float) for each in array):
+        array = array.astype(np.float64)  # None is NaN
+    if array.dtype.kind not in "fiu":
+        what = {"U": "text", "S": "text", "b": "booleans", "c": "complex numbers", "O": "objects"}.get(array.dtype.kind)
+        raise ConfigError(f"{name}: found {what or array.dtype}, expected numbers: convert it with .astype(float)")
+    return array.astype(np.float64)
 
 
 def _array(name: str, given: Any) -> np.ndarray:
     try:
         with warnings.catch_warnings(action="ignore"):
-            found = np.asarray(given)
+            array = np.asarray(given)
             if np.ma.isMaskedArray(given):
-                dates = found.dtype.kind in "mM"
-                found = np.ma.filled(
-                    given if dates else given.astype(np.float64), found.dtype.type("NaT") if dates else np.nan
+                dates = array.dtype.kind in "mM"
+                array = np.ma.filled(
+                    given if dates else given.astype(np.float64), array.dtype.type("NaT") if dates else np.nan
                 )
     except (TypeError, ValueError, RuntimeError):
         raise ConfigError(f"{name}: found {described(given)}, expected an array of numbers") from None
-    found = found.ravel() if found.ndim == 2 and 1 in found.shape else found  # of MATLAB
-    if found.ndim != 1:
-        raise ConfigError(f"{name}: found an array of shape {found.shape}, expected one dimension: (time,)")
-    return found
+    array = array.ravel() if array.ndim == 2 and 1 in array.shape else array  # of MATLAB
+    if array.ndim != 1:
+        raise ConfigError(f"{name}: found an array of shape {array.shape}, expected one dimension: (time,)")
+    return array

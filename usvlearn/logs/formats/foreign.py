@@ -84,5 +84,5 @@ def foreign(path: Path, head: bytes = b"", surely: bool = False) -> str:
 
 def explained(path: Path, error: LogFormatError) -> LogFormatError:
     """The error of a reader, or a better one for a file of another kind."""
-    found = foreign(path)
-    return LogFormatError(f"{path}: expected a log that a boat recorded, {found}") if found else error
+    kind = foreign(path)
+    return LogFormatError(f"{path}: expected a log that a boat recorded, {kind}") if kind else error

@@ -161,18 +161,18 @@ class MessageLog:
             listed = " or ".join(f"{plain}@{each}" for each in senders[:LISTED])
             raise LogFormatError(f"{where}: {plain!r} comes from {len(senders)} senders: name {listed}")
         keys = [key for key in self.messages if key.name == plain]
-        found = [key for key in keys if key.sender in senders and (number is None or key.instance == int(number))]
-        if not found:
+        matches = [key for key in keys if key.sender in senders and (number is None or key.instance == int(number))]
+        if not matches:
             listed = ", ".join(map(str, keys[:LISTED]))
             raise LogFormatError(f"{where}: no channel {name!r}. The log has: {listed}: name one of them")
-        return min(found, key=lambda key: key.instance or 0)
+        return min(matches, key=lambda key: key.instance or 0)
 
     def _senders(self, name: str, pattern: str | None = None) -> list[str]:
         """Who sends messages of this name: those of the pattern, or else the preferred ones, or else all."""
-        found = list(dict.fromkeys(key.sender for key in self.messages if key.name == name))
+        senders = list(dict.fromkeys(key.sender for key in self.messages if key.name == name))
         if pattern is not None:
-            return [each for each in found if fnmatchcase(each, pattern)]
-        return [each for each in found if each in self.preferred] or found
+            return [each for each in senders if fnmatchcase(each, pattern)]
+        return [each for each in senders if each in self.preferred] or senders
 
     def values(self, key: Key, name: str | None, where: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Times in s, values and places in the log of a `Source.field`, `(n,)`; a LogFormatError if there is none."""
@@ -192,19 +192,19 @@ class MessageLog:
         for each in names:
             if each not in self._holders[key]:
                 fields = self._fields(key)
-                found = f"no field {each[:LISTED]!r}{did_you_mean(each, fields)}." if each else "no field is named."
-                told = f"{where}: {found} The fields of {key} are: {', '.join(fields)}; name one of them"
-                raise LogFormatError(told)
+                problem = f"no field {each[:LISTED]!r}{did_you_mean(each, fields)}." if each else "no field is named."
+                sentence = f"{where}: {problem} The fields of {key} are: {', '.join(fields)}; name one of them"
+                raise LogFormatError(sentence)
         return self._joined(key, names)
 
     @cached_property
     def _holders(self) -> dict[Key, dict[str, list[Messages]]]:
         """The layouts of each key that have a number of a name."""
-        found: dict[Key, dict[str, list[Messages]]] = {key: {} for key in self.messages}
+        holders: dict[Key, dict[str, list[Messages]]] = {key: {} for key in self.messages}
         for key, part in ((key, part) for key, parts in self.messages.items() for part in parts):
             for name in part.names():
-                found[key].setdefault(name, []).append(part)
-        return found
+                holders[key].setdefault(name, []).append(part)
+        return holders
 
     def _fields(self, key: Key) -> list[str]:
         return list(self._holders[key])
@@ -227,7 +227,7 @@ class MessageLog:
 
     def survey(self, left_out: Iterable[str]) -> list[Series]:
         """All numbers, except those of some messages; see `usvlearn.logs.channels.series`."""
-        found = []
+        every = []
         if unknown := sum(self.skipped[3:]):
             warnings.warn(f"{self.path}: skipped {unknown} messages of types that are not known", stacklevel=3)
         for key in sorted(self.messages, key=lambda key: min(part.order[0] for part in self.messages[key])):
@@ -236,7 +236,7 @@ class MessageLog:
             plain = key._replace(sender="") if self._senders(key.name) == [key.sender] else key
             units = {name: where.unit for part in self.messages[key] for name, where in part.fields.items()}
             for name in self._fields(key):
-                found.append(Series(str(plain), name, *self.values(key, name, str(self.path)), units[name], key.sender))
+                every.append(Series(str(plain), name, *self.values(key, name, str(self.path)), units[name], key.sender))
             for name in FUNCTIONS if key.name in self.servos.outputs else ():
                 try:
                     values = self.values(key, name, f"{self.path}: {name}")
@@ -245,8 +245,8 @@ class MessageLog:
                 vehicle = self.vehicles.get(key.sender, Vehicle())
                 number = self.servos.find(name, vehicle.parameters, "")
                 known = self.servos.are_known(number, vehicle.parameters, vehicle.former)
-                found.append(Series(str(plain), name, *values, "1" if known else "", key.sender))
-        return found
+                every.append(Series(str(plain), name, *values, "1" if known else "", key.sender))
+        return every
 
 
 _LAST: dict[str, MessageLog] = {}  # of each format: a log is read to find its channels, its vehicle, its numbers

@@ -79,8 +79,8 @@ class Candidate:
     @cached_property
     def intervals(self) -> np.ndarray:
         """Times between two values, s, without those of the same stamp."""
-        found = np.diff(np.sort(self.time))
-        return found[found > 1e-6]
+        steps = np.diff(np.sort(self.time))
+        return steps[steps > 1e-6]
 
     @cached_property
     def interval(self) -> float:
@@ -163,8 +163,8 @@ class Candidate:
     def evidence(self) -> tuple[np.ndarray, np.ndarray]:
         """Times and values, at most `EVIDENCE_HZ` of them a second, for relations."""
         place = np.floor(self.time * EVIDENCE_HZ)
-        kept = np.append(True, place[1:] != place[:-1])
-        return self.time[kept], self.value[kept]
+        chosen = np.append(True, place[1:] != place[:-1])
+        return self.time[chosen], self.value[chosen]
 
     def scaled(self, factor: float, offset: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """The evidence in other units."""
@@ -190,7 +190,7 @@ def held_at(series: tuple[np.ndarray, np.ndarray], at: np.ndarray) -> np.ndarray
 
 def candidates(series: list[Series]) -> list[Candidate]:
     """The series that hold numbers, as candidates."""
-    found = []
+    pool = []
     for each in series:
         known = np.isfinite(each.value) & np.isfinite(each.time)
         if known.any():
@@ -203,8 +203,8 @@ def candidates(series: list[Series]) -> list[Candidate]:
             missing = missing_values(each.value[known], *(kinds or [(0.0, ANYWHERE)])[0])
             known &= ~np.isin(each.value, missing)
             one = Candidate(each.name, each.field, unit, each.kind, each.time[known], each.value[known])
-            found.append(one.named(missing=missing))
-    return of_loops(found)
+            pool.append(one.named(missing=missing))
+    return of_loops(pool)
 
 
 def missing_values(value: np.ndarray, plain: float = 0.0, within: tuple[float, float] = ANYWHERE) -> tuple[float, ...]:
@@ -212,7 +212,7 @@ def missing_values(value: np.ndarray, plain: float = 0.0, within: tuple[float, f
 
     So is an integer below `within`, where all others lie.
     """
-    found: list[float] = []
+    numbers: list[float] = []
     values, counts = np.unique(value, return_counts=True)
     low, high = within
     while len(values) > DIFFERENT:
@@ -225,15 +225,15 @@ def missing_values(value: np.ndarray, plain: float = 0.0, within: tuple[float, f
         beyond = below or (apart > least * extent and abs(number) > plain)
         if not (beyond and 1 < counts[end] < 0.5 * len(value)):
             break
-        found.append(number)
+        numbers.append(number)
         values, counts = rest, np.delete(counts, end)
-    return tuple(sorted(found))
+    return tuple(sorted(numbers))
 
 
-def of_loops(found: list[Candidate]) -> list[Candidate]:
+def of_loops(pool: list[Candidate]) -> list[Candidate]:
     """The series; those of a controller, such as r_speed, y_speed, e_speed, are judged by what these letters mean."""
     loops: dict[tuple[str, str], dict[str, Candidate]] = {}
-    for each in found:
+    for each in pool:
         if split := LOOP.fullmatch(each.name if each.field in (None, "data") else f"{each.name} {each.field}"):
             head, letter, stem = split[1] or "", split[2] or split[5], split[3] or split[4]
             loops.setdefault((head, stem), {})[letter.lower()] = each
@@ -241,7 +241,7 @@ def of_loops(found: list[Candidate]) -> list[Candidate]:
     for (head, stem), loop in loops.items():
         if {"y", "r"} <= loop.keys() or {"y", "e", "u"} <= loop.keys():
             spoken |= {id(each): f"{head}{stem}{MEANINGS[letter]}" for letter, each in loop.items()}
-    return [each.named(spoken=spoken[id(each)]) if id(each) in spoken else each for each in found]
+    return [each.named(spoken=spoken[id(each)]) if id(each) in spoken else each for each in pool]
 
 
 def rank(candidate: Candidate, role: str, convention: str) -> int:

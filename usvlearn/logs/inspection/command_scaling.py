@@ -55,11 +55,11 @@ def find_level(candidate: Candidate, pool: Sequence[Candidate], convention: str 
     level = _by_size(candidate, convention)
     if low < 0 or high <= low or SPEED_SETS & set(words(candidate.label)):
         return level
-    found = _at_mid_scale(level, candidate, speed)
-    if found.zero or found.zero_certainty == UNSURE or found.kind != "raw numbers" or low <= IDLE * high:
-        return found
+    centred = _at_mid_scale(level, candidate, speed)
+    if centred.zero or centred.zero_certainty == UNSURE or centred.kind != "raw numbers" or low <= IDLE * high:
+        return centred
     why = f"by convention, but it never falls below {low:g}, as a motor that idles"
-    return found._replace(zero_certainty=UNSURE, zero_reason=why, zeros=(f"{low:g}",))
+    return centred._replace(zero_certainty=UNSURE, zero_reason=why, zeros=(f"{low:g}",))
 
 
 def _by_size(candidate: Candidate, convention: str) -> Level:
@@ -71,8 +71,8 @@ def _by_size(candidate: Candidate, convention: str) -> Level:
     if candidate.by_parameters:
         why, full = "by the parameters of the autopilot", 1.0 if size <= 1 + 1e-9 else _round(size)
         lacking = f"the log lacks limits of this servo, or changes them; values reach {size:.3g}"
-        sure, told = (CERTAIN, why) if unit == "1" and full == 1 else (UNSURE, lacking)
-        return Level(0.0, full, "share", CERTAIN if unit == "1" else PROBABLE, why, sure, told, ())
+        sure, reason = (CERTAIN, why) if unit == "1" and full == 1 else (UNSURE, lacking)
+        return Level(0.0, full, "share", CERTAIN if unit == "1" else PROBABLE, why, sure, reason, ())
     if unit == "percent" or (size > 2 and abs(size - 100) < 1e-6) or (convention == "MOOS" and 1.5 < size <= 100):
         why = "values reach 100" if size > 99.9 else "MOOS counts in percent"
         why = "declared as percent" if unit == "percent" else why
@@ -123,11 +123,11 @@ def _at_mid_scale(level: Level, candidate: Candidate, speed: tuple[np.ndarray, n
     sentence = f"the boat stands at {stands}, and it is {'reached from both sides' if crossed else 'mid-scale'}"
     zero = float(f"{zero:.4g}")
     reach = max(high - zero, zero - low) if zero > 0.6 * full or level.kind == "raw numbers" else full - zero
-    kept = level._replace(zero=zero, zero_reason=sentence, span=_round(reach))
+    middle = level._replace(zero=zero, zero_reason=sentence, span=_round(reach))
     if crossed and share > STEADY and (centred or away):
         sure = level.span_certainty if centred else UNSURE
-        return kept._replace(zero_certainty=PROBABLE, span_certainty=sure, alternatives=())
-    return kept._replace(zero_certainty=UNSURE, zeros=("0",), span_certainty=UNSURE, alternatives=(f"{full:g}",))
+        return middle._replace(zero_certainty=PROBABLE, span_certainty=sure, alternatives=())
+    return middle._replace(zero_certainty=UNSURE, zeros=("0",), span_certainty=UNSURE, alternatives=(f"{full:g}",))
 
 
 def _forward_only(level: Level, candidate: Candidate, value: float) -> Level:

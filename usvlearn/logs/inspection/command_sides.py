@@ -81,32 +81,32 @@ def find_commands(pool: Sequence[Candidate], everything: Sequence[Candidate], sp
     pool = [each for each in pool if each.unit not in OTHER_UNITS]
     levels = {id(each): find_level(each, everything, convention, speed) for each in (*pool, *still)}
     named = [each for each in (*pool, *still) if fit("command", each.label) >= 1 and side(each.label)]
-    found = [judge(left, right, levels, speed, turn, proved) for left, right in _pairs(named)]
-    found = [_without_middle(each, pool) for each in found]
-    found = found or list(_groups(pool, levels, speed, turn))
-    if not found:
+    judged = [judge(left, right, levels, speed, turn, proved) for left, right in _pairs(named)]
+    judged = [_without_middle(each, pool) for each in judged]
+    judged = judged or list(_groups(pool, levels, speed, turn))
+    if not judged:
         alone = [each for each in (*pool, *still) if names_side_alone(each.label)]
-        found = [judge(left, right, levels, speed, turn, proved) for left, right in _pairs(alone)]
+        judged = [judge(left, right, levels, speed, turn, proved) for left, right in _pairs(alone)]
     both = [*pool, *still]
     thrusts = [each for each in both if fit("command", each.label) >= 1 and fit("rudder", each.label) < 1]
     rudders = [each for each in both if fit("rudder", each.label) >= 1]
-    found = found or list(_with_rudder(thrusts, rudders, levels, speed, turn))
-    found = found or list(_unnamed(pool, levels, speed, turn))
-    return [_with_gear(each, everything, speed) for each in sorted(found, key=lambda each: -each.score)]
+    judged = judged or list(_with_rudder(thrusts, rudders, levels, speed, turn))
+    judged = judged or list(_unnamed(pool, levels, speed, turn))
+    return [_with_gear(each, everything, speed) for each in sorted(judged, key=lambda each: -each.score)]
 
 
-def _with_gear(found: Commands, everything: Sequence[Candidate], speed: Pair | None) -> Commands:
+def _with_gear(commands: Commands, everything: Sequence[Candidate], speed: Pair | None) -> Commands:
     """The same, but unsure where commands without a sign drive a boat that has gears, or that goes astern."""
-    thrusts = [(one.parts[0], one.levels[0]) for one in (found.left, found.right)]
+    thrusts = [(one.parts[0], one.levels[0]) for one in (commands.left, commands.right)]
     if any(each.extent[0] < level.zero - UNSIGNED * abs(level.span) for each, level in thrusts):
-        return found
+        return commands
     named = [each for each in everything if GEARS & set(words(each.label))]
     gears = [each.label for each in named if each.unit in TEXTS or 2 <= len(np.unique(each.value)) <= POSITIONS]
     astern = float((speed[1] < -ASTERN * np.quantile(np.abs(speed[1]), 0.95)).mean()) if speed and len(speed[1]) else 0
     why = f"the speed is astern in {astern:.0%} of the time: if they push astern, log them with a sign"
     why = f"{', '.join(gears)} may tell the sense: if so, make them negative where it says astern" if gears else why
-    reason = f"{found.sign_reason}; the commands are never negative, but {why}"
-    return found._replace(sign_certainty=UNSURE, sign_reason=reason) if gears or astern > SELDOM else found
+    reason = f"{commands.sign_reason}; the commands are never negative, but {why}"
+    return commands._replace(sign_certainty=UNSURE, sign_reason=reason) if gears or astern > SELDOM else commands
 
 
 def names_command(candidate: Candidate) -> bool:
@@ -119,43 +119,43 @@ def judge(left: Sequence[Candidate], right: Sequence[Candidate], levels: dict[in
           turn: Pair | None, proved: bool) -> Commands:  # fmt: skip
     """Two named sides: what the names and the motion tell of them."""
     sides = _sides(left, right, levels)
-    found = decide(_share(sides[0]), _share(sides[1]), speed, turn, _leveled(sides), proved)
+    decided = decide(_share(sides[0]), _share(sides[1]), speed, turn, _leveled(sides), proved)
     name = float(np.mean([fit("command", each.label) for each in (*left, *right)]))
     which, reason = UNSURE, "by name; too little in the motion confirms the sides"
-    if found.taken.swapped:
+    if decided.taken.swapped:
         reason = SWAPPED
-    elif found.best.swapped:
+    elif decided.best.swapped:
         reason = "by name, but the motion fits swapped sides better, or a heading that counts the other way"
-    elif found.sides < 0:
+    elif decided.sides < 0:
         reason = "by name, but the motion fits swapped sides better: weak evidence"
-    elif found.sides >= LIKELY:
-        which = CERTAIN if found.sides >= SURE else PROBABLE
+    elif decided.sides >= LIKELY:
+        which = CERTAIN if decided.sides >= SURE else PROBABLE
         reason = "by name; the boat moves with them" if which == CERTAIN else "by name; the motion agrees"
-    return _commands(sides, found, which, reason, name)
+    return _commands(sides, decided, which, reason, name)
 
 
-def doubted(found: Commands) -> Commands:
+def doubted(commands: Commands) -> Commands:
     """The same, but unsure: the sides are judged by a heading that a position should prove, and does not."""
-    if found.certainty == UNSURE:
-        return found
-    reason = f"{found.reason}; but the heading, by which it turns, does not follow the course over ground clearly"
-    return found._replace(certainty=UNSURE, reason=reason)
+    if commands.certainty == UNSURE:
+        return commands
+    reason = f"{commands.reason}; but the heading, by which it turns, does not follow the course over ground clearly"
+    return commands._replace(certainty=UNSURE, reason=reason)
 
 
-def _commands(sides: Sequence[Side], found: Decided, which: str, reason: str, name: float) -> Commands:
+def _commands(sides: Sequence[Side], decided: Decided, which: str, reason: str, name: float) -> Commands:
     """Both sides as they were decided."""
-    taken = found.taken
+    taken = decided.taken
     signed = [one._replace(sign=sign) for one, sign in zip(sides, taken[1:], strict=True)]
     left, right = signed[::-1] if taken.swapped else signed
     backward = min(taken[1:]) < 0
-    sure = _surely(found.signs, *taken[1:])
-    sentence, rival = found.facts(), _reversed(found.rival)
-    if found.signs < LIKELY:
+    sure = _surely(decided.signs, *taken[1:])
+    sentence, rival = decided.facts(), _reversed(decided.rival)
+    if decided.signs < LIKELY:
         sentence = f"{sentence}; weak evidence" if backward else "too little evidence in speed and turn"
-        sentence += f"; {'more' if found.signs < 0 else 'almost as'} likely: {rival}"
-    score = name + 0.08 * found.support - 0.5 * backward
+        sentence += f"; {'more' if decided.signs < 0 else 'almost as'} likely: {rival}"
+    score = name + 0.08 * decided.support - 0.5 * backward
     others = (rival,) if sure == UNSURE else ()
-    return Commands(left, right, which, reason, sure, sentence, others, score, found.turning)
+    return Commands(left, right, which, reason, sure, sentence, others, score, decided.turning)
 
 
 def _reversed(each: Senses) -> str:
@@ -175,7 +175,7 @@ def _without_middle(commands: Commands, pool: Sequence[Candidate]) -> Commands:
     """The same, but unsure where a third thruster between the sides is left out."""
     stem = set(without_side(commands.left.parts[0].label))
     named = [(each, set(words(each.label))) for each in pool]
-    middle = [each for each, found in named if MIDDLE & found and found - MIDDLE == stem]
+    middle = [each for each, tokens in named if MIDDLE & tokens and tokens - MIDDLE == stem]
     if not middle:
         return commands
     reason = f"{commands.reason}; {middle[0].label} is on neither side and is left out"
@@ -184,12 +184,12 @@ def _without_middle(commands: Commands, pool: Sequence[Candidate]) -> Commands:
 
 def _sides(left: Sequence[Candidate], right: Sequence[Candidate], levels: dict[int, Level]) -> list[Side]:
     """Both sides, with the same full scale for all commands of one kind."""
-    own = {id(each): levels[id(each)] for each in (*left, *right)}
-    if middle := next((each for each in own.values() if each.kind != PWM and each.zero), None):
-        own = {key: each if each.zero or each.zero_certainty == CERTAIN else middle for key, each in own.items()}
+    scales = {id(each): levels[id(each)] for each in (*left, *right)}
+    if middle := next((each for each in scales.values() if each.kind != PWM and each.zero), None):
+        scales = {key: each if each.zero or each.zero_certainty == CERTAIN else middle for key, each in scales.items()}
     common = {}
-    for key, level in own.items():
-        alike = [each for each in own.values() if (each.kind == PWM) == (level.kind == PWM)]
+    for key, level in scales.items():
+        alike = [each for each in scales.values() if (each.kind == PWM) == (level.kind == PWM)]
         zero = {name: value for name, value in level._asdict().items() if name.startswith("zero")}
         common[key] = max(alike, key=lambda each: each.span)._replace(**zero)
     return [Side(tuple(part), tuple(common[id(each)] for each in part), 1) for part in (left, right)]
@@ -248,18 +248,18 @@ def _groups(
         if not left or not right:
             continue
         sides = _sides(left, right, levels)
-        found = decide(_share(sides[0]), _share(sides[1]), speed, turn, _leveled(sides), proved=True, named=False)
+        decided = decide(_share(sides[0]), _share(sides[1]), speed, turn, _leveled(sides), proved=True, named=False)
         alike = all(np.array_equal(each.value, part[0].value) for part in (left, right) for each in part)
-        if alike and (throttle := found.throttle) is not None:
+        if alike and (throttle := decided.throttle) is not None:
             yield from _by_motion([left[0], right[0]], throttle, levels, speed, turn)
             continue
         clear = min(abs(each.certainty) for each in relations if each.seconds) >= CLEAR
-        steady = clear and found.sides >= LIKELY and min(found.taken[1:]) > 0
-        one = right if found.taken.swapped else left
+        steady = clear and decided.sides >= LIKELY and min(decided.taken[1:]) > 0
+        one = right if decided.taken.swapped else left
         reason = f"the turn fits {', '.join(each.label for each in one)} on the left, and the others on the right"
         weak = "" if clear else "; weak evidence for some of them"
         name = fit("command", members[0].label)
-        yield _commands(sides, found, PROBABLE if steady else UNSURE, reason + weak, name)._replace(turning=0.0)
+        yield _commands(sides, decided, PROBABLE if steady else UNSURE, reason + weak, name)._replace(turning=0.0)
 
 
 def _by_motion(both: Sequence[Candidate], throttle: int, levels: dict[int, Level], speed: Pair | None,
@@ -381,9 +381,9 @@ def _mean_of(parts: Sequence[Pair]) -> Pair:
     return time, np.mean([held_at(each, time) for each in parts], axis=0)
 
 
-def seconds_astern(found: Commands, speed: Pair) -> float:
+def seconds_astern(commands: Commands, speed: Pair) -> float:
     """How long a speed, m/s, lacks its sign while both commands push astern, s."""
-    sides = [_share(one) for one in (found.left, found.right)]
+    sides = [_share(one) for one in (commands.left, commands.right)]
     edges = bin_edges(1.0, speed, *sides)
-    left, right = (one.sign * bin_means(each, edges, held=True) for one, each in zip(found[:2], sides, strict=True))
+    left, right = (one.sign * bin_means(each, edges, held=True) for one, each in zip(commands[:2], sides, strict=True))
     return float(without_sign(left, right, bin_means(speed, edges)).sum())

@@ -85,8 +85,8 @@ def _lines(node: Mapping[str, Any], above: tuple[str, ...], reasons: Mapping[str
             yield f"{space}{key}:"
             yield from _lines(value, path, reasons)
             continue
-        told = [*UNITS.get(key, ()), *([f"{why.certainty}: {why.reason}"] if why else [])]
-        yield f"{space}{key}: {scalar(value)}" + (f"  # {_plain('; '.join(told))}" if told else "")
+        comments = [*UNITS.get(key, ()), *([f"{why.certainty}: {why.reason}"] if why else [])]
+        yield f"{space}{key}: {scalar(value)}" + (f"  # {_plain('; '.join(comments))}" if comments else "")
         for other in why.alternatives if why and why.certainty == UNSURE else ():
             yield f"{space}# or {key}: {_plain(other)}"
 

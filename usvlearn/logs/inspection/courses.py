@@ -71,8 +71,8 @@ def find_velocities(
             ahead = float(np.cos(np.arctan2(y.value, x.value)[fast]).mean())  # 1 of a vector along the hull
             if max(ALONG, ahead) <= agreement(heading, (time[fast], direction)):
                 turns = 1 - abs(np.exp(1j * direction).mean())  # 0 if it is constant, as along a hull
-                found = _velocities(north, east, places, heading, convention)
-                return found._replace(guessed=bool(turns < TURNS))
+                velocity = _velocities(north, east, places, heading, convention)
+                return velocity._replace(guessed=bool(turns < TURNS))
     return None
 
 
@@ -86,21 +86,21 @@ def _velocities(
 
 
 def tell_velocities(
-    found: Velocities, speeds: Sequence[Speed], channels: dict, series: dict, doubt: str
+    velocities: Velocities, speeds: Sequence[Speed], channels: dict, series: dict, doubt: str
 ) -> list[Decision]:
     """Both components, from which the surge is computed with the heading; and why they may be interchanged, or ""."""
-    size, decisions = found.size, []
+    size, decisions = velocities.size, []
     others = tuple(each.candidate.label for each in speeds[:3])
-    for name, candidate in (("velocity_north", found.north), ("velocity_east", found.east)):
+    for name, candidate in (("velocity_north", velocities.north), ("velocity_east", velocities.east)):
         channels[name] = candidate.source(unit=size.unit, window=AUTO)
         series[name] = candidate
-        sure = UNSURE if found.guessed or doubt else CERTAIN if size.confirmed else PROBABLE
-        why = doubt or ("by its direction" if found.guessed else "by name")
+        sure = UNSURE if velocities.guessed or doubt else CERTAIN if size.confirmed else PROBABLE
+        why = doubt or ("by its direction" if velocities.guessed else "by name")
         why += "; their size follows the rate of position" if size.confirmed else ""
         decisions.append(Decision(name, "series", candidate.label, sure, why))
         decisions.append(Decision(name, "unit", size.unit, size.certainty, size.reason, size.alternatives))
     why = "velocities and heading give a signed surge" + (f"; before {', '.join(others)}" if others else "")
-    sure = UNSURE if found.guessed else PROBABLE
+    sure = UNSURE if velocities.guessed else PROBABLE
     return [*decisions, Decision("surge", "series", "from the velocities", sure, why, others)]
 
 
@@ -119,7 +119,7 @@ def find_course(
     if places is None or heading is None:
         return None
     known = course_of(places)
-    found: list[tuple[float, Course]] = []
+    courses: list[tuple[float, Course]] = []
     for each in pool:
         if fit("course", each.label) < 2:
             continue
@@ -133,8 +133,8 @@ def find_course(
             if follows and 1 / RATIO < relation.slope < RATIO:
                 why = f"the sway that both give is {relation.slope:.3g} × the rate of position across the hull"
                 why += f" (correlation {relation.correlation:.2f})"
-                found.append((relation.correlation, Course(course, speed, why)))
-    return max(found, key=lambda each: each[0], default=(0.0, None))[1]
+                courses.append((relation.correlation, Course(course, speed, why)))
+    return max(courses, key=lambda each: each[0], default=(0.0, None))[1]
 
 
 def course_beside(pool: Sequence[Candidate], speed: Speed, heading: Heading | None) -> Course | None:
@@ -168,12 +168,12 @@ def reckoned(
     return track, (time[moving], angle[moving]), speed
 
 
-def seconds_back(found: Course, heading: Heading) -> float:
+def seconds_back(chosen: Course, heading: Heading) -> float:
     """How long a speed over ground without a sign is astern by its course, s."""
-    _, ahead = _part(np.cos, found.speed.metres, found.course.radians, heading.radians)
+    _, ahead = _part(np.cos, chosen.speed.metres, chosen.course.radians, heading.radians)
     back = ahead < -BACK * np.quantile(np.append(np.abs(ahead), 0.0), 0.95)
-    seconds = float(found.course.candidate.interval * back.sum())
-    return seconds if seconds > ENOUGH and not found.speed.candidate.is_signed else 0.0
+    seconds = float(chosen.course.candidate.interval * back.sum())
+    return seconds if seconds > ENOUGH and not chosen.speed.candidate.is_signed else 0.0
 
 
 def _part(of: Callable[[np.ndarray], np.ndarray], speed: Pair, course: Pair, heading: Pair) -> Pair:
@@ -182,16 +182,16 @@ def _part(of: Callable[[np.ndarray], np.ndarray], speed: Pair, course: Pair, hea
     return time, np.interp(time, at, size) * of(angle - np.interp(time, stamps, np.unwrap(turned)))
 
 
-def tell_course(found: Course, channels: dict[str, dict[str, Any]], series: dict[str, Candidate]) -> list[Decision]:
+def tell_course(chosen: Course, channels: dict[str, dict[str, Any]], series: dict[str, Candidate]) -> list[Decision]:
     """Both as channels, and what is said about them."""
-    course, speed = found.course, found.speed
+    course, speed = chosen.course, chosen.speed
     scale = {} if course.span == 1 else {"span": course.span}
     sources = speed.candidate.source(unit=speed.unit), course.candidate.source(unit=course.unit, **scale)
-    why, told = found.why, []
+    why, decisions = chosen.why, []
     both: tuple[Speed | Heading, ...] = speed, course
     for name, source, each in zip(COURSES, sources, both, strict=True):
         channels[name], series[name] = {**source, "window": AUTO}, each.candidate
         sure = least(course.certainty, each.certainty)
-        told.append(Decision(name, "series", each.candidate.label, course.certainty, why))
-        told.append(Decision(name, "unit", each.unit, sure, each.reason, each.alternatives))
-    return told
+        decisions.append(Decision(name, "series", each.candidate.label, course.certainty, why))
+        decisions.append(Decision(name, "unit", each.unit, sure, each.reason, each.alternatives))
+    return decisions

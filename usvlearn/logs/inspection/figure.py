@@ -21,15 +21,15 @@ MOST_POINTS = 20_000  # of a curve
 LOST = 2.0  # s, of a silence that is marked
 
 
-def draw(found: Inspected, path: Path) -> None:
+def draw(inspected: Inspected, path: Path) -> None:
     """Write the picture."""
-    path.write_bytes(rendered(_picture(found), dpi=100))
+    path.write_bytes(rendered(_picture(inspected), dpi=100))
 
 
 @guarded
-def _picture(found: Inspected) -> Any:
-    data, limit = found.settings["data"], 2 * found.settings["vehicle"]["surge_max"]
-    e = Evidence(data["boat"], found.recordings, None, {}, limit, data["channels"])
+def _picture(inspected: Inspected) -> Any:
+    data, limit = inspected.settings["data"], 2 * inspected.settings["vehicle"]["surge_max"]
+    e = Evidence(data["boat"], inspected.recordings, None, {}, limit, data["channels"])
     edges = e.moving_edges(SPAN)
     north, east = e.velocity(edges)
     rate, at, seconds = np.hypot(north, east), _middles(edges), _middles(e.edges)

@@ -77,8 +77,8 @@ def inspect_logs(
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         recordings = read_settings(settings)
-    told = [str(each.message).replace(f"{Path.cwd()}/", "") for each in warned]  # with paths as from here
-    notes += [each for each in told if each not in notes]
+    sentences = [str(each.message).replace(f"{Path.cwd()}/", "") for each in warned]  # with paths as from here
+    notes += [each for each in sentences if each not in notes]
     lag = None
     if recordings:
         top = _tell_top_speed(settings, recordings, decisions)

@@ -56,10 +56,10 @@ def find_lag(recordings: Sequence[Recording], surge_max: float = 10.0) -> Lag:
             return Lag(0.0, (), 0.0, False, np.empty(0))
         common = sorted(stamps)[:MOST_STEPS]
         errors = np.stack([_residuals(np.array([each[key] for key in common])) for each in rows])
-        found = choose(errors, delays)
-        if found.delay < delays[-1]:
+        lag = choose(errors, delays)
+        if lag.delay < delays[-1]:
             break
-    return found
+    return lag
 
 
 def choose(errors: np.ndarray, delays: Sequence[float] = DELAYS) -> Lag:
@@ -83,7 +83,7 @@ def choose(errors: np.ndarray, delays: Sequence[float] = DELAYS) -> Lag:
 
 def _rows(fleet: Fleet) -> dict[tuple[int, int, int], tuple[float, ...]]:
     """The regressors and the change of speed of each step whose speed before is known, by run, boat and step."""
-    found: dict[tuple[int, int, int], tuple[float, ...]] = {}
+    rows: dict[tuple[int, int, int], tuple[float, ...]] = {}
     for number, run in enumerate(fleet.runs):
         samples = run.samples
         for element in range(len(fleet.boats)):
@@ -99,8 +99,8 @@ def _rows(fleet: Fleet) -> dict[tuple[int, int, int], tuple[float, ...]]:
             )  # fmt: skip
             finite = np.isfinite(table).all(1)
             keys = [(number, element, round(float(each) * 100)) for each in time[after[finite]]]
-            found.update(zip(keys, map(tuple, table[finite]), strict=True))
-    return found
+            rows.update(zip(keys, map(tuple, table[finite]), strict=True))
+    return rows
 
 
 def _residuals(table: np.ndarray) -> np.ndarray:

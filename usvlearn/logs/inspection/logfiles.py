@@ -142,7 +142,7 @@ def open_logs(given: Sequence[str], only: str | None = None) -> Logs:
     A ConfigError if no log is there; a LogFormatError if they have several formats, or none can be read.
     """
     files = list(dict.fromkeys(file for each in given for file in _files(each)))
-    found: dict[str, list[Path]] = {}
+    by_format: dict[str, list[Path]] = {}
     formats, refused = {}, []
     for file in files:
         try:
@@ -151,13 +151,13 @@ def open_logs(given: Sequence[str], only: str | None = None) -> Logs:
             refused.append(error)
             continue
         formats[which.name] = which
-        found.setdefault(which.name, []).append(file)
-    if not found:
+        by_format.setdefault(which.name, []).append(file)
+    if not by_format:
         raise refused[0]
-    if len(found) > 1:
-        counts = ", ".join(f"{len(each)} of {name} ({each[0].name})" for name, each in found.items())
+    if len(by_format) > 1:
+        counts = ", ".join(f"{len(each)} of {name} ({each[0].name})" for name, each in by_format.items())
         raise LogFormatError(f"{given[0]}: expected logs of one format, found {counts}: give those of one format")
-    ((name, logs),) = found.items()
+    ((name, logs),) = by_format.items()
     logs, joined = joined_tables(logs) if formats[name] is TABLE else (logs, "")
     path = _common_path(given, logs)
     whole = Path(path) if joined and Path(path).is_dir() else logs[0].parent
@@ -177,9 +177,9 @@ def _files(given: str) -> list[Path]:
         inside = [file for file in inside if not any(part[0] == "." for part in file.relative_to(path).parts)]
         inside = [file for file in inside if file.suffix.lower() not in NOTES] or inside
         if not inside:
-            told = next((f"{file.name}, {known}" for file in sorted(path.rglob("*")) if (known := foreign(file))), "")
-            told = told.replace("found ", "", 1) or "none in it: give another folder"
-            raise ConfigError(f"{given}: expected a folder of logs ({' '.join(dict.fromkeys(SUFFIXES))}), found {told}")
+            what = next((f"{file.name}, {known}" for file in sorted(path.rglob("*")) if (known := foreign(file))), "")
+            what = what.replace("found ", "", 1) or "none in it: give another folder"
+            raise ConfigError(f"{given}: expected a folder of logs ({' '.join(dict.fromkeys(SUFFIXES))}), found {what}")
         return sorted({_bag_of(file) for file in inside})
     if path.exists():
         raise ConfigError(f"{given}: found a device or a pipe, expected a log or a folder of logs")
@@ -210,8 +210,8 @@ def _common_path(given: Sequence[str], files: Sequence[Path]) -> str:
     start, end = _common(absolute), _common([each[::-1] for each in absolute])[::-1]
     folder = Path(os.path.commonpath(absolute))
     pattern, inside = f"{glob.escape(start)}*{glob.escape(end)}", map(str, folder.rglob(f"*{files[0].suffix}"))
-    for path, found in ((pattern, glob.glob(pattern)), (str(folder), inside)):
-        if sorted(found) == sorted(absolute):
+    for path, matches in ((pattern, glob.glob(pattern)), (str(folder), inside)):
+        if sorted(matches) == sorted(absolute):
             return path
     raise ConfigError(
         f"{given[0]} and {len(given) - 1} more: expected one folder, or all logs that a pattern finds: move these logs "
@@ -257,8 +257,8 @@ def _survey(
             with reading(file), warnings.catch_warnings(record=True) as sentence:
                 warnings.simplefilter("always")
                 beside = files if reader is None else ()
-                own, doubts = which.open(file, boat, files) if reader is None else (reader, doubts)
-                series = own.survey(file)
+                opened, doubts = which.open(file, boat, files) if reader is None else (reader, doubts)
+                series = opened.survey(file)
             notes += [text for each in sentence if (text := str(each.message)) not in notes]
             if not any(np.isfinite(each.value).any() for each in series):
                 why = "; ".join(str(each.message).removeprefix(f"{file}: ") for each in sentence)
@@ -269,10 +269,10 @@ def _survey(
             error = error or wrong
             notes.append(f"left out: {wrong}")
             continue
-        reader = own
+        reader = opened
         parts, jumps = segments(series)
         surveyed += parts
-        if doubt := getattr(own, "doubt", None):
+        if doubt := getattr(opened, "doubt", None):
             doubts += filter(None, [doubt(file, [place for place, _ in jumps], beside)])
     if reader is None:
         raise error or LogFormatError(f"{files[0]}: no log can be read")
@@ -296,24 +296,24 @@ def joined(surveyed: Iterable[Sequence[Series]]) -> list[Series]:
             name = names.get(each.name, each.name)
             parts.setdefault((name, each.field), []).append(each._replace(name=name, time=each.time - low + begin))
         begin += high - low + BETWEEN
-    found = []
+    merged = []
     for several in parts.values():
         whole: Any = {key: np.concatenate([getattr(one, key) for one in several]) for key in ("time", "value", "order")}
-        found.append(several[0]._replace(**whole))
-    return found
+        merged.append(several[0]._replace(**whole))
+    return merged
 
 
 def _patterns(logs: Sequence[Sequence[Series]]) -> dict[str, str]:
     """name -> the pattern that finds it, for names that are not in every log."""
     have = [{each.name for each in log} for log in logs]
     everywhere = set.intersection(*have) if have else set()
-    found = {}
+    patterns = {}
     for name in set().union(*have) - everywhere:
         tail = name.rsplit("/", 1)[-1]
         matches = [[each for each in names if each.endswith(tail)] for names in have]
         if "/" in name and all(len(each) == 1 for each in matches):
-            found[name] = f"*{tail}"
-    return found
+            patterns[name] = f"*{tail}"
+    return patterns
 
 
 def joined_tables(files: Sequence[Path]) -> tuple[list[Path], str]:
@@ -340,8 +340,8 @@ def joined_tables(files: Sequence[Path]) -> tuple[list[Path], str]:
             continue
         rest = [each for each in tables_of(folder) if each not in inside and each.stat().st_size]
         if others := ", ".join(each.name for each in rest[:SHOWN_NAMES]):
-            told = f"{folder}: expected all tables of a run, whose columns differ, found {len(inside)} given and "
-            raise LogFormatError(f"{told}{others} not: give the folder, or move these tables to one of their own")
+            what = f"{folder}: expected all tables of a run, whose columns differ, found {len(inside)} given and "
+            raise LogFormatError(f"{what}{others} not: give the folder, or move these tables to one of their own")
         logs.append(folder)
         names = ", ".join(sorted(each.stem for each in columns)[:SHOWN_NAMES])
         names += ", …" if len(columns) > SHOWN_NAMES else ""
@@ -361,11 +361,11 @@ def names_all(columns: Sequence[str]) -> bool:
 
 def _columns(files: Sequence[Path]) -> dict[Path, list[str]]:
     """The columns of each file that is a table, without stamps that are called so; only its first lines are read."""
-    found = {}
+    columns = {}
     for file in files:
         try:
             names = find_dialect(file, AUTO, AUTO, AUTO, AUTO, AUTO).names
         except LogFormatError:  # the survey says so
             continue
-        found[file] = [name for name in (*names, *quaternions(names)) if split_unit(name)[0].lower() not in NAMED]
-    return {file: names for file, names in found.items() if names}
+        columns[file] = [name for name in (*names, *quaternions(names)) if split_unit(name)[0].lower() not in NAMED]
+    return {file: names for file, names in columns.items() if names}

@@ -50,18 +50,18 @@ class Places(NamedTuple):
 
 def find_places(pool: Sequence[Candidate], convention: str = "") -> list[Places]:
     """All positions that the names tell: those that the format defines, then the finest; geographic before local."""
-    found = []
+    places = []
     for role, other in (("latitude", "longitude"), ("north", "east")):
         for first in (each for each in pool if fit(role, each.label) >= 1):
             beside = [x for x in pool if x is not first and fit(other, x.label) >= 1 and _belong(first, x)]
-            found += [_places(first, second, role == "latitude", True) for second in beside]
+            places += [_places(first, second, role == "latitude", True) for second in beside]
             if role == "latitude" and 90 < first.size <= 180:  # which no latitude is
-                found += [_places(second, first, True, True) for second in beside if second.size <= 90]
+                places += [_places(second, first, True, True) for second in beside if second.size <= 90]
     for x in pool:
         if "x" in words(x.label) and not NO_PLACE & set(words(x.label)):
             twin = tuple("y" if word == "x" else word for word in words(x.label))
-            found += [_local(x, y) for y in pool if words(y.label) == twin and fit("command", x.label) < 1]
-    return sorted((each for each in found if each and _moves(each)), key=lambda each: _order(each, convention))
+            places += [_local(x, y) for y in pool if words(y.label) == twin and fit("command", x.label) < 1]
+    return sorted((each for each in places if each and _moves(each)), key=lambda each: _order(each, convention))
 
 
 def _order(places: Places, convention: str) -> tuple[int, bool, bool, bool, float]:
@@ -69,12 +69,12 @@ def _order(places: Places, convention: str) -> tuple[int, bool, bool, bool, floa
     return known, grain > COARSE, not places.geographic, not places.oriented, grain
 
 
-def in_degrees(found: Sequence[Candidate]) -> list[Candidate]:
+def in_degrees(pool: Sequence[Candidate]) -> list[Candidate]:
     """The series, with degrees and minutes in one number as degrees; a column of N, S, E or W tells the sign."""
-    letters, read = {each.unit[-1] for each in found if each.unit.startswith("hemisphere")}, []
-    roles = [next((role for role in ("latitude", "longitude") if fit(role, each.label) >= 1), "") for each in found]
-    beyond = any(role and 180 < each.size <= 18000 for role, each in zip(roles, found, strict=True))  # all degrees
-    for role, each in zip(roles, found, strict=True):
+    letters, read = {each.unit[-1] for each in pool if each.unit.startswith("hemisphere")}, []
+    roles = [next((role for role in ("latitude", "longitude") if fit(role, each.label) >= 1), "") for each in pool]
+    beyond = any(role and 180 < each.size <= 18000 for role, each in zip(roles, pool, strict=True))  # all degrees
+    for role, each in zip(roles, pool, strict=True):
         minutes = beyond and each.unit != "deg" and not (np.abs(each.value) % 100 >= 60).any()
         if role and minutes and 100 < each.size <= (9000 if role == "latitude" else 18000):
             sign = -1.0 if {"latitude": "S", "longitude": "W"}[role] in letters and each.extent[0] >= 0 else 1.0
@@ -118,8 +118,8 @@ def course_of(places: Places) -> Pair:
     rate = np.hypot(north, east)
     if not len(rate):
         return time, rate
-    kept = (rate > MOVING * np.quantile(rate, 0.95)) & (rate * SPAN > 3 * _grain(places))
-    return time[kept], np.arctan2(east, north)[kept]
+    moving = (rate > MOVING * np.quantile(rate, 0.95)) & (rate * SPAN > 3 * _grain(places))
+    return time[moving], np.arctan2(east, north)[moving]
 
 
 def rate_of(places: Places) -> Pair:
@@ -178,8 +178,8 @@ def _velocity(places: Places) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     (time, north), (other, east) = (cleaned(each) for each in (places.north, places.east))
     grid = np.unique(np.floor(time / SPAN)) * SPAN  # that have a stamp within the `SPAN` after them
     north, east = np.interp(grid, time, north), np.interp(grid, other, east)
-    kept = np.diff(grid) < 1.5 * SPAN
-    return (grid[:-1] + SPAN / 2)[kept], np.diff(north)[kept] / SPAN, np.diff(east)[kept] / SPAN
+    continuous = np.diff(grid) < 1.5 * SPAN
+    return (grid[:-1] + SPAN / 2)[continuous], np.diff(north)[continuous] / SPAN, np.diff(east)[continuous] / SPAN
 
 
 def _places(first: Candidate, second: Candidate, geographic: bool, oriented: bool) -> Places | None:
@@ -201,10 +201,10 @@ def _length(candidate: Candidate) -> str:
 
 def _local(x: Candidate, y: Candidate) -> Places | None:
     """Local coordinates: which of them is north, is known by name only."""
-    found = set(words(x.label))
-    if "ned" in found:
+    tokens = set(words(x.label))
+    if "ned" in tokens:
         return _places(x, y, False, True)
-    return _places(y, x, False, bool({"nav", "enu", "utm"} & found))
+    return _places(y, x, False, bool({"nav", "enu", "utm"} & tokens))
 
 
 def _belong(first: Candidate, second: Candidate) -> bool:

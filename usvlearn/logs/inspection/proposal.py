@@ -58,8 +58,8 @@ def propose(everything: Sequence[Candidate], convention: str, exchanged: bool = 
     If `exchanged`, latitude and longitude, or velocities to the north and to the east, are interchanged, since only so
     the heading and the sides are what they are called.
     """
-    found, decisions = of_one_vehicle(position_channels.in_degrees(everything), convention)
-    pool = [each for each in found if each.varies]  # on a straight line degrees rise as evenly as a clock
+    of_vehicle, decisions = of_one_vehicle(position_channels.in_degrees(everything), convention)
+    pool = [each for each in of_vehicle if each.varies]  # on a straight line degrees rise as evenly as a clock
     pool = [each for each in pool if not each.is_clock or max(fit(x, each.label) for x in DEGREES) >= 1]
     places = position_channels.find_places(pool, convention)
     if not places and (guessed := position_channels.guess_places(*_unnamed(pool))):
@@ -124,9 +124,9 @@ def propose(everything: Sequence[Candidate], convention: str, exchanged: bool = 
     over_ground = None if sway or velocities else courses.find_course(left, speeds, track, heading)
     used = [*sets, *(each.candidate for each in (beside, sway) if each)]
     rest = [each for each in left if not (any(each is other for other in used) or _names_state(each))]
-    still, unfit = found, ""
+    still, unfit = of_vehicle, ""
     if azimuths := [each.label for each in pool if names_azimuth(each.label)]:
-        rest, still = ([each for each in group if _names_whole(each)] for group in (rest, found))
+        rest, still = ([each for each in group if _names_whole(each)] for group in (rest, of_vehicle))
         unfit = "" if rest else _told_azimuths(azimuths)
     proved = heading is not None and heading.certainty == CERTAIN and not crossing
     commands = find_commands(rest, still, speed, turn, convention, proved)
@@ -184,7 +184,7 @@ def propose(everything: Sequence[Candidate], convention: str, exchanged: bool = 
     if places:
         confirmed = bool(speeds and not lost and speeds[0].confirmed and speeds[0].certainty == CERTAIN)
         decisions += position_channels.tell_places(places[0], channels, series, confirmed, axes, doubt)
-    spoken = {each.spoken: each.named(spoken="").label for each in found if each.spoken}
+    spoken = {each.spoken: each.named(spoken="").label for each in of_vehicle if each.spoken}
     decisions = [each._replace(value=spoken.get(each.value, each.value)) for each in decisions]
     why = "it comes again and again, far beyond all others: it means unknown"
     unknown = {name: one.missing for name, one in series.items() if one.missing}
@@ -195,9 +195,9 @@ def propose(everything: Sequence[Candidate], convention: str, exchanged: bool = 
         others = [each for each in rest if not any(each is other for other in series.values())]
         unfit = following(others, [series[side] for side in COMMANDS if side in series])
     states = [role for role in ("heading", "surge") if role in missing]
-    if still := [x for x in found if not x.varies and any(fit(role, x.label) >= 1 for role in states)]:
-        told = ", ".join(f"{each.label!r} is always {each.value[0]:g}" for each in still[:3])
-        unfit = f"{told}, as of a sensor that has stopped: give logs in which it changes"
+    if still := [x for x in of_vehicle if not x.varies and any(fit(role, x.label) >= 1 for role in states)]:
+        sentence = ", ".join(f"{each.label!r} is always {each.value[0]:g}" for each in still[:3])
+        unfit = f"{sentence}, as of a sensor that has stopped: give logs in which it changes"
     ordered = {name: channels[name] for name in (*CHANNELS, *channels) if name in channels}
     return Proposal(ordered, series, decisions, missing, unfit)
 

@@ -46,7 +46,7 @@ def questions(decisions: Sequence[Decision], settings: Mapping[str, Any]) -> Que
     for each in decisions:
         if is_question(each, settings):
             asked.setdefault(key_of(each), []).append(each)
-    found = {
+    entries = {
         key: {
             "certainty": least(*(each.certainty for each in same)),
             "found": _found(same),
@@ -55,14 +55,14 @@ def questions(decisions: Sequence[Decision], settings: Mapping[str, Any]) -> Que
         }
         for key, same in asked.items()
     }
-    return dict(sorted(found.items(), key=lambda item: item[1]["certainty"] != UNSURE))
+    return dict(sorted(entries.items(), key=lambda item: item[1]["certainty"] != UNSURE))
 
 
 def _found(same: Sequence[Decision]) -> str:
     """What was found and what else it may be, of each side where they differ."""
-    told = [" or ".join(dict.fromkeys([each.value, *each.alternatives])) for each in same]
-    sides = [f"{each.channel.removeprefix('command_')} {text}" for each, text in zip(same, told, strict=True)]
-    return printable(told[0] if len(set(told)) == 1 else "; ".join(sides))
+    texts = [" or ".join(dict.fromkeys([each.value, *each.alternatives])) for each in same]
+    sides = [f"{each.channel.removeprefix('command_')} {text}" for each, text in zip(same, texts, strict=True)]
+    return printable(texts[0] if len(set(texts)) == 1 else "; ".join(sides))
 
 
 def confirm(files: Sequence[str], given: Sequence[str]) -> Iterator[str]:
@@ -82,19 +82,19 @@ def confirm(files: Sequence[str], given: Sequence[str]) -> Iterator[str]:
             there = f"expected one of {', '.join(dict.fromkeys([*known, ALL]))}{did_you_mean(key, known)}"
             there = f"expected {ALL}, since it has no questions. {known[ALL]['why']}" if ALL in known else there
             raise ConfigError(f"--confirm: found {key!r}, {there}")
-    kept = {} if ALL in keys else {key: each for key, each in known.items() if key not in keys}
-    wanted = {**content, SECTION: {key: content[SECTION][key] for key in kept}}
+    remaining = {} if ALL in keys else {key: each for key, each in known.items() if key not in keys}
+    wanted = {**content, SECTION: {key: content[SECTION][key] for key in remaining}}
     lines = path.read_bytes().decode().rstrip("\n").split("\n")
     first = last = next((k for k, each in enumerate(lines) if each.startswith(f"{SECTION}:")), len(lines))
     while last + 1 < len(lines) and lines[last + 1].startswith(" "):
         last += 1
-    gone = tuple(f"{scalar(key)}:" for key in known if key not in kept)
-    own = [each for each in lines[first + 1 : last + 1] if not each.strip().startswith(gone)]
-    lines[first : last + 1] = [lines[first], *own] if kept else [f"{SECTION}: {{}}"]
+    gone = tuple(f"{scalar(key)}:" for key in known if key not in remaining)
+    open_lines = [each for each in lines[first + 1 : last + 1] if not each.strip().startswith(gone)]
+    lines[first : last + 1] = [lines[first], *open_lines] if remaining else [f"{SECTION}: {{}}"]
     if yaml.safe_load(text := "\n".join([*lines, ""])) != wanted:
         raise ConfigError(f"--confirm: {path}: found no line of its own for each question: remove them by hand")
     mode = path.stat().st_mode
     write_atomically(path.resolve(), text.encode())
     path.chmod(mode)
     yield f"Confirmed in {path}: {', '.join(keys)}."
-    yield from unconfirmed(kept) or ["Nothing is open any more."]
+    yield from unconfirmed(remaining) or ["Nothing is open any more."]

@@ -103,8 +103,8 @@ def fit_gains(
     )
     if not at.size or (count := int(blocks.max()) + 1) < FEWEST or np.ptp(commands[:, known]) < LEAST:
         return None
-    kept = np.where(np.isfinite(commands), commands, 0.0)
-    fits = [_regression(_filtered(kept, time)[:, known], values[known], level) for time in times]
+    filled = np.where(np.isfinite(commands), commands, 0.0)
+    fits = [_regression(_filtered(filled, time)[:, known], values[known], level) for time in times]
     rows, gains, left = min(fits, key=lambda fit: float(fit[2] @ fit[2]))
     scores = np.stack([np.bincount(blocks, row * left, count) for row in rows])
     inverse = np.linalg.pinv(rows @ rows.T, hermitian=True)
@@ -126,8 +126,8 @@ def _filtered(commands: np.ndarray, time: float) -> np.ndarray:
 def _regression(rows: np.ndarray, values: np.ndarray, level: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The rows, their coefficients and the residuals."""
     rows = rows if level else np.vstack([rows, np.ones(rows.shape[1])])
-    found = np.linalg.lstsq(rows.T, values, rcond=1e-9)[0]
-    return rows, found, values - found @ rows
+    coefficients = np.linalg.lstsq(rows.T, values, rcond=1e-9)[0]
+    return rows, coefficients, values - coefficients @ rows
 
 
 class Decided(NamedTuple):
@@ -152,10 +152,10 @@ class Decided(NamedTuple):
     @property
     def support(self) -> float:
         """How well the motion follows the commands as they were taken, 0 to twice `MOST_SUPPORT`."""
-        found = (
+        fits = (
             (_nearest(fits, signs), signs) for fits, signs in zip(self.fits, _signs(self.best), strict=True) if fits
         )
-        return sum(min(MOST_SUPPORT, (fit.cost_of(np.zeros(2)) - fit.cost(signs)) / 2) for fit, signs in found)
+        return sum(min(MOST_SUPPORT, (fit.cost_of(np.zeros(2)) - fit.cost(signs)) / 2) for fit, signs in fits)
 
     def facts(self) -> str:
         """What a full command of each side does, as it is logged: the gains nearest to the fit that `best` allows."""

@@ -47,7 +47,7 @@ def find_sway(
 
     Beside the surge there can be one only if the surge is a series, and signed.
     """
-    found: list[tuple[bool, bool, float, int, Sway]] = []
+    ranked: list[tuple[bool, bool, float, int, Sway]] = []
     for each in pool:
         named = fit(SWAY, each.label)
         beside = surge is not None and each is not surge.candidate and is_beside(surge.candidate, each)
@@ -60,8 +60,8 @@ def find_sway(
         read = _proved(each, relation, surge, heading) if follows and heading else None
         read = read or _by_name(each, named, relation, surge, heading)
         if each.size * UNITS[read.unit][0] < PLAUSIBLE:
-            found.append((follows, beside, named, -len(found), read))
-    return max(found, key=lambda each: each[:4])[-1] if found else None
+            ranked.append((follows, beside, named, -len(ranked), read))
+    return max(ranked, key=lambda each: each[:4])[-1] if ranked else None
 
 
 def is_beside(surge: Candidate, other: Candidate) -> bool:
@@ -104,33 +104,33 @@ def _by_name(
     why = "by name" if named >= 2 else "the part across the hull of the vector whose other part is the surge"
     why += "; it does not clearly follow the rate of position across the hull" if unlike else ""
     of_unit = least(sure, PROBABLE if declared else surge.certainty if surge else UNSURE)
-    told = "the log says so" if declared else "as the surge" if surge else "neither the log nor a position tells it"
+    proof = "the log says so" if declared else "as the surge" if surge else "neither the log nor a position tells it"
     if leans and heading:
         of_side = least(PROBABLE, heading.certainty)
         text = f"it leans to the rate of position across the hull (correlation {relation.correlation:.2f})"
-        return Sway(candidate, unit, math.copysign(1.0, relation.slope), (sure, of_unit, of_side), (why, told, text))
+        return Sway(candidate, unit, math.copysign(1.0, relation.slope), (sure, of_unit, of_side), (why, proof, text))
     turned = heading is not None and heading.unit.startswith("enu_")
     text = "vectors beside a heading from east count to port" if turned else "taken as to starboard"
-    reasons = why, told, f"{text}: no position confirms it"
+    reasons = why, proof, f"{text}: no position confirms it"
     return Sway(candidate, unit, -1.0 if turned else 1.0, (sure, of_unit, UNSURE), reasons)
 
 
 def tell_sway(
-    found: Sway, channels: dict[str, dict[str, Any]], series: dict[str, Candidate], sense: str
+    sway: Sway, channels: dict[str, dict[str, Any]], series: dict[str, Candidate], sense: str
 ) -> list[Decision]:
     """The sway as a channel, and what is said about it.
 
     `sense` says how certain it is in which sense heading and position count.
     """
-    candidate, unit = found.candidate, found.unit
-    is_sway, of_unit, of_side = least(found.certainty[0], sense), found.certainty[1], least(found.certainty[2], sense)
-    spoken = found.sign < 0 or of_side == UNSURE
-    channels[SWAY] = candidate.source(unit=unit, window=AUTO, **({"span": found.sign} if spoken else {}))
+    candidate, unit = sway.candidate, sway.unit
+    is_sway, of_unit, of_side = least(sway.certainty[0], sense), sway.certainty[1], least(sway.certainty[2], sense)
+    spoken = sway.sign < 0 or of_side == UNSURE
+    channels[SWAY] = candidate.source(unit=unit, window=AUTO, **({"span": sway.sign} if spoken else {}))
     series[SWAY] = candidate
-    side, other = ("to starboard", "-1") if found.sign > 0 else ("to port", "1")
+    side, other = ("to starboard", "-1") if sway.sign > 0 else ("to port", "1")
     others = tuple(each for each in SPEEDS[:3] if each != unit) if of_unit == UNSURE else ()
     return [
-        Decision(SWAY, "series", candidate.label, is_sway, found.reason[0]),
-        Decision(SWAY, "unit", unit, of_unit, found.reason[1], others),
-        Decision(SWAY, "sign", side, of_side, found.reason[2], (other,)),
+        Decision(SWAY, "series", candidate.label, is_sway, sway.reason[0]),
+        Decision(SWAY, "unit", unit, of_unit, sway.reason[1], others),
+        Decision(SWAY, "sign", side, of_side, sway.reason[2], (other,)),
     ]

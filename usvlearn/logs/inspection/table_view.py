@@ -27,17 +27,17 @@ LINES, END = 45, 11  # on the screen; of them after these parts
 PLAIN = ("series", "unit", "sign", "messages")  # what is told without its name
 
 
-def show(found: Inspected, output: str, console: Console, whole: bool = False) -> None:
+def show(inspected: Inspected, output: str, console: Console, whole: bool = False) -> None:
     """Print what was found, and the file that is written; if `whole`, everything, however long."""
-    log, asked = Text(" ".join(_logs(found))), list(_asked(found, output))
-    said = [Text(f"Data check, {each.severity}: {printable(each.sentence())}") for each in found.findings]
-    said += [Text(f"Note: {printable(note)}") for note in found.notes]
-    parts: list[Text | Blocks] = [log, Text(), _decisions(found, whole), *asked, *said]
+    log, asked = Text(" ".join(_logs(inspected))), list(_asked(inspected, output))
+    said = [Text(f"Data check, {each.severity}: {printable(each.sentence())}") for each in inspected.findings]
+    said += [Text(f"Note: {printable(note)}") for note in inspected.notes]
+    parts: list[Text | Blocks] = [log, Text(), _decisions(inspected, whole), *asked, *said]
     if whole:
-        parts.insert(2, _series(found.series))
+        parts.insert(2, _series(inspected.series))
     elif _height(parts, console) > (room := LINES - END - bool(said)):
         for reasons in range(len(asked), -2, -1):
-            parts = [log, Text(), _channels(found), *_asked(found, output, reasons)]
+            parts = [log, Text(), _channels(inspected), *_asked(inspected, output, reasons)]
             if (left := room - _height(parts, console)) >= bool(said):
                 break
         for number, each in enumerate(said):
@@ -60,8 +60,8 @@ def hours(recordings: Sequence[Recording]) -> float:
     return float(sum(spans)) / 3600
 
 
-def _logs(found: Inspected) -> Iterator[str]:
-    logs, count = found.logs, len(found.logs.files)
+def _logs(inspected: Inspected) -> Iterator[str]:
+    logs, count = inspected.logs, len(inspected.logs.files)
     size = sum(map(bytes_of, logs.files)) / 1e6
     spans = [max((float(np.nanmax(one.time, initial=0)) for one in each), default=0) for each in logs.surveyed]
     yield f"{count} log{'s' * (count > 1)} of {logs.format.name}, {size:.1f} MB, {sum(spans) / 3600:.2f} h."
@@ -86,11 +86,11 @@ def _series(series: Sequence[Candidate]) -> Blocks:
     return table
 
 
-def _decisions(found: Inspected, whole: bool) -> Blocks:
-    title = "What it means" if whole else f"What was found in {len(found.series)} series of numbers; --all lists them"
+def _decisions(result: Inspected, whole: bool) -> Blocks:
+    title = "What it means" if whole else f"What was found in {len(result.series)} series of numbers; --all lists them"
     table = Blocks(title, ["channel", "found", "how sure", "why"], [], ["channel", "found", "why"])
     reason = channel = ""
-    for each in _merged(found.decisions):
+    for each in _merged(result.decisions):
         why = printable(each.reason) if each.reason != reason else "″"
         reason = each.reason
         below = f"  {each.what}" if each.channel in (channel, "both commands") else f"{each.channel} {each.what}"
@@ -99,17 +99,17 @@ def _decisions(found: Inspected, whole: bool) -> Blocks:
     return table
 
 
-def _channels(found: Inspected) -> Blocks:
+def _channels(inspected: Inspected) -> Blocks:
     """One row for each channel: its series, then what else was decided, and the least of what is how sure."""
-    series = f"{len(found.series)} series of numbers; --all lists them, and says why"
+    series = f"{len(inspected.series)} series of numbers; --all lists them, and says why"
     table = Blocks(f"What was found in {series}", ["channel", "found", "how sure"], [], ["found"])
     rows: dict[str, list[Decision]] = {}
-    for each in _merged(found.decisions):
+    for each in _merged(inspected.decisions):
         rows.setdefault(each.channel, []).append(each)
-    for channel, own in rows.items():
-        words = ((each.what.removesuffix(" of both"), each.value) for each in own)
-        told = ", ".join(value if what in PLAIN else f"{what} {value}" for what, value in words)
-        table.add(channel, printable(told), _sure(least(*(each.certainty for each in own))))
+    for channel, decisions in rows.items():
+        words = ((each.what.removesuffix(" of both"), each.value) for each in decisions)
+        text = ", ".join(value if what in PLAIN else f"{what} {value}" for what, value in words)
+        table.add(channel, printable(text), _sure(least(*(each.certainty for each in decisions))))
     return table
 
 
@@ -128,17 +128,17 @@ def _merged(decisions: Sequence[Decision]) -> list[Decision]:
     return [*sides, *(each._replace(what=f"{each.what} of both") for each in both), *rest]
 
 
-def _asked(found: Inspected, output: str, reasons: int = 1000) -> Iterator[Text]:
+def _asked(inspected: Inspected, output: str, reasons: int = 1000) -> Iterator[Text]:
     """The open questions, unsure ones with what they may be, so many with why; below 0, not even in a line each."""
-    if asked := found.settings.get(SECTION):
+    if asked := inspected.settings.get(SECTION):
         yield Text(f"Please check ({len(asked)}). If wrong, correct {output}; if right: {confirmation(output)}", "bold")
-        told: dict[str, list[str]] = {UNSURE: [], PROBABLE: []}
+        by_certainty: dict[str, list[str]] = {UNSURE: [], PROBABLE: []}
         for number, (key, each) in enumerate(asked.items()):
             if each["certainty"] == UNSURE and reasons >= 0:
                 yield Text(f"  {key}: {each['found']}" + (f" ({each['why']})" if number < reasons else ""))
             else:
-                told[each["certainty"]].append(f"{key} {each['found']}")
-        yield from (Text(f"  {sure}: {'; '.join(words)}") for sure, words in told.items() if words)
+                by_certainty[each["certainty"]].append(f"{key} {each['found']}")
+        yield from (Text(f"  {sure}: {'; '.join(words)}") for sure, words in by_certainty.items() if words)
         yield Text()
 
 

@@ -27,14 +27,14 @@ WINGS, MOTORS = {4, 19, 77, 78, 79, 80}, {*range(33, 41), *range(82, 86)}  # val
 OF_BOATS = {*FUNCTIONS.values()}
 
 
-def of_one_vehicle(found: Sequence[Candidate], convention: str) -> tuple[list[Candidate], list[Decision]]:
+def of_one_vehicle(series: Sequence[Candidate], convention: str) -> tuple[list[Candidate], list[Decision]]:
     """The series of one vehicle; of several, those of the first that has commands, and a question.
 
     Systems of a telemetry log are vehicles. So are namespaces, prefixes or numbers of names, if each has all there is.
     """
     telemetry = convention == "MAVLink telemetry"
-    for system in _vehicles_of(found, telemetry):
-        known = [(system[id(each)], each.label) for each in found if id(each) in system and each.varies]
+    for system in _vehicles_of(series, telemetry):
+        known = [(system[id(each)], each.label) for each in series if id(each) in system and each.varies]
         headed = {one for one, label in known if fit("heading", label) >= 2}
         sided = [{one for one, label in known if side(label.replace(one, "", 1)) == way} for way in ("left", "right")]
         driven = {one for one, label in known if fit("command", label) >= 1} | (sided[0] & sided[1])
@@ -47,17 +47,17 @@ def of_one_vehicle(found: Sequence[Candidate], convention: str) -> tuple[list[Ca
         one, other = (f"@{each}.1" if telemetry else repr(each) for each in (chosen, others[0]))
         why += f"write {other} in place of {one} in data.channels"
         foreign = {*system.values()} - {chosen} if telemetry else {*others}  # what no vehicle has, is of all
-        own = [each for each in found if system.get(id(each)) not in foreign]
-        return own, [Decision("vehicle", "system", chosen, UNSURE, why, others)]
-    return list(found), []
+        remaining = [each for each in series if system.get(id(each)) not in foreign]
+        return remaining, [Decision("vehicle", "system", chosen, UNSURE, why, others)]
+    return list(series), []
 
 
-def _vehicles_of(found: Sequence[Candidate], telemetry: bool) -> Iterator[dict[int, str]]:
+def _vehicles_of(series: Sequence[Candidate], telemetry: bool) -> Iterator[dict[int, str]]:
     """Series, by `id` -> the vehicle that they may be of: by the sender, or by each way in which names tell it."""
     if telemetry:
-        yield {id(each): each.kind.partition(".")[0] for each in found}
+        yield {id(each): each.kind.partition(".")[0] for each in series}
     else:
-        yield from ({id(each): key[1] for each in found if (key := one.fullmatch(each.name))} for one in OF_VEHICLES)
+        yield from ({id(each): key[1] for each in series if (key := one.fullmatch(each.name))} for one in OF_VEHICLES)
 
 
 def told_apart(logs: Sequence[Sequence[Series]]) -> dict[str, str]:
@@ -65,8 +65,8 @@ def told_apart(logs: Sequence[Sequence[Series]]) -> dict[str, str]:
     heard: list[dict[str, set[str]]] = [{} for _ in logs]
     for log, senders in zip(logs, heard, strict=True):
         for each, one in product(log, SENDERS):
-            if found := one.fullmatch(f"{each.name} {each.kind}"):
-                senders.setdefault(found[1], set()).add(f"{found[2]} {each.field}")
+            if match := one.fullmatch(f"{each.name} {each.kind}"):
+                senders.setdefault(match[1], set()).add(f"{match[2]} {each.field}")
     for other, (one, own) in product(heard[1:], heard[0].items()):
         for another in () if one in other else sorted(other.keys() - heard[0].keys()):
             if 2 * len(own & other[another]) > min(len(own), len(other[another])):
@@ -74,9 +74,9 @@ def told_apart(logs: Sequence[Sequence[Series]]) -> dict[str, str]:
     return {}
 
 
-def check_boat(files: Sequence[Path], found: Sequence[Candidate], convention: str) -> list[Decision]:
+def check_boat(files: Sequence[Path], series: Sequence[Candidate], convention: str) -> list[Decision]:
     """Refuse the log of an aeroplane, a multicopter or a submarine; ask where a log is of a ground vehicle."""
-    kinds = {round(float(each.value[-1])) for each in found if TYPE.fullmatch(each.label)}
+    kinds = {round(float(each.value[-1])) for each in series if TYPE.fullmatch(each.label)}
     other = next((OTHERS[kind] for kind in kinds if kind in OTHERS and not kinds & {GROUND, BOAT}), "")
     log = DataFlash()._log(files[0]) if convention == "ArduPilot DataFlash" else None
     parameters = log.vehicles[""].parameters if log else {}

@@ -50,7 +50,7 @@ ENGLISH: dict[str, dict[str, float]] = {  # role -> word -> how strongly it name
                 "rpm": 1.8, "rps": 1.8, "rev": 1.8, "n": 1.5, "duty": 1.8},
     "rudder": {"rudder": 3, "steer": 3, "steering": 3, "rud": 3, "nozzle": 2, "helm": 2.5, "delta": 2},
 }  # fmt: skip
-WORDS = {role: languages.weights(role) | own for role, own in ENGLISH.items()}
+WORDS = {role: languages.weights(role) | english for role, english in ENGLISH.items()}
 PLURALS: dict[str, str] = {f"{word}s": word for word in ENGLISH["command"] if len(word) > 2}  # as in motors.port
 TURNS = {"yaw", "heading", "turn", "psi", "hdg", "theta", "head"} | languages.TURNS
 RATES = {"rate", "dot", "speed", "vel", "velocity", "rotation"} | languages.RATES
@@ -89,17 +89,17 @@ def words(name: str) -> tuple[str, ...]:
     """The words of a name, in lower case, without accents; of a topic those of its last two parts."""
     text = "/".join(unicodedata.normalize("NFC", name).split("/")[-2:])
     text = re.sub("St[Bb](?![a-z])", " stb ", text)  # not st, b
-    text = re.sub(r"[^\W\d_]+", lambda found: _ascii(found[0]), text)
-    found: list[str] = []
+    text = re.sub(r"[^\W\d_]+", lambda match: _ascii(match[0]), text)
+    tokens: list[str] = []
     for each in map(str.lower, SPLIT.findall(text)):
         word = PLURALS.get(each, each)
         if word[0] in "lr" and word[1:] in SIDED:
-            found += [word[0], word[1:]]
-        elif word == "mps" or not (found and found[-1] == "m" and word == "s"):
-            found.append(word)
+            tokens += [word[0], word[1:]]
+        elif word == "mps" or not (tokens and tokens[-1] == "m" and word == "s"):
+            tokens.append(word)
         else:
-            found[-1] = "mps"
-    return tuple(found)
+            tokens[-1] = "mps"
+    return tuple(tokens)
 
 
 def _ascii(word: str) -> str:
@@ -110,15 +110,15 @@ def _ascii(word: str) -> str:
 
 def names_azimuth(name: str) -> bool:
     """Whether a name tells the angle of a thruster that turns."""
-    found = set(words(name))
-    turned = AZIMUTHS & found or ({"angle", "alpha", "winkel", "azimuth"} & found and {"thruster", "pod"} & found)
-    return bool(turned) and not FOREIGN & found
+    tokens = set(words(name))
+    turned = AZIMUTHS & tokens or ({"angle", "alpha", "winkel", "azimuth"} & tokens and {"thruster", "pod"} & tokens)
+    return bool(turned) and not FOREIGN & tokens
 
 
 def names_force(name: str) -> bool:
     """Whether a name tells the force ahead of all thrusters together."""
-    found = set(words(name))
-    return bool(FORCES & found and AHEAD & found) and not {"torque", "moment", "y", "v"} & found
+    tokens = set(words(name))
+    return bool(FORCES & tokens and AHEAD & tokens) and not {"torque", "moment", "y", "v"} & tokens
 
 
 def names_moment(name: str) -> bool:
@@ -130,65 +130,65 @@ def names_moment(name: str) -> bool:
 def fit(role: str, name: str) -> float:
     """How well a name fits a role: 3 names it plainly, 1 is a hint, 0 says nothing, less speaks against it."""
     spoken = words(name)
-    found = set(spoken)
+    tokens = set(spoken)
     if len(spoken) > 1 and spoken[-1] == "d" and not spoken[-2].isdigit():
-        found.add("desired")  # as in psi_d
-    plain = [word for word in found - UNIT_WORDS.keys() - NUMBER - SIDES - BESIDE if not word.isdigit()]
+        tokens.add("desired")  # as in psi_d
+    plain = [word for word in tokens - UNIT_WORDS.keys() - NUMBER - SIDES - BESIDE if not word.isdigit()]
     symbols = SYMBOLS.get(role, set()) if len(plain) > 1 else set()
-    score = max((WORDS[role].get(word, 0) for word in found - symbols), default=0)
-    rate = bool(TURNS & found and RATES & found) or (
-        "z" in found and bool({"angular", "gyro", "gyr", "omega"} & found) and "accel" not in found
+    score = max((WORDS[role].get(word, 0) for word in tokens - symbols), default=0)
+    rate = bool(TURNS & tokens and RATES & tokens) or (
+        "z" in tokens and bool({"angular", "gyro", "gyr", "omega"} & tokens) and "accel" not in tokens
     )
-    over_ground = bool(OVER_GROUND & found)
+    over_ground = bool(OVER_GROUND & tokens)
     if role == "yaw_rate":
-        score = 3 if rate else 0.5 if {"z"} & found and {"vel", "velocity", "twist"} & found else score
-        score -= 4 * bool({"x", "y", "roll", "pitch", "p", "q", "climb"} & found and not rate)
-        score -= 4 * bool({"linear"} & found)
+        score = 3 if rate else 0.5 if {"z"} & tokens and {"vel", "velocity", "twist"} & tokens else score
+        score -= 4 * bool({"x", "y", "roll", "pitch", "p", "q", "climb"} & tokens and not rate)
+        score -= 4 * bool({"linear"} & tokens)
     elif role == "heading":
-        score -= 4 * rate + 2 * (over_ground and score > 0) + 2 * bool({"course", "cog"} & found)
+        score -= 4 * rate + 2 * (over_ground and score > 0) + 2 * bool({"course", "cog"} & tokens)
     elif role == "course":
-        turned = bool({"heading", "hdg", "kurs", "kog", "course", "cog", "koers", "cap", "rumbo", "rumo"} & found)
+        turned = bool({"heading", "hdg", "kurs", "kog", "course", "cog", "koers", "cap", "rumbo", "rumo"} & tokens)
         score = 3 if over_ground and turned else score if score >= 2 else 0
         score -= 4 * rate
     elif role.startswith("velocity"):
         axis = {"north", "n", "nord"} if role == "velocity_north" else {"east", "e", "ost"}
-        score = 3 if axis & found and ({"v"} | RATES) & found else score
+        score = 3 if axis & tokens and ({"v"} | RATES) & tokens else score
     elif role in ("north", "east"):
-        score -= 4 * bool(({"v"} | RATES) & found)
+        score -= 4 * bool(({"v"} | RATES) & tokens)
     elif role == "sway":
-        score -= 5 * bool({"angle", "error", "x", "z", "angular"} & found) + 4 * rate
+        score -= 5 * bool({"angle", "error", "x", "z", "angular"} & tokens) + 4 * rate
     elif role == "surge":
-        score -= 4 * rate + 4 * bool({"angular", "gyro", "gyr", "omega"} & found)
+        score -= 4 * rate + 4 * bool({"angular", "gyro", "gyr", "omega"} & tokens)
         across = {"y", "z", "d", "vy", "vz", "vd", "east", "north", "ost", "nord", "delta", "imu"}
-        across -= {"y"} if "x" in found else set()
-        score -= 3 * bool(across & found)
-        if {"linear", "x"} <= found and not (SETPOINT | COMMANDED) & set(words(name.replace("/", "."))):
+        across -= {"y"} if "x" in tokens else set()
+        score -= 3 * bool(across & tokens)
+        if {"linear", "x"} <= tokens and not (SETPOINT | COMMANDED) & set(words(name.replace("/", "."))):
             score = max(score, 1) + 0.5  # of a twist, which is in the axes of the boat
     elif role == "command":
-        score = min(score, 3) + 0.5 * bool(score and (LEFT | RIGHT) & found)
-        score -= 4 * bool({"w", "kw", "wh", "watt", "watts"} & found)  # electrical power
-        score -= 1 * bool({"force", "feedback", "kraft", "newton"} & found)
+        score = min(score, 3) + 0.5 * bool(score and (LEFT | RIGHT) & tokens)
+        score -= 4 * bool({"w", "kw", "wh", "watt", "watts"} & tokens)  # electrical power
+        score -= 1 * bool({"force", "feedback", "kraft", "newton"} & tokens)
         score = 2.5 if names_force(name) else score - 4 * names_moment(name)
-        sideways = LATERAL & found or ({"bow", "stern"} & found and not SIDES & found)
-        score -= 4 * bool(NO_THRUST & found) + 4 * bool(sideways)
+        sideways = LATERAL & tokens or ({"bow", "stern"} & tokens and not SIDES & tokens)
+        score -= 4 * bool(NO_THRUST & tokens) + 4 * bool(sideways)
     elif role == "rudder" and names_moment(name):
         score = 2.5
     if role not in ("command", "rudder"):
-        score -= 4 * bool(DRIVES & found)
-        score -= 6 * bool(SETPOINT & found) + 3 * bool(COMMANDED & found)
-    own = {"max", "min"} & WORDS[role].keys() | ({"dot"} if role == "yaw_rate" else set())
-    own |= {"min"} if "/min" in name or {"deg", "degrees"} & found else set()  # a minute
-    derived = DERIVED - own
+        score -= 4 * bool(DRIVES & tokens)
+        score -= 6 * bool(SETPOINT & tokens) + 3 * bool(COMMANDED & tokens)
+    allowed = {"max", "min"} & WORDS[role].keys() | ({"dot"} if role == "yaw_rate" else set())
+    allowed |= {"min"} if "/min" in name or {"deg", "degrees"} & tokens else set()  # a minute
+    derived = DERIVED - allowed
     foreign = FOREIGN - WORDS["sway"].keys() if role == "sway" else FOREIGN
-    return score - 5 * bool(derived & found and not (role == "yaw_rate" and rate)) - 4 * bool(foreign & found)
+    return score - 5 * bool(derived & tokens and not (role == "yaw_rate" and rate)) - 4 * bool(foreign & tokens)
 
 
 def side(name: str) -> str:
     """The side that a name tells, "left", "right" or "" (none, or both)."""
-    found = set(words(name))
-    left, right = bool(found & LEFT), bool(found & RIGHT)
-    if found & WORDS["command"].keys():
-        left, right = left or bool(found & languages.SHORT_LEFT), right or bool(found & languages.SHORT_RIGHT)
+    tokens = set(words(name))
+    left, right = bool(tokens & LEFT), bool(tokens & RIGHT)
+    if tokens & WORDS["command"].keys():
+        left, right = left or bool(tokens & languages.SHORT_LEFT), right or bool(tokens & languages.SHORT_RIGHT)
     return "" if left == right else "left" if left else "right"
 
 

@@ -24,11 +24,11 @@ def gather(data, starts, lengths, offset, size):
 
     The starts and lengths of the messages must lie within the file; `offset` and `size` are of the copied part, bytes.
     """
-    found = np.zeros((len(starts), size), dtype=np.uint8)
+    gathered = np.zeros((len(starts), size), dtype=np.uint8)
     for k in range(len(starts)):
         for j in range(min(size, np.int64(lengths[k]) - offset)):
-            found[k, j] = data[starts[k] + offset + j]
-    return found
+            gathered[k, j] = data[starts[k] + offset + j]
+    return gathered
 
 
 @jit(entry=True, memory=True)
@@ -122,10 +122,10 @@ def dataflash_stamps(data, places, layouts, offsets, widths, factors):
 @jit(memory=True)
 def _little(data, place, width):
     """An unsigned number, as int64."""
-    found = np.int64(0)
+    number = np.int64(0)
     for k in range(width):
-        found |= np.int64(data[place + k]) << (8 * k)
-    return found
+        number |= np.int64(data[place + k]) << (8 * k)
+    return number
 
 
 @jit(entry=True, memory=True)
@@ -199,10 +199,10 @@ def _frame(data, place):
 @jit(memory=True)
 def _big(data, place):
     """A stamp, whose first byte is the highest."""
-    found = np.int64(0)
+    stamp = np.int64(0)
     for k in range(STAMP):
-        found = found << 8 | np.int64(data[place + k])
-    return found
+        stamp = stamp << 8 | np.int64(data[place + k])
+    return stamp
 
 
 @jit(memory=True)

@@ -85,15 +85,15 @@ class DataFlash(MessageReader):
         time = compiled.dataflash_stamps(data, places, kinds, *_stamps(layouts))
         seconds = (time - time[0]) * 1e-6
         ends = np.cumsum(np.bincount(kinds, minlength=len(layouts)))
-        found = []
+        pairs = []
         for layout, rows in zip(layouts, np.split(np.argsort(kinds, kind="stable"), ends[:-1]), strict=True):
             if len(rows) and layout.name:
                 lengths = np.full(len(rows), layout.size, dtype=np.uint8)
-                found.append((layout, Messages(layout.fields, places[rows] + 3, lengths, seconds[rows], rows)))
-        fixes = [each for each in _rows(data, found, "GPS", "TimeUS", "GWk", "GMS") if each[1]]
+                pairs.append((layout, Messages(layout.fields, places[rows] + 3, lengths, seconds[rows], rows)))
+        fixes = [each for each in _rows(data, pairs, "GPS", "TimeUS", "GWk", "GMS") if each[1]]
         starts = [GPS_EPOCH + WEEK * week + ms / 1e3 - (us - int(time[0])) * 1e-6 for us, week, ms in fixes]
         start = float(np.median(starts)) if starts else math.nan
-        return MessageLog(path, data, _by_key(data, found), SERVOS, {"": _vehicle(data, found)}, ("",), skipped, start)
+        return MessageLog(path, data, _by_key(data, pairs), SERVOS, {"": _vehicle(data, pairs)}, ("",), skipped, start)
 
 
 class Layout(NamedTuple):
@@ -137,22 +137,22 @@ def _stamps(layouts: list[Layout]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return offsets, widths, factors
 
 
-def _rows(data: np.ndarray, found: list[tuple[Layout, Messages]], name: str, *columns: str) -> Iterator[tuple]:
+def _rows(data: np.ndarray, pairs: list[tuple[Layout, Messages]], name: str, *columns: str) -> Iterator[tuple]:
     """The values of some fields of the messages of one name, where they are of the type that ArduPilot gives them."""
-    for layout, messages in found:
+    for layout, messages in pairs:
         kinds = {field: np.dtype(where.dtype).kind for field, where in layout.fields.items()}
         if layout.name == name and all(kinds.get(column, "?") in KINDS.get(column, "iuf") for column in columns):
             values = [messages.column(data, column).tolist() for column in columns]
             yield from zip(*values, strict=True)
 
 
-def _by_key(data: np.ndarray, found: list[tuple[Layout, Messages]]) -> dict[Key, list[Messages]]:
+def _by_key(data: np.ndarray, pairs: list[tuple[Layout, Messages]]) -> dict[Key, list[Messages]]:
     """The messages by name and instance, their fields with units and without stamp and instance."""
-    labels = {number & 255: _text(label) for number, label in _rows(data, found, "UNIT", "Id", "Label")}
-    factors = {number & 255: factor for number, factor in _rows(data, found, "MULT", "Id", "Mult")}
-    ids = {kind: (units, mults) for kind, units, mults in _rows(data, found, "FMTU", "FmtType", "UnitIds", "MultIds")}
+    labels = {number & 255: _text(label) for number, label in _rows(data, pairs, "UNIT", "Id", "Label")}
+    factors = {number & 255: factor for number, factor in _rows(data, pairs, "MULT", "Id", "Mult")}
+    ids = {kind: (units, mults) for kind, units, mults in _rows(data, pairs, "FMTU", "FmtType", "UnitIds", "MultIds")}
     messages: dict[Key, list[Messages]] = {}
-    for layout, all_of_them in found:
+    for layout, all_of_them in pairs:
         units, mults = ids.get(layout.kind, (b"", b""))
         instance = _instance(layout, units)
         fields = {}
@@ -186,17 +186,17 @@ def _unit(label: str, factor: float) -> str:
     return f"{PREFIXES[factor]}{label}" if factor in PREFIXES else f"{factor:.4g} {label}"
 
 
-def _vehicle(data: np.ndarray, found: list[tuple[Layout, Messages]]) -> Vehicle:
+def _vehicle(data: np.ndarray, pairs: list[tuple[Layout, Messages]]) -> Vehicle:
     """The last parameters, and when the vehicle was armed: before the first change it was the opposite.
 
     A log without a change counts as armed: by default ArduPilot logs only then.
     """
-    rows = ((_text(name), value) for name, value in _rows(data, found, "PARM", "Name", "Value"))
+    rows = ((_text(name), value) for name, value in _rows(data, pairs, "PARM", "Name", "Value"))
     parameters, former = last_and_former(rows)
     for name, (column, meaning) in ARMING.items():
         states = {
             order: meaning[value]
-            for layout, messages in found
+            for layout, messages in pairs
             if layout.name == name and column in layout.fields
             for order, value in zip(messages.order.tolist(), messages.column(data, column).tolist(), strict=True)
             if value in meaning

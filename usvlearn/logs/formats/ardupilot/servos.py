@@ -39,8 +39,8 @@ class Limits(NamedTuple):
         """Pulse widths as shares of full scale."""
         offset = pwm - self.trim
         span = np.where(offset > 0, self.high - self.trim, self.trim - self.low)
-        found = np.divide(offset, span, out=np.zeros_like(offset), where=span > 0)
-        return np.where(pwm == 0, 0.0, -found if self.reversed else found)
+        shares = np.divide(offset, span, out=np.zeros_like(offset), where=span > 0)
+        return np.where(pwm == 0, 0.0, -shares if self.reversed else shares)
 
 
 @dataclass(frozen=True)
@@ -52,13 +52,13 @@ class Servos:
 
     def find(self, name: str, parameters: Mapping[str, float], where: str) -> int:
         """The number of the first servo that drives one of `FUNCTIONS`; a LogFormatError says which there are."""
-        found: dict[int, list[int]] = {}  # function -> servos
+        assigned: dict[int, list[int]] = {}  # function -> servos
         for parameter, value in parameters.items():
             if (match := FUNCTION.fullmatch(parameter)) and math.isfinite(value):
-                found.setdefault(int(value), []).append(int(match[1]))
-        if servos := found.get(FUNCTIONS[name]):
+                assigned.setdefault(int(value), []).append(int(match[1]))
+        if servos := assigned.get(FUNCTIONS[name]):
             return min(servos)
-        raise LogFormatError(f"{where}: {_no_servo(name, found)}")
+        raise LogFormatError(f"{where}: {_no_servo(name, assigned)}")
 
     def are_known(self, number: int, parameters: Mapping[str, float], former: Mapping[str, float]) -> bool:
         """Whether a log holds all limits of a servo, and changes none of them."""
@@ -77,10 +77,10 @@ class Servos:
         names = {each: f"SERVO{number}_{each}" for each in DEFAULTS}
         for name in (*names.values(), f"SERVO{number}_FUNCTION"):
             if former and name in former:
-                told = (
+                sentence = (
                     f"{where}: {name} is {former[name]:g}, and later {parameters[name]:g}: the last value is taken for "
                 )
-                warnings.warn(f"{told}all of the log: where it ran before, cut the log there", stacklevel=6)
+                warnings.warn(f"{sentence}all of the log: where it ran before, cut the log there", stacklevel=6)
         if missing := [name for each, name in names.items() if name not in parameters]:
             assumed = ", ".join(f"{name} {DEFAULTS[name.split('_')[1]]:g}" for name in missing)
             warnings.warn(
@@ -109,15 +109,15 @@ def last_and_former(given: Iterable[tuple[str, float]]) -> tuple[dict[str, float
     return last, former
 
 
-def _no_servo(name: str, found: Mapping[int, list[int]]) -> str:
+def _no_servo(name: str, assigned: Mapping[int, list[int]]) -> str:
     expected = f"expected a servo with SERVOn_FUNCTION {FUNCTIONS[name]} ({name.replace('_', ' ')}), found"
     advice = "name the servo's column, with its zero and span (1500 and 400)"
-    if not found:
+    if not assigned:
         return f"{expected} no such parameters: {advice}"
-    if FUNCTIONS["throttle"] in found and name in ("throttle_left", "throttle_right"):
-        throttle, steering = found[FUNCTIONS["throttle"]][0], found.get(FUNCTIONS["steering"], [None])[0]
+    if FUNCTIONS["throttle"] in assigned and name in ("throttle_left", "throttle_right"):
+        throttle, steering = assigned[FUNCTIONS["throttle"]][0], assigned.get(FUNCTIONS["steering"], [None])[0]
         rudder = f" and steering at servo {steering} (26)" if steering is not None else ""
-        told = f"{expected} one throttle at servo {throttle} (70){rudder}: set field: throttle for command_left"
-        return f"{told} and for command_right"
-    listed = ", ".join(f"servo {servos[0]}: {function}" for function, servos in sorted(found.items()) if function)
+        sentence = f"{expected} one throttle at servo {throttle} (70){rudder}: set field: throttle for command_left"
+        return f"{sentence} and for command_right"
+    listed = ", ".join(f"servo {servos[0]}: {function}" for function, servos in sorted(assigned.items()) if function)
     return f"{expected} {listed[:200] or 'no function at all'}: {advice}"

@@ -79,8 +79,8 @@ class Tlog(MessageReader):
         for sender, each in sent.items():
             for number, one in _timed(data, each).items():
                 message = MESSAGES[number]
-                own = message.stamp, message.instance
-                shown = {name: where for name, where in message.fields.items() if name not in own}
+                excluded = message.stamp, message.instance
+                shown = {name: where for name, where in message.fields.items() if name not in excluded}
                 for instance, part in one.split(data, message.instance):
                     messages[Key(message.name, instance, sender)] = [part._replace(fields=shown)]
         vehicles = {sender: _vehicle(data, each) for sender, each in sent.items()}
@@ -121,13 +121,13 @@ def _timed(data: np.ndarray, sent: dict[int, Messages]) -> dict[int, Messages]:
 
 def _boots(delay: np.ndarray) -> np.ndarray:
     """Where the offset of a clock changes: at a boot, or when it has drifted far."""
-    found, least = [0], float(delay[0])
+    changes, least = [0], float(delay[0])
     for k, each in enumerate(delay.tolist()):
         if abs(each - least) > CLOCK_LIMIT:
-            found.append(k)
+            changes.append(k)
             least = each
         least = min(least, each)
-    return np.array(found)
+    return np.array(changes)
 
 
 def _vehicle(data: np.ndarray, sent: dict[int, Messages]) -> Vehicle:

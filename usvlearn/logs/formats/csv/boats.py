@@ -55,9 +55,9 @@ def kinds_of(path: Path, dialect: Dialect, beside: Sequence[Path] = ()) -> Kinds
     cells = {name: [row[dialect.names.index(name)].strip() for row in dialect.sample] for name in names}
     numbers = {name: parse_cells(each, dialect.decimal) for name, each in cells.items()}
     varied = [each for each, x in numbers.items() if 2 * np.isfinite(x).sum() > len(x) and np.nanmax(x) > np.nanmin(x)]
-    found: list[Kinds] = []
-    for name, own in cells.items():
-        labels, words = np.array(own), words_of(name)
+    columns: list[Kinds] = []
+    for name, texts in cells.items():
+        labels, words = np.array(texts), words_of(name)
         rows = np.flatnonzero(labels != "")
         counts, text = Counter(labels[rows].tolist()), np.isnan(numbers[name][rows]).all()
         if not (text or (numbers[name][rows] % 1 == 0).all()):
@@ -75,10 +75,10 @@ def kinds_of(path: Path, dialect: Dialect, beside: Sequence[Path] = ()) -> Kinds
         jumping = [across > JUMPS * within for across, within, moved in steps.values() if moved >= HELD]
         alone = (text or words & NAMED) and len(steps) == 1 and len(varied) < LOOKED
         if alone and (one := next(iter(steps.values())))[0] > JUMPS * one[1]:
-            found.append(Kinds(name, sorted(counts), *steps))
+            columns.append(Kinds(name, sorted(counts), *steps))
         elif len(counts) <= MOST and len(jumping) > 1 and 2 * sum(jumping) > len(jumping):
-            found.append(Kinds(name, sorted(counts)))
-    return max(found, key=lambda each: len(each.values), default=None)
+            columns.append(Kinds(name, sorted(counts)))
+    return max(columns, key=lambda each: len(each.values), default=None)
 
 
 def _steps(values: np.ndarray, labels: np.ndarray) -> tuple[float, float, float] | None:

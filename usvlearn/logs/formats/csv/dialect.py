@@ -87,9 +87,9 @@ class Dialect(NamedTuple):
 
 def split_unit(name: str) -> tuple[str, str]:
     """The name of a column without its unit, and the unit, in the words of `UNITS` where it is one of them."""
-    if found := BRACKETED.fullmatch(name):
-        unit = (found[2] or found[3] or "").strip()
-        return found[1], UNIT_OF.get(unit.lower(), unit)
+    if match := BRACKETED.fullmatch(name):
+        unit = (match[2] or match[3] or "").strip()
+        return match[1], UNIT_OF.get(unit.lower(), unit)
     first, _, last = name.rpartition(" ")
     if first.strip() and "/" in last and last.lower() in UNIT_OF:  # other last words may belong to the name
         return first.strip(), UNIT_OF[last.lower()]
@@ -148,17 +148,17 @@ def _dialect(
 def no_header(path: Path, dialect: Dialect) -> LogFormatError:
     """The error for a table of numbers without names of columns, or with one beside each number, or each row."""
     first = dialect.delimiter.join(dialect.names or dialect.sample[0])
-    found, edit = "none above the first numbers", "'1i time,left,right,heading,speed'"
+    fault, edit = "none above the first numbers", "'1i time,left,right,heading,speed'"
     if keys := KEYED.findall(first):
-        found = "one beside each number of"
+        fault = "one beside each number of"
         edit = rf"-E 's/\b[A-Za-z_]\w*\s*[=:]\s*//g; s/[ ,;]+/,/g; 1i {','.join(keys)}'"
     way, rows = f"add such a line, as by sed {edit}", dialect.sample
     if not keys and all(not is_value(row[0]) and len(row) > len(rows) for row in rows):
-        found = "one at the begin of each row, as"
+        fault = "one at the begin of each row, as"
         way = "turn the table, as by python -c 'import csv, sys; "
         way += "csv.writer(sys.stdout).writerows(zip(*csv.reader(sys.stdin)))' <"
     expected = "a header, a line with the names of the columns"
-    return LogFormatError(f"{path}: expected {expected}, found {found} {first[:60]!r}: {way} {path.name} > named.csv")
+    return LogFormatError(f"{path}: expected {expected}, found {fault} {first[:60]!r}: {way} {path.name} > named.csv")
 
 
 def not_sorted(path: Path, dialect: Dialect, stamps: list[str], time: np.ndarray) -> LogFormatError | None:
@@ -282,8 +282,8 @@ def is_value(cell: str) -> bool:
 
 
 def _unit(cell: str) -> str:
-    found = cell.strip().strip("()[]# ").strip()
-    return UNIT_OF.get(found.lower(), found)
+    unit = cell.strip().strip("()[]# ").strip()
+    return UNIT_OF.get(unit.lower(), unit)
 
 
 def _are_units(row: list[str], width: int) -> bool:

@@ -69,19 +69,19 @@ def find_options(path: Path, boat: str | None, beside: Sequence[Path]) -> tuple[
         raise no_header(path, dialect)
     unsure = [f"decimal: found {doubt}; '.' is assumed" for doubt in dialect.doubts.values()]
     if (count := len(dialect.sample)) < 2:
-        found = "a header and no rows" if not count else "a header and a single row"
+        seen = "a header and no rows" if not count else "a header and a single row"
         raise LogFormatError(
-            f"{path}: expected a table with a header, a column of stamps and two rows or more, found {found}: "
+            f"{path}: expected a table with a header, a column of stamps and two rows or more, found {seen}: "
             "leave it out"
         )
     if kinds := kinds_of(path, dialect, beside):
-        own = next((each for each in kinds.values if boat is not None and each.strip("/") == boat), None)
-        if kinds.number or own is None:
+        label = next((each for each in kinds.values if boat is not None and each.strip("/") == boat), None)
+        if kinds.number or label is None:
             raise refused(path.parent if len(beside) > 1 else path, dialect, kinds)
         place = dialect.names.index(kinds.column)
-        dialect = dialect._replace(sample=[row for row in dialect.sample if row[place].strip() == own])
+        dialect = dialect._replace(sample=[row for row in dialect.sample if row[place].strip() == label])
         if not dialect.sample:
-            raise OtherBoats(f"{path}: found no row with {own!r} among the first ones: leave it out")
+            raise OtherBoats(f"{path}: found no row with {label!r} among the first ones: leave it out")
     advancing, counters = _candidates(path, dialect)
     candidates = sorted(advancing, key=lambda each: -each.rank)
     if not candidates:
@@ -106,8 +106,8 @@ def find_options(path: Path, boat: str | None, beside: Sequence[Path]) -> tuple[
     options = {"time": best.name, **{name: getattr(dialect, name) for name in ("delimiter", "decimal", "encoding")}}
     again = find_dialect(path, best.name, dialect.encoding, dialect.delimiter, AUTO, dialect.decimal)
     only = None
-    if kinds and own is not None:
-        only, options["rows"] = (again.names.index(kinds.column), own), f"{kinds.column}={own}"
+    if kinds and label is not None:
+        only, options["rows"] = (again.names.index(kinds.column), label), f"{kinds.column}={label}"
     stamps = Rows(path, again, stamp_columns(path, best.name, again), [], only).stamps
     _, kind, doubt = stamps.seconds(AUTO)
     if doubt:
@@ -141,7 +141,7 @@ def _no_time_column(path: Path, time: str, names: list[str], delimiter: str) -> 
 
 
 def _of_topics(folder: Path) -> tuple[dict[str, str], list[str]]:
-    found: list[dict[str, str]] = []
+    tables: list[dict[str, str]] = []
     unsure: dict[str, None] = {}
     failed: LogFormatError | None = None
     for file in tables_of(folder):
@@ -150,13 +150,13 @@ def _of_topics(folder: Path) -> tuple[dict[str, str], list[str]]:
         except LogFormatError as error:
             failed = failed or error
             continue
-        found.append({"dates": AUTO, **options})
+        tables.append({"dates": AUTO, **options})
         unsure |= dict.fromkeys(doubts)
-    if not found:
+    if not tables:
         raise failed or LogFormatError(f"{folder}: expected tables, found none: give another folder")
-    same = {name: found[0][name] for name in ("delimiter", "decimal", "encoding", "dates")
-            if len({each[name] for each in found}) == 1}  # fmt: skip
-    stamps = {(each["time"], each["time_unit"]) for each in found}
+    same = {name: tables[0][name] for name in ("delimiter", "decimal", "encoding", "dates")
+            if len({each[name] for each in tables}) == 1}  # fmt: skip
+    stamps = {(each["time"], each["time_unit"]) for each in tables}
     time, unit = stamps.pop() if len(stamps) == 1 else (AUTO, "s")
     return {"time": time, "time_unit": unit, "files": TOPICS, **same}, list(unsure)
 
@@ -165,7 +165,7 @@ def _candidates(path: Path, dialect: Dialect) -> tuple[list[_Candidate], list[st
     """The columns that may be stamps, one of dates with one of times; and those that only count the rows."""
     names = [name for name in dialect.names if name and dialect.names.count(name) == 1]
     joins, days = _joins(names)
-    found: list[_Candidate] = []
+    candidates: list[_Candidate] = []
     counters, taken, unsorted = list[str](), set[str](), dict[float, LogFormatError]()
     for parts in [*joins, *([name] for name in names)]:
         places, name = [dialect.names.index(part) for part in parts], "+".join(parts)
@@ -196,13 +196,13 @@ def _candidates(path: Path, dialect: Dialect) -> tuple[list[_Candidate], list[st
         if rank == EVEN and ({*WORD.findall(bare)} <= COUNTERS or (rising == 1).mean() >= RISING):
             counters.append(name)
         elif rank:
-            found.append(_Candidate(rank, name, kind, unit, time, stamps.origin))
-    for k, each in enumerate(found):
+            candidates.append(_Candidate(rank, name, kind, unit, time, stamps.origin))
+    for k, each in enumerate(candidates):
         if each.kind == "time" and days:
-            found[k] = each._replace(name=f"{days[0]}+{each.name}", rank=each.rank + 4)
-    if unsorted and max(unsorted) > max((each.rank for each in found), default=EVEN):
+            candidates[k] = each._replace(name=f"{days[0]}+{each.name}", rank=each.rank + 4)
+    if unsorted and max(unsorted) > max((each.rank for each in candidates), default=EVEN):
         raise unsorted[max(unsorted)]
-    return found, counters
+    return candidates, counters
 
 
 def _joins(names: list[str]) -> tuple[list[list[str]], list[str]]:
@@ -214,16 +214,16 @@ def _joins(names: list[str]) -> tuple[list[list[str]], list[str]]:
         group.setdefault(part_of(name, group)[0], name)
     date, clock = ("year", "month", "day"), ("hour", "minute", "second")
     dates = [[group[part] for part in date] for group in groups.values() if {*date} <= group.keys()][:1]
-    found = []
+    joins = []
     for others, group in groups.items():
         fraction = [group[part] for part in (3, 6, 9) if part in group][:1]
         if {*clock} <= group.keys():
-            found.append([*(dates[0] if dates else []), *(group[part] for part in clock), *fraction])
+            joins.append([*(dates[0] if dates else []), *(group[part] for part in clock), *fraction])
         elif fraction and "second" in group:
-            found.append([group["second"], *fraction])
+            joins.append([group["second"], *fraction])
         elif fraction and not others:
-            found += [[name, *fraction] for name in names if name.lower() in NAMED]
-    return found, [] if any(len(each) > 2 for each in found) else ["+".join(each) for each in dates]
+            joins += [[name, *fraction] for name in names if name.lower() in NAMED]
+    return joins, [] if any(len(each) > 2 for each in joins) else ["+".join(each) for each in dates]
 
 
 def _declared(name: str, unit: str) -> str:

@@ -63,9 +63,9 @@ def _text(path: Path, suffix: str) -> bytes:
 
         columns = dict(_columns("", loadmat(path, simplify_cells=True)))
     rows, _ = Counter(len(each) for each in columns.values() if each is not None).most_common(1)[0]
-    kept = {name: each.tolist() for name, each in columns.items() if each is not None and len(each) == rows}
-    _tell(path, [name for name in columns if name not in kept], f"the arrays of {rows} numbers")
-    csv.writer(text := io.StringIO()).writerows([[*kept], *zip(*kept.values(), strict=True)])
+    complete = {name: each.tolist() for name, each in columns.items() if each is not None and len(each) == rows}
+    _tell(path, [name for name in columns if name not in complete], f"the arrays of {rows} numbers")
+    csv.writer(text := io.StringIO()).writerows([[*complete], *zip(*complete.values(), strict=True)])
     return text.getvalue().encode()
 
 

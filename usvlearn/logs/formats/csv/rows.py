@@ -106,9 +106,9 @@ class Rows:
         if not orders:
             if only and not first_torn:
                 raise OtherBoats(f"{path}: found no row with {only[1]!r}: set data.reader.rows, or leave this log out")
-            found = first_torn or ", found nothing below the header"
+            seen = first_torn or ", found nothing below the header"
             raise LogFormatError(
-                f"{path}: expected rows of {width} cells, as many as the header has{found}: fix the header, or leave "
+                f"{path}: expected rows of {width} cells, as many as the header has{seen}: fix the header, or leave "
                 "this log out"
             )
         self.order = np.concatenate(orders)
@@ -140,14 +140,14 @@ class _Lines:
         while lines := self._file.readlines(PART):
             text = "".join(lines) if comment else ""
             if any(sign in text for sign in comment):
-                kept: list[str] = []
+                selected: list[str] = []
                 for line in lines:
                     if line.lstrip().startswith(comment):
-                        self._from.append(given + len(kept))
+                        self._from.append(given + len(selected))
                         self._skipped.append(self._skipped[-1] + 1)
                     else:
-                        kept.append(line)
-                lines = kept
+                        selected.append(line)
+                lines = selected
             given += len(lines)
             yield [" ".join(line.split()) for line in lines] if self._dialect.delimiter == " " else lines
 
@@ -174,11 +174,11 @@ def quaternions(names: Sequence[str]) -> dict[str, Quaternion]:
     """Name of an orientation -> its columns. `q[0]` … `q[3]`, as PX4 writes them, begin with w."""
     groups: dict[tuple[str, str], dict[str, str]] = {}
     for name in names:
-        if found := NUMBERED.fullmatch(name):
-            number = next(each for each in found.groups()[1:] if each)
-            groups.setdefault((found[1], NED), {})["wxyz"[int(number)]] = name
-        elif (found := LETTERED.fullmatch(name)) and found[1]:
-            groups.setdefault((found[1], ENU), {})[found[3].lower()] = name
+        if match := NUMBERED.fullmatch(name):
+            number = next(each for each in match.groups()[1:] if each)
+            groups.setdefault((match[1], NED), {})["wxyz"[int(number)]] = name
+        elif (match := LETTERED.fullmatch(name)) and match[1]:
+            groups.setdefault((match[1], ENU), {})[match[3].lower()] = name
     return {
         stem: Quaternion((axes["x"], axes["y"], axes["z"], axes["w"]), unit)
         for (stem, unit), axes in groups.items()

@@ -78,8 +78,8 @@ class Stamps:
         values[texts] = [_iso(cells[place]) for place in texts.tolist()]
         kinds[texts[np.isfinite(values[texts])]] = YEAR_FIRST
         if len(texts := np.flatnonzero(kinds == UNREADABLE)):
-            found = zip(*[self._text(cells[place]) for place in texts.tolist()], strict=True)
-            kinds[texts], values[texts], dates[texts] = (list(each) for each in found)
+            parsed = zip(*[self._text(cells[place]) for place in texts.tolist()], strict=True)
+            kinds[texts], values[texts], dates[texts] = (list(each) for each in parsed)
         self._kinds.append(kinds)
         self._values.append(values)
         self._dates.append(dates if (kinds == OTHER_DATE).any() else np.broadcast_to(np.int16(0), dates.shape))
@@ -87,14 +87,14 @@ class Stamps:
     def _text(self, cell: str) -> tuple[int, float, tuple[int, int, int]]:
         """Kind, value and date of a cell that is no number and not in ISO 8601."""
         none = (0, 0, 0)
-        if found := ONLY_TIME.fullmatch(cell):
-            self._seconds |= found[3] is not None
-            return CLOCK, _seconds(*found.groups()), none
-        if found := MINUTES.fullmatch(cell):
+        if match := ONLY_TIME.fullmatch(cell):
+            self._seconds |= match[3] is not None
+            return CLOCK, _seconds(*match.groups()), none
+        if match := MINUTES.fullmatch(cell):
             self._minutes = True
-            return CLOCK, 60.0 * int(found[1]) + float(found[2].replace(",", ".")), none
-        if found := DATE_TIME.fullmatch(cell):
-            first, sign, second, year, *clock, zone = found.groups()
+            return CLOCK, 60.0 * int(match[1]) + float(match[2].replace(",", ".")), none
+        if match := DATE_TIME.fullmatch(cell):
+            first, sign, second, year, *clock, zone = match.groups()
             seconds = _seconds(*clock) - _offset(zone) if clock[0] else 0.0
             self._dotted |= sign == "."
             self._halves |= clock[4] is not None
@@ -159,8 +159,8 @@ class Stamps:
         first, second = (dates[:, :2] > 12).sum(0)
         if first or second:
             share = max(first, second) / (first + second)
-            found = "day_first" if first >= second else "month_first"
-            return found, "" if share >= CERTAIN else "dates of which some have no month in either order"
+            order = "day_first" if first >= second else "month_first"
+            return order, "" if share >= CERTAIN else "dates of which some have no month in either order"
         one_day = len(np.unique(dates, axis=0)) == 1  # on which either order gives the same times
         if self._dotted or (one_day and not self._halves):
             return "day_first", ""
@@ -183,9 +183,9 @@ def spread(time: np.ndarray, origin: float) -> tuple[np.ndarray, float]:
     begins = np.flatnonzero(np.append(True, np.diff(time[readable]) != 0))
     counts = np.diff(np.append(begins, len(readable)))
     place = np.arange(len(readable)) - np.repeat(begins, counts)
-    found = time.copy()
-    found[readable] += place / np.repeat(counts, counts)
-    return found, rate
+    even = time.copy()
+    even[readable] += place / np.repeat(counts, counts)
+    return even, rate
 
 
 def rows_a_second(stamps: np.ndarray) -> float:
@@ -198,8 +198,8 @@ def rows_a_second(stamps: np.ndarray) -> float:
 
 def _iso(cell: str) -> float:
     """Seconds since 1970 of a date-time that begins with the year; NaN if it is none."""
-    if not ISO.match(cell) and (found := YEARLY.fullmatch(cell)):
-        year, _, month, day, hour, _, minute, second, rest = found.groups()
+    if not ISO.match(cell) and (match := YEARLY.fullmatch(cell)):
+        year, _, month, day, hour, _, minute, second, rest = match.groups()
         cell = f"{year}-{month:0>2}-{day:0>2}T{hour:0>2}:{minute}:{second}.{rest or 0}"
     try:
         stamp = datetime.fromisoformat(cell.strip().replace("/", "-"))

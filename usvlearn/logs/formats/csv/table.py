@@ -136,17 +136,17 @@ class Table(Reader):
         """Name of a topic, which is that of its file -> its table. Files that are no tables are left out."""
         files = topics.tables_of(folder)
         stems = [file.stem for file in files]
-        found, unread = {}, []
+        tables, unread = {}, []
         for file, stem in zip(files, stems, strict=True):
             try:
-                found[stem if stems.count(stem) == 1 else file.name] = self._topic(file)
+                tables[stem if stems.count(stem) == 1 else file.name] = self._topic(file)
             except LogFormatError as error:
                 unread.append(error)
-        if not found:
+        if not tables:
             raise unread[0] if unread else LogFormatError(f"{folder}: expected tables, found none: give another folder")
         for each in unread:
             warnings.warn(f"table left out: {each}", stacklevel=6)
-        return found
+        return tables
 
     def _topic(self, file: Path) -> Opened:
         """One of several tables; without the column that `time` names its stamps are found."""
@@ -192,15 +192,15 @@ class Table(Reader):
 
     def _dialect(self, path: Path) -> Dialect:
         """How a file is written, by the options given and by what is found."""
-        found = find_dialect(path, self.time, self.encoding, self.delimiter, self.comment, self.decimal)
-        if "decimal" in found.doubts:
+        dialect = find_dialect(path, self.time, self.encoding, self.delimiter, self.comment, self.decimal)
+        if "decimal" in dialect.doubts:
             raise LogFormatError(
-                f"{path}: expected to find the decimal sign from the numbers, found {found.doubts['decimal']}: set "
+                f"{path}: expected to find the decimal sign from the numbers, found {dialect.doubts['decimal']}: set "
                 "data.reader.decimal"
             )
-        if found.lacks_header:
-            raise no_header(path, found)
-        return found
+        if dialect.lacks_header:
+            raise no_header(path, dialect)
+        return dialect
 
 
 @dataclass(frozen=True)
@@ -232,8 +232,8 @@ class Opened:
 
     def match(self, pattern: str, where: str) -> str:
         """The column that a `Source` names; a LogFormatError where there is none, or several."""
-        found = self.find(pattern)
-        return found[0] if len(found) == 1 else match_name(pattern, self.names, where)
+        matches = self.find(pattern)
+        return matches[0] if len(matches) == 1 else match_name(pattern, self.names, where)
 
     def columns(self, names: Sequence[str]) -> Columns:
         """Numbers of columns, with the yaw of orientations."""
@@ -260,10 +260,10 @@ class Opened:
         if not rate:
             return time, origin
         kind = "whole seconds" if grain == 1 else "rounded"
-        found = f"{self.path}: the stamps {self.table.time!r} are {kind}, with {rate:.3g} rows"
+        text = f"{self.path}: the stamps {self.table.time!r} are {kind}, with {rate:.3g} rows"
         if np.nanmedian(np.diff(np.unique(time))) >= 30:
-            raise LogFormatError(f"{found} of each minute, expected seconds: write stamps with seconds")
-        warnings.warn(f"{found} each: the rows of a second are spread evenly within it", stacklevel=5)
+            raise LogFormatError(f"{text} of each minute, expected seconds: write stamps with seconds")
+        warnings.warn(f"{text} each: the rows of a second are spread evenly within it", stacklevel=5)
         return even * grain, origin
 
     def _as_written(self, rows: Rows) -> tuple[np.ndarray, float]:
@@ -327,7 +327,7 @@ class Opened:
                     series.append(Series(name, None, columns.time[readable], ones, columns.order[readable], "gear"))
                 left.append(f"{name[:QUOTED]!r} ({known.sum()} of {(~column.empty).sum()}{cell})")
         if left:
-            told = f"left out columns whose cells are mostly no numbers: {', '.join(left[:8])}{', …' * (len(left) > 8)}"
+            text = f"left out columns whose cells are mostly no numbers: {', '.join(left[:8])}{', …' * (len(left) > 8)}"
             plain = "where there are none, write them without units and signs of thousands"
-            warnings.warn(f"{told}: name one in data.channels to read its numbers; {plain}", stacklevel=3)
+            warnings.warn(f"{text}: name one in data.channels to read its numbers; {plain}", stacklevel=3)
         return series, columns.origin

@@ -88,10 +88,10 @@ def survey_topics(folder: Path, topics: Mapping[str, Opened]) -> list[Series]:
     start = min(spans[topic].begin for topic in together)
     runs = {topic: each for topic, each in surveyed.items() if topic in together}
     times = [series[0].time + (origin - start) for series, origin in runs.values()]
-    found = []
+    listed = []
     for (topic, (series, _)), time, order in zip(runs.items(), times, interleaved(times), strict=True):
-        found += [each._replace(name=f"{topic}.{each.name}", time=time, order=order) for each in series]
-    return found
+        listed += [each._replace(name=f"{topic}.{each.name}", time=time, order=order) for each in series]
+    return listed
 
 
 class Span(NamedTuple):
@@ -114,8 +114,8 @@ class Span(NamedTuple):
 def _largest(spans: dict[str, Span]) -> set[str]:
     """The most tables whose times overlap that of one of them; of equal numbers those of the longest."""
     near = {
-        topic: {other for other, each in spans.items() if each.begin <= own.end and own.begin <= each.end}
-        for topic, own in spans.items()
+        topic: {other for other, each in spans.items() if each.begin <= span.end and span.begin <= each.end}
+        for topic, span in spans.items()
     }
     return max(near.items(), key=lambda item: (len(item[1]), spans[item[0]].end - spans[item[0]].begin))[1]
 
@@ -133,8 +133,8 @@ def apart(folder: Path, spans: dict[str, Span]) -> LogFormatError:
 def locate(pattern: str, topics: Mapping[str, Opened], where: str) -> tuple[str, str]:
     """The topic and the column that a `Source` names; a LogFormatError where there is none, or several."""
     for topic, opened in topics.items():
-        if pattern.startswith(f"{topic}.") and len(found := opened.find(pattern[len(topic) + 1 :])) == 1:
-            return topic, found[0]
+        if pattern.startswith(f"{topic}.") and len(matches := opened.find(pattern[len(topic) + 1 :])) == 1:
+            return topic, matches[0]
     alone = [(topic, name) for topic, opened in topics.items() for name in opened.find(pattern)]
     if len(alone) == 1:
         return alone[0]

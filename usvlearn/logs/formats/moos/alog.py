@@ -53,7 +53,7 @@ class Alog(Reader):
             where = f"{path}: data.channels.{channel}.name"
             matched[channel] = match_name(source.name, posts["@" in source.name], where)
         rows = _rows(path, set(matched.values()))
-        start = next((float(found[1]) for line in islice(_lines(path), 9) if (found := START.match(line))), math.nan)
+        start = next((float(match[1]) for line in islice(_lines(path), 9) if (match := START.match(line))), math.nan)
         channels, dropped = {}, {}
         for channel, source in sources.items():
             order, time, cells = rows[matched[channel]]
@@ -65,7 +65,7 @@ class Alog(Reader):
         return channels, dropped
 
     def survey(self, path: Path) -> list[Series]:
-        found: dict[str, dict[str, tuple[array, array, array]]] = {}  # variable -> app -> stamps, values, line numbers
+        heard: dict[str, dict[str, tuple[array, array, array]]] = {}  # variable -> app -> stamps, values, line numbers
         lost = 0
         for number, line in enumerate(_lines(path), 1):
             parts = line.split(None, 3)
@@ -73,13 +73,13 @@ class Alog(Reader):
                 lost += bool(parts) and not line.startswith("%")
                 continue
             value = parts[3] if len(parts) == 4 else ""
-            columns = found.setdefault(parts[1], {}).setdefault(_app(parts[2]), (array("d"), array("d"), array("q")))
+            columns = heard.setdefault(parts[1], {}).setdefault(_app(parts[2]), (array("d"), array("d"), array("q")))
             for column, each in zip(columns, (stamp, as_number(ANSI.sub("", value)), number), strict=True):
                 column.append(each)
-        if not found:
+        if not heard:
             raise _no_rows(path)
         series, partly = [], []
-        for variable, apps in found.items():
+        for variable, apps in heard.items():
             for app, columns in apps.items():
                 time, values, order = (np.array(column) for column in columns)
                 name, share = variable if len(apps) == 1 else f"{variable}@{app}", np.isfinite(values).mean()

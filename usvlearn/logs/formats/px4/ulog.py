@@ -79,7 +79,7 @@ class Ulog(Reader):
 
     def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
         wanted = [source.name for source in sources.values()]
-        wanted += [*(found[1] for name in wanted if (found := ELEMENT.fullmatch(name))), *CLOCKS]
+        wanted += [*(match[1] for name in wanted if (match := ELEMENT.fullmatch(name))), *CLOCKS]
         seen: set[str] = set()
 
         def keep(name: str) -> bool:
@@ -109,13 +109,13 @@ class Ulog(Reader):
         topics = _topics(path, lambda name: True)
         series = []
         for topic, order in zip(topics, interleaved([topic.time for topic in topics]), strict=True):
-            arrays = Counter(found[1] for name in topic.fields if (found := ELEMENT.fullmatch(name)))
+            arrays = Counter(match[1] for name in topic.fields if (match := ELEMENT.fullmatch(name)))
             kind = topic.name.partition("[")[0]
             for name, numbers in topic.fields.items():
-                array = found[1] if (found := ELEMENT.fullmatch(name)) else ""
+                array = match[1] if (match := ELEMENT.fullmatch(name)) else ""
                 if "timestamp" in name or arrays[array] > ELEMENTS:
                     continue
-                if array in QUATERNIONS and found and found[2] == "0" and arrays[array] == 4:
+                if array in QUATERNIONS and match and match[2] == "0" and arrays[array] == 4:
                     value = topic.value(array, topic.name)
                     series.append(Series(topic.name, array, topic.time, value, order, "rad", kind))
                 unit = "1" if name in DRIVEN else ""
@@ -161,12 +161,12 @@ def _topics(path: Path, keep: Callable[[str], bool]) -> list[_Topic]:
         else:
             warnings.warn(f"{path}: skipped the topic {name[:QUOTED]}, which has no timestamp in us", stacklevel=4)
     topics = []
-    for name, found in parts.items():
-        stamps = np.concatenate([data.data["timestamp"] for data, _ in found]).astype(np.int64)
+    for name, pieces in parts.items():
+        stamps = np.concatenate([data.data["timestamp"] for data, _ in pieces]).astype(np.int64)
         fields = {
-            field: np.concatenate([data.data[field] for data, _ in found])
-            for field, kind in found[0][1].items()
-            if kind != "char" and field and all(kinds.get(field) == kind for _, kinds in found)
+            field: np.concatenate([data.data[field] for data, _ in pieces])
+            for field, kind in pieces[0][1].items()
+            if kind != "char" and field and all(kinds.get(field) == kind for _, kinds in pieces)
         }
         topics.append(_Topic(name, (stamps - np.uint64(log.start_timestamp).astype(np.int64)) * 1e-6, fields))
     logged = {topic.name: topic.fields for topic in topics}

@@ -37,17 +37,17 @@ def unpack(path: Path, data: bytes, compression: str, limit: int, announced: int
         return data, True
     if announced > limit:
         raise _too_large(path, f"a chunk that unpacks to {announced / MB:.0f} MB, more than {limit / MB:g} MB")
-    most, found, whole = announced or limit, bytearray(), False
+    most, unpacked, whole = announced or limit, bytearray(), False
     stream = _opened(compression, io.BytesIO(data))
     try:
-        while part := stream.read1(min(BLOCK, most + 1 - len(found))):
-            found += part
-        whole = announced in (0, len(found))
+        while part := stream.read1(min(BLOCK, most + 1 - len(unpacked))):
+            unpacked += part
+        whole = announced in (0, len(unpacked))
     except Exception:  # each library raises its own type for damage; the blocks before it are kept
         pass
-    if len(found) > limit:
+    if len(unpacked) > limit:
         raise _too_large(path, f"a chunk that unpacks to more than {limit / MB:g} MB")
-    return bytes(found[:most]), whole
+    return bytes(unpacked[:most]), whole
 
 
 def _opened(compression: str, file: BinaryIO) -> Any:
@@ -95,10 +95,10 @@ def _too_large(path: Path, what: str) -> LogFormatError:
 
 
 def _whole(path: Path, data: bytes, compression: str, limit: int, announced: int) -> bytes:
-    found, whole = unpack(path, data, compression, limit, announced)
+    unpacked, whole = unpack(path, data, compression, limit, announced)
     if not whole:
-        raise ValueError(f"a chunk of {announced} bytes ends after {len(found)}")
-    return found
+        raise ValueError(f"a chunk of {announced} bytes ends after {len(unpacked)}")
+    return unpacked
 
 
 @contextmanager
@@ -110,9 +110,9 @@ def limited(path: Path, limit: int) -> Iterator[None]:
     total = Total(path, limit)
 
     def chunk(compression: str, data: bytes, announced: int) -> bytes:
-        found = _whole(path, data, compression, limit, announced)
-        total.add(len(found))
-        return found
+        unpacked = _whole(path, data, compression, limit, announced)
+        total.add(len(unpacked))
+        return unpacked
 
     def rows(connection: apsw.Connection) -> None:
         connection.limit(apsw.SQLITE_LIMIT_LENGTH, min(limit, 2**31 - 1))

@@ -156,21 +156,21 @@ class Collected:
         """Take a message, and its number in the bag."""
         count = len(self._order)
         for path, value in numbers(message):
-            found = self.values.get(path)
-            if found is None:
+            values = self.values.get(path)
+            if values is None:
                 if len(self.values) == PATHS:
                     continue
-                found = self.values[path] = array("d")
-            found.extend([math.nan] * (count - len(found)))
-            found.append(value)
+                values = self.values[path] = array("d")
+            values.extend([math.nan] * (count - len(values)))
+            values.append(value)
         self._order.append(order)
 
     def series(self, time: np.ndarray) -> Iterator[Series]:
         """One of each path; `time` of all messages, s."""
         order = np.array(self._order, np.int64)
-        for path, found in self.values.items():
+        for path, values in self.values.items():
             value = np.full(len(time), np.nan)
-            value[: len(found)] = found
+            value[: len(values)] = values
             unit = "enu_rad" if f"{path}.w" in self.values else ""  # REP 103: from east, counter-clockwise
             yield Series(self._topic, path, time, value, order, unit, self._kind)
 
@@ -210,8 +210,8 @@ class Heard:
         if clock is None:
             by_header = (stamps > 0) & (np.abs(stamps - received) <= LIMIT) & (not receive)
             return (np.where(by_header, stamps, received) - start) * 1e-9
-        own, mapped = (stamps - clock.zero) * 1e-9, clock.at(received)
-        return np.where((stamps > 0) & (np.abs(own - mapped) <= clock.limit), own, mapped) - clock.at(start)
+        stamped, mapped = (stamps - clock.zero) * 1e-9, clock.at(received)
+        return np.where((stamps > 0) & (np.abs(stamped - mapped) <= clock.limit), stamped, mapped) - clock.at(start)
 
 
 class Clock:
@@ -250,8 +250,8 @@ def find_clock(heard: Iterable[Heard]) -> tuple[Clock | None, str]:
     best = max((clock for clock in votes if clock.goes), key=lambda clock: votes[clock], default=None)
     if best is None:
         return None, ""
-    told = f"the stamps of {best.heard.topic} advance by {best.rate:.3g} s in each second of receipt"
+    sentence = f"the stamps of {best.heard.topic} advance by {best.rate:.3g} s in each second of receipt"
     if not best.heard.is_clock and votes[best][1] <= len(known) - len(far):
-        return None, f"{told}, but those of most topics by 1 s: its messages have the time of receipt"
-    told += ", as simulated time does: all times and rates are in simulated time. If this is no simulation, set "
-    return best, f"{told}data.reader.clock=receive"
+        return None, f"{sentence}, but those of most topics by 1 s: its messages have the time of receipt"
+    sentence += ", as simulated time does: all times and rates are in simulated time. If this is no simulation, set "
+    return best, f"{sentence}data.reader.clock=receive"

@@ -128,9 +128,9 @@ class Rosbag(Reader):
                 f"{way}leave it out, or name its reader"
             ) from refusal
         ending = f"it breaks off in the one at byte {bag.end} of {bag.size}" if bag.end < bag.size else "all are whole"
-        found = f"recovered {bag.count} messages of {(bag.end_time - bag.start_time) * 1e-9:.4g} s from its records"
-        told = f"{path}: the index of this bag is missing or damaged ({what}): {found}; {ending}"
-        warnings.warn(told, stacklevel=4)
+        recovered = f"recovered {bag.count} messages of {(bag.end_time - bag.start_time) * 1e-9:.4g} s from its records"
+        sentence = f"{path}: the index of this bag is missing or damaged ({what}): {recovered}; {ending}"
+        warnings.warn(sentence, stacklevel=4)
         return bag
 
     def _read(self, path: Path, bag, sources: dict[str, Source]):
@@ -169,9 +169,9 @@ class Rosbag(Reader):
     def _seconds(self, path: Path, bag, heard: list[Heard]) -> tuple[dict[str, np.ndarray], float]:
         """The times of all messages by topic, s since the start of the bag, and this; warns if they are simulated."""
         receive = self.clock == "receive"
-        clock, told = find_clock([] if receive else heard)
-        if told:
-            warnings.warn(f"{path}: {told}", stacklevel=6)
+        clock, sentence = find_clock([] if receive else heard)
+        if sentence:
+            warnings.warn(f"{path}: {sentence}", stacklevel=6)
         seconds = {each.topic: each.seconds(bag.start_time, clock, receive) for each in heard}
         return seconds, math.nan if clock else bag.start_time * 1e-9
 
@@ -201,9 +201,9 @@ class Rosbag(Reader):
                 unread.setdefault(each.topic, "no message is in the bag")
             elif not topics[each.topic].values and each.msgtype != CLOCK:
                 unread[each.topic] = f"no numbers are in the messages, or more than {ELEMENTS} in a row"
-        told = [each for each in wanted if each.topic.rpartition("/")[2] not in OF_ROS]
-        for why in dict.fromkeys(unread[each.topic] for each in told if each.topic in unread):
-            names = [f"{each.topic} ({each.msgtype})" for each in told if unread.get(each.topic) == why]
+        named = [each for each in wanted if each.topic.rpartition("/")[2] not in OF_ROS]
+        for why in dict.fromkeys(unread[each.topic] for each in named if each.topic in unread):
+            names = [f"{each.topic} ({each.msgtype})" for each in named if unread.get(each.topic) == why]
             names[SHOWN:] = [f"{len(names) - SHOWN} more"] * (len(names) > SHOWN)
             are = "is" if len(names) == 1 else "are"
             warnings.warn(f"{path}: {', '.join(names)} {are} skipped, since {why}", stacklevel=5)
@@ -220,12 +220,12 @@ class _Counted:
         self._path, self._bag, self._refuse = path, bag, refuse
 
     def messages(self, wanted: list[Any]) -> Iterator[tuple[Any, int, bytes]]:
-        announced, found = sum(connection.msgcount for connection in wanted), 0
+        announced, count = sum(connection.msgcount for connection in wanted), 0
         for message in self._bag.messages(wanted) if wanted else ():
-            found += 1
+            count += 1
             yield message
-        if found < announced:
-            text = f"{self._path}: found {found} of the {announced} messages that this bag announces: its files or "
+        if count < announced:
+            text = f"{self._path}: found {count} of the {announced} messages that this bag announces: its files or "
             text += "its metadata are damaged"
             if self._refuse:
                 raise ValueError(text)
