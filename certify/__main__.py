@@ -77,52 +77,52 @@ def _error(error: Exception | str) -> int:
 
 def parser() -> argparse.ArgumentParser:
     """The arguments of the command."""
-    found = argparse.ArgumentParser(
+    parser = argparse.ArgumentParser(
         "python -m certify", description=__doc__, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    found.add_argument("paths", nargs="*", metavar="PATH", help="checkpoints, folders of runs, patterns")
-    found.add_argument("--condition", choices=EVERY_CONDITION, help="what is judged (default: exact)")
-    found.add_argument("--lmi", action="store_true", help="solve both linear matrix inequalities too (extra lmi)")
-    found.add_argument("--solver", default="CLARABEL", help="of --lmi, a name that cvxpy knows (default: CLARABEL)")
-    found.add_argument(
+    parser.add_argument("paths", nargs="*", metavar="PATH", help="checkpoints, folders of runs, patterns")
+    parser.add_argument("--condition", choices=EVERY_CONDITION, help="what is judged (default: exact)")
+    parser.add_argument("--lmi", action="store_true", help="solve both linear matrix inequalities too (extra lmi)")
+    parser.add_argument("--solver", default="CLARABEL", help="of --lmi, a name that cvxpy knows (default: CLARABEL)")
+    parser.add_argument(
         "--box",
         nargs="?",
         const="",
         metavar="LO:HI,…",
         help="search the exact rate on a box of x, u₁ … u_m; by default x and headings in 0:1, commands in -1:1",
     )
-    found.add_argument("--seconds", type=float, default=10.0, help="of the search on a box, each (default: 10)")
-    found.add_argument(
+    parser.add_argument("--seconds", type=float, default=10.0, help="of the search on a box, each (default: 10)")
+    parser.add_argument(
         "--input", metavar="U,…", help="u at which equilibria are listed (default: zeros, as in the paper)"
     )
-    found.add_argument(
+    parser.add_argument(
         "--activation",
         "--nonlinearity",
         metavar="PHI",
         help="of the networks: relu, tanh or leaky:α (default: what the file states, else relu, tanh of torch.nn.RNN; "
         "--verify: as claimed)",
     )
-    found.add_argument("--steps", action="store_true", help="prove also that all steps up to the largest contract")
-    found.add_argument("--dt", type=float, metavar="S", help="step in s, to give time constants in s")
-    found.add_argument("--json", action="store_true", help="a list of objects on standard output")
-    found.add_argument(
+    parser.add_argument("--steps", action="store_true", help="prove also that all steps up to the largest contract")
+    parser.add_argument("--dt", type=float, metavar="S", help="step in s, to give time constants in s")
+    parser.add_argument("--json", action="store_true", help="a list of objects on standard output")
+    parser.add_argument(
         "--certificate", metavar="DIR", help="write a JSON certificate of each checkpoint that is certified"
     )
-    found.add_argument(
+    parser.add_argument(
         "--plot",
         metavar="FILE",
         help="draw the map and its equilibria; FILE, FILE-2, … for several checkpoints",
     )
-    found.add_argument("--headings", action="store_true", help="of --plot: the maps at rest over all headings")
-    found.add_argument(
+    parser.add_argument("--headings", action="store_true", help="of --plot: the maps at rest over all headings")
+    parser.add_argument(
         "--verify", nargs="+", metavar="CERTIFICATE", help="check certificates, of PATH or what they name"
     )
 
     def refuse(message: str) -> NoReturn:
         raise CertifyError(f"{message}: see --help")
 
-    found.error = refuse  # type: ignore[method-assign]  # argparse calls this method, and would end the program
-    return found
+    parser.error = refuse  # type: ignore[method-assign]  # argparse calls this method, and would end the program
+    return parser
 
 
 def _parse(arguments: Sequence[str]) -> argparse.Namespace:

@@ -69,15 +69,15 @@ def tiers():
     s = torch.linspace(-1.25, 1.25, 801, dtype=torch.float64)
     grid = torch.stack(torch.meshgrid(s, s, indexing="xy"), -1)  # a w₁ of two neurons, as w₁ = 1
     one = torch.ones_like(grid)
-    found = {
+    holds = {
         "exact": conditions.exact(grid, one), "lmi": conditions.lmi(grid, one),
         "gershgorin": conditions.gershgorin_best_gauge(grid, one), "simple": conditions.simple_best_gauge(grid, one),
     }  # fmt: skip
     a = torch.linspace(0.005, 3, 600, dtype=torch.float64)
     w = torch.linspace(0.005, 3, 600, dtype=torch.float64)
     aa, ww = (x[..., None] for x in torch.meshgrid(a, w, indexing="xy"))
-    single = {name: conditions.CONDITIONS[name](aa, ww) for name in found}
-    for axes, regions, x, y in ((left, found, s, s), (right, single, a, w)):
+    single = {name: conditions.CONDITIONS[name](aa, ww) for name in holds}
+    for axes, regions, x, y in ((left, holds, s, s), (right, single, a, w)):
         for name, condition in regions.items():
             inside = (condition.margin > 0).numpy()
             axes.contourf(x, y, inside, levels=[0.5, 1.5], colors=[TIER_COLOURS[name]], alpha=0.75)
@@ -173,9 +173,9 @@ def largest(net: VectorWeights, root: np.ndarray) -> float:
 def metric(net: VectorWeights) -> np.ndarray:
     from certify.search.vector_lmi import smallest_rate
 
-    found = smallest_rate(net, RELU)
-    assert found.proof is not None
-    return np.array([[float(x) for x in row] for row in found.proof.metric])
+    solution = smallest_rate(net, RELU)
+    assert solution.proof is not None
+    return np.array([[float(x) for x in row] for row in solution.proof.metric])
 
 
 def pairs():
@@ -184,15 +184,15 @@ def pairs():
     rng = np.random.default_rng(1)
     T = np.diag([1.0, 2.0])
     x = rng.uniform(-1, 1, (2, 40, 2))
-    found = []
+    distances = []
     for _ in range(25):
-        found.append(np.abs((x[0] - x[1]) @ T).max(-1))
+        distances.append(np.abs((x[0] - x[1]) @ T).max(-1))
         z = x @ net.W.T + rng.uniform(-1, 1, (40, 1)) @ net.W2.T + net.b
         x = x @ net.R.T + np.maximum(z, 0.0) @ net.A.T
     figure, (axes,) = panes(1, 3.6)
     figure.set_figwidth(6)
     K = float(vector_exact.rate(net, vector_exact.everywhere(net, RELU), "inf", matrix(T)))
-    axes.plot(np.array(found) / found[0], color=PALE, linewidth=0.8, alpha=0.7)
+    axes.plot(np.array(distances) / distances[0], color=PALE, linewidth=0.8, alpha=0.7)
     axes.plot([], [], color=PALE, label="40 pairs of starts, equal inputs")
     axes.plot(K ** np.arange(25), color=RELU_COLOUR, linewidth=2, label=rf"$\kappa^k$, κ = {K:.4g}")
     axes.set(yscale="log", xlabel="step k", ylabel=r"$\|T\,(x - x')\|_\infty$, relative to the start")

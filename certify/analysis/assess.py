@@ -65,7 +65,7 @@ def _one_state(network: Network, u: np.ndarray, box: Box | None, seconds: float,
     verdict = exact.verdict(weights)
     assert verdict is not None  # `load` refuses other weights
     K = verdict.rate
-    found = {
+    row = {
         "path": network.path,
         "n": n,
         "m": m,
@@ -77,23 +77,23 @@ def _one_state(network: Network, u: np.ndarray, box: Box | None, seconds: float,
         "input": list(map(float, u)),
         "equilibria": [_findings(each) for each in equilibria(weights, u)],  # in [0, 1], as in the paper
     }
-    if not found["equilibria"] and K < 1:  # a contraction has one on ℝ: |x| ≤ |f(0)|/(1 − K)
+    if not row["equilibria"] and K < 1:  # a contraction has one on ℝ: |x| ≤ |f(0)|/(1 − K)
         reach = min(float_above(abs(value_at(weights, [0.0, *u])) / (1 - K)), sys.float_info.max)
-        found["equilibria_outside"] = [_findings(each) for each in equilibria(weights, u, -reach, reach)]
+        row["equilibria_outside"] = [_findings(each) for each in equilibria(weights, u, -reach, reach)]
     if m == 4:
         at_rest = sweep(weights, surge_inputs(HEADINGS), *AT_REST)
         every = [each for places in at_rest for each in places]
-        found["at_rest"] = {
+        row["at_rest"] = {
             "headings": len(at_rest),
             "equilibria": [min(map(len, at_rest)), max(map(len, at_rest))],
             "x": [float(f(each.x for each in every)) for f in (min, max)] if every else [],
             "classes": sorted({each.kind for each in every}),
         }
     if solver is not None:
-        found["lmi"] = {"solver": solver} | solved_both(weights, solver)
+        row["lmi"] = {"solver": solver} | solved_both(weights, solver)
     if box is not None:
-        found["box"] = search_box(weights, box, seconds)
-    return found
+        row["box"] = search_box(weights, box, seconds)
+    return row
 
 
 def time_constant(K: Fraction) -> float | None:
@@ -108,10 +108,10 @@ def time_constant(K: Fraction) -> float | None:
 
 def _findings(equilibrium) -> dict[str, Any]:
     """A point, or an interval: {"x": 0.3, …} or {"x": 0.3, "interval": [0.2, 0.4], …}."""
-    found = {"x": float(equilibrium.x), "class": equilibrium.kind}
+    point = {"x": float(equilibrium.x), "class": equilibrium.kind}
     if equilibrium.lo != equilibrium.hi:
-        found["interval"] = [float(equilibrium.lo), float(equilibrium.hi)]
-    return {**found, "slopes": [float(equilibrium.slope_left), float(equilibrium.slope_right)]}
+        point["interval"] = [float(equilibrium.lo), float(equilibrium.hi)]
+    return {**point, "slopes": [float(equilibrium.slope_left), float(equilibrium.slope_right)]}
 
 
 def search_box(weights: ShallowWeights, box: Box, seconds: float = 10.0) -> dict[str, Any]:
@@ -124,21 +124,21 @@ def search_box(weights: ShallowWeights, box: Box, seconds: float = 10.0) -> dict
     if (short := provable_rate(1.001 * bracket.upper)) is not None and short < 1:
         asked.insert(0, short)
     for kappa in asked:
-        found = search.certify(weights, box, float(kappa), seconds / 2)
-        if found.verdict == "certified" or kappa == 1:
+        result = search.certify(weights, box, float(kappa), seconds / 2)
+        if result.verdict == "certified" or kappa == 1:
             break
     return {
-        "verdict": found.verdict,
-        "bracket": [bracket.lower, min(bracket.upper, found.upper)],
+        "verdict": result.verdict,
+        "bracket": [bracket.lower, min(bracket.upper, result.upper)],
         "closed": bracket.closed,
         "interval": "certified" if proves(weights, box, ".", 1) else "not certified",
-        "proved_rate": found.rate if found.verdict == "certified" else None,
-        "forward_invariant": found.invariant,
-        "witness": _point(found.witness or bracket.witness),
-        "escape": None if found.escape is None else list(map(float, found.escape)),
+        "proved_rate": result.rate if result.verdict == "certified" else None,
+        "forward_invariant": result.invariant,
+        "witness": _point(result.witness or bracket.witness),
+        "escape": None if result.escape is None else list(map(float, result.escape)),
         "intervals": [[float(lo), float(hi)] for lo, hi in zip(box.lo, box.hi, strict=True)],
-        "tree": found.tree,
-        "invariance_tree": found.invariance_tree,
+        "tree": result.tree,
+        "invariance_tree": result.invariance_tree,
     }
 
 
@@ -152,10 +152,10 @@ def solved(network: VectorNetwork, condition: str, solver: str) -> tuple[dict[st
     """What a solver says of an LMI: `lmi` is the paper's, with slopes up to 2, any other that of the slopes of φ."""
     from certify.search.vector_lmi import smallest_rate
 
-    found = smallest_rate(network.weights, network.activation, 2 if condition == "lmi" else 1, solver)
-    proved = found.kappa is not None and found.kappa <= 1
-    verdict = "certified" if proved else "not certified" if found.rate > 1 else "unknown"
-    return {"verdict": verdict, "rate": _number(found.rate), "status": found.status, "seconds": found.seconds}, found
+    lmi = smallest_rate(network.weights, network.activation, 2 if condition == "lmi" else 1, solver)
+    proved = lmi.kappa is not None and lmi.kappa <= 1
+    verdict = "certified" if proved else "not certified" if lmi.rate > 1 else "unknown"
+    return {"verdict": verdict, "rate": _number(lmi.rate), "status": lmi.status, "seconds": lmi.seconds}, lmi
 
 
 def solved_both(weights: ShallowWeights, solver: str) -> dict[str, dict[str, Any]]:
@@ -174,22 +174,22 @@ def _vector_state(
     weights, phi = network.weights, network.activation
     recurrent = is_recurrent(weights)
     rates: dict[str, Fraction | None] = {} if recurrent else {"gershgorin": None}
-    made: dict[str, dict[str, Any] | None] = {}
+    tried: dict[str, dict[str, Any] | None] = {}
     statuses, metric = {}, None
     if recurrent:
-        rates["quadratic"], made["quadratic"] = _quadratic(network, FULL * seconds, solver is not None)
+        rates["quadratic"], tried["quadratic"] = _quadratic(network, FULL * seconds, solver is not None)
     elif weights.V is None and phi.name == "relu":
         rates["gershgorin"] = vector_exact.gershgorin(weights)[1]
-        made["gershgorin"] = vector_certificate.make(network, "gershgorin")
+        tried["gershgorin"] = vector_certificate.make(network, "gershgorin")
     if solver is not None and not recurrent:
         for name in ("lmi", "quadratic"):
             rates[name] = None
             if name == "quadratic" or phi.name == "relu":
                 statuses[name], answer = solved(network, name, solver)
-                made[name] = None
+                tried[name] = None
                 if answer.proof is not None and statuses[name]["verdict"] == "certified":
-                    made[name] = vector_certificate.make(network, name, answer.kappa, answer.proof)
-                if (proved := made[name]) is not None:
+                    tried[name] = vector_certificate.make(network, name, answer.kappa, answer.proof)
+                if (proved := tried[name]) is not None:
                     rates[name] = Fraction(proved["rate"])
                     metric = [[Fraction(x) for x in each] for each in proved["proof"]["metric"]]
     if network.states > MOST_STATES:
@@ -198,7 +198,7 @@ def _vector_state(
     else:
         norm, scaling, exact, _ = best_scaling(weights, phi, SHARE * seconds, metric)
     rates["exact"] = exact
-    made["exact"] = vector_certificate.make(network, "exact", norm=norm, scaling=scaling)
+    tried["exact"] = vector_certificate.make(network, "exact", norm=norm, scaling=scaling)
     row: dict[str, Any] = {
         "path": network.path,
         "states": network.states,
@@ -214,16 +214,16 @@ def _vector_state(
         row["recurrent"] = True
     if statuses:
         row["solver"] = {"name": solver, **statuses}
-    found = {name: each for name, each in made.items() if each is not None}
-    row["certified"] = {name: name in found for name in vector_certificate.CONDITIONS if name in made}
-    smallest = [Fraction(each["contraction_rate"]) for each in found.values()]
+    certificates = {name: each for name, each in tried.items() if each is not None}
+    row["certified"] = {name: name in certificates for name in vector_certificate.CONDITIONS if name in tried}
+    smallest = [Fraction(each["contraction_rate"]) for each in certificates.values()]
     row["rate"] = float_above(min(smallest)) if smallest else None
     row["time_constant"] = time_constant(min(smallest)) if smallest else None  # in steps
     if steps:  # about other steps: no verdict about the network's own
         row["steps"], all_steps = _all_steps(network, norm, scaling)
         if all_steps is not None:
-            found[STEPS] = all_steps
-    return row, found
+            certificates[STEPS] = all_steps
+    return row, certificates
 
 
 def _quadratic(network: VectorNetwork, seconds: float, full: bool) -> tuple[Fraction | None, dict[str, Any] | None]:
@@ -231,16 +231,16 @@ def _quadratic(network: VectorNetwork, seconds: float, full: bool) -> tuple[Frac
 
     A full P is searched where a diagonal one does not certify, or where it is asked for.
     """
-    W, found = network.weights.W, None
+    W, best = network.weights.W, None
     if network.states <= MOST_QUADRATIC:
-        found = by_spectral_norm(W)
-    if network.states <= MOST_FULL and (full or found is None or found.kappa > 1):
+        best = by_spectral_norm(W)
+    if network.states <= MOST_FULL and (full or best is None or best.kappa > 1):
         other = by_full_metric(W, seconds)
-        found = min((each for each in (found, other) if each), key=lambda each: each.kappa, default=None)
-    if found is None:
+        best = min((each for each in (best, other) if each), key=lambda each: each.kappa, default=None)
+    if best is None:
         return None, None
-    kappa = max(found.kappa, vector_certificate.SMALLEST_RATE)
-    return found.kappa, vector_certificate.make(network, "quadratic", kappa, found.proof) if kappa <= 1 else None
+    kappa = max(best.kappa, vector_certificate.SMALLEST_RATE)
+    return best.kappa, vector_certificate.make(network, "quadratic", kappa, best.proof) if kappa <= 1 else None
 
 
 def _all_steps(
@@ -249,15 +249,15 @@ def _all_steps(
     """The steps that contract, in steps of the network, and the certificate for all of them but the last percent."""
     from certify.proofs.steps import short, steps
 
-    found = steps(network.weights, vector_exact.everywhere(network.weights, network.activation), norm, scaling)
-    proved = short(NEARLY * found.largest)
-    made = None
+    limits = steps(network.weights, vector_exact.everywhere(network.weights, network.activation), norm, scaling)
+    proved = short(NEARLY * limits.largest)
+    certified = None
     if proved is not None:
-        made = vector_certificate.make(network, "exact", norm=norm, scaling=scaling, step=proved)
-    if made is None:
+        certified = vector_certificate.make(network, "exact", norm=norm, scaling=scaling, step=proved)
+    if certified is None:
         return None, None
-    row = {"largest": str(found.largest), "fastest": str(found.fastest), "proved": str(proved)}
-    return row, made
+    row = {"largest": str(limits.largest), "fastest": str(limits.fastest), "proved": str(proved)}
+    return row, certified
 
 
 def judged(row: dict[str, Any], certificates: dict[str, dict[str, Any]], condition: str | None) -> str | None:

@@ -29,18 +29,18 @@ def judge(module: Any, nonlinearity: str | None, seconds: float, full: bool) -> 
     if not hasattr(module, "state_dict"):
         raise CertifyError(f"module: found {quoted(kind)}, expected a torch.nn.RNN, an RNNCell or a module with one")
     tensors = arrays_of(module.state_dict(), kind)
-    found = of_torch(tensors, kind)
-    if len(found) != 1:
-        raise CertifyError(f"{kind}: found {len(found)} networks of torch.nn.RNN or RNNCell in it, expected one")
-    own = module.get_submodule(found[0].prefix)
-    if not {f"{each.__module__}.{each.__name__}" for each in type(own).__mro__} & {f"{TORCH}.RNN", f"{TORCH}.RNNCell"}:
-        raise CertifyError(f"{kind}: found {type(own).__name__}, expected a torch.nn.RNN or RNNCell")
-    stated = getattr(own, "nonlinearity", nonlinearity)
+    networks = of_torch(tensors, kind)
+    if len(networks) != 1:
+        raise CertifyError(f"{kind}: found {len(networks)} networks of torch.nn.RNN or RNNCell in it, expected one")
+    rnn = module.get_submodule(networks[0].prefix)
+    if not {f"{each.__module__}.{each.__name__}" for each in type(rnn).__mro__} & {f"{TORCH}.RNN", f"{TORCH}.RNNCell"}:
+        raise CertifyError(f"{kind}: found {type(rnn).__name__}, expected a torch.nn.RNN or RNNCell")
+    stated = getattr(rnn, "nonlinearity", nonlinearity)
     if stated is None or nonlinearity not in (None, stated):
         raise CertifyError(
             f"nonlinearity: found {quoted(nonlinearity)}, and the module has {quoted(stated)}: give the module's"
         )
     (network,) = from_tensors(tensors, kind, activation(stated))
-    row, made = assess(network._replace(path=""), seconds=seconds, solver="" if full else None)
-    condition = judged(row, made, None)
-    return Certified(condition is not None, condition, row["rate"], made.get(condition or ""), row)
+    row, certificates = assess(network._replace(path=""), seconds=seconds, solver="" if full else None)
+    condition = judged(row, certificates, None)
+    return Certified(condition is not None, condition, row["rate"], certificates.get(condition or ""), row)

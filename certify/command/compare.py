@@ -43,10 +43,10 @@ def examine(weights: ShallowWeights, seconds: float, solver: str | None = None) 
 
     `seconds` are those of each search on the operating box. The solver is a name that cvxpy knows, or None.
     """
-    found, inside = exact.conditions(weights.a, weights.w1), box.operating_box(weights.W2.shape[-1])
+    conditions, inside = exact.conditions(weights.a, weights.w1), box.operating_box(weights.W2.shape[-1])
     bracket = box.rate(weights, inside, seconds=seconds)
-    rates = {name: None if each.rate is None else float_above(each.rate) for name, each in found.items()}
-    certified = {name: each.margin > 0 for name, each in found.items()}
+    rates = {name: None if each.rate is None else float_above(each.rate) for name, each in conditions.items()}
+    certified = {name: each.margin > 0 for name, each in conditions.items()}
     row: dict[str, Any] = {
         "n": len(weights.a),
         "rates": {**rates, "box": bracket.upper},
@@ -68,7 +68,7 @@ def table(families: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[dict[str,
     """
     from scipy.stats import binomtest
 
-    made = []
+    lines = []
     for name, rows in families.items():
         for condition in CONDITIONS:
             held = [row for row in rows if row["certified"][condition]]
@@ -77,7 +77,7 @@ def table(families: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[dict[str,
             over = [math.inf if each[condition] is None else each[condition] / each["exact"] for each in rates]
             middle = statistics.median_low(over) if over else math.inf
             solved = [row for row in rows if condition in row.get("solved", {})]
-            made.append({
+            lines.append({
                 "networks": name, "condition": condition, "certified": len(held), "of": len(rows),
                 "interval": None if ends is None else [ends.low, ends.high],
                 "over_K": middle if math.isfinite(middle) else None,
@@ -86,7 +86,7 @@ def table(families: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[dict[str,
                     (row["solved"][condition] == "certified") != row["certified"][condition] for row in solved
                 ) if solved else None,
             })  # fmt: skip
-    return made
+    return lines
 
 
 def main(arguments: Sequence[str], say: Callable) -> int:

@@ -51,7 +51,7 @@ def judge(
                 raise CertifyError(f"{network.path}: {error}") from error
         if m not in inputs:
             inputs[m] = input_of(options.input, m, network.path)
-    found, failures = [], []
+    judged, failures = [], []
     for each in _shown(options, networks):
         try:
             with about(each.path):
@@ -62,12 +62,12 @@ def judge(
                 else:
                     more = {"u": inputs[each.inputs], "box": boxes.get(each.inputs)}
                     more["solver"] = options.solver if options.lmi else None
-                row, made = assess.assess(each, seconds=options.seconds, **more)
+                row, proved = assess.assess(each, seconds=options.seconds, **more)
         except CertifyError as error:  # the other networks are still judged
             failures.append(error)
             continue
-        found.append(Judged(each, {**row, "judged": assess.judged(row, made, options.condition)}, made))
-    return found, failures
+        judged.append(Judged(each, {**row, "judged": assess.judged(row, proved, options.condition)}, proved))
+    return judged, failures
 
 
 def _refuse_options(options: argparse.Namespace, network: VectorNetwork) -> None:
@@ -117,17 +117,17 @@ def input_of(text: str | None, m: int, path: str) -> np.ndarray:
     return u
 
 
-def write_certificates(folder: Path, found: Sequence[Judged]) -> tuple[int, list[str]]:
+def write_certificates(folder: Path, judged: Sequence[Judged]) -> tuple[int, list[str]]:
     """Write a certificate of each network that is certified, and that of its steps; their number, and what was not."""
     written, too_long = 0, []
-    for each, name in zip(found, _names([each.network for each in found]), strict=True):
+    for each, name in zip(judged, _names([each.network for each in judged]), strict=True):
         kinds = [each.row["judged"], *([assess.STEPS] if assess.STEPS in each.certificates else [])]
         for kind in (kind for kind in kinds if kind is not None):
-            made = _certificate(each, kind)
-            if made is None:
+            content = _certificate(each, kind)
+            if content is None:
                 too_long.append(each.network.path)
                 continue
-            certificate.write(folder / f"{name}.{kind}.json", made)
+            certificate.write(folder / f"{name}.{kind}.json", content)
             written += 1
     return written, too_long
 
@@ -137,10 +137,10 @@ def _certificate(each: Judged, condition: str) -> dict[str, Any] | None:
         return each.certificates[condition]
     more: dict[str, Any] = {}
     if condition in ("interval", "box"):
-        found = each.row["box"]
-        more = {"box": box(found["intervals"], each.row["m"]), "invariance_tree": found["invariance_tree"]}
+        inside = each.row["box"]
+        more = {"box": box(inside["intervals"], each.row["m"]), "invariance_tree": inside["invariance_tree"]}
         if condition == "box":
-            more |= {"tree": found["tree"], "rate": Fraction(found["proved_rate"])}
+            more |= {"tree": inside["tree"], "rate": Fraction(inside["proved_rate"])}
     return certificate.make(each.network.weights, condition, path=each.network.path, **more)
 
 

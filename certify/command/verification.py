@@ -76,11 +76,11 @@ def verify(
             with about(str(path)):
                 content = certificate.read(path)
                 network = _named(path, content, known) if given is None else given.about(content)
-                found = _verified(content, network, phi)
+                checked = _verified(content, network, phi)
         except CertifyError as error:  # the other certificates are still checked
             results.problems.append(error)
             continue
-        results.rows.append({"certificate": path, "valid": found.valid, "reason": found.reason})
+        results.rows.append({"certificate": path, "valid": checked.valid, "reason": checked.reason})
     return results
 
 

@@ -58,7 +58,7 @@ def equilibria_figure(
     """
     figure = blank("the figure of equilibria", figsize=(8.4, 6.0), dpi=110)
     inputs = [u] if np.ndim(u) < 2 else u
-    found = sweep(weights, inputs, lo, hi)
+    points = sweep(weights, inputs, lo, hi)
     if lo == hi:
         raise CertifyError(f"lo, hi: found {lo}, {hi}, expected lo < hi: give an interval that can be drawn")
     if len(inputs) != 1 and (headings is None or np.shape(headings) != (len(inputs),)):
@@ -78,7 +78,7 @@ def equilibria_figure(
         _draw_map(axes, maps[0], f"map{beyond}")
     else:
         _draw_maps(axes, maps, np.asarray(headings), f"{len(maps)} maps{beyond}")
-    _draw_equilibria(axes, [each for some in found for each in some], single=len(maps) == 1)
+    _draw_equilibria(axes, [each for some in points for each in some], single=len(maps) == 1)
     room = 0.04 * width
     axes.set(xlim=(lo - room, hi + room), ylim=(bottom - room, top + room), xlabel="$x_k$", ylabel="$x_{k+1}$")
     axes.set_title(title, loc="left", color=INK)
@@ -127,12 +127,12 @@ def _hues(count: int) -> np.ndarray:
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
-def _draw_equilibria(axes, found: list[Equilibrium], single: bool) -> None:
+def _draw_equilibria(axes, points: list[Equilibrium], single: bool) -> None:
     from matplotlib.patheffects import withStroke
 
     outline = [withStroke(linewidth=9, foreground=INK)]
     for kind, (colour, marker, fill) in MARKS.items():
-        some = [each for each in found if each.kind == kind]
+        some = [each for each in points if each.kind == kind]
         label = _findings(kind, some, LISTED if single else 1)
         for each in some:
             if kind == "continuum":
@@ -151,16 +151,16 @@ def _draw_equilibria(axes, found: list[Equilibrium], single: bool) -> None:
                 }
             axes.plot([each.lo, each.hi], [each.lo, each.hi], color=colour, label=label, zorder=5, **style)
             label = "_nolegend_"  # once is enough
-    if not found:
+    if not points:
         axes.plot([], [], linestyle="none", label="no equilibrium here")
 
 
-def _findings(kind: str, found: list[Equilibrium], listed: int) -> str:
+def _findings(kind: str, points: list[Equilibrium], listed: int) -> str:
     """The legend's lines of a class."""
-    if len(found) > listed:
-        lo, hi = min(each.lo for each in found), max(each.hi for each in found)
-        return f"{kind}\n{len(found)} from x = {lo:.3g} to {hi:.3g}"
-    places = [f"{each.lo:.4g}" if each.lo == each.hi else f"{each.lo:.4g} … {each.hi:.4g}" for each in found]
+    if len(points) > listed:
+        lo, hi = min(each.lo for each in points), max(each.hi for each in points)
+        return f"{kind}\n{len(points)} from x = {lo:.3g} to {hi:.3g}"
+    places = [f"{each.lo:.4g}" if each.lo == each.hi else f"{each.lo:.4g} … {each.hi:.4g}" for each in points]
     return "\n".join([kind, *(f"x = {place}" for place in places)])
 
 

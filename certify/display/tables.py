@@ -106,7 +106,7 @@ def _table(
     title = f"Margins, > 0 where a condition holds, and rates of what is in {shared}" + f"; {marks}" * (solved or boxed)
     headings = ["checkpoint", "n", *MARGINS, "rate K", "τ, steps" if dt is None else "τ, s"]
     headings += ["LMI lmi, exact"] * solved + ["on the box"] * boxed + ["equilibria"]
-    found: list[list[str | Text]] = []
+    lines: list[list[str | Text]] = []
     for row, path in zip(rows, paths, strict=True):
         margins = [
             Text(below(row["margins"][name], 3), "green" if row["certified"][name] else "red") for name in MARGINS
@@ -114,8 +114,8 @@ def _table(
         cells = [_lmi(row["lmi"])] if solved else []
         cells += [_box(row["box"])] if boxed else []
         constant = _time_constant(row["time_constant"], dt)
-        found.append([path, str(row["n"]), *margins, above(row["rate"]), constant, *cells, _every_place(row)])
-    return title, headings, found, ["equilibria"]
+        lines.append([path, str(row["n"]), *margins, above(row["rate"]), constant, *cells, _every_place(row)])
+    return title, headings, lines, ["equilibria"]
 
 
 def _time_constant(steps: float | None, dt: float | None) -> str:
@@ -155,19 +155,19 @@ def _places(equilibria: Sequence[dict[str, Any]]) -> str:
     return "; ".join(f"{kind} {', '.join(places)}" for kind, places in kinds.items())
 
 
-def _lmi(found: dict[str, Any]) -> Text:
+def _lmi(solved: dict[str, Any]) -> Text:
     marks = Text()
     for condition in ("lmi", "exact"):
-        rate = found[condition]["rate"]
-        marks.append(_mark(found[condition]["verdict"])).append(" –  " if rate is None else f" {rate:.4g}  ")
+        rate = solved[condition]["rate"]
+        marks.append(_mark(solved[condition]["verdict"])).append(" –  " if rate is None else f" {rate:.4g}  ")
     return marks
 
 
-def _box(found: dict[str, Any]) -> Text:
-    low, high = found["bracket"]
-    rate = above(high, 4) if found["closed"] else f"{below(low, 4)}…{above(high, 4)}"
-    kept = {"yes": "kept", "no": "left", "unknown": "?"}[found["forward_invariant"]]
-    return Text().append(_mark(found["verdict"])).append(f" {rate}, {kept}")
+def _box(search: dict[str, Any]) -> Text:
+    low, high = search["bracket"]
+    rate = above(high, 4) if search["closed"] else f"{below(low, 4)}…{above(high, 4)}"
+    stays = {"yes": "kept", "no": "left", "unknown": "?"}[search["forward_invariant"]]
+    return Text().append(_mark(search["verdict"])).append(f" {rate}, {stays}")
 
 
 def _summary(rows: Sequence[dict[str, Any]], condition: str | None) -> list[str]:
@@ -190,11 +190,11 @@ def _summary(rows: Sequence[dict[str, Any]], condition: str | None) -> list[str]
         )
     if any("box" in row for row in rows):
         verdicts = Counter(row["box"]["verdict"] for row in rows)
-        kept = Counter(row["box"]["forward_invariant"] for row in rows)
+        invariance = Counter(row["box"]["forward_invariant"] for row in rows)
         lines.append(
             f"on the box: {', '.join(f'{word} {count}' for word, count in verdicts.items())}; "
             + "f maps the box into itself: "
-            + ", ".join(f"{word} {count}" for word, count in kept.items())
+            + ", ".join(f"{word} {count}" for word, count in invariance.items())
         )
         if refuted := next((row for row in rows if row["box"]["verdict"] == "refuted"), None):
             point = refuted["box"]["witness"]
@@ -220,8 +220,8 @@ def _vector_table(
         line += [_proved_rate(row, name) for name in shown]
         line += [_norm(row), _time_constant(row["time_constant"], dt)]
         if stepped:
-            found = row.get("steps")
-            line.append("–" if found is None else below(Fraction(found["proved"]) * Fraction(dt or 1), 4))
+            steps = row.get("steps")
+            line.append("–" if steps is None else below(Fraction(steps["proved"]) * Fraction(dt or 1), 4))
         lines.append(line)
     return f"Proved rates of what is in {shared}; below 1 it contracts", headings, lines, ()
 

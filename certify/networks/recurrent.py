@@ -32,15 +32,15 @@ def of_torch(tensors: Mapping[str, Any], path: str) -> list[Recurrent]:
     """The recurrent networks among named tensors; a CertifyError about other kinds, or missing weights."""
     modules: dict[str, dict[str, Any]] = {}
     for name, tensor in tensors.items():
-        if found := NAMED.fullmatch(name):
-            label = f"{path}: {found['prefix']}{found['part']}"
-            if found["layer"] not in (None, "0"):
-                raise CertifyError(f"{label}_l{found['layer']}: found several layers, expected num_layers=1")
-            if found["reverse"]:
+        if match := NAMED.fullmatch(name):
+            label = f"{path}: {match['prefix']}{match['part']}"
+            if match["layer"] not in (None, "0"):
+                raise CertifyError(f"{label}_l{match['layer']}: found several layers, expected num_layers=1")
+            if match["reverse"]:
                 raise CertifyError(f"{label}_reverse: found both directions, expected bidirectional=False")
-            if found["part"] == "weight_hr":
+            if match["part"] == "weight_hr":
                 raise CertifyError(f"{label}: found a projection, expected torch.nn.RNN or RNNCell without proj_size")
-            modules.setdefault(found["prefix"], {})[found["part"]] = tensor
+            modules.setdefault(match["prefix"], {})[match["part"]] = tensor
     return [_module(prefix, parts, f"{path}: {prefix}") for prefix, parts in modules.items()]
 
 

@@ -125,16 +125,16 @@ def from_tensors(tensors: Mapping[str, Any], path: str = "tensors", most: float 
             raise CertifyError(
                 f"{path}: holds {prefix}w1 but no {', '.join(lacking)}: expected a, w1, W2 and b together"
             )
-    found = [(prefix.rstrip("."), ShallowWeights(*(tensors[prefix + name] for name in NAMES))) for prefix in prefixes]
-    found = found or [("", weights) for weights in _two_layers(tensors, path)]
-    if not found:
+    named = [(prefix.rstrip("."), ShallowWeights(*(tensors[prefix + name] for name in NAMES))) for prefix in prefixes]
+    named = named or [("", weights) for weights in _two_layers(tensors, path)]
+    if not named:
         raise CertifyError(
             f"{path}: holds no shallow network (it holds: {shortened(', '.join(tensors)) or 'nothing'}): expected "
             "tensors named a, w1, W2 and b, or two linear layers"
         )
     networks: list[Network] = []
-    for prefix, weights in found:
-        label = path if len(found) == 1 else f"{path}:{prefix}"
+    for prefix, weights in named:
+        label = path if len(named) == 1 else f"{path}:{prefix}"
         arrays = check(weights, label)
         if (size := max(np.abs(x).max(initial=0.0) for x in arrays)) > LARGEST:
             raise CertifyError(f"{label}: found a weight of {size:.3g}, expected none above {LARGEST:g}")
@@ -143,8 +143,8 @@ def from_tensors(tensors: Mapping[str, Any], path: str = "tensors", most: float 
         if not elements:
             raise CertifyError(f"{label}: holds no network, found a of the shape {arrays.a.shape}")
         for element in elements:
-            own = "" if len(elements) == 1 else f"[{','.join(map(str, element))}]"
-            networks.append(Network(label + own, ShallowWeights(*(x[element] for x in arrays)), prefix + own))
+            suffix = "" if len(elements) == 1 else f"[{','.join(map(str, element))}]"
+            networks.append(Network(label + suffix, ShallowWeights(*(x[element] for x in arrays)), prefix + suffix))
     return networks
 
 
@@ -242,8 +242,8 @@ def stated_activation(path: str | Path) -> str | None:
     """
     path = Path(path)
     if path.suffix == ".npz":
-        found = read_tensors(path).get("activation")
-        return None if found is None else str(found)
+        text = read_tensors(path).get("activation")
+        return None if text is None else str(text)
     if path.suffix != ".safetensors":
         return None
     from safetensors import safe_open
@@ -305,14 +305,14 @@ def arrays_of(tensors: Mapping[str, Any], path: str) -> dict[str, np.ndarray]:
 
 def find(paths: Iterable[str | Path]) -> list[Path]:
     """The files of checkpoints named by files, folders (of a run: its checkpoints) and patterns, each once."""
-    found: dict[Path, Path] = {}
+    distinct: dict[Path, Path] = {}
     for path in matched(paths):
         files = [path] if not path.is_dir() else below(path)
         if not files:
             raise CertifyError(f"{path}: holds no checkpoints, expected files {', '.join(SUFFIXES)}")
         for file in files:
-            found.setdefault(file.resolve(), file)
-    return list(found.values())
+            distinct.setdefault(file.resolve(), file)
+    return list(distinct.values())
 
 
 def matched(paths: Iterable[str | Path]) -> Iterator[Path]:

@@ -145,9 +145,9 @@ def check(weights: VectorWeights, name: str = "weights") -> VectorWeights:
     if "V" in arrays or "c" in arrays:
         expected |= {"V": (last, n), "c": (last,)}
     if shapes != {key: (*batch, *shape) for key, shape in expected.items()} or n < 1 or last < 1:
-        found = ", ".join(f"{key} {value}" for key, value in shapes.items())
+        listed = ", ".join(f"{key} {value}" for key, value in shapes.items())
         raise CertifyError(
-            f"{name}: found the shapes {found}, expected R (q, q), A (q, n), W (n, q), W2 (n, m), b (n,) with q and n "
+            f"{name}: found the shapes {listed}, expected R (q, q), A (q, n), W (n, q), W2 (n, m), b (n,) with q and n "
             "of 1 or more; with a second hidden layer V (l, n), c (l,) and A (q, l)"
         )
     checked = VectorWeights(**arrays)
@@ -198,24 +198,24 @@ def from_tensors(
     Without φ it is relu, and tanh of torch.nn.RNN, as in torch.
     """
     recurrent = of_torch(tensors, path)
-    found = [(each.prefix, VectorWeights(None, np.eye(len(each.b)), each.W, each.W2, each.b)) for each in recurrent]
+    pairs = [(each.prefix, VectorWeights(None, np.eye(len(each.b)), each.W, each.W2, each.b)) for each in recurrent]
     phi = phi or (TANH if recurrent else RELU)
     for prefix in [name.removesuffix("W") for name in tensors if re.search(r"(^|\.)W$", name)]:
         if lacking := [prefix + name for name in REQUIRED if prefix + name not in tensors]:
             raise CertifyError(f"{path}: holds {prefix}W but no {', '.join(lacking)}: expected A, W, W2 and b together")
         named = {name: tensors.get(prefix + name) for name in VectorWeights._fields}
-        found.append((prefix.rstrip("."), VectorWeights(**named)))
-    found = found or [("", each) for each in _layers(tensors, path)]
+        pairs.append((prefix.rstrip("."), VectorWeights(**named)))
+    pairs = pairs or [("", each) for each in _layers(tensors, path)]
     networks: list[VectorNetwork] = []
-    for prefix, weights in found:
-        label = path if len(found) == 1 else f"{path}:{prefix}"
+    for prefix, weights in pairs:
+        label = path if len(pairs) == 1 else f"{path}:{prefix}"
         arrays = check(weights, label)
         refuse_large(arrays, label)
         refuse_many(len(networks) + math.prod(arrays.b.shape[:-1]), most, label)
         for element in np.ndindex(arrays.b.shape[:-1]):
-            own = VectorWeights(*(None if x is None else x[element] for x in arrays))
+            part = VectorWeights(*(None if x is None else x[element] for x in arrays))
             name = f"[{','.join(map(str, element))}]" if element else ""
-            networks.append(VectorNetwork(label + name, own, phi))
+            networks.append(VectorNetwork(label + name, part, phi))
     return networks
 
 
@@ -254,10 +254,10 @@ def read_both(
     tensors = read_tensors(path)
     if (stated := stated_activation(path)) is not None:
         with about(str(path)):
-            own = activation(stated)
-        if phi not in (None, own):
-            raise CertifyError(f"{path}: states the activation {own}, found --activation {phi}: leave it out")
-        phi = own
+            named = activation(stated)
+        if phi not in (None, named):
+            raise CertifyError(f"{path}: states the activation {named}, found --activation {phi}: leave it out")
+        phi = named
     vectors = from_tensors(tensors, str(path), phi, most)
     shallow = [] if vectors and not holds_shallow(tensors) else shallow_networks(tensors, str(path), most)
     if phi in (None, RELU) and not as_vectors:

@@ -97,13 +97,13 @@ def slope_at(weights: ShallowWeights, point: Any) -> Fraction | None:
 
 def interval_rate(weights: ShallowWeights, box: Box) -> Fraction:
     """The largest |slope| that interval arithmetic on the whole box does not exclude: `proves` holds just above it."""
-    found, here = planes(weights, box), region(box)
+    crossed, here = planes(weights, box), region(box)
     high = low = 0
-    for row, constant, above, below in zip(found.rows, found.constants, found.above, found.below, strict=True):
+    for row, constant, above, below in zip(crossed.rows, crossed.constants, crossed.above, crossed.below, strict=True):
         least, most = here.extremes(row, constant)
         values = [above] if least >= 0 else [below] if most <= 0 else [above, below]
         high, low = high + max(values), low + min(values)
-    return Fraction(max(high, -low), 1 << found.slope_bits)
+    return Fraction(max(high, -low), 1 << crossed.slope_bits)
 
 
 class Region(NamedTuple):
@@ -157,14 +157,14 @@ def halved(
     column: the coefficient of coordinate j in each form.
     """
     raised, lowered = half.lo[j] - here.lo[j], half.hi[j] - here.hi[j]
-    found = []
+    narrowed = []
     for g, least, most in bounds:
         k = column[g]
         if k > 0:
-            found.append((g, least + k * raised, most + k * lowered))
+            narrowed.append((g, least + k * raised, most + k * lowered))
         else:
-            found.append((g, least + k * lowered, most + k * raised))
-    return found
+            narrowed.append((g, least + k * lowered, most + k * raised))
+    return narrowed
 
 
 def _preactivations(weights: ShallowWeights, point: Any) -> tuple[list[int], int]:

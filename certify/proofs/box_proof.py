@@ -31,9 +31,9 @@ def proves(weights: ShallowWeights, box: Box, tree: str, rate: float | Fraction)
 
     The rate is then a Lipschitz constant of x ↦ f(x, u) on the box's interval of x, for every u of the box.
     """
-    found = planes(weights, box)
-    limit = math.ceil(Fraction(rate) * 2**found.slope_bits)  # an integer is below both or below neither
-    return _replay(tree, box, _Slope(found, limit))
+    crossed = planes(weights, box)
+    limit = math.ceil(Fraction(rate) * 2**crossed.slope_bits)  # an integer is below both or below neither
+    return _replay(tree, box, _Slope(crossed, limit))
 
 
 def proves_range(weights: ShallowWeights, box: Box, tree: str) -> bool:
@@ -65,9 +65,9 @@ class _Bounds(NamedTuple):
 class _Slope:
     """−limit < slope < limit."""
 
-    def __init__(self, found: Planes, limit: int):
-        self.planes, self.limit = found, limit
-        self.columns = [list(column) for column in zip(*found.rows, strict=True)]
+    def __init__(self, planes: Planes, limit: int):
+        self.planes, self.limit = planes, limit
+        self.columns = [list(column) for column in zip(*planes.rows, strict=True)]
         self.work = 0
 
     def start(self, here: Region) -> _Bounds:

@@ -94,9 +94,9 @@ def make(
     if rate is not None and not 0 < rate <= 1:
         raise CertifyError(f"rate: found {rate}, expected a number above 0 and at most 1")
     if condition in CLOSED_FORMS:
-        found = exact.condition(condition, weights.a, weights.w1).rate
-        kappa = provable_rate(found) if rate is None and found is not None else rate
-        proof = None if found is None or kappa is None else exact.multipliers(condition, weights.a, weights.w1, kappa)
+        least = exact.condition(condition, weights.a, weights.w1).rate
+        kappa = provable_rate(least) if rate is None and least is not None else rate
+        proof = None if least is None or kappa is None else exact.multipliers(condition, weights.a, weights.w1, kappa)
         if proof is None or kappa is None:
             return None
         parts: dict[str, Any] = {"metric": str(proof.metric), "multipliers": [str(x) for x in proof.multipliers]}
@@ -242,8 +242,8 @@ def _claims(weights: ShallowWeights, condition: str, kappa: Fraction, proof: Map
         intervals = ", ".join(
             f"[{Decimal(least)}, {Decimal(most)}]" for least, most in zip(lo, hi, strict=True)
         )  # exact
-        kept = "which f maps into itself" if invariant else "for as long as x stays in it"
-        where = f"for (x, u) in {intervals}, {kept}"
+        extent = "which f maps into itself" if invariant else "for as long as x stays in it"
+        where = f"for (x, u) in {intervals}, {extent}"
         how = "interval bounds on every box of the tree, in rational arithmetic"
     n, m = weights.W2.shape
     return {
@@ -292,10 +292,10 @@ def _checksum(content: Mapping[str, Any]) -> str:
 
 def _versions() -> dict[str, str]:
     try:
-        own = version("usvlearn")
+        ours = version("usvlearn")
     except PackageNotFoundError:
-        own = "unknown"
-    return {"usvlearn": own, "python": platform.python_version(), "numpy": np.__version__}
+        ours = "unknown"
+    return {"usvlearn": ours, "python": platform.python_version(), "numpy": np.__version__}
 
 
 def write(path: str | Path, certificate: Mapping[str, Any]) -> Path:

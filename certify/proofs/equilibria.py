@@ -168,11 +168,11 @@ def classify(slope_left, slope_right) -> str:
     return "unstable" if min(deciding) > 1 else "half-stable"
 
 
-def _solve(found: _Sweep) -> list[Equilibrium]:
-    points, lines, one = found
+def _solve(sweep: _Sweep) -> list[Equilibrium]:
+    points, lines, one = sweep
     roots: list[tuple[float, float, int, int, bool]] = []  # lo, hi, slopes left and right times `one`, an interval
     before = None
-    for k, ((num, den), height) in enumerate(zip(points, _heights(found), strict=True)):
+    for k, ((num, den), height) in enumerate(zip(points, _heights(sweep), strict=True)):
         if height == 0:
             x, left, right = _float(num, den), lines[k][0], lines[k + 1][0]
             if before == 0:  # the segment between lies on the identity
@@ -195,9 +195,9 @@ def _equilibrium(lo: float, hi: float, left: int, right: int, interval: bool, on
     return Equilibrium(lo, hi, kind, _float(left, one), _float(right, one), attracts)
 
 
-def _heights(found: _Sweep) -> list[int]:
+def _heights(sweep: _Sweep) -> list[int]:
     """f(x) − x at each point, times a positive number."""
-    points, lines, one = found
+    points, lines, one = sweep
     return [(q - one) * num + r * den for (num, den), (q, r) in zip(points, lines[1:], strict=True)]
 
 
@@ -264,11 +264,11 @@ def _check_domain(lo: float, hi: float) -> None:
 def _check_inputs(network: _Network, inputs: Sequence | np.ndarray) -> np.ndarray:
     m = len(network.V[0])
     try:
-        found = np.asarray(inputs, dtype=np.float64)
+        array = np.asarray(inputs, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise CertifyError(f"u: found no array of numbers ({error}), expected inputs of {m} numbers each") from error
-    if found.ndim != 2 or found.shape[1] != m:
-        raise CertifyError(f"u: found inputs of shape {found.shape[1:]}, expected ({m},): one number a column of W2")
-    if not np.isfinite(found).all():
+    if array.ndim != 2 or array.shape[1] != m:
+        raise CertifyError(f"u: found inputs of shape {array.shape[1:]}, expected ({m},): one number a column of W2")
+    if not np.isfinite(array).all():
         raise CertifyError("u: found NaN or infinite values, expected finite inputs: remove the missing values")
-    return found
+    return array

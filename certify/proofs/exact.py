@@ -58,7 +58,7 @@ def conditions(a: ArrayLike, w1: ArrayLike) -> dict[str, Condition]:
     Returns:
         The margin and the rate of each condition, fractions without a unit, by its name.
 
-    >>> [(name, float(found.margin)) for name, found in conditions([0.5], [0.5]).items()]
+    >>> [(name, float(each.margin)) for name, each in conditions([0.5], [0.5]).items()]
     [('simple', -0.5), ('gershgorin', 0.5), ('lmi', 0.5), ('exact', 0.75)]
     """
     return {name: condition(name, a, w1) for name in CORNER}
@@ -100,16 +100,16 @@ def verdict(weights: ShallowWeights) -> Verdict | None:
     """The verdict on one network; None where a weight is not finite."""
     if not all(np.isfinite(each).all() for each in weights):
         return None
-    found = conditions(weights.a, weights.w1)
-    K = found["exact"].rate
+    results = conditions(weights.a, weights.w1)
+    K = results["exact"].rate
     assert K is not None  # it holds at some rate
-    return Verdict({name: each.margin for name, each in found.items()}, K)
+    return Verdict({name: each.margin for name, each in results.items()}, K)
 
 
-def as_json(found: Verdict | None) -> dict[str, Any]:
+def as_json(verdict: Verdict | None) -> dict[str, Any]:
     """A verdict as it is saved and published."""
-    held = found.held if found else ()
-    return {"contracting": bool(held), "condition": held[0] if held else None, "rate": found and found.bound}
+    held = verdict.held if verdict else ()
+    return {"contracting": bool(held), "condition": held[0] if held else None, "rate": verdict and verdict.bound}
 
 
 def lemma_is_long(W: ArrayLike) -> bool:
@@ -143,8 +143,8 @@ def multipliers(name: str, a: ArrayLike, w1: ArrayLike, rate: Fraction | float =
     >>> multipliers("exact", [0.9], [1.0])
     Multipliers(metric=Fraction(1, 1), multipliers=[Fraction(8106479329266893, 9007199254740992)])
     """
-    found, rate = condition(name, a, w1).rate, Fraction(rate)
-    if found is None or not found < rate:
+    smallest, rate = condition(name, a, w1).rate, Fraction(rate)
+    if smallest is None or not smallest < rate:
         return None
     n, c = len(np.asarray(a)), CORNER[name]
     sizes = [(abs(ai) / rate, abs(wi)) for ai, wi in zip(fractions(a), fractions(w1), strict=True)]
@@ -157,7 +157,7 @@ def multipliers(name: str, a: ArrayLike, w1: ArrayLike, rate: Fraction | float =
         least = pairwise_sum([x * wi for x, (_, wi) in zip(lam, sizes, strict=True)])
         return Multipliers((least // quarter + 1) * quarter, lam)
     # λ_i = |a_i|/(κ |w_i|); where one of the two is zero, a value that keeps its share of the slack below 1/(4n)
-    slack = power_below(1 - found / rate)
+    slack = power_below(1 - smallest / rate)
     lam = []
     for ai, wi in sizes:
         if ai and wi:
@@ -229,14 +229,14 @@ def _cost(*values: Fraction) -> float:
     return 4000 + 5 * bits + bits * bits / 4000
 
 
-def proves(condition: str, a: ArrayLike, w1: ArrayLike, found: Multipliers, rate: Fraction = ONE) -> bool:
+def proves(condition: str, a: ArrayLike, w1: ArrayLike, proof: Multipliers, rate: Fraction = ONE) -> bool:
     """Whether p and Λ prove a condition at a rate: (1) is positive definite, and the paper's inequalities hold.
 
     Args:
         condition: `simple`, `gershgorin`, `lmi` or `exact`.
         a: `(n,)`.
         w1: `(n,)`.
-        found: p and the diagonal of Λ, such as from `multipliers`.
+        proof: p and the diagonal of Λ, such as from `multipliers`.
         rate: κ, no unit.
 
     Returns:
@@ -245,7 +245,7 @@ def proves(condition: str, a: ArrayLike, w1: ArrayLike, found: Multipliers, rate
     >>> proves("exact", [0.9], [1.0], multipliers("exact", [0.9], [1.0]))
     True
     """
-    p, lam = Fraction(found.metric), list(found.multipliers)
+    p, lam = Fraction(proof.metric), list(proof.multipliers)
     if rate <= 0 or len(lam) != len(np.asarray(a)) or not all(x > 0 for x in lam):
         return False
     if condition in ("simple", "gershgorin"):

@@ -25,8 +25,8 @@ def diagonal_rate(W: Matrix, norm: str, scaling: Sequence[Fraction]) -> Fraction
     """(1) in a norm, "inf" or "one", for the diagonal of a regular T."""
     columns, weights = (W, [1 / t for t in scaling]) if norm == "inf" else (zip(*W, strict=True), scaling)
     (whole,), _ = over_one_denominator([list(map(abs, weights))])
-    found, unit = over_one_denominator([list(map(abs, column)) for column in columns])
-    return max(Fraction(sum(map(int.__mul__, row, whole)), unit * own) for row, own in zip(found, whole, strict=True))
+    rows, unit = over_one_denominator([list(map(abs, column)) for column in columns])
+    return max(Fraction(sum(map(int.__mul__, row, whole)), unit * size) for row, size in zip(rows, whole, strict=True))
 
 
 def proves(W: ArrayLike, metric: Matrix, multipliers: Sequence[Fraction], kappa: Fraction) -> bool:

@@ -110,8 +110,8 @@ def make(
             "multipliers": [[str(x) for x in each] for each in proof.multipliers],
         }
     else:
-        own = identity(len(weights.R)) if scaling is None else scaling
-        scaled = [[str(x) for x in row] for row in own]
+        matrix = identity(len(weights.R)) if scaling is None else scaling
+        scaled = [[str(x) for x in row] for row in matrix]
         parts = {"norm": norm, "scaling": scaled, "step": str(Fraction(1) if step is None else step)}
     if not _short(parts):
         return None
@@ -170,7 +170,7 @@ def _refusal(content: dict[str, Any], network: VectorNetwork) -> str | None:
     if reason := signed(content, _claims(weights, phi, condition, kappa, proof)):
         return reason
     if condition in BY_MATRIX:
-        found = Proof(_matrix(proof["metric"]), _matrix(proof["multipliers"]))
+        stated = Proof(_matrix(proof["metric"]), _matrix(proof["multipliers"]))
         if condition != "quadratic" and (phi.name != "relu" or (condition == "gershgorin" and weights.V is not None)):
             return f"its condition {condition} is about another kind of network"
         long = condition != "quadratic" and len(weights.R) > MOST_STATES
@@ -178,7 +178,7 @@ def _refusal(content: dict[str, Any], network: VectorNetwork) -> str | None:
         if long or vector_exact.effort(weights) > vector_exact.WORK:
             return f"the network is too large: the check would take longer than {LONGEST_CHECK}"
         most = phi.most if condition == "quadratic" else Fraction(2)
-        if not vector_exact.proves(weights, phi, found, kappa, most):
+        if not vector_exact.proves(weights, phi, stated, kappa, most):
             return "its P and Λ do not make M positive definite, or take too long to check"
         if condition == "gershgorin" and not _below(vector_exact.gershgorin(weights)[1], kappa):
             return "the lemma's inequalities do not hold at its rate"

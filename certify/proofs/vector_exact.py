@@ -96,20 +96,20 @@ def row_sums(
     """
     R, A, W = changed(weights, scaling)
     middle = [] if weights.V is None else [matrix(weights.V)]
-    layers, own = [W, *middle, A], list(slopes)
+    layers, ranges = [W, *middle, A], list(slopes)
     if norm == "one":
-        R, layers, own = transposed(R), [transposed(X) for X in reversed(layers)], own[::-1]
+        R, layers, ranges = transposed(R), [transposed(X) for X in reversed(layers)], ranges[::-1]
     direct, unit = over_one_denominator(R)
-    found = [over_one_denominator(X) for X in layers]
+    integers = [over_one_denominator(X) for X in layers]
     ends = []
-    for each in own:
+    for each in ranges:
         flat, below = over_one_denominator([[x for pair in each for x in pair]])
         ends.append((list(zip(flat[0][::2], flat[0][1::2], strict=True)), below))
-    whole = math.prod([below for _, below in found]) * math.prod([below for _, below in ends])
+    whole = math.prod([below for _, below in integers]) * math.prod([below for _, below in ends])
     sums = []
     for signs in itertools.product((-1, 1), repeat=len(R)):
-        least = greatest = [sum(x for x in _signed(row, signs)) for row in found[0][0]]
-        for (X, _), (bounds, _) in zip(found[1:], ends, strict=True):
+        least = greatest = [sum(x for x in _signed(row, signs)) for row in integers[0][0]]
+        for (X, _), (bounds, _) in zip(integers[1:], ends, strict=True):
             pairs = [
                 (min(lo * x, hi * x), max(lo * y, hi * y))
                 for (lo, hi), x, y in zip(bounds, least, greatest, strict=True)
@@ -146,8 +146,8 @@ def gershgorin(weights: VectorWeights) -> tuple[Fraction, Fraction | None]:
     columns, room = [sum(column, ZERO) for column in zip(*A, strict=True)], [1 - sum(row, ZERO) for row in W]
     least = min(room)
     sums = []
-    for r, (row, own) in enumerate(zip(A, R, strict=True)):
-        total = sum(own, ZERO) + sum((other[r] for other in R), ZERO) + sum(row, ZERO)
+    for r, (row, row_R) in enumerate(zip(A, R, strict=True)):
+        total = sum(row_R, ZERO) + sum((other[r] for other in R), ZERO) + sum(row, ZERO)
         shares = [w[r] * column / left for w, column, left in zip(W, columns, room, strict=True) if left > 0]
         sums.append(total + pairwise_sum(shares))
     half = max(sums) / 2

@@ -40,32 +40,32 @@ class Forms(NamedTuple):
     planes: Planes  # these alone
 
 
-def forms_of(found: Planes, box: Box) -> Forms:
+def forms_of(planes: Planes, box: Box) -> Forms:
     """The planes that cross a box of any number of coordinates, in floats; the others are counted in the start."""
     here = region(box)
     crossing, start = [], 0
-    for g, (row, constant, above, below) in enumerate(zip(*found[:4], strict=True)):
+    for g, (row, constant, above, below) in enumerate(zip(*planes[:4], strict=True)):
         least, most = here.extremes(row, constant)
         if least < 0 < most:
             crossing.append(g)
             start += min(above, below)
         else:
             start += above if least >= 0 else below
-    found = found._replace(
-        rows=[found.rows[g] for g in crossing],
-        constants=[found.constants[g] for g in crossing],
-        above=[found.above[g] for g in crossing],
-        below=[found.below[g] for g in crossing],
+    planes = planes._replace(
+        rows=[planes.rows[g] for g in crossing],
+        constants=[planes.constants[g] for g in crossing],
+        above=[planes.above[g] for g in crossing],
+        below=[planes.below[g] for g in crossing],
     )
-    unit, slope_unit = 1 << found.z_bits, 1 << found.slope_bits
-    H = np.array([[k / unit for k in row] for row in found.rows]).reshape(len(crossing), len(box.lo))
-    c = np.array([k / unit for k in found.constants])
-    gain = np.array([(above - below) / slope_unit for above, below in zip(found.above, found.below, strict=True)])
+    unit, slope_unit = 1 << planes.z_bits, 1 << planes.slope_bits
+    H = np.array([[k / unit for k in row] for row in planes.rows]).reshape(len(crossing), len(box.lo))
+    c = np.array([k / unit for k in planes.constants])
+    gain = np.array([(above - below) / slope_unit for above, below in zip(planes.above, planes.below, strict=True)])
     side = np.where(gain < 0, -1, 1)
     size = np.abs(H) @ np.maximum(np.abs(box.lo), np.abs(box.hi)) + np.abs(c)
     slack = (len(c) + 8) * EPS * (abs(start / slope_unit) + float(np.abs(gain).sum())) + TINY
     error = 2 * (len(box.lo) + 4) * EPS * size + TINY
-    return Forms(H * side[:, None], c * side, side, np.abs(gain), start / slope_unit, error, slack, found)
+    return Forms(H * side[:, None], c * side, side, np.abs(gain), start / slope_unit, error, slack, planes)
 
 
 def constant(threshold: float) -> Callable[[float], float]:
@@ -171,7 +171,7 @@ class Search:
 
 def slope_bounds(forms: Forms) -> tuple[Callable, Callable]:
     """bound() and halve() of `Search.boxes` for |slope|."""
-    H, c, side, gain, start, error, slack, found = forms
+    H, c, side, gain, start, error, slack, planes = forms
     sizes, top = np.abs(H), start + gain.sum()
 
     def bound(lo, hi, signs):
@@ -182,7 +182,7 @@ def slope_bounds(forms: Forms) -> tuple[Callable, Callable]:
         doubt = ~on & ~off & ((least >= -error) | (most <= error))
         if doubt.any():  # a hyperplane that touches the box, or nearly
             for k, g in np.argwhere(doubt):
-                low, high = region(Box(lo[k], hi[k])).extremes(found.rows[g], found.constants[g])
+                low, high = region(Box(lo[k], hi[k])).extremes(planes.rows[g], planes.constants[g])
                 positive, negative = (low >= 0, high <= 0) if side[g] > 0 else (high <= 0, low >= 0)
                 on[k, g], off[k, g] = positive, negative
         bounds = np.maximum(top - off @ gain, -start - on @ gain) + slack

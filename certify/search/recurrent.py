@@ -87,8 +87,8 @@ def by_spectral_norm(W: np.ndarray) -> Found | None:
     rate = float(np.linalg.norm(d[:, None] * W / d, 2))
     for bits in BITS:
         p = [_short(x, bits) for x in (d * d).tolist()]
-        own = np.sqrt(np.array(p, dtype=float))
-        if (now := float(np.linalg.norm(own[:, None] * W / own, 2))) <= rate * (1 + WORTH):
+        scale = np.sqrt(np.array(p, dtype=float))
+        if (now := float(np.linalg.norm(scale[:, None] * W / scale, 2))) <= rate * (1 + WORTH):
             break
     return _proved(W, now, _diagonal(p), p)
 
@@ -164,8 +164,8 @@ def _newton(V: np.ndarray, theta: float, P: np.ndarray, lam: np.ndarray) -> tupl
     def adjoint(Z: np.ndarray, identity: float = 0.0) -> np.ndarray:
         """The gradient with respect to the scaled P and Λ of trace Z M − identity (trace P + trace Λ)."""
         X = theta * Z[:n, :n] - Z[n:, n:] - identity * np.eye(n)
-        own = 2 * np.diag(Z[n:, n:]) - 2 * np.einsum("ij,ji->i", V, Z[:n, n:]) - identity
-        return np.vstack([root.T @ (X + X.T) @ root / 2, lam * own])
+        diagonal = 2 * np.diag(Z[n:, n:]) - 2 * np.einsum("ij,ji->i", V, Z[:n, n:]) - identity
+        return np.vstack([root.T @ (X + X.T) @ root / 2, lam * diagonal])
 
     right = residual = direction = adjoint(G, 1.0)
     x, square = np.zeros((n + 1, n)), float((residual**2).sum())

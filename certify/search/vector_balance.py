@@ -35,11 +35,11 @@ class Balanced(NamedTuple):
     def proof(self, P: list[list[Fraction]], multipliers: list[list[Fraction]]) -> Proof:
         """P and Λ for the weights as given, from P' and from Λ' of the neurons with an effect."""
         t, square = [Fraction(x) for x in self.state], Fraction(self.size) ** 2
-        found = []
+        lams = []
         for c, alive, lam in zip(self.neurons, self.alive, multipliers, strict=True):
-            own = iter(lam)
-            found.append([square * Fraction(x) ** 2 * (next(own) if y else 1) for x, y in zip(c, alive, strict=True)])
-        return Proof([[a * b * x for b, x in zip(t, row, strict=True)] for a, row in zip(t, P, strict=True)], found)
+            rest = iter(lam)
+            lams.append([square * Fraction(x) ** 2 * (next(rest) if y else 1) for x, y in zip(c, alive, strict=True)])
+        return Proof([[a * b * x for b, x in zip(t, row, strict=True)] for a, row in zip(t, P, strict=True)], lams)
 
 
 def balance(weights: VectorWeights) -> Balanced:
@@ -59,19 +59,19 @@ def balance(weights: VectorWeights) -> Balanced:
     state = _ratio(ins, outs, root=2)
     middle = np.round(np.log2(state[both]).mean()) if both.any() else 0.0
     state = np.where(both, state / np.exp2(middle), 1.0)
-    kept = [np.ones(len(state), bool), *alive, np.ones(len(state), bool)]
+    used = [np.ones(len(state), bool), *alive, np.ones(len(state), bool)]
 
     def scaled(state: np.ndarray) -> tuple[float, np.ndarray, list[np.ndarray], np.ndarray]:
         R, total = state[:, None] * weights.R / state, np.eye(len(state))
         maps = [hidden[0] / state, *hidden[1:], weights.A * state[:, None]]
-        for X, (columns, rows) in zip(maps, itertools.pairwise(kept), strict=True):
+        for X, (columns, rows) in zip(maps, itertools.pairwise(used), strict=True):
             total = np.abs(X[np.ix_(rows, columns)]) @ total
         norm = np.array(np.linalg.norm(R, 2) + np.linalg.norm(total, 2) / 2)
         return _ratio(norm, np.ones(())).item(), R, maps, state
 
-    size, R, maps, state = min(scaled(np.ones(len(state))), scaled(state), key=lambda found: found[0])
+    size, R, maps, state = min(scaled(np.ones(len(state))), scaled(state), key=lambda pair: pair[0])
     maps[-1] = maps[-1] / size
-    layers = [X[np.ix_(rows, columns)] for X, (columns, rows) in zip(maps, itertools.pairwise(kept), strict=True)]
+    layers = [X[np.ix_(rows, columns)] for X, (columns, rows) in zip(maps, itertools.pairwise(used), strict=True)]
     neurons = [np.ones(len(x)) for x in alive]
     for _ in range(1 if weights.V is None else ROUNDS):
         for k, here in enumerate(alive):

@@ -157,8 +157,8 @@ class Program:
             self.square[k][self.state, self.state] = P
         self.fixed[np.abs(self.fixed) < NEGLIGIBLE] = 0.0
         k = len(self.corners)
-        for X, into, own in zip(hidden, parts[1:], parts[2:], strict=False):
-            for i, row in enumerate(X, own.start):
+        for X, into, place in zip(hidden, parts[1:], parts[2:], strict=False):
+            for i, row in enumerate(X, place.start):
                 self.fixed[k][i, i] = 2.0
                 self.fixed[k][into, i] = self.fixed[k][i, into] = -(alpha + beta) * row
                 self.fixed[k][into, into] += 2 * alpha * beta * np.outer(row, row)
@@ -219,10 +219,10 @@ class Program:
         none, objective, settings = csc_matrix((count, count)), -np.eye(count)[-1], clarabel.DefaultSettings()
         settings.verbose = settings.chordal_decomposition_compact = False  # compact fails near the smallest κ
         for settings.chordal_decomposition_enable in (True, False):
-            found = clarabel.DefaultSolver(none, objective, A.tocsc(), b, cones, settings).solve()
-            if str(found.status) in ("Solved", "AlmostSolved") or self.size > LARGEST_DENSE:
+            solution = clarabel.DefaultSolver(none, objective, A.tocsc(), b, cones, settings).solve()
+            if str(solution.status) in ("Solved", "AlmostSolved") or self.size > LARGEST_DENSE:
                 break
-        return np.array(found.x), str(found.status)
+        return np.array(solution.x), str(solution.status)
 
     def _by_cvxpy(self, kappa: float) -> tuple[np.ndarray | None, str]:
         cp = import_cvxpy()
@@ -234,12 +234,12 @@ class Program:
 
     def proved(self, x: np.ndarray, kappa: float) -> float:
         """The smallest κ at which M is positive semidefinite with the P and Λ of a larger one, where t > 0."""
-        M, own = self.matrix(x, 0.0), self.state
-        others = np.delete(np.arange(len(M)), own)
-        cross = M[own, others]
+        M, state = self.matrix(x, 0.0), self.state
+        others = np.delete(np.arange(len(M)), state)
+        cross = M[state, others]
         try:
-            root = np.linalg.inv(np.linalg.cholesky(np.tensordot(x, self.square, 1)[own, own]))
-            least = root @ (cross @ np.linalg.solve(M[np.ix_(others, others)], cross.T) - M[own, own]) @ root.T
+            root = np.linalg.inv(np.linalg.cholesky(np.tensordot(x, self.square, 1)[state, state]))
+            least = root @ (cross @ np.linalg.solve(M[np.ix_(others, others)], cross.T) - M[state, state]) @ root.T
             square = float(np.linalg.eigvalsh((least + least.T) / 2)[-1])
         except np.linalg.LinAlgError:
             return kappa
@@ -256,8 +256,8 @@ class Program:
             near = np.array([*(float(P[i][j]) for i, j in self.corners), *map(float, lam), 0.0])
             if min(lam, default=1) <= 0 or np.linalg.eigvalsh(self.matrix(near, scaled))[0] <= 0:
                 continue
-            own = iter(lam)
-            proof = self.network.proof(P, [[next(own) for _ in range(width)] for width in self.widths])
+            values = iter(lam)
+            proof = self.network.proof(P, [[next(values) for _ in range(width)] for width in self.widths])
             if proves(weights, self.phi, proof, kappa, Fraction(self.most)):
                 return proof
         return None
@@ -288,8 +288,8 @@ def quietly(problem: Any, solver: str, **options: Any) -> str:
             warnings.simplefilter("ignore")
             problem.solve(solver=solver, **options)
         status = problem.status
-        found = [x.value for x in problem.variables()]
-        if status in USABLE and not all(x is not None and np.isfinite(x).all() for x in found):
+        values = [x.value for x in problem.variables()]
+        if status in USABLE and not all(x is not None and np.isfinite(x).all() for x in values):
             status = "no finite values"
     except import_cvxpy().SolverError as error:
         status = f"SolverError: {str(error).strip().splitlines()[0]}"

@@ -119,15 +119,15 @@ def improve(values: Values, T: np.ndarray, until: float) -> np.ndarray:
             slopes[k] = (values(T + G.reshape(q, q) @ T) - now).ravel() / step
         columns = np.column_stack([slopes.T, -np.ones(now.size)])
         bounds = [(-delta, delta)] * (q * q) + [(None, None)]
-        found = linprog(np.eye(q * q + 1)[-1], columns, -now.ravel(), bounds=bounds, method="highs")
-        if not found.success or K - found.x[-1] <= GAIN * K:
+        solution = linprog(np.eye(q * q + 1)[-1], columns, -now.ravel(), bounds=bounds, method="highs")
+        if not solution.success or K - solution.x[-1] <= GAIN * K:
             break
-        moved = T + found.x[:-1].reshape(q, q) @ T
+        moved = T + solution.x[:-1].reshape(q, q) @ T
         then = values.largest(moved)
         if K - then <= GAIN / 10 * K:
             delta /= 4
             continue
-        if K - then > 0.75 * (K - found.x[-1]):
+        if K - then > 0.75 * (K - solution.x[-1]):
             delta *= 2
         T, K = moved / np.abs(moved).max(), then
     return T
@@ -180,9 +180,9 @@ def best_scaling(
     """
     start, q = time.perf_counter(), len(weights.R)
     slopes = everywhere(weights, phi)
-    found = [Scaling(norm, identity(q), rate(weights, slopes, norm), "none") for norm in NORMS]
+    scalings = [Scaling(norm, identity(q), rate(weights, slopes, norm), "none") for norm in NORMS]
     if q == 1:
-        return found[0]  # K does not depend on T
+        return scalings[0]  # K does not depend on T
     P = None if metric is None else np.array([[float(x) for x in row] for row in metric])
     for k, norm in enumerate(NORMS, 1):
         until = start + seconds * k / len(NORMS)
@@ -195,8 +195,8 @@ def best_scaling(
             if those := [T for each, T in tried if each == kind]:
                 short = _rounded(values, min(those, key=values.largest))
                 if inverse(short) is not None:
-                    found.append(Scaling(norm, short, rate(weights, slopes, norm, short), kind))
-    return min(found, key=lambda each: each.rate)
+                    scalings.append(Scaling(norm, short, rate(weights, slopes, norm, short), kind))
+    return min(scalings, key=lambda each: each.rate)
 
 
 def _rounded(values: Values, T: np.ndarray) -> Matrix:

@@ -91,14 +91,14 @@ def fixed_signs(weights: ShallowWeights, lo: Tensor, hi: Tensor) -> tuple[Tensor
 
 def simple_best_gauge(a: Tensor, w1: Tensor) -> Condition:
     """(1) of the best of the equal networks (a_i/c_i, c_i w_{1i}, …), c > 0: 4(n+1) max |s_i| < 1."""
-    found = 4 * (a.shape[-1] + 1) * (a * w1).abs().amax(-1)
-    return Condition(1 - found, found)
+    rate = 4 * (a.shape[-1] + 1) * (a * w1).abs().amax(-1)
+    return Condition(1 - rate, rate)
 
 
 def gershgorin_best_gauge(a: Tensor, w1: Tensor) -> Condition:
     """(2) of the best of the equal networks: 2 Σ |s_i| < 1, at c_i = 1/(2|w_{1i}|)."""
-    found = 2 * (a * w1).abs().sum(-1)
-    return Condition(1 - found, found)
+    rate = 2 * (a * w1).abs().sum(-1)
+    return Condition(1 - rate, rate)
 
 
 CONDITIONS: dict[str, Callable[[Tensor, Tensor], Condition]] = {

@@ -118,8 +118,8 @@ def _scale(weights: ShallowWeights, condition: str, rate: Tensor | float, gauge:
     a, w1 = weights.a, weights.w1
     kappa = _inner(rate, a)
 
-    def factor(found: Tensor) -> Tensor:  # (*batch, 1), 1 where the rate is kept
-        return (kappa / found.maximum(kappa))[..., None]
+    def factor(smallest: Tensor) -> Tensor:  # (*batch, 1), 1 where the rate is kept
+        return (kappa / smallest.maximum(kappa))[..., None]
 
     if condition in ("lmi", "exact"):
         times = _times(condition)
@@ -127,11 +127,11 @@ def _scale(weights: ShallowWeights, condition: str, rate: Tensor | float, gauge:
         return weights._replace(a=a * torch.where(a * w1 > 0, up, down))
     if condition == "interval" and bounds is not None:
         rounding = 4 * a.shape[-1] * torch.finfo(a.dtype).eps  # neurons that are always on may cancel
-        found = conditions.interval(weights, *bounds).rate + rounding * (a * w1).abs().sum(-1)
+        smallest = conditions.interval(weights, *bounds).rate + rounding * (a * w1).abs().sum(-1)
     else:
         rates: dict[str, Callable] = conditions.BEST_GAUGE if gauge == "best" else conditions.CONDITIONS
-        found = rates[condition](a, w1).rate
-    return weights._replace(a=a * factor(found))
+        smallest = rates[condition](a, w1).rate
+    return weights._replace(a=a * factor(smallest))
 
 
 class _Prefixes(NamedTuple):
