@@ -94,13 +94,13 @@ def from_csv(text: str) -> list[RunError]:
     head = next(rows, [])
     if tuple(head[:4]) != HEAD:
         raise ValueError(f"found the columns {', '.join(head[:4])}, expected {', '.join(HEAD)}")
-    found = []
+    errors = []
     for row in rows:
         maes = {name: float(mae) for name, mae in zip(head[4:], row[4:], strict=True) if mae}
         if int(row[3]) < 1 or not all(map(np.isfinite, maes.values())):
             raise ValueError(f"line {rows.line_num}: expected steps and errors that are numbers")
-        found.append(RunError(row[0], row[1], row[2], int(row[3]), maes))
-    return found
+        errors.append(RunError(row[0], row[1], row[2], int(row[3]), maes))
+    return errors
 
 
 DRAWS, LEVEL, SEED = 1000, 0.95, 0
@@ -153,7 +153,7 @@ def cells(errors: Mapping[str, Sequence[RunError]], measure: Measure) -> dict[Pl
     if measure.kind == COVERAGE:
         return {}
     ahead = {FORECAST: f"{measure.horizon:g}", FREE: FREE}.get(measure.kind, STEP)
-    rows = [(seed, each) for seed, found in errors.items() for each in found if each.ahead == ahead]
+    rows = [(seed, each) for seed, runs in errors.items() for each in runs if each.ahead == ahead]
     return {
         (seed, each.boat, each.run): Cell(each.steps, each.mae[name], each.mae.get(PERSISTENCE, math.nan))
         for seed, each in rows
@@ -175,14 +175,14 @@ def compare(one: Mapping[Place, Cell], other: Mapping[Place, Cell], measure: Mea
     boats = sorted({boat for _, boat, _ in shared})
     # A unit is one boat's run over its own samples: seeds that share samples are one unit.
     units = {place: (place[2], one[place].steps, _rounded(one[place].base)) for place in shared}
-    own = {boat: list(dict.fromkeys(units[place] for place in shared if place[1] == boat)) for boat in boats}
-    most, count = max(map(len, own.values())), sum(map(len, own.values()))
+    by_boat = {boat: list(dict.fromkeys(units[place] for place in shared if place[1] == boat)) for boat in boats}
+    most, count = max(map(len, by_boat.values())), sum(map(len, by_boat.values()))
     values = np.zeros((2, 3, len(boats), most))  # settings; steps, sums of errors, sums of persistence's errors
     for place in shared:
         boat = boats.index(place[1])
-        unit = own[place[1]].index(units[place])
-        for k, found in enumerate((one, other)):
-            steps, error, base = found[place]
+        unit = by_boat[place[1]].index(units[place])
+        for k, side in enumerate((one, other)):
+            steps, error, base = side[place]
             values[k, :, boat, unit] += steps, steps * error, steps * base
     weights = np.ones((1, len(boats))), np.ones((1, len(boats), most))
     whole = _objectives(values, weights, measure)[0]
@@ -197,9 +197,9 @@ def compare(one: Mapping[Place, Cell], other: Mapping[Place, Cell], measure: Mea
             np.zeros((DRAWS, len(boats), most)),
         )
         for k, name in enumerate(boats):
-            drawn[1][:, k, : len(own[name])] = _drawn(rng, len(own[name]))
-        made = _objectives(values, drawn, measure)
-        half = _factor(len(boats) if fleet else count) * float(np.nanstd(made[:, 0] - made[:, 1]))  # (2)
+            drawn[1][:, k, : len(by_boat[name])] = _drawn(rng, len(by_boat[name]))
+        objectives = _objectives(values, drawn, measure)
+        half = _factor(len(boats) if fleet else count) * float(np.nanstd(objectives[:, 0] - objectives[:, 1]))  # (2)
         low, high = mean - half, mean + half
     return Difference(mean, low, high, mean / abs(float(whole[1])) if whole[1] else 0.0, count)
 
@@ -250,10 +250,10 @@ def _objectives(values: np.ndarray, weights: tuple[np.ndarray, np.ndarray], meas
     boats, units = weights
     sums = np.einsum("dbu,kxbu->kxdb", units, values, optimize=True)  # settings, numbers, draws, boats
     with np.errstate(invalid="ignore", divide="ignore"):
-        found = sums[:, 1] / (sums[:, 2] if measure.kind == SKILL else sums[:, 0])  # settings, draws, boats
-        found = 1 - found if measure.kind == SKILL else found
-        weight = np.where(np.isfinite(found), boats, 0.0)
-        return ((weight * np.nan_to_num(found)).sum(-1) / weight.sum(-1)).T
+        scores = sums[:, 1] / (sums[:, 2] if measure.kind == SKILL else sums[:, 0])  # settings, draws, boats
+        scores = 1 - scores if measure.kind == SKILL else scores
+        weight = np.where(np.isfinite(scores), boats, 0.0)
+        return ((weight * np.nan_to_num(scores)).sum(-1) / weight.sum(-1)).T
 
 
 def short_keys(keys: Iterable[str]) -> list[str]:

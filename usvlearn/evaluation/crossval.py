@@ -84,7 +84,7 @@ def cross_validate(
     names = methods(ensemble)
     sets = next(leaf for _, leaf in named_leaves(state)).shape[0]
     shape = (sets, len(runs), len(names))
-    found = FreeErrors(
+    errors = FreeErrors(
         names, np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape, bool), np.zeros(len(runs))
     )
     order = np.argsort([-len(run.surge) for run in runs], kind="stable")
@@ -92,11 +92,11 @@ def cross_validate(
     for first in range(0, len(runs), at_once):
         some = order[first : first + at_once]  # of nearly the same length
         absolute, square, diverged, steps = _simulated(ensemble, state, [runs[k] for k in some], advance)
-        found.steps[some] = steps
+        errors.steps[some] = steps
         with np.errstate(invalid="ignore"):
-            found.mae[:, some], found.mse[:, some] = absolute / steps[:, None], square / steps[:, None]
-        found.diverged[:, some] = diverged
-    return found
+            errors.mae[:, some], errors.mse[:, some] = absolute / steps[:, None], square / steps[:, None]
+        errors.diverged[:, some] = diverged
+    return errors
 
 
 def _simulated(ensemble: Ensemble, state: Any, runs: Sequence[Sample], advance: Callable[[int], object]):

@@ -42,15 +42,15 @@ def identified_boats(
     return dict(zip(boats, identified(described, leaves), strict=True))
 
 
-def as_results(found: Mapping[str, Identified], truth: Truth) -> dict[str, Any]:
+def as_results(identified: Mapping[str, Identified], truth: Truth) -> dict[str, Any]:
     """The entries `identified` and `lacks` of `results.json`; {} without an averaged joint EKF."""
-    if not found:
+    if not identified:
         return {}
-    values = {boat: each.json() for boat, each in found.items()}
+    values = {boat: each.json() for boat, each in identified.items()}
     for boat, known in truth.items():
         for name in known.keys() & values.get(boat, {}).keys():
             values[boat][name]["truth"] = known[name]
-    return {"identified": values, "lacks": {boat: list(each.lacks) for boat, each in found.items()}}
+    return {"identified": values, "lacks": {boat: list(each.lacks) for boat, each in identified.items()}}
 
 
 def unwrapped(estimator: Any, state: Any = None) -> tuple[Any, Any]:
@@ -62,9 +62,9 @@ def unwrapped(estimator: Any, state: Any = None) -> tuple[Any, Any]:
 
 def remarks(ensemble: Ensemble) -> dict[str, str]:
     """Remarks beside names in a table of errors: the baseline, a quasi-static map, an average that includes one."""
-    found = {PERSISTENCE: "baseline"} if PERSISTENCE in ensemble.names else {}
-    found |= dict.fromkeys(_maps(ensemble), "quasi-static map")
-    return found | {rule: f"with {', '.join(maps)}" for rule, maps in _averages(ensemble).items()}
+    notes = {PERSISTENCE: "baseline"} if PERSISTENCE in ensemble.names else {}
+    notes |= dict.fromkeys(_maps(ensemble), "quasi-static map")
+    return notes | {rule: f"with {', '.join(maps)}" for rule, maps in _averages(ensemble).items()}
 
 
 def explained(ensemble: Ensemble) -> list[str]:
@@ -85,12 +85,12 @@ def _maps(ensemble: Ensemble) -> list[str]:
 
 def _averages(ensemble: Ensemble) -> dict[str, list[str]]:
     """The plain averages that include quasi-static maps, each with the names of these maps."""
-    found = {}
+    averaged = {}
     for name, rule in ensemble.combiners.items():
         if isinstance(rule, Average):
             chosen = set(ensemble.members if rule.members is None else rule.members)
-            found[name] = [each for each in _maps(ensemble) if each in chosen]
-    return {name: maps for name, maps in found.items() if maps}
+            averaged[name] = [each for each in _maps(ensemble) if each in chosen]
+    return {name: maps for name, maps in averaged.items() if maps}
 
 
 class Judged(NamedTuple):
@@ -108,14 +108,14 @@ class Judged(NamedTuple):
 def verdicts(ensemble: Ensemble, state: EnsembleState, boats: Sequence[str]) -> dict[str, dict[str, Judged]]:
     """The verdict of each RNN, boat -> member -> verdict, of a state with leaves `(boats, …)`; {} without an RNN."""
     members = {name: member for name, member in ensemble.members.items() if isinstance(member, RNN)}
-    found: dict[str, dict[str, Judged]] = {boat: {} for boat in boats} if members else {}
+    judged: dict[str, dict[str, Judged]] = {boat: {} for boat in boats} if members else {}
     for name, member in members.items():
         learned = state.members[name]
         monitored = {key: value.tolist() for key, value in member.monitor(learned).items()}
         for element, boat in enumerate(boats):
             numbers = (monitored[key][element] for key in ("time_constant", "equilibrium"))
-            found[boat][name] = Judged(exact.verdict(element_weights(learned, element)), *numbers)
-    return found
+            judged[boat][name] = Judged(exact.verdict(element_weights(learned, element)), *numbers)
+    return judged
 
 
 Found = list[tuple[str, float, Event]]  # name of the run, s before it, and the event on the clock of all runs
@@ -128,7 +128,7 @@ def events(fleet: Fleet, published: Iterable[Stretch], filters: Sequence[str] = 
     Changes of several filters within 30 s are one.
     """
     watches = [EventWatch(filters) for _ in fleet.boats]
-    found: list[Found] = [[] for _ in fleet.boats]
+    by_boat: list[Found] = [[] for _ in fleet.boats]
     lengths = np.array([[_length(run.time[:, k]) for k in range(len(fleet.boats))] for run in fleet.runs])
     for index, step, arrays in published:
         thrusters, health = arrays.get("thrusters"), arrays.get("health")
@@ -137,8 +137,8 @@ def events(fleet: Fleet, published: Iterable[Stretch], filters: Sequence[str] = 
         rows, run = np.concatenate([thrusters[..., :2], health], -1), fleet.runs[index]
         for element, watch in enumerate(watches):
             time, sailed = run.time[step : step + len(rows), element], float(lengths[:index, element].sum())
-            _scan(watch, time, sailed, rows[:, element], run.names[element], found[element])
-    return {boat: [_json(*each) for each in own] for boat, own in zip(fleet.boats, found, strict=True)}
+            _scan(watch, time, sailed, rows[:, element], run.names[element], by_boat[element])
+    return {boat: [_json(*each) for each in happened] for boat, happened in zip(fleet.boats, by_boat, strict=True)}
 
 
 def _length(time: np.ndarray) -> float:
@@ -146,43 +146,43 @@ def _length(time: np.ndarray) -> float:
     return float(np.nanmax(time)) + 1.0 if np.isfinite(time).any() else 0.0
 
 
-def _scan(watch: EventWatch, time: np.ndarray, sailed: float, rows: np.ndarray, run: str, found: Found) -> None:
+def _scan(watch: EventWatch, time: np.ndarray, sailed: float, rows: np.ndarray, run: str, events: Found) -> None:
     """Add the events of one boat in one stretch. Most rows say what those before say, and are skipped at once."""
-    made = np.flatnonzero(~np.isnan(rows[:, RAISED]))
-    said = rows[made, RAISED:]
+    steps = np.flatnonzero(~np.isnan(rows[:, RAISED]))
+    said = rows[steps, RAISED:]
     moves = np.flatnonzero((said[1:] != said[:-1]).any(-1)) + 1  # rows that differ from the one before
-    if len(made) and watch.differs(rows[made[0]]):
+    if len(steps) and watch.differs(rows[steps[0]]):
         moves = np.append(0, moves)
     k = 0
-    while k < len(made):
-        now, place = sailed + float(time[made[k]]), int(np.searchsorted(moves, k))
+    while k < len(steps):
+        now, place = sailed + float(time[steps[k]]), int(np.searchsorted(moves, k))
         if not watch.settles(now):
             if place == len(moves):
                 return
             k = int(moves[place])
-            now = sailed + float(time[made[k]])
-        for event in watch.see(now, rows[made[k]]):
-            _add(found, run, sailed, event)
+            now = sailed + float(time[steps[k]])
+        for event in watch.see(now, rows[steps[k]]):
+            _add(events, run, sailed, event)
         for event in watch.losses.values():
-            _update(found, event)
+            _update(events, event)
         k += 1
 
 
-def _add(found: Found, run: str, sailed: float, event: Event) -> None:
-    last = found[-1][2] if found else None
+def _add(events: Found, run: str, sailed: float, event: Event) -> None:
+    last = events[-1][2] if events else None
     if event.kind == CHANGE and last and last.kind == CHANGE and event.time - last.time <= TOGETHER:
         filters = tuple(dict.fromkeys((*last.filters, *event.filters)))
-        found[-1] = *found[-1][:2], last._replace(filters=filters)
+        events[-1] = *events[-1][:2], last._replace(filters=filters)
     elif event.kind != LOSS or event.is_alarm:
-        found.append((run, sailed, event))
+        events.append((run, sailed, event))
 
 
-def _update(found: Found, event: Event) -> None:
+def _update(events: Found, event: Event) -> None:
     """The loss as it is known now, in the place where it was added."""
-    for k in range(len(found) - 1, -1, -1):
-        run, sailed, other = found[k]
+    for k in range(len(events) - 1, -1, -1):
+        run, sailed, other = events[k]
         if other.kind == LOSS and other.side == event.side:
-            found[k] = run, sailed, event
+            events[k] = run, sailed, event
             return
 
 

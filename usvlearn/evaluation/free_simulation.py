@@ -58,19 +58,19 @@ def free_errors(ensemble: Ensemble, state: Any, fleet: Fleet, first: int) -> Fre
 
     limit, shape = ensemble.surge_max, (len(fleet.runs), len(fleet.boats))
     each = (*shape, len(ensemble.names))
-    found = FreeErrors(np.zeros(each), np.zeros(shape, int), np.zeros(each), np.zeros((*shape, 2)))
+    sums = FreeErrors(np.zeros(each), np.zeros(shape, int), np.zeros(each), np.zeros((*shape, 2)))
     dtype = state.predictions.dtype
     with torch.no_grad():
         for index, run in enumerate(fleet.runs[first:], first):
-            _, _, kept = simulate(ensemble, state, tensors(run.samples, dtype), record=["predictions"])
+            _, _, recorded = simulate(ensemble, state, tensors(run.samples, dtype), record=["predictions"])
             learns = masks(run.samples, ensemble.surge_limit).learns
-            predicted = np.nan_to_num(kept["predictions"].double().numpy(), nan=limit, posinf=limit, neginf=-limit)
+            predicted = np.nan_to_num(recorded["predictions"].double().numpy(), nan=limit, posinf=limit, neginf=-limit)
             surge = np.where(learns, run.samples.surge, 0.0)
             error = np.where(learns[..., None], np.abs(predicted.clip(-limit, limit) - surge[..., None]), 0.0)
-            found.errors[index], found.squares[index] = error.sum(0), (error * error).sum(0)
-            found.speeds[index] = np.stack([surge.sum(0), (surge * surge).sum(0)], -1)
-            found.steps[index] = learns.sum(0)
-    return found
+            sums.errors[index], sums.squares[index] = error.sum(0), (error * error).sum(0)
+            sums.speeds[index] = np.stack([surge.sum(0), (surge * surge).sum(0)], -1)
+            sums.steps[index] = learns.sum(0)
+    return sums
 
 
 class FreeRun(NamedTuple):
@@ -92,10 +92,10 @@ def free_runs(ensemble: Ensemble, season: Season) -> Iterator[FreeRun]:
         state = tree_map(lambda x, one=chosen: x[one : one + 1], season.state)
         samples = tree_map(lambda x: x[:, None], run.samples)
         with torch.no_grad():
-            _, _, kept = simulate(ensemble, state, tensors(samples, state.predictions.dtype), record=["predictions"])
-        found = np.nan_to_num(kept["predictions"][:, 0].double().numpy(), nan=limit, posinf=limit, neginf=-limit)
-        made = masks(run.samples, ensemble.surge_limit).steps[:, None]
-        yield FreeRun(np.where(made, found.clip(-limit, limit), np.nan), learned)
+            _, _, saved = simulate(ensemble, state, tensors(samples, state.predictions.dtype), record=["predictions"])
+        speed = np.nan_to_num(saved["predictions"][:, 0].double().numpy(), nan=limit, posinf=limit, neginf=-limit)
+        mask = masks(run.samples, ensemble.surge_limit).steps[:, None]
+        yield FreeRun(np.where(mask, speed.clip(-limit, limit), np.nan), learned)
 
 
 def middle(runs: Sequence[Any]) -> int:

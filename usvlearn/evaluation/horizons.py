@@ -31,29 +31,29 @@ def groups_of(samples: Sample, horizons: Sequence[float], surge_limit: float = P
     steps, inputs = masks(samples, surge_limit).steps, samples.inputs
     time = np.where(steps, inputs.dt, 0.0).cumsum(0)
     mean = (inputs.command_left + inputs.command_right) / 2
-    found = np.zeros((*mean.shape, len(horizons)), np.int8)
+    groups = np.zeros((*mean.shape, len(horizons)), np.int8)
     for element in range(mean.shape[1]):
-        own = steps[:, element]
-        least = _doubled(np.where(own, mean[:, element], np.inf), np.minimum)
-        most = _doubled(np.where(own, mean[:, element], -np.inf), np.maximum)
+        mask = steps[:, element]
+        least = _doubled(np.where(mask, mean[:, element], np.inf), np.minimum)
+        most = _doubled(np.where(mask, mean[:, element], -np.inf), np.maximum)
         for j, horizon in enumerate(horizons):
-            half = np.where(own, samples.inputs.dt[:, element], 0.0) / 2
+            half = np.where(mask, samples.inputs.dt[:, element], 0.0) / 2
             origin = np.searchsorted(time[:, element], time[:, element] - horizon - half)
             origin = np.minimum(origin, np.arange(len(time)))
             low, high = _over(least, origin, np.minimum), _over(most, origin, np.maximum)
             moved = np.where(np.isfinite(high - low), high - low, 0.0)
-            found[:, element, j] = (moved >= LITTLE).astype(np.int8) + (moved > MUCH)
-    return found
+            groups[:, element, j] = (moved >= LITTLE).astype(np.int8) + (moved > MUCH)
+    return groups
 
 
 def _doubled(x: np.ndarray, f: np.ufunc) -> list[np.ndarray]:
     """The extreme values of the 2ʲ numbers that end at each place, for each j; of fewer at the beginning."""
-    found, length = [x], 1
+    tables, length = [x], 1
     while length < len(x):
-        last = found[-1]
-        found.append(np.concatenate([last[:length], f(last[length:], last[:-length])]))
+        last = tables[-1]
+        tables.append(np.concatenate([last[:length], f(last[length:], last[:-length])]))
         length *= 2
-    return found
+    return tables
 
 
 def _over(doubled: Sequence[np.ndarray], first: np.ndarray, f: np.ufunc) -> np.ndarray:
@@ -95,7 +95,7 @@ def horizon_sums(
     """The sums of each run from forecasts and their half-widths; horizons in s, the ensemble's column is last."""
     H, K = len(horizons), len(names)
     shape = (len(fleet.runs), len(fleet.boats), H)
-    found = HorizonSums(
+    sums = HorizonSums(
         tuple(horizons), tuple(names), np.zeros((*shape, K)), np.zeros(shape, int),
         *(np.zeros(shape) for _ in range(4)), *(np.zeros((*shape, n)) for n in (len(GROUPS), len(GROUPS), K)),
     )  # fmt: skip
@@ -103,28 +103,28 @@ def horizon_sums(
     for run, step, arrays in published:
         if "forecasts" not in arrays:
             continue
-        made, widths = arrays["forecasts"], arrays["forecast_halfwidths"]
-        part = slice(step, step + len(made))
+        forecasts, widths = arrays["forecasts"], arrays["forecast_halfwidths"]
+        part = slice(step, step + len(forecasts))
         samples = tree_map(lambda x, part=part: x[part], fleet.runs[run].samples)
         surge = measured(samples, surge_limit)[..., None]
-        made = made.reshape(*made.shape[:2], H, K)
-        due = np.isfinite(made[..., -1]) & np.isfinite(surge)
-        errors = np.where(due[..., None], np.abs(made - surge[..., None]), 0.0)
-        found.errors[run] += np.where(np.isfinite(errors), errors, 0.0).sum(0)
-        found.missing[run] += (~np.isfinite(errors)).sum(0)
-        found.steps[run] += due.sum(0)
+        forecasts = forecasts.reshape(*forecasts.shape[:2], H, K)
+        due = np.isfinite(forecasts[..., -1]) & np.isfinite(surge)
+        errors = np.where(due[..., None], np.abs(forecasts - surge[..., None]), 0.0)
+        sums.errors[run] += np.where(np.isfinite(errors), errors, 0.0).sum(0)
+        sums.missing[run] += (~np.isfinite(errors)).sum(0)
+        sums.steps[run] += due.sum(0)
         finite = due & np.isfinite(widths)
-        found.known[run] += finite.sum(0)
-        found.inside[run] += (finite & (errors[..., -1] <= widths)).sum(0)
-        found.width[run] += np.where(finite, widths, 0.0).sum(0)
+        sums.known[run] += finite.sum(0)
+        sums.inside[run] += (finite & (errors[..., -1] <= widths)).sum(0)
+        sums.width[run] += np.where(finite, widths, 0.0).sum(0)
         beyond = np.where(finite, np.maximum(errors[..., -1] - widths, 0.0), 0.0)
-        found.interval[run] += (np.where(finite, 2 * widths, 0.0) + 2 / (1 - coverage) * beyond).sum(0)
+        sums.interval[run] += (np.where(finite, 2 * widths, 0.0) + 2 / (1 - coverage) * beyond).sum(0)
         if run not in moved:
             moved[run] = groups_of(fleet.runs[run].samples, horizons, surge_limit)
         within = moved[run][part][..., None] == np.arange(len(GROUPS))
-        found.group_known[run] += (finite[..., None] & within).sum(0)
-        found.group_inside[run] += ((finite & (errors[..., -1] <= widths))[..., None] & within).sum(0)
-    return found
+        sums.group_known[run] += (finite[..., None] & within).sum(0)
+        sums.group_inside[run] += ((finite & (errors[..., -1] <= widths))[..., None] & within).sum(0)
+    return sums
 
 
 def horizon_scores(sums: HorizonSums, boats: Sequence[str]) -> Scores:
@@ -142,9 +142,9 @@ def horizon_scores(sums: HorizonSums, boats: Sequence[str]) -> Scores:
     """
     total, count, known, inside, width, interval, some_known, some_inside, missing = (x.sum(0) for x in sums[2:])
     names, K = sums.names, len(sums.names)
-    found: Scores = {}
+    scores: Scores = {}
     for element, boat in enumerate(boats):
-        found[boat] = {name: {} for name in names}
+        scores[boat] = {name: {} for name in names}
         for j, horizon in enumerate(sums.horizons):
             steps = int(count[element, j])
             maes = means(total[element, j], steps, missing[element, j]) if steps >= LEAST else np.full(K, np.nan)
@@ -161,10 +161,10 @@ def horizon_scores(sums: HorizonSums, boats: Sequence[str]) -> Scores:
                     row["interval"] = float(interval[element, j] / some) if some else None
                     for group, name_of in enumerate(GROUPS):
                         here = int(some_known[element, j, group])
-                        own = float(some_inside[element, j, group] / here) if here >= LEAST else None
-                        row |= {f"covers_{name_of}": own, f"steps_{name_of}": here}
-                found[boat][name][f"{horizon:g}"] = row
-    return found
+                        share = float(some_inside[element, j, group] / here) if here >= LEAST else None
+                        row |= {f"covers_{name_of}": share, f"steps_{name_of}": here}
+                scores[boat][name][f"{horizon:g}"] = row
+    return scores
 
 
 def means(total: np.ndarray, steps: int, missing: np.ndarray) -> np.ndarray:
@@ -174,10 +174,10 @@ def means(total: np.ndarray, steps: int, missing: np.ndarray) -> np.ndarray:
 
 def ensemble_sums(ensemble: Ensemble, fleet: Fleet, published: Iterable[Stretch]) -> HorizonSums | None:
     """`horizon_sums` of what an ensemble published; None if it makes no forecasts."""
-    if (made := ensemble.forecasts) is None:
+    if (forecasts := ensemble.forecasts) is None:
         return None
-    columns = (*made.columns[:-1], ensemble.output)
-    return horizon_sums(fleet, published, made.horizons.tolist(), columns, ensemble.surge_limit, ensemble.coverage)
+    columns = (*forecasts.columns[:-1], ensemble.output)
+    return horizon_sums(fleet, published, forecasts.horizons.tolist(), columns, ensemble.surge_limit, ensemble.coverage)
 
 
 def ensemble_scores(ensemble: Ensemble, fleet: Fleet, published: Iterable[Stretch]) -> Scores:
@@ -202,8 +202,8 @@ def track_scores(
     Position and those of a constant turn and a held rate, m; heading, rad; inside, and by how the commands moved;
     radius, m, the median; count. None where nothing was due.
     """
-    found = [part.reshape(*part.shape[:2], len(horizons), DUE) for part in parts]
-    whole = np.concatenate(found) if found else np.empty((0, len(boats), len(horizons), DUE))
+    pieces = [part.reshape(*part.shape[:2], len(horizons), DUE) for part in parts]
+    whole = np.concatenate(pieces) if pieces else np.empty((0, len(boats), len(horizons), DUE))
     return {
         boat: {f"{h:g}": _score(whole[:, element, k]) for k, h in enumerate(horizons)}
         for element, boat in enumerate(boats)

@@ -68,7 +68,7 @@ def fleet_scores(
     fleet: Fleet, published: Iterable[Stretch], names: Sequence[str], surge_limit: float = PLAUSIBLE
 ) -> dict[str, dict]:
     """`scores` per boat. A median needs all errors of a boat: as many boats at a time as have AT_ONCE numbers."""
-    found, at_once = {}, max(1, AT_ONCE // max(1, 2 * fleet.steps * len(names)))
+    by_boat, at_once = {}, max(1, AT_ONCE // max(1, 2 * fleet.steps * len(names)))
     nothing = np.empty((0, len(names)))
     for first in range(0, len(fleet.boats), at_once):
         elements = range(len(fleet.boats))[first : first + at_once]
@@ -84,8 +84,8 @@ def fleet_scores(
         for element in elements:
             predictions, surge, widths = zip(*parts.pop(element) or [(nothing, nothing[:, 0], nothing)], strict=True)
             widths = None if widths[0] is None else np.concatenate(widths)
-            found[fleet.boats[element]] = scores(np.concatenate(predictions), np.concatenate(surge), names, widths)
-    return found
+            by_boat[fleet.boats[element]] = scores(np.concatenate(predictions), np.concatenate(surge), names, widths)
+    return by_boat
 
 
 def by_error(errors: Mapping[str, float | None]) -> list[str]:
@@ -100,9 +100,9 @@ def by_error(errors: Mapping[str, float | None]) -> list[str]:
 
 def mean(values: Iterable[float | None]) -> float | None:
     """The mean over boats; None where there is none, or where one is unknown (None, NaN)."""
-    found = list(values)
-    known = [x for x in found if x is not None and x == x]
-    return sum(known) / len(known) if known and len(known) == len(found) else None
+    listed = list(values)
+    known = [x for x in listed if x is not None and x == x]
+    return sum(known) / len(known) if known and len(known) == len(listed) else None
 
 
 def mean_mae(boats: Mapping[str, Mapping[str, Mapping]]) -> dict[str, float]:

@@ -107,19 +107,19 @@ def measure_of(objective: Any, default: str) -> Measure:
 
 def check_measure(measure: Measure, ensemble: Ensemble, fleet: Fleet) -> None:
     """Raise a ConfigError unless an ensemble makes what is measured, and there are enough runs."""
-    made = ensemble.forecasts
+    forecasts = ensemble.forecasts
     if measure.estimator not in ensemble.names:
         known = [*ensemble.members, *ensemble.combiners]
         hint = did_you_mean(measure.estimator, known)
         raise ConfigError(f"objective: found {measure.estimator!r}, expected one of {', '.join(known)}{hint}")
     if measure.kind == FORECAST:
-        horizons = [] if made is None else made.horizons.tolist()
+        horizons = [] if forecasts is None else forecasts.horizons.tolist()
         if measure.horizon not in horizons:
             raise ConfigError(
                 f"objective: found a forecast over {measure.horizon:g} s, expected one of forecasts.horizons: "
                 f"{', '.join(f'{h:g}' for h in horizons) or 'there are none'}"
             )
-        if made is not None and measure.estimator not in (*made.columns[:-1], ensemble.output):
+        if forecasts is not None and measure.estimator not in (*forecasts.columns[:-1], ensemble.output):
             raise ConfigError(
                 f"objective: found forecasts of {measure.estimator}, which makes none: add it to forecasts.members"
             )
@@ -135,8 +135,8 @@ def differing(settings: Sequence[Mapping[str, str]]) -> list[str]:
 
 def named(key: str) -> str | None:
     """The member or combiner that a key of a command names, or None."""
-    found = re.match(r"[+~]*(?:.*@)?(?:estimators|combiners)\.(\w+)", key)
-    return found and found[1]
+    match = re.match(r"[+~]*(?:.*@)?(?:estimators|combiners)\.(\w+)", key)
+    return match and match[1]
 
 
 def ranked_by(objective: Any, swept: Iterable[str], results: Iterable[Mapping]) -> Measure | None:
@@ -147,14 +147,14 @@ def ranked_by(objective: Any, swept: Iterable[str], results: Iterable[Mapping]) 
     if len(names) != 1:
         return None
     (name,) = names
-    found = all(name in mean_mae(each["boats"]) for each in results if "boats" in each)
-    return Measure(name) if found else None
+    everywhere = all(name in mean_mae(each["boats"]) for each in results if "boats" in each)
+    return Measure(name) if everywhere else None
 
 
 def own_objective(results: Iterable[Mapping]) -> str | None:
     """The objective that all jobs were given; None if they differ, or if it is the default, the MAE of their output."""
-    found = {each.get("measure") if each.get("measure") != f"{each.get('output')}.mae" else None for each in results}
-    return found.pop() if len(found) == 1 else None
+    measures = {each.get("measure") if each.get("measure") != f"{each.get('output')}.mae" else None for each in results}
+    return measures.pop() if len(measures) == 1 else None
 
 
 def own_measure(result: Mapping[str, Any]) -> Measure:
@@ -167,6 +167,6 @@ def scored(result: Mapping[str, Any], by: Measure | None) -> dict[str, Any]:
     if "boats" not in result:
         return dict(result)
     if by is None:
-        own = result.get("measure") or f"{result.get('output') or 'tuned'}.mae"
-        return {**result, "measure": own}
+        measure = result.get("measure") or f"{result.get('output') or 'tuned'}.mae"
+        return {**result, "measure": measure}
     return {**result, "measure": str(by), "objective": by.value(result)}

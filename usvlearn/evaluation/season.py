@@ -47,8 +47,8 @@ class SeasonRun(NamedTuple):
     @property
     def spacing(self) -> float:
         """The median length of a step, s; 0 of a run without steps."""
-        made = self.samples.inputs.dt[self.samples.inputs.dt > 0]
-        return float(np.median(made)) if len(made) else 0.0
+        steps = self.samples.inputs.dt[self.samples.inputs.dt > 0]
+        return float(np.median(steps)) if len(steps) else 0.0
 
 
 class Season(NamedTuple):
@@ -66,12 +66,12 @@ class Season(NamedTuple):
         """The runs with online predictions as a fleet of one boat, and what was published of each."""
         runs = [run for run in self.runs if run.published]
         wide = [tree_map(lambda x: x[:, None], run.samples) for run in runs]
-        made = tuple(
+        padded = tuple(
             Run(run.time[:, None], samples, (run.name,), (len(run.time),))
             for run, samples in zip(runs, wide, strict=True)
         )
         published = [(k, 0, {key: x[:, None] for key, x in run.published.items()}) for k, run in enumerate(runs)]
-        return Fleet((self.boat,), made, {}), published
+        return Fleet((self.boat,), padded, {}), published
 
     @property
     def later(self) -> np.ndarray:
@@ -94,8 +94,8 @@ class Predictions:
     """Predictions of the speed over one run of one boat, each made before that speed was used.
 
     >>> time, x = np.array([0.0, 0.4]), np.array([1.0, 1.1])
-    >>> found = Predictions("heron", "001", time, x, {"ensemble": x}, {"ensemble": np.array([np.inf, 0.25])})
-    >>> low, high = found.interval("ensemble")
+    >>> predictions = Predictions("heron", "001", time, x, {"ensemble": x}, {"ensemble": np.array([np.inf, 0.25])})
+    >>> low, high = predictions.interval("ensemble")
     >>> round(float(low[1]), 2), round(float(high[1]), 2)
     (0.85, 1.35)
     """
@@ -153,7 +153,7 @@ def predictions_of(
     fleet: Fleet, names: Sequence[str], published: Sequence[Mapping[str, np.ndarray]]
 ) -> tuple[Predictions, ...]:
     """Split what was published of a fleet's runs, arrays `(time, boats, names)`, by run and boat."""
-    found = []
+    predictions = []
     for index, run in enumerate(fleet.runs):
         for element, boat in enumerate(fleet.boats):
             if n := run.lengths[element]:
@@ -164,8 +164,8 @@ def predictions_of(
                     for key in ("predictions", "halfwidths")
                 ]
                 measured = measured_surge(samples_of(run.samples, n, element))
-                found.append(Predictions(boat, run.names[element], run.time[:n, element], measured, *by_name))
-    return tuple(found)
+                predictions.append(Predictions(boat, run.names[element], run.time[:n, element], measured, *by_name))
+    return tuple(predictions)
 
 
 def samples_of(samples: Sample, steps: int, element: int) -> Sample:

@@ -152,11 +152,11 @@ class PlanarModel:
         [0.1, 0.19, 0.28]
         """
         given = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, np.float64)) for x in (left, right, dt, *current)))
-        found = []
+        motions = []
         for xi_left, xi_right, h, north, east in zip(*given, strict=True):
             motion = self.step(motion, xi_left, xi_right, h, (north, east))
-            found.append(motion)
-        return Motion(*(np.array(each) for each in zip(*found, strict=True)))
+            motions.append(motion)
+        return Motion(*(np.array(each) for each in zip(*motions, strict=True)))
 
     def _axis(self, kind: str, *given: Any) -> np.ndarray:
         """r⁺ or v⁺, from itself, ξ_L, ξ_R, the other one, u and h."""
@@ -171,9 +171,9 @@ class PlanarModel:
 
 
 def _coefficients(kind: str, mean: np.ndarray) -> dict[str, float]:
-    found, size = np.shape(mean), THETA + len(names(kind))
-    if found != (size,):
-        raise ConfigError(f"{kind}: found a mean of the shape {found}, expected ({size},)")
+    shape, size = np.shape(mean), THETA + len(names(kind))
+    if shape != (size,):
+        raise ConfigError(f"{kind}: found a mean of the shape {shape}, expected ({size},)")
     return dict(zip(COEFFICIENTS[kind], map(float, mean[THETA:-1]), strict=True))
 
 

@@ -148,20 +148,20 @@ def _read(path: Path) -> IdentifiedBoat:
     with warnings.catch_warnings():
         warnings.simplefilter("default")
         leaves, facts = checkpoint.newest(path, read) if path.is_dir() else read(path)
-    found: Identified
+    boat: Identified
     try:
         if FITTED in facts:
-            found = FittedBoat.read(facts[FITTED])
-            model = found.model
+            boat = FittedBoat.read(facts[FITTED])
+            model = boat.model
         else:
-            (found,) = identified(facts["kernel"], {name: leaf[None] for name, leaf in leaves.items()})
-            if found.beside is None:
-                raise ConfigError("; ".join(found.lacks))
-            model = SurgeModel.of(found)
+            (boat,) = identified(facts["kernel"], {name: leaf[None] for name, leaf in leaves.items()})
+            if boat.beside is None:
+                raise ConfigError("; ".join(boat.lacks))
+            model = SurgeModel.of(boat)
         setup = Setup.of_set(facts)
     except (ConfigError, CheckpointError) as error:
         raise type(error)(f"{used[0]}: {error}") from error
     name = facts.get("boat")
     return IdentifiedBoat(
-        name if isinstance(name, str) and name else used[0].parent.name, used[0], found, model, setup, leaves, facts
+        name if isinstance(name, str) and name else used[0].parent.name, used[0], boat, model, setup, leaves, facts
     )

@@ -94,11 +94,11 @@ class SurgeModel:
                 raise ConfigError(f"coefficients.{name}: found {value!r}, expected a finite number")
 
     @classmethod
-    def of(cls, found: Identified, theta: np.ndarray | None = None) -> SurgeModel:
+    def of(cls, identified: Identified, theta: np.ndarray | None = None) -> SurgeModel:
         """The boat of what was identified.
 
         Args:
-            found: of a boat.
+            identified: of a boat.
             theta: other parameters of it per unit mass, `(m,)`, such as a draw from their distribution.
 
         Returns:
@@ -108,14 +108,14 @@ class SurgeModel:
             ConfigError: nothing is identified.
 
         >>> from usvlearn import JointEKF, Online
-        >>> found = Online(JointEKF(surge_max=2.7, mass=28.0, read_every=600.0)).identified()
-        >>> round(float(SurgeModel.of(found).ahead.steady_speed(1.0)), 2)
+        >>> identified = Online(JointEKF(surge_max=2.7, mass=28.0, read_every=600.0)).identified()
+        >>> round(float(SurgeModel.of(identified).ahead.steady_speed(1.0)), 2)
         2.7
         """
-        theta = found.theta if theta is None else theta
-        mass = float(kilograms_of(theta, found.mass, found.inverse_mass))
-        own = names(len(theta) == len(names(even=True)))
-        return cls(mass, {name: mass * float(each) for name, each in zip(own, theta, strict=True) if name != LAG})
+        theta = identified.theta if theta is None else theta
+        mass = float(kilograms_of(theta, identified.mass, identified.inverse_mass))
+        keys = names(len(theta) == len(names(even=True)))
+        return cls(mass, {name: mass * float(each) for name, each in zip(keys, theta, strict=True) if name != LAG})
 
     @classmethod
     def fitted(cls, theta: np.ndarray, top: float, mass: float) -> SurgeModel:

@@ -40,10 +40,10 @@ def write_animation(path: Path, mission: Mission, title: str) -> Path:
             minutes, seconds = divmod(math.floor(mission.run.time[each.step]), 60)
             near.set_title(f"{printable(title)}, {printable(mission.run.name)}, at {minutes}:{seconds:02d}")
 
-        found = FuncAnimation(figure, draw, frames=len(shown), cache_frame_data=False)
+        animation = FuncAnimation(figure, draw, frames=len(shown), cache_frame_data=False)
         part = path.with_suffix(".part.gif")
         try:
-            found.save(part, writer=PillowWriter(fps=RATE))
+            animation.save(part, writer=PillowWriter(fps=RATE))
             write_atomically(path, part.read_bytes())
         finally:
             part.unlink(missing_ok=True)

@@ -51,7 +51,7 @@ def best_minutes(runs: Sequence[SeasonRun], free: Sequence[FreeRun], column: int
     """
     pairs = list(zip(runs, free, strict=True))
     pairs = [pair for pair in pairs if not pair[1].learned] or pairs
-    parts = [part for run, made in pairs for part in _parts(run, made, column)]
+    parts = [part for run, free_run in pairs for part in _parts(run, free_run, column)]
     if not parts:
         return None
     usual = float(np.median([np.nanstd(part.measured) for part in parts]))
@@ -59,18 +59,18 @@ def best_minutes(runs: Sequence[SeasonRun], free: Sequence[FreeRun], column: int
     return min(moving, key=lambda part: float(np.nanmean(np.abs(part.simulated - part.measured))))
 
 
-def _parts(run: SeasonRun, made: FreeRun, column: int) -> list[BestMinutes]:
+def _parts(run: SeasonRun, free: FreeRun, column: int) -> list[BestMinutes]:
     if not len(run.time) or not run.spacing:
         return []
     begins = np.arange(run.time[0], max(run.time[-1] - LENGTH, run.time[0]) + run.spacing, SHIFT)
-    simulated, found = made.predictions[:, column], []
+    simulated, parts = free.predictions[:, column], []
     for begin in begins:
         part = slice(*np.searchsorted(run.time, (begin, begin + LENGTH)))
         measured = np.where(np.isfinite(simulated[part]), run.measured[part], np.nan)
         if np.isfinite(measured).sum() * run.spacing >= KNOWN_SHARE * min(LENGTH, run.time[-1] - run.time[0]) > 0:
             sides = (side[part] for side in run.samples.inputs[:2])
-            found.append(BestMinutes(run.name, made.learned, run.time[part] / 60, measured, simulated[part], *sides))
-    return found
+            parts.append(BestMinutes(run.name, free.learned, run.time[part] / 60, measured, simulated[part], *sides))
+    return parts
 
 
 @guarded

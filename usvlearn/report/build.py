@@ -70,7 +70,7 @@ def _built(folders: Sequence[Path], tools: Tools, data: Any) -> tuple[Ensemble, 
         raise ConfigError(f"data: found {', '.join(data)} alone, expected a file of configs/data: set data=NAME")
     settings = [configuration(folder, tools.trust) for folder in folders]
     last, sources = settings[-1], []
-    for each in [found["data"] for found in settings] if data is None else [data]:
+    for each in [setting["data"] for setting in settings] if data is None else [data]:
         if each not in sources:  # several folders may have used the same logs
             sources.append(each)
     try:
@@ -100,15 +100,15 @@ def evaluate(
     """
     with Lock(report, "report"):
         check_report_folder(report)
-        found = [results(folder) for folder in folders]
+        outcomes = [results(folder) for folder in folders]
         unfinished = [
             f"{folder} is not finished: the report covers the finished part."
-            for folder, finished in zip(folders, found, strict=True)
+            for folder, finished in zip(folders, outcomes, strict=True)
             if not finished
         ]
         checks = [data_check(folder) for folder in folders]
         questions = questions_of_runs(folders, tools.trust) | (asked or {})
-        told = unconfirmed(questions)
+        lines = unconfirmed(questions)
         if data is not None and tools.checked is not None:
             align = tools.checked({**configuration(folders[-1], tools.trust), "data": data})
             ensemble, fleets = _built(folders, tools._replace(align=align), data)
@@ -118,26 +118,26 @@ def evaluate(
         seasons = read_seasons(folders, ensemble, fleets)
         with Activity(tools.console) as activity:
             activity.begin("simulating each checkpoint on each run", total=simulations(ensemble, seasons))
-            known = known_quantities(found[-1]) if data is None else {}
+            known = known_quantities(outcomes[-1]) if data is None else {}
             fits = saved_fits(folders, [season.boat for season in seasons]) if data is None else {}
-            tracks = saved_tracks(folders, found, seasons, fleets) if data is None else {}
+            tracks = saved_tracks(folders, outcomes, seasons, fleets) if data is None else {}
             sections, errors = assemble(ensemble, seasons, activity.advance, known, fits, tracks)
             front = front_of(ensemble, seasons, checks, activity.advance, fits, tracks)
             activity.begin("drawing the report")
             other = "Judged on other logs than those of the runs from which the boats learned."
             notes = [*unfinished, *([] if data is None else [other])]
             parts = [section if paper else section._replace(paper="") for section in sections]
-            said = [*facts(seasons, folders), *told, *notes]
-            front = front._replace(notes=notes, unconfirmed=told)
+            said = [*facts(seasons, folders), *lines, *notes]
+            front = front._replace(notes=notes, unconfirmed=lines)
             page = write_report(report, said, parts, commands, errors, front)
             beside = _films(report, tracks, activity) if animate else []
             beside += _latex(report, folders[-1], sections, front) if latex else []
     for line in beside:
         tools.say(line)
     boats = {each.boat: each.quantities for each in front.boats}
-    told = summary(found[-1], questions, boats) if data is None and found[-1] else []
+    lines = summary(outcomes[-1], questions, boats) if data is None and outcomes[-1] else []
     next_one = f"usvlearn {'plan' if undetermined(boats, MAIN) else 'controller'} {quoted(folders[-1])}"
-    show("", *told, f"report       {page}", f"next         {next_one}", to=tools.console)
+    show("", *lines, f"report       {page}", f"next         {next_one}", to=tools.console)
     return page
 
 
@@ -172,11 +172,11 @@ def _latex(report: Path, run: Path, sections: Sequence[Section], front: Front) -
     return [*said, f"LaTeX: {first}, and {len(others)} figures, tables and equations beside it"]
 
 
-def known_quantities(found: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+def known_quantities(results: Mapping[str, Any]) -> dict[str, dict[str, float]]:
     """The true quantities of simulated boats that a run's results contain."""
     return {
         boat: {name: each["truth"] for name, each in quantities.items() if each.get("truth") is not None}
-        for boat, quantities in found.get("identified", {}).items()
+        for boat, quantities in results.get("identified", {}).items()
     }
 
 

@@ -102,7 +102,7 @@ def _overview(
     ensemble: Ensemble, season: Season, free: Sequence[FreeRun], findings: Sequence[Mapping[str, Any]] | None
 ) -> Overview:
     column = ensemble.names.index(ensemble.output)
-    rows = [_row(run, made, column) for run, made in zip(season.runs, free, strict=True)]
+    rows = [_row(run, free_run, column) for run, free_run in zip(season.runs, free, strict=True)]
     unseen = [(row.free, int(run.steps.sum())) for run, row in zip(season.runs, rows, strict=True) if not row.learned]
     total = sum(steps for error, steps in unseen if error is not None)
     ahead, fit = _ahead(ensemble, season)
@@ -127,12 +127,12 @@ def _overview(
 def _row(run: SeasonRun, free: FreeRun, column: int) -> RunRow:
     steps = run.steps
     surge = run.samples.surge[steps]
-    made = run.published["predictions"][steps, column] if run.published else np.full(len(surge), np.nan)
+    predicted = run.published["predictions"][steps, column] if run.published else np.full(len(surge), np.nan)
     return RunRow(
         run.name,
         float(run.samples.inputs.dt[steps].sum()) / 60,
         _mean(surge),
-        _mean(np.abs(made - surge)),
+        _mean(np.abs(predicted - surge)),
         _mean(np.abs(free.predictions[steps, column] - surge)),
         free.learned,
     )
@@ -145,13 +145,13 @@ def _mean(x: np.ndarray) -> float | None:
 
 def _free_fit(season: Season, free: Sequence[FreeRun], column: int) -> float | None:
     """The fit of the open-loop simulations whose parameters have not learned from them; None without."""
-    unseen = [(run, made) for run, made in zip(season.runs, free, strict=True) if not made.learned]
-    predictions = [made.predictions[run.steps, column] for run, made in unseen]
+    unseen = [(run, free_run) for run, free_run in zip(season.runs, free, strict=True) if not free_run.learned]
+    predictions = [free_run.predictions[run.steps, column] for run, free_run in unseen]
     if not sum(map(len, predictions)):
         return None
     surge = np.concatenate([run.samples.surge[run.steps] for run, _ in unseen])
-    found = scores(np.concatenate(predictions)[:, None], surge, ["free"])["free"]["fit"]
-    return None if found is None else float(found)
+    fit = scores(np.concatenate(predictions)[:, None], surge, ["free"])["free"]["fit"]
+    return None if fit is None else float(fit)
 
 
 def _ahead(ensemble: Ensemble, season: Season) -> tuple[list[Ahead], float | None]:
@@ -165,12 +165,12 @@ def _ahead(ensemble: Ensemble, season: Season) -> tuple[list[Ahead], float | Non
     surge = np.concatenate([run.measured for run in runs])
     widths = [run.published["halfwidths"][:, places] for run in runs if "halfwidths" in run.published]
     row = scores(predictions, surge, names, np.concatenate(widths) if len(widths) == len(runs) else None)[names[-1]]
-    found = [Ahead("the next step", row["mae"], row["skill"], row.get("coverage"))]
-    kept = season._replace(runs=tuple(run for run in runs if "forecasts" in run.published))
-    if kept.runs:
-        ahead = ensemble_scores(ensemble, *kept.replayed).get(season.boat, {}).get(ensemble.output, {})
-        found += [Ahead(f"{h} s", row["mae"], row["skill"], row.get("covers")) for h, row in ahead.items()]
-    return found, row["fit"]
+    errors = [Ahead("the next step", row["mae"], row["skill"], row.get("coverage"))]
+    replayed = season._replace(runs=tuple(run for run in runs if "forecasts" in run.published))
+    if replayed.runs:
+        ahead = ensemble_scores(ensemble, *replayed.replayed).get(season.boat, {}).get(ensemble.output, {})
+        errors += [Ahead(f"{h} s", row["mae"], row["skill"], row.get("covers")) for h, row in ahead.items()]
+    return errors, row["fit"]
 
 
 NEAR = "10 s"  # the horizon of the sentence, if it was forecast
@@ -218,8 +218,8 @@ def _fleet(boats: Sequence[Overview]) -> str:
     rows = []
     for k, boat in enumerate(boats):
         near = next((each for each in boat.ahead if each.what == NEAR), None)
-        own = boat.identified.displayed("steady_speed_full") if boat.identified else None
-        top = (boat.batch or {}).get("steady_speed_full", own)
+        learned = boat.identified.displayed("steady_speed_full") if boat.identified else None
+        top = (boat.batch or {}).get("steady_speed_full", learned)
         cells = [
             str(len(boat.runs)),
             _duration(boat.hours),
@@ -292,20 +292,20 @@ def _identified(boat: Overview) -> str:
 def _online(boat: Overview) -> str:
     if boat.identified is None:
         return "<p>Nothing: the ensemble has no estimator that reads physical quantities.</p>"
-    found = {name: boat.identified.displayed(name) for name in MAIN if name in boat.identified}
+    main = {name: boat.identified.displayed(name) for name in MAIN if name in boat.identified}
     wrong, scale, lacks = boat.identified.unphysical, boat.identified.scale, boat.identified.lacks
     notes = "".join(f"<p>{escape(in_words(each))}</p>" for each in (scale, *lacks) if each and each != wrong)
     warning = f'<p class="bad"><b>{escape(wrong)}</b></p>' if wrong else ""
-    return f'{warning}{_rows(found)}<div class="notes">{notes}</div>'
+    return f'{warning}{_rows(main)}<div class="notes">{notes}</div>'
 
 
 def _rows(quantities: Mapping[str, Quantity]) -> str:
     """A table of the quantities of MAIN."""
     rows = "".join(
-        f'<tr><th scope="row">{words}</th><td class="n"><b>{shown(found.value)}</b> {escape(found.unit)}</td>'
-        f'<td class="n">{shown(found.low)} to {shown(found.high)}</td></tr>'
+        f'<tr><th scope="row">{words}</th><td class="n"><b>{shown(known.value)}</b> {escape(known.unit)}</td>'
+        f'<td class="n">{shown(known.low)} to {shown(known.high)}</td></tr>'
         for name, words in (MAIN | TURNS).items()
-        if (found := quantities.get(name)) and (name in MAIN or known(found))
+        if (known := quantities.get(name)) and (name in MAIN or known(found))
     )
     head = '<thead><tr><th></th><th class="n">value</th><th class="n">90 % interval</th></tr></thead>'
     return f"<table>{head}<tbody>{rows}</tbody></table>"
@@ -376,15 +376,15 @@ def _findings(boat: Overview, good: str) -> str:
     if not boat.findings and wrong:
         return f"{learned}<p>The check of the log before the run found nothing.</p>"
     if not boat.findings:
-        told = "" if good else " But it does not prove what was guessed: see above."
-        return f"<p{good}>Nothing suspicious was found in the log.{told}</p>"
+        caveat = "" if good else " But it does not prove what was guessed: see above."
+        return f"<p{good}>Nothing suspicious was found in the log.{caveat}</p>"
     items = []
     for each in sorted(boat.findings, key=lambda each: each.get("severity") != WARNING):
-        about, found, expected, key = (escape(str(each.get(name) or "")) for name in FINDING)
+        about, value, expected, key = (escape(str(each.get(name) or "")) for name in FINDING)
         wanted = f", expected {expected}" if expected else ""
         fix = f" Set <code>{key}</code>." if key else ""
         style = ' class="bad"' if each.get("severity") == WARNING else ""
-        items.append(f"<li{style}><b>{about}</b>: found {found}{wanted}.{fix}</li>")
+        items.append(f"<li{style}><b>{about}</b>: found {value}{wanted}.{fix}</li>")
     return f"{learned}<ul>{''.join(items)}</ul>"
 
 

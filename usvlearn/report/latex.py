@@ -71,7 +71,7 @@ def write_latex(
     body = [HEAD]
     for boat in boats:
         files[f"model_{_plain(boat.stem)}.tex"] = equation(boat).encode()
-    tables = [_quantities(boat, found) for boat, found in quantities.items()]
+    tables = [_quantities(boat, known) for boat, known in quantities.items()]
     tables += [each for section in sections for each in section.sheets if each.name in TABLES and each.rows]
     for table in tables:
         files[f"table_{_plain(table.name)}.tex"] = latex_table(table).encode()
@@ -121,11 +121,11 @@ def latex_table(table: ResultTable) -> str:
     return f"\\begin{{table*}}[t]\\centering\\footnotesize\n\\caption{{{caption}}}\n{body}\n\\end{{table*}}\n"
 
 
-def _quantities(boat: str, found: Mapping[str, Quantity]) -> ResultTable:
+def _quantities(boat: str, quantities: Mapping[str, Quantity]) -> ResultTable:
     """The quantities of a boat, which TERMS does not have: those are in the equation."""
     rows = [
         (name.replace("_", " "), shown(each.value), f"{shown(each.low)} … {shown(each.high)}", each.unit)
-        for name, each in found.items()
+        for name, each in quantities.items()
         if name not in TERMS and each.value == each.value
     ]
     return ResultTable(f"parameters_{_plain(boat)}", ("quantity", "value", "90 % interval", "unit"), rows)

@@ -55,18 +55,18 @@ def write_report(
     for old in _written(folder):
         (folder / old).unlink(missing_ok=True)
     tables = {f"tables/{each.name}.csv": each for section in sections for each in section.sheets}
-    own = {f"figures/{name}.svg": whole for name, (_, whole) in drawings.items()}
-    own |= {name: each.csv().encode() for name, each in tables.items()}
-    for path, whole in own.items():
+    contents = {f"figures/{name}.svg": whole for name, (_, whole) in drawings.items()}
+    contents |= {name: each.csv().encode() for name, each in tables.items()}
+    for path, whole in contents.items():
         write_atomically(folder / path, whole)
     write_atomically(folder / "report.md", _markdown(heading, facts, sections, commands).encode())
     if errors:
         archive = io.BytesIO()
-        named = {f"{boat}_{name}": x for boat, found in errors.items() for name, x in found._asdict().items()}
+        named = {f"{boat}_{name}": x for boat, free in errors.items() for name, x in free._asdict().items()}
         np.savez_compressed(archive, **named)
         write_atomically(folder / "crossval.npz", archive.getvalue())
     index = folder / "index.html"
-    write_atomically(folder / FILES, json.dumps(sorted(own), indent=2).encode())
+    write_atomically(folder / FILES, json.dumps(sorted(contents), indent=2).encode())
     inline = {name: inline for name, (inline, _) in drawings.items()}
     inline |= {boat: inline[name] for boat, name in best.items()}
     write_atomically(index, page(facts, sections, commands, inline, front, heading).encode())
@@ -77,8 +77,8 @@ def check_report_folder(folder: Path) -> None:
     """Make the folder of a report, which may contain only an earlier report, and check that figures can be drawn."""
     with themed():
         pass
-    found = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
-    if found - {LOCK} and FILES not in found:
+    names = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
+    if names - {LOCK} and FILES not in names:
         raise ConfigError(f"report: {folder} holds something that is no report: name another folder")
     for kind in FOLDERS:
         if (folder / kind).is_symlink():
@@ -110,8 +110,8 @@ def _drawing(name: str, figure: Any) -> tuple[str, bytes]:
     whole = re.sub("(<svg[^>]*>)", r'\1<rect width="100%" height="100%" fill="white"/>', inline, count=1).encode()
     inline = inline[inline.index("<svg") :]
     inline = re.sub(r'<metadata>.*?</metadata>| id="image\w+"', "", inline, flags=re.DOTALL)  # equal images, equal ids
-    own = f"g{zlib.crc32(name.encode()):x}-"  # ids of one page differ; a name may hold any character
-    inline = re.sub(r'(id="|href="#|url\(#)', rf"\g<1>{own}", inline)
+    prefix = f"g{zlib.crc32(name.encode()):x}-"  # ids of one page differ; a name may hold any character
+    inline = re.sub(r'(id="|href="#|url\(#)', rf"\g<1>{prefix}", inline)
     for colour, variable in {INK: "currentColor", "#222222": "currentColor", LINE: "var(--line)",
                              "#eeeeee": "var(--line)", "#000000": "currentColor"}.items():  # fmt: skip
         inline = re.sub(re.escape(colour), variable, inline, flags=re.IGNORECASE)

@@ -82,10 +82,10 @@ def read_boats(folders: Sequence[str], name: str | None = None) -> list[list[Kno
 
 
 def _boats_of(given: str, letter: str) -> dict[str, KnownBoat]:
-    found = run_folders(given)
-    if len(found) > 1:
-        raise ConfigError(f"compare: found {len(found)} runs below {given}, expected one: name {found[0]}, say")
-    folder = found[0]
+    folders = run_folders(given)
+    if len(folders) > 1:
+        raise ConfigError(f"compare: found {len(folders)} runs below {given}, expected one: name {folders[0]}, say")
+    folder = folders[0]
     facts = results(folder)
     if not facts:
         raise CheckpointError(f"{folder}: is not finished: run train.py with resume={folder} hydra.run.dir={folder}")
@@ -109,12 +109,12 @@ def _quantities(fit: SavedFit | str | None, online: Mapping[str, Any]) -> tuple[
     if isinstance(fit, SavedFit):
         return "by its fit", dict(fit.quantities)
     units = QUANTITIES | TURNING | OF_FIT
-    found = {}
+    quantities = {}
     for name, each in online.items():
         value, low, high = (math.nan if each[key] is None else float(each[key]) for key in ("value", "low", "high"))
         if unit := units.get(name):
-            found[name] = Quantity(value, low, high, unit)
-    return "as learned online", found
+            quantities[name] = Quantity(value, low, high, unit)
+    return "as learned online", quantities
 
 
 def errors_of(first: KnownBoat, other: KnownBoat) -> Iterator[tuple[str, float, float, Difference | None]]:
@@ -144,8 +144,8 @@ def _section(index: int, runs: Sequence[KnownBoat]) -> Section:
         pair = f"{first.letter} → {other.letter}"
         for name, own in first.quantities.items():
             if name in other.quantities and math.isfinite(own.value) and math.isfinite(other.quantities[name].value):
-                found = change(own, other.quantities[name])
-                rows.append((pair, name, own.unit, own.value, other.quantities[name].value, *found))
+                difference = change(own, other.quantities[name])
+                rows.append((pair, name, own.unit, own.value, other.quantities[name].value, *difference))
         shared = list(errors_of(first, other))
         for words, before, after, paired in shared:
             ends = (None,) * 3 if paired is None else (paired.mean, paired.low, paired.high)
@@ -171,10 +171,10 @@ def forest(runs: Sequence[KnownBoat], names: Sequence[str]) -> Any:
     for panel, name in zip(panels, names, strict=True):
         first = runs[0].quantities[name]
         for row, each in enumerate(runs):
-            if own := each.quantities.get(name):
-                colour = WORSE if row and change(first, own).verdict == CHANGED else INK
-                panel.plot([own.low, own.high], [row, row], color=colour, linewidth=1.6)
-                panel.plot(own.value, row, "o", color=colour, markersize=4)
+            if quantity := each.quantities.get(name):
+                colour = WORSE if row and change(first, quantity).verdict == CHANGED else INK
+                panel.plot([quantity.low, quantity.high], [row, row], color=colour, linewidth=1.6)
+                panel.plot(quantity.value, row, "o", color=colour, markersize=4)
         panel.axvline(first.value, color=LINE, linewidth=1.0)
         panel.set_yticks(range(len(runs)), [each.letter for each in runs])
         panel.set(title=f"{name}, {first.unit}", ylim=(len(runs) - 0.5, -0.5))

@@ -36,17 +36,17 @@ def make_study(
     commands: list[str] = []
 
     def stage(name: str, overrides: Sequence[str], results: str) -> Path:
-        own = folder / name
-        commands.append(f"python train.py {shlex.join(overrides)} hydra.run.dir={own}")
-        if (own / results).exists() and "partial" not in _read(own / results):
-            say(f"{own}: is there")
-            return own
+        path = folder / name
+        commands.append(f"python train.py {shlex.join(overrides)} hydra.run.dir={path}")
+        if (path / results).exists() and "partial" not in _read(path / results):
+            say(f"{path}: is there")
+            return path
         say(commands[-1])
-        if (own / RUNS).exists():  # it was stopped
-            overrides = [*(each for each in overrides if not each.startswith("resume=")), f"resume={own}"]
-        with Lock(own, "folder"):
-            run(overrides, own)
-        return own
+        if (path / RUNS).exists():  # it was stopped
+            overrides = [*(each for each in overrides if not each.startswith("resume=")), f"resume={path}"]
+        with Lock(path, "folder"):
+            run(overrides, path)
+        return path
 
     with Lock(folder, "folder"):
         path, plan = folder / PLAN, {**plan, "version": usvlearn.__version__}
@@ -59,9 +59,9 @@ def make_study(
         tuning, settings = [*plan["common"], *plan["tuning"]], list[str]()
         for member in plan["members"]:
             asked = [*tuning, f"grid={member}", f"tuning.evaluations={plan['evaluations']}"]
-            found = stage(f"tune/{member}", asked, TUNING) / TUNING
-            setting = _read(found)["best"]["setting"]
-            check_setting(str(found), setting)
+            tuned = stage(f"tune/{member}", asked, TUNING) / TUNING
+            setting = _read(tuned)["best"]["setting"]
+            check_setting(str(tuned), setting)
             settings += [f"estimators.{member}.{key}={value}" for key, value in setting.items()]
         initial = stage("initial", [*tuning, *settings], RESULTS)
         start = f"resume={choose(initial)}"

@@ -19,14 +19,14 @@ SPEED, TIME, RATE = "steady_speed_full", "time_constant", "yaw_rate_full"
 Quantities = Mapping[str, Quantity]
 
 
-def known(found: Quantity | None) -> bool:
+def known(quantity: Quantity | None) -> bool:
     """Whether a quantity is determined: its 90 % interval is within ± `WIDE` of its value."""
-    return found is not None and found.high - found.low <= 2 * WIDE * abs(found.value)
+    return quantity is not None and quantity.high - quantity.low <= 2 * WIDE * abs(quantity.value)
 
 
-def displayed(found: Identified) -> dict[str, Quantity]:
+def displayed(identified: Identified) -> dict[str, Quantity]:
     """The quantities as people are told them."""
-    return of_one_command({name: found.displayed(name) for name in found}, found.lacks)
+    return of_one_command({name: identified.displayed(name) for name in identified}, found.lacks)
 
 
 def of_one_command(found: Quantities, lacks: Sequence[str]) -> dict[str, Quantity]:
@@ -62,7 +62,7 @@ def summary(results: Mapping[str, Any], asked: Questions, boats: Mapping[str, Qu
         if x is not None
     ]
     alarms = [f"{each['side']} thruster lost thrust, {boat}, run {each['run']}, {each['time']:.0f} s"
-              for boat, found in (events or {}).items() for each in found if each["kind"] == LOSS]  # fmt: skip
+              for boat, happened in (events or {}).items() for each in happened if each["kind"] == LOSS]  # fmt: skip
     more = f" and {len(alarms) - 1} more" if len(alarms) > 1 else ""
     alike = [ONE_COMMAND in each for each in results.get("lacks", {}).values()]
     none = "none can be found: both sides have one command" if alike and all(alike) else "none"

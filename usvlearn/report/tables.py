@@ -98,17 +98,17 @@ def forecast_table(
     for boat, rows in forecast.items():
         if len(forecast) > 1:
             table.group(boat)
-        *others, own = [name for name in rows if name != PERSISTENCE]
-        for name in (own, *others):
+        *others, output = [name for name in rows if name != PERSISTENCE]
+        for name in (output, *others):
             cells = [number(rows[name][h]["skill"], 3) for h in horizons]
-            table.add(name, *cells, style="bold" if name == own else "")
+            table.add(name, *cells, style="bold" if name == output else "")
         for words, key in COVERED.items():  # runs of before have the first alone
-            held = [rows[own][h].get(key) for h in horizons]
+            held = [rows[output][h].get(key) for h in horizons]
             if key == "covers" or any(x is not None for x in held):
                 table.add(words, *("–" if x is None else f"{x:.0%}" for x in held))
-        found = [rows[own][h].get("interval") for h in horizons]
-        if whole and any(x is not None for x in found):
-            table.add("interval score, m/s", *(number(x, 3) for x in found))
+        scores = [rows[output][h].get("interval") for h in horizons]
+        if whole and any(x is not None for x in scores):
+            table.add("interval score, m/s", *(number(x, 3) for x in scores))
     return table
 
 
@@ -130,12 +130,12 @@ def track_table(tracks: Mapping[str, Mapping[str, Mapping[str, Any]]] | None) ->
     return table
 
 
-def data_check_table(found: Sequence[Mapping[str, str]], checks: int = 0) -> Blocks | Text:
+def data_check_table(findings: Sequence[Mapping[str, str]], checks: int = 0) -> Blocks | Text:
     """What the data check found, or one line if that is nothing."""
-    if not found:
+    if not findings:
         return Text(f"Data check: no findings in {checks} checks\n")
     rows: dict[tuple[str, ...], list[Mapping[str, str]]] = {}
-    for each in found:
+    for each in findings:
         rows.setdefault((each["severity"], each["about"], each["kind"]), []).append(each)
     table = Blocks("Data check", ["", "finding"], folded=["finding"])
     for (severity, about, _), same in rows.items():
@@ -179,8 +179,8 @@ def _short(boats: Mapping[str, Any], main: tuple[str, Collection[str]] | None) -
     for name in set(main[1]) & next(iter(boats.values())).keys() - {PERSISTENCE}:
         rows = [each[name] for each in boats.values()]
         errors[name] = mean((row if "mae" in row else list(row.values())[-1])["mae"] for row in rows)
-    kept = {main[0], *by_error(errors)[:1], PERSISTENCE}
-    return {boat: {name: row for name, row in each.items() if name in kept} for boat, each in boats.items()}
+    shown = {main[0], *by_error(errors)[:1], PERSISTENCE}
+    return {boat: {name: row for name, row in each.items() if name in shown} for boat, each in boats.items()}
 
 
 def averaged(tables: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -198,27 +198,27 @@ def event_lines(events: Mapping[str, Sequence[Mapping]], whole: bool = True) -> 
     lines = [
         f"{'ALARM' if each['kind'] == LOSS else 'EVENT'}: {boat}, run {each['run']}, {each['time']:.0f} s: "
         f"{event_of(each).sentence}"
-        for boat, found in events.items()
-        for each in found
+        for boat, happened in events.items()
+        for each in happened
     ]
     more = [] if whole or len(lines) <= FEW else [f"{len(lines) - FEW} more events: add --all"]
     return ["", *(lines[:FEW] if more else lines), *more]
 
 
 def identified_table(
-    found: Mapping[str, Identified], truth: Mapping[str, Mapping[str, float]] | None = None, whole: bool = True
+    identified: Mapping[str, Identified], truth: Mapping[str, Mapping[str, float]] | None = None, whole: bool = True
 ) -> Group:
     """Quantities with their 90 % intervals, boat by boat; not `whole`: only what is not determined, or not physical.
 
     The nine single parameters, which trade against each other, are shown of a single boat; of several boats they are in
     `results.json` and in the report.
     """
-    if not found:
+    if not identified:
         return Group()
-    truth, several = truth or {}, len(found) > 1
+    truth, several = truth or {}, len(identified) > 1
     heads = ["value", "from", "to", *(["truth"] if truth else []), "unit"]
     table = Blocks("Identified, with 90 % intervals", ["quantity"], heads)
-    for boat, quantities in found.items():
+    for boat, quantities in identified.items():
         if several:
             table.group(boat)
         known = truth.get(boat, {})
@@ -227,10 +227,10 @@ def identified_table(
             true = [shown(known[name]) if name in known else "–"] if truth else []
             table.add(name, *map(shown, numbers), *true, unit)
     more = ["The nine parameters of each boat are in results.json and in the report."] if several else []
-    if any(each.unknown for each in found.values()):
+    if any(each.unknown for each in identified.values()):
         more.append("–: not known yet; the interval is wider than what such a boat can have.")
-    wrong = [f"WARNING: {boat}: {each.unphysical}" for boat, each in found.items() if each.unphysical]
-    stated = [each for each in sentences(found, whole) if not any(each in one for one in wrong)]
+    wrong = [f"WARNING: {boat}: {each.unphysical}" for boat, each in identified.items() if each.unphysical]
+    stated = [each for each in sentences(identified, whole) if not any(each in one for one in wrong)]
     shown_first: list[Text | Blocks] = [Text(), table, Text(MEANING)] if whole else []
     said = [*stated, *(more if whole else [])]
     return Group(*shown_first, *map(Text, said), *(Text(f"\n{each}", "bold red") for each in wrong))

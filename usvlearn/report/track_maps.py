@@ -74,12 +74,12 @@ class BoatTracks(NamedTuple):
 
 
 def saved_tracks(
-    folders: Sequence[Path], found: Sequence[Mapping[str, Any]], seasons: Sequence[Season], fleets: Sequence[Fleet]
+    folders: Sequence[Path], outcomes: Sequence[Mapping[str, Any]], seasons: Sequence[Season], fleets: Sequence[Fleet]
 ) -> dict[str, BoatTracks]:
     """The tracks of each boat from the newest run that has any; no boat without."""
     tracks = {}
     for season in seasons:
-        for folder, results in zip(reversed(folders), reversed(found), strict=True):
+        for folder, results in zip(reversed(folders), reversed(outcomes), strict=True):
             scores = (results.get("tracks") or {}).get(season.boat) or {}
             begun = not results and checkpoints(folder / PLANAR / CHECKPOINTS / season.boat)
             if begun or any(row["count"] for row in scores.values()):
@@ -130,7 +130,7 @@ def forecast_along(online: Online, run: SeasonRun, poses: np.ndarray) -> list[Ah
     gaps = np.append(np.flatnonzero(~even), len(even))
     commands = np.clip(np.stack([inputs.command_left, inputs.command_right], -1), -1, 1)
     columns = [x.tolist() for x in (*inputs, run.samples.surge, run.samples.fresh, run.samples.measured)]
-    rows, found, after = poses.tolist(), [], max(EVERY, float(np.nanmax(run.time)) / MOST)
+    rows, tracks, after = poses.tolist(), [], max(EVERY, float(np.nanmax(run.time)) / MOST)
     due, most = after, round(horizons[-1] / usual) if usual else 0
     for k, values in enumerate(zip(*columns, strict=True)):
         online.step(PlanarSample(Sample(type(inputs)(*values[:-3]), *values[-3:]), *rows[k]))
@@ -138,9 +138,9 @@ def forecast_along(online: Online, run: SeasonRun, poses: np.ndarray) -> list[Ah
         if run.time[k] >= due and even[k] and np.isfinite(poses[k, [HEADING, NORTH]]).all() and end > k + 1:
             track = online.forecast(commands[k + 1 : end], dt=usual)
             if track.time[-1] >= horizons[0]:
-                found.append(_ahead(k, track, horizons))
+                tracks.append(_ahead(k, track, horizons))
                 due = run.time[k] + after
-    return found
+    return tracks
 
 
 def _ahead(step: int, track: Track, horizons: Sequence[float]) -> Ahead:

@@ -42,17 +42,17 @@ def viewer_data(
     tracks: Mapping[str, BoatTracks] | None = None,
 ) -> dict[str, Any]:
     """All that the viewer shows, for JSON."""
-    own = [*ensemble.weighed[:MOST_MEMBERS], ensemble.output]
-    hidden = [name for name in PAPER if name in ensemble.names and name not in own]
-    shown = [*hidden, *own]
+    weighed = [*ensemble.weighed[:MOST_MEMBERS], ensemble.output]
+    hidden = [name for name in PAPER if name in ensemble.names and name not in weighed]
+    shown = [*hidden, *weighed]
     columns = [ensemble.names.index(name) for name in shown]
     steps = sum(len(run.time) for season in seasons for run in season.runs)
     total = steps * (8 + 2 * len(shown))
     size = 1 if total <= BUDGET else -(-2 * total // BUDGET)
     runs = [
-        {"boat": season.boat, "name": run.name} | _run(run, made, shown, columns, size, (tracks or {}).get(season.boat))
+        {"boat": season.boat, "name": run.name} | _run(run, sim, shown, columns, size, (tracks or {}).get(season.boat))
         for season in seasons
-        for run, made in zip(season.runs, free[season.boat], strict=True)
+        for run, sim in zip(season.runs, free[season.boat], strict=True)
     ]
     about = {"output": ensemble.output, "shown": shown, "hidden": hidden, "colours": colours(shown), "sides": SIDES}
     return {**about, "runs": runs}
@@ -69,9 +69,9 @@ def _run(
     largest = {"free error": free.predictions[:, columns[-1]] - counted}
     lines |= {f"free {name}": free.predictions[:, k] for name, k in zip(shown, columns, strict=True)}
     if run.published:
-        made = run.published["predictions"]
-        largest["error"] = made[:, columns[-1]] - counted
-        lines |= {f"next {name}": made[:, k] for name, k in zip(shown, columns, strict=True)}
+        predicted = run.published["predictions"]
+        largest["error"] = predicted[:, columns[-1]] - counted
+        lines |= {f"next {name}": predicted[:, k] for name, k in zip(shown, columns, strict=True)}
         if "halfwidths" in run.published:
             largest["halfwidth"] = run.published["halfwidths"][:, columns[-1]]
     track = reckoned(run) if run.position is None else run.position
@@ -106,15 +106,15 @@ def _ahead(run: SeasonRun, tracks: BoatTracks | None, path: np.ndarray) -> dict[
 
 def _track(each: Ahead, time: float, origin: np.ndarray) -> dict[str, Any]:
     """A track, m, with a point at least each NEAR s, and ellipses: horizon, centre's index, semi-axes, bearing."""
-    ends, kept, last = {ellipse.step for ellipse in each.ellipses} | {len(each.time) - 1}, [], 0.0
+    ends, points, last = {ellipse.step for ellipse in each.ellipses} | {len(each.time) - 1}, [], 0.0
     for k, t in enumerate(each.time):
         if k in ends or t - last >= NEAR - 1e-6:
-            kept.append(k)
+            points.append(k)
             last = t
     ellipses = [
-        [ellipse.horizon, 1 + kept.index(ellipse.step), *(round(x, 2) for x in ellipse[2:])] for ellipse in each.drawn
+        [ellipse.horizon, 1 + points.index(ellipse.step), *(round(x, 2) for x in ellipse[2:])] for ellipse in each.drawn
     ]
-    lines = np.stack([each.north, each.east])[:, kept] + origin[:, None]
+    lines = np.stack([each.north, each.east])[:, points] + origin[:, None]
     north, east = np.concatenate([origin[:, None], lines], 1).round(2).tolist()
     return {"time": round(time, 2), "span": round(float(each.time[-1]), 2), "north": north, "east": east,
             "ellipses": ellipses}  # fmt: skip
@@ -157,11 +157,11 @@ def reckoned(run: SeasonRun) -> np.ndarray:
 
     Where no speed was measured, the boat keeps the last one.
     """
-    made = run.masks
-    known = made.known & run.samples.measured
+    masks = run.masks
+    known = masks.known & run.samples.measured
     last = np.maximum.accumulate(np.where(known, np.arange(len(known)), -1))
     speed = np.where(last >= 0, run.samples.surge[np.maximum(last, 0)], 0.0)
-    way, heading = (np.where(made.steps, x, 0.0) for x in (speed * run.samples.inputs.dt, run.samples.inputs.heading))
+    way, heading = (np.where(masks.steps, x, 0.0) for x in (speed * run.samples.inputs.dt, run.samples.inputs.heading))
     return np.cumsum(way[:, None] * np.stack([np.cos(heading), np.sin(heading)], -1), 0)
 
 
@@ -173,14 +173,14 @@ def residuals(x: np.ndarray, error: np.ndarray) -> list[list[float]]:
     x, error = x[both], error[both]
     low, width = x.min(), (x.max() - x.min()) / BINS
     place = np.zeros(len(x), int) if width == 0 else np.minimum((x - low) / width, BINS - 1).astype(int)
-    found = []
+    bins = []
     for k in range(BINS):
         here = error[place == k]
         if len(here) >= FEWEST:
             middle = low if width == 0 else low + (k + 0.5) * width
             numbers = (middle, here.mean(), *np.percentile(here, (5, 95)))
-            found.append([*(float(f"{each:.4g}") for each in numbers), len(here)])
-    return found
+            bins.append([*(float(f"{each:.4g}") for each in numbers), len(here)])
+    return bins
 
 
 def runs_html(boats: Sequence[Any], viewer: Mapping[str, Any]) -> str:

@@ -130,8 +130,8 @@ def _run_job(
             (folder / old).unlink(missing_ok=True)
         noted = {"settings": known, "overrides": list(overrides)}
         write_atomically(folder / JOB, json.dumps(noted, indent=2).encode())
-        made = work(str(folder) if begun else None)
-        return _loss({"objective": made, **_read(folder / RESULTS)}, note)
+        objective = work(str(folder) if begun else None)
+        return _loss({"objective": objective, **_read(folder / RESULTS)}, note)
     except Exception as error:
         cause, trace = bad_input(error), traceback.format_exc()
         with suppress(OSError):  # the missing results show that a folder was not writable
@@ -144,8 +144,8 @@ def _run_job(
 
 def ranked_alone(results: Mapping[str, Any], note: SweepNote) -> tuple[Measure, float | None]:
     """What ranks a job, and its value, before the other jobs are known."""
-    found = scored(results, ranked_by(note.objective, note.swept, [results]))
-    return own_measure(found), found.get("objective")
+    result = scored(results, ranked_by(note.objective, note.swept, [results]))
+    return own_measure(result), result.get("objective")
 
 
 def _loss(results: Mapping[str, Any], note: SweepNote) -> float:
@@ -162,8 +162,8 @@ def note_sweep(folder: Path, note: SweepNote) -> None:
 
 def noted_sweep(folder: Path) -> SweepNote:
     """What `sweep.json` says; an empty note where it is missing or damaged."""
-    found = _read(folder / SWEEP)
-    swept, defaults, objective = (found.get(key) for key in SweepNote._fields)
+    content = _read(folder / SWEEP)
+    swept, defaults, objective = (content.get(key) for key in SweepNote._fields)
     return SweepNote(
         tuple(map(str, swept)) if isinstance(swept, list) else (),
         {str(key): str(value) for key, value in defaults.items()} if isinstance(defaults, dict) else {},
@@ -184,14 +184,14 @@ def jobs(folder: Path, load: Callable[[Path], Any]) -> list[Job]:
     paths = [path.parents[1] for path in folder.glob("**/.hydra/overrides.yaml")]
     if not paths:
         raise ConfigError(f"runs: found no run below {str(folder)!r}, expected a folder that `train` has written")
-    found = []
+    listed = []
     for path in sorted(paths, key=lambda path: (path.parent, len(path.name), path.name)):  # 2 before 10
         overrides = load(path / ".hydra" / "overrides.yaml")
         results, held = _read(path / RESULTS), _read(path / JOB)
         if "settings" in held and held["settings"] != digest(load(path / ".hydra" / "config.yaml")):
             results = {"error": _foreign(path, held, overrides)}  # Hydra has already written its records there
-        found.append(Job(path, by_key(overrides), results))
-    return found
+        listed.append(Job(path, by_key(overrides), results))
+    return listed
 
 
 def by_key(overrides: Sequence[str]) -> dict[str, str]:
@@ -208,18 +208,18 @@ def _foreign(folder: Path, held: Mapping, overrides: Sequence[str]) -> str:
     return f"{folder} holds another job, {other}: repeat the command that made it, or choose another hydra.sweep.dir"
 
 
-def check_results(found: Mapping[str, Any]) -> None:
+def check_results(results: Mapping[str, Any]) -> None:
     """Raise a ValueError unless what a leaderboard reads of `results.json` has its form: others may have written it."""
     tables = {"boats": 3, "forecast": 4, "free": 2}  # depth of the dictionaries: boat, method, horizon, score
     for name, depth in tables.items():
-        if name in found and not _are_numbers(found[name], depth):
+        if name in results and not _are_numbers(results[name], depth):
             raise ValueError(f"{name}: expected numbers by boat, method and score")
     for name in ("seconds", "objective"):
-        if name in found and not _is_number(found[name]):
-            raise ValueError(f"{name}: found {found[name]!r:.50}, expected a number")
-    if "measure" in found:
-        measure_of(str(found["measure"]), "")
-    networks = found.get("network", {})
+        if name in results and not _is_number(results[name]):
+            raise ValueError(f"{name}: found {results[name]!r:.50}, expected a number")
+    if "measure" in results:
+        measure_of(str(results["measure"]), "")
+    networks = results.get("network", {})
     each = [x for members in networks.values() for x in members.values()]
     if not all(isinstance(x["contracting"], bool) and _is_number(x["rate"]) for x in each):
         raise ValueError("network: expected a verdict and a rate by boat and network")
@@ -239,14 +239,14 @@ def _is_number(x: Any) -> bool:
 def _read(path: Path) -> dict[str, Any]:
     """A JSON file; {} where there is none, {"error": …} where it is damaged."""
     try:
-        found = json.loads(path.read_text())
-        if not isinstance(found, dict):
-            raise ValueError(f"found {type(found).__name__}, expected a dictionary")
+        content = json.loads(path.read_text())
+        if not isinstance(content, dict):
+            raise ValueError(f"found {type(content).__name__}, expected a dictionary")
         if path.name == RESULTS:
-            check_results(found)
-        if "settings" in found and not isinstance(found.get("overrides"), list):
+            check_results(content)
+        if "settings" in content and not isinstance(content.get("overrides"), list):
             raise ValueError("overrides: expected a list")
-        return found | {"error": printable(str(found["error"]))} if "error" in found else found
+        return content | {"error": printable(str(content["error"]))} if "error" in content else content
     except FileNotFoundError:
         return {}
     except (OSError, ValueError, TypeError, KeyError, AttributeError, UsvlearnError, RecursionError) as error:

@@ -32,8 +32,8 @@ def check_launcher(arguments: Sequence[str]) -> None:
                 raise ConfigError(f"hydra/launcher: found {name!r}, expected one of {', '.join(LAUNCHERS)}{hint}")
             raise MissingExtraError(plugin.replace("_", "-"), extra, argument)
         if missing := [tool for tool in SLURM if which(tool) is None] if name.endswith("slurm") else []:
-            found = " and ".join(missing)
-            raise ConfigError(f"{argument}: found no {found}, expected a Slurm cluster: start it there, or take joblib")
+            what = " and ".join(missing)
+            raise ConfigError(f"{argument}: found no {what}, expected a Slurm cluster: start it there, or take joblib")
 
 
 def prepare_workers(root: Path) -> None:

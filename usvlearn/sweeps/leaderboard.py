@@ -37,16 +37,16 @@ DASH, LARGE = "–", 200.0  # percent, from which on a difference is not stated 
 CONTRACTION = "K: the largest rate of the networks, a step, certified as contracting; no: one of them is not."
 
 
-def result_table(folder: Path, found: Sequence[Standing], keys: Sequence[str]) -> ResultTable:
+def result_table(folder: Path, standings: Sequence[Standing], keys: Sequence[str]) -> ResultTable:
     """One row per setting, the best first, with all numbers."""
-    names = list(dict.fromkeys(name for each in found for job in each.jobs for name in _maes(job)))
+    names = list(dict.fromkeys(name for each in standings for job in each.jobs for name in _maes(job)))
     numbers = ("objective", "deviation", "seeds", "reference", "difference", "low", "high", "tie")
     by_seeds = ("seeds_difference", "seeds_low", "seeds_high", "seeds_tie")
     maes = (f"mae/{name}" for name in names)
     columns = ("rank", "job", *keys, "measure", "unit", *numbers, *by_seeds, "seconds", "contracting", "rate",
                *maes, "error")  # fmt: skip
     rows = []
-    for rank, each in enumerate(found, 1):
+    for rank, each in enumerate(standings, 1):
         done = [job for job in each.jobs if job.finished]
         measure = next((str(job.results.get("measure", "")) for job in done), "")
         diff = each.difference
@@ -62,9 +62,9 @@ def result_table(folder: Path, found: Sequence[Standing], keys: Sequence[str]) -
     return ResultTable("leaderboard", columns, rows)
 
 
-def printed(folder: Path, found: Sequence[Standing], keys: Sequence[str], measure: Measure | None) -> Group:
+def printed(folder: Path, standings: Sequence[Standing], keys: Sequence[str], measure: Measure | None) -> Group:
     """The table for the terminal: settings, objective ± deviation, difference, seconds, contraction rate; failures."""
-    shown = [each for each in found if each.done]
+    shown = [each for each in standings if each.done]
     most = max((each.done for each in shown), default=0)
     heads, values = short_keys(keys), [_value(each, most) for each in shown]
     differ = any(each.difference is not None for each in shown)
@@ -83,10 +83,10 @@ def printed(folder: Path, found: Sequence[Standing], keys: Sequence[str], measur
         cells = [value, *([difference] if differ else []), *([pair] if by_seeds else [])]
         cells.append(DASH if each.seconds is None else f"{each.seconds:.1f}")
         cells += [_network(each)] if networks else []
-        own = [each.settings.get(key, DASH) for key in keys]
-        table.add(_numbers(folder, each.jobs), *own, *cells, style="bold" if each is shown[0] else "")
+        settings = [each.settings.get(key, DASH) for key in keys]
+        table.add(_numbers(folder, each.jobs), *settings, *cells, style="bold" if each is shown[0] else "")
     lines = [*_sentences(shown, measure, keys), *([CONTRACTION] if networks else [])]
-    for job in (job for each in found for job in each.failed):
+    for job in (job for each in standings for job in each.failed):
         what = "failed" if "error" in job.results else "not finished"
         lines.append(
             f"{what}: job {label(folder, job)}, {short_settings(job.settings, keys)}: {printable(job.failure)}"
@@ -125,14 +125,14 @@ def _difference(each: Standing, measure: Measure | None) -> str:
     """The interval over runs of the difference to the reference, in percent of it; of skill in hundredths."""
     if each.reference:
         return "reference"
-    if (found := each.difference) is None:
+    if (difference := each.difference) is None:
         return ""
-    scale, sign = _scale(found, measure)
-    if found.low is None or found.high is None:
-        return f"{scale * found.mean:+.1f}{sign}"
-    low, high = scale * found.low, scale * found.high
-    if found.tie:
-        return "no difference" if found.runs > 2 else "too few runs"
+    scale, sign = _scale(difference, measure)
+    if difference.low is None or difference.high is None:
+        return f"{scale * difference.mean:+.1f}{sign}"
+    low, high = scale * difference.low, scale * difference.high
+    if difference.tie:
+        return "no difference" if difference.runs > 2 else "too few runs"
     if min(abs(low), abs(high)) > LARGE:
         return f"{'>' if low > 0 else '<'} {LARGE if low > 0 else -LARGE:+.0f}{sign}"
     return " … ".join(f"{x:+.1f}" if abs(x) < 100 else f"{x:+.0f}" for x in (low, high)) + sign
@@ -140,19 +140,19 @@ def _difference(each: Standing, measure: Measure | None) -> str:
 
 def _over_seeds(each: Standing, measure: Measure | None) -> str:
     """The mean difference over seeds ± half its interval, in the same unit; "" where there is no interval."""
-    if each.difference is None or (found := each.difference.over_seeds) is None or found.high is None:
+    if each.difference is None or (interval := each.difference.over_seeds) is None or interval.high is None:
         return ""
     scale, sign = _scale(each.difference, measure)
-    mean, half = scale * found.mean, scale * (found.high - found.mean)
+    mean, half = scale * interval.mean, scale * (interval.high - interval.mean)
     digits = 1 if max(abs(mean), half) < 100 else 0
     return f"{mean:+.{digits}f} ± {half:.{digits}f}{sign}"
 
 
-def _scale(found: Difference, measure: Measure | None) -> tuple[float, str]:
+def _scale(difference: Difference, measure: Measure | None) -> tuple[float, str]:
     """What a difference is multiplied by to be shown, and the sign behind it."""
     if measure is not None and measure.kind == SKILL:
         return 100.0, ""
-    return (100 * found.share / found.mean if found.mean else 0.0), " %"
+    return (100 * difference.share / difference.mean if difference.mean else 0.0), " %"
 
 
 def _deviation(shown: Sequence[Standing]) -> str:
@@ -200,21 +200,21 @@ def _sentences(shown: Sequence[Standing], measure: Measure | None, keys: Sequenc
     return said
 
 
-def _ties(found: Sequence[Difference] | Sequence[SeedDifference]) -> str:
-    ties = sum(bool(each.tie) for each in found)
-    return f"no difference to it was found for {ties} of {len(found)} settings (0 is in the interval)"
+def _ties(differences: Sequence[Difference] | Sequence[SeedDifference]) -> str:
+    ties = sum(bool(each.tie) for each in differences)
+    return f"no difference to it was found for {ties} of {len(differences)} settings (0 is in the interval)"
 
 
 def _networks_differ(shown: Sequence[Standing], measure: Measure | None) -> bool:
     """Whether the networks are those of the ranking member, or are not the same in all settings."""
-    own = any(
+    of_ranked = any(
         measure.estimator in members
         for each in shown
         for job in each.jobs
         for members in (job.results.get("network") or {}).values()
         if measure
     )
-    return own or len({(each.contracting, each.rate) for each in shown}) > 1
+    return of_ranked or len({(each.contracting, each.rate) for each in shown}) > 1
 
 
 MOST_ROWS = 25  # settings
@@ -230,12 +230,12 @@ def settings_figure(ranks: Sequence[Standing], keys: Sequence[str], measure: Mea
     shown = known[:MOST_ROWS]
     if len(shown) < 2 or not keys:
         return None
-    own = measure.estimator if measure else "ensemble"
+    name = measure.estimator if measure else "ensemble"
     reference = next((each.value for each in known if each.reference), None)
     intervals, paired = [_interval(each) for each in shown], any(_interval(each, "seeds") for each in shown)
     with themed():
         figure = figure_of(7.4, 1.5 + 0.27 * len(shown), dpi=90)
-        panel, colour = figure.subplots(), colours([own])[own]
+        panel, colour = figure.subplots(), colours([name])[name]
         for k, (each, interval) in enumerate(zip(shown, intervals, strict=True)):
             values = list(each.by_seed.values())
             panel.plot(values, [k] * len(values), ".", color=INK, markersize=4, alpha=0.45)
@@ -259,8 +259,8 @@ def settings_figure(ranks: Sequence[Standing], keys: Sequence[str], measure: Mea
 
 def _interval(each: Standing, over: str = "") -> tuple[float, float] | None:
     """The interval of the difference to the reference: over seeds, else over runs unless seeds are asked for."""
-    found = each.difference
-    for one in (found and found.over_seeds, None if over else found):
+    difference = each.difference
+    for one in (difference and difference.over_seeds, None if over else difference):
         if one is not None and one.low is not None and one.high is not None:
             return one.low, one.high
     return None
@@ -283,24 +283,24 @@ FOLDER, TABLE, TEXT, FIGURE = "leaderboard", "leaderboard.csv", "leaderboard.md"
 
 def leaderboard(folder: Path, load: Callable[[Path], Any], objective: Any = None) -> bool:
     """Print and write the leaderboard of the runs below a folder; returns whether all are finished."""
-    found, note = jobs(folder, load), noted_sweep(folder)
-    keys = differing([job.settings for job in found])
-    done = [job.results for job in found if job.finished]
+    all_jobs, note = jobs(folder, load), noted_sweep(folder)
+    keys = differing([job.settings for job in all_jobs])
+    done = [job.results for job in all_jobs if job.finished]
     by = ranked_by(objective or note.objective or own_objective(done), note.swept or keys, done)
     if objective is not None and by is not None and not any(map(by.known, done)):
         raise ConfigError(
             f"objective: found {objective}, which no finished job of {folder} has measured: see boats, forecast and "
             "free in their results.json"
         )
-    found = [job._replace(results=scored(job.results, by)) for job in found]
-    ranks = standings(found, by, note.defaults)
+    all_jobs = [job._replace(results=scored(job.results, by)) for job in all_jobs]
+    ranks = standings(all_jobs, by, note.defaults)
     keys = [key for key in keys if key != SEED]
     asked = {each["key"]: each for one in done for each in one.get(SECTION, ())}
     console().print(printed(folder, ranks, keys, by))
     show(*unconfirmed(asked))
-    if files := write_leaderboard(folder, found, ranks, by):
+    if files := write_leaderboard(folder, all_jobs, ranks, by):
         console().print("", *last_lines(folder, files), sep="\n", soft_wrap=True)
-    return all(job.finished for job in found)
+    return all(job.finished for job in all_jobs)
 
 
 def write_leaderboard(
@@ -315,14 +315,14 @@ def write_leaderboard(
     check_own_board(folder, "folder")
     keys = [key for key in differing([job.settings for job in jobs]) if key != SEED]
     ranks = standings(jobs, measure, {}) if ranks is None else ranks
-    made = result_table(folder, ranks, keys)
+    table = result_table(folder, ranks, keys)
     try:
-        write_atomically(folder / TABLE, made.csv().encode())
+        write_atomically(folder / TABLE, table.csv().encode())
         (folder / FIGURE).unlink(missing_ok=True)
         if (png := _figure(ranks, keys, measure)) is not None:
             write_atomically(folder / FIGURE, png)
         picture = f"![jobs, mean and interval of each setting]({FIGURE})\n\n" if png else ""
-        write_atomically(folder / TEXT, f"{picture}{made.markdown()}".encode())
+        write_atomically(folder / TEXT, f"{picture}{table.markdown()}".encode())
         write_board(folder / FOLDER, ranks, {} if png is None else {"settings": png})
     except OSError as cause:
         raise ConfigError(f"{folder}: cannot hold the leaderboard ({cause}): make it writable") from cause

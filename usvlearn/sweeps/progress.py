@@ -77,8 +77,8 @@ class Progress:
             if k not in self._done
         )
         parts += [f"{running} running"] if running else []
-        if left > 0 and (made := self._finished + self._failed):
-            parts.append(f"{duration((time.monotonic() - self._began) * left / made)} left")
+        if left > 0 and (ended := self._finished + self._failed):
+            parts.append(f"{duration((time.monotonic() - self._began) * left / ended)} left")
         return ", ".join(parts)
 
     def _own(self, k: int) -> Mapping[str, str]:
@@ -99,10 +99,10 @@ class Progress:
     def _results(self, k: int) -> dict[str, Any]:
         """The results of a job; {} while there are none, or only those of a part."""
         try:
-            found = json.loads((self.folder / str(k) / RESULTS).read_text())
+            results = json.loads((self.folder / str(k) / RESULTS).read_text())
         except (OSError, ValueError, RecursionError):
             return {}
-        return found if isinstance(found, dict) and ("boats" in found or "error" in found) else {}
+        return results if isinstance(results, dict) and ("boats" in results or "error" in results) else {}
 
 
 def duration(seconds: float) -> str:

@@ -36,8 +36,8 @@ class Standing(NamedTuple):
     @property
     def by_seed(self) -> dict[str, float]:
         """The objective of the jobs that have one, by their seed."""
-        found = ((job.settings.get(SEED, ""), job.results.get("objective")) for job in self.jobs if job.finished)
-        return {seed: float(value) for seed, value in found if value is not None and value == value}
+        pairs = ((job.settings.get(SEED, ""), job.results.get("objective")) for job in self.jobs if job.finished)
+        return {seed: float(value) for seed, value in pairs if value is not None and value == value}
 
     @property
     def failed(self) -> list[Job]:
@@ -59,27 +59,27 @@ def standings(jobs: Sequence[Job], measure: Measure | None, defaults: Mapping[st
         with_seed = (*values, job.settings.get(SEED))
         groups.setdefault((values, seen[with_seed]), []).append(job)  # equal jobs, as of several runs, stay apart
         seen[with_seed] += 1
-    found = [_standing({k: v for k, v in zip(keys, values, strict=True) if v is not None}, each, measure)
+    ranks = [_standing({k: v for k, v in zip(keys, values, strict=True) if v is not None}, each, measure)
              for (values, _), each in groups.items()]  # fmt: skip
-    most = max((each.done for each in found), default=0)
-    found.sort(key=lambda each: (each.value is None, each.done < most, _loss(each, measure)))
-    if not found or not math.isfinite(_loss(found[0], measure)):
-        return found
+    most = max((each.done for each in ranks), default=0)
+    ranks.sort(key=lambda each: (each.value is None, each.done < most, _loss(each, measure)))
+    if not ranks or not math.isfinite(_loss(ranks[0], measure)):
+        return ranks
     is_default = [
         each.value is not None
         and each.done == most
         and all(same(each.settings.get(key), defaults.get(key)) for key in keys)
-        for each in found
+        for each in ranks
     ]
     first = is_default.index(True) if True in is_default else 0
-    errors = [_cells(each, measure) for each in found]
+    errors = [_cells(each, measure) for each in ranks]
     return [
         each._replace(
             default=is_default[k],
             reference=k == first,
-            difference=None if k == first else _compared(each, errors[k], found[first], errors[first], measure),
+            difference=None if k == first else _compared(each, errors[k], ranks[first], errors[first], measure),
         )
-        for k, each in enumerate(found)
+        for k, each in enumerate(ranks)
     ]
 
 
@@ -115,9 +115,9 @@ def _standing(settings: dict[str, str], jobs: Sequence[Job], measure: Measure | 
 
 def _networks(results: Mapping[str, Any], measure: Measure | None) -> list[Mapping[str, Any]]:
     """The verdicts of the ranking member's networks, or of all if it is no network."""
-    found = [members for members in (results.get("network") or {}).values()]
-    own = [members[measure.estimator] for members in found if measure and measure.estimator in members]
-    return own or [each for members in found for each in members.values()]
+    boats = [members for members in (results.get("network") or {}).values()]
+    ranked = [members[measure.estimator] for members in boats if measure and measure.estimator in members]
+    return ranked or [each for members in boats for each in members.values()]
 
 
 def _loss(standing: Standing, measure: Measure | None) -> float:
@@ -139,6 +139,6 @@ def _cells(standing: Standing, measure: Measure | None) -> dict:
 def _compared(
     standing: Standing, one: dict, reference: Standing, other: dict, measure: Measure | None
 ) -> Difference | None:
-    if standing.value is None or (found := compare(one, other, measure or _own(standing))) is None:
+    if standing.value is None or (difference := compare(one, other, measure or _own(standing))) is None:
         return None
-    return found._replace(over_seeds=over_seeds(standing.by_seed, reference.by_seed))
+    return difference._replace(over_seeds=over_seeds(standing.by_seed, reference.by_seed))

@@ -33,16 +33,16 @@ def seeded(configuration: Mapping[str, Any]) -> dict[str, Any]:
 
 def with_seeds(arguments: Sequence[str]) -> list[str]:
     """A command line in which `seeds=N` is a sweep over N seeds."""
-    found, several = [], False
+    rest, several = [], False
     for argument in arguments:
         key, equals, value = argument.partition("=")
         if key.lstrip("+") == SEEDS and equals:
             if not value.isdecimal() or not 1 <= int(value) <= MOST:
                 raise ConfigError(f"seeds: found {value!r}, expected a whole number from 1 to {MOST}")
             argument, several = f"{SEED}=range({int(value)})", True
-        found.append(argument)
+        rest.append(argument)
     if not several:
-        return found
-    if sum(each.partition("=")[0].lstrip("+") == SEED for each in found) > 1:
+        return rest
+    if sum(each.partition("=")[0].lstrip("+") == SEED for each in rest) > 1:
         raise ConfigError("seeds: found seed=… too, expected one of them: seeds=N stands for seed=0,1, … N-1")
-    return found if {"-m", "--multirun"} & set(found) else ["-m", *found]
+    return rest if {"-m", "--multirun"} & set(rest) else ["-m", *rest]

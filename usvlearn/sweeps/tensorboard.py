@@ -55,8 +55,8 @@ def write_board(board: Path, ranks: Sequence[Standing], figures: Mapping[str, by
             writer.session(settings, row.name, row.results.get("seconds"), row.failed)
             writer.scalars({titles[title][0]: x for title, x in row.results.items() if title in titles}, 0, row.name)
         if failed := [job for job in every if not job.finished]:
-            told = (f"- {short_settings(job.settings, list(job.settings))}: {job.failure}" for job in failed)
-            writer.text("failed jobs", "\n".join(told))
+            lines = (f"- {short_settings(job.settings, list(job.settings))}: {job.failure}" for job in failed)
+            writer.text("failed jobs", "\n".join(lines))
         for name, png in (figures or {}).items():
             writer.image(name, png)
 
@@ -101,8 +101,8 @@ def _ranked_by(job: Job) -> str:
 
 def _results(job: Job) -> dict[str, float]:
     """The results of a job by title, the objective first."""
-    found, objective = results_of(job.results, _ranked_by(job).partition(".")[0]), job.results.get("objective")
-    return ({} if objective is None or objective != objective else {OBJECTIVE: float(objective)}) | found
+    titled, objective = results_of(job.results, _ranked_by(job).partition(".")[0]), job.results.get("objective")
+    return ({} if objective is None or objective != objective else {OBJECTIVE: float(objective)}) | titled
 
 
 def _titles(results: Sequence[Mapping[str, float]], by: Collection[str]) -> dict[str, tuple[str, str]]:

@@ -64,15 +64,15 @@ class Step(NamedTuple):
     sways: np.ndarray  # (boats,) bool: unstable
 
 
-def draws(found: Identified, count: int, seed: int = 0) -> np.ndarray:
+def draws(identified: Identified, count: int, seed: int = 0) -> np.ndarray:
     """Parameters of boats, `(count, m)`: the mean, the present estimate, and draws in which drag brakes."""
-    beside = found.beside
+    beside = identified.beside
     assert beside is not None
-    values, vectors = np.linalg.eigh(found.covariance)
-    normal = np.random.default_rng(seed).standard_normal((TRIALS * count, len(found.theta)))
-    every = found.theta + (normal * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
-    every = np.concatenate([found.theta[None], beside.now[None], every])
-    boat = found.ahead(every)
+    values, vectors = np.linalg.eigh(identified.covariance)
+    normal = np.random.default_rng(seed).standard_normal((TRIALS * count, len(identified.theta)))
+    every = identified.theta + (normal * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+    every = np.concatenate([identified.theta[None], beside.now[None], every])
+    boat = identified.ahead(every)
     with np.errstate(invalid="ignore"):
         speeds = boat.steady_speed(1.0)
         real = boat.brakes & np.isfinite(speeds) & (speeds > 0)
@@ -126,7 +126,7 @@ def steps_of(responses: Responses) -> list[Step]:
     """How the boats follow each step of the wanted speed after the first, which begins at rest."""
     changes = np.flatnonzero(np.diff(responses.wanted)) + 1
     edges = [*changes.tolist(), len(responses.wanted)]
-    found = []
+    steps = []
     for begin, end in pairwise(edges):
         before, after = float(responses.wanted[begin - 1]), float(responses.wanted[begin])
         course = (responses.speed[begin:end] - before) / (after - before)  # 0 … 1
@@ -136,8 +136,8 @@ def steps_of(responses: Responses) -> list[Step]:
         settled = np.where(outside.any(0), time[np.minimum(last + 1, len(course) - 1)], 0.0)
         late = course[3 * len(course) // 4 :]
         over, sways = np.maximum(course.max(0) - 1, 0.0), ~(np.ptp(late, axis=0) <= SWAY)
-        found.append(Step(before, after, over, np.where(outside[-1], np.inf, settled), sways))
-    return found
+        steps.append(Step(before, after, over, np.where(outside[-1], np.inf, settled), sways))
+    return steps
 
 
 DIFFERENCES = 9  # of (2)
@@ -195,13 +195,13 @@ class RoverLaw:
         self.wanted, self.integral, self.limited = 0.0, np.zeros(boats), np.zeros(boats, bool)
 
     def command(self, wanted: float, speed: np.ndarray) -> np.ndarray:
-        own, h = self.rover, self.period
-        self.wanted += min(max(wanted - self.wanted, -own.deceleration * h), own.acceleration * h)
+        rover, h = self.rover, self.period
+        self.wanted += min(max(wanted - self.wanted, -rover.deceleration * h), rover.acceleration * h)
         error = self.wanted - speed
         free = ~self.limited | (self.integral * error < 0)
-        most = own.integral_most
-        self.integral = np.where(free, np.clip(self.integral + own.integral * error * h, -most, most), self.integral)
-        throttle = own.slope * self.wanted + own.proportional * error + self.integral
+        most = rover.integral_most
+        self.integral = np.where(free, np.clip(self.integral + rover.integral * error * h, -most, most), self.integral)
+        throttle = rover.slope * self.wanted + rover.proportional * error + self.integral
         self.limited = (throttle <= 0) | (throttle >= 1)
         return np.clip(throttle, 0.0, 1.0)
 
@@ -256,7 +256,7 @@ class Moos(NamedTuple):
                 ("maxrudder = 100", "%: left = thrust + rudder, right = thrust -"),
                 ("", "rudder"),
             ]
-        own = "yaw and depth" if yaw is None else "depth"
+        others = "yaw and depth" if yaw is None else "depth"
         lines = [f"  {entry:<30}{'// ' + comment if comment else ''}".rstrip() for entry, comment in entries]
         top = [f"// {line}" for line in head]
         if self.late > self.period / 2 + 1e-9:
@@ -265,7 +265,7 @@ class Moos(NamedTuple):
             )
             top.append(f"// design them with --period {2 * self.late:.2g}")
         return "\n".join(
-            [*top, "ProcessConfig = pMarinePIDV22", "{", *lines, f"  // keep your own lines for {own}", "}", ""]
+            [*top, "ProcessConfig = pMarinePIDV22", "{", *lines, f"  // keep your own lines for {others}", "}", ""]
         )
 
 
@@ -309,9 +309,9 @@ class MoosYawLaw(MoosLaw):
         self.yaw, self.period = yaw, 1 / tick
 
     def command(self, wanted: float, x: np.ndarray) -> np.ndarray:
-        error, own = np.degrees(wanted - x[0]), self.yaw
-        self.thrust = np.clip(self.thrust + own.ki * error * self.period, -own.limit, own.limit)  # the integral
-        return np.clip(own.kp * error + own.kd * self.slope(error) + self.thrust, -100.0, 100.0) / 100
+        error, yaw = np.degrees(wanted - x[0]), self.yaw
+        self.thrust = np.clip(self.thrust + yaw.ki * error * self.period, -yaw.limit, yaw.limit)  # the integral
+        return np.clip(yaw.kp * error + yaw.kd * self.slope(error) + self.thrust, -100.0, 100.0) / 100
 
 
 class Cascade(NamedTuple):
@@ -340,24 +340,24 @@ class CascadeLaw:
         self.limited, self.last = np.zeros(boats, bool), 0.0
 
     def command(self, wanted: float, x: np.ndarray) -> np.ndarray:
-        own, h, (heading, r) = self.own, self.period, x[:2]
-        goal = self.goal + np.clip(wanted - self.goal, -own.rate * h, own.rate * h)
+        cascade, h, (heading, r) = self.own, self.period, x[:2]
+        goal = self.goal + np.clip(wanted - self.goal, -cascade.rate * h, cascade.rate * h)
         slow = self.px4 & (np.abs(goal - heading) <= np.abs(wanted - heading))
         self.goal = np.where(slow, goal, wanted)
         error = self.goal - heading
         if self.px4:
-            turn = np.clip(own.angle * error, -own.rate, own.rate)
+            turn = np.clip(cascade.angle * error, -cascade.rate, cascade.rate)
         elif self.auto is not None:
             turn = (wanted - self.last) / h + self.auto * np.sin(error)
         else:
-            stop = np.sqrt(2 * own.acceleration * np.abs(error))
-            turn = np.clip(own.angle * error, -stop, stop)
+            stop = np.sqrt(2 * cascade.acceleration * np.abs(error))
+            turn = np.clip(cascade.angle * error, -stop, stop)
         self.last = wanted
-        change = np.clip(turn - self.turn, -own.acceleration * h, own.acceleration * h)
-        self.turn = np.clip(self.turn + change, -own.rate, own.rate)
+        change = np.clip(turn - self.turn, -cascade.acceleration * h, cascade.acceleration * h)
+        self.turn = np.clip(self.turn + change, -cascade.rate, cascade.rate)
         error = self.turn - r
         free = ~self.limited | (self.integral * error < 0)
-        self.integral = np.where(free, np.clip(self.integral + own.integral * error * h, -1, 1), self.integral)
-        out = own.feedforward * self.turn + own.proportional * error + self.integral
+        self.integral = np.where(free, np.clip(self.integral + cascade.integral * error * h, -1, 1), self.integral)
+        out = cascade.feedforward * self.turn + cascade.proportional * error + self.integral
         self.limited = ~np.full(out.shape, self.px4) & (np.abs(out) >= 1 - self.base)
         return np.clip(out, -1, 1)

@@ -103,19 +103,19 @@ def controller(boat: IdentifiedBoat, wanted: Wanted | None = None, fit: Identifi
         raise ConfigError(f"--seed: found {wanted.seed}, expected 0 or more")
     if not 2 <= wanted.boats <= MOST_BOATS:
         raise ConfigError(f"--boats: found {wanted.boats}, expected 2 to {MOST_BOATS}")
-    name, found = boat.name, boat.found
-    forward = Feedforward.of(name, found)
+    name, identified = boat.name, boat.found
+    forward = Feedforward.of(name, identified)
     low, high = _range(name, forward, wanted)
     speeds = np.linspace(low, high, POINTS)
-    linear = linearised(name, found, forward.at(speeds))
-    before, late, spread = late_of(name, found, boat.setup, wanted.delay)
+    linear = linearised(name, identified, forward.at(speeds))
+    before, late, spread = late_of(name, identified, boat.setup, wanted.delay)
     most = max(late + NINETY * spread, 0.0)
     logged = boat.setup.command_period if boat.setup else None
     period = wanted.period or min(max(logged or PERIOD, ROVER_PERIOD), PERIOD)
     gains, left = design(name, linear, most + period / 2, wanted.bandwidth, wanted.damping)
     cruise = wanted.speed if wanted.speed is not None else (low + high) / 2
-    up, down = (force(found, speeds, full) for full in (1.0, 0.0))
-    theta = draws(found, wanted.boats, wanted.seed)
+    up, down = (force(identified, speeds, full) for full in (1.0, 0.0))
+    theta = draws(identified, wanted.boats, wanted.seed)
     normal = np.random.default_rng([wanted.seed, 1]).standard_normal(len(theta))
     delays = np.maximum(late + spread * normal, 0.0)
     course = [low, cruise, high, low] if low < cruise < high else [low, high, low]
@@ -125,7 +125,7 @@ def controller(boat: IdentifiedBoat, wanted: Wanted | None = None, fit: Identifi
     hold += (high - low) / (SHARES[-1] * min(rover.acceleration, rover.deceleration))
 
     def loop(law: RoverLaw | MoosLaw, boats: int = wanted.boats) -> list[Step]:
-        return steps_of(simulate(found.ahead(theta[:boats]), delays[:boats], law, course, hold))
+        return steps_of(simulate(identified.ahead(theta[:boats]), delays[:boats], law, course, hold))
 
     for share in SHARES:  # ArduRover's base is a straight line, and acts before the boat follows
         slower = rover._replace(acceleration=share * rover.acceleration, deceleration=share * rover.deceleration)
@@ -133,7 +133,7 @@ def controller(boat: IdentifiedBoat, wanted: Wanted | None = None, fit: Identifi
             break
     rover, moos = slower, Moos.of(gains.proportional, gains.integral, rover.slope, period)
     loops = {"ArduRover": loop(RoverLaw(rover, period)), "MOOS-IvP": loop(MoosLaw(moos))}
-    steer = steering(found if fit is None else fit, speeds, forward.at(speeds), cruise, before, period, moos.tick)
+    steer = steering(identified if fit is None else fit, speeds, forward.at(speeds), cruise, before, period, moos.tick)
     sailed = [] if isinstance(steer, str) else trials(steer, before, period, moos.tick, wanted.seed)
     return Controller(
         boat, forward, speeds, linear, most, period, gains, left, up, down, rover, moos, loops, steer, sailed
@@ -177,50 +177,50 @@ def _rover(forward: Feedforward, speeds: np.ndarray, cruise: float, gains: Gains
     return Rover(cruise, throttle, gains.proportional, gains.integral, most, *ends)
 
 
-def files(found: Controller) -> dict[str, str]:
+def files(design: Controller) -> dict[str, str]:
     """What is written for the autopilots, by the ends of the files' names."""
-    steer, top = found.steering, head(found)
-    written = {".param": rover_text(found.ardurover, top), "_pid.moos": found.moos.text(top)}
+    steer, top = design.steering, head(design)
+    written = {".param": rover_text(design.ardurover, top), "_pid.moos": design.moos.text(top)}
     if isinstance(steer, str):
         return written
     lines = [f"1\t1\t{name}\t{value:.6g}\t9" for name, value in steer.px4().items()]
     written["_px4.params"] = "\n".join([*(f"# {line}" for line in top), *lines, ""])
-    return written | {"_pid.moos": found.moos.text(top, steer.moos)}
+    return written | {"_pid.moos": design.moos.text(top, steer.moos)}
 
 
-def facts(found: Controller) -> dict[str, Any]:
+def facts(design: Controller) -> dict[str, Any]:
     """As JSON values, with units in the names."""
 
     def curve(each: Curve) -> dict[str, list[float]]:
         return dict(zip(("value", "low", "high"), np.round(each[1:], 6).tolist(), strict=True))
 
-    forward, left, steer = found.feedforward, found.margins, found.steering
-    low, high = forward.band(found.speeds)
-    made = {
-        "boat": found.boat.name,
-        "set": found.boat.path.name,
-        "basis": found.boat.found.basis,
-        "lacks": list(found.boat.lacks),
+    forward, left, steer = design.feedforward, design.margins, design.steering
+    low, high = forward.band(design.speeds)
+    values = {
+        "boat": design.boat.name,
+        "set": design.boat.path.name,
+        "basis": design.boat.found.basis,
+        "lacks": list(design.boat.lacks),
         "feedforward": {
             **dict(zip(("command", "speed_m_s", "low_m_s", "high_m_s"), np.round(forward, 5).tolist(), strict=True)),
             "least_speed_m_s": forward.least[0],
             "top_speed_m_s": dict(zip(("value", "low", "high"), forward.top, strict=True)),
         },
         "operating": {
-            "speed_m_s": np.round(found.speeds, 5).tolist(),
-            "command": {"value": forward.at(found.speeds).tolist(), "low": low.tolist(), "high": high.tolist()},
-            "time_constant_s": curve(found.linear.time_constant),
-            "gain_m_s2": curve(found.linear.gain),
-            "full_acceleration_m_s2": curve(found.acceleration),
-            "coasting_deceleration_m_s2": curve(found.deceleration),
+            "speed_m_s": np.round(design.speeds, 5).tolist(),
+            "command": {"value": forward.at(design.speeds).tolist(), "low": low.tolist(), "high": high.tolist()},
+            "time_constant_s": curve(design.linear.time_constant),
+            "gain_m_s2": curve(design.linear.gain),
+            "full_acceleration_m_s2": curve(design.acceleration),
+            "coasting_deceleration_m_s2": curve(design.deceleration),
         },
-        "delay_s": found.delay,
-        "period_s": found.period,
+        "delay_s": design.delay,
+        "period_s": design.period,
         "gains": {
-            "proportional_per_m_s": found.gains.proportional,
-            "integral_per_m": found.gains.integral,
-            "bandwidth_rad_s": found.gains.bandwidth,
-            "damping": found.gains.damping,
+            "proportional_per_m_s": design.gains.proportional,
+            "integral_per_m": design.gains.integral,
+            "bandwidth_rad_s": design.gains.bandwidth,
+            "damping": design.gains.damping,
         },
         "worst_margins": {
             "gain_db": left.gain,
@@ -236,10 +236,10 @@ def facts(found: Controller) -> dict[str, Any]:
             "delay_s": steer.delay,
             "moos": steer.moos._asdict(),
             "px4": steer.px4(),
-            "heading_rms_deg": {f"{x.autopilot} {x.gains}": float(np.median(x.rms)) for x in found.trials},
+            "heading_rms_deg": {f"{x.autopilot} {x.gains}": float(np.median(x.rms)) for x in design.trials},
         },
-        "ardurover": {name: value for name, (value, _) in found.ardurover.items()},
-        "moos": found.moos._asdict(),
+        "ardurover": {name: value for name, (value, _) in design.ardurover.items()},
+        "moos": design.moos._asdict(),
         "closed_loop": {
             name: [
                 {
@@ -255,58 +255,58 @@ def facts(found: Controller) -> dict[str, Any]:
                 }
                 for step in steps
             ]
-            for name, steps in found.loops.items()
+            for name, steps in design.loops.items()
         },
     }
-    return finite(made)
+    return finite(values)
 
 
-def head(found: Controller) -> list[str]:
+def head(design: Controller) -> list[str]:
     """The lines above the parameters in a file, ASCII only."""
-    gains, left, speeds = found.gains, found.margins, found.speeds
-    name, file = found.boat.name, found.boat.path.name
+    gains, left, speeds = design.gains, design.margins, design.speeds
+    name, file = design.boat.name, design.boat.path.name
     return [
         printable(f"{name}: speed and steering by usvlearn controller, from {file}")
         .encode("ascii", "replace")
         .decode(),
-        f"for {speeds[0]:.2f} to {speeds[-1]:.2f} m/s, a loop of {found.period:g} s or faster, and "
-        f"{found.late:.2f} s of delay of the commands",
+        f"for {speeds[0]:.2f} to {speeds[-1]:.2f} m/s, a loop of {design.period:g} s or faster, and "
+        f"{design.late:.2f} s of delay of the commands",
         f"speed: poles at {gains.bandwidth:.2f} rad/s with damping {gains.damping:.2f}; worst margins over the 90 % "
         f"intervals: {_decibels(left.gain)}, {left.phase:.0f} deg",
-        *(line for each in found.boat.guessed for line in wrap(each.encode("ascii", "replace").decode(), 90)),
+        *(line for each in design.boat.guessed for line in wrap(each.encode("ascii", "replace").decode(), 90)),
         "throttle or thrust must be in proportion to the command that was learned (ArduRover: MOT_THST_EXPO 0)",
     ]
 
 
-def parts(found: Controller) -> Iterator[str | Text | Blocks]:
+def parts(design: Controller) -> Iterator[str | Text | Blocks]:
     """All of it, for a terminal: sentences, tables, and lines of files, which are not broken."""
-    yield printable(f"{found.boat.name}: speed and steering from {found.boat.path.name}")
-    yield from (found.boat.found.basis, *found.boat.lacks, "")
-    yield from _feedforward(found)
+    yield printable(f"{design.boat.name}: speed and steering from {design.boat.path.name}")
+    yield from (design.boat.found.basis, *design.boat.lacks, "")
+    yield from _feedforward(design)
     yield ""
-    yield from _gains(found)
+    yield from _gains(design)
     yield ""
-    yield from _closed_loop(found)
+    yield from _closed_loop(design)
     yield ""
-    yield from parts_of_steering(found.steering, found.trials)
-    for title, text in zip(TITLES, files(found).values(), strict=False):  # without steering none of PX4
+    yield from parts_of_steering(design.steering, design.trials)
+    for title, text in zip(TITLES, files(design).values(), strict=False):  # without steering none of PX4
         yield from ("", title)
         yield from (Text(line.expandtabs(2)) for line in text.splitlines() if line[:1] != "#" and line[:2] != "//")
 
 
-def _feedforward(found: Controller) -> Iterator[str | Blocks]:
-    forward, speeds = found.feedforward, found.speeds
+def _feedforward(design: Controller) -> Iterator[str | Blocks]:
+    forward, speeds = design.feedforward, design.speeds
     table = Blocks(
         "Feedforward: the command of both sides that holds a speed, straight ahead, in brackets 90 % intervals",
         ["speed, m/s"],
         ["command, %", "ArduRover, %", "time constant, s", "gain, m/s²"],
     )
     low, high = forward.band(speeds)
-    T, b = found.linear
+    T, b = design.linear
     for k in range(0, len(speeds), 2):
         table.add(
             f"{speeds[k]:.2f}", f"{100 * forward.at(speeds[k]):.0f} ({100 * low[k]:.0f} … {100 * high[k]:.0f})",
-            f"{100 * found.rover.slope * speeds[k]:.0f}",
+            f"{100 * design.rover.slope * speeds[k]:.0f}",
             *(f"{each.value[k]:.2f} ({each.low[k]:.2f} … {each.high[k]:.2f})" for each in (T, b)),
         )  # fmt: skip
     yield table
@@ -320,23 +320,23 @@ def _feedforward(found: Controller) -> Iterator[str | Blocks]:
         ", and by ".join(
             f"{each.value[k]:.2f} m/s² ({each.low[k]:.2f} … {each.high[k]:.2f}) at {speeds[k]:.2f} m/s" for k in (0, -1)
         )
-        for each in (found.acceleration, found.deceleration)
+        for each in (design.acceleration, design.deceleration)
     )
     yield f"Full command accelerates by {accelerates}."
     yield f"Without thrust drag slows by {slows}."
 
 
-def _gains(found: Controller) -> Iterator[str]:
-    gains, left = found.gains, found.margins
+def _gains(design: Controller) -> Iterator[str]:
+    gains, left = design.gains, design.margins
     yield "Gains: command = base + P e + I ∫e dt, e = wanted − measured speed in m/s, command 1 = full"
     yield f"P = {gains.proportional:.3f} per m/s    I = {gains.integral:.3f} per m"
-    yield f"base = {found.rover.slope:.3f} per m/s × wanted speed (ArduRover)"
+    yield f"base = {design.rover.slope:.3f} per m/s × wanted speed (ArduRover)"
     yield (
-        f"Poles at {gains.bandwidth:.2f} rad/s with damping {gains.damping:.2f}. Delay of {found.delay:.2f} s: "
-        f"{found.late:.2f} s of the commands (upper end of its interval), and half of the loop's period of "
-        f"{found.period:g} s. A faster loop is safe."
+        f"Poles at {gains.bandwidth:.2f} rad/s with damping {gains.damping:.2f}. Delay of {design.delay:.2f} s: "
+        f"{design.late:.2f} s of the commands (upper end of its interval), and half of the loop's period of "
+        f"{design.period:g} s. A faster loop is safe."
     )
-    if found.period > ROVER_PERIOD:
+    if design.period > ROVER_PERIOD:
         yield f"ArduRover's own loop takes {ROVER_PERIOD:g} s: --period {ROVER_PERIOD:g} gives faster gains for it."
     yield (
         f"Worst over the corners of the 90 % intervals: gain margin {_decibels(left.gain)}, phase margin "
@@ -345,15 +345,15 @@ def _gains(found: Controller) -> Iterator[str]:
     yield f"Closed-loop bandwidth (−3 dB): {left.bandwidth[0]:.2f} … {left.bandwidth[1]:.2f} rad/s."
 
 
-def _closed_loop(found: Controller) -> Iterator[str | Blocks]:
-    rover = found.loops["ArduRover"]
+def _closed_loop(design: Controller) -> Iterator[str | Blocks]:
+    rover = design.loops["ArduRover"]
     count = len(rover[0].settled)
     table = Blocks(
         f"Closed loop on {count} boats drawn from the intervals: median, and in brackets the 95 % quantile",
         ["autopilot", "step, m/s"],
         ["overshoot", "settled to ±5 %", "boats settled", "unstable"],
     )
-    for name, steps in found.loops.items():
+    for name, steps in design.loops.items():
         for step in steps:
             over, settled = step.overshoot, step.settled
             times = (np.median(settled), np.quantile(settled, 0.95, method="higher"))

@@ -63,7 +63,7 @@ class Margins(NamedTuple):
     crossover: tuple[float, float]  # rad/s, least and greatest: where the open loop has 0 dB
 
 
-def late_of(name: str, found: Identified, setup: Setup | None, given: float | None) -> tuple[float, float, float]:
+def late_of(name: str, known: Identified, setup: Setup | None, given: float | None) -> tuple[float, float, float]:
     """How late the commands act, s: `delay` of the logged commands, that and the identified lag, and its deviation."""
     if given is not None:
         if not 0 <= given <= LONGEST_DELAY:
@@ -72,17 +72,17 @@ def late_of(name: str, found: Identified, setup: Setup | None, given: float | No
     if setup is None:
         raise ConfigError(f"{name}: the checkpoint does not tell the step of its samples: give --delay")
     before = max(setup.aligned[f"command_{side}"].delay for side in SIDES)
-    late, deviation = found.lag(float(setup.align["dt"]))
+    late, deviation = known.lag(float(setup.align["dt"]))
     return before, before + late, deviation
 
 
-def curve_of(found: Identified, name: str, at: np.ndarray, of: Callable[[Ahead], Any]) -> Curve:
+def curve_of(known: Identified, name: str, at: np.ndarray, of: Callable[[Ahead], Any]) -> Curve:
     """A quantity of the boat at some points, with its 90 % band."""
-    assert found.beside is not None
-    return banded(found, found.beside, name, at, lambda theta: of(found.ahead(theta[..., None, :])))
+    assert known.beside is not None
+    return banded(known, known.beside, name, at, lambda theta: of(known.ahead(theta[..., None, :])))
 
 
-def force(found: Identified, speeds: np.ndarray, command: float) -> Curve:
+def force(known: Identified, speeds: np.ndarray, command: float) -> Curve:
     """Acceleration at full command, or deceleration with both thrusters off, m/s²."""
 
     def pull(boat: Ahead) -> np.ndarray:
@@ -90,17 +90,17 @@ def force(found: Identified, speeds: np.ndarray, command: float) -> Curve:
             return boat.drag(speeds)
         return sum(boat.thrust(command, side) for side in SIDES) + boat.lift * command * speeds - boat.drag(speeds)
 
-    return curve_of(found, "acceleration", speeds, pull)
+    return curve_of(known, "acceleration", speeds, pull)
 
 
-def linearised(name: str, found: Identified, commands: np.ndarray) -> Linearised:
+def linearised(name: str, known: Identified, commands: np.ndarray) -> Linearised:
     """(1) at some commands, `(points,)`; a ConfigError where an interval of T or b holds 0."""
 
     def gain(boat: Ahead) -> np.ndarray:
         return sum(boat.thrust_slope(commands, side) for side in SIDES) + boat.lift * boat.steady_speed(commands)
 
-    T = curve_of(found, "time_constant", commands, lambda boat: boat.settling(boat.steady_speed(commands), commands))
-    b = curve_of(found, "gain", commands, gain)
+    T = curve_of(known, "time_constant", commands, lambda boat: boat.settling(boat.steady_speed(commands), commands))
+    b = curve_of(known, "gain", commands, gain)
     for curve, what, unit in ((T, "time constant", "s"), (b, "gain of the thrust", "m/s²")):
         wrong = np.flatnonzero(~(curve.low > 0))
         if len(wrong):
@@ -203,16 +203,16 @@ class Feedforward(NamedTuple):
     high: np.ndarray
 
     @classmethod
-    def of(cls, name: str, found: Identified) -> Feedforward:
+    def of(cls, name: str, known: Identified) -> Feedforward:
         """The curve of what was identified; a ConfigError if the log did not excite the boat, or it does not rise."""
-        beside = found.beside
+        beside = known.beside
         if beside is None or beside.vague:
-            because = found.lacks[0] if found.lacks else "Nothing is identified."
+            because = known.lacks[0] if known.lacks else "Nothing is identified."
             raise ConfigError(
                 f"{name}: the steady speeds are not identified, so there is no feedforward ({because}): {SAIL}"
             )
         commands = np.linspace(0.0, 1.0, POINTS)
-        curve = curve_of(found, "steady_speed", commands, lambda boat: boat.steady_speed(commands))
+        curve = curve_of(known, "steady_speed", commands, lambda boat: boat.steady_speed(commands))
         speeds = curve.value
         if not (np.isfinite(speeds).all() and speeds[-1] > 0):
             raise ConfigError(
@@ -229,10 +229,10 @@ class Feedforward(NamedTuple):
                 f"{name}: the steady speed does not rise with the command but falls from {speeds[at]:.2f} m/s at "
                 f"{100 * curve.at[at]:.0f} %, so that no command belongs to a speed: {SAIL}"
             )
-        kept = slice(first, last + 1)
-        if not (np.isfinite(curve.low[kept]).all() and np.isfinite(curve.high[kept]).all()):
+        part = slice(first, last + 1)
+        if not (np.isfinite(curve.low[part]).all() and np.isfinite(curve.high[part]).all()):
             raise ConfigError(f"{name}: the steady speeds have no interval: {SAIL}")
-        return cls(curve.at[kept], speeds[kept], *(np.maximum.accumulate(x[kept]) for x in (curve.low, curve.high)))
+        return cls(curve.at[part], speeds[part], *(np.maximum.accumulate(x[part]) for x in (curve.low, curve.high)))
 
     def at(self, speed):
         """The command that holds a speed in m/s; the ends of the curve beyond it."""

@@ -88,38 +88,38 @@ class Steering(NamedTuple):
 
     def ardurover(self) -> dict[str, tuple[float, str]]:
         """Value and comment by name."""
-        own, lateral = self.cascade, self.speed * self.cascade.rate / GRAVITY
+        loop, lateral = self.cascade, self.speed * self.cascade.rate / GRAVITY
         return {
-            "ATC_STR_RAT_FF": (round(own.feedforward, 4), "steering (-1 ... 1) per rad/s"),
-            "ATC_STR_RAT_P": (round(own.proportional, 4), "steering per rad/s of error"),
-            "ATC_STR_RAT_I": (round(own.integral, 4), "steering per rad of error"),
+            "ATC_STR_RAT_FF": (round(loop.feedforward, 4), "steering (-1 ... 1) per rad/s"),
+            "ATC_STR_RAT_P": (round(loop.proportional, 4), "steering per rad/s of error"),
+            "ATC_STR_RAT_I": (round(loop.integral, 4), "steering per rad of error"),
             "ATC_STR_RAT_D": (0.0, "steering per rad/s2"),
             "ATC_STR_RAT_FLTT": (0.0, "Hz; 0: the wanted rate is limited, not filtered"),
             "ATC_STR_RAT_FLTE": (FILTER, "Hz; the default"),
-            "ATC_STR_RAT_MAX": (round(math.degrees(own.rate), 1), "deg/s that the boat holds at the cruise speed"),
-            "ATC_STR_ACC_MAX": (round(math.degrees(own.acceleration), 1), "deg/s2"),
-            "ATC_STR_ANG_P": (round(own.angle, 3), "deg/s per deg of heading"),
-            "PSC_VEL_P": (round(own.angle, 3), "the same in AUTO"),
+            "ATC_STR_RAT_MAX": (round(math.degrees(loop.rate), 1), "deg/s that the boat holds at the cruise speed"),
+            "ATC_STR_ACC_MAX": (round(math.degrees(loop.acceleration), 1), "deg/s2"),
+            "ATC_STR_ANG_P": (round(loop.angle, 3), "deg/s per deg of heading"),
+            "PSC_VEL_P": (round(loop.angle, 3), "the same in AUTO"),
             "TURN_RADIUS": (round(float(self.yaw.greatest.at[0] / self.yaw.greatest.low[0]), 2), "m, at low speed"),
             "ATC_TURN_MAX_G": (round(lateral, 3), "ATC_STR_RAT_MAX at the cruise speed"),
         }
 
     def px4(self) -> dict[str, float]:
         """Value by name. RD_WHEEL_TRACK makes the feedforward: boats have none."""
-        own, top = self.cascade, self.boat["steady_speed_full"].value
-        rates = dict(zip(("RATE", "ACCEL", "DECEL"), np.degrees([own.rate, *[own.acceleration] * 2]), strict=True))
+        loop, top = self.cascade, self.boat["steady_speed_full"].value
+        rates = dict(zip(("RATE", "ACCEL", "DECEL"), np.degrees([loop.rate, *[loop.acceleration] * 2]), strict=True))
         return {
-            "RO_YAW_RATE_P": own.proportional, "RO_YAW_RATE_I": own.integral, "RO_YAW_P": own.angle,
+            "RO_YAW_RATE_P": loop.proportional, "RO_YAW_RATE_I": loop.integral, "RO_YAW_P": loop.angle,
             **{f"RO_YAW_{name}_LIM": float(value) for name, value in rates.items()},
-            "RO_MAX_THR_SPEED": top, "RO_YAW_RATE_CORR": 1.0, "RD_WHEEL_TRACK": 2 * own.feedforward * top,
+            "RO_MAX_THR_SPEED": top, "RO_YAW_RATE_CORR": 1.0, "RD_WHEEL_TRACK": 2 * loop.feedforward * top,
         }  # fmt: skip
 
 
-def yaw_of(found: FittedBoat, speeds: np.ndarray, commands: np.ndarray) -> Yaw:
+def yaw_of(boat: FittedBoat, speeds: np.ndarray, commands: np.ndarray) -> Yaw:
     """The turning at some speeds, m/s, that commands of both sides hold, `(points,)` each."""
-    assert found.turning is not None
-    theta, P, _ = found.turning
-    u, m, steps = speeds / found.top, at.PARAMETERS, STEP * np.diag(DEVIATION)
+    assert boat.turning is not None
+    theta, P, _ = boat.turning
+    u, m, steps = speeds / boat.top, at.PARAMETERS, STEP * np.diag(DEVIATION)
     most = np.minimum(1 - commands, 1.0 if P[at.ASTERN, at.ASTERN] < ASTERN**2 else commands)
     p = natural(theta + np.concatenate([np.zeros((1, m)), steps, -steps])).T[..., None]
     T = 1 / (p[at.D0] + p[at.D2] * u)
@@ -127,41 +127,41 @@ def yaw_of(found: FittedBoat, speeds: np.ndarray, commands: np.ndarray) -> Yaw:
     K = T * (slope * (1 + p[at.SIDE]) + 2 * p[at.RUDDER] * u * u)
     held = (rate(p, commands + most, commands - most, u) - rate(p, commands - most, commands + most, u)) / 2
     curves = []
-    for values, own in (T, OWN_TIME + SWAPPED * (p[at.LAG, 0] / T[0]) ** 2), (K, OWN_GAIN), (held, OWN_GAIN):
+    for values, error in (T, OWN_TIME + SWAPPED * (p[at.LAG, 0] / T[0]) ** 2), (K, OWN_GAIN), (held, OWN_GAIN):
         slopes = (values[1 : m + 1] - values[m + 1 :]) / (2 * steps.diagonal()[:, None])
-        errors = np.einsum("mk,mn,nk->k", slopes, P, slopes), np.broadcast_to(own, u.shape)
+        errors = np.einsum("mk,mn,nk->k", slopes, P, slopes), np.broadcast_to(error, u.shape)
         ends = [on_log_scale(*each, "")[:3] for each in zip(values[0], *errors, strict=True)]
         curves.append(Curve(speeds, *np.array(ends).T))
     return Yaw(*curves)
 
 
 def steering(
-    found: Identified, speeds: np.ndarray, commands: np.ndarray, cruise: float, before: float, period: float, tick: int
+    fit: Identified, speeds: np.ndarray, commands: np.ndarray, cruise: float, before: float, period: float, tick: int
 ) -> Steering | str:
     """Design it for speeds, m/s, and the commands that hold them; a sentence where the turning is not known.
 
     The feedforward is true at `cruise`, m/s. The commands are late by `before`, s, as logged; the loop's period is in
     s, and pMarinePID's AppTick in Hz.
     """
-    if not isinstance(found, FittedBoat):
+    if not isinstance(fit, FittedBoat):
         return "The batch fit tells how a boat turns: run usvlearn fit RUN, then this command again."
-    if found.turning is None:
-        return HARDLY if HARDLY in found.lacks else "The fit does not tell the turning: run usvlearn fit RUN again."
-    if not found.turning.explained > EXPLAINED:
+    if fit.turning is None:
+        return HARDLY if HARDLY in fit.lacks else "The fit does not tell the turning: run usvlearn fit RUN again."
+    if not fit.turning.explained > EXPLAINED:
         return (
-            f"The commands explain {100 * found.turning.explained:.0f} % of the turns, expected "
+            f"The commands explain {100 * fit.turning.explained:.0f} % of the turns, expected "
             f"{100 * EXPLAINED:.0f} % or more: the boat turns by something else, such as a rudder, or sides are wrong."
         )
-    yaw = yaw_of(found, speeds, commands)
+    yaw = yaw_of(fit, speeds, commands)
     if not all((each.high < WIDEST * each.low).all() for each in yaw[:2]):
         return (
             f"Full steering turns the boat by {yaw.gain.low.min():.2g} … {yaw.gain.high.max():.2g} rad/s within "
             f"{yaw.time_constant.low.min():.2g} … {yaw.time_constant.high.max():.2g} s, which is too uncertain for "
             "gains: learn from a log with more turns at all speeds."
         )
-    p, by = natural(found.turning.theta), np.zeros(at.PARAMETERS)
+    p, by = natural(fit.turning.theta), np.zeros(at.PARAMETERS)
     by[at.LATE], by[at.LAG] = 1.0, p[at.LAG]
-    spread = math.sqrt(by @ found.turning.covariance @ by)
+    spread = math.sqrt(by @ fit.turning.covariance @ by)
     late = max(before + float(p[at.LATE] + p[at.LAG]) + NINETY * spread, 0.0)
     delay = late + period / 2 + 1 / (2 * math.pi * FILTER)
     gains, left = design("steering", yaw, delay)
@@ -177,7 +177,7 @@ def steering(
     )
     kp, kd = (100 * math.radians(each) for each in (by_heading.integral, by_heading.proportional))
     moos = MoosYaw(kp, kd, kp * crossed.crossover[0] / HOLDS, MOST)
-    return Steering(found, yaw, cruise, base, delay, left, heading, cascade, moos)
+    return Steering(fit, yaw, cruise, base, delay, left, heading, cascade, moos)
 
 
 def _heading(yaw: Yaw, gains: Gains, feedforward: float, delay: float) -> tuple[float, Margins]:
@@ -213,21 +213,21 @@ def turning_step(boat: Turns, x: np.ndarray, steering: np.ndarray, h: float) -> 
     return np.concatenate([[heading + h * (r + new) / 2, new], thrust])
 
 
-def trials(found: Steering, before: float, period: float, tick: int, seed: int) -> list[Trial]:
+def trials(steer: Steering, before: float, period: float, tick: int, seed: int) -> list[Trial]:
     """All autopilots on boats drawn from the intervals; arguments as of `steering`."""
-    assert found.boat.turning is not None
-    theta, P, _ = found.boat.turning
+    assert steer.boat.turning is not None
+    theta, P, _ = steer.boat.turning
     drawn = natural(np.random.default_rng([seed, 2]).multivariate_normal(theta, P, BOATS, method="eigh")).T
-    boat, own, base = Turns(drawn, found.speed / found.boat.top, found.base), found.cascade, found.base
+    boat, own, base = Turns(drawn, steer.speed / steer.boat.top, steer.base), steer.cascade, steer.base
     delays, push_of_side = np.maximum(before + drawn[at.LATE], 0.0), push(drawn, np.array(base), boat.speed)
     start = np.stack([np.zeros(BOATS), np.zeros(BOATS), push_of_side, push_of_side])
     ff = QUICKTUNE[0] * own.feedforward
     hand = DEFAULTS._replace(feedforward=ff, proportional=QUICKTUNE[1] * ff, integral=QUICKTUNE[1] * ff)
     rovers = {DESIGNED: own, "defaults": DEFAULTS, "QuickTune": hand}
     laws: list[tuple[str, str, Any]] = [("ArduRover", k, CascadeLaw(x, period, base)) for k, x in rovers.items()]
-    laws += [("MOOS-IvP", k, MoosYawLaw(x, tick)) for k, x in {DESIGNED: found.moos, "s1_alpha": ALPHA}.items()]
+    laws += [("MOOS-IvP", k, MoosYawLaw(x, tick)) for k, x in {DESIGNED: steer.moos, "s1_alpha": ALPHA}.items()]
     laws += [("PX4", DESIGNED, CascadeLaw(own, period, base, px4=True))]
-    hold, tried = LONG / min(own.angle, found.margins.crossover[0]), []
+    hold, tried = LONG / min(own.angle, steer.margins.crossover[0]), []
     for autopilot, gains, law in laws:
         (step,) = steps_of(simulate(boat, delays, law, [0.0, math.pi / 2], hold, turning_step, start))
         law.auto = own.angle if gains == DESIGNED else AUTO
@@ -244,13 +244,13 @@ def lawn_mower(turn: float, leg: float, period: float) -> np.ndarray:
     return np.concatenate([straight, *([arc, *back] * LEGS)[: 2 * LEGS - 2]])
 
 
-def parts(found: Steering | str, tried: Sequence[Trial]) -> Iterator[str | Blocks]:
+def parts(steer: Steering | str, tried: Sequence[Trial]) -> Iterator[str | Blocks]:
     """For a terminal."""
-    if isinstance(found, str):
-        yield f"Steering: no gains. {found}"
+    if isinstance(steer, str):
+        yield f"Steering: no gains. {steer}"
         return
-    assert found.boat.turning is not None
-    yaw, left, heading, explained = found.yaw, found.margins, found.heading, found.boat.turning.explained
+    assert steer.boat.turning is not None
+    yaw, left, heading, explained = steer.yaw, steer.margins, steer.heading, steer.boat.turning.explained
     heads = ["time constant, s", "rad/s of full steering", "most, rad/s"]
     table = Blocks("Steering: base ± steering on the sides, in brackets 90 % intervals", ["speed, m/s"], heads)
     for k in range(0, len(yaw.gain.at), 2):
@@ -258,12 +258,12 @@ def parts(found: Steering | str, tried: Sequence[Trial]) -> Iterator[str | Block
         table.add(f"{yaw.gain.at[k]:.2f}", *ends)
     yield table
     yield (
-        f"Delay of {found.delay:.2f} s. Worst over the corners: yaw rate {left.gain:.1f} dB, {left.phase:.0f}°; "
+        f"Delay of {steer.delay:.2f} s. Worst over the corners: yaw rate {left.gain:.1f} dB, {left.phase:.0f}°; "
         f"heading {heading.gain:.1f} dB, {heading.phase:.0f}°. Commands explain {100 * explained:.0f} % of the turns."
     )
     yield ""
     table = Blocks(
-        f"Steering of {BOATS} boats drawn from the intervals, at {found.speed:.2f} m/s: median, in brackets 95 %",
+        f"Steering of {BOATS} boats drawn from the intervals, at {steer.speed:.2f} m/s: median, in brackets 95 %",
         ["autopilot", "gains"], ["overshoot", "settled to ±5 %", "unstable", "rms on a lawn mower"],
     )  # fmt: skip
     for each in tried:
@@ -275,7 +275,7 @@ def parts(found: Steering | str, tried: Sequence[Trial]) -> Iterator[str | Block
         )  # fmt: skip
     yield table
     yield (
-        f"A turn by 90°, and the heading on a lawn mower with turns of {math.degrees(found.cascade.rate) / 2:.0f}°/s, "
+        f"A turn by 90°, and the heading on a lawn mower with turns of {math.degrees(steer.cascade.rate) / 2:.0f}°/s, "
         "which ArduRover knows, as in AUTO. QuickTune: FF from the boat, P and I half of it. s1_alpha: a mission of "
         "MOOS-IvP. PX4's own defaults do not steer."
     )

@@ -69,16 +69,16 @@ def _header(name: str, kind: str, comment: list[str], body: list[str]) -> str:
     return "\n".join(lines)
 
 
-def _row(name: str, found: Quantity) -> str:
-    if math.isnan(found.value):  # the interval says nothing
-        return f"{name:24} {'not known yet':>35}  {found.unit}"
-    return f"{name:24} {found.value:11.5g} {found.low:11.5g} {found.high:11.5g}  {found.unit}"
+def _row(name: str, quantity: Quantity) -> str:
+    if math.isnan(quantity.value):  # the interval says nothing
+        return f"{name:24} {'not known yet':>35}  {quantity.unit}"
+    return f"{name:24} {quantity.value:11.5g} {quantity.low:11.5g} {quantity.high:11.5g}  {quantity.unit}"
 
 
 def identifier(name: str) -> str:
     """A name as an identifier of C and Python."""
-    found = re.sub(r"[^A-Za-z0-9_]", "_", name)[:LONGEST]
-    return found if re.match(r"[A-Za-z]", found) else f"boat_{found}"
+    word = re.sub(r"[^A-Za-z0-9_]", "_", name)[:LONGEST]
+    return word if re.match(r"[A-Za-z]", word) else f"boat_{word}"
 
 
 def ascii_only(text: str) -> str:
@@ -93,13 +93,13 @@ def harmless(line: str) -> str:
 
 def _constants(model: SurgeModel) -> list[str]:
     numbers = zip(model.coefficients, model.per_mass, strict=False)
-    found = [f"    const double {name} = {number(value)}; /* {UNITS[name]} over kg */" for name, value in numbers]
+    lines = [f"    const double {name} = {number(value)}; /* {UNITS[name]} over kg */" for name, value in numbers]
     if model.tables is not None:
         for side, forces in model.tables.thrust.items():
-            found += _array(f"thrust_table_{side}", forces / model.mass, "commands -1, -0.875 ... 1; N over kg")
+            lines += _array(f"thrust_table_{side}", forces / model.mass, "commands -1, -0.875 ... 1; N over kg")
         speeds = f"speeds 0, {model.tables.speeds[0]:.6g} ... {model.tables.speeds[-1]:.6g} m/s; N over kg"
-        found += _array("drag_table", np.append(0.0, model.tables.drag) / model.mass, speeds)
-    return found
+        lines += _array("drag_table", np.append(0.0, model.tables.drag) / model.mass, speeds)
+    return lines
 
 
 def _array(name: str, values: np.ndarray, what: str) -> list[str]:

@@ -59,7 +59,7 @@ UNIT_OF_CURVE = {"drag": ("m/s", "N"), "steady_speed": ("1", "m/s")}  # of the o
 
 def described(boat: IdentifiedBoat) -> dict[str, Any]:
     """The document of a boat; `model` has what `SurgeModel.step` uses, at full precision, `identified` motion ahead."""
-    model, found = boat.model, boat.found
+    model, identified = boat.model, boat.found
     return {
         "format": FORMAT,
         "usvlearn": usvlearn.__version__,
@@ -70,21 +70,21 @@ def described(boat: IdentifiedBoat) -> dict[str, Any]:
         "signs": SIGNS,
         **surge_of(boat),
         "identified": {
-            "basis": found.basis,
+            "basis": identified.basis,
             "meaning": MEANING,
             "lacks": list(boat.lacks),
-            "quantities": found.json(),
+            "quantities": identified.json(),
         },
         "covariance": {
             "note": "of the parameters per unit mass, of which the intervals are made; command_lag: a share of a step",
-            "parameters": list(found.names),
-            "values": found.theta.tolist(),
-            "matrix": found.covariance.tolist(),
+            "parameters": list(identified.names),
+            "values": identified.theta.tolist(),
+            "matrix": identified.covariance.tolist(),
         },
         "curves": {
             name: dict(zip(("at_unit", "unit"), UNIT_OF_CURVE.get(name, ("1", "N")), strict=True))
             | {key: values.tolist() for key, values in curve._asdict().items()}
-            for name, curve in curves(found).items()
+            for name, curve in curves(identified).items()
         },
         "commands": commands_of(boat),
         "names": {"note": NOTE, **conventions(model)},
@@ -132,12 +132,12 @@ def _tables(model: SurgeModel) -> dict[str, Any]:
 
 def commands_of(boat: IdentifiedBoat) -> dict[str, Any]:
     """How a logged value becomes a command: (value − zero)/span, from the checkpoint's setup; {} if that is unknown."""
-    found: dict[str, Any] = {}
+    commands: dict[str, Any] = {}
     for side in COMMANDS:
         each = None if boat.setup is None else boat.setup.channels.get(side)
         if each is not None:
-            found[side] = each.json() if isinstance(each, Mix) else asdict(each)
-    return found
+            commands[side] = each.json() if isinstance(each, Mix) else asdict(each)
+    return commands
 
 
 PLANAR_FORMAT = "usvlearn planar boat 1"

@@ -39,9 +39,9 @@ def _value(given: Any) -> Any:
     if isinstance(given, str):
         return given.encode("utf-8", "replace").decode()
     if isinstance(given, list) and all(isinstance(each, str) for each in given):
-        found = np.empty(len(given), object)
-        found[:] = [_value(each) for each in given]
-        return found
+        cells = np.empty(len(given), object)
+        cells[:] = [_value(each) for each in given]
+        return cells
     if given is None:
         return np.nan
     return np.asarray(given, np.float64 if _numeric(given) else object)
@@ -53,8 +53,8 @@ def _numeric(given: Any) -> bool:
 
 def _name(key: str) -> str:
     """A key as the name of a field."""
-    found = re.sub(r"\W", "_", key, flags=re.ASCII)[:LONGEST]
-    return found if re.match(r"[A-Za-z]", found) else f"x{found}"[:LONGEST]
+    word = re.sub(r"\W", "_", key, flags=re.ASCII)[:LONGEST]
+    return word if re.match(r"[A-Za-z]", word) else f"x{word}"[:LONGEST]
 
 
 Files = dict[str, bytes]  # by the end of their names: all begin with the name of the boat

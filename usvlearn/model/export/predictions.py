@@ -35,7 +35,7 @@ class Stretch(NamedTuple):
 def stretches(folder: Path, boat: str) -> Iterator[Stretch]:
     """All stretches of a boat of a run, in order; a ConfigError without any, a CheckpointError if a file is damaged."""
     paths = sorted(path for path in (folder / PREDICTIONS).glob("*.npz") if position(path) is not None)
-    found = False
+    exists = False
     for path in paths:
         try:
             one = _read(path, boat)
@@ -44,9 +44,9 @@ def stretches(folder: Path, boat: str) -> Iterator[Stretch]:
                 f"{path}: is damaged ({error}): export the other formats, or make the run anew"
             ) from error
         if one is not None and len(one.predicted):
-            found = True
+            exists = True
             yield one
-    if not found:
+    if not exists:
         raise ConfigError(
             f"{folder}: found no predictions of {boat} ({PREDICTIONS}/*.npz), expected the folder of a run "
             "of train.py: give it in place of a checkpoint"
@@ -70,9 +70,9 @@ def _read(path: Path, boat: str) -> Stretch | None:
             raise ValueError(f"found {each.dtype} {each.shape}, expected numbers {wanted}")
     if (np.abs(np.nan_to_num(columns["time"] - LATEST / 2, nan=0.0)) > LATEST / 2).any():
         raise ValueError(f"found a time beyond 0 to {LATEST:g} s")
-    made = np.isfinite(columns["time"][:, element])  # a boat's shorter run has ended
-    columns = {name: each[made, element] for name, each in columns.items()}
-    return Stretch(run, names, columns, *(each[made, element] for each in tables)) if run else None
+    steps = np.isfinite(columns["time"][:, element])  # a boat's shorter run has ended
+    columns = {name: each[steps, element] for name, each in columns.items()}
+    return Stretch(run, names, columns, *(each[steps, element] for each in tables)) if run else None
 
 
 def _names(array: np.ndarray) -> tuple[str, ...]:
@@ -151,10 +151,10 @@ def mcap_file(boat: str, stretches: Iterable[Stretch]) -> bytes:
 
 def _channel(writer: Any, name: str, topic: str, stretch: Stretch) -> int:
     """Register a topic; returns its number."""
-    own = stretch.columns if name == "measured" else ("time", *stretch.estimators)
+    columns = stretch.columns if name == "measured" else ("time", *stretch.estimators)
     schema = {
         "type": "object",
-        "properties": {key: {"type": "number", "description": UNITS.get(key, "m/s")} for key in own},
+        "properties": {key: {"type": "number", "description": UNITS.get(key, "m/s")} for key in columns},
     }
     number = writer.register_schema(f"usvlearn.{name}", "jsonschema", json.dumps(schema).encode())
     return int(writer.register_channel(topic, "json", number))

@@ -65,20 +65,20 @@ class FittedBoat(Identified):
     ) -> FittedBoat:  # fmt: skip
         """The boat of the chosen set; `lacks`: what the logs lack; `late`: s by which `pieces` moved the speeds."""
         fit = fits[chosen]
-        found, differ = (
+        quantities, differ = (
             intervals(fits, scores, chosen, mass, unreached(missions)),
             disagreement(fits, scores, chosen, mass),
         )
-        common = max(differ[name] / abs(found[name].value) for name in SPEEDS)
-        split = [found[f"drag_{name}"] for name in ("linear", "quadratic")]
+        common = max(differ[name] / abs(quantities[name].value) for name in SPEEDS)
+        split = [quantities[f"drag_{name}"] for name in ("linear", "quadratic")]
         if any(each.high - each.low > 2 * UNCLEAR * abs(each.value) for each in split):
             lacks += ("The logs hardly separate linear from quadratic drag: use drag_half_speed.",)
-        turning = (found["drag_cross"].high - found["drag_cross"].low) * found["steady_speed_full"].value
-        if turning > TURNS * found["drag_half_speed"].value:
+        turning = (quantities["drag_cross"].high - quantities["drag_cross"].low) * quantities["steady_speed_full"].value
+        if turning > TURNS * quantities["drag_half_speed"].value:
             lacks += ("The logs do not tell drag_cross: the boat hardly turns under way. Let it turn more.",)
         many = "1 mission" if missions.number == 1 else f"{missions.number} missions"
         return cls._made(
-            fit.terms, fit.top, mass, fit.theta[fit.known.active], spread(fit), found,
+            fit.terms, fit.top, mass, fit.theta[fit.known.active], spread(fit), quantities,
             math.hypot(OWN_ERROR, common if math.isfinite(common) else 0.0), lacks,
             f"Fitted to {many} at once, with 90 % intervals; terms: {chosen}.", late,
             fit.deviation / math.sqrt(worth(missions, fit, spread(fit))),
@@ -99,7 +99,7 @@ class FittedBoat(Identified):
             if says_nothing(name, each, first, mass) or (ONE_COMMAND in lacks and tells_sides(name))
         )
         return cls(
-            dict(found), basis, scale_sentence(np.zeros(0), mass), tuple(filter(None, [impossible, *lacks])), mass,
+            dict(values), basis, scale_sentence(np.zeros(0), mass), tuple(filter(None, [impossible, *lacks])), mass,
             np.zeros(len(theta)), theta, covariance,
             IntervalTerms(common, theta, start, np.diag(np.linalg.inv(known.information)), vague=False),
             unknown, impossible, terms, top, late, noise=noise,
@@ -168,11 +168,11 @@ class FittedBoat(Identified):
                 raise ValueError(f"its top speed is {top:g} m/s, its mass {mass:g} kg, its noise {noise:g} m/s")
             if np.linalg.eigvalsh(covariance)[0] < -1e-9 * np.abs(covariance).max():
                 raise ValueError("its covariance has a negative variance")
-            found = {}
+            known = {}
             for name, each in facts["quantities"].items():
                 value, low, high = (math.nan if x is None else float(x) for x in each)
-                found[name] = Quantity(value, low, high, (QUANTITIES | TURNING | OF_FIT)[name])
-            if missing := [name for name in QUANTITIES if name not in found and name != "mass"]:
+                known[name] = Quantity(value, low, high, (QUANTITIES | TURNING | OF_FIT)[name])
+            if missing := [name for name in QUANTITIES if name not in known and name != "mass"]:
                 raise KeyError(missing[0])
             lacks, basis = tuple(map(str, facts["lacks"])), str(facts["basis"])
             turning = None
@@ -183,8 +183,8 @@ class FittedBoat(Identified):
                     raise ValueError("its turning has other parameters")
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise CheckpointError(f"its fit is damaged ({error!r}): run usvlearn fit again") from error
-        impossible = unphysical({name: found[name] for name in POSITIVE_OF_BOATS})
-        turns, own = ({name: found.pop(name) for name in names if name in found} for names in (TURNING, OF_FIT))
+        impossible = unphysical({name: known[name] for name in POSITIVE_OF_BOATS})
+        turns, own = ({name: known.pop(name) for name in names if name in known} for names in (TURNING, OF_FIT))
         lacks = tuple(x for x in lacks if x != impossible)
         made = cls._made(terms, top, mass, theta, covariance, found, common, lacks, basis, late, noise)
         return replace(joined(made, turns, ()), quantities=made.quantities | turns | own, turning=turning)

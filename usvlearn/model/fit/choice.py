@@ -33,15 +33,15 @@ class Score(NamedTuple):
 def left_out(missions: Missions, fit: Fit, deviation: float) -> np.ndarray:
     """The loss of each mission, left out, `(missions,)`, a measured step; σ of a speed, m/s, is that of all sets."""
     known, total = fit.known, fit.information.sum(0) + fit.known.information
-    found = np.zeros(len(missions.rows))
-    for k in range(len(found)):
-        if FEWEST <= len(found) <= FEW:
-            found[k] = missions.loss(missions.without(k).settled(fit).theta, deviation, k)
+    losses = np.zeros(len(missions.rows))
+    for k in range(len(losses)):
+        if FEWEST <= len(losses) <= FEW:
+            losses[k] = missions.loss(missions.without(k).settled(fit).theta, deviation, k)
             continue
         theta, covariance = fit.theta.copy(), np.linalg.inv(total - fit.information[k])
         theta[known.active] += covariance @ fit.score[k]  # (1)
-        found[k] = missions.loss(legal(theta, known, covariance), deviation, k)
-    return found / np.maximum(missions.steps, 1)
+        losses[k] = missions.loss(legal(theta, known, covariance), deviation, k)
+    return losses / np.maximum(missions.steps, 1)
 
 
 def choose(

@@ -89,12 +89,12 @@ def diagnostics(missions: Missions, fit: Fit, mass: float, others: Sequence[Fit]
 
 
 def doubts(
-    fit: Fit, found: Mapping[str, Quantity], cross: Mapping[str, Any], online: Mapping[str, Quantity] | None,
+    fit: Fit, given: Mapping[str, Quantity], cross: Mapping[str, Any], online: Mapping[str, Quantity] | None,
     lag: float = 0.0,
 ) -> tuple[str, ...]:  # fmt: skip
     """What speaks against the use of a fit, a sentence each with what to do; `lag` of the thrust, s, as of turns."""
-    said, least = [], TINY * abs(found["drag_half_speed"].value)
-    pushes = [name for name in NEGATIVE if name in found and name.startswith("drag") and found[name].value > least]
+    said, least = [], TINY * abs(given["drag_half_speed"].value)
+    pushes = [name for name in NEGATIVE if name in given and name.startswith("drag") and given[name].value > least]
     if pushes or not CurvedAhead(fit.theta, fit.top).brakes:
         said.append(
             f"The drag would push the boat, or falls with speed ({', '.join(pushes) or 'its curve'}): the logs do not "
@@ -110,7 +110,7 @@ def doubts(
             f"The thrust would lag its command by {fit.theta[PLACE_TIME]:.1f} s, yet begin before it: slow thrusters "
             "and boats are not told apart. Log steps of both commands together, straight ahead, and fit these alone."
         )
-    if lag > SLOW * found["time_constant"].value and fit.theta[PLACE_TIME] < LESS * lag:
+    if lag > SLOW * given["time_constant"].value and fit.theta[PLACE_TIME] < LESS * lag:
         said.append(
             f"The thrust follows the commands by {lag:.1f} s in turns, but by {fit.theta[PLACE_TIME]:.1f} s ahead: "
             "steering makes drag, thrust and time constant wrong then. Log steps of both commands together, straight "
@@ -125,7 +125,7 @@ def doubts(
                 "model lacks something. Check the commands' delay, zero and sides, and the rate of the speed."
             )
     apart = [
-        name for name, each in found.items()
+        name for name, each in given.items()
         if online is not None and name in online and name not in COEFFICIENTS
         and (online[name].low > each.high or online[name].high < each.low)
     ]  # fmt: skip
@@ -153,11 +153,11 @@ def _mission(each: Simulated, dt: float) -> dict[str, Any]:
     """A mission in numbers."""
     known = np.isfinite(each.error)
     error, speed, minute = each.error[known], each.measured[known], worst_minute(each.time, each.error)
-    found: dict[str, Any] = {"name": each.name, "steps": int(known.sum()), "minutes": float(each.moves.sum()) * dt / 60}
+    facts: dict[str, Any] = {"name": each.name, "steps": int(known.sum()), "minutes": float(each.moves.sum()) * dt / 60}
     if minute is None:
-        return found | {"mae": None, "fit": None, "bias": None, "current": None, "worst": None}
+        return facts | {"mae": None, "fit": None, "bias": None, "current": None, "worst": None}
     start, end = minute
-    return found | {
+    return facts | {
         "mae": float(np.abs(error).mean()),
         "fit": per_cent(float((error**2).sum()), float(((speed - speed.mean()) ** 2).sum())),
         "bias": float(error.mean()),
@@ -191,8 +191,8 @@ def _curves(every: Sequence[Simulated], fit: Fit, mass: float, others: Sequence[
     for side in SIDES:
 
         def thrust(boat: CurvedAhead, side: str = side) -> np.ndarray:
-            found: np.ndarray = boat.thrust(COMMANDS, side)
-            return found
+            force: np.ndarray = boat.thrust(COMMANDS, side)
+            return force
 
         curves[f"thrust_{side}"] = {"at": COMMANDS} | band(fit, mass, others, thrust)
         used = np.concatenate([getattr(each, side)[each.moves] for each in every])

@@ -54,8 +54,8 @@ class Fitted:
     @cached_property
     def doubts(self) -> tuple[str, ...]:
         """Why its values are not to be used, but those learned online, one sentence each."""
-        found = doubts(self.fit, self.found, self.diagnostics["cross_correlation"], self.online, self.lag)
-        return (*filter(None, [self.found.unphysical]), *found)
+        sentences = doubts(self.fit, self.found, self.diagnostics["cross_correlation"], self.online, self.lag)
+        return (*filter(None, [self.found.unphysical]), *sentences)
 
     @property
     def fit(self) -> Fit:
@@ -138,14 +138,14 @@ def fit_boat(
         name, scores = choose(missions, fits, terms, worn)
         last = sorted(fits, key=lambda each: each == name)  # whose simulation is kept
         errors = {each: float(np.mean(np.abs(missions.errors(fits[each])))) for each in last}
-        made, lag = FittedBoat.of(missions, fits, scores, name, mass, lacks, steps * DT), 0.0
+        fitted_boat, lag = FittedBoat.of(missions, fits, scores, name, mass, lacks, steps * DT), 0.0
         if turning is not None:
             both = zip(missions.rows, missions.simulate(fits[name], True), strict=True)
             sailed = [prepared(each, top, end) for each, (_, end) in both]
             turns = fitted(sailed, turning.theta)
-            made = with_ground(with_turning(made, turns, sailed), rows)
-            lag = 0.0 if HARDLY in made.lacks else float(natural(turns.theta)[LAG_OF_TURNS])
-        return Fitted(boat, missions, fits, scores, name, made, errors, online=online, lag=lag)
+            fitted_boat = with_ground(with_turning(fitted_boat, turns, sailed), rows)
+            lag = 0.0 if HARDLY in fitted_boat.lacks else float(natural(turns.theta)[LAG_OF_TURNS])
+        return Fitted(boat, missions, fits, scores, name, fitted_boat, errors, online=online, lag=lag)
 
     try:
         for name in SETS:

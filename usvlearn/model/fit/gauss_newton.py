@@ -114,11 +114,11 @@ class Missions:
         known = prior(terms, self.top)
         m, count = len(known.active), len(self.rows)
         score, information = np.zeros((count, m)), np.zeros((count, m, m))
-        made = [self._one(k, theta, deviation, known.active, score[k], information[k]) for k in range(count)]
-        loss, steps = np.array([each[:2] for each in made]).reshape(-1, 2).T
+        parts = [self._one(k, theta, deviation, known.active, score[k], information[k]) for k in range(count)]
+        loss, steps = np.array([each[:2] for each in parts]).reshape(-1, 2).T
         information += np.tril(information, -1).transpose(0, 2, 1)
         fit = Fit(terms, self.top, theta, known, loss, steps, score, information, deviation)
-        self._simulated = fit, [each[2:] for each in made]
+        self._simulated = fit, [each[2:] for each in parts]
         return fit
 
     def loss(self, theta: np.ndarray, deviation: float, k: int | None = None) -> float:
@@ -213,10 +213,10 @@ def scale_of(errors: np.ndarray) -> float:
     (Huber 1964, proposal 2).
     """
     square = errors * errors
-    found = 1.4826 * float(np.median(np.abs(errors)))
+    scale = 1.4826 * float(np.median(np.abs(errors)))
     for _ in range(PASSES):
-        found = float(np.sqrt(np.minimum(square, (ROBUST * found) ** 2).mean()))
-    return found
+        scale = float(np.sqrt(np.minimum(square, (ROBUST * scale) ** 2).mean()))
+    return scale
 
 
 def legal(theta: np.ndarray, known: Prior, covariance: np.ndarray) -> np.ndarray:

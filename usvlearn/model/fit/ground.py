@@ -38,10 +38,10 @@ def with_ground(boat: FittedBoat, missions: Mapping[str, np.ndarray]) -> FittedB
         turned[k] = pieces >= LEAST_PIECES and np.linalg.eigvalsh(X[:, 3:].T @ X[:, 3:])[0] > TURNS * len(X)
         for part in np.array_split(np.arange(len(X)), pieces) if use.any() else []:
             parts.append((at, X[part], y[part]))
-    found, n = {name: Quantity(math.nan, math.nan, math.nan, OF_FIT[name]) for name in OWN_ERROR}, len(parts)
+    quantities, n = {name: Quantity(math.nan, math.nan, math.nan, OF_FIT[name]) for name in OWN_ERROR}, len(parts)
     if not turned.any():
         why = FEW_COURSES if parts else NO_GROUND
-        return replace(boat, quantities=boat.quantities | found, lacks=(*boat.lacks, why))
+        return replace(boat, quantities=boat.quantities | quantities, lacks=(*boat.lacks, why))
     H, g, scores = 1e-6 * np.eye(count), np.zeros(count), np.zeros((n, count))  # of a current without information
     for at, X, y in parts:
         H[np.ix_(at, at)] += X.T @ X
@@ -56,9 +56,9 @@ def with_ground(boat: FittedBoat, missions: Mapping[str, np.ndarray]) -> FittedB
     offset, size = math.degrees(math.atan(theta[0])), float(sizes[turned].mean())
     half, lacks = NINETY * math.hypot(math.degrees(math.sqrt(P[0, 0])), OWN_ERROR["compass_offset"]), boat.lacks
     if 1 / A[0, 0] > TURNS * H[0, 0]:  # of S², what the drift of turns and currents do not explain
-        found["compass_offset"] = Quantity(offset, offset - half, offset + half, "deg")
+        quantities["compass_offset"] = Quantity(offset, offset - half, offset + half, "deg")
     else:
         lacks += (CIRCLES,)
     half = NINETY * math.hypot(math.sqrt(slope @ P @ slope), OWN_ERROR["current"])
-    found["current"] = Quantity(size, max(size - half, 0.0), size + half, "m/s")
-    return replace(boat, quantities=boat.quantities | found, lacks=lacks)
+    quantities["current"] = Quantity(size, max(size - half, 0.0), size + half, "m/s")
+    return replace(boat, quantities=boat.quantities | quantities, lacks=lacks)

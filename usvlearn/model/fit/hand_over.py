@@ -67,14 +67,14 @@ def handed_over(
 
     `leaves` are without batch axes, `description` is of the ensemble, whose samples are `dt` s apart.
     """
-    found = {name: np.array(leaf) for name, leaf in leaves.items()}
+    copied = {name: np.array(leaf) for name, leaf in leaves.items()}
     for name, member in members_of(description).items():
         if member is not None and member.get("kind") == "joint":
             prefix = f"members.{name}." if name else ""
-            own = {key: prefix + key for key in ("mean", "factor", "reading", "spread", "readings", "weight")}
-            m = len(found[own["mean"]]) - THETA
+            keys = {key: prefix + key for key in ("mean", "factor", "reading", "spread", "readings", "weight")}
+            m = len(copied[keys["mean"]]) - THETA
             theta, covariance = _parameters(fitted, m == len(names(even=True)), dt, member)
-            mean, P = found[own["mean"]].copy(), covariance_of(found[own["factor"]])
+            mean, P = copied[keys["mean"]].copy(), covariance_of(copied[keys["factor"]])
             mean[THETA:] = theta
             P[THETA:], P[:, THETA:] = 0.0, 0.0
             P[THETA:, THETA:] = covariance
@@ -83,14 +83,14 @@ def handed_over(
                 "factor": factored(P),
                 "reading": theta,
                 "spread": covariance,
-                "readings": max(float(found[own["readings"]]), DROPPED + 1),
-                "weight": max(float(found[own["weight"]]), 1.0),
+                "readings": max(float(copied[keys["readings"]]), DROPPED + 1),
+                "weight": max(float(copied[keys["weight"]]), 1.0),
             }
-            new |= _without_trial(found, prefix, new)
+            new |= _without_trial(copied, prefix, new)
             for key, value in new.items():
-                old = found[prefix + key]
-                found[prefix + key] = np.broadcast_to(np.asarray(value, old.dtype), old.shape).copy()
-    return found, {FITTED: fitted.found.facts()}
+                old = copied[prefix + key]
+                copied[prefix + key] = np.broadcast_to(np.asarray(value, old.dtype), old.shape).copy()
+    return copied, {FITTED: fitted.found.facts()}
 
 
 def _parameters(fitted: Fitted, even: bool, dt: float, member: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
@@ -98,14 +98,14 @@ def _parameters(fitted: Fitted, even: bool, dt: float, member: Mapping[str, Any]
     fit = next(fitted.fits[name] for name in POLYNOMIAL if name in fitted.fits and (even or name != "even"))
     if fitted.chosen.endswith(WEAR):  # the boat of the last mission, with these terms
         fit, _ = worn(fitted.missions, fit, fit.deviation)
-    own, places = names(even), {int(place): k for k, place in enumerate(fit.known.active)}
-    scale = np.array([DT / dt if name == LAG else 1.0 for name in own])
+    wanted, places = names(even), {int(place): k for k, place in enumerate(fit.known.active)}
+    scale = np.array([DT / dt if name == LAG else 1.0 for name in wanted])
     late = (fitted.found.late + fit.theta[PLACE_TIME]) / DT
-    theta = np.array([fit.theta[AT[name]] + (late if name == LAG else 0.0) for name in own]) * scale
+    theta = np.array([fit.theta[AT[name]] + (late if name == LAG else 0.0) for name in wanted]) * scale
     theta[-1] = np.clip(theta[-1], LAG_LEAST, LAG_MOST)
     covariance = np.diag(np.asarray(member["vectors"]["variance"], float))
-    there = [k for k, name in enumerate(own) if AT[name] in places]
-    some = [places[AT[own[k]]] for k in there]
+    there = [k for k, name in enumerate(wanted) if AT[name] in places]
+    some = [places[AT[wanted[k]]] for k in there]
     covariance[np.ix_(there, there)] = spread(fit)[np.ix_(some, some)] * np.outer(scale[there], scale[there])
     return theta, covariance
 
@@ -118,50 +118,50 @@ def _without_trial(leaves: Mapping[str, np.ndarray], prefix: str, new: Mapping[s
     none = dict.fromkeys(
         ("statistic", "last", "usual", "evidence", "best", "run", "tried", "leads", "early"), 0.0
     )  # fmt: skip
-    found = {
+    empty = {
         "mean": new["mean"], "factor": new["factor"], "noise": noise, "updates": updates,
         "kept": new["reading"], "before": new["reading"],
         "past_mean": new["mean"], "past_factor": new["factor"], "past_noise": noise, **none,
     }  # fmt: skip
-    return {f"trial.{key}": value for key, value in found.items()}
+    return {f"trial.{key}": value for key, value in empty.items()}
 
 
 def factored(P: np.ndarray) -> np.ndarray:
     """The leaf `factor` of a covariance, `(n, n)`."""
     rest, n = np.array(P, float), len(P)
-    found = np.zeros((n, n))
+    factor = np.zeros((n, n))
     for j in range(n - 1, -1, -1):
-        found[j, j] = max(rest[j, j], 0.0)
-        if found[j, j] > 0:
-            found[j, :j] = rest[:j, j] / found[j, j]
-            rest[:j, :j] -= found[j, j] * np.outer(found[j, :j], found[j, :j])
-    return found
+        factor[j, j] = max(rest[j, j], 0.0)
+        if factor[j, j] > 0:
+            factor[j, :j] = rest[:j, j] / factor[j, j]
+            rest[:j, :j] -= factor[j, j] * np.outer(factor[j, :j], factor[j, :j])
+    return factor
 
 
-def write(folder: Path, found: Fitted, last: Last | None, dt: float) -> list[Path]:
+def write(folder: Path, fitted: Fitted, last: Last | None, dt: float) -> list[Path]:
     """Write the files of a boat, whose checkpoint has steps of `dt`, s; returns their paths."""
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{found.boat}.fit.json"
-    text = json.dumps(found.json(), indent=1, ensure_ascii=False, allow_nan=False)
+    path = folder / f"{fitted.boat}.fit.json"
+    text = json.dumps(fitted.json(), indent=1, ensure_ascii=False, allow_nan=False)
     checkpoint.write_atomically(path, f"{text}\n".encode())
     if last is None:
         return [path]
-    leaves, own = handed_over(last.leaves, last.facts["kernel"], found, dt)
-    facts = {key: value for key, value in last.facts.items() if key != "schema"} | own
-    file = folder / CHECKPOINTS / found.boat / f"fit{checkpoint.SUFFIX}"
+    leaves, more = handed_over(last.leaves, last.facts["kernel"], fitted, dt)
+    facts = {key: value for key, value in last.facts.items() if key != "schema"} | more
+    file = folder / CHECKPOINTS / fitted.boat / f"fit{checkpoint.SUFFIX}"
     return [path, checkpoint.save(file, leaves, **facts)]
 
 
 def table_of(fitted: Fitted) -> list[float]:
     """The chosen fit as a member of forecasts has it (`ensemble.forecasts.fit_kernel`)."""
-    theta, boat, found = fitted.fit.theta, CurvedAhead(fitted.fit.theta, fitted.fit.top), np.zeros(at.TABLE)
+    theta, boat, table = fitted.fit.theta, CurvedAhead(fitted.fit.theta, fitted.fit.top), np.zeros(at.TABLE)
     far = FARTHEST * fitted.fit.top
     speeds, commands = np.linspace(-far, far, at.SPEEDS), np.linspace(-LARGEST, LARGEST, at.COMMANDS)
-    found[at.SPEED], found[at.CROSS], found[at.COMMAND] = far, theta[AT["drag_cross"]], LARGEST
-    found[at.LATE] = DT * theta[AT[LAG]] + theta[AT[TIME_CONSTANT]] + fitted.found.late
+    table[at.SPEED], table[at.CROSS], table[at.COMMAND] = far, theta[AT["drag_cross"]], LARGEST
+    table[at.LATE] = DT * theta[AT[LAG]] + theta[AT[TIME_CONSTANT]] + fitted.found.late
     for k, side in enumerate(SIDES):
-        found[at.MORE + 2 * k : at.MORE + 2 * k + 2] = theta[[AT[f"thrust_{x}speed_{side}"] for x in ("", "even_")]]
-        found[at.THRUST + k * at.COMMANDS :][: at.COMMANDS] = boat.thrust(commands, side)
+        table[at.MORE + 2 * k : at.MORE + 2 * k + 2] = theta[[AT[f"thrust_{x}speed_{side}"] for x in ("", "even_")]]
+        table[at.THRUST + k * at.COMMANDS :][: at.COMMANDS] = boat.thrust(commands, side)
     astern = 2 * theta[AT["drag_even"]] * speeds * np.minimum(speeds, 0.0)  # `drag` is that ahead
-    found[at.DRAG :] = -np.sign(speeds) * boat.drag(np.abs(speeds)) + astern
-    return found.tolist()
+    table[at.DRAG :] = -np.sign(speeds) * boat.drag(np.abs(speeds)) + astern
+    return table.tolist()

@@ -58,11 +58,11 @@ def variances(
     C: np.ndarray,
 ) -> dict[str, float]:  # fmt: skip
     """The variance of each quantity in (1), of its value, its gradient, and what other sets say; C is that of θ."""
-    found = {}
+    variance = {}
     for name, value in ((name, float(each)) for name, each in values.items()):
-        own = math.hypot(own_error(name, values), BEYOND.get(name, 0.0) * beyond * value)
-        found[name] = max(float(slopes[name] @ C @ slopes[name]) + differ[name] ** 2 + own**2, 0.0)
-    return found
+        error = math.hypot(own_error(name, values), BEYOND.get(name, 0.0) * beyond * value)
+        variance[name] = max(float(slopes[name] @ C @ slopes[name]) + differ[name] ** 2 + error**2, 0.0)
+    return variance
 
 
 def unreached(missions: Missions) -> float:
@@ -105,8 +105,8 @@ def spread(fit: Fit) -> np.ndarray:
     if count < 2:
         return A
     away = fit.score - fit.score.mean(0)
-    found: np.ndarray = A + (SCATTER + FEW / count) * count / (count - 1) * A @ (away.T @ away) @ A
-    return found
+    total: np.ndarray = A + (SCATTER + FEW / count) * count / (count - 1) * A @ (away.T @ away) @ A
+    return total
 
 
 def worth(missions: Missions, fit: Fit, C: np.ndarray) -> float:

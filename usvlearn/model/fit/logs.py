@@ -45,30 +45,30 @@ def missions_of(fleet: Fleet, boat: str, dt: float = DT) -> dict[str, np.ndarray
     They are prepared samples with `turns` and `over_ground` behind, `(time, ROW + 4)`. A ConfigError if there are too
     few measured steps in which the boat moves, or the speed has no sign.
     """
-    element, found = fleet.boats.index(boat), dict[str, np.ndarray]()
+    element, missions = fleet.boats.index(boat), dict[str, np.ndarray]()
     for k, run in enumerate(fleet.runs):
         if length := run.lengths[element]:
             samples, time = tree_map(lambda x, n=length: x[:n, element], run.samples), run.time[:length, element]
             rows = rows_of(samples)
             if scored(rows).any():
-                name = run.names[element] if run.names[element] not in found else f"{run.names[element]} ({k + 1})"
+                name = run.names[element] if run.names[element] not in missions else f"{run.names[element]} ({k + 1})"
                 poses = np.full((length, 5), np.nan) if run.poses is None else run.poses[:length, element]
                 parts = smoothed(rows, dt), turns(poses, time), over_ground(samples, poses, time, dt)
-                found[name] = np.column_stack(parts)
-    back = sum(float(without_sign(rows[:, LEFT], rows[:, RIGHT], rows[:, SURGE]).sum()) for rows in found.values())
+                missions[name] = np.column_stack(parts)
+    back = sum(float(without_sign(rows[:, LEFT], rows[:, RIGHT], rows[:, SURGE]).sum()) for rows in missions.values())
     if back:
         raise ConfigError(
             f"{boat}: found {back * dt / 60:.1f} min in which both commands push astern and the speed, which is never "
             "below 0, rises, expected a speed with a sign: set velocities to the north and east, ground speed and "
             "course, or the position alone in data.channels, and train again, or leave these logs out"
         )
-    measured = sum(int(scored(rows).sum()) for rows in found.values())
+    measured = sum(int(scored(rows).sum()) for rows in missions.values())
     if measured < FEWEST:
         raise ConfigError(
             f"{boat}: found {measured} measured speeds of a boat that moves, expected at least {FEWEST}: a fit needs "
             "some minutes of logs in which the boat sails"
         )
-    return found
+    return missions
 
 
 def without_losses(
@@ -78,36 +78,36 @@ def without_losses(
 
     `tell` warns of each; a ConfigError if too little is left.
     """
-    found, lost, said = dict[str, np.ndarray](), set[str](), ""
+    cut, lost, said = dict[str, np.ndarray](), set[str](), ""
     for name, rows in missions.items():
-        found[name], place = rows.copy(), np.arange(len(rows)) * DT
-        found[name][:, MODE] = HOLD if lost else rows[:, MODE]
+        cut[name], place = rows.copy(), np.arange(len(rows)) * DT
+        cut[name][:, MODE] = HOLD if lost else rows[:, MODE]
         for each in (each for each in events if each["run"] == name and each["kind"] in (LOSS, RECOVERY)):
             begins, side = each["kind"] == LOSS, {each["side"]}
             lost = lost | side if begins else lost - side
             later = place >= each["time"] - BEFORE * begins
-            found[name][later, MODE] = HOLD if lost else rows[later, MODE]
+            cut[name][later, MODE] = HOLD if lost else rows[later, MODE]
             if begins:
                 said = (
                     f"{boat}: the {each['side']} thruster lost thrust at {each['time']:.0f} s of {name} (run's events)"
                 )
                 if tell:
                     complain(f"warning: {said}: the fit leaves out what follows until its recovery")
-    if said and (left := sum(int(scored(rows).sum()) for rows in found.values())) < FEWEST:
+    if said and (left := sum(int(scored(rows).sum()) for rows in cut.values())) < FEWEST:
         raise ConfigError(
             f"{said}: found {left} measured steps with both thrusters whole, expected at least {FEWEST}: fit logs from "
             "before that, or from after its repair (data.path)"
         )
-    return {name: rows for name, rows in found.items() if scored(rows).any()}
+    return {name: rows for name, rows in cut.items() if scored(rows).any()}
 
 
 def turns(poses: np.ndarray, time: np.ndarray) -> np.ndarray:
     """Measured headings and yaw rates, `(time, 2)`, NaN where a heading repeats the last one, and for slopes of it."""
-    found = poses[:, :2].copy()
-    turned, step = np.diff(found[:, 0], prepend=np.nan), np.diff(time, prepend=np.nan)
-    found[np.abs(found[:, 1] - slope(turned, step)) < 1e-9, 1] = np.nan
-    found[turned == 0, 0] = np.nan
-    return found
+    measured = poses[:, :2].copy()
+    turned, step = np.diff(measured[:, 0], prepend=np.nan), np.diff(time, prepend=np.nan)
+    measured[np.abs(measured[:, 1] - slope(turned, step)) < 1e-9, 1] = np.nan
+    measured[turned == 0, 0] = np.nan
+    return measured
 
 
 def over_ground(samples: Sample, poses: np.ndarray, time: np.ndarray, dt: float) -> np.ndarray:

@@ -41,11 +41,11 @@ class FreeMode(NamedTuple):
         if self.fit is None or self.ensemble is None or self.gain is None:
             return "Open-loop simulation: the ensemble's, as no mission was left to compare it with the fit's."
         many = "1 mission" if self.missions == 1 else f"{self.missions} missions"
-        found = f"the fit errs by {self.fit:.4f} m/s, the ensemble by {self.ensemble:.4f}, on {many} that neither had"
+        errors = f"the fit errs by {self.fit:.4f} m/s, the ensemble by {self.ensemble:.4f}, on {many} that neither had"
         if self.error is None:
-            return f"Open-loop simulation: the ensemble's, as too few missions decide nothing: {found} learned."
+            return f"Open-loop simulation: the ensemble's, as too few missions decide nothing: {errors} learned."
         away = f"a difference of {self.gain:.4f} ± {self.error:.4f}"
-        return f"Open-loop simulation: use the {self.used}'s: {found} learned, {away}."
+        return f"Open-loop simulation: use the {self.used}'s: {errors} learned, {away}."
 
     def json(self) -> dict[str, Any]:
         """As JSON values, with the sentence."""
@@ -71,14 +71,14 @@ def open_loop(fit: Fit, rows: np.ndarray, current: np.ndarray) -> np.ndarray:
     return np.nan_to_num(speeds[known])  # where no step is made, the speed is held
 
 
-def usual_current(found: np.ndarray) -> np.ndarray:
+def usual_current(currents: np.ndarray) -> np.ndarray:
     """The current to expect, m/s, `(2,)`, from those of some missions, `(missions, 2)`: their mean, smaller the
     less they agree (James & Stein 1961).
     """
-    mean: np.ndarray = found.mean(0)
-    if len(found) < 2 or not mean.any():
+    mean: np.ndarray = currents.mean(0)
+    if len(currents) < 2 or not mean.any():
         return mean
-    return mean * max(1 - float(found.var(0, ddof=1).sum() / len(found) / (mean @ mean)), 0.0)
+    return mean * max(1 - float(currents.var(0, ddof=1).sum() / len(currents) / (mean @ mean)), 0.0)
 
 
 def decide(
@@ -102,7 +102,7 @@ def decide(
     current = usual_current(np.array([end for _, end in learned.simulate(fit)]))
     if terms.endswith(WEAR) and len(rows) >= FEWEST_WORN:
         fit, _ = worn(learned, fit, fit.deviation)
-    found = []
+    errors = []
     for name in sorted(later.keys() & again.keys() & ensemble.keys()):
         run, small = later[name], again[name]
         m, n = run.lengths[element], small.lengths[element]
@@ -115,11 +115,11 @@ def decide(
             learns = masks(samples).learns
             if learns.any():
                 error = float(np.abs(speeds[places] - samples.surge)[learns].mean())
-                found.append((ensemble[name], error, int(learns.sum())))
-    if not found:
+                errors.append((ensemble[name], error, int(learns.sum())))
+    if not errors:
         return NOTHING
-    theirs, ours, steps = (np.array(each, float) for each in zip(*found, strict=True))
+    theirs, ours, steps = (np.array(each, float) for each in zip(*errors, strict=True))
     gain, error = compared(theirs, ours, steps.astype(int).tolist())
     own, other = (float(each @ steps / steps.sum()) for each in (ours, theirs))
     used = FIT if gain > error else ENSEMBLE
-    return FreeMode(used, len(found), own, other, gain, error if np.isfinite(error) else None)
+    return FreeMode(used, len(errors), own, other, gain, error if np.isfinite(error) else None)

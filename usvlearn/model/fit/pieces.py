@@ -43,12 +43,12 @@ def cut(missions: Mapping[str, np.ndarray], top: float, dt: float) -> Missions:
 
 def moved(rows: np.ndarray, steps: int) -> np.ndarray:
     """Prepared samples whose measured speeds are earlier by some steps; a speed that has no place is left out."""
-    found, places = rows.copy(), np.arange(len(rows)) + steps
+    shifted, places = rows.copy(), np.arange(len(rows)) + steps
     source = rows[places.clip(0, len(rows) - 1)]
-    measured, made = (source[:, MODE] == LEARN) & (places >= 0) & (places < len(rows)), rows[:, MODE] >= PREDICT
-    found[measured, SURGE] = source[measured, SURGE]
-    found[made, MODE] = np.where(measured[made], LEARN, PREDICT)
-    return found
+    measured, stepped = (source[:, MODE] == LEARN) & (places >= 0) & (places < len(rows)), rows[:, MODE] >= PREDICT
+    shifted[measured, SURGE] = source[measured, SURGE]
+    shifted[stepped, MODE] = np.where(measured[stepped], LEARN, PREDICT)
+    return shifted
 
 
 def late(missions: Missions) -> tuple[Missions, int]:

@@ -63,8 +63,8 @@ class CurvedAhead(Ahead):
 
     def _drag_curve(self, speed) -> np.ndarray:
         """What the nodes of drag add to the force at v ≥ 0, m/s²."""
-        found: np.ndarray = (hats(np.abs(speed) / self.top, DRAG_NODES) * self.drag_nodes).sum(-1)
-        return found
+        added: np.ndarray = (hats(np.abs(speed) / self.top, DRAG_NODES) * self.drag_nodes).sum(-1)
+        return added
 
     def motion(self, speed, command):
         """dv/dt, m/s², and its derivative by the speed, 1/s, as in `Ahead`."""
@@ -101,37 +101,37 @@ class CurvedAhead(Ahead):
         with np.errstate(all="ignore"):
             root = np.sqrt(c1 * c1 - 4 * c2 * c0)
             falling = np.where(c1 > 0, (-c1 - root) / (2 * c2), 2 * c0 / (root - c1))  # where the balance falls
-            found = np.where((falling >= starts) & (falling <= ends), falling, np.inf).min(-1)
-        return np.where(np.isfinite(found), np.sign(push) * found, np.nan)
+            crossing = np.where((falling >= starts) & (falling <= ends), falling, np.inf).min(-1)
+        return np.where(np.isfinite(crossing), np.sign(push) * crossing, np.nan)
 
 
 def quantities(theta: np.ndarray, top: float, mass: float) -> dict[str, np.ndarray]:
     """All quantities, `(...)` each, of θ by `terms.NAMES`, `(..., parameters)`; NaN where it determines none."""
     boat, along = CurvedAhead(theta, top), CurvedAhead(theta[..., None, :], top)
-    found: dict[str, np.ndarray] = {}
+    values: dict[str, np.ndarray] = {}
     share = np.linspace(0.0, 1.0, GRID)
     paper = np.linalg.pinv(np.stack([share * share, share], -1))  # of the two terms of the paper
     with np.errstate(all="ignore"):
         fastest = np.abs(boat.steady_speed(1.0))
         over = np.where(np.isfinite(fastest), fastest, top)
         quadratic, linear = np.moveaxis(-along.drag(over[..., None] * share) @ paper.T, -1, 0)
-        found |= {"drag_quadratic": quadratic / over**2, "drag_linear": linear / over}
-        found["drag_cross"] = theta[..., AT["drag_cross"]]
+        values |= {"drag_quadratic": quadratic / over**2, "drag_linear": linear / over}
+        values["drag_cross"] = theta[..., AT["drag_cross"]]
         for side in SIDES:
             quadratic, linear = np.moveaxis(along.thrust(share, side) @ paper.T, -1, 0)
-            found |= {f"thrust_linear_{side}": linear, f"thrust_quadratic_{side}": quadratic}
-            found[f"thrust_speed_{side}"] = boat.sums[f"thrust_speed_{side}"]
-            found[f"thrust_full_{side}"] = boat.thrust(1.0, side)
-        found["drag_half_speed"] = boat.drag(fastest / 2)
-        found = {name: mass * value for name, value in found.items()}
-        found |= {f"steady_speed_{name}": boat.steady_speed(command) for name, command in COMMANDS.items()}
+            values |= {f"thrust_linear_{side}": linear, f"thrust_quadratic_{side}": quadratic}
+            values[f"thrust_speed_{side}"] = boat.sums[f"thrust_speed_{side}"]
+            values[f"thrust_full_{side}"] = boat.thrust(1.0, side)
+        values["drag_half_speed"] = boat.drag(fastest / 2)
+        values = {name: mass * value for name, value in values.items()}
+        values |= {f"steady_speed_{name}": boat.steady_speed(command) for name, command in COMMANDS.items()}
         step = NEAR * fastest
         slope = (boat.drag(fastest / 2 + step) - boat.drag(fastest / 2 - step)) / (2 * step) - boat.lift / 2
-        found["time_constant"] = np.where(slope > 0, 1 / slope, np.nan)
+        values["time_constant"] = np.where(slope > 0, 1 / slope, np.nan)
         coasts = (COAST + (1 - COAST) * share) * fastest[..., None]
-        found["stopping_distance"] = np.trapezoid(coasts / along.drag(coasts), coasts)
-        found["thrust_ratio"] = found["thrust_full_left"] / found["thrust_full_right"]
-    return found
+        values["stopping_distance"] = np.trapezoid(coasts / along.drag(coasts), coasts)
+        values["thrust_ratio"] = values["thrust_full_left"] / values["thrust_full_right"]
+    return values
 
 
 def hats(x: np.ndarray, nodes: np.ndarray) -> np.ndarray:
@@ -139,8 +139,8 @@ def hats(x: np.ndarray, nodes: np.ndarray) -> np.ndarray:
     x = np.asarray(x, float)[..., None] / nodes[0]
     places = np.arange(1, len(nodes) + 1)
     beyond = np.maximum(x - len(nodes), 0.0)
-    found = np.clip(1 - np.abs(np.minimum(x, len(nodes)) - places), 0.0, 1.0)
-    return found + beyond * (places == len(nodes)) - beyond * (places == len(nodes) - 1)
+    weights = np.clip(1 - np.abs(np.minimum(x, len(nodes)) - places), 0.0, 1.0)
+    return weights + beyond * (places == len(nodes)) - beyond * (places == len(nodes) - 1)
 
 
 def hat_slopes(x: np.ndarray, nodes: np.ndarray) -> np.ndarray:

@@ -22,38 +22,38 @@ MAIN = (
 )  # fmt: skip  # what is shown first
 
 
-def tables(found: Fitted, online: Identified | None, whole: bool = True) -> list[RenderableType]:
+def tables(fitted: Fitted, online: Identified | None, whole: bool = True) -> list[RenderableType]:
     """The quantities beside those learned online, the sets of terms, and what they mean; not `whole`: the main ones."""
-    use = "" if found.doubts else " (use)"
+    use = "" if fitted.doubts else " (use)"
     beside = (["online", "from", "to"] if whole else ["online"]) if online is not None else []
     table = Blocks(
-        f"{found.boat}: fitted to all missions, with 90 % intervals", ["quantity"],
+        f"{fitted.boat}: fitted to all missions, with 90 % intervals", ["quantity"],
         [f"fit{use}", "from", "to", *beside, "unit"],
     )  # fmt: skip
-    for name in found.quantities if whole else (each for each in MAIN if each in found.quantities):
-        own = online.displayed(name)[:3] if online is not None and name in online else (math.nan,) * 3
-        cells = [*found.found.displayed(name)[:3], *own[: len(beside)]]
-        table.add(name, *map(shown, cells), found.quantities[name].unit)
-    many = "1 mission errs" if found.missions.number == 1 else f"{found.missions.number} missions err"
-    doubts = ["Do not use the values of the fit before this is settled:", *found.doubts] if found.doubts else [USE]
-    lacks = [each for each in found.found.lacks if each not in found.doubts]
+    for name in fitted.quantities if whole else (each for each in MAIN if each in fitted.quantities):
+        learned = online.displayed(name)[:3] if online is not None and name in online else (math.nan,) * 3
+        cells = [*fitted.found.displayed(name)[:3], *learned[: len(beside)]]
+        table.add(name, *map(shown, cells), fitted.quantities[name].unit)
+    many = "1 mission errs" if fitted.missions.number == 1 else f"{fitted.missions.number} missions err"
+    doubts = ["Do not use the values of the fit before this is settled:", *fitted.doubts] if fitted.doubts else [USE]
+    lacks = [each for each in fitted.found.lacks if each not in fitted.doubts]
     if not whole:
         return [table, *map(Text, [*doubts, *lacks[:FEW]]), *[Text(MORE)] * (len(lacks) > FEW)]
     sets = Blocks(
         "Terms, by their loss on missions that they have not learned", ["set"], ["parameters", "worse by", "±", "MAE"]
     )
-    for name, score in found.scores.items():
+    for name, score in fitted.scores.items():
         worse, error = (f"{x:.4f}" if math.isfinite(x) else "–" for x in (0.0 - score.gain, score.error))
-        used = f"{name} (used)" if name == found.chosen else name
-        worse, error = ("–", "–") if name == found.chosen else (worse, error)
-        sets.add(used, str(len(found.fits[name].known.active)), worse, error, f"{found.errors[name]:.4f}")
+        used = f"{name} (used)" if name == fitted.chosen else name
+        worse, error = ("–", "–") if name == fitted.chosen else (worse, error)
+        sets.add(used, str(len(fitted.fits[name].known.active)), worse, error, f"{fitted.errors[name]:.4f}")
     lines = [
         MEANING,
         MEANING_OF_FIT,
         *doubts,
-        f"In open loop, {many} by {found.errors[found.chosen]:.4f} m/s; speeds are {found.found.late:.1f} s late.",
-        *([] if found.simulation is None else [found.simulation.sentence]),
-        found.found.scale,
+        f"In open loop, {many} by {fitted.errors[fitted.chosen]:.4f} m/s; speeds are {fitted.found.late:.1f} s late.",
+        *([] if fitted.simulation is None else [fitted.simulation.sentence]),
+        fitted.found.scale,
         *lacks,
     ]
     return [table, Text(), sets, *map(Text, lines)]

@@ -50,9 +50,9 @@ SETS: Mapping[str, tuple[str, ...]] = {
 
 def by_name(names: Sequence[str], values: np.ndarray) -> np.ndarray:
     """All parameters, `(..., parameters)`, of some with their names, `(..., m)`; the others are 0."""
-    found = np.zeros((*values.shape[:-1], len(NAMES)))
-    found[..., [AT[name] for name in names]] = values
-    return found
+    theta = np.zeros((*values.shape[:-1], len(NAMES)))
+    theta[..., [AT[name] for name in names]] = values
+    return theta
 
 
 SETTLES = 2.5  # s, time constant of the prior's boat
@@ -81,17 +81,17 @@ def prior(terms: str, top: float) -> Prior:
     linear, quadratic = -0.5 / SETTLES, -0.25 / (SETTLES * top)
     full = 0.5 * (abs(linear) * top + abs(quadratic) * top**2)  # thrust of a side, m/s²
     mean, deviation = np.zeros(len(NAMES)), np.zeros(len(NAMES))
-    own = {"drag_quadratic": 0.5 / top, "drag_linear": 0.4, "drag_cross": 0.3, "drag_even": ASYMMETRY * 0.5 / top,
+    typical = {"drag_quadratic": 0.5 / top, "drag_linear": 0.4, "drag_cross": 0.3, "drag_even": ASYMMETRY * 0.5 / top,
            LAG: LAG_DEVIATION, TIME_CONSTANT: TIME_DEVIATION}  # fmt: skip
     mean[AT["drag_quadratic"]], mean[AT["drag_linear"]] = quadratic, linear
     mean[PLACE_TIME] = AT_ONCE
     for side in SIDES:
         mean[AT[f"thrust_linear_{side}"]] = mean[AT[f"thrust_quadratic_{side}"]] = full / 2
-        own |= {f"thrust_{kind}_{side}": full for kind in ("linear", "quadratic", "cubic")}
-        own |= {f"thrust_speed_{side}": SPEED_SHARE * full / top}
-        own |= {f"thrust_even_{kind}_{side}": ASYMMETRY * full for kind in ("linear", "quadratic")}
-        own |= {f"thrust_even_speed_{side}": ASYMMETRY * full / top}
-    for name, value in own.items():
+        typical |= {f"thrust_{kind}_{side}": full for kind in ("linear", "quadratic", "cubic")}
+        typical |= {f"thrust_speed_{side}": SPEED_SHARE * full / top}
+        typical |= {f"thrust_even_{kind}_{side}": ASYMMETRY * full for kind in ("linear", "quadratic")}
+        typical |= {f"thrust_even_speed_{side}": ASYMMETRY * full / top}
+    for name, value in typical.items():
         deviation[AT[name]] = value
     covariance = np.diag(deviation**2)
     thrust = THRUST_SHARE * full

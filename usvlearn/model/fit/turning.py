@@ -62,10 +62,10 @@ def natural(theta: np.ndarray) -> np.ndarray:
 
 def prepared(rows: np.ndarray, top: float, current: Sequence[float] | np.ndarray = (0.0, 0.0)) -> np.ndarray:
     """A mission of `logs.missions_of` as the kernel reads it, without its current, m/s north and east."""
-    found = rows.copy()
+    table = rows.copy()
     last = np.maximum.accumulate((rows[:, MODE] == LEARN) * np.arange(len(rows)))
-    found[:, SURGE] = (rows[last, SURGE] - rows[:, COS] * current[0] - rows[:, SIN] * current[1]) / top
-    return found
+    table[:, SURGE] = (rows[last, SURGE] - rows[:, COS] * current[0] - rows[:, SIN] * current[1]) / top
+    return table
 
 
 def evaluate(theta: np.ndarray, pieces: Sequence[np.ndarray]) -> Fit:
@@ -84,38 +84,38 @@ def fitted(missions: Iterable[np.ndarray], start: np.ndarray = MEAN) -> Fit:
     """The fit to some missions of `prepared`."""
     pieces = [part for rows in missions for part in np.array_split(rows, max(round(len(rows) * GRID / SECONDS), 1))]
     pieces = [pieces[k] for k in np.unique(np.linspace(0, len(pieces) - 1, MOST).astype(int))]
-    found = evaluate(start, pieces)
+    fit = evaluate(start, pieces)
     for _ in range(STEPS):
-        move = -found.covariance @ (found.score.sum(0) + KNOWN.information @ (found.theta - MEAN))
-        trials = (evaluate(found.theta + 0.5**k * move, pieces) for k in range(SHORTEST))
-        better = next((each for each in trials if each.total < found.total), found)
-        gain, found = found.total - better.total, better
+        move = -fit.covariance @ (fit.score.sum(0) + KNOWN.information @ (fit.theta - MEAN))
+        trials = (evaluate(fit.theta + 0.5**k * move, pieces) for k in range(SHORTEST))
+        better = next((each for each in trials if each.total < fit.total), fit)
+        gain, fit = fit.total - better.total, better
         if gain < TOLERANCE:
             break
-    return found
+    return fit
 
 
 def first_fit(missions: Mapping[str, np.ndarray], top: float) -> tuple[dict[str, np.ndarray], Fit | None]:
     """The missions with E|r| in place of slopes of headings, and the fit to speeds over ground; None: no headings."""
     if not all(rows.shape[1] > ROW for rows in missions.values()):
         return dict(missions), None
-    fit, found, m = fitted(prepared(rows, top) for rows in missions.values()), {}, at.PARAMETERS
+    fit, by_name, m = fitted(prepared(rows, top) for rows in missions.values()), {}, at.PARAMETERS
     for name, rows in missions.items():
-        r, found[name] = np.zeros((len(rows), 2)), rows.copy()
+        r, by_name[name] = np.zeros((len(rows), 2)), rows.copy()
         at.turned(prepared(rows, top), natural(fit.theta), np.zeros(m), np.zeros((m, m)), r, np.zeros((12, m)))
         use = (rows[:, MODE] >= PREDICT) & np.isfinite(r[:, 0]) & np.isnan(rows[:, at.RATE])
         size, wide = np.abs(r[use, 0]), np.sqrt(2 * r[use, 1])
         erf = np.array([math.erf(x) for x in size / wide])
         expected = wide / math.sqrt(math.pi) * np.exp(-((size / wide) ** 2)) + size * erf
-        found[name][use, YAW_RATE] = np.copysign(expected, r[use, 0])
-    return found, fit
+        by_name[name][use, YAW_RATE] = np.copysign(expected, r[use, 0])
+    return by_name, fit
 
 
 def push(p: np.ndarray, xi: np.ndarray, u: np.ndarray | float) -> np.ndarray:
     """τ of (1) of the kernel, rad/s², of commands at speeds u over the top speed; p is `(m, …)`."""
     c = np.maximum(np.abs(xi) - p[at.DEAD], 0.0) / (1 - p[at.DEAD])
-    found: np.ndarray = np.where(xi > 0, c, -p[at.ASTERN] * c) * (p[at.K1] + p[at.LOSS] * u + p[at.K2] * c)
-    return found
+    moment: np.ndarray = np.where(xi > 0, c, -p[at.ASTERN] * c) * (p[at.K1] + p[at.LOSS] * u + p[at.K2] * c)
+    return moment
 
 
 def rate(p: np.ndarray, left: np.ndarray, right: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -165,7 +165,7 @@ def quantities(theta: np.ndarray, boat: FittedBoat, faster: np.ndarray) -> dict[
 def with_turning(boat: FittedBoat, fit: Fit, missions: Sequence[np.ndarray] = ()) -> FittedBoat:
     """The fitted boat with the quantities of turning behind those of the surge; NaN if it hardly turned."""
     m, steps, P, lag = at.PARAMETERS, STEP * np.diag(DEVIATION), spread(fit), natural(fit.theta)[at.LAG]
-    found, vague = {}, False
+    known, vague = {}, False
     shifted = fit.theta + np.concatenate([np.zeros((1, m)), steps, -steps, np.zeros((1, m))])
     for name, values in quantities(shifted, boat, STEP * (np.arange(2 * m + 2) > 2 * m)).items():
         value, command = float(values[0]), name.rpartition("_")[2]
@@ -174,19 +174,19 @@ def with_turning(boat: FittedBoat, fit: Fit, missions: Sequence[np.ndarray] = ()
             speed = boat[f"steady_speed_{command}"]
             error = math.hypot(error, (speed.high - speed.low) / (2 * NINETY * speed.value))
         variance = float(slopes @ P @ slopes) + ((values[-1] - value) / STEP * error) ** 2
-        own = OWN_ERROR[name] + (SWAPPED * (lag / value) ** 2 if "constant" in name else 0.0)
-        found[name] = on_log_scale(value, variance, own, QUANTITIES[name])
+        model_error = OWN_ERROR[name] + (SWAPPED * (lag / value) ** 2 if "constant" in name else 0.0)
+        known[name] = on_log_scale(value, variance, model_error, QUANTITIES[name])
         vague |= name == TOLD and not variance < (VAGUE * value) ** 2
     if vague:
-        found = {name: on_log_scale(math.nan, 0.0, 0.0, unit) for name, unit in QUANTITIES.items()}
-    boat, dead = joined(boat, found, (HARDLY,) if vague else ()), natural(fit.theta)[at.DEAD]
+        known = {name: on_log_scale(math.nan, 0.0, 0.0, unit) for name, unit in QUANTITIES.items()}
+    boat, dead = joined(boat, known, (HARDLY,) if vague else ()), natural(fit.theta)[at.DEAD]
     for name, place, value, errors, most in (
         ("thrust_lag", at.LAG, lag, OWN_LAG, VAGUE_LAG), ("dead_zone", at.DEAD, dead, OWN_DEAD, VAGUE_DEAD),
     ):  # fmt: skip
         half = NINETY * math.hypot(value * math.sqrt(P[place, place]), errors[0], errors[1] * value)
         value = math.nan if vague or not half < most else float(value)
-        found[name] = Quantity(value, max(value - half, 0.0), value + half, OF_FIT[name])
+        known[name] = Quantity(value, max(value - half, 0.0), value + half, OF_FIT[name])
     lacks = (NO_DEAD,) if math.isnan(value) else ()
-    own_quantities = {name: found[name] for name in ("thrust_lag", "dead_zone")}
+    own_quantities = {name: known[name] for name in ("thrust_lag", "dead_zone")}
     turning = None if vague else Turning(fit.theta, P, explained(fit, missions))
     return replace(boat, quantities=boat.quantities | own_quantities, lacks=(*boat.lacks, *lacks), turning=turning)

@@ -98,8 +98,8 @@ class Expected:
         return self._widths(np.linalg.inv(np.linalg.inv(C) + times * H), 0.0, share)
 
     def _widths(self, C: np.ndarray, beyond: float, share: float) -> Widths:
-        found = variances(self._values, self._slopes, self._differ, beyond, C)
-        widths = {name: NINETY * math.sqrt(x) / max(abs(float(self._values[name])), 1e-9) for name, x in found.items()}
+        sigma2 = variances(self._values, self._slopes, self._differ, beyond, C)
+        widths = {name: NINETY * math.sqrt(x) / max(abs(float(self._values[name])), 1e-9) for name, x in sigma2.items()}
         for name in PURPOSES[TURNING]:  # on the log scale
             each = self.fitted.quantities.get(name)
             known = each is not None and each.low > 0
@@ -119,7 +119,7 @@ def verdicts(
         yield f"good for  nothing yet: {error}"
         return
     for boat in fleet.boats:
-        own = [each for each in findings if each.boat == boat]
+        of_boat = [each for each in findings if each.boat == boat]
         try:
             rows = missions_of(fleet, boat)
             doing(f"fitting {boat}")
@@ -127,10 +127,10 @@ def verdicts(
         except (ValueError, ArithmeticError) as error:
             yield f"{printable(boat)}: good for nothing yet: {error}"
             continue
-        said = f"{len(own)} finding{'s' * (len(own) > 1)}" if own else "ok"
+        said = f"{len(of_boat)} finding{'s' * (len(of_boat) > 1)}" if of_boat else "ok"
         said += f"; unsure: {', '.join(unsure)}" if unsure else ""
         yield f"{printable(boat)}: {expected.hours:.2f} h in {len(rows)} run{'s' * (len(rows) > 1)}; data check: {said}"
-        against = [each.sentence() for each in own if each.severity == WARNING] or expected.fitted.doubts
+        against = [each.sentence() for each in of_boat if each.severity == WARNING] or expected.fitted.doubts
         if against:
             yield f"good for  nothing before this is settled: {printable(against[0])}"
         else:
@@ -138,13 +138,13 @@ def verdicts(
 
 
 def _told(expected: Expected, channels: Mapping[str, Any]) -> Iterator[str]:
-    now, found = expected.after(0.0), expected.fitted.found
+    now, identified = expected.after(0.0), expected.fitted.found
     purposes = [each for each in PURPOSES if not (expected.one_command and each in (SIDES, TURNING))]
     words = {each: _width(now, each) for each in purposes}
     bad = [each for each in purposes if not _served(now, each)]
     few = f"commands up to {100 - 100 * expected.beyond:.0f} %" if expected.beyond > BEYOND else "too short"
     why: dict[str, str] = {SIDES: "turns too little", TURNING: "turns too little"}
-    top = f"{SPEED} {shown(found['steady_speed_full'].value)} m/s {words[SPEED]}"
+    top = f"{SPEED} {shown(identified['steady_speed_full'].value)} m/s {words[SPEED]}"
     good = [top if each == SPEED else each for each in purposes if each not in bad]
     yield f"good for  {', '.join(good) or 'nothing yet'}"
     if bad:
@@ -154,7 +154,7 @@ def _told(expected: Expected, channels: Mapping[str, Any]) -> Iterator[str]:
     said = ["one command for both sides"] * expected.one_command
     said.append(f"{' and '.join(back)} reversed" if back else "positive ahead")
     dead, compass, current = (
-        found.displayed(each).value if each in found else math.nan
+        identified.displayed(each).value if each in identified else math.nan
         for each in ("dead_zone", "compass_offset", "current")
     )
     compass = np.nan_to_num(compass) + ((channels.get("heading") or {}).get("zero") or 0.0)
@@ -163,9 +163,9 @@ def _told(expected: Expected, channels: Mapping[str, Any]) -> Iterator[str]:
     said += [f"current {current:.2f} m/s"] if math.isfinite(current) else []
     yield f"found     {', '.join(said)}"
     if bad:
-        told = [each for each in bad if words[each] != UNKNOWN]  # of others a first manoeuvre tells how many
-        hours = next((x for x in HOURS if told == bad and _served(expected.after(x), *bad)), None)
-        times = next((x for x in TIMES if _served(expected.after_manoeuvres(x), *told)), None)
+        known = [each for each in bad if words[each] != UNKNOWN]  # of others a first manoeuvre tells how many
+        hours = next((x for x in HOURS if known == bad and _served(expected.after(x), *bad)), None)
+        times = next((x for x in TIMES if _served(expected.after_manoeuvres(x), *known)), None)
         sailing = f"about {f'{hours:g} h' if hours and hours >= 1 else f'{60 * (hours or 0):.0f} min'} of such sailing"
         manoeuvre = f"{MINUTES * (times or 1)} min of the test manoeuvre"
         if hours is None:

@@ -60,14 +60,14 @@ def worn(missions: Missions, fit: Fit, deviation: float) -> tuple[Fit, np.ndarra
     theta = fit.theta.copy()
     theta[known.active] += z[:m]
     said = (np.linalg.inv(covariance) - known.information) / pieces  # by all, of the last stretch's boat
-    found = replace(
+    adapted = replace(
         fit,
         theta=legal(theta, known, covariance),
         score=score,
         information=np.tile(said, (pieces, 1, 1)),
         by_mission=each,
     )
-    return found, losses / np.maximum(missions.steps, 1)
+    return adapted, losses / np.maximum(missions.steps, 1)
 
 
 def columns(fit: Fit) -> np.ndarray:
@@ -75,5 +75,5 @@ def columns(fit: Fit) -> np.ndarray:
     names = [NAMES[place] for place in fit.known.active]
     kinds = [[name.startswith("thrust_") and f"_{side}" in name for name in names] for side in SIDES]
     kinds.append([name.startswith("drag_") for name in names])
-    found: np.ndarray = (np.array(kinds) * fit.theta[fit.known.active]).T
-    return found
+    matrix: np.ndarray = (np.array(kinds) * fit.theta[fit.known.active]).T
+    return matrix

@@ -44,13 +44,13 @@ class Rehearsal:
     """Rehearses courses from the state of a boat's averaged joint EKF; a ConfigError without one."""
 
     def __init__(self, members: Mapping[str, Mapping[str, Any] | None], leaves: Mapping[str, np.ndarray]):
-        description, own = reader_leaves(members, leaves)
+        description, read = reader_leaves(members, leaves)
         self.description = select_element(description, 1, 0)
         self._plan = program_for(self.description, (), np.dtype(float))
         self._node = self._plan.program[1]
-        self._state = self._plan.pack({key: leaf.astype(float) for key, leaf in own.items()})
-        self.current: np.ndarray = own["mean"][NORTH:THETA].astype(float)  # (2,) north and east, m/s
-        self.found = identify(self.description, own)
+        self._state = self._plan.pack({key: leaf.astype(float) for key, leaf in read.items()})
+        self.current: np.ndarray = read["mean"][NORTH:THETA].astype(float)  # (2,) north and east, m/s
+        self.found = identify(self.description, read)
 
     def __call__(self, rows: np.ndarray) -> Rehearsed:
         """What is expected after a course, `(steps, ROW)`, which starts at rest; the state stays as it was."""
@@ -66,12 +66,12 @@ class Rehearsal:
 
     def by_part(self, rows: np.ndarray, ends: np.ndarray) -> list[Rehearsed]:
         """What is expected after each part of a course, `(steps, ROW)`; `ends` are the steps behind the parts."""
-        state, found, first = self._state.copy(), [], 0
+        state, rehearsed, first = self._state.copy(), [], 0
         for last in ends.tolist():
             speed = self._advanced(state, rows[first:last], begin=first == 0)
-            found.append(Rehearsed(self._identified(state), speed))
+            rehearsed.append(Rehearsed(self._identified(state), speed))
             first = last
-        return found
+        return rehearsed
 
     def _advanced(self, state: np.ndarray, rows: np.ndarray, begin: bool) -> np.ndarray:
         speed, work = np.empty(len(rows)), np.empty(self._plan.work)
@@ -134,24 +134,24 @@ class BestCourse(NamedTuple):
     path: np.ndarray  # (steps, 2) m north and east of the start
 
 
-def wide(found: Identified, one_command: bool = False) -> list[str]:
+def wide(identified: Identified, one_command: bool = False) -> list[str]:
     """Those of `derived` that are not well determined."""
     return [
         name
-        for name in derived(found, one_command)
-        if not found[name].high - found[name].low < 2 * WELL * abs(found[name].value)
+        for name in derived(identified, one_command)
+        if not identified[name].high - identified[name].low < 2 * WELL * abs(identified[name].value)
     ]
 
 
-def derived(found: Identified, one_command: bool = False) -> list[str]:
+def derived(identified: Identified, one_command: bool = False) -> list[str]:
     """All quantities of the surge but the single parameters, and with one command those that tell the sides apart."""
-    names = [name for name in found if name in QUANTITIES and name not in SURGE]
+    names = [name for name in identified if name in QUANTITIES and name not in SURGE]
     return [name for name in names if not (one_command and tells_sides(name))]
 
 
-def log_width(found: Identified, aims: Sequence[str]) -> float:
+def log_width(identified: Identified, aims: Sequence[str]) -> float:
     """The mean logarithm of the widths of some intervals."""
-    widths = [found[name].high - found[name].low for name in aims]
+    widths = [identified[name].high - identified[name].low for name in aims]
     return float(np.mean([math.log(x) if 0 < x < math.inf else NOTHING for x in widths]))
 
 
@@ -175,23 +175,23 @@ def search(rehearsal: Rehearsal, limits: Limits, dt: float, aims: Sequence[str],
             before = cost
             for k in rng.permutation(n):
                 for row, options in ((places, range(len(levels))), (quarters, range(4))):
-                    kept = row[k]
+                    chosen = row[k]
                     for option in options:
                         row[k] = option
-                        if option != kept and (other := tried(places, quarters)) < cost:
-                            cost, kept = other, option
-                    row[k] = kept
+                        if option != chosen and (other := tried(places, quarters)) < cost:
+                            cost, chosen = other, option
+                    row[k] = chosen
             if not cost < before:  # a local optimum
                 break
         return cost, places, quarters
 
-    found = [
+    starts = [
         improved(np.resize(np.minimum(pattern, len(levels) - 1), n), np.resize([0, 0, 2, 2, 1, 1, 3, 3], n))
         for pattern in STARTS.values()
     ]
-    if all(cost[0] > 0 for cost, *_ in found):
-        found.append(improved(*_near_the_start(rehearsal, limits, dt, levels)))
-    _, places, quarters = min(found, key=lambda each: each[0])
+    if all(cost[0] > 0 for cost, *_ in starts):
+        starts.append(improved(*_near_the_start(rehearsal, limits, dt, levels)))
+    _, places, quarters = min(starts, key=lambda each: each[0])
     course = planned(levels[places], quarters, limits, dt)
     expected = rehearsal(course.rows)
     path = course.path(expected.speed, rehearsal.current)

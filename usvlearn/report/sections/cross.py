@@ -37,15 +37,15 @@ def cross_section(
     subtitles, rows, remarks = {}, [], dict(remarks or {})
     remarks |= {name: SEES for name in errors[seasons[0].boat].methods if name.endswith("+")}
     for season in seasons:
-        found, others = errors[season.boat], season.others & (errors[season.boat].steps > 0)
+        free, others = errors[season.boat], season.others & (errors[season.boat].steps > 0)
         boxes[season.boat] = {
-            name: box(found.mae[..., k][others], int(found.diverged[..., k][others].sum()))
-            for k, name in enumerate(found.methods)
+            name: box(free.mae[..., k][others], int(free.diverged[..., k][others].sum()))
+            for k, name in enumerate(free.methods)
         }
         subtitles[season.boat] = f"{len(season.own)} checkpoints × {len(season.runs)} runs"
         for name in by_error({name: each and each.mean for name, each in boxes[season.boat].items()}):
             if (each := boxes[season.boat][name]) is not None:
-                later = found.mae[..., found.methods.index(name)][season.later & (found.steps > 0)]
+                later = free.mae[..., free.methods.index(name)][season.later & (free.steps > 0)]
                 rows.append((season.boat, name, each.median, each.mean, each.lower, each.upper, each.low, each.high,
                              each.outliers, each.diverged, each.number,
                              float(np.median(later)) if len(later) else None,
@@ -124,8 +124,8 @@ def best_checkpoints(seasons: Sequence[Season], errors: Mapping[str, FreeErrors]
     """Each boat's checkpoint with the least MSE on its other runs, by steps; its last without another run."""
     chosen = []
     for season in seasons:
-        found = errors[season.boat]
-        mse = found.pooled(found.mse, season.others)[:, found.methods.index(method)]
+        free = errors[season.boat]
+        mse = free.pooled(free.mse, season.others)[:, free.methods.index(method)]
         chosen.append(int(np.nanargmin(mse)) if np.isfinite(mse).any() else len(mse) - 1)
     return chosen
 
@@ -145,11 +145,11 @@ def fleet_section(
     here: list[str] = []
     rows: list[tuple[str | float, ...]] = []
     for name, matrix in matrices.items():
-        own = sum(int(np.nanargmin(matrix[:, k]) == k) for k in range(len(boats)) if np.isfinite(matrix[:, k]).any())
+        count = sum(int(np.nanargmin(matrix[:, k]) == k) for k in range(len(boats)) if np.isfinite(matrix[:, k]).any())
         away = matrix[~np.eye(len(boats), dtype=bool)]
         ratio = np.nanmean(away) / np.nanmean(np.diag(matrix))
         here.append(
-            f"{name}: {on(own, len(boats))} the boat's own checkpoint is the best; on average another boat's "
+            f"{name}: {on(count, len(boats))} the boat's own checkpoint is the best; on average another boat's "
             f"checkpoint has {ratio:.2f} × the MSE of the own checkpoint."
         )
         for boat, row, hours in zip(boats, matrix, best[name], strict=True):

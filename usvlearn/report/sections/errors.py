@@ -57,8 +57,8 @@ def online_section(
         rest = hours, float(np.nanmean(surge))
         for name in by_error({name: row["mae"] for name, row in table.items()}):
             row, remark = table[name], (remarks or {}).get(name, "")
-            found = *(row.get(column) for column in COLUMNS), row["steps"], row["diverged"]
-            rows.append((season.boat, name, *found, *rest, remark))
+            cells = *(row.get(column) for column in COLUMNS), row["steps"], row["diverged"]
+            rows.append((season.boat, name, *cells, *rest, remark))
     if not rows:
         here = ["The runs that were given were not replayed in these folders, so that there are no online predictions."]
         return Section("online", "Online prediction error", PAPER_RESULT, here)
@@ -106,12 +106,12 @@ def _findings(maes: dict[str, dict[str, float]]) -> list[str]:
 
 def residual_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | None:
     """The autocorrelation of the errors of the combiner that predicts; None if no run was replayed."""
-    column, found, here, uneven = ensemble.names.index(ensemble.output), {}, [], False
+    column, correlations, here, uneven = ensemble.names.index(ensemble.output), {}, [], False
     for season in seasons:
         runs = [run for run in season.runs if run.published]
         if not runs or np.isnan((each := autocorrelation_of_runs(runs, column, LAGS)).values[0]):
             continue
-        found[season.boat] = each
+        correlations[season.boat] = each
         beyond = np.abs(each.values) > each.bounds
         here.append(
             f"{season.boat}, {ensemble.output}: {each.values[0]:.2f} at a lag of 1 step; {int(beyond.sum())} of {LAGS} "
@@ -119,7 +119,7 @@ def residual_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section |
         )
         lengths = np.concatenate([run.samples.inputs.dt[run.steps] for run in runs])
         uneven = uneven or bool(lengths.std() > UNEVEN * lengths.mean())
-    if not found:
+    if not correlations:
         return None
     here.append(
         "The bounds hold 99 % of the values if errors do not depend on each other. Values beyond them mean that there "
@@ -133,11 +133,11 @@ def residual_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section |
     )
     rows = [
         (boat, lag, float(value), float(bound), int(pairs))
-        for boat, each in found.items()
+        for boat, each in correlations.items()
         for lag, (value, bound, pairs) in enumerate(zip(each.values, each.bounds, each.pairs, strict=True), 1)
     ]
     columns = ("boat", "lag, steps", "autocorrelation", "99 % bound", "pairs")
-    drawn = Drawn("residuals", residual_figure(found, ensemble.output), caption)
+    drawn = Drawn("residuals", residual_figure(correlations, ensemble.output), caption)
     table = ResultTable("residuals", columns, rows)
     return Section("residuals", "Residuals: what is left in the errors", "", here, [drawn], [table])
 
@@ -147,12 +147,12 @@ def residual_figure(boats: Mapping[str, Autocorrelation], name: str):
     """A panel per boat: the autocorrelation against the lag, and the 99 % bounds."""
     colour = colours([name])[name]
     figure, panels = panels_of(len(boats), ACROSS, (2.9, 1.7), (1.2, 0.4))
-    for panel, (boat, found) in zip(panels, boats.items(), strict=False):
-        lags = np.arange(1, len(found.values) + 1)
-        panel.fill_between(lags, -found.bounds, found.bounds, color=INK, alpha=0.14, linewidth=0)
+    for panel, (boat, result) in zip(panels, boats.items(), strict=False):
+        lags = np.arange(1, len(result.values) + 1)
+        panel.fill_between(lags, -result.bounds, result.bounds, color=INK, alpha=0.14, linewidth=0)
         panel.axhline(0.0, color=INK, linewidth=0.8)
-        panel.vlines(lags, 0, found.values, color=colour, linewidth=2)
-        panel.plot(lags, found.values, ".", color=colour, markersize=5)
+        panel.vlines(lags, 0, result.values, color=colour, linewidth=2)
+        panel.plot(lags, result.values, ".", color=colour, markersize=5)
         panel.set(title=boat, xlabel="lag, steps")
         panel.grid(False, axis="x")
     return figure
@@ -162,10 +162,10 @@ def forecast_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section |
     """Errors of the forecasts that became due in all runs that were replayed; None of an ensemble without forecasts."""
     if ensemble.forecasts is None:
         return None
-    found: Scores = {}
+    scores: Scores = {}
     for season in seasons:
-        found |= _scores(season, ensemble)
-    if not found:
+        scores |= _scores(season, ensemble)
+    if not scores:
         return None
     rows = [
         (
@@ -180,7 +180,7 @@ def forecast_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section |
             row.get("interval"),
             row["steps"],
         )
-        for boat, table in found.items()
+        for boat, table in scores.items()
         for name, each in table.items()
         for horizon, row in each.items()
     ]
@@ -191,8 +191,8 @@ def forecast_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section |
         "Skill of forecasts, 1 − MAE/MAE(persistence), against the horizon. A forecast is made at its origin, from the "
         "measurements until then, and is given the commands, headings and yaw rates between. Dotted: persistence."
     )
-    drawn = [Drawn("forecast", forecast_figure(found), caption)]
-    here = _forecast_findings(found, ensemble.output)
+    drawn = [Drawn("forecast", forecast_figure(scores), caption)]
+    here = _forecast_findings(scores, ensemble.output)
     return Section("forecast", "Forecasts", "", here, drawn, [ResultTable("forecast", columns, rows)])
 
 
@@ -205,25 +205,25 @@ def _scores(season: Season, ensemble: Ensemble) -> Scores:
     return ensemble_scores(ensemble, fleet, published)
 
 
-def _forecast_findings(found: Scores, output: str) -> list[str]:
+def _forecast_findings(scores: Scores, output: str) -> list[str]:
     """What the figure shows, in words."""
-    horizons = list(next(iter(found.values()))[output])
-    skills = {h: [x for table in found.values() if (x := table[output][h]["skill"]) is not None] for h in horizons}
+    horizons = list(next(iter(scores.values()))[output])
+    skills = {h: [x for table in scores.values() if (x := table[output][h]["skill"]) is not None] for h in horizons}
     shown = ", ".join(f"{sum(each) / len(each):.2f} at {h} s" for h, each in skills.items() if each)
     here = [f"Skill of {output}, mean over boats: {shown}."]
     below = [
-        f"{boat} at {h} s" for boat, table in found.items() for h in horizons if (table[output][h]["skill"] or 0.0) < 0
+        f"{boat} at {h} s" for boat, table in scores.items() for h in horizons if (table[output][h]["skill"] or 0.0) < 0
     ]
     here.append(
         f"Worse than persistence: {', '.join(below)}." if below else "Better than persistence wherever it is judged."
     )
-    rows = [row for table in found.values() for row in table[output].values()]
+    rows = [row for table in scores.values() for row in table[output].values()]
     held = [share for row in rows if (share := row.get("covers")) is not None]
     if held:
         here.append(f"The intervals hold {100 * min(held):.0f} … {100 * max(held):.0f} % of the speeds (90 % asked).")
     for group, words in zip(GROUPS, ("stay", "move", "move much"), strict=True):
-        if own := [share for row in rows if (share := row.get(f"covers_{group}")) is not None]:
-            here.append(f"Where the commands {words}: {100 * min(own):.0f} … {100 * max(own):.0f} %.")
+        if shares := [share for row in rows if (share := row.get(f"covers_{group}")) is not None]:
+            here.append(f"Where the commands {words}: {100 * min(shares):.0f} … {100 * max(shares):.0f} %.")
     return here
 
 
@@ -289,19 +289,19 @@ def boxes_figure(
     return figure
 
 
-def _draw_box(panel, place: int, found: Box | None, colour: str, learning: bool, points: bool) -> None:
-    if found is None:
+def _draw_box(panel, place: int, box: Box | None, colour: str, learning: bool, points: bool) -> None:
+    if box is None:
         return
-    panel.plot([found.low, found.high], [place, place], color=colour, linewidth=1.1, solid_capstyle="butt")
-    wide = [found.lower, max(found.upper, found.lower * 1.01)]
+    panel.plot([box.low, box.high], [place, place], color=colour, linewidth=1.1, solid_capstyle="butt")
+    wide = [box.lower, max(box.upper, box.lower * 1.01)]
     panel.fill_between(
         wide, place - 0.33, place + 0.33, facecolor="none" if learning else colour, edgecolor=colour, linewidth=1.1
     )
-    panel.plot([found.median] * 2, [place - 0.33, place + 0.33], color=INK, linewidth=1.4)
-    panel.plot(found.mean, place, marker="D", markersize=3.2, color="white", markeredgecolor=INK, markeredgewidth=0.8)
-    if points and len(found.beyond):
+    panel.plot([box.median] * 2, [place - 0.33, place + 0.33], color=INK, linewidth=1.4)
+    panel.plot(box.mean, place, marker="D", markersize=3.2, color="white", markeredgecolor=INK, markeredgewidth=0.8)
+    if points and len(box.beyond):
         style = {"linestyle": "none", "marker": ".", "markersize": 2.2, "color": colour, "alpha": 0.5}
-        panel.plot(found.beyond, np.full(len(found.beyond), place), rasterized=len(found.beyond) > 500, **style)
-    if found.diverged:
+        panel.plot(box.beyond, np.full(len(box.beyond), place), rasterized=len(box.beyond) > 500, **style)
+    if box.diverged:
         at = {"xycoords": ("axes fraction", "data"), "fontsize": 7, "ha": "right", "va": "center"}
-        panel.annotate(f"{found.diverged} div.", (1.0, place), color=WORSE, **at)
+        panel.annotate(f"{box.diverged} div.", (1.0, place), color=WORSE, **at)

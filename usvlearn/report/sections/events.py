@@ -23,27 +23,27 @@ def events_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | N
     drawn: list[Drawn] = []
     for season in seasons:
         fleet, published = season.replayed
-        found = events(fleet, published, ensemble.accommodated)[season.boat]
+        seen = events(fleet, published, ensemble.accommodated)[season.boat]
         here += [
-            f"{season.boat}, {each['run']}, {each['time'] / 60:.1f} min: {event_of(each).sentence}." for each in found
+            f"{season.boat}, {each['run']}, {each['time'] / 60:.1f} min: {event_of(each).sentence}." for each in seen
         ]
         columns = ("run", "time", "kind", "side", "effectiveness", "low", "high", "given")
-        rows += [(season.boat, *(each[key] for key in columns), ", ".join(each["filters"])) for each in found]
-        if found and len(drawn) < MOST:
-            drawn.append(_drawn(season, ensemble, found))
+        rows += [(season.boat, *(each[key] for key in columns), ", ".join(each["filters"])) for each in seen]
+        if seen and len(drawn) < MOST:
+            drawn.append(_drawn(season, ensemble, seen))
     if not rows:
         return None
     heads = ("boat", "run", "time, s", "event", "side", "effectiveness", "from", "to", "given after, s", "filters")
     return Section("events", "Events: what changed", "", here, drawn, [ResultTable("events", heads, rows)])
 
 
-def _drawn(season: Season, ensemble: Ensemble, found: Sequence[dict]) -> Drawn:
+def _drawn(season: Season, ensemble: Ensemble, seen: Sequence[dict]) -> Drawn:
     """The figure of a boat's first event."""
-    name = found[0]["run"]
+    name = seen[0]["run"]
     run = next(each for each in season.runs if each.name == name and each.published)
     surge = run.measured
     course = course_of(ensemble.names, ensemble.output, run.time, run.samples.inputs, surge, run.published)
-    marks = [(each["time"], each["kind"]) for each in found if each["run"] == name]
+    marks = [(each["time"], each["kind"]) for each in seen if each["run"] == name]
     caption = (
         f"{season.boat}, {name}: the first event. Shaded: 90 % intervals of the share of its thrust that each thruster "
         "gives. The evidence of a loss raises an alarm at the threshold."

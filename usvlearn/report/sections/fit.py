@@ -92,10 +92,10 @@ def fit_section(
 
 def _quantities(boat: str, fit: SavedFit, online: Mapping[str, Quantity], truth: Mapping[str, float]) -> list[tuple]:
     """Rows of the table."""
-    rows, told = [], {name for name in OF_FIT if name in fit.quantities and math.isfinite(fit.quantities[name].value)}
+    rows, sure = [], {name for name in OF_FIT if name in fit.quantities and math.isfinite(fit.quantities[name].value)}
     for name, (value, low, high, unit) in fit.quantities.items():
         beside = [_known(x) for x in online[name][:3]] if name in online else [None] * 3
-        use = DOUBTED if fit.doubts else "yes" if name in told or high - low <= 2 * WIDE * abs(value) else UNKNOWN
+        use = DOUBTED if fit.doubts else "yes" if name in sure or high - low <= 2 * WIDE * abs(value) else UNKNOWN
         rows.append((boat, name, unit, *map(_known, (value, low, high)), *beside, use, truth.get(name)))
     return rows
 
@@ -130,37 +130,37 @@ def _findings(season: Season, fit: SavedFit) -> list[str]:
     return here + [f"{boat}: {each}" for each in _diagnosed(fit.diagnostics)]
 
 
-def _diagnosed(found: Diagnostics) -> list[str]:
+def _diagnosed(saved: Diagnostics) -> list[str]:
     """Sentences about the diagnostics of one boat."""
     here = []
-    fits = sorted((each.fit, each.name) for each in found.missions if each.fit == each.fit)
+    fits = sorted((each.fit, each.name) for each in saved.missions if each.fit == each.fit)
     if fits:
         median = float(np.median([fit for fit, _ in fits]))
         least = f", least {_signed(fits[0][0])} % in {fits[0][1]}" if len(fits) > 1 else ""
         here.append(f"fit of a mission, 100 (1 − NRMSE): median {_signed(median)} %{least}.")
-    strong = sum(each.current > STRONG for each in found.missions)
+    strong = sum(each.current > STRONG for each in saved.missions)
     if strong:
         here.append(
             f"in {_count(strong, 'mission')} the current is above {STRONG:g} m/s. If it was weaker, the missions are "
             "too short, or turn too little, to separate a current from thrust."
         )
-    ranges = [f"{side} commands from {_range(found.sailed[side])}" for side in SIDES if _partly(found.sailed[side])]
+    ranges = [f"{side} commands from {_range(saved.sailed[side])}" for side in SIDES if _partly(saved.sailed[side])]
     if ranges:
         here.append(f"it sailed with {' and '.join(ranges)}: what is beyond is an extrapolation.")
-    lags = found.autocorrelation
+    lags = saved.autocorrelation
     inside = np.flatnonzero(np.abs(lags.values) <= lags.bounds)
     if np.isfinite(lags.values).any():
         memory = f"until {lags.lags[inside[0]]:g} s" if len(inside) else f"beyond {lags.lags[-1]:g} s"
         here.append(f"errors are alike {memory} (autocorrelation outside its bounds), {lags.values[0]:.2f} at first.")
     for name, what in (("mean", "the mean command"), ("difference", "the difference of the commands")):
-        here.append(_driven(found.cross_correlation[name], what))
+        here.append(_driven(saved.cross_correlation[name], what))
     return here
 
 
-def _driven(found: Lags, what: str) -> str:
+def _driven(correlation: Lags, what: str) -> str:
     """Whether errors follow a command."""
-    after = found.lags >= 0
-    values, bounds, lags = found.values[after], found.bounds[after], found.lags[after]
+    after = correlation.lags >= 0
+    values, bounds, lags = correlation.values[after], correlation.bounds[after], correlation.lags[after]
     if not np.isfinite(values).any():
         return f"{what} never changed, so that nothing is known of errors that follow it."
     beyond = np.abs(values) > bounds
@@ -192,13 +192,13 @@ def _count(number: int, what: str) -> str:
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
-def _figures(boat: str, found: Diagnostics, truth: Mapping[str, float]) -> list[Drawn]:
+def _figures(boat: str, saved: Diagnostics, truth: Mapping[str, float]) -> list[Drawn]:
     drawn = [
-        Drawn(f"fit_curves_{boat}", curves_figure(found, boat, truth), CURVES + (" Crosses: truth." if truth else "")),
-        Drawn(f"fit_residuals_{boat}", residuals_figure(found, boat), RESIDUALS),
+        Drawn(f"fit_curves_{boat}", curves_figure(saved, boat, truth), CURVES + (" Crosses: truth." if truth else "")),
+        Drawn(f"fit_residuals_{boat}", residuals_figure(saved, boat), RESIDUALS),
     ]
-    if found.worst:
-        drawn.append(Drawn(f"fit_worst_{boat}", worst_figure(found.worst, boat), WORST))
+    if saved.worst:
+        drawn.append(Drawn(f"fit_worst_{boat}", worst_figure(saved.worst, boat), WORST))
     return drawn
 
 
@@ -215,7 +215,7 @@ def sailed_at(where: Sailed) -> np.ndarray:
 
 
 @guarded
-def curves_figure(found: Diagnostics, title: str, truth: Mapping[str, float]):
+def curves_figure(saved: Diagnostics, title: str, truth: Mapping[str, float]):
     """Thrust of each side over its command and drag over the speed, with bands; below, the seconds sailed there."""
     points = {f"thrust_{side}": (1.0, truth.get(f"thrust_full_{side}")) for side in SIDES}
     points["drag"] = (truth.get("steady_speed_full", 0.0) / 2, truth.get("drag_half_speed"))
@@ -227,7 +227,7 @@ def curves_figure(found: Diagnostics, title: str, truth: Mapping[str, float]):
     figure = figure_of(9.5, 3.7)
     above, below = figure.subplots(2, 3, sharex="col", height_ratios=(3, 1))
     for upper, lower, (name, place, colour, xlabel, ylabel) in zip(above, below, panels, strict=True):
-        curve, where = found.curves[name], found.sailed[place]
+        curve, where = saved.curves[name], saved.sailed[place]
         known = _drawn(upper, curve, where, colour)
         if points[name][1] is not None:
             upper.plot(*points[name], marker="x", color=INK, linestyle="", clip_on=False, label="truth")
@@ -269,11 +269,11 @@ def _limits(curve: Curve, known: np.ndarray) -> tuple[float, float]:
 
 
 @guarded
-def residuals_figure(found: Diagnostics, title: str):
+def residuals_figure(saved: Diagnostics, title: str):
     """The autocorrelation of the errors, and their correlation with mean and difference of the commands."""
-    cross = found.cross_correlation
+    cross = saved.cross_correlation
     parts = (
-        (found.autocorrelation, "errors with themselves", "lag, s"),
+        (saved.autocorrelation, "errors with themselves", "lag, s"),
         (cross["mean"], "with the mean command", "error after the command by, s"),
         (cross["difference"], "with the difference, left − right", "error after the command by, s"),
     )

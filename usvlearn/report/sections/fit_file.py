@@ -101,18 +101,18 @@ class SavedFit(NamedTuple):
 
 def saved_fits(folders: Sequence[Path], boats: Sequence[str]) -> dict[str, SavedFit | str]:
     """The fit of each boat that has one, of the last run in which it is; a sentence in place of a damaged one."""
-    found: dict[str, SavedFit | str] = {}
+    fits: dict[str, SavedFit | str] = {}
     for boat in boats:
         paths = [folder / FOLDER / f"{boat}{ENDING}" for folder in folders]
         if path := next((each for each in reversed(paths) if each.is_file()), None):
             try:
-                found[boat] = read_fit(path)
+                fits[boat] = read_fit(path)
             except (OSError, ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
                 what = f"it has no {error}" if isinstance(error, KeyError) else printable(f"{error}" or "too deep")
-                found[boat] = (
+                fits[boat] = (
                     f"{FOLDER}/{path.name}: is damaged ({what:.120}): run usvlearn fit {path.parents[1]} again."
                 )
-    return found
+    return fits
 
 
 def read_fit(path: Path) -> SavedFit:
@@ -167,34 +167,34 @@ def _mission(each: Mapping[str, Any]) -> Mission:
 
 
 def _lags(each: Mapping[str, Any]) -> Lags:
-    found = Lags(*_columns(each, Lags._fields))
-    if not np.isfinite(found.lags).all() or not (np.diff(found.lags) > 0).all() or (found.bounds < 0).any():
+    lags = Lags(*_columns(each, Lags._fields))
+    if not np.isfinite(lags.lags).all() or not (np.diff(lags.lags) > 0).all() or (lags.bounds < 0).any():
         raise ValueError("a correlation is none")
-    return found
+    return lags
 
 
 def _curve(each: Mapping[str, Any]) -> Curve:
-    found = Curve(*_columns(each, Curve._fields))
-    if len(found.at) < 2 or not all(np.isfinite(x).all() for x in found) or not (np.diff(found.at) > 0).all():
+    curve = Curve(*_columns(each, Curve._fields))
+    if len(curve.at) < 2 or not all(np.isfinite(x).all() for x in curve) or not (np.diff(curve.at) > 0).all():
         raise ValueError("a curve is no curve")
-    return found
+    return curve
 
 
 def _sailed(each: Mapping[str, Any]) -> Sailed:
-    found = Sailed(_numbers(each["edges"]), _numbers(each["seconds"]))
-    if len(found.edges) != len(found.seconds) + 1 or len(found.edges) < 2 or not (np.diff(found.edges) > 0).all():
+    sailed = Sailed(_numbers(each["edges"]), _numbers(each["seconds"]))
+    if len(sailed.edges) != len(sailed.seconds) + 1 or len(sailed.edges) < 2 or not (np.diff(sailed.edges) > 0).all():
         raise ValueError("a histogram is none")
-    if not (found.seconds >= 0).all():
+    if not (sailed.seconds >= 0).all():
         raise ValueError("a histogram has no negative seconds")
-    return found
+    return sailed
 
 
 def _columns(each: Mapping[str, Any], names: Sequence[str]) -> list[np.ndarray]:
     """Lists of equal lengths."""
-    found = [_numbers(each[name]) for name in names]
-    if len({len(x) for x in found}) != 1 or not len(found[0]):
+    columns = [_numbers(each[name]) for name in names]
+    if len({len(x) for x in columns}) != 1 or not len(columns[0]):
         raise ValueError(f"{', '.join(names)} are no columns of a table")
-    return found
+    return columns
 
 
 def _numbers(x: Any) -> np.ndarray:

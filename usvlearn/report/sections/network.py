@@ -44,11 +44,11 @@ def network_section(seasons: Sequence[Season], ensemble: Ensemble, errors: Mappi
     margins: dict[str, dict[str, np.ndarray]] = {}
     rates = {}
     for boat, some in networks.items():
-        found = [exact.verdict(weights) for weights in some]
-        rates[boat] = np.array([float_above(each.rate) if each else np.nan for each in found])
+        verdicts = [exact.verdict(weights) for weights in some]
+        rates[boat] = np.array([float_above(each.rate) if each else np.nan for each in verdicts])
         for condition in exact.CORNER:
-            own = [float_below(each.margins[condition]) if each else np.nan for each in found]
-            margins.setdefault(condition, {})[boat] = np.array(own)
+            lowest = [float_below(each.margins[condition]) if each else np.nan for each in verdicts]
+            margins.setdefault(condition, {})[boat] = np.array(lowest)
     held = {condition: sum(int((m > 0).sum()) for m in boats.values()) for condition, boats in margins.items()}
     headings = np.linspace(0, 2 * np.pi, HEADINGS, endpoint=False)
     inputs = surge_inputs(headings)
@@ -124,10 +124,10 @@ def stability(
     Beside the proof stands the error of its open-loop simulations, MAE in m/s: a network that is contracting may be
     wrong.
     """
-    found = verdicts(ensemble, state, boats[:SHOWN])
+    judged = verdicts(ensemble, state, boats[:SHOWN])
     lines = []
-    for name in next(iter(found.values()), {}):
-        for boat, each in found.items():
+    for name in next(iter(judged.values()), {}):
+        for boat, each in judged.items():
             beside = free_words(name, (free or {}).get(boat, {}), ensemble.output)
             lines.append(f"{name} of {boat}: {_sentence(each[name])}{beside and f'; {beside}'}")
         if len(boats) > SHOWN:
@@ -141,13 +141,13 @@ def free_words(name: str, free: Mapping[str, float | None], output: str) -> str:
     They are far off if they err FAR times as much as the combiner that predicts, or no less than persistence, which
     keeps the speed at which a segment starts.
     """
-    if (own := free.get(name)) is None:
+    if (error := free.get(name)) is None:
         return ""
     others = {each: x for each in (output, PERSISTENCE) if (x := free.get(each)) is not None}
-    far = own > FAR * others.get(output, math.inf) or own >= others.get(PERSISTENCE, math.inf)
+    far = error > FAR * others.get(output, math.inf) or error >= others.get(PERSISTENCE, math.inf)
     shown = {each: x for each, x in others.items() if far or each != PERSISTENCE}
     beside = f" ({', '.join(f'{each} {x:.3f}' for each, x in shown.items())})" if shown else ""
-    return f"open-loop simulations {'are far off: they ' if far else ''}err by {own:.3f} m/s{beside}"
+    return f"open-loop simulations {'are far off: they ' if far else ''}err by {error:.3f} m/s{beside}"
 
 
 def _sentence(judged: Judged) -> str:

@@ -32,18 +32,18 @@ def identified_section(seasons: Sequence[Season], ensemble: Ensemble, truth: Qua
     rows, drawn, held, boats = [], [], [], {}
     for season in seasons:
         last = tree_map(lambda leaf: leaf[-1:], season.state)
-        found = identified_boats(ensemble, last, [season.boat]).get(season.boat)
-        if found is None:
+        identified = identified_boats(ensemble, last, [season.boat]).get(season.boat)
+        if identified is None:
             return None
         known = truth.get(season.boat, {})
-        for name, (_, low, high, _) in found.items():
-            value, start, end, unit = found.displayed(name)
+        for name, (_, low, high, _) in identified.items():
+            value, start, end, unit = identified.displayed(name)
             rows.append((season.boat, name, unit, value, start, end, known.get(name)))
             if name in known:
                 held.append(low <= known[name] <= high)
-        boats[season.boat] = found
-        if shown := curves(found):
-            figure = identified_figure([shown], found, known, season.boat)
+        boats[season.boat] = identified
+        if shown := curves(identified):
+            figure = identified_figure([shown], identified, known, season.boat)
             drawn.append(Drawn(f"identified_{season.boat}", figure, CAPTION + (" Crosses: truth." if known else "")))
     here = [MEANING, *sentences(boats)]
     if held:

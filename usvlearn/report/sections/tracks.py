@@ -95,10 +95,10 @@ def _row(boat: str, horizon: str, row: Mapping) -> tuple:
     )
 
 
-def _findings(found: Mapping[str, Scores]) -> list[str]:
+def _findings(boats: Mapping[str, Scores]) -> list[str]:
     """What the table shows, in words."""
     rows: dict[str, list[Mapping]] = {}
-    for scores in found.values():
+    for scores in boats.values():
         for horizon, row in scores.items():
             rows.setdefault(horizon, []).append(row)
     here = []
@@ -106,7 +106,7 @@ def _findings(found: Mapping[str, Scores]) -> list[str]:
         ours, turn, held = (mean(row[key] for row in each) for key in ("position", *BASELINES))
         if ours is not None and turn is not None and held is not None:
             here.append(f"{ours:.2f} m at {horizon} s (constant turn {turn:.2f} m, held yaw rate {held:.2f} m)")
-    mean_of = ", mean over boats" if len(found) > 1 else ""
+    mean_of = ", mean over boats" if len(boats) > 1 else ""
     said = [f"Position error{mean_of}: {', '.join(here)}."] if here else []
     for key, words in SHARES.items():
         if shares := [100 * x for each in rows.values() for row in each if (x := row[key]) is not None]:
@@ -127,7 +127,7 @@ def _caption(boat: str, mission: Mission) -> str:
 
 
 @guarded
-def errors_figure(found: Mapping[str, Scores]):
+def errors_figure(scores: Mapping[str, Scores]):
     """Mean position error against the horizon, a panel for each boat."""
     known = any(row[key] for table in found.values() for row in table.values() for key in LINES)
     figure, panels = panels_of(len(found), ACROSS, (2.4, 2.3), (0.0, 0.8), least=4.6)

@@ -12,7 +12,7 @@ def asked(configuration: Mapping[str, Any]) -> str | None:
     """The method that a configuration asks for, or None."""
     if "study" in configuration:
         raise ConfigError("experiment: found a study, expected settings: run `python evaluate.py experiment=…`")
-    found = [way for way in WAYS if configuration.get(way) is not None]
-    if len(found) > 1:
-        raise ConfigError(f"{' and '.join(found)}: found {len(found)} ways to tune, expected one: leave out the others")
-    return found[0] if found else None
+    ways = [way for way in WAYS if configuration.get(way) is not None]
+    if len(ways) > 1:
+        raise ConfigError(f"{' and '.join(ways)}: found {len(ways)} ways to tune, expected one: leave out the others")
+    return ways[0] if ways else None

@@ -129,8 +129,8 @@ class BatchErrors(NamedTuple):
     @property
     def mae(self) -> Tensor:
         """m/s, `(*settings, boats)`; infinite if a prediction was not finite, so that it cannot win by the rest."""
-        found = self.errors.sum(0) / self.steps.sum(0)
-        return torch.where(found.isfinite(), found, math.inf)
+        mean = self.errors.sum(0) / self.steps.sum(0)
+        return torch.where(mean.isfinite(), mean, math.inf)
 
 
 def element_errors(
@@ -165,7 +165,7 @@ def element_errors(
         errors, steps = [], []
         for index, run in enumerate(fleet.runs):
             free = measure.kind == FREE and index >= first
-            own: Any = state if lanes is None else lanes.copied() if free else lanes
+            stepped: Any = state if lanes is None else lanes.copied() if free else lanes
             total, count = like.new_zeros(batch), like.new_zeros(batch)
             samples = tensors(run.samples, like.dtype, like.device)
             for begin in range(0, len(run.time), length):
@@ -174,13 +174,13 @@ def element_errors(
                 wide = tree_map(lambda x: x.reshape(len(x), *(1 for _ in settings), -1).expand(len(x), *batch), part)
                 learns, surge = (x.reshape(len(x), *(1 for _ in settings), -1) for x in (step.learns, step.surge))
                 if lanes is not None:
-                    sums = own.run(*prepared(tree_map(array_of, wide), plan), free, due)[:2]
+                    sums = stepped.run(*prepared(tree_map(array_of, wide), plan), free, due)[:2]
                     error, counted = (torch.from_numpy(x).reshape(batch) for x in sums)
                 elif free:  # from the parameters at the end of the first half
-                    own, predicted, _ = simulate(estimator, own, wide)
+                    stepped, predicted, _ = simulate(estimator, stepped, wide)
                 elif measure.kind == FORECAST:
-                    state, _, kept = rollout(estimator, state, wide, record=[DUE])
-                    predicted, persistence = kept[DUE][..., 0, 0], kept[DUE][..., 0, 1]
+                    state, _, recorded = rollout(estimator, state, wide, record=[DUE])
+                    predicted, persistence = recorded[DUE][..., 0, 0], recorded[DUE][..., 0, 1]
                     learns = learns & persistence.isfinite()  # a forecast became due
                 else:
                     state, predicted, _ = rollout(estimator, state, wide)
@@ -192,17 +192,17 @@ def element_errors(
                 advance(len(step.surge) / fleet.steps)
             errors.append(total)
             steps.append(count)
-        made = torch.stack(errors), torch.stack(steps)
+        totals = torch.stack(errors), torch.stack(steps)
         state = state if lanes is None else tree_of(state, plan.unpack(lanes.ends()))
-    return BatchErrors(*made, state.members["member"] if measure.kind == FORECAST else state)
+    return BatchErrors(*totals, state.members["member"] if measure.kind == FORECAST else state)
 
 
 def spread(estimator: Estimator, settings: Sequence[Setting]) -> Estimator:
     """The estimator with the settings as batch elements, `(settings, 1)`; a configuration of many takes minutes."""
     for path in settings[0]:
         old = estimator.get_submodule(path)
-        made = type(old)([[setting[path]] for setting in settings], old.name)
-        estimator.set_submodule(path, made.to(next(old.parameters())))
+        batched = type(old)([[setting[path]] for setting in settings], old.name)
+        estimator.set_submodule(path, batched.to(next(old.parameters())))
     return estimator
 
 
@@ -225,15 +225,15 @@ class Objective:
 
     def __call__(self, settings: Sequence[Setting]) -> list[Evaluation]:
         """Each setting's MAE per boat."""
-        found = []
+        evaluated = []
         for begin in range(0, len(settings), self.batch):
             part = settings[begin : begin + self.batch]
             estimator, advance = spread(self.build({}), part), partial(self._advance, len(part))
             device = self.device if len(part) > 1 else "cpu"  # numbers of a lane alone would be constants of its kernel
             errors = element_errors(estimator, self.fleet, (len(part),), advance, self.measure, device)
             maes, runs = errors.mae.tolist(), (errors.errors / errors.steps).moveaxis(1, 0).tolist()
-            found += [Evaluation(x, tuple(y), z) for x, y, z in zip(part, maes, runs, strict=True)]
-        return found
+            evaluated += [Evaluation(x, tuple(y), z) for x, y, z in zip(part, maes, runs, strict=True)]
+        return evaluated
 
     def _advance(self, settings: int, share: float) -> None:
         self.advance(settings * share)

@@ -27,12 +27,12 @@ LEAST_RUNS, FLAT = 3, 0.5  # paired runs that tell anything; share of a range, a
 CELLS, MOST_PANELS, ACROSS, WORST = 40, 6, 3, 90  # of a map, each way; percentile from which colours are the same
 
 
-def explore(folder: Path, parameters: Sequence[Hyperparameter], found: Sequence[Evaluation]) -> dict[str, Any]:
+def explore(folder: Path, parameters: Sequence[Hyperparameter], tried: Sequence[Evaluation]) -> dict[str, Any]:
     """Write the arrays, the default first, and with matplotlib the picture; returns what is told, errors in m/s."""
-    settings = np.array([[each.setting[one.path] for one in parameters] for each in found])
+    settings = np.array([[each.setting[one.path] for one in parameters] for each in tried])
     places = np.array([[one.to_scale(x) for one, x in zip(parameters, row, strict=True)] for row in settings])
-    maes, known = np.array([each.mae for each in found]), [each.runs for each in found if each.runs is not None]
-    runs = np.stack(known).reshape(len(found), -1) if len(known) == len(found) else np.empty((len(found), 0))
+    maes, known = np.array([each.mae for each in tried]), [each.runs for each in tried if each.runs is not None]
+    runs = np.stack(known).reshape(len(tried), -1) if len(known) == len(tried) else np.empty((len(tried), 0))
     folder.mkdir(parents=True, exist_ok=True)
     columns, content = {each.path: column for each, column in zip(parameters, settings.T, strict=True)}, io.BytesIO()
     np.savez(content, mae=maes, runs=runs.astype(np.float32), **columns)
@@ -51,7 +51,7 @@ def explore(folder: Path, parameters: Sequence[Hyperparameter], found: Sequence[
     widths = zip(parameters, np.ptp(places[alike], 0), strict=True)
     flat = [each.path for each, width in widths if width > FLAT * (each.span[1] - each.span[0])]
     chosen, default = runs[others.argmin(0), np.arange(count)].mean(), runs[0].mean()
-    told = (
+    sentence = (
         f"{alike.sum()} of {len(alike)} settings are as good as the best, as far as {count} runs tell: "
         + ", ".join(f"{path} {low:.4g} … {high:.4g}" for path, (low, high) in ranges.items())
         + f"{'. The optimum is flat in ' if flat else ''}{', '.join(flat)}."
@@ -59,7 +59,7 @@ def explore(folder: Path, parameters: Sequence[Hyperparameter], found: Sequence[
         + f"has {chosen:.5f} m/s on average, the default {default:.5f} m/s."
     )
     return {"runs": count, "alike": int(alike.sum()), "ranges": ranges, "flat": flat, "default_alike": bool(alike[0]),
-            "left_out": chosen if np.isfinite(chosen) else None, "told": told}  # fmt: skip
+            "left_out": chosen if np.isfinite(chosen) else None, "told": sentence}  # fmt: skip
 
 
 def _picture(parameters: Sequence[Hyperparameter], places: np.ndarray, maes: np.ndarray) -> bytes:

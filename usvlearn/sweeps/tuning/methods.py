@@ -43,11 +43,11 @@ class Fitted(NamedTuple):
 
 def counts(points: int, dimensions: int) -> list[int]:
     """The number of values of each dimension in a grid of at most `points` points, as equal as possible."""
-    found = [max(1, math.floor(points ** (1 / dimensions) + 1e-9))] * dimensions
+    sizes = [max(1, math.floor(points ** (1 / dimensions) + 1e-9))] * dimensions
     for k in range(dimensions):
-        if math.prod(found) // found[k] * (found[k] + 1) <= points:
-            found[k] += 1
-    return found
+        if math.prod(sizes) // sizes[k] * (sizes[k] + 1) <= points:
+            sizes[k] += 1
+    return sizes
 
 
 def product(values: Mapping[str, Sequence[float]]) -> list[Setting]:
@@ -59,9 +59,9 @@ def grid(objective: Objective, parameters: Sequence[Hyperparameter], evaluations
     """Coarse, then refined around the best: a round is one pass with its share; no setting is evaluated twice."""
     default = {each.path: each.default for each in parameters}
     spans = [each.span for each in parameters]
-    found: list[Evaluation] = []
+    evaluated: list[Evaluation] = []
     for k in range(rounds):
-        points = (evaluations - max(0, len(found) - 1)) // (rounds - k)
+        points = (evaluations - max(0, len(evaluated) - 1)) // (rounds - k)
         sizes = counts(points, len(parameters))
         # The ends of a refined range are the neighbours, which have been evaluated.
         steps = [(high - low) / (n + 1 if k else max(2, n - 1)) for (low, high), n in zip(spans, sizes, strict=True)]
@@ -71,16 +71,16 @@ def grid(objective: Objective, parameters: Sequence[Hyperparameter], evaluations
             each.path: list(dict.fromkeys(each.spaced(*ends, n)))
             for each, ends, n in zip(parameters, inner, sizes, strict=True)
         }
-        seen = {tuple(each.setting.values()) for each in found} | {tuple(default.values())}
+        seen = {tuple(each.setting.values()) for each in evaluated} | {tuple(default.values())}
         settings = [setting for setting in product(values) if tuple(setting.values()) not in seen]
-        found += objective([default, *settings] if k == 0 else settings)
-        best = min(found, key=lambda each: each.mae).setting
+        evaluated += objective([default, *settings] if k == 0 else settings)
+        best = min(evaluated, key=lambda each: each.mae).setting
         centres = [each.to_scale(best[each.path]) for each in parameters]
         spans = [
             (max(each.span[0], centre - step), min(each.span[1], centre + step))
             for each, centre, step in zip(parameters, centres, steps, strict=True)
         ]
-    return Fitted(found, len(found) - 1)
+    return Fitted(evaluated, len(evaluated) - 1)
 
 
 def gradient(
@@ -95,12 +95,12 @@ def gradient(
         {**setting, each.path: each.value(each.to_scale(setting[each.path]) + k * H)}
         for each in parameters for k in (-2, -1, 1, 2)
     ]  # fmt: skip
-    found, *others = objective([setting, *beside])
+    evaluation, *others = objective([setting, *beside])
     with np.errstate(invalid="ignore"):  # a setting that diverges has no gradient
         far, near, ahead, further = np.array([each.mae for each in others]).reshape(-1, 4).T
         slope, wide = (ahead - near) / (2 * H), (further - far) / (4 * H)
         kink = bool((np.abs(slope - wide) > KINK * np.abs(slope).max()).any())
-    return found, (4 * slope - wide) / 3, kink
+    return evaluation, (4 * slope - wide) / 3, kink
 
 
 def descend(
@@ -115,16 +115,16 @@ def descend(
         raise ConfigError(f"tuning.evaluations: found {evaluations}, expected {2 * cost} or more, the cost of learn")
     low, high = np.array([each.span for each in parameters]).T
     default = {each.path: each.default for each in parameters}
-    found: list[Evaluation] = []
+    seen: list[Evaluation] = []
     curve: list[dict[str, float]] = []
 
     def evaluated(place: np.ndarray) -> tuple[np.ndarray, float, np.ndarray, bool]:
         """The evaluated place, rounded as it is saved; the error; the gradient; whether it has a kink."""
         setting = {each.path: each.from_scale(x) for each, x in zip(parameters, place.tolist(), strict=True)}
-        if not found and setting != default:
-            found.extend(objective([default]))
+        if not seen and setting != default:
+            seen.extend(objective([default]))
         evaluation, slope, kink = gradient(objective, parameters, setting)
-        found.append(evaluation)
+        seen.append(evaluation)
         if finite := bool(np.isfinite(slope).all()):
             curve.append({"loss": evaluation.mae, **setting})
         place = np.array([each.to_scale(setting[each.path]) for each in parameters])
@@ -159,8 +159,8 @@ def descend(
     if kink and evaluations > used:
         warnings.warn("learn: the error has a kink here: a grid takes the rest of the evaluations", stacklevel=2)
         rest = grid(objective, parameters, evaluations - used, 1)
-        found, used = [*found, *rest.evaluations[1:]], used + rest.used
-    return Fitted(found, used, curve)
+        seen, used = [*seen, *rest.evaluations[1:]], used + rest.used
+    return Fitted(seen, used, curve)
 
 
 def updated(curvature: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:

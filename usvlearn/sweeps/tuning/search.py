@@ -82,22 +82,22 @@ def search(
         )
     study.set_user_attr("facts", identity)
     default = {each.path: each.default for each in parameters}
-    found: list[Evaluation] = []
+    results: list[Evaluation] = []
     objective.advance(len(complete := _complete(study)))
-    while len(complete) < evaluations or not found:
+    while len(complete) < evaluations or not results:
         trials = [study.ask() for _ in range(min(batch, evaluations - len(complete)))]
-        if trials and not found:
+        if trials and not results:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)  # of what parts a batch
                 study.sampler = optuna.samplers.TPESampler(seed=seed + trials[0].number, constant_liar=True)
         settings = [_setting(trial, parameters) for trial in trials]
         try:
-            evaluated = objective([*settings, *([] if found else [default])])
+            evaluated = objective([*settings, *([] if results else [default])])
         except BaseException:
             for trial in trials:  # which would count as running for ever
                 study.tell(trial.number, state=optuna.trial.TrialState.FAIL)
             raise
-        found = found or evaluated[-1:]
+        results = results or evaluated[-1:]
         for trial, evaluation in zip(trials, evaluated, strict=False):
             trial.set_user_attr("maes", [mae if math.isfinite(mae) else None for mae in evaluation.maes])
             trial.set_user_attr("runs", evaluation.runs)
@@ -106,8 +106,8 @@ def search(
     for trial in complete:
         maes = tuple(math.inf if mae is None else mae for mae in trial.user_attrs["maes"])
         setting = check_setting(str(folder / JOURNAL), trial.user_attrs["setting"])
-        found.append(Evaluation(setting, maes, trial.user_attrs.get("runs")))
-    return Fitted(found, len(complete))
+        results.append(Evaluation(setting, maes, trial.user_attrs.get("runs")))
+    return Fitted(results, len(complete))
 
 
 def _setting(trial: Any, parameters: Sequence[Hyperparameter]) -> dict[str, float]:

@@ -182,8 +182,8 @@ def tune(
     """Tune as a configuration asks, and write the results; returns the best MAE, m/s; infinite if all diverge."""
     set_threads(configuration["threads"])
     asked_for, console = request(configuration, instantiate), console or Console(quiet=True)
-    if (found := configuration.get("resume")) is not None:
-        raise ConfigError(f"resume: found {found!r} with {asked_for.way}, which cannot resume: leave it out")
+    if (resume := configuration.get("resume")) is not None:
+        raise ConfigError(f"resume: found {resume!r} with {asked_for.way}, which cannot resume: leave it out")
     check_folder(folder, asked_for.way, asked_for.member)
     with Activity(console), under("data", configuration["data"]):
         fleet = align(instantiate(configuration["data"]), **configuration["align"])
@@ -192,7 +192,7 @@ def tune(
     began = time.perf_counter()
     with Activity(console) as activity:
         activity.begin(f"{asked_for.way}={asked_for.member}", total=asked_for.evaluations)
-        found, used, curve = run(asked_for, fleet, folder, activity.advance)
+        tried, used, curve = run(asked_for, fleet, folder, activity.advance)
     (persistence,) = Objective(lambda _: Persistence(), fleet, measure=asked_for.measure)([{}])
     facts = {
         "member": asked_for.member,
@@ -204,13 +204,13 @@ def tune(
         "ranges": asked_for.ranges,
         "seconds": time.perf_counter() - began,
     }
-    facts["landscape"] = explore(folder, asked_for.parameters, found)
-    made = record(facts, fleet.boats, found, persistence)
-    write(folder, made, curve)
-    console.print(report(made))
-    show(made["landscape"]["told"], to=console)
+    facts["landscape"] = explore(folder, asked_for.parameters, tried)
+    content = record(facts, fleet.boats, tried, persistence)
+    write(folder, content, curve)
+    console.print(report(content))
+    show(content["landscape"]["told"], to=console)
     show(f"The best setting, for configs/experiment: {folder / EXPERIMENT}", to=console)
-    return math.inf if made["best"]["mae"] is None else made["best"]["mae"]
+    return math.inf if content["best"]["mae"] is None else content["best"]["mae"]
 
 
 def run(
@@ -242,28 +242,28 @@ def gain(mae: float, base: float) -> float | None:
 
 
 def record(
-    facts: Mapping[str, Any], boats: Sequence[str], found: Sequence[Evaluation], persistence: Evaluation
+    facts: Mapping[str, Any], boats: Sequence[str], tried: Sequence[Evaluation], persistence: Evaluation
 ) -> dict[str, Any]:
-    """The content of `tuning.json`, the default first in `found`; an error that is not finite is None."""
-    default = found[0]
+    """The content of `tuning.json`, the default first in `tried`; an error that is not finite is None."""
+    default = tried[0]
 
     def row(each: Evaluation) -> dict[str, Any]:
         maes = dict(zip(boats, map(_finite, each.maes), strict=True))
         return {"setting": dict(each.setting), "mae": _finite(each.mae), "boats": maes,
                 "gain": gain(each.mae, default.mae)}  # fmt: skip
 
-    best = min(found, key=lambda each: each.mae)
-    kept = found
-    if len(found) > MANY:
-        unlike = {label(each.setting): each for each in sorted(found[1:], key=lambda each: each.mae, reverse=True)}
-        kept = [default, *sorted(unlike.values(), key=lambda each: each.mae)[:BEST]]
+    best = min(tried, key=lambda each: each.mae)
+    listed = tried
+    if len(tried) > MANY:
+        unlike = {label(each.setting): each for each in sorted(tried[1:], key=lambda each: each.mae, reverse=True)}
+        listed = [default, *sorted(unlike.values(), key=lambda each: each.mae)[:BEST]]
     return {
         **facts,
         "default": row(default),
         "best": row(best),
         PERSISTENCE: {key: value for key, value in row(persistence).items() if key in ("mae", "boats")},
-        "diverged": sum(not math.isfinite(each.mae) for each in found),
-        "evaluated": [row(each) for each in kept],
+        "diverged": sum(not math.isfinite(each.mae) for each in tried),
+        "evaluated": [row(each) for each in listed],
     }
 
 
@@ -291,8 +291,8 @@ def write(folder: Path, record: Mapping[str, Any], curve: Sequence[Mapping[str, 
             for name, mae in maes.items()
         }
     best = record["best"]
-    found = {"boats": boats, "seconds": record["seconds"], "objective": best["mae"], "best": label(best["setting"])}
-    save_results(folder, found | {"measure": record.get("measure", record["member"])})
+    results = {"boats": boats, "seconds": record["seconds"], "objective": best["mae"], "best": label(best["setting"])}
+    save_results(folder, results | {"measure": record.get("measure", record["member"])})
 
 
 def ranked(record: Mapping[str, Any]) -> list[dict[str, Any]]:
