@@ -39,22 +39,22 @@ def make(path: Path = FILE) -> Path:
     powers: dict[str, Any] = {"state": {}, "kernel": {}}
     for part, entries in ones.items():
         for entry, c in entries.items():
-            found = {boat: parts[part].get(entry) for boat, parts in boats.items()}
-            if (ab := _powers(f"{part}.{entry}", c, found)) is not None:
+            changed = {boat: parts[part].get(entry) for boat, parts in boats.items()}
+            if (ab := _powers(f"{part}.{entry}", c, changed)) is not None:
                 powers[part][entry] = ab
     return checkpoint.save(path, leaves, estimator=name, kernel=description, powers=powers)
 
 
-def _powers(name: str, c: Any, found: dict[tuple[float, float], Any]) -> tuple[Any, Any] | None:
+def _powers(name: str, c: Any, changed: dict[tuple[float, float], Any]) -> tuple[Any, Any] | None:
     """The powers a, b of an entry c, of its shape, or one number where all are equal; None where it does not vary."""
     if not isinstance(c, np.ndarray) or c.dtype == bool:
-        if any(not np.array_equal(each, c) for each in found.values()):
+        if any(not np.array_equal(each, c) for each in changed.values()):
             raise ConfigError(f"{name}: found a choice that depends on the boat, expected one for all boats")
         return None
     varies = np.isfinite(c) & (c != 0)
     with np.errstate(all="ignore"):
-        a, b = (np.where(varies, np.rint(np.log2(found[boat] / c)), 0.0) for boat in TRIED[:2])
-    for (mass, surge_max), numbers in found.items():
+        a, b = (np.where(varies, np.rint(np.log2(changed[boat] / c)), 0.0) for boat in TRIED[:2])
+    for (mass, surge_max), numbers in changed.items():
         if not np.allclose(numbers, c * mass**a * surge_max**b, rtol=ROUNDING, atol=0, equal_nan=True):
             raise ConfigError(f"{name}: found a number that is no product of whole powers of mass and surge_max")
     if not a.any() and not b.any():

@@ -31,15 +31,15 @@ class Page(HTMLParser):
         self.places: set[str] = set()
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        found = {name: value or "" for name, value in attrs}
-        self.places |= {found[name] for name in ("id", "name") if name in found}
-        if tag == "a" and "href" in found:
-            self.links.append(found["href"])
-        elif tag == "link" and found.get("rel") in ("stylesheet", "icon", "preload"):
-            self.loaded.append(found["href"])
-        elif "src" in found:
-            self.loaded.append(found["src"])
-        self.loaded += [each.split()[0] for each in found.get("srcset", "").split(",") if each.strip()]
+        attributes = {name: value or "" for name, value in attrs}
+        self.places |= {attributes[name] for name in ("id", "name") if name in attributes}
+        if tag == "a" and "href" in attributes:
+            self.links.append(attributes["href"])
+        elif tag == "link" and attributes.get("rel") in ("stylesheet", "icon", "preload"):
+            self.loaded.append(attributes["href"])
+        elif "src" in attributes:
+            self.loaded.append(attributes["src"])
+        self.loaded += [each.split()[0] for each in attributes.get("srcset", "").split(",") if each.strip()]
 
 
 def faults(site: Path) -> list[str]:
@@ -47,22 +47,22 @@ def faults(site: Path) -> list[str]:
     pages = {path: Page() for path in sorted(site.rglob("*.html")) if path.name != "404.html"}
     for path, page in pages.items():
         page.feed(path.read_text())
-    found = []
+    sentences = []
     for path, page in pages.items():
         name = path.relative_to(site)
         for link in [*page.links, *page.loaded]:
             parts = urlsplit(link)
             if parts.scheme or parts.netloc:
                 if link in page.loaded and parts.scheme != "data":
-                    found.append(f"{name}: loads {link} from outside")
+                    sentences.append(f"{name}: loads {link} from outside")
                 continue
             target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
             target = target / "index.html" if target.is_dir() else target
             if not target.is_file():
-                found.append(f"{name}: links to {link}, which is not there")
+                sentences.append(f"{name}: links to {link}, which is not there")
             elif parts.fragment and target in pages and unquote(parts.fragment) not in pages[target].places:
-                found.append(f"{name}: links to {link}, and there is no such place")
-    return found
+                sentences.append(f"{name}: links to {link}, and there is no such place")
+    return sentences
 
 
 def execute(notebook: Path, again: bool) -> tuple[str, float, str]:
@@ -81,17 +81,17 @@ def main() -> int:
     asked.add_argument("--site", type=Path, default=ROOT / "site", help="folder of the pages (site)")
     given = asked.parse_args()
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        made = pool.map(lambda path: execute(path, given.tutorials == "all"), sorted(TUTORIALS.glob("*.ipynb")))
-        for name, seconds, wrong in made:
+        executed = pool.map(lambda path: execute(path, given.tutorials == "all"), sorted(TUTORIALS.glob("*.ipynb")))
+        for name, seconds, wrong in executed:
             print(f"{name}: {wrong or f'{seconds:.0f} s'}", flush=True)
             if wrong:
                 return 1
     build = [sys.executable, "-m", "mkdocs", "build", "--strict", "--clean", "--site-dir", str(given.site)]
     if code := subprocess.run(build, cwd=ROOT, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"}).returncode:
         return code
-    found = faults(given.site)
-    print(*found, f"{given.site}: {len(found)} faults", sep="\n")
-    return 1 if found else 0
+    broken = faults(given.site)
+    print(*broken, f"{given.site}: {len(broken)} faults", sep="\n")
+    return 1 if broken else 0
 
 
 if __name__ == "__main__":

@@ -74,14 +74,14 @@ def steered(leg: Leg, heading: float) -> tuple[float, float]:
 
 def sail() -> tuple[np.ndarray, ...]:
     """Time, s, commands of both sides, share of full, speed, m/s, and heading, degrees from A."""
-    boat, state, found, time = heron(), at_rest(), [], 0.0
+    boat, state, rows, time = heron(), at_rest(), [], 0.0
     for leg in (leg for _, legs in ROWS for leg in legs):
         for _ in range(round(leg.seconds / DT)):
             command = steered(leg, float(state.heading))
             state = VesselState(*(x[0] for x in simulate(boat, state, torch.from_numpy(np.array([command])), DT)))
-            found.append((time, *command, float(state.surge), math.degrees(float(state.heading))))
+            rows.append((time, *command, float(state.surge), math.degrees(float(state.heading))))
             time += DT
-    return tuple(np.array(found).T)
+    return tuple(np.array(rows).T)
 
 
 def main() -> None:

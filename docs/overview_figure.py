@@ -66,13 +66,13 @@ def predicts(panel, ensemble: usvlearn.Ensemble, logs) -> None:
 
 def identifies(panel, ensemble: usvlearn.Ensemble, logs) -> None:
     """The steady speed at half command with its interval, over the minutes of learning, and the true one."""
-    boat, found, minute = usvlearn.Online(ensemble), [], 0.0
+    boat, points, minute = usvlearn.Online(ensemble), [], 0.0
     for number, (_, sample, _) in enumerate(steps(boat, logs)):
         minute += sample.inputs.dt / 60
         if number % 150 == 149:
             steady = boat.identified()["steady_speed_half"]
-            found.append((minute, steady.value, steady.low, steady.high))
-    minutes, value, low, high = np.array(found).T
+            points.append((minute, steady.value, steady.low, steady.high))
+    minutes, value, low, high = np.array(points).T
     source = {"_target_": "usvlearn.simulate.fleet.fleet"} | SEASON
     truth = quantities_of([source], MASS)["heron"]["steady_speed_half"]
     panel.fill_between(minutes, low, high, color=OURS, alpha=0.2, linewidth=0)

@@ -39,15 +39,15 @@ def numbered(text: str) -> str:
     """
     section = ""
 
-    def with_id(found: re.Match[str]) -> str:
+    def with_id(match: re.Match[str]) -> str:
         nonlocal section
-        if found["formula"] is None:
-            section = found["section"] or section
-            return found[0]
-        tag = TAG.search(found["formula"])
+        if match["formula"] is None:
+            section = match["section"] or section
+            return match[0]
+        tag = TAG.search(match["formula"])
         if tag is None or not section:
-            return found[0]
-        return f'<div id="{section}-{tag[1]}" class="equation" markdown>\n\n{found[0]}\n\n</div>'
+            return match[0]
+        return f'<div id="{section}-{tag[1]}" class="equation" markdown>\n\n{match[0]}\n\n</div>'
 
     return LINE.sub(with_id, text)
 

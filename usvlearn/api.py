@@ -125,8 +125,8 @@ def read(
         vehicle["surge_max"] = check_positive("surge_max", surge_max, "of m/s")
     changes = {"data": settings, "vehicle": vehicle, "align": dict(align or {}), "check": check}
     if arrays is None:
-        found, composed = recordings_of(data, changes)
-        recordings = list(found)
+        lazy, composed = recordings_of(data, changes)
+        recordings = list(lazy)
     else:
         if data != "csv":
             raise ConfigError(f"data: found {data!r} beside arrays, expected none: describe them in units and channels")

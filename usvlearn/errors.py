@@ -183,8 +183,8 @@ def did_you_mean(word: str, names: Iterable[str]) -> str:
     """A hint at the nearest names: keys that end in the word, or one that looks similar; else ""."""
     names = list(names)
     ends = [name for name in names if name.endswith(f".{word}")]
-    own = [name for name in ends if not name.startswith("hydra.")]
-    close = own or difflib.get_close_matches(word, names, n=1) or ends
+    keys = [name for name in ends if not name.startswith("hydra.")]
+    close = keys or difflib.get_close_matches(word, names, n=1) or ends
     return f": did you mean {' or '.join(close[:3])}?" if close else ""
 
 

@@ -161,8 +161,8 @@ class AlignedLogs(_Tables):
                 table.group(boat := run.boat)
             minutes = (run.time[-1] - run.time[0]) / 60
             table.add(run.name, f"{minutes:.1f}", str(len(run.time)), f"{run.samples.measured.mean():.1%}")
-        found = data_check_table([each._asdict() for each in self.findings]) if self.findings else None
-        return table, rejection_table(self.rejected), found
+        checks = data_check_table([each._asdict() for each in self.findings]) if self.findings else None
+        return table, rejection_table(self.rejected), checks
 
 
 @dataclass(frozen=True, repr=False)
@@ -248,9 +248,9 @@ class Learned(_Tables):
         for run in logs.fleet.runs:
             with torch.no_grad():
                 samples = tensors(run.samples, state.predictions.dtype)
-                _, _, kept = simulate(self.ensemble, state, samples, record=["predictions"])
+                _, _, recorded = simulate(self.ensemble, state, samples, record=["predictions"])
             stepped = masks(run.samples, self.ensemble.surge_limit).steps
-            published.append({"predictions": np.where(stepped[..., None], kept["predictions"].numpy(), np.nan)})
+            published.append({"predictions": np.where(stepped[..., None], recorded["predictions"].numpy(), np.nan)})
         names, stretches = self.ensemble.names, [(index, 0, arrays) for index, arrays in enumerate(published)]
         scores = fleet_scores(logs.fleet, stretches, names, self.ensemble.surge_limit)
         return Simulated(predictions_of(logs.fleet, names, published), scores)
@@ -346,11 +346,11 @@ class Learned(_Tables):
         if fit is not None:
             from usvlearn.model.fit.hand_over import handed_over
 
-            own = float(self.logs.settings["vehicle"]["mass"])
-            if fit.boat != self.boats[element] or fit.found.mass != own:
+            mass = float(self.logs.settings["vehicle"]["mass"])
+            if fit.boat != self.boats[element] or fit.found.mass != mass:
                 raise ConfigError(
                     f"fit: found that of {fit.boat}, {fit.found.mass:g} kg, expected one of {self.boats[element]}, "
-                    f"{own:g} kg"
+                    f"{mass:g} kg"
                 )
             leaves = {name: leaf.numpy() for name, leaf in named_leaves(state)}
             state, fitted = handed_over(leaves, kernel, fit, float(self.logs.settings["align"]["dt"]))

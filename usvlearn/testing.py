@@ -120,10 +120,10 @@ def vehicles_of_a_batch_are_independent(make: Make) -> None:
     estimator, samples = make(), random_samples(15, *batch)
     end, surge, _ = rollout(estimator, estimator.init(batch), samples)
     for element in itertools.product(*map(range, batch)):
-        own: Any = (slice(None), *element)
-        alone = at(samples, own)
+        one: Any = (slice(None), *element)
+        alone = at(samples, one)
         end1, surge1, _ = rollout(estimator, estimator.init(), alone)
-        torch.testing.assert_close(surge[own], surge1, rtol=1e-12, atol=1e-12)
+        torch.testing.assert_close(surge[one], surge1, rtol=1e-12, atol=1e-12)
         assert_same(at(end, element), end1, rtol=1e-12, atol=1e-12)
 
 
@@ -147,9 +147,9 @@ def bad_samples_are_masked(make: Make) -> None:
         for k in range(12):
             before = state
             state, surge = estimator(state, at(samples, k))
-            kept = leaves(state)
-            widths = kept.pop("halfwidths", torch.zeros(1))  # infinite before ten errors
-            assert (widths >= 0).all() and all(x.isfinite().all() for x in kept.values()), f"not finite at step {k}"
+            leaf_of = leaves(state)
+            widths = leaf_of.pop("halfwidths", torch.zeros(1))  # infinite before ten errors
+            assert (widths >= 0).all() and all(x.isfinite().all() for x in leaf_of.values()), f"not finite at step {k}"
             if k in (5, 6):  # stale: held, bit for bit
                 assert surge.isnan().all()
                 assert_same(state, before, rtol=0, atol=0, equal_nan=True)
@@ -201,8 +201,8 @@ def resume_from_disk_is_exact(make: Make) -> None:
             half.step(at(samples, k))
         with tempfile.TemporaryDirectory() as folder:
             resumed.restore(half.save(Path(folder, "a.safetensors")))
-        found = [resumed.step(at(samples, k)) for k in range(10, 20)]
-        np.testing.assert_array_equal(found, expected[10:])
+        resumed_surge = [resumed.step(at(samples, k)) for k in range(10, 20)]
+        np.testing.assert_array_equal(resumed_surge, expected[10:])
         assert_same(resumed.state, whole.state, rtol=0, atol=0, equal_nan=True)
 
 
@@ -212,12 +212,12 @@ def steps_are_pure(make: Make) -> None:
     for batch in BATCHES:
         estimator, samples = make(), random_samples(6, *batch)
         state, _, _ = rollout(estimator, estimator.init(batch), samples)
-        kept, given, parameters = tree_map(torch.clone, state), tree_map(torch.clone, samples), io.BytesIO()
+        before, given, parameters = tree_map(torch.clone, state), tree_map(torch.clone, samples), io.BytesIO()
         torch.save(estimator.state_dict(), parameters)
         first, second = (estimator(state, at(samples, 2)) for _ in range(2))
         assert torch.equal(first[1], second[1]), "the same step predicts something else the second time"
         assert_same(first[0], second[0], rtol=0, atol=0)
-        assert_same(state, kept, rtol=0, atol=0)
+        assert_same(state, before, rtol=0, atol=0)
         assert_same(samples, given, rtol=0, atol=0)
         after = io.BytesIO()
         torch.save(estimator.state_dict(), after)

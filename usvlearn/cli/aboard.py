@@ -45,8 +45,8 @@ def work(arguments: Sequence[str]) -> int:
     if name in COMMANDS:
         return COMMANDS[name](rest)
     if name in SHELLS:
-        found: int = importlib.import_module(SHELLS[name]).main(rest)
-        return found
+        code: int = importlib.import_module(SHELLS[name]).main(rest)
+        return code
     known = [*SHELLS, *COMMANDS]
     raise ConfigError(f"live: found {name!r}, expected one of {', '.join(known)}{did_you_mean(name, known)}")
 

@@ -12,15 +12,15 @@ EPILOG = "The test manoeuvre of ten minutes is in docs/controller.md; usvlearn p
 
 
 def parser() -> argparse.ArgumentParser:
-    found = argparse.ArgumentParser(
+    parser = argparse.ArgumentParser(
         "usvlearn check", description=__doc__, usage=USAGE.removeprefix("usage: "), epilog=EPILOG
     )
-    found.add_argument(
+    parser.add_argument(
         "logs", nargs="+", metavar="LOG", help="a log, a folder, a pattern in quotes, or a configuration (.yaml)"
     )
-    found.add_argument("--name", help="of the boat, by default that of the log or its folder")
-    found.add_argument("--any-vehicle", action="store_true", help="take logs that say that they are of no boat, too")
-    return found
+    parser.add_argument("--name", help="of the boat, by default that of the log or its folder")
+    parser.add_argument("--any-vehicle", action="store_true", help="take logs that say that they are of no boat, too")
+    return parser
 
 
 def work(arguments: Sequence[str]) -> None:
@@ -39,14 +39,14 @@ def work(arguments: Sequence[str]) -> None:
         from usvlearn.model.fit.verdict import verdicts
 
         if len(given.logs) == 1 and Path(given.logs[0]).suffix in SUFFIXES:
-            made, settings = recordings_of(given.logs[0], {})
-            recordings, checked = list(made), CheckedAlignment({**settings, "check": "warn"})
+            lazy, settings = recordings_of(given.logs[0], {})
+            recordings, checked = list(lazy), CheckedAlignment({**settings, "check": "warn"})
             checked(recordings, **settings["align"])
             findings, asked = checked.findings or [], open_questions(settings)
         else:
-            found = inspect_logs(given.logs, given.name, any_vehicle=given.any_vehicle)
-            check_complete(found, given.logs[0])
-            settings, recordings, findings = found.settings, found.recordings, found.findings
+            inspected = inspect_logs(given.logs, given.name, any_vehicle=given.any_vehicle)
+            check_complete(inspected, given.logs[0])
+            settings, recordings, findings = inspected.settings, inspected.recordings, inspected.findings
             asked = settings[SECTION]
         lines = list(verdicts(recordings, settings, findings, asked))
     terminal.show(*lines)

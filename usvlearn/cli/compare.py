@@ -15,13 +15,13 @@ USAGE = "usage: usvlearn compare RUN RUN … [--boat NAME] [--out FOLDER]; more:
 
 
 def parser() -> argparse.ArgumentParser:
-    found = argparse.ArgumentParser("usvlearn compare", description=__doc__)
-    found.add_argument(
+    parser = argparse.ArgumentParser("usvlearn compare", description=__doc__)
+    parser.add_argument(
         "runs", metavar="RUN", nargs="+", type=without_key, help="folders of runs, the earlier one first"
     )
-    found.add_argument("--boat", help="only this one")
-    found.add_argument("--out", metavar="FOLDER", default="comparison", help="of the page (comparison)")
-    return found
+    parser.add_argument("--boat", help="only this one")
+    parser.add_argument("--out", metavar="FOLDER", default="comparison", help="of the page (comparison)")
+    return parser
 
 
 def work(arguments: Sequence[str]) -> None:
@@ -34,17 +34,17 @@ def work(arguments: Sequence[str]) -> None:
     from usvlearn.report.side_by_side import read_boats, sections
     from usvlearn.runs.files import TENSORBOARD
 
-    found = sections(read_boats(given.runs, given.boat))
+    parts = sections(read_boats(given.runs, given.boat))
     check_report_folder(folder)
-    for section in found:
+    for section in parts:
         for sheet in section.sheets:
             console().print(_table(section.title, sheet))
         show(*section.here, "")
     with TensorBoardWriter(folder / TENSORBOARD) as writer:
-        for section in found:
+        for section in parts:
             for drawn in section.figures:
                 writer.figure(f"comparison/{section.title}", drawn.figure, 0)
-    index = write_report(folder, [], found, [f"usvlearn compare {' '.join(given.runs)}"], heading="Runs compared")
+    index = write_report(folder, [], parts, [f"usvlearn compare {' '.join(given.runs)}"], heading="Runs compared")
     show(f"page: {index}", f"TensorBoard: tensorboard --logdir {folder}")
 
 

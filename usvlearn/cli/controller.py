@@ -24,22 +24,22 @@ USAGE = "usage: usvlearn controller RUN [--boat NAME] [--out FOLDER] …; all op
 
 
 def parser() -> argparse.ArgumentParser:
-    found = argparse.ArgumentParser("usvlearn controller", description=__doc__)
-    found.add_argument("path", metavar="RUN", type=without_key, help="the folder of a run, or a checkpoint")
-    found.add_argument("--boat", help="only this one")
-    found.add_argument("--speed", type=float, help="cruise speed, m/s (the middle of --range)")
-    found.add_argument(
+    parser = argparse.ArgumentParser("usvlearn controller", description=__doc__)
+    parser.add_argument("path", metavar="RUN", type=without_key, help="the folder of a run, or a checkpoint")
+    parser.add_argument("--boat", help="only this one")
+    parser.add_argument("--speed", type=float, help="cruise speed, m/s (the middle of --range)")
+    parser.add_argument(
         "--range", type=float, nargs=2, metavar=("LOW", "HIGH"),
         help="speeds at which the gains must hold, m/s (from a quarter of the top speed to 0.9 of its lower end)",
     )  # fmt: skip
-    found.add_argument("--bandwidth", type=float, help="ω of the wanted poles, rad/s (from time constant and delay)")
-    found.add_argument("--damping", type=float, help="ζ of the wanted poles (from the same, or 1 with --bandwidth)")
-    found.add_argument("--period", type=float, help="of the loop, s (that of the logged commands, at most 0.2)")
-    found.add_argument("--delay", type=float, help="of the commands, s (identified: their delay and lag)")
-    found.add_argument("--boats", type=int, default=200, help="drawn from the intervals for the closed loop (200)")
-    found.add_argument("--seed", type=int, default=0, help="of the draws (0)")
-    found.add_argument("--out", metavar="FOLDER", help="write BOAT.controller.json, and a file for each autopilot")
-    return found
+    parser.add_argument("--bandwidth", type=float, help="ω of the wanted poles, rad/s (from time constant and delay)")
+    parser.add_argument("--damping", type=float, help="ζ of the wanted poles (from the same, or 1 with --bandwidth)")
+    parser.add_argument("--period", type=float, help="of the loop, s (that of the logged commands, at most 0.2)")
+    parser.add_argument("--delay", type=float, help="of the commands, s (identified: their delay and lag)")
+    parser.add_argument("--boats", type=int, default=200, help="drawn from the intervals for the closed loop (200)")
+    parser.add_argument("--seed", type=int, default=0, help="of the draws (0)")
+    parser.add_argument("--out", metavar="FOLDER", help="write BOAT.controller.json, and a file for each autopilot")
+    return parser
 
 
 def work(arguments: Sequence[str]) -> None:
@@ -64,9 +64,9 @@ def work(arguments: Sequence[str]) -> None:
             boat, fit = with_fit(path, online)
             boat.check_physical()
             designed.append(controller(boat, wanted, fit))
-        names = [[] if folder is None else _write(folder, found) for found in designed]
-    for number, found in enumerate(designed):
-        terminal.show(*([""] if number else []), *parts(found))
+        names = [[] if folder is None else _write(folder, design) for design in designed]
+    for number, design in enumerate(designed):
+        terminal.show(*([""] if number else []), *parts(design))
         if folder is not None:
             terminal.show(f"Written to {folder}: {', '.join(names[number])}")
 
@@ -87,14 +87,14 @@ def with_fit(path: str, boat: IdentifiedBoat) -> tuple[IdentifiedBoat, Identifie
     return boat, fitted.found
 
 
-def _write(folder: Path, found: Controller) -> list[str]:
+def _write(folder: Path, design: Controller) -> list[str]:
     """Write all files of a boat; returns their names."""
     from usvlearn.core.checkpoint import write_atomically
     from usvlearn.model.controller.design import facts, files
 
-    name = found.boat.stem
-    written = {name + end: text for end, text in files(found).items()}
-    written[f"{name}.controller.json"] = json.dumps(facts(found), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    name = design.boat.stem
+    written = {name + end: text for end, text in files(design).items()}
+    written[f"{name}.controller.json"] = json.dumps(facts(design), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     for file, content in written.items():
         write_atomically(folder / file, content.encode())
     return list(written)

@@ -59,11 +59,11 @@ def main(cfg: DictConfig) -> None:
         raise ConfigError(f"objective: ranks the jobs of a sweep, and {cfg.runs} is none: leave it out")
     else:
         data = cfg.get("data")
-        own = Path(cfg.runs, "report" if data is None else "report_of_other_logs")
+        inside = Path(cfg.runs, "report" if data is None else "report_of_other_logs")
         folders, asked = run_folders(cfg.runs), {} if data is None else open_questions(plain(cfg))
         show(*unconfirmed(questions_of_runs(folders, cfg.trust) | asked))
         if data is None and not (folders[-1] / "fit").exists():
             with Activity(board, "fitting the missions"):
                 fit_on_the_way(folders[-1], console(quiet=True), cfg.trust)
-        report = Path(cfg.report or own)
+        report = Path(cfg.report or inside)
         evaluate(folders, report, tools, data, asked=asked, animate=bool(cfg.animate), latex=bool(cfg.paper))

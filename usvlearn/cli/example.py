@@ -16,11 +16,11 @@ USAGE = "usage: usvlearn example FOLDER [--minutes 10] [--seed 7]"
 
 def parser() -> argparse.ArgumentParser:
     """The arguments of the command."""
-    found = argparse.ArgumentParser("usvlearn example", description=__doc__, allow_abbrev=False)
-    found.add_argument("folder", metavar="FOLDER", help="where the logs are written; is made if it does not exist")
-    found.add_argument("--minutes", type=float, default=10.0, help="length of each of the three missions (10)")
-    found.add_argument("--seed", type=int, default=7, help="of the boat and its missions (7)")
-    return found
+    parser = argparse.ArgumentParser("usvlearn example", description=__doc__, allow_abbrev=False)
+    parser.add_argument("folder", metavar="FOLDER", help="where the logs are written; is made if it does not exist")
+    parser.add_argument("--minutes", type=float, default=10.0, help="length of each of the three missions (10)")
+    parser.add_argument("--seed", type=int, default=7, help="of the boat and its missions (7)")
+    return parser
 
 
 def work(arguments: Sequence[str]) -> None:

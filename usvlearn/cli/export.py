@@ -28,7 +28,7 @@ USAGE = "usage: usvlearn export RUN --to FORMAT[,FORMAT …]\n       [--boat NAM
 def parser() -> argparse.ArgumentParser:
     """The arguments of the command."""
     width = max(map(len, FORMATS))
-    found = argparse.ArgumentParser(
+    parser = argparse.ArgumentParser(
         prog="usvlearn export",
         usage=USAGE.removeprefix("usage: "),
         description="Write what was learned of each boat, in the formats of other programs.",
@@ -38,13 +38,13 @@ def parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    found.add_argument("run", metavar="RUN", type=without_key, help="the folder of a run or of a node, or a checkpoint")
+    parser.add_argument("run", metavar="RUN", type=without_key, help="folder of a run or of a node, or a checkpoint")
     formats = f"one or several of {', '.join(FORMATS)}; all: those that the run has and that are installed"
-    found.add_argument("--to", required=True, action="append", metavar="FORMAT", help=formats)
-    found.add_argument("--boat", metavar="NAME", help="only this boat")
-    found.add_argument("--out", metavar="FOLDER", help="where the files are written; RUN/export if it is left out")
-    found.add_argument("--force", action="store_true", help="also write a boat that is not physical, as of wrong signs")
-    return found
+    parser.add_argument("--to", required=True, action="append", metavar="FORMAT", help=formats)
+    parser.add_argument("--boat", metavar="NAME", help="only this boat")
+    parser.add_argument("--out", metavar="FOLDER", help="where the files are written; RUN/export if it is left out")
+    parser.add_argument("--force", action="store_true", help="also write a boat that is not physical: wrong signs")
+    return parser
 
 
 def formats_of(given: Sequence[str]) -> list[str]:
@@ -67,7 +67,7 @@ def export(
     boats: Sequence[IdentifiedBoat], formats: Sequence[str], run: Path, out: Path, lenient: bool = False
 ) -> list[Path]:
     """Write the files, once all of them could be made; if `lenient`, those that can be, with a warning."""
-    made: dict[Path, bytes] = {}
+    files_made: dict[Path, bytes] = {}
     for boat in boats:
         for what, make in _makers(boat, formats, run).items():
             try:
@@ -77,32 +77,32 @@ def export(
                     raise
                 warnings.warn(f"{what} of {printable(boat.name)} is left out: {error}", stacklevel=2)
                 continue
-            if twice := made.keys() & files.keys():
+            if twice := files_made.keys() & files.keys():
                 raise ConfigError(
                     f"--boat: found two boats whose files would have one name, {min(twice).name}: give one of them, "
                     "and another folder for the files of each"
                 )
-            made |= files
+            files_made |= files
     out.mkdir(parents=True, exist_ok=True)
-    for path, content in made.items():
+    for path, content in files_made.items():
         write_atomically(path, content)
-    return list(made)
+    return list(files_made)
 
 
 def _makers(boat: IdentifiedBoat, formats: Sequence[str], run: Path) -> dict[str, Callable[[], Files]]:
     """What makes the files of a boat, by what they are, in words."""
-    found: dict[str, Callable[[], Files]] = {name: partial(FORMATS[name].files, boat, run) for name in formats}
+    makers: dict[str, Callable[[], Files]] = {name: partial(FORMATS[name].files, boat, run) for name in formats}
     planar = [each for name in formats if (each := FORMATS[name].planar) is not None]
-    return found | ({"the planar model": partial(_planar_files, planar, boat, run)} if planar else {})
+    return makers | ({"the planar model": partial(_planar_files, planar, boat, run)} if planar else {})
 
 
 def _planar_files(makers: Sequence[Callable[[PlanarBoat], Files]], boat: IdentifiedBoat, run: Path) -> Files:
-    found = read_planar(boat, run)
-    if found is None:
+    planar = read_planar(boat, run)
+    if planar is None:
         return {}
-    for sentence in found.lacks[len(boat.guessed) :]:
+    for sentence in planar.lacks[len(boat.guessed) :]:
         complain(f"{printable(boat.name)}: {sentence}")
-    return {end: content for make in makers for end, content in make(found).items()}
+    return {end: content for make in makers for end, content in make(planar).items()}
 
 
 def work(arguments: Sequence[str]) -> None:

@@ -30,14 +30,14 @@ SHOWN, TRUST = 4, "trust="  # names in a warning; before a module that is truste
 
 
 def parser() -> argparse.ArgumentParser:
-    found = argparse.ArgumentParser("usvlearn fit", description=__doc__)
-    found.add_argument("run", metavar="RUN", type=without_key, help="the folder of a run")
-    found.add_argument("data", metavar="KEY=VALUE", nargs="*", help="data.path=LOGS; trust=MODULE, which reads them")
-    found.add_argument("--boat", help="only this one")
-    found.add_argument("--terms", metavar="SET", help="of the model, in place of what is best on unseen missions")
-    found.add_argument("--out", metavar="FOLDER", help="where BOAT.fit.json is written (RUN/fit)")
-    found.add_argument("--all", action="store_true", help="print all quantities, sets of terms and remarks")
-    return found
+    parser = argparse.ArgumentParser("usvlearn fit", description=__doc__)
+    parser.add_argument("run", metavar="RUN", type=without_key, help="the folder of a run")
+    parser.add_argument("data", metavar="KEY=VALUE", nargs="*", help="data.path=LOGS; trust=MODULE, which reads them")
+    parser.add_argument("--boat", help="only this one")
+    parser.add_argument("--terms", metavar="SET", help="of the model, in place of what is best on unseen missions")
+    parser.add_argument("--out", metavar="FOLDER", help="where BOAT.fit.json is written (RUN/fit)")
+    parser.add_argument("--all", action="store_true", help="print all quantities, sets of terms and remarks")
+    return parser
 
 
 def work(arguments: Sequence[str], console: Console | None = None, trust: Any = None) -> dict[str, Quantities]:
@@ -125,7 +125,7 @@ def work(arguments: Sequence[str], console: Console | None = None, trust: Any = 
     if alone:
         terminal.show(*unconfirmed(asked), "", to=console)
     if out == folder / "fit":
-        _add_to_results(folder, [found for found, _, _ in done])
+        _add_to_results(folder, [each for each, _, _ in done])
         if alone and not given.data and (scored := results(folder)):
             terminal.show(*summary(scored, asked, use), f"next         usvlearn evaluate {quoted(folder)}")
     if stopped is not None:
@@ -184,11 +184,11 @@ def _logs(folder: Path, settings: Mapping[str, Any], data: Mapping[str, Any]) ->
         gone = isinstance(path, str) and not Path(path).expanduser().exists()
         hint = f". If the logs have moved, give data.path=FOLDER (found {path!r})" if gone else ""
         raise type(error)(f"{error}{hint}") from error
-    learned, found = list(_runs(folder)), list(dict.fromkeys(each.boat for each in recordings))
-    if learned and not set(found) <= set(learned):
-        if len(learned) > 1 or len(found) > 1:
+    learned, boats = list(_runs(folder)), list(dict.fromkeys(each.boat for each in recordings))
+    if learned and not set(boats) <= set(learned):
+        if len(learned) > 1 or len(boats) > 1:
             raise ConfigError(
-                f"the logs are of {', '.join(found)}, and the run has learned {', '.join(learned)}: give its logs by "
+                f"the logs are of {', '.join(boats)}, and the run has learned {', '.join(learned)}: give its logs by "
                 "data.path"
             )
         recordings = [
@@ -202,8 +202,8 @@ def _runs(folder: Path) -> dict[str, Any]:
     from usvlearn.runs.files import runs_file
 
     try:
-        found: dict[str, Any] = runs_file(folder)["boats"]
-        return found
+        runs: dict[str, Any] = runs_file(folder)["boats"]
+        return runs
     except CheckpointError:
         return {}
 
@@ -212,7 +212,7 @@ def _changed(folder: Path, fleet: Fleet) -> dict[str, str]:
     """A sentence for each boat whose logs are not those of which the run has learned."""
     from usvlearn.runs.files import digest
 
-    found = {}
+    changes = {}
     for boat, runs in _runs(folder).items():
         if boat not in fleet.boats:
             continue
@@ -222,14 +222,14 @@ def _changed(folder: Path, fleet: Fleet) -> dict[str, str]:
         other, gone = ([a[key] for key in a if key not in b] for a, b in ((now, then), (then, now)))
         if differ := list(dict.fromkeys([*other, *gone])):
             more = f" and {len(differ) - SHOWN} more" if len(differ) > SHOWN else ""
-            found[boat] = (
+            changes[boat] = (
                 f"{boat}: the run has not learned these logs as they are now: {', '.join(differ[:SHOWN])}{more}. "
                 "The fit takes them as they are"
             )
-    return found
+    return changes
 
 
-def _simulation(folder: Path, found: Fitted, fine: Fleet, coarse: Fleet) -> FreeMode:
+def _simulation(folder: Path, fitted: Fitted, fine: Fleet, coarse: Fleet) -> FreeMode:
     """Which open-loop simulation to use, by the errors of the ensemble in the run's folder."""
     from usvlearn.evaluation.comparison import from_csv
     from usvlearn.evaluation.free_simulation import middle
@@ -244,9 +244,9 @@ def _simulation(folder: Path, found: Fitted, fine: Fleet, coarse: Fleet) -> Free
     ensemble = {
         each.run: each.mae[ENSEMBLE]
         for each in errors
-        if each.boat == found.boat and each.ahead == FREE and ENSEMBLE in each.mae
+        if each.boat == fitted.boat and each.ahead == FREE and ENSEMBLE in each.mae
     }
-    return decide(found.boat, found.chosen, found.fit.top, fine, coarse, middle(coarse.runs), ensemble)
+    return decide(fitted.boat, fitted.chosen, fitted.fit.top, fine, coarse, middle(coarse.runs), ensemble)
 
 
 def _add_to_results(folder: Path, fitted: Sequence[Fitted]) -> None:
@@ -256,6 +256,6 @@ def _add_to_results(folder: Path, fitted: Sequence[Fitted]) -> None:
 
     if not (folder / RESULTS).exists() or not (known := results(folder)):
         return
-    kept = ["terms", "doubts", "quantities"] + ["simulation"] * all(each.simulation for each in fitted)
-    new = {x.boat: {"use": not x.doubts, **{k: x.json()[k] for k in kept}} for x in fitted}
+    keys = ["terms", "doubts", "quantities"] + ["simulation"] * all(each.simulation for each in fitted)
+    new = {x.boat: {"use": not x.doubts, **{k: x.json()[k] for k in keys}} for x in fitted}
     save_results(folder, known | {"fit": known.get("fit", {}) | new})

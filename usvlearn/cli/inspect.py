@@ -24,18 +24,18 @@ LONG = 2.0  # h of logs
 
 
 def parser() -> argparse.ArgumentParser:
-    found = argparse.ArgumentParser("usvlearn inspect", description=__doc__, usage=USAGE.removeprefix("usage: "))
-    found.add_argument("logs", nargs="+", metavar="LOG", help="a log, a folder of logs, or a pattern in quotes")
-    found.add_argument("--output", default="my_boat.yaml", help="the configuration to write (my_boat.yaml)")
-    found.add_argument("--name", help="of the boat, by default that of the log or its folder")
-    found.add_argument("--plot", action="store_true", help="also draw the channels, beside the configuration (.png)")
-    found.add_argument("--force", action="store_true", help="replace the configuration if it exists")
-    found.add_argument("--any-vehicle", action="store_true", help="take logs that say that they are of no boat, too")
-    found.add_argument("--all", action="store_true", help="also list all series, and the reason of each decision")
-    found.add_argument(
+    parser = argparse.ArgumentParser("usvlearn inspect", description=__doc__, usage=USAGE.removeprefix("usage: "))
+    parser.add_argument("logs", nargs="+", metavar="LOG", help="a log, a folder of logs, or a pattern in quotes")
+    parser.add_argument("--output", default="my_boat.yaml", help="the configuration to write (my_boat.yaml)")
+    parser.add_argument("--name", help="of the boat, by default that of the log or its folder")
+    parser.add_argument("--plot", action="store_true", help="also draw the channels, beside the configuration (.png)")
+    parser.add_argument("--force", action="store_true", help="replace the configuration if it exists")
+    parser.add_argument("--any-vehicle", action="store_true", help="take logs that say that they are of no boat, too")
+    parser.add_argument("--all", action="store_true", help="also list all series, and the reason of each decision")
+    parser.add_argument(
         "--confirm", action="append", metavar="KEY", help="say that a guess in a configuration is right; all: each"
     )
-    return found
+    return parser
 
 
 def work(arguments: Sequence[str]) -> None:
@@ -72,50 +72,50 @@ def work(arguments: Sequence[str]) -> None:
         with themed():  # refuses now, before anything is written, where matplotlib is missing
             pass
     with Activity(console, "reading, and comparing the channels with each other"):
-        found = inspect_logs(options.logs, options.name, options.output, options.any_vehicle)
-    table_view.show(found, options.output, console, options.all)
-    check_complete(found, options.logs[0])
-    write_atomically(output, found.text.encode())
+        inspected = inspect_logs(options.logs, options.name, options.output, options.any_vehicle)
+    table_view.show(inspected, options.output, console, options.all)
+    check_complete(inspected, options.logs[0])
+    write_atomically(output, inspected.text.encode())
     if options.plot:
         from usvlearn.logs.inspection.figure import draw
 
-        draw(found, output.with_suffix(".png"))
+        draw(inspected, output.with_suffix(".png"))
     with Activity(console, "fitting"):
-        verdict = list(_verdict(found, output))
-    terminal.show(*verdict, "", *_end(found, output, options.plot))
+        verdict = list(_verdict(inspected, output))
+    terminal.show(*verdict, "", *_end(inspected, output, options.plot))
 
 
-def _verdict(found: Inspected, output: Path) -> Iterator[str]:
+def _verdict(inspected: Inspected, output: Path) -> Iterator[str]:
     """What the logs are good for; of long logs, whose fit takes a while, the command that tells it."""
     from usvlearn.logs.inspection.table_view import hours
     from usvlearn.model.fit.verdict import verdicts
 
-    if hours(found.recordings) > LONG:
+    if hours(inspected.recordings) > LONG:
         yield f"What these logs are good for: usvlearn check {shlex.quote(str(output))}"
-    elif found.recordings:
-        yield from verdicts(found.recordings, found.settings, found.findings, found.settings[SECTION])
+    elif inspected.recordings:
+        yield from verdicts(inspected.recordings, inspected.settings, inspected.findings, inspected.settings[SECTION])
 
 
-def check_complete(found: Inspected, log: str) -> None:
+def check_complete(inspected: Inspected, log: str) -> None:
     """Raise a ConfigError if a required channel is missing, or a name cannot stand in a configuration."""
-    if found.proposal.missing:
+    if inspected.proposal.missing:
         raise ConfigError(
-            f"{log}: found no {', '.join(found.proposal.missing)}, so that nothing was written: "
-            f"{found.proposal.unfit or _what_to_do(found)}"
+            f"{log}: found no {', '.join(inspected.proposal.missing)}, so that nothing was written: "
+            f"{inspected.proposal.unfit or _what_to_do(inspected)}"
         )
-    if "${" in json.dumps(found.settings):
+    if "${" in json.dumps(inspected.settings):
         raise ConfigError(
             f"{log}: found '${{' in the name of a file or a series, which a configuration takes for a "
             "reference: rename it"
         )
 
 
-def _what_to_do(found: Inspected) -> str:
+def _what_to_do(inspected: Inspected) -> str:
     """What a person can do where a required channel was not found."""
     from usvlearn.composition.configuration import configs_folder
 
-    reader, files = found.logs.reader, found.logs.files
-    name = "topics" if files[0].is_dir() and hasattr(reader, "files") else found.logs.format.example
+    reader, files = inspected.logs.reader, inspected.logs.files
+    name = "topics" if files[0].is_dir() and hasattr(reader, "files") else inspected.logs.format.example
     others = len(files) == 1 and files[0].suffix.lower() == ".csv" and len(list(files[0].parent.glob("*.csv"))) > 1
     first = "if another table of its folder has them, give the folder; else " if others else ""
     return (
@@ -124,11 +124,11 @@ def _what_to_do(found: Inspected) -> str:
     )
 
 
-def _end(found: Inspected, output: Path, plot: bool) -> Iterator[str]:
+def _end(inspected: Inspected, output: Path, plot: bool) -> Iterator[str]:
     from usvlearn.logs.inspection.config_writer import shell_override
     from usvlearn.logs.inspection.table_view import hours
 
-    yield f"Read back: {len(found.recordings)} run{'s' * (len(found.recordings) > 1)}, {hours(found.recordings):.2f} h."
+    yield f"Read back: {len(runs := inspected.recordings)} run{'s' * (len(runs) > 1)}, {hours(runs):.2f} h."
     if plot:
         yield f"Picture: {output.with_suffix('.png')}"
     yield f"Written: {output}. To use it:"

@@ -34,8 +34,8 @@ REFIT = "Intervals are those of the batch fit, expected once it is made anew wit
 
 
 def parser() -> argparse.ArgumentParser:
-    found = argparse.ArgumentParser("usvlearn plan", description=__doc__)
-    add = found.add_argument
+    parser = argparse.ArgumentParser("usvlearn plan", description=__doc__)
+    add = parser.add_argument
     add("run", metavar="RUN", type=without_key, help="the folder of a run, a folder of checkpoints, or a checkpoint")
     add("--boat", help="only this one")
     add("--minutes", type=float, default=5.0, help="length of the mission (5)")
@@ -47,7 +47,7 @@ def parser() -> argparse.ArgumentParser:
     add("--turn-rate", type=float, default=20.0, help="of the boat in a turn, degrees/s (20)")
     add("--seed", type=int, default=0, help="of the search (0)")
     add("--out", metavar="FOLDER", default="plan", help="where the files are written (plan)")
-    return found
+    return parser
 
 
 def work(arguments: Sequence[str]) -> None:
@@ -135,8 +135,8 @@ def _show(planned: Planned, limits: Limits, folder: Path) -> None:
     terminal.show(*boat.lacks, WALK if after is plan.expected.found else REFIT, "", *written)
 
 
-def _width(found: Mapping[str, Quantity], name: str) -> float:
-    return found[name].high - found[name].low
+def _width(identified: Mapping[str, Quantity], name: str) -> float:
+    return identified[name].high - identified[name].low
 
 
 def _segments(boat: IdentifiedBoat, rehearsal: Rehearsal, plan: BestCourse, limits: Limits, aims: list[str]):

@@ -31,51 +31,51 @@ def refit(folder: Path) -> str:
 def _refit(folder: Path) -> str:
     sizes = sizes_of(folder / MISSIONS)
     seen, paths = {path.name: size for path, size in sizes.items()}, [*sizes]
-    told: dict[str, Any] = {"seen": seen, "use": False, "missions": 0, "quantities": {}}
+    answer: dict[str, Any] = {"seen": seen, "use": False, "missions": 0, "quantities": {}}
     try:
         boat, setup, recordings = _read(paths)
-        told[KEY] = settings_of(setup)
+        answer[KEY] = settings_of(setup)
         if setup.mass is None or setup.surge_max is None:
             raise ConfigError("mass: found none, or no surge_max, expected both: give the node --mass and --surge-max")
         last = last_of(folder)
         missions = missions_of(align_fleet(recordings, **fine(setup.align)), boat)
-        found = fit_boat(boat, missions, setup.mass, setup.surge_max, online=None if last is None else last.online)
-        write(folder / FIT, found, last, float(setup.align["dt"]))
-        against = " ".join(found.doubts)
-        many = f"the fit of {found.missions.number} mission{'s' * (found.missions.number != 1)}"
-        told |= {
-            "use": not against, "missions": found.missions.number, "table": table_of(found),
-            "quantities": {k: x for k in found.quantities if np.isfinite((x := found.found.displayed(k))[:3]).all()},
+        fitted = fit_boat(boat, missions, setup.mass, setup.surge_max, online=None if last is None else last.online)
+        write(folder / FIT, fitted, last, float(setup.align["dt"]))
+        against = " ".join(fitted.doubts)
+        many = f"the fit of {fitted.missions.number} mission{'s' * (fitted.missions.number != 1)}"
+        answer |= {
+            "use": not against, "missions": fitted.missions.number, "table": table_of(fitted),
+            "quantities": {k: x for k in fitted.quantities if np.isfinite((x := fitted.found.displayed(k))[:3]).all()},
             "sentence": f"use those learned online, not {many}: {against}" if against else f"use those of {many}",
         }  # fmt: skip
     except UsvlearnError as error:
-        told["sentence"] = f"use those learned online: {error}"
-        _tell(folder, told)
+        answer["sentence"] = f"use those learned online: {error}"
+        _tell(folder, answer)
         raise
-    _tell(folder, told)
-    return str(told["sentence"])
+    _tell(folder, answer)
+    return str(answer["sentence"])
 
 
-def _tell(folder: Path, told: dict[str, Any]) -> None:
+def _tell(folder: Path, answer: dict[str, Any]) -> None:
     """Write what a fit says; one that was killed says nothing, and the result before it stays."""
-    checkpoint.write_atomically(folder / FIT / RESULT, json.dumps(finite(told), indent=1).encode())
+    checkpoint.write_atomically(folder / FIT / RESULT, json.dumps(finite(answer), indent=1).encode())
 
 
 def _read(paths: list[Path]) -> tuple[str, Setup, list[Recording]]:
     """Boat and setup of the newest mission, and all missions that have the same."""
-    found: list[tuple[str, Setup, Recording]] = []
+    missions: list[tuple[str, Setup, Recording]] = []
     for path in reversed(paths):
         try:
             leaves, facts = checkpoint.load(path)
             boat, setup = str(facts["boat"]), Setup.of(facts[KEY])
-            if found and (boat, settings_of(setup)) != (found[0][0], settings_of(found[0][1])):
+            if missions and (boat, settings_of(setup)) != (missions[0][0], settings_of(missions[0][1])):
                 raise ConfigError("it is of another boat, or has other settings")
             if not setup.aligned.keys() <= leaves.keys() or any(leaf.ndim != 2 for leaf in leaves.values()):
                 raise ConfigError("it lacks a channel")
             columns = {name: (leaf[0], leaf[1], leaf[2].astype(int)) for name, leaf in leaves.items()}
-            found.append((boat, setup, recording_of(setup, columns, boat, path.stem)))
+            missions.append((boat, setup, recording_of(setup, columns, boat, path.stem)))
         except (CheckpointError, ConfigError, KeyError, TypeError, ValueError, IndexError) as error:
             complain(f"warning: {path}: is left out ({error!r:.200})")
-    if not found:
+    if not missions:
         raise ConfigError("found no mission that can be read, expected one of a minute or more")
-    return *found[0][:2], [each for *_, each in reversed(found)]
+    return *missions[0][:2], [each for *_, each in reversed(missions)]

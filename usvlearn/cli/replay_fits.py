@@ -79,10 +79,10 @@ def fits_of(run: RunFolder, recordings: Sequence[Recording], cfg: DictConfig) ->
         first = tuple(each for each in whole.runs if each.names[whole.boats.index(boat)] not in later)
         try:
             rows = without_losses(boat, missions_of(whole._replace(runs=first), boat), happened, tell=False)
-            found = fit_boat(boat, rows, float(cfg.vehicle.mass), float(cfg.vehicle.surge_max))
+            fitted = fit_boat(boat, rows, float(cfg.vehicle.mass), float(cfg.vehicle.surge_max))
         except (ValueError, ArithmeticError):  # the fit at the end of the run tells it
             return np.zeros(TABLE)
-        return np.zeros(TABLE) if found.doubts else table_of(found)
+        return np.zeros(TABLE) if fitted.doubts else table_of(fitted)
 
     def fits(runs: int) -> np.ndarray:
         published = (each for each in run.published.only("thrusters", "health") if each[0] < runs)

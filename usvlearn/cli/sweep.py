@@ -140,11 +140,11 @@ class Sweep(Callback):
 
     def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
         folder = Path(config.hydra.sweep.dir)
-        own: Any = OmegaConf.to_container(config.hydra)
+        settings: Any = OmegaConf.to_container(config.hydra)
         Sweep.shown.enter_context(Activity(console(), "the jobs"))
         with exit_on_user_error(), in_one_sentence():
             check_launcher([f"hydra/launcher={config.hydra.runtime.choices['hydra/launcher']}"])  # of any file
-            check_sweep(folder, load, own)
+            check_sweep(folder, load, settings)
             check_own_board(folder, "hydra.sweep.dir")
             swept, jobs = jobs_of(config.hydra)
             check_objective(config, swept)
@@ -157,7 +157,7 @@ class Sweep(Callback):
         Sweep.folder = folder
         if "joblib" in config.hydra.launcher._target_:
             defer_signals()  # a signal is passed on to the workers, which finish their chunk
-        if own["sweep"]["subdir"] == "${hydra.job.num}":
+        if settings["sweep"]["subdir"] == "${hydra.job.num}":
             Sweep.progress = Progress(folder, jobs, note, partial(print, flush=True))
             Sweep.progress.start()
         if "submitit" in config.hydra.launcher._target_:
@@ -209,9 +209,9 @@ def again(sweep: Path | None, run: Path | None) -> str:
     keys, script, *arguments = [each.partition("=")[0] for each in more], *sys.argv
     overrides = [each for each in arguments if each.startswith("~") or ("=" in each and not each.startswith("-"))]
     flags = [each for each in arguments if each not in overrides]  # flags must not stand between overrides
-    kept = [each for each in overrides if each.partition("=")[0] not in keys]
+    staying = [each for each in overrides if each.partition("=")[0] not in keys]
     program = ["python", script] if script.endswith(".py") else script.split(" ")  # else the command `usvlearn train`
-    return shlex.join([*program, *flags, *kept, *more])
+    return shlex.join([*program, *flags, *staying, *more])
 
 
 def wait_for_all(lost: list[int]) -> None:

@@ -47,17 +47,17 @@ def work(cfg: DictConfig, folder: Path, overrides: Sequence[str], resume: str | 
     check_settings(cfg)
     composed = seeded(plain(cfg))
     still = {SECTION: open_questions(composed, overrides)} if SECTION in composed else {}
-    made = OmegaConf.create(composed | still)
+    composed_cfg = OmegaConf.create(composed | still)
     console = terminal.console(quiet)  # of its own: what a worker is sent must be picklable
     with as_written(cfg):
-        if not asked(made):
+        if not asked(composed_cfg):
             from usvlearn.engine.background_compile import compiling
 
-            with nullcontext() if quiet else compiling(tracks=made.get("tracks") is not None):
-                return train(made, folder, console, resume or cfg.resume, overrides)
+            with nullcontext() if quiet else compiling(tracks=composed_cfg.get("tracks") is not None):
+                return train(composed_cfg, folder, console, resume or cfg.resume, overrides)
         with Activity(console, "loading"):
             from usvlearn.sweeps.tuning.tune import tune
-        settings = plain(made)
+        settings = plain(composed_cfg)
         return tune(settings, folder, instantiate, CheckedAlignment(settings, console), overrides, console)
 
 
@@ -114,13 +114,13 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
             activity.tell(f"replaying run {chunk.end.run + 1} of {len(fleet.runs)}")
             activity.completed(fleet.steps_before(*chunk.end))
         activity.begin("scoring")
-        found = run.finish(began, truth | turns)
-        networks = stability(ensemble, run.state, fleet.boats, found.get("free"))
-        logger.finish(settings, found, run.published, networks)
+        results = run.finish(began, truth | turns)
+        networks = stability(ensemble, run.state, fleet.boats, results.get("free"))
+        logger.finish(settings, results, run.published, networks)
     quantities = identified_boats(ensemble, run.state, fleet.boats)
     main = None if whole else (ensemble.output, ensemble.members)
-    console.print(error_tables(found["boats"], remarks(ensemble), explained(ensemble), found.get("forecast"), main))
-    if whole and (tracks := track_table(found.get("tracks"))) is not None:
+    console.print(error_tables(results["boats"], remarks(ensemble), explained(ensemble), results.get("forecast"), main))
+    if whole and (tracks := track_table(results.get("tracks"))) is not None:
         console.print(tracks)
     console.print(identified_table(quantities, truth, whole))
     known: dict[str, Quantities] = {boat: displayed(each) for boat, each in quantities.items()}
@@ -128,19 +128,19 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
         known |= fit_on_the_way(folder, console)
     elif planar is not None and whole:
         terminal.show(FIRST, to=console)
-    happened = [*event_lines(found["events"], whole)[1:], *(networks if whole else ())]
+    happened = [*event_lines(results["events"], whole)[1:], *(networks if whole else ())]
     terminal.show("", *happened, *[""] * bool(happened), to=console)
     several, asked_still = len(fleet.boats) > 1, open_questions(settings)
     if align.findings is None:  # nothing was checked, so that nothing was said of them
         terminal.show(*unconfirmed(asked_still), "", to=console)
     board, *page = board_lines(folder / TENSORBOARD, f"?smoothing=0{'&runFilter=fleet%2F' * several}#timeseries")
     terminal.show(
-        *summary(found, asked_still, known),
+        *summary(results, asked_still, known),
         *([board, *page, *[TOGGLE] * several] if whole else [board]),
         f"next         {program('evaluate')} {quoted(folder)}",
         to=console,
     )
-    return found["objective"]
+    return results["objective"]
 
 
 def described(cfg: DictConfig, overrides: Sequence[str]) -> dict[str, str]:

@@ -43,10 +43,10 @@ class CheckedAlignment:
             fleet = align_fleet(recordings, **options)
         except LogFormatError as error:
             raise self._explained(error, recordings, options) from error
-        found = check_data(recordings, fleet, options, self._surge_max, self._channels, self._horizons)
+        findings = check_data(recordings, fleet, options, self._surge_max, self._channels, self._horizons)
         if self._level == "strict":
-            refuse(found)
-        new = [each for each in found if each not in (self.findings or ())]
+            refuse(findings)
+        new = [each for each in findings if each not in (self.findings or ())]
         if self._console is not None and (new or self.findings is None):
             self._console.print(data_check_table([each._asdict() for each in new], len(CHECKS)))
             show(*[f"{each}\n" for each in self._asked if self.findings is None], to=self._console)
@@ -55,9 +55,9 @@ class CheckedAlignment:
 
     def _explained(self, error: LogFormatError, recordings: list, options: Mapping[str, Any]) -> LogFormatError:
         """The error of an alignment, with what the check finds in the recordings."""
-        found = check_data(recordings, None, options, self._surge_max, self._channels)
-        told = "; ".join(each.sentence() for each in found)
-        return LogFormatError(f"{error}; data check: {told}") if told else error
+        findings = check_data(recordings, None, options, self._surge_max, self._channels)
+        sentences = "; ".join(each.sentence() for each in findings)
+        return LogFormatError(f"{error}; data check: {sentences}") if sentences else error
 
     @property
     def json(self) -> list[dict[str, str]] | None:

@@ -65,9 +65,9 @@ def compose_train(overrides: Sequence[str], changes: Mapping[str, Any] | None = 
 
 def plain(cfg: Any) -> dict[str, Any]:
     """A configuration as dictionaries, lists and scalars, with its references resolved."""
-    found = OmegaConf.to_container(cfg, resolve=True)
-    assert isinstance(found, dict)
-    return {str(key): value for key, value in found.items()}
+    container = OmegaConf.to_container(cfg, resolve=True)
+    assert isinstance(container, dict)
+    return {str(key): value for key, value in container.items()}
 
 
 def check_settings(cfg: DictConfig) -> None:
@@ -75,8 +75,8 @@ def check_settings(cfg: DictConfig) -> None:
     given: Any = OmegaConf.to_container(cfg)
     for name in SECTIONS:
         if not isinstance(given.get(name), dict):
-            found = repr(given[name]) if name in given else "nothing"
-            raise ConfigError(f"{name}: found {found}, expected {name}.KEY=VALUE: leave out {name}=… or ~{name}")
+            value = repr(given[name]) if name in given else "nothing"
+            raise ConfigError(f"{name}: found {value}, expected {name}.KEY=VALUE: leave out {name}=… or ~{name}")
     for name, node in given.items():
         if (named := today(node)) != node:
             given[name] = cfg[name] = named
@@ -109,8 +109,8 @@ def as_written(cfg: DictConfig) -> Iterator[None]:
         yield
     except UsvlearnError as error:
         key, colon, said = str(error).partition(": ")
-        while (found := _reference(OmegaConf.to_container(cfg), key)) is not None:
-            key = found
+        while (target := _reference(OmegaConf.to_container(cfg), key)) is not None:
+            key = target
         error.args = (f"{key}{colon}{said}",)
         raise
 
@@ -119,8 +119,8 @@ def _reference(node: Any, key: str) -> str | None:
     """The key to which the value of another one refers as a whole."""
     for name in key.split("."):
         node = node.get(name) if isinstance(node, dict) else None
-    found = re.fullmatch(r"\$\{([\w.]+)\}", node) if isinstance(node, str) else None
-    return found[1] if found else None
+    match = re.fullmatch(r"\$\{([\w.]+)\}", node) if isinstance(node, str) else None
+    return match[1] if match else None
 
 
 def ensemble_of(cfg: Mapping[str, Any]) -> Ensemble:
@@ -128,8 +128,8 @@ def ensemble_of(cfg: Mapping[str, Any]) -> Ensemble:
     from usvlearn.estimators.ensemble.layer import Ensemble
 
     members, rules = instantiate(cfg["estimators"]), instantiate(cfg["combiners"], _convert_="all")
-    made = cfg.get("forecasts")
-    ahead, knows = made and instantiate(made, _convert_="all"), bool(cfg.get("conditional", False))
+    settings = cfg.get("forecasts")
+    ahead, knows = settings and instantiate(settings, _convert_="all"), bool(cfg.get("conditional", False))
     limit = speed_limit(check_positive("vehicle.surge_max", cfg["vehicle"]["surge_max"], "of m/s"))
     return Ensemble(members, rules, cfg["output"], surge_max=limit, forecasts=ahead, conditional=knows)
 
@@ -148,19 +148,19 @@ def planar_of(cfg: Mapping[str, Any], ensemble: Ensemble) -> tuple[Planar | None
     if unknown := [name for name in given if name not in ("horizons", "overlap")]:
         raise ConfigError(f"tracks.{unknown[0]}: found no such option, expected horizons or overlap, or tracks: null")
     with under("tracks", given):
-        found = Planar(ensemble, surge_max=cfg["vehicle"]["surge_max"], **given)
+        planar = Planar(ensemble, surge_max=cfg["vehicle"]["surge_max"], **given)
     try:
-        found.description()
+        planar.description()
     except ConfigError as error:
         return None, f"no tracks: {error} (tracks=null asks for none)"
-    return found, ""
+    return planar, ""
 
 
 def _retell(error: InstantiationException, names: set[str]) -> NoReturn:
     """Raise a constructor's own error about its arguments; an error that is a bug is raised unchanged."""
     text, cause = " ".join(str(error).split()), error.__cause__
-    found, named = re.search(r"full_key: (\S+)", text), re.search(r"target '([^']+)'", text)
-    key, target = found[1] if found else "", named[1] if named else ""
+    match, named = re.search(r"full_key: (\S+)", text), re.search(r"target '([^']+)'", text)
+    key, target = match[1] if match else "", named[1] if named else ""
     place = f"{key}." if key else ""
     if isinstance(cause, UsvlearnError):
         with under(key, names):

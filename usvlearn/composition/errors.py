@@ -67,15 +67,15 @@ def _sentence(error: Exception, names: Callable[[str], Iterable[str]]) -> str:
         options = list(error.options or names(""))
         hint = did_you_mean(name, options)
         return f"{group or '--config-name'}: found {name!r}, expected one of {', '.join(sorted(options))}{hint}"
-    if found := KEY.search(str(error)):
-        key = found[1] or found[2]
+    if match := KEY.search(str(error)):
+        key = match[1] or match[2]
         return f"{key}: found no such key{_instead_of(key, list(names(key)))}"
-    if found := re.search(r"config directory '(.+?)'", str(error)):
-        return f"{found[1]}: found no such folder: correct --config-dir or --config-path"
-    if found := re.search(r"already at '([^']+)'|Multiple values for (\S+)\.", str(error)):
-        return f"+{found[1] or found[2]}: found that key set already, expected a new one: leave out the +"
-    if found := re.search(r"(?:argument|parameters) '(.+?)'", _first_line(error)):
-        return f"{found[1]}: found several values: add -m for a sweep over them, or put a list into brackets"
+    if match := re.search(r"config directory '(.+?)'", str(error)):
+        return f"{match[1]}: found no such folder: correct --config-dir or --config-path"
+    if match := re.search(r"already at '([^']+)'|Multiple values for (\S+)\.", str(error)):
+        return f"+{match[1] or match[2]}: found that key set already, expected a new one: leave out the +"
+    if match := re.search(r"(?:argument|parameters) '(.+?)'", _first_line(error)):
+        return f"{match[1]}: found several values: add -m for a sweep over them, or put a list into brackets"
     if isinstance(cause, OmegaConfBaseException):
         return _of_value(cause, error)
     return f"{_first_line(error)}: correct the command line or the file"
@@ -83,8 +83,8 @@ def _sentence(error: Exception, names: Callable[[str], Iterable[str]]) -> str:
 
 def _instead_of(key: str, every: Sequence[str]) -> str:
     """The key that was meant, or else those of the same section."""
-    section, _, own = key.rpartition(".")
-    meant = f"{section}.{MEANT.get(own, own)}"
+    section, _, last = key.rpartition(".")
+    meant = f"{section}.{MEANT.get(last, last)}"
     if meant not in every:
         close = did_you_mean(key, [each for each in every if each != section])
         if close or not section:

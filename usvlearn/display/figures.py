@@ -41,13 +41,13 @@ def colours(names: Sequence[str]) -> dict[str, str]:
     So an estimator has one colour in all figures, whichever others are beside it. Only where two of the same figure
     would share a colour, the second one has the next. NAME+ has the colour of NAME.
     """
-    found = dict(KNOWN)
+    palette = dict(KNOWN)
     for name in dict.fromkeys(name.rstrip("+") for name in names):
-        if name not in found:
+        if name not in palette:
             first = zlib.crc32(name.encode()) % len(OTHERS)
             order = (*OTHERS[first:], *OTHERS[:first])
-            found[name] = next((each for each in order if each not in found.values()), order[0])
-    return {name: found[name.rstrip("+")] for name in names}
+            palette[name] = next((each for each in order if each not in palette.values()), order[0])
+    return {name: palette[name.rstrip("+")] for name in names}
 
 
 @contextmanager
@@ -81,10 +81,10 @@ def attempted(draw: Callable[[], T], what: str, instead: Callable[[Any], T] = la
         except (MissingExtraError, Warning):
             raise
         except Exception as error:
-            told = printable(f"{what} could not be drawn ({cause_of(error)})")
-            warnings.warn(f"{told}: the numbers are not affected", stacklevel=2)
+            sentence = printable(f"{what} could not be drawn ({cause_of(error)})")
+            warnings.warn(f"{sentence}: the numbers are not affected", stacklevel=2)
         figure = Figure(figsize=(7, 1.2), dpi=100)
-        figure.text(0.02, 0.5, textwrap.fill(told, 110), va="center", fontsize=8)
+        figure.text(0.02, 0.5, textwrap.fill(sentence, 110), va="center", fontsize=8)
         return instead(figure)
 
 

@@ -181,13 +181,13 @@ def folder_name(text: str) -> str:
 
 def folder_names(texts: Iterable[str]) -> list[str]:
     """Texts as different names of folders."""
-    found: list[str] = []
+    names: list[str] = []
     for text in texts:
         name = folder_name(text)
-        while name in found:
+        while name in names:
             name += "_"
-        found.append(name)
-    return found
+        names.append(name)
+    return names
 
 
 def _hparams_protos() -> tuple[Any, Any]:

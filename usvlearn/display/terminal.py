@@ -40,10 +40,10 @@ class _Console(Console):
 
 def console(quiet: bool = False) -> Console:
     """The standard output, as wide as the terminal. In a notebook it is text, too, and not HTML."""
-    found = _Console(markup=False, quiet=quiet, force_jupyter=False)
-    if not found.is_terminal and "COLUMNS" not in os.environ:
-        found.width = UNLIMITED
-    return found
+    terminal = _Console(markup=False, quiet=quiet, force_jupyter=False)
+    if not terminal.is_terminal and "COLUMNS" not in os.environ:
+        terminal.width = UNLIMITED
+    return terminal
 
 
 def show(*parts: str | Text | Blocks, to: Console | None = None) -> None:

@@ -26,10 +26,10 @@ AHEAD, NEAR = 5, 10.0  # s: the horizon of the results, or else the longest belo
 
 def what_differs(overrides: Sequence[str]) -> dict[str, str]:
     """The settings of a command line that say how it is learned, not from what; of a path its last part."""
-    found = (text.lstrip("+").partition("=") for text in overrides)
+    parts = (text.lstrip("+").partition("=") for text in overrides)
     return {
         key: value if value.startswith(("{", "[", "(", '"', "'")) else value.rstrip("/").rpartition("/")[2]
-        for key, _, value in found
+        for key, _, value in parts
         if _below(key, NAMED) or not _below(key, BESIDE)
     }
 
@@ -65,7 +65,7 @@ def results_of(results: Mapping[str, Any], name: str) -> dict[str, float]:
     rates = [x for row in networks if row and (x := _inside(row[0], "rate")) is not None]
     horizons = next((list(next(iter(rows.values()), {})) for rows in (results.get("forecast") or {}).values()), [])
     near = max((h for h in horizons if float(h) <= NEAR), key=float, default="")
-    found = [
+    titled = [
         value("MAE (m/s)", objective.ONE_STEP),
         value("skill", objective.SKILL),
         value("MAE free (m/s)", objective.FREE),
@@ -74,7 +74,7 @@ def results_of(results: Mapping[str, Any], name: str) -> dict[str, float]:
         value("coverage of 90 %", objective.COVERAGE),
         ("seconds", _inside(results, "seconds")),
     ]
-    return {title: value for title, value in found if value is not None}
+    return {title: value for title, value in titled if value is not None}
 
 
 def result_tag(title: str) -> str:
@@ -94,10 +94,10 @@ def number(text: Any) -> bool | float | str:
     if isinstance(text, bool):
         return text
     try:
-        found = float(text)
+        value = float(text)
     except (TypeError, ValueError):
         return str(text)
-    return found if math.isfinite(found) else str(text)
+    return value if math.isfinite(value) else str(text)
 
 
 def data_text(fleet: Fleet, clocks: np.ndarray) -> str:

@@ -112,7 +112,7 @@ def _mae(error: np.ndarray) -> str:
 
 @guarded
 def identified_figure(
-    seasons: Sequence[Mapping[str, Curve]], found: Identified, truth: Mapping[str, float], title: str
+    seasons: Sequence[Mapping[str, Curve]], identified: Identified, truth: Mapping[str, float], title: str
 ):
     """Drag over speed, thrust and steady speed over command, with bands and known truths."""
     lines = {"drag": (0, READ), "thrust_left": (1, LEFT), "thrust_right": (1, RIGHT), "steady_speed": (2, READ)}
@@ -121,7 +121,7 @@ def identified_figure(
         ("command, share of full scale", "thrust of a side at standstill, N"),
         ("command of both sides, share", "steady speed, m/s"),
     )
-    half = found["steady_speed_full"].value / 2
+    half = identified["steady_speed_full"].value / 2
     points = [
         (0, half, "drag_half_speed", INK),
         (1, 1.0, "thrust_full_left", LEFT),
@@ -152,7 +152,7 @@ def identified_figure(
 
 
 @guarded
-def forecast_figure(found: Scores):
+def forecast_figure(scores: Scores):
     """Skill against horizon, of `evaluation.horizons.horizon_scores`; a panel per boat, a line per estimator."""
     names = list(next(iter(found.values())))
     palette = colours(names)
@@ -303,13 +303,13 @@ def figures(replayed: Replayed, everything: bool) -> Iterator[tuple[str, str, in
     parts = [range(max(0, stop - RUNS), stop) for stop in range(len(fleet.runs), 0, -RUNS)]
     wanted: list[tuple[str, str, int, Callable[[], Any]]] = []
     for part in parts if everything else parts[:1]:
-        for boat, own in ((boat, [k for k in part if fleet.runs[k].lengths[e]]) for e, boat in enumerate(fleet.boats)):
-            if own:
-                wanted.append((boat, "runs", own[-1], partial(_runs, replayed, boat, own)))
+        for boat, runs in ((boat, [k for k in part if fleet.runs[k].lengths[e]]) for e, boat in enumerate(fleet.boats)):
+            if runs:
+                wanted.append((boat, "runs", runs[-1], partial(_runs, replayed, boat, runs)))
     for boat in fleet.boats if seasons else ():
         wanted.append((boat, "identified curves", ends[boat], partial(_identified, replayed, boat)))
-    for boat, found in (results.get("forecast") or {}).items():
-        wanted.append((boat, "forecasts", ends[boat], partial(forecast_figure, {boat: found})))
+    for boat, scores in (results.get("forecast") or {}).items():
+        wanted.append((boat, "forecasts", ends[boat], partial(forecast_figure, {boat: scores})))
     allowed = max(LEAST_FIGURES, len(fleet.boats)) + fleet.steps * len(fleet.boats) // STEPS_PER_FIGURE
     chosen = wanted if everything else wanted[:allowed]
     for boat, happened in results["events"].items():
@@ -322,20 +322,20 @@ def figures(replayed: Replayed, everything: bool) -> Iterator[tuple[str, str, in
 def _of(replayed: Replayed, boat: str, index: int, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray, dict]:
     """Time, measured speed, and what was published of a boat's run; all `(time, …)`."""
     places = [place for place in replayed.published.places() if place[0] == index]
-    found = joined([replayed.published.read(*place, names).arrays for place in places])
+    arrays = joined([replayed.published.read(*place, names).arrays for place in places])
     run, element = replayed.fleet.runs[index], replayed.fleet.boats.index(boat)
     part = slice(0, run.lengths[element])
     surge = measured(run.samples, replayed.ensemble.surge_limit)[part, element]
-    return run.time[part, element], surge, {name: array[part, element] for name, array in found.items()}
+    return run.time[part, element], surge, {name: array[part, element] for name, array in arrays.items()}
 
 
 def _runs(replayed: Replayed, boat: str, indices: Sequence[int]) -> Any:
     """The ensemble's prediction of some runs."""
     name, element, shown = replayed.ensemble.output, replayed.fleet.boats.index(boat), []
     for index in indices:
-        time, surge, found = _of(replayed, boat, index, ("predictions",))
-        made = found["predictions"][:, replayed.ensemble.names.index(name)]
-        shown.append(Traces(replayed.fleet.runs[index].names[element], time, surge, made))
+        time, surge, arrays = _of(replayed, boat, index, ("predictions",))
+        predicted = arrays["predictions"][:, replayed.ensemble.names.index(name)]
+        shown.append(Traces(replayed.fleet.runs[index].names[element], time, surge, predicted))
     return runs_figure(shown, name, f"{boat}: {len(shown)} runs")
 
 
@@ -352,11 +352,11 @@ def _identified(replayed: Replayed, boat: str) -> Any:
 
 def _thrusters(replayed: Replayed, boat: str, index: int) -> Any:
     """Health of the thrusters; if the log is simulated, also the fault."""
-    time, surge, found = _of(replayed, boat, index, ("predictions", "thrusters", "health"))
+    time, surge, arrays = _of(replayed, boat, index, ("predictions", "thrusters", "health"))
     run, element, fault = replayed.fleet.runs[index], replayed.fleet.boats.index(boat), replayed.data.get("fault")
     began = None if fault is None else 60 * (fault["minute"] - index * replayed.data["mission_minutes"])
     inputs = tree_map(lambda x: x[: len(time), element], run.samples.inputs)
-    course = course_of(replayed.ensemble.names, replayed.ensemble.output, time, inputs, surge, found)
+    course = course_of(replayed.ensemble.names, replayed.ensemble.output, time, inputs, surge, arrays)
     happened = replayed.results["events"][boat]
     marks = [(each["time"], each["kind"]) for each in happened if each["run"] == run.names[element]]
     seen = began if began is not None and time[0] <= began <= time[-1] else None

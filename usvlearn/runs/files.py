@@ -43,14 +43,14 @@ def runs_file(folder: Path) -> dict[str, Any]:
     """The content of `runs.json`: per boat, name, length and digest of each run; and the digest of the ensemble."""
     path = folder / RUNS
     try:
-        found = json.loads(path.read_text())
+        content = json.loads(path.read_text())
         boats = {
             boat: [(str(name), int(length), str(key)) for name, length, key in runs]
-            for boat, runs in found["boats"].items()
+            for boat, runs in content["boats"].items()
         }
         if any(length < 0 for runs in boats.values() for _, length, _ in runs):
             raise ValueError("a run has fewer than 0 steps")
-        return {"boats": boats, "ensemble": str(found["ensemble"])}
+        return {"boats": boats, "ensemble": str(content["ensemble"])}
     except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise CheckpointError(f"{path}: is damaged ({error}): make the run anew") from error
 
@@ -66,10 +66,10 @@ def digest(run: Run, element: int) -> str:
 def number(folder: Path) -> int:
     """The number of a folder's run among the runs beside it; 0 if it has none."""
     try:
-        found = json.loads((folder / RUNS).read_text())["began"]["number"]
+        number = json.loads((folder / RUNS).read_text())["began"]["number"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return 0
-    return found if type(found) is int and 0 < found < 2**53 else 0
+    return number if type(number) is int and 0 < number < 2**53 else 0
 
 
 def begun(folder: Path) -> tuple[int, int, Position, str]:
@@ -77,9 +77,9 @@ def begun(folder: Path) -> tuple[int, int, Position, str]:
 
     Clocks can be set back, so runs are numbered as they begin. Of two of one number the one that came further is later.
     """
-    found, own = list((folder / CHECKPOINTS).glob(f"*/*{SUFFIX}")), number(folder)
-    stamp = 0 if own else max(path.stat().st_mtime_ns for path in [*found, folder / RUNS])
-    return own, stamp, max(filter(None, map(position, found)), default=BEGIN), folder.name
+    paths, rank = list((folder / CHECKPOINTS).glob(f"*/*{SUFFIX}")), number(folder)
+    stamp = 0 if rank else max(path.stat().st_mtime_ns for path in [*paths, folder / RUNS])
+    return rank, stamp, max(filter(None, map(position, paths)), default=BEGIN), folder.name
 
 
 def same_run(folder: Path, runs: Mapping[str, Any]) -> bool:

@@ -72,11 +72,11 @@ class Published:
 
     def places(self) -> list[tuple[int, int, int]]:
         """Index of the run, first step and end of each stretch, from the names of the files."""
-        found, before = [], BEGIN
+        places, before = [], BEGIN
         for place in filter(None, map(position, self.paths())):
-            found.append((place.run, before.step if place.run == before.run else 0, place.step))
+            places.append((place.run, before.step if place.run == before.run else 0, place.step))
             before = place
-        return found
+        return places
 
     def paths(self) -> list[Path]:
         """The files, in order."""
@@ -113,11 +113,11 @@ class Published:
 def widths_of(ensemble: Ensemble, planar: Planar | None = None) -> dict[str, int]:
     """The widths of what an ensemble publishes, and what makes tracks beside it."""
     count = len(ensemble.names)
-    found = {"predictions": count, "halfwidths": count, "thrusters": 5, "health": 6 + len(ensemble.accommodated)}
+    widths = {"predictions": count, "halfwidths": count, "thrusters": 5, "health": 6 + len(ensemble.accommodated)}
     if (forecasts := ensemble.forecasts) is not None:
         count = len(forecasts.horizons)
-        found |= {"forecasts": count * len(forecasts.columns), "forecast_halfwidths": count}
-    return found if planar is None else found | {"tracks": DUE * len(planar.horizons)}
+        widths |= {"forecasts": count * len(forecasts.columns), "forecast_halfwidths": count}
+    return widths if planar is None else widths | {"tracks": DUE * len(planar.horizons)}
 
 
 def joined(parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
@@ -176,14 +176,14 @@ def archive_of(path: Path, most: int) -> Iterator[Any]:
 def position(path: Path) -> Position | None:
     """The place in a file's name; None if the name has another form than `stem` gives it."""
     run, _, step = path.stem.partition("_")
-    found = Position(int(run), int(step)) if run.isdecimal() and step.isdecimal() else None
-    return found if found is not None and stem(found) == path.stem else None
+    place = Position(int(run), int(step)) if run.isdecimal() and step.isdecimal() else None
+    return place if place is not None and stem(place) == path.stem else None
 
 
 def named(folder: Path, lengths: Sequence[int]) -> list[Path]:
     """The predictions in a folder that belong to runs of so many steps, in order."""
-    found = [(at, path) for path in (folder / PREDICTIONS).glob("*.npz") if (at := position(path)) is not None]
-    return [path for at, path in sorted(found) if at.run < len(lengths) and 0 < at.step <= lengths[at.run]]
+    placed = [(at, path) for path in (folder / PREDICTIONS).glob("*.npz") if (at := position(path)) is not None]
+    return [path for at, path in sorted(placed) if at.run < len(lengths) and 0 < at.step <= lengths[at.run]]
 
 
 def stem(place: Position) -> str:

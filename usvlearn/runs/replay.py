@@ -59,17 +59,17 @@ def replay(
     else:
         first = (planar.init((len(fleet.boats),)) if beside is None else beside)._replace(surge=state)
         replayed = chunked_rollout(planar, first, parts, [*(f"surge.{name}" for name in names), "track.due"])
-    for (run, done, stop, save), (after, kept) in zip(places, replayed, strict=True):
+    for (run, done, stop, save), (after, recorded) in zip(places, replayed, strict=True):
         state = after
         if planar is not None:
             whole, state = after, after.surge
-            kept = {name.removeprefix("surge."): x for name, x in kept.items()}
+            recorded = {name.removeprefix("surge."): x for name, x in recorded.items()}
         part = tree_map(lambda x, a=done, b=stop: x[a:b], fleet.runs[run].samples)
         mask = masks(part, ensemble.surge_limit)
         stepped, surge = mask.steps[..., None], np.where(mask.learns, part.surge, np.nan)
-        published = {name: np.where(stepped, x, np.nan) for name, x in _published(state, kept, filters).items()}
+        published = {name: np.where(stepped, x, np.nan) for name, x in _published(state, recorded, filters).items()}
         if planar is not None:
-            published["tracks"] = np.where(stepped, flat(kept["track.due"]), np.nan)
+            published["tracks"] = np.where(stepped, flat(recorded["track.due"]), np.nan)
         yield Chunk(Position(run, done), Position(run, stop), state, published, surge, save, whole)
 
 
@@ -101,22 +101,22 @@ def _changes(name: str) -> str:
     return f"members.{name}.trial.changes"
 
 
-def _published(state: EnsembleState, kept: dict[str, np.ndarray], filters: Sequence[str]) -> dict[str, np.ndarray]:
+def _published(state: EnsembleState, recorded: dict[str, np.ndarray], filters: Sequence[str]) -> dict[str, np.ndarray]:
     """What is published of every step, computed from the recorded leaves."""
-    published = {name: kept[name] for name in ("predictions", "halfwidths")}
+    published = {name: recorded[name] for name in ("predictions", "halfwidths")}
     if state.forecasts:
-        published |= {name: flat(kept[f"forecasts.{leaf}"]) for name, leaf in FORECASTS.items()}
+        published |= {name: flat(recorded[f"forecasts.{leaf}"]) for name, leaf in FORECASTS.items()}
     if not state.monitors:
         return published
-    evidence, _, raised = (kept[name] for name in THRUSTERS)
+    evidence, _, raised = (recorded[name] for name in THRUSTERS)
     told = {name.rpartition(".")[2]: torch.from_numpy(kept[name]) for name in THRUSTERS}
     health = state.monitors.thrusters._replace(**told)
     handed, given = np.zeros_like(evidence), state.accommodation
     if filters:
-        handed = kept[GIVEN[0]]
-        given = given._replace(**{name.rpartition(".")[2]: torch.from_numpy(kept[name]) for name in GIVEN})
+        handed = recorded[GIVEN[0]]
+        given = given._replace(**{name.rpartition(".")[2]: torch.from_numpy(recorded[name]) for name in GIVEN})
     share, deviation = (x.numpy() for x in thrust_remaining(health, given))
-    changes = [kept[_changes(name)][..., None] for name in filters]
+    changes = [recorded[_changes(name)][..., None] for name in filters]
     return published | {
         "thrusters": np.concatenate([share, evidence, raised.max(-1, keepdims=True)], -1),
         "health": np.concatenate([deviation, raised, handed, *changes], -1),

@@ -45,13 +45,13 @@ class Resumption:
         """The run that began or resumed last: this folder if it has one, else a sibling with checkpoints."""
         if (self.path / RUNS).exists():
             return self.path
-        found = [path.parent for path in self.path.parent.glob(f"*/{RUNS}")]
-        found = [folder for folder in found if any((folder / CHECKPOINTS).glob(f"*/*{SUFFIX}"))]
-        if not found:
+        runs = [path.parent for path in self.path.parent.glob(f"*/{RUNS}")]
+        runs = [folder for folder in runs if any((folder / CHECKPOINTS).glob(f"*/*{SUFFIX}"))]
+        if not runs:
             raise CheckpointError(
                 f"resume=latest: no run with checkpoints in {self.path.parent}: give a run's folder, or leave it out"
             )
-        return max(found, key=begun)
+        return max(runs, key=begun)
 
     def from_file(self, source: Path, start: Start) -> Start:
         """Every boat starts from one checkpoint."""
@@ -91,9 +91,9 @@ class Resumption:
             readable.append(before)
         for place in reversed(readable):
             note = f"resuming after step {place.step} of run {place.run + 1} of {len(self.fleet.runs)}, from {source}"
-            own = list(zip(self.fleet.boats, self.own(place), strict=True))
+            places = list(zip(self.fleet.boats, self.own(place), strict=True))
             try:
-                for path in [checkpoint_path(source / PLANAR, *each) for each in own] if self._planar else ():
+                for path in [checkpoint_path(source / PLANAR, *each) for each in places] if self._planar else ():
                     if path.exists():  # else, as in older runs, sway and yaw rate are learned anew
                         load(path)
                 state = self._state(source, start, self.own(place))
@@ -115,12 +115,12 @@ class Resumption:
 
     def own(self, place: Position) -> list[Position]:
         """The boats' own places when the fleet is at `place`: their runs may be shorter, or fewer."""
-        found = []
+        places = []
         for element in range(len(self.fleet.boats)):
             run = next(k for k in range(place.run, -1, -1) if self.fleet.runs[k].lengths[element])
             length = self.fleet.runs[run].lengths[element]
-            found.append(Position(run, min(length, place.step) if run == place.run else length))
-        return found
+            places.append(Position(run, min(length, place.step) if run == place.run else length))
+        return places
 
     def planar(self, source: Path | None, place: Position, continued: bool) -> tuple[PlanarState | None, str]:
         """The state from which sway and yaw rate go on, None for a fresh start; and what to say of it."""
@@ -129,17 +129,17 @@ class Resumption:
         template = tree_map(lambda x: x[0], self._planar.init((1,)))
         reason = ""
         for beside, paths in self._planar_paths(source, place, continued):
-            found: list[Any] = []
+            states: list[Any] = []
             for boat, newest_first in zip(self.fleet.boats, paths, strict=True):
                 reason = f"{beside}: has no checkpoint of {boat} at this place"
                 for path in newest_first:
                     try:
-                        found.append(restored(path, template, ESTIMATOR_BESIDE, self._planar.description())[0])
+                        states.append(restored(path, template, ESTIMATOR_BESIDE, self._planar.description())[0])
                         break
                     except CheckpointError as error:
                         reason = str(error)
-            if len(found) == len(self.fleet.boats):
-                return stack(found), ""
+            if len(states) == len(self.fleet.boats):
+                return stack(states), ""
         return None, f"tracks, sway and yaw rate are learned anew: {reason}"
 
     def _planar_paths(self, source: Path, place: Position, continued: bool) -> list[tuple[Path, list[list[Path]]]]:
@@ -151,13 +151,13 @@ class Resumption:
             return [(folder, [[folder / CHECKPOINTS / boat.name / source.name]] * len(boats))]
         at_begin = [BEGIN if continued else None] * len(boats)
         places = at_begin if place == BEGIN else self.own(place)
-        found = []
+        folders = []
         for folder in (self.path / PLANAR, source / PLANAR):
             newest = [reversed(checkpoints(folder / CHECKPOINTS / boat)) for boat in boats]
             wanted = [at and checkpoint_path(folder, boat, at) for boat, at in zip(boats, places, strict=True)]
             pairs = zip(newest, wanted, strict=True)
-            found.append((folder, [[path for path in paths if own in (None, path)] for paths, own in pairs]))
-        return found
+            folders.append((folder, [[path for path in paths if named in (None, path)] for paths, named in pairs]))
+        return folders
 
     def _bring(self, source: Path, place: Position) -> None:
         """Copy the checkpoints and predictions up to `place` from another folder, so that this one is complete."""
@@ -165,7 +165,7 @@ class Resumption:
             return
         saved = (old for each in (source, source / PLANAR) for old in (each / CHECKPOINTS).glob(f"*/*{SUFFIX}"))
         for old in [*saved, *(source / PREDICTIONS).glob("*.npz")]:
-            if (found := position(old)) is not None and found <= place:
+            if (at := position(old)) is not None and at <= place:
                 new = self.path / old.relative_to(source)
                 new.parent.mkdir(parents=True, exist_ok=True)
                 write_atomically(new, old.read_bytes())
@@ -180,9 +180,9 @@ def from_checkpoints(
     an earlier day. Instead of a checkpoint, a path may be a folder of them, of which the newest readable one is taken.
     """
     template = of_boat(state, 0)
-    found = {path: restored(path, template, ESTIMATOR, kernel) for path in dict.fromkeys(paths)}
+    read = {path: restored(path, template, ESTIMATOR, kernel) for path in dict.fromkeys(paths)}
     anew = {"monitors": state.monitors, "accommodation": state.accommodation}
-    return stack([found[path][0] for path in paths])._replace(**anew), [found[path][1] for path in paths]
+    return stack([read[path][0] for path in paths])._replace(**anew), [read[path][1] for path in paths]
 
 
 def own_settings(source: Path) -> str:

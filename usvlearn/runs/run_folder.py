@@ -119,8 +119,8 @@ class RunFolder:
                 f"{self.path}: already holds the checkpoints of a run: continue from them with resume=latest, "
                 "or choose another hydra.run.dir"
             )
-        own = own_predictions(self.path)
-        if foreign := [path for path in self._resumption.published(self.path).paths() if path not in own]:
+        predictions = own_predictions(self.path)
+        if foreign := [path for path in self._resumption.published(self.path).paths() if path not in predictions]:
             raise no_run(foreign[0])
         if continued and source:
             start = self._resumption.continued(source, start)
@@ -130,7 +130,7 @@ class RunFolder:
         if source is not None and not continued:  # saved in case the run stops before its first checkpoint
             for first in self._due([BEGIN] * len(self.fleet.boats)):
                 save_checkpoint(first.path, first.state, **first.facts)
-        self._forget(own, start.position)
+        self._forget(predictions, start.position)
         others = [*self.path.parent.glob("*"), *([] if source is None else [source])]
         began = 1 + max(map(number, others), default=0)
         noted = self._runs | {"began": {"number": began, "time": time.strftime("%FT%TZ", time.gmtime(time.time()))}}
@@ -149,15 +149,15 @@ class RunFolder:
         self._wait()
         index, step = self._reached
         run, before = self.fleet.runs[index], self._saved.step if self._saved.run == index else 0
-        due = self._due([Position(index, min(step, own)) if own > before else None for own in run.lengths])
+        due = self._due([Position(index, min(step, length)) if length > before else None for length in run.lengths])
         self._writing = self._writer.submit(self._write, self._reached, self._pending, due)
         self._pending, self._saved = [], self._reached
 
     def _due(self, places: Sequence[Position | None]) -> list[Unsaved]:
         """The checkpoints of the boats at their places; None: there is nothing new."""
-        made = [self._checkpoint] + ([self._planar_checkpoint] if self.beside is not None else [])
+        makers = [self._checkpoint] + ([self._planar_checkpoint] if self.beside is not None else [])
         boats = list(enumerate(zip(self.fleet.boats, places, strict=True)))
-        return [make(element, boat, at) for make in made for element, (boat, at) in boats if at is not None]
+        return [make(element, boat, at) for make in makers for element, (boat, at) in boats if at is not None]
 
     def _write(self, place: Position, published: Sequence[Mapping[str, np.ndarray]], due: Sequence[Unsaved]) -> None:
         """Write the checkpoints and predictions of one place, in a thread, while the replay continues.
@@ -188,10 +188,10 @@ class RunFolder:
 
     def finish(self, began: float, truth: Truth | None = None) -> dict[str, Any]:
         """Score all predictions, and write `errors.csv` and `results.json`; returns the content of the latter."""
-        found, errors = self._judged(began, truth or {})
+        content, errors = self._judged(began, truth or {})
         write_atomically(self.path / ERRORS, errors.encode())
-        save_results(self.path, found)
-        return found
+        save_results(self.path, content)
+        return content
 
     def stop(self, began: float) -> None:
         """Save a replay that ends early, so that it can resume; its results so far are marked as partial."""
@@ -206,31 +206,31 @@ class RunFolder:
         names, limit = ensemble.names, ensemble.surge_limit
         model, state = (ensemble, self.state) if self.beside is None else (self.planar or ensemble, self.beside)
         boats = identified_boats(model, state, fleet.boats)
-        found: dict[str, Any] = {
+        content: dict[str, Any] = {
             "boats": fleet_scores(fleet, published.only("predictions", "halfwidths"), names, limit),
             "events": events(fleet, published.only("thrusters", "health"), ensemble.accommodated),
             "rejected": fleet.rejected,
             **as_results(boats, truth),
         }
         if (ahead := ensemble_sums(ensemble, fleet, published.only("forecasts", "forecast_halfwidths"))) is not None:
-            found["forecast"] = horizon_scores(ahead, fleet.boats)
+            content["forecast"] = horizon_scores(ahead, fleet.boats)
         if self.planar is not None:
             stretches = (stretch.arrays for stretch in published.only("predictions", "tracks"))
             parts = (arrays["tracks"] for arrays in stretches if "tracks" in arrays)
-            found["tracks"] = track_scores(parts, self.planar.horizons, fleet.boats)
+            content["tracks"] = track_scores(parts, self.planar.horizons, fleet.boats)
         if (free := self._free()) is not None:
-            found["free"] = free.mae(fleet.boats, names)
-            found["free_fit"] = free.fit(fleet.boats, names)
+            content["free"] = free.mae(fleet.boats, names)
+            content["free_fit"] = free.fit(fleet.boats, names)
         if networks := verdicts(ensemble, self.state, fleet.boats):
-            found["network"] = {
+            content["network"] = {
                 boat: {name: each.json() for name, each in members.items()} for boat, members in networks.items()
             }
         measure = measure_of(self._configuration.get("objective"), ensemble.output)
-        found |= {"output": ensemble.output, "measure": str(measure), "objective": measure.value(found)}
+        content |= {"output": ensemble.output, "measure": str(measure), "objective": measure.value(content)}
         one_step = one_step_sums(fleet, published.only("predictions"), len(names), limit)
         errors = as_csv(run_errors(fleet, names, one_step, ahead, free), names)
         asked = [{"key": key, **each} for key, each in open_questions(self._configuration).items()]
-        return found | self._checked | {SECTION: asked, "seconds": time.perf_counter() - began}, errors
+        return content | self._checked | {SECTION: asked, "seconds": time.perf_counter() - began}, errors
 
     def _free(self) -> FreeErrors | None:
         """Errors of open-loop simulations of the boats that have runs in both halves; None if there are none."""
@@ -238,9 +238,9 @@ class RunFolder:
         elements = [has_halves(self.fleet, element) for element in range(len(self.fleet.boats))]
         if not any(elements) or (state := self._after(first)) is None:
             return None
-        found = free_errors(self.ensemble, state, self.fleet, first)
-        found.steps[:, [not each for each in elements]] = 0
-        return found
+        errors = free_errors(self.ensemble, state, self.fleet, first)
+        errors.steps[:, [not each for each in elements]] = 0
+        return errors
 
     def _after(self, runs: int) -> EnsembleState | None:
         """The state of every boat after the first `runs` runs, from its checkpoints; None if they are not done.
@@ -289,15 +289,15 @@ class RunFolder:
         }
         return {"boats": boats, "ensemble": ensemble_digest(self._configuration)}
 
-    def _forget(self, own: Sequence[Path], place: Position) -> None:
+    def _forget(self, predictions: Sequence[Path], place: Position) -> None:
         """Remove this run's results, its fit if logs come, and its own predictions after `place`, the last first."""
         self.path.mkdir(parents=True, exist_ok=True)
         more = self.fleet.steps_before(*place) < self.fleet.steps
         fits = [*self.path.glob("fit/*.fit.json"), *self.path.glob(f"fit/{CHECKPOINTS}/*/fit{SUFFIX}")] if more else []
         for path in [self.path / RESULTS, self.path / ERRORS, *fits]:
             path.unlink(missing_ok=True)
-        for old in reversed(own):
-            if (found := position(old)) is not None and found > place:
+        for old in reversed(predictions):
+            if (at := position(old)) is not None and at > place:
                 old.unlink()
 
 
@@ -311,9 +311,9 @@ def _forget_older(folder: Path) -> None:
 
     They hold the ensemble's state, too, so that `Online.open(RUN/planar)` forecasts tracks.
     """
-    found = [(path, at) for path in checkpoints(folder) if (at := position(path)) is not None]
-    before = [path for path, at in found if at.run < found[-1][1].run]
-    for old, _ in found[:-KEPT]:
+    placed = [(path, at) for path in checkpoints(folder) if (at := position(path)) is not None]
+    before = [path for path, at in placed if at.run < placed[-1][1].run]
+    for old, _ in placed[:-KEPT]:
         if old not in before[-1:]:
             old.unlink(missing_ok=True)
 

@@ -28,13 +28,13 @@ SETTINGS = ("estimators", "combiners", "data", "align", "vehicle")  # what a sav
 def run_folders(folder: str | Path) -> list[Path]:
     """The folder itself if it contains a run, else all folders below it that do, the oldest first."""
     folder = Path(folder)
-    found = [folder] if (folder / RUNS).exists() else [path.parent for path in folder.glob(f"**/{RUNS}")]
-    if not found:
+    folders = [folder] if (folder / RUNS).exists() else [path.parent for path in folder.glob(f"**/{RUNS}")]
+    if not folders:
         what = "a tuning alone in" if (folder / TUNING).exists() else "no run below"
         raise ConfigError(f"runs: found {what} {str(folder)!r}, expected a folder in which `train` has made a run")
-    if len({path.parent for path in found}) == 1:
-        return sorted(found, key=begun)
-    return sorted(found, key=lambda path: ((path / RUNS).stat().st_mtime_ns, path))  # numbers are per folder
+    if len({path.parent for path in folders}) == 1:
+        return sorted(folders, key=begun)
+    return sorted(folders, key=lambda path: ((path / RUNS).stat().st_mtime_ns, path))  # numbers are per folder
 
 
 def is_sweep(folder: Path) -> bool:
@@ -58,11 +58,11 @@ def configuration(folder: Path, trust: str | Sequence[str] | None = None, unused
 
     A CheckpointError if none can be read, or they name code that is not trusted (`runs.trust.check_settings`).
     """
-    path, found = _configuration(folder)
-    check_settings(str(path), {key: each for key, each in found.items() if key not in unused}, trust)
-    check_positive(f"{path}: align.dt", found["align"].get("dt"), "of s")
-    check_positive(f"{path}: vehicle.mass", found["vehicle"].get("mass"), "of kg")
-    return found
+    path, settings = _configuration(folder)
+    check_settings(str(path), {key: each for key, each in settings.items() if key not in unused}, trust)
+    check_positive(f"{path}: align.dt", settings["align"].get("dt"), "of s")
+    check_positive(f"{path}: vehicle.mass", settings["vehicle"].get("mass"), "of kg")
+    return settings
 
 
 def _configuration(folder: Path) -> tuple[Path, dict[str, Any]]:
@@ -70,10 +70,10 @@ def _configuration(folder: Path) -> tuple[Path, dict[str, Any]]:
     paths = [path for boat in sorted((folder / CHECKPOINTS).glob("*")) for path in reversed(checkpoints(boat))]
     for path in paths:
         try:
-            found = load(path)[1].get("configuration")
-            if not (isinstance(found, dict) and all(isinstance(found.get(key), dict) for key in SETTINGS)):
+            settings = load(path)[1].get("configuration")
+            if not (isinstance(settings, dict) and all(isinstance(settings.get(key), dict) for key in SETTINGS)):
                 raise CheckpointError(f"{path}: found no configuration with {', '.join(SETTINGS)}")
-            return path, found
+            return path, settings
         except FormerVersionError:
             raise
         except CheckpointError as error:
@@ -88,14 +88,14 @@ def _configuration(folder: Path) -> tuple[Path, dict[str, Any]]:
 
 def results(folder: Path) -> dict[str, Any]:
     """The results of a run; {} if it is not finished. A CheckpointError if the file is damaged."""
-    found = _results_file(folder)
-    return {} if "partial" in found else found
+    content = _results_file(folder)
+    return {} if "partial" in content else content
 
 
 def data_check(folder: Path) -> Any:
     """The findings of the data check of a run, finished or not; None if there was none. Errors as of `results`."""
-    found = _results_file(folder)
-    partial = found.get("partial", found)
+    content = _results_file(folder)
+    partial = content.get("partial", content)
     return partial.get("data_check") if isinstance(partial, dict) else None
 
 
@@ -107,10 +107,10 @@ def questions_of_runs(folders: Sequence[Path], trust: str | Sequence[str] | None
 def _results_file(folder: Path) -> dict[str, Any]:
     path = folder / RESULTS
     try:
-        found = json.loads(path.read_text()) if path.exists() else {}
-        if not isinstance(found, dict):
-            raise ValueError(f"found {type(found).__name__}, expected a dictionary")
-        return found
+        content = json.loads(path.read_text()) if path.exists() else {}
+        if not isinstance(content, dict):
+            raise ValueError(f"found {type(content).__name__}, expected a dictionary")
+        return content
     except (OSError, ValueError, RecursionError) as error:
         raise CheckpointError(
             f"{path}: is damaged ({error}): run train.py with resume={folder} hydra.run.dir={folder} to write it anew"
@@ -135,9 +135,9 @@ def read_seasons(folders: Sequence[Path], ensemble: Ensemble, fleets: Sequence[F
             f"data: found the boat {', '.join(missing)}, of which the runs contain no checkpoint (they have "
             f"{', '.join(known) or 'none'}): give the data of these boats, or name the boat by data.boat"
         )
-    keys = {key for found in runs.values() for key in found}
+    keys = {key for named in runs.values() for key in named}
     read = [_read(folder, keys, widths_of(ensemble)) for folder in folders]
-    return [_season(boat, list(found.values()), read, ensemble) for boat, found in runs.items()]
+    return [_season(boat, list(named.values()), read, ensemble) for boat, named in runs.items()]
 
 
 class _Folder(NamedTuple):
@@ -167,7 +167,7 @@ def _season(boat: str, runs: list[SeasonRun], folders: Sequence[_Folder], ensemb
     template, description = tree_map(lambda x: x[0], ensemble.init((1,))), ensemble.description()
     keys = [run.key for run in runs]
     spacing = {run.key: run.spacing for run in runs if run.spacing}  # a step's may differ from align.dt
-    found, paths, own, hours, before = [], [], [], [], 0.0
+    states, paths, run_indices, hours, before = [], [], [], [], 0.0
     for folder in folders:
         learned = folder.learned.get(boat, [])
         steps = np.array([spacing.get(key, folder.dt) for _, _, key in learned]) / 3600
@@ -180,7 +180,7 @@ def _season(boat: str, runs: list[SeasonRun], folders: Sequence[_Folder], ensemb
                 warnings.warn(f"{path}: belongs to no step of the runs in {RUNS}; continuing without it", stacklevel=2)
                 continue
             try:
-                found.append(restored(path, template, ESTIMATOR, description)[0])
+                states.append(restored(path, template, ESTIMATOR, description)[0])
             except CheckpointError as error:
                 if "damaged" not in str(error) and "cannot be read" not in str(error):
                     raise
@@ -188,13 +188,13 @@ def _season(boat: str, runs: list[SeasonRun], folders: Sequence[_Folder], ensemb
                 continue
             key = learned[at.run][2]
             paths.append(path)
-            own.append(keys.index(key) if key in keys else -1)
+            run_indices.append(keys.index(key) if key in keys else -1)
             hours.append(before + ends[at.run] + at.step * steps[at.run])
         before += ends[-1]
         runs = _with_predictions(folder, boat, runs)
-    if not found:
+    if not states:
         raise CheckpointError(f"{', '.join(str(each.path) for each in folders)}: no checkpoint of {boat} can be read")
-    return Season(boat, tuple(runs), stack(found), tuple(paths), np.array(own), np.array(hours))
+    return Season(boat, tuple(runs), stack(states), tuple(paths), np.array(run_indices), np.array(hours))
 
 
 def _with_predictions(folder: _Folder, boat: str, runs: list[SeasonRun]) -> list[SeasonRun]:

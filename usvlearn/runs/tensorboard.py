@@ -133,11 +133,11 @@ class TensorBoardLogger:
 
     def _runs(self) -> list[str]:
         """All runs, in the order of their colours: the seven of each boat, then the others."""
-        own, every = list(self._names.values()), []
+        named, every = list(self._names.values()), []
         for boat, folder in self.folders.items():
             read = [*IDENTIFIED_RUNS, *([TRUE] if boat in self.truth else [])] if self.ensemble.averaged else []
-            every += [(folder, name) for name in (*own, *read)]
-        every += [(self.fleet_run, name) for name in own] if len(self.folders) > 1 else []
+            every += [(folder, name) for name in (*named, *read)]
+        every += [(self.fleet_run, name) for name in named] if len(self.folders) > 1 else []
         places = {name: k for k, names in enumerate(SEVEN) for name in names}
         boats = [*self.folders.values(), self.fleet_run]
         every.sort(key=lambda run: (run[1] not in places, boats.index(run[0]), places.get(run[1], 0)))
@@ -172,33 +172,33 @@ class TensorBoardLogger:
         names, output, forecasts = self.ensemble.names, self.ensemble.output, self.ensemble.forecasts
         errors, widths = np.abs(published["predictions"] - surge[..., None]), published["halfwidths"]
         known = np.isfinite(errors)
-        found: Sums = {
+        sums: Sums = {
             MAE: (names, _sum(errors, known)),
             "coverage of 90 %, next step": (names, _sum(errors <= widths, known & np.isfinite(widths))),
         }
         if forecasts is not None and "forecasts" in published:
             far = (*forecasts.columns[:-1], output)
-            made = published["forecasts"].reshape(*surge.shape, -1, len(far))
-            errors, widths = np.abs(made - surge[..., None, None]), published["forecast_halfwidths"][..., None]
-            due = np.isfinite(made[..., -1:]) & np.isfinite(surge)[..., None, None]
+            values = published["forecasts"].reshape(*surge.shape, -1, len(far))
+            errors, widths = np.abs(values - surge[..., None, None]), published["forecast_halfwidths"][..., None]
+            due = np.isfinite(values[..., -1:]) & np.isfinite(surge)[..., None, None]
             inside, known = errors[..., -1:] <= widths, due & np.isfinite(widths)
             for k, h in enumerate(forecasts.horizons.tolist()):
-                found[f"MAE, {h:g} s ahead (m/s)"] = far, _sum(errors[:, :, k], due[:, :, k])
-                found[f"coverage of 90 %, {h:g} s ahead"] = [output], _sum(inside[:, :, k], known[:, :, k])
+                sums[f"MAE, {h:g} s ahead (m/s)"] = far, _sum(errors[:, :, k], due[:, :, k])
+                sums[f"coverage of 90 %, {h:g} s ahead"] = [output], _sum(inside[:, :, k], known[:, :, k])
         if self.tracks and "tracks" in published:
             rows = published["tracks"].reshape(*surge.shape, len(self.tracks), DUE)
             for k, h in enumerate(self.tracks):
-                own, made = rows[:, :, k], np.isfinite(rows[:, :, k, [ERROR]])
+                track, values = rows[:, :, k], np.isfinite(rows[:, :, k, [ERROR]])
                 for title, runs, columns in (
                     (f"position error, {h:g} s ahead (m)", [output, PERSISTENCE], [ERROR, CONSTANT]),
                     (f"position error with held yaw rate, {h:g} s ahead (m)", [output], [HELD_RATE]),
                     (f"heading error, {h:g} s ahead (rad)", [output], [HEADING_ERROR]),
                 ):
-                    found[title] = runs, _sum(own[..., columns], made)
-                known = made & np.isfinite(own[..., [RADIUS]])
-                inside = own[..., [RHO]] <= own[..., [RADIUS]]
-                found[f"coverage of the ellipses of 90 %, {h:g} s ahead"] = [output], _sum(inside, known)
-        return found
+                    sums[title] = runs, _sum(track[..., columns], values)
+                known = values & np.isfinite(track[..., [RADIUS]])
+                inside = track[..., [RHO]] <= track[..., [RADIUS]]
+                sums[f"coverage of the ellipses of 90 %, {h:g} s ahead"] = [output], _sum(inside, known)
+        return sums
 
     def _numbers(self) -> dict[tuple[str, str], np.ndarray]:
         """The means over the window, and the skills, by run and tag."""
@@ -206,7 +206,7 @@ class TensorBoardLogger:
         for _, sums in self._window:
             for tag, (runs, each) in sums.items():
                 total[tag] = runs, each + (total[tag][1] if tag in total else 0)
-        found = {}
+        points = {}
         for tag, (runs, (values, counts)) in total.items():
             least = LEAST if tag.startswith(("MAE", "coverage of 90")) else FEWEST
             if tag.endswith(("next step", MAE)):
@@ -215,11 +215,11 @@ class TensorBoardLogger:
                 mean = np.where(counts >= least, values / counts, np.nan)
                 skill = 1 - mean / mean[:, [runs.index(PERSISTENCE)]] if PERSISTENCE in runs else None
             for k, run in enumerate(runs):
-                own = run if run in self._names else self.ensemble.output
-                found[own, self._tag(tag, run)] = mean[:, k]
+                name = run if run in self._names else self.ensemble.output
+                points[name, self._tag(tag, run)] = mean[:, k]
                 if tag.startswith("MAE") and skill is not None:
-                    found[own, self._tag(tag.replace("MAE", "skill").removesuffix(" (m/s)"), run)] = skill[:, k]
-        return found
+                    points[name, self._tag(tag.replace("MAE", "skill").removesuffix(" (m/s)"), run)] = skill[:, k]
+        return points
 
     def _tag(self, title: str, run: str) -> str:
         """The tag of a mean, in the group of what is shown or that of all."""
@@ -245,8 +245,8 @@ class TensorBoardLogger:
         """Write the pending points of all boats."""
         if self._points:
             with torch.no_grad():
-                found = self.ensemble.monitor(stack([point.state for point in self._points]))
-            states = {self._place(key): x.double().numpy() for key, x in found.items()}  # (points, boats)
+                monitored = self.ensemble.monitor(stack([point.state for point in self._points]))
+            states = {self._place(key): x.double().numpy() for key, x in monitored.items()}  # (points, boats)
             for k, point in enumerate(self._points):
                 self._write_point(point, point.numbers | {place: x[k] for place, x in states.items()})
             self.board.flush()
@@ -280,9 +280,9 @@ class TensorBoardLogger:
         apart = max(self.clocks[-1].max() / MOST_IDENTIFIED, IDENTIFIED)
         if self.seasons and (point.clock - self.seasons[-1][0]).max() < apart:
             return
-        found = identified_boats(self.ensemble, point.state, self.fleet.boats)
-        self.seasons.append((point.clock, found))
-        for element, (boat, quantities) in enumerate(found.items()):
+        identified = identified_boats(self.ensemble, point.state, self.fleet.boats)
+        self.seasons.append((point.clock, identified))
+        for element, (boat, quantities) in enumerate(identified.items()):
             tags = {
                 name: f"{'2 identified' if name in MAIN else '9 all'}/{name} ({(QUANTITIES | TURNING)[name]})"
                 for name in quantities if self.everything or name in MAIN

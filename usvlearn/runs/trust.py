@@ -82,17 +82,17 @@ def _allowed(target: Any, trusted: Sequence[str]) -> bool:
     if not (own or theirs):
         return False
     try:
-        found = getattr(importlib.import_module(module), name, None)
+        value = getattr(importlib.import_module(module), name, None)
     except ImportError as error:
         if theirs:
             raise ConfigError(f"trust: {module} cannot be imported ({error}): add its folder to PYTHONPATH") from error
         return False
-    if not isinstance(found, type | FunctionType):
+    if not isinstance(value, type | FunctionType):
         return False
-    if theirs and _within(found.__module__, trusted):
+    if theirs and _within(value.__module__, trusted):
         return True
-    ours = isinstance(found, type) or target in FUNCTIONS
-    return own and ours and (found.__module__, found.__qualname__) == (module, name)
+    ours = isinstance(value, type) or target in FUNCTIONS
+    return own and ours and (value.__module__, value.__qualname__) == (module, name)
 
 
 def _within(module: str, packages: Sequence[str]) -> bool:

@@ -301,11 +301,11 @@ def simulate(vessel: Vessel, state: VesselState, commands: Tensor, dt: float) ->
     ticks, batch, none = len(commands), commands.shape[1:-1], torch.zeros((), dtype=torch.float64)
     given = np.ascontiguousarray(commands.numpy()).reshape(ticks, -1, 2)
     sizes: tuple[tuple[int, ...], ...] = ((), (), (), (2,))  # of the leaves, behind the batch
-    leaves = [leaf.broadcast_to((*batch, *own)).reshape(-1, *own) for leaf, own in zip(state, sizes, strict=True)]
+    leaves = [leaf.broadcast_to((*batch, *size)).reshape(-1, *size) for leaf, size in zip(state, sizes, strict=True)]
     now: Any = [leaf.clone().numpy() for leaf in leaves]
     states: Any = [np.empty((ticks, *leaf.shape)) for leaf in now]
     known = kernel.known(vessel, batch, dt, none, none, none, Gusts())
     with announced(kernel.__file__, "simulator"):
         kernel.drift(*known, dt, given, VesselState(*now), VesselState(*states))
-    found = (x.reshape(ticks, *batch, *own) for x, own in zip(states, sizes, strict=True))
-    return VesselState(*map(torch.from_numpy, found))
+    shaped = (x.reshape(ticks, *batch, *size) for x, size in zip(states, sizes, strict=True))
+    return VesselState(*map(torch.from_numpy, shaped))

@@ -84,7 +84,7 @@ def simulate_planar(
     h = dt / count
     commands = np.clip(commands, -1.0, 1.0)
     x = np.zeros((*commands.shape[1:-1], 3)) if velocity is None else np.asarray(velocity, dtype=np.float64)
-    shaft, found = np.zeros(commands.shape[1:]), []
+    shaft, velocities = np.zeros(commands.shape[1:]), []
     others = [0.0] * len(commands) if forces is None else forces
     for command, other in zip(commands, others, strict=True):
         for _ in range(count):
@@ -95,8 +95,8 @@ def simulate_planar(
             k3 = rates(boat, x + h / 2 * k2, middle) + other
             k4 = rates(boat, x + h * k3, after) + other
             x, shaft = x + h / 6 * (k1 + 2 * (k2 + k3) + k4), after
-        found.append(x)
-    return np.stack(found)
+        velocities.append(x)
+    return np.stack(velocities)
 
 
 def courses(rng: np.random.Generator, steps: int, dt: float, batch: tuple[int, ...] = ()) -> np.ndarray:
@@ -106,12 +106,12 @@ def courses(rng: np.random.Generator, steps: int, dt: float, batch: tuple[int, .
     spells the boat goes straight, and in one of eight the thrusters are off.
     """
     width = int(np.prod(batch, dtype=int))
-    found = np.empty((steps, width, 2))
+    commands = np.empty((steps, width, 2))
     for element in range(width):
         throttle = _held(rng, steps, dt, lambda n: rng.uniform(-0.3, 1.0, n) * (rng.random(n) > 1 / 8))
         turn = _held(rng, steps, dt, lambda n: rng.uniform(-0.3, 0.3, n) * (rng.random(n) > 1 / 4))
-        found[:, element] = np.stack([throttle + turn, throttle - turn], -1)
-    return np.clip(found, -1.0, 1.0).reshape(steps, *batch, 2)
+        commands[:, element] = np.stack([throttle + turn, throttle - turn], -1)
+    return np.clip(commands, -1.0, 1.0).reshape(steps, *batch, 2)
 
 
 def _held(rng: np.random.Generator, steps: int, dt: float, draw) -> np.ndarray:

@@ -56,10 +56,10 @@ def voyage(rng: np.random.Generator, boat: PlanarBoat, minutes: float, current: 
     """One mission from rest."""
     h, steps = 1 / HZ, round(60 * minutes * HZ)
     commands = courses(rng, steps, h)
-    kept, share = math.exp(-h / SLOW_TIME), math.sqrt(1 - math.exp(-2 * h / SLOW_TIME))
+    decay, share = math.exp(-h / SLOW_TIME), math.sqrt(1 - math.exp(-2 * h / SLOW_TIME))
     force, forces = np.zeros(3), np.empty((steps, 3))
     for k, draw in enumerate(rng.normal(size=(steps, 3))):
-        force = kept * force + share * slow * np.array(SLOW) * draw
+        force = decay * force + share * slow * np.array(SLOW) * draw
         forces[k] = force
     velocity = np.concatenate([np.zeros((1, 3)), simulate_planar(boat, commands, h, forces=forces)])
     direction, speed = rng.uniform(0, 2 * math.pi), current * rng.random()
@@ -80,15 +80,15 @@ def logged(rng: np.random.Generator, truth: Voyage) -> dict[str, Channel]:
     ground = np.column_stack([c * u - s * v, s * u + c * v]) + truth.current
     fixes = slice(0, n, each)
     at = truth.time[fixes]
-    kept = math.exp(-1 / (GPS_HZ * GPS_TIME))
+    decay = math.exp(-1 / (GPS_HZ * GPS_TIME))
     drift = np.zeros((len(at), 2))
     for k in range(1, len(at)):
-        drift[k] = kept * drift[k - 1] + math.sqrt(1 - kept * kept) * GPS_DRIFT * rng.normal(size=2)
+        drift[k] = decay * drift[k - 1] + math.sqrt(1 - decay * decay) * GPS_DRIFT * rng.normal(size=2)
     position = truth.position[fixes] + drift + GPS_NOISE * rng.normal(size=(len(at), 2))
     speed = ground[fixes] + GPS_SPEED * rng.normal(size=(len(at), 2))
     latitude = np.radians(START[0]) + position[:, 0] / EARTH
     longitude = np.radians(START[1]) + position[:, 1] / (EARTH * math.cos(math.radians(START[0])))
-    found = {
+    readings = {
         "command_left": (truth.time, truth.commands[:, 0]),
         "command_right": (truth.time, truth.commands[:, 1]),
         "heading": (truth.time, np.remainder(truth.heading + COMPASS * rng.normal(size=n), 2 * math.pi)),
@@ -98,12 +98,12 @@ def logged(rng: np.random.Generator, truth: Voyage) -> dict[str, Channel]:
         "velocity_north": (at, speed[:, 0]),
         "velocity_east": (at, speed[:, 1]),
     }
-    psi = found["heading"][1][fixes]
-    found["surge"] = at, speed[:, 0] * np.cos(psi) + speed[:, 1] * np.sin(psi)
-    orders = ranks([time for time, _ in found.values()])
+    psi = readings["heading"][1][fixes]
+    readings["surge"] = at, speed[:, 0] * np.cos(psi) + speed[:, 1] * np.sin(psi)
+    orders = ranks([time for time, _ in readings.values()])
     return {
         name: Channel(time, value, order, window=0.5)
-        for (name, (time, value)), order in zip(found.items(), orders, strict=True)
+        for (name, (time, value)), order in zip(readings.items(), orders, strict=True)
     }
 
 
@@ -145,10 +145,10 @@ def planar_fleet(
         raise ConfigError(f"n: found {n!r}, expected a whole number of boats")
     if n * hours > MOST_HOURS:
         raise ConfigError(f"hours: found {hours!r} for {n} boats, expected at most {MOST_HOURS:g} for all together")
-    found, missions = [], max(1, round(60 * hours / mission_minutes))
+    logs, missions = [], max(1, round(60 * hours / mission_minutes))
     for k, boat in enumerate(planar_boats(n, spread, seed)):
         for j in range(missions):
             rng = np.random.default_rng([seed, 2, k, j])
             truth = voyage(rng, boat, min(mission_minutes, 60 * hours), current, slow)
-            found.append(Recording("planar" if n == 1 else f"planar{k + 1}", f"{j + 1:03d}", logged(rng, truth), {}))
-    return found
+            logs.append(Recording("planar" if n == 1 else f"planar{k + 1}", f"{j + 1:03d}", logged(rng, truth), {}))
+    return logs

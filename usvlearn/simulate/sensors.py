@@ -114,11 +114,11 @@ def measure(
     posted = [*_commands(rng, truth, sensors), _heading(rng, truth, sensors), _surge(rng, truth, sensors)]
     arrived, dropped = [], {}
     for name, (time, value) in zip(names, posted, strict=True):
-        kept, dropped[name] = _kept(rng, time, span, sensors)
+        sent, dropped[name] = _kept(rng, time, span, sensors)
         arrival = time + rng.uniform(0, sensors.latency, time.size)
-        kept = np.flatnonzero(kept)
-        kept = kept[np.argsort(arrival[kept], kind="stable")]
-        arrived.append((time[kept], value[kept], arrival[kept]))
+        sent = np.flatnonzero(sent)
+        sent = sent[np.argsort(arrival[sent], kind="stable")]
+        arrived.append((time[sent], value[sent], arrival[sent]))
     orders = ranks([arrival for _, _, arrival in arrived])
     channels = {
         name: Channel(time, value, order, held and name.startswith("command"), window[i])

@@ -54,23 +54,23 @@ def true_quantities(
     """
     missions, vessel = _season(n, plant, **season)
     both = torch.ones(2, dtype=torch.float64)
-    found = {f"steady_speed_{name}": steady_surge(vessel, share * both) for name, share in COMMANDS.items()}
-    top, scale = found["steady_speed_full"], mass / vessel.mass
+    quantities = {f"steady_speed_{name}": steady_surge(vessel, share * both) for name, share in COMMANDS.items()}
+    top, scale = quantities["steady_speed_full"], mass / vessel.mass
     for k, side in enumerate(("left", "right")):
-        found[f"thrust_full_{side}"] = static_thrust(vessel, both)[..., k] * scale
-    found["thrust_ratio"] = found["thrust_full_left"] / found["thrust_full_right"]
-    found["drag_half_speed"] = -drag(vessel, top / 2) * scale
+        quantities[f"thrust_full_{side}"] = static_thrust(vessel, both)[..., k] * scale
+    quantities["thrust_ratio"] = quantities["thrust_full_left"] / quantities["thrust_full_right"]
+    quantities["drag_half_speed"] = -drag(vessel, top / 2) * scale
     step = 1e-4 * top
     above, below = (
         drag(vessel, top / 2 + sign * step) + thrust(vessel, both / 2, top / 2 + sign * step).sum(-1)
         for sign in (1, -1)
     )
-    found["time_constant"] = vessel.mass * 2 * step / (below - above)
+    quantities["time_constant"] = vessel.mass * 2 * step / (below - above)
     shares = torch.linspace(COAST, 1.0, 2001, dtype=torch.float64)
-    found["stopping_distance"] = torch.trapezoid(
+    quantities["stopping_distance"] = torch.trapezoid(
         torch.stack([vessel.mass * share * top * top / -drag(vessel, share * top) for share in shares], -1), shares
     )
-    last = {name: value.expand(missions, n)[mission] for name, value in found.items()}
+    last = {name: value.expand(missions, n)[mission] for name, value in quantities.items()}
     return {
         boat: {name: float(value[mission]) for name, value in parameters[boat].items()}
         | {name: float(value[k]) for name, value in last.items()}
@@ -107,15 +107,15 @@ def true_parameters(mass: float, n: int, plant: str, **season: Any) -> dict[str,
     cut = vessel._replace(**{name: leaf[..., None] for name, leaf in vessel._asdict().items() if leaf.ndim == 2})
     force = drag(cut, v).expand(missions, n, len(xi))
     linear, quadratic = _fit(v, force)
-    found = {"drag_quadratic": quadratic, "drag_linear": linear, "drag_cross": vessel.drag_cross.expand(missions, n)}
+    values = {"drag_quadratic": quadratic, "drag_linear": linear, "drag_cross": vessel.drag_cross.expand(missions, n)}
     sides = torch.stack([static_thrust(vessel, x.expand(2)) for x in xi], -1)  # (missions, n, 2, commands)
     alpha, beta = _fit(xi, sides)
     gamma = vessel.thrust_speed.expand(missions, n, 2)
     for k, side in enumerate(("left", "right")):
-        found |= {f"thrust_linear_{side}": alpha[..., k], f"thrust_quadratic_{side}": beta[..., k]}
-        found[f"thrust_speed_{side}"] = gamma[..., k]
+        values |= {f"thrust_linear_{side}": alpha[..., k], f"thrust_quadratic_{side}": beta[..., k]}
+        values[f"thrust_speed_{side}"] = gamma[..., k]
     return {
-        boat: {name: (value * scale)[:, k].numpy() for name, value in found.items()}
+        boat: {name: (value * scale)[:, k].numpy() for name, value in values.items()}
         for k, boat in enumerate(fleet_names(n, plant))
     }
 
