@@ -164,8 +164,7 @@ def setups_of(settings: Mapping[str, Any], recordings: Iterable[Recording]) -> d
 
 def settled(source: Source, surge: Channel | None) -> Source:
     """A source with a period in place of "auto": that which was found for the speed, else 0."""
-    values = {**asdict(source), "period": surge.period if surge is not None and surge.period != AUTO else 0.0}
-    return Source(**values)
+    return Source(**{**asdict(source), "period": surge.period if surge is not None and surge.period != AUTO else 0.0})
 
 
 def _own(name: str, channel: Channel) -> Source:

@@ -163,10 +163,8 @@ class Aligner:
         >>> aligner.ahead(2).command_left
         array([0.5, 0.5])
         """
-        left, right, heading, yaw_rate = _compiled().ahead(
-            self._settings, self._memory, self._times, self._values, steps
-        )
-        return Inputs(left, right, heading, yaw_rate, np.full(steps, self._settings["dt"][0]))
+        left, right, heading, turn = _compiled().ahead(self._settings, self._memory, self._times, self._values, steps)
+        return Inputs(left, right, heading, turn, np.full(steps, self._settings["dt"][0]))
 
     def feed(self, channels: np.ndarray, times: np.ndarray, values: np.ndarray, flush: bool = False) -> np.ndarray:
         """Take many messages at once.

@@ -64,8 +64,7 @@ class Evidence:
     def factor(self, name: str) -> float:
         """By how much a value is greater than the number that stands in the log."""
         settings = self.settings(name)
-        span = settings["span"] if isinstance(settings["span"], int | float) else 1.0
-        return UNITS[settings["unit"]][0] / span
+        return UNITS[settings["unit"]][0] / (settings["span"] if isinstance(settings["span"], int | float) else 1.0)
 
     def logs(self, name: str) -> list[Channel]:
         """The channel of each run that has it."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from usvlearn.logs.channels.series import Series
 from usvlearn.logs.formats.ardupilot.servos import OUTPUTS
-from usvlearn.logs.formats.csv.table import ROTATION
+from usvlearn.logs.formats.csv.opened import ROTATION
 from usvlearn.logs.formats.px4.ulog import DRIVEN, TOPICS
 from usvlearn.logs.inspection.vocabulary import fit, unit_word
 

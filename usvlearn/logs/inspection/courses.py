@@ -71,8 +71,7 @@ def find_velocities(
             ahead = float(np.cos(np.arctan2(y.value, x.value)[fast]).mean())  # 1 of a vector along the hull
             if max(ALONG, ahead) <= agreement(heading, (time[fast], direction)):
                 turns = 1 - abs(np.exp(1j * direction).mean())  # 0 if it is constant, as along a hull
-                velocity = _velocities(north, east, places, heading, convention)
-                return velocity._replace(guessed=bool(turns < TURNS))
+                return _velocities(north, east, places, heading, convention)._replace(guessed=bool(turns < TURNS))
     return None
 
 

@@ -56,7 +56,7 @@ class Format:
     def open(self, path: Path, boat: str | None, beside: Sequence[Path]) -> tuple[Any, list[str]]:
         """The reader, with the options that this file needs, and what is unsure about them."""
         reader = getattr(importlib.import_module(self.module), self.reader)
-        return reader.found(path, boat, beside) if hasattr(reader, "found") else (reader(), [])
+        return reader.of_file(path, boat, beside) if hasattr(reader, "of_file") else (reader(), [])
 
 
 def _is_moos(head: bytes, suffix: str) -> bool:

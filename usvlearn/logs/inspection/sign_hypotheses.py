@@ -152,9 +152,7 @@ class Decided(NamedTuple):
     @property
     def support(self) -> float:
         """How well the motion follows the commands as they were taken, 0 to twice `MOST_SUPPORT`."""
-        fits = (
-            (_nearest(fits, signs), signs) for fits, signs in zip(self.fits, _signs(self.best), strict=True) if fits
-        )
+        fits = ((_nearest(fit, signs), signs) for fit, signs in zip(self.fits, _signs(self.best), strict=True) if fit)
         return sum(min(MOST_SUPPORT, (fit.cost_of(np.zeros(2)) - fit.cost(signs)) / 2) for fit, signs in fits)
 
     def facts(self) -> str:

@@ -119,8 +119,7 @@ def following(pool: Sequence[Candidate], commands: Sequence[Candidate]) -> str:
 def _follows(speed: Pair, commands: Sequence[Candidate]) -> float:
     """The greatest correlation with a command, 0 … 1."""
     pairs = [each.evidence for each in commands[:MOST]]
-    found = [speed_on_thrust(pair, pair, speed).correlation for pair in pairs]
-    return float(np.nanmax(np.abs(found), initial=0.0))
+    return float(np.nanmax(np.abs([speed_on_thrust(pair, pair, speed).correlation for pair in pairs]), initial=0.0))
 
 
 def interchanged(places: Places, speeds: Sequence[Candidate]) -> tuple[Places, bool]:

@@ -77,7 +77,7 @@ def test_a_table_is_read_alike_however_it_is_written(tmp_path, name):
     text, encoding, delimiter, decimal = SHAPES[name]
     path = tmp_path / "a.csv"
     path.write_bytes(text.encode(encoding))
-    table, unsure = Table.found(path)
+    table, unsure = Table.of_file(path)
     assert (table.delimiter, table.decimal, table.time_unit, unsure) == (delimiter, decimal, "s", [])
     explicit = Table("time", delimiter=delimiter, decimal=decimal)
     for reader in (Table("time"), table, explicit):
@@ -111,7 +111,7 @@ def test_a_date_and_a_time_in_two_columns_and_past_midnight(tmp_path):
     path = tmp_path / "a.csv"
     stamps = ["31.12.2025;23:59:59,5", "31.12.2025;23:59:59,9", "01.01.2026;00:00:00,3"]
     path.write_text("Date;Time;v\n" + "".join(f"{stamp};{k}\n" for k, stamp in enumerate(stamps)))
-    table, unsure = Table.found(path)
+    table, unsure = Table.of_file(path)
     assert (table.time, table.dates, unsure) == ("Date+Time", "day_first", [])
     for reader in (table, Table("Time")):
         channels, _ = reader.read(path, {"surge": Source("v")})
@@ -131,18 +131,18 @@ def test_the_order_of_a_date_is_found_from_the_whole_column_or_asked_for(tmp_pat
         Table("t").read(path, {"surge": Source("v")})
     channels, _ = Table("t", dates=order).read(path, {"surge": Source("v")})
     np.testing.assert_array_equal(channels["surge"].time, 86400 * np.arange(3))
-    assert any(each.startswith("dates: ") for each in Table.found(path)[1])
+    assert any(each.startswith("dates: ") for each in Table.of_file(path)[1])
 
 
 @pytest.mark.parametrize("form", ["06/03/2025 09:0{} AM", "6/3/25 9:0{}:00 p.m.", "06-03-2025, 09:0{}:00.5 pm"])
 def test_an_ambiguous_date_with_am_or_pm_is_asked_for(tmp_path, form):
     path = write(tmp_path / "a.csv", "t;v\n" + "".join(f"{form.format(minute)};{minute}\n" for minute in range(9)))
-    table, unsure = Table.found(path)
+    table, unsure = Table.of_file(path)
     assert table.dates == "month_first" and [each[:7] for each in unsure] == ["dates: "]
     with pytest.raises(LogFormatError, match=r"set data.reader.dates to one of"):
         Table("t").read(path, {"surge": Source("v")})
     path.write_text(path.read_text().replace("06/03", "13/03").replace("6/3", "13/3").replace("06-03", "13-03"))
-    assert (Table.found(path)[0].dates, Table.found(path)[1]) == ("day_first", [])
+    assert (Table.of_file(path)[0].dates, Table.of_file(path)[1]) == ("day_first", [])
 
 
 def test_separators_of_thousands_are_counted_or_refused(tmp_path):
@@ -204,7 +204,7 @@ def test_the_column_of_stamps_and_its_unit(tmp_path, header, values, unit, doubt
         tmp_path / "a.csv",
         f"{header},v\n" + "".join(f"{k},{value},{math.pi}\n" for k, value in zip(first, values, strict=True)),
     )
-    table, unsure = Table.found(path)
+    table, unsure = Table.of_file(path)
     assert (table.time, table.time_unit) == (header.split(",")[1], unit) and len(unsure) == len(doubts)
     assert all(each.startswith(doubt) for each, doubt in zip(unsure, doubts, strict=True))
     if unit == "hhmmss":  # past a minute and an hour; read as seconds they would jump by 40 and 4040
@@ -218,14 +218,14 @@ def test_a_table_without_stamps_or_without_a_header_is_refused(tmp_path):
     for text in ("v,w\n1,2\n0,3\n", "0,1,2\n1,2,3\n", "", "some text\nand more\n"):
         path.write_text(text)
         with pytest.raises(LogFormatError, match=r"column of stamps|none above the first numbers '0,1,2'"):
-            Table.found(path)
+            Table.of_file(path)
 
 
 def test_repeated_whole_seconds_are_spread(tmp_path):
     path = write(
         tmp_path / "a.csv", "time,speed\n" + "".join(f"2025-07-24T17:18:{k // 10:02d},{k % 7}\n" for k in range(300))
     )
-    table, unsure = Table.found(path)
+    table, unsure = Table.of_file(path)
     assert (table.time, unsure) == ("time", [])
     with pytest.warns(UserWarning, match="whole seconds, with 10 rows each: the rows of a second are spread evenly"):
         channels, dropped = table.read(path, {"surge": Source("speed")})
@@ -244,16 +244,16 @@ def test_whole_seconds_that_hardly_repeat_are_left_as_they_are(tmp_path):
 def test_a_table_of_too_few_rows_is_told(tmp_path, rows, found):
     path = write(tmp_path / "a.csv", "time,speed\n" + rows)
     with pytest.raises(LogFormatError, match=f"two rows or more, found {found}"):
-        Table.found(path)
+        Table.of_file(path)
 
 
 @pytest.mark.parametrize("line", ["t={}.5 L=0.2 R=-0.1 HDG=74.3", "t: {}, L: .2, R: 0.1, HDG: 7", "t:{};L:2;R:1;HDG:1"])
 def test_a_name_beside_each_number_is_told_with_what_makes_it_a_table(tmp_path, line):
     path = write(tmp_path / "a.csv", "".join(line.format(k) + "\n" for k in range(30)))
     with pytest.raises(LogFormatError, match="found one beside each number") as told:
-        Table.found(path)
+        Table.of_file(path)
     subprocess.run(str(told.value).partition("as by ")[2], shell=True, cwd=tmp_path, check=True)
-    assert Table.found(tmp_path / "named.csv")[0].time == "t"
+    assert Table.of_file(tmp_path / "named.csv")[0].time == "t"
 
 
 @pytest.mark.parametrize("delimiter", [",", ";"])
@@ -261,7 +261,7 @@ def test_a_table_that_lies_on_its_side_is_told_with_what_turns_it(tmp_path, deli
     rows = [["time", *range(50)], ["left", *([0.5] * 50)], ["speed", *([1.5] * 50)]]
     path = write(tmp_path / "a.csv", "".join(delimiter.join(map(str, row)) + "\n" for row in rows))
     with pytest.raises(LogFormatError, match="found one at the begin of each row") as told:
-        Table.found(path)
+        Table.of_file(path)
     if delimiter == ",":
         subprocess.run(str(told.value).partition("as by ")[2], shell=True, cwd=tmp_path, check=True)
-        assert Table.found(tmp_path / "named.csv")[0].time == "time"
+        assert Table.of_file(tmp_path / "named.csv")[0].time == "time"

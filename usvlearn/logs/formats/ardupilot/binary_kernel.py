@@ -73,8 +73,7 @@ def scan_dataflash(data, sizes):
 @jit(memory=True)
 def _head(data, place):
     """Whether a message begins here, or the file ends within two bytes."""
-    first = place < len(data) and data[place] == HEAD[0]
-    return first and (place + 1 == len(data) or data[place + 1] == HEAD[1])
+    return place < len(data) and data[place] == HEAD[0] and (place + 1 == len(data) or data[place + 1] == HEAD[1])
 
 
 @jit(memory=True)

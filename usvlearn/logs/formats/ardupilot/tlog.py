@@ -145,5 +145,4 @@ def _vehicle(data: np.ndarray, sent: dict[int, Messages]) -> Vehicle:
 def _is_autopilot(data: np.ndarray, sent: dict[int, Messages]) -> bool:
     if (one := sent.get(HEARTBEAT)) is None:
         return False
-    ground = one.column(data, "type") == GROUND_STATION
-    return bool((~ground & (one.column(data, "autopilot") != NO_AUTOPILOT)).any())
+    return bool(((one.column(data, "type") != GROUND_STATION) & (one.column(data, "autopilot") != NO_AUTOPILOT)).any())

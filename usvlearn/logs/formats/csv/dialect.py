@@ -28,9 +28,7 @@ DELIMITERS = (",", ";", "\t", "|", " ")
 COMMENTS = ("#", "%", "//")
 NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|nan|[+-]?inf", re.IGNORECASE)
 CLOCK = r"\d{1,3}:\d\d(:\d\d)?([.,:]\d+)?(\s*[AP]\.?M\.?)?"
-STAMP = re.compile(
-    rf"\d{{1,4}}[-./]\d{{1,2}}[-./]\d{{1,4}}([ T]+{CLOCK}\s*(Z|[+-]\d\d:?\d\d)?)?|{CLOCK}", re.IGNORECASE
-)
+STAMP = re.compile(rf"\d{{1,4}}[-./]\d{{1,2}}[-./]\d{{1,4}}([ T]+{CLOCK}\s*(Z|[+-]\d\d:?\d\d)?)?|{CLOCK}", re.I)
 COMMA = re.compile(r"[+-]?\d*(\.\d{3})*,\d+([eE][+-]?\d+)?")  # a decimal comma, perhaps with points at thousands
 POINT = re.compile(r"[+-]?\d*(,\d{3})*\.\d+([eE][+-]?\d+)?|[+-]?\d{1,3}(,\d{3}){2,}")  # or commas at thousands
 EITHER = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")  # one of both
@@ -225,8 +223,7 @@ def _layout(lines: Sequence[str], delimiter: str, comment: tuple[str, ...], time
     shares = [count / all_ if len(row) == width else 0.0 for row, count, all_ in counts]
     header, named = _header(rows, remarks, values, width, time)
     fits = 0 if header is None else _fits(rows[header], width)
-    score = (named, fits, sum(shares) / max(1, len(shares)), width)
-    return _Layout(delimiter, rows, width, header, score)
+    return _Layout(delimiter, rows, width, header, (named, fits, sum(shares) / max(1, len(shares)), width))
 
 
 def _header(

@@ -10,17 +10,15 @@ import warnings
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from usvlearn.errors import LogFormatError, printable
 from usvlearn.logs.channels.channel import Channel, Source, match_name
 from usvlearn.logs.channels.series import Series, interleaved
+from usvlearn.logs.formats.csv.opened import OpenedTable
 from usvlearn.logs.formats.csv.rows import Place, channels_of
-
-if TYPE_CHECKING:
-    from usvlearn.logs.formats.csv.table import Opened
 
 RUNS, TOPICS = "runs", "topics"  # what the tables of a folder are
 SUFFIXES = ".csv", ".tsv", ".slog", ".csv.gz", ".tsv.gz"
@@ -44,7 +42,7 @@ def tables_of(folder: Path) -> list[Path]:
 
 
 def read_topics(
-    folder: Path, topics: Mapping[str, Opened], sources: dict[str, Source]
+    folder: Path, topics: Mapping[str, OpenedTable], sources: dict[str, Source]
 ) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
     """The channels of a run whose topics are tables; a LogFormatError where their stamps do not overlap."""
     places = {}
@@ -65,7 +63,7 @@ def read_topics(
     return channels_of(joined, orders, {channel: place for channel, (_, place) in places.items()})
 
 
-def survey_topics(folder: Path, topics: Mapping[str, Opened]) -> list[Series]:
+def survey_topics(folder: Path, topics: Mapping[str, OpenedTable]) -> list[Series]:
     """All series of a run whose topics are tables, as FILE.COLUMN; those of another time or clock are left out."""
     surveyed: dict[str, tuple[list[Series], float]] = {}
     for topic, opened in topics.items():
@@ -130,7 +128,7 @@ def apart(folder: Path, spans: dict[str, Span]) -> LogFormatError:
     )
 
 
-def locate(pattern: str, topics: Mapping[str, Opened], where: str) -> tuple[str, str]:
+def locate(pattern: str, topics: Mapping[str, OpenedTable], where: str) -> tuple[str, str]:
     """The topic and the column that a `Source` names; a LogFormatError where there is none, or several."""
     for topic, opened in topics.items():
         if pattern.startswith(f"{topic}.") and len(matches := opened.find(pattern[len(topic) + 1 :])) == 1:

@@ -57,9 +57,7 @@ class _Topic(NamedTuple):
             w, x, y, z = (part.tolist() for part in quaternion if part is not None)
             return np.array(list(map(yaw, x, y, z, w)), np.float64)
         names = ", ".join(name[:QUOTED] for name in list(self.fields)[:40])
-        raise LogFormatError(
-            f"{where}: no field {field!r} in {self.name}. The fields here are: {names}; name one of them"
-        )
+        raise LogFormatError(f"{where}: no field {field!r} in {self.name}. The fields here are: {names}; name one")
 
 
 @dataclass(frozen=True)

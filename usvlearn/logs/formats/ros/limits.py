@@ -137,9 +137,7 @@ def limit_chunks(path: Path, reader: Any, limit: int) -> None:
         header = Header.read(reader.bio)
         return _whole(path, data, header.get_string("compression"), limit, header.get_uint32("size"))
 
-    reader.chunks |= {
-        place: each._replace(decompressor=partial(unpacked, place)) for place, each in reader.chunks.items()
-    }
+    reader.chunks |= {at: chunk._replace(decompressor=partial(unpacked, at)) for at, chunk in reader.chunks.items()}
 
 
 def check_type(path: Path, msgtype: str, definitions: Mapping[str, Any]) -> None:
