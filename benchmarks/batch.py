@@ -1,4 +1,4 @@
-"""Peers that are told all runs at once beside members that learn online: open-loop simulations and forecasts.
+"""Compares batch methods, which fit all runs at once, with members that learn online: open-loop simulations, forecasts.
 
 python benchmarks/batch.py LOGS        writes docs/benchmarks/batch.md
 

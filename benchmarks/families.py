@@ -1,4 +1,4 @@
-"""Networks on which conditions are measured: random, initialised."""
+"""Random and freshly initialised networks, on which the conditions are compared."""
 
 from __future__ import annotations
 

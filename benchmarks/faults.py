@@ -1,4 +1,4 @@
-"""Changes of simulated boats: what predictors make of the first minute, and what the monitor of the thrusters tells.
+"""Simulated changes of boats: errors of the predictors in the first minute, and alarms of the thruster monitor.
 
 Boats of five plants (`usvlearn/simulate`) sail with random commands, as a convoy whose speed a PI controller holds, and
 mow a lawn under the same controller. Something changes in minute 10. `benchmarks/stress.py` shows the tables.

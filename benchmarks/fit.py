@@ -1,4 +1,4 @@
-"""How true the parameters of `usvlearn fit` are, how often their intervals hold, how well they simulate.
+"""Errors of the parameters of `usvlearn fit`, coverage of their intervals, and errors of their simulations.
 
 python benchmarks/fit.py [--seeds 8001 8002 8003 8004] [--boats 3]        writes docs/benchmarks/fit.md, in 20 min
 

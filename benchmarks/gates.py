@@ -1,4 +1,4 @@
-"""What must not change: compares what this source computes with what a recorded one computed, bit for bit.
+"""Compares what this source computes with what a recorded source computed, bit for bit.
 
     python benchmarks/gates.py record           compute all cases, and write their digests into gates.json
     python benchmarks/gates.py                  compare, and print "equal" or the first difference of each gate

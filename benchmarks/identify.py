@@ -1,4 +1,4 @@
-"""How true identified parameters are, and how often their intervals hold, as a boat sails on.
+"""Errors of identified parameters, and coverage of their intervals, over the time sailed.
 
 python benchmarks/identify.py [--seed 77]        writes docs/benchmarks/identify.md
 

@@ -1,4 +1,4 @@
-"""The node on MOOS: its latency, what it bears at once, and a day of sailing while the database is killed.
+"""Tests the node on MOOS: its latency, the load that it bears, and a day of sailing while the database is killed.
 
 python benchmarks/live_soak.py [HOURS [RESTARTS]]       writes docs/benchmarks/live_soak.md
 

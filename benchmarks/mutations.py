@@ -1,4 +1,4 @@
-"""Which tests see a fault: places of the sources are changed one by one, and the tests that ought to fail are run.
+"""Mutation tests: changes places of the sources one by one, and runs the tests that ought to fail.
 
     python benchmarks/mutations.py                 try the places of mutations.json without a result, draw missing ones
     python benchmarks/mutations.py --again         try all places of mutations.json, wherever their files are now

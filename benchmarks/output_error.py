@@ -1,4 +1,4 @@
-"""Batch output-error fit of a boat: the baseline that is told all runs at once.
+"""Batch output-error fit of a boat to all runs at once: the baseline of the benchmarks.
 
 Model of one step of h seconds, with w the speed through the water, u the commands and c the current of a run:
 

@@ -1,4 +1,4 @@
-"""The pages of results: their folder, how a script writes its page, tables and numbers, the machine in words."""
+"""Writes the pages of results: their folder, tables, numbers, and the machine in words."""
 
 import os
 import platform

@@ -1,4 +1,4 @@
-"""Tracks beside a constant turn and a held yaw rate: distance from the boat's position, and ellipses.
+"""Errors of tracks beside those of a constant turn and a held yaw rate, and coverage of their ellipses.
 
 Writes `docs/benchmarks/path.md`.
 

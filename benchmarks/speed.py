@@ -1,4 +1,4 @@
-"""What a step, a grid and whole jobs cost, measured in one run.
+"""Measures the time of a step, of a grid and of whole jobs, in one run.
 
 python benchmarks/speed.py                       all, ten minutes; wants the extra bench and an idle machine
 python benchmarks/speed.py --only steps          one section, printed alone

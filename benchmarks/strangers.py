@@ -1,4 +1,4 @@
-"""How true a fit is on boats whose equations are not ours, and how often its intervals hold; forecasts of such boats.
+"""Errors and coverage of a fit on boats whose equations are not ours, and of forecasts of such boats.
 
 python benchmarks/strangers.py [--seeds 30] [--boats NAME ...] [--forecasts 2]      writes docs/benchmarks/strangers.md
 

@@ -1,4 +1,4 @@
-"""What the field does to estimators: ours beside padasip, river, filterpy and kalman-py.
+"""Robustness of the estimators to bad samples, beside padasip, river, filterpy and kalman-py.
 
 python benchmarks/stress.py [--steps 1000000] [--boats 5]        writes docs/benchmarks/stress.md
 

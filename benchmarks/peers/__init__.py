@@ -1,4 +1,4 @@
-"""Other libraries' models of a boat: `online` ones learn step by step; batch ones are told all runs at once."""
+"""Models of other libraries: `online` ones learn step by step; batch ones are fitted to all runs at once."""
 
 from peers.online import LAM, NOISE, P, Peer, peers, plain_rls
 

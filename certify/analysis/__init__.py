@@ -1,1 +1,1 @@
-"""Many networks judged: checkpoints, runs, sweeps, and the counts of a comparison."""
+"""Judges many networks: checkpoints, runs, sweeps, and the counts of a comparison."""

@@ -1,4 +1,4 @@
-"""Everything that `certify` finds about one checkpoint: a JSON object, and its certificates."""
+"""Assesses one checkpoint: all conditions, rates and certificates, as a JSON object."""
 
 from __future__ import annotations
 

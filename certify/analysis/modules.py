@@ -1,4 +1,4 @@
-"""What `certify.certify` finds about a module of torch in memory."""
+"""Certifies a module of torch in memory: the work of `certify.certify`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The networks of `python -m certify`, judged by the options of the command; and their certificates, written."""
+"""Judges the networks of `python -m certify` by the options of the command, and writes their certificates."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`python -m certify --verify`: each certificate against the checkpoint that it is about.
+"""Checks each certificate against the checkpoint that it is about: `python -m certify --verify`.
 
 Certificates and weights may come from anybody, so the number of checkpoints is limited before they are compared.
 """

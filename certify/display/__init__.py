@@ -1,1 +1,1 @@
-"""What is printed and drawn of verdicts."""
+"""Tables and figures of verdicts."""

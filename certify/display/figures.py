@@ -1,4 +1,4 @@
-"""Figures; matplotlib is imported where it is used (extra `plot`)."""
+"""Draws maps with their equilibria, and rates of networks; matplotlib is imported where it is used (extra `plot`)."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What a verdict rests on: exact arithmetic alone, integers and fractions."""
+"""Exact arithmetic in integers and fractions, on which every verdict rests."""

@@ -1,4 +1,4 @@
-"""Replay of a proof about a network on a box, in integers: nothing here trusts the search that found the proof.
+"""Replays a proof about a network on a box, in integers: nothing here trusts the search that found the proof.
 
 A proof is a binary tree that divides the box, as text in preorder, its tokens separated by blanks:
 

@@ -1,4 +1,4 @@
-"""Matrices of fractions: lists of rows."""
+"""Operations on matrices of fractions, which are lists of rows."""
 
 from __future__ import annotations
 

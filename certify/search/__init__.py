@@ -1,1 +1,1 @@
-"""What finds a proof: floating point and solvers. It may be wrong; `proofs` decides."""
+"""Searches proofs by floating point and solvers. It may be wrong; `proofs` decides."""

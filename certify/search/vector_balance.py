@@ -1,4 +1,4 @@
-"""Equal networks with a vector state: units of the state, of each neuron, and of the rate, for a solver in floats.
+"""Scales a network with a vector state so that its numbers have one size, for a solver in floats.
 
 For diagonal C, T with positive entries and a number s, (T R T⁻¹/s, T A C⁻¹/s, C W T⁻¹) has the rate κ/s in the norm
 √(xᵀ P' x) with the multipliers Λ' iff (R, A, W) has the rate κ with P = T P' T and Λ = s² C Λ' C. With two hidden

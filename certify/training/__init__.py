@@ -1,1 +1,1 @@
-"""Closed forms and projections in torch, used while a network learns."""
+"""Conditions and projections in torch, for networks that learn."""

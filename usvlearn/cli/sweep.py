@@ -1,4 +1,4 @@
-"""The frame of a sweep: check its folder before, and make its leaderboard after, also if the sweep was interrupted."""
+"""Checks the folder of a sweep before it starts, and makes its leaderboard after, also if the sweep was interrupted."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What every room stands on: samples, the protocol of an estimator, families, compiled code, checkpoints, the lock."""
+"""The base of all packages: samples, the protocol of an estimator, families, compiled code, checkpoints, the lock."""

@@ -1,4 +1,4 @@
-"""How functions are compiled by numba, and where the machine code is kept.
+"""Compiles functions by numba, and keeps the machine code in a folder.
 
 Numba checks one source file to decide whether cached machine code is current. But machine code also contains the
 functions that this file calls and the constants that it imports. So the cache is a folder whose name is a hash of the

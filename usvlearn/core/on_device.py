@@ -1,4 +1,4 @@
-"""Compiled functions as device functions of CUDA, from the same source.
+"""Compiles kernels as device functions of CUDA, from the same source.
 
 Numba-cuda would take functions of `core.jit`, but with all of its fast mathematics, where NaN means nothing. And some
 of what they use is unknown there. So other functions stand behind the names.

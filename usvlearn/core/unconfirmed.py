@@ -1,4 +1,4 @@
-"""What `usvlearn inspect` guessed and nobody has confirmed: the open questions of a configuration, and what is said.
+"""Guesses of `usvlearn inspect` that nobody has confirmed: the open questions of a configuration, in sentences.
 
 Its section `unconfirmed` has them by key: `delay: {certainty: unsure, found: 0 s, why: …, written: {SETTING: VALUE}}`.
 A question is open as long as a setting under `written` has this value and is not given on the command line.

@@ -1,1 +1,1 @@
-"""What shows numbers to a person: colours of figures, tables in a terminal, files of TensorBoard."""
+"""Colours of figures, tables in a terminal, files of TensorBoard."""

@@ -1,4 +1,4 @@
-"""Figures. Matplotlib (extra `plot`) is imported inside the functions that use it."""
+"""Colours, themes and panels of figures. Matplotlib (extra `plot`) is imported inside the functions that use it."""
 
 from __future__ import annotations
 

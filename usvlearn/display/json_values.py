@@ -1,4 +1,4 @@
-"""Values that JSON can have."""
+"""Replaces what JSON cannot hold, such as numbers that are not finite."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Members that other code than kernels steps: torch, NumPy, another library.
+"""Makes the steps of members that have no kernel: torch, NumPy, another library.
 
 A prediction of a member depends on the samples and its own state, never on other members. So each such member runs
 alone over the samples, and the kernels of the ensemble read what it predicted: as if all stepped together, bit for bit.

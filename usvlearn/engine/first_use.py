@@ -1,4 +1,4 @@
-"""What a run, single steps and plans need is compiled when it is first used, for all estimators together."""
+"""Compiles what a run, single steps and plans need when they are first used, for all estimators together."""
 
 from __future__ import annotations
 

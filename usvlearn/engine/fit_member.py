@@ -1,4 +1,4 @@
-"""A batch fit joins the forecasts of an ensemble that runs: what its state and description are from then on.
+"""Adds a batch fit to the forecasts of a running ensemble: the new state and description.
 
 Its copies are those of the first joint EKF that is weighed. Its weights begin at `FIT_WEIGHT`, with the regret of the
 others' mixture; under way it has none, so that what was forecast before stays. The next fit replaces its table alone.

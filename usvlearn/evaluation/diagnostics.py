@@ -1,4 +1,4 @@
-"""What is known of a boat and of the members of an ensemble beside errors: quantities, networks, events, remarks."""
+"""Results of a boat and of an ensemble's members beside errors: quantities, networks, events, remarks."""
 
 from __future__ import annotations
 

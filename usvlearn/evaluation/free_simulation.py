@@ -1,6 +1,4 @@
-"""Open-loop simulations, simulated from commands alone; nothing is learned there. Errors of the second half of a
-fleet's runs.
-"""
+"""Simulates runs in open loop, from commands alone and without learning; errors over the second half of the runs."""
 
 from __future__ import annotations
 

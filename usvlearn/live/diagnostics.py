@@ -1,4 +1,4 @@
-"""What the node tells about its estimators beside predictions: thrusters, networks, identified quantities."""
+"""Reports of the node about its estimators, beside predictions: thrusters, networks, identified quantities."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a node starts that has no checkpoint: the default ensemble before its first measurement, without torch.
+"""The state from which a node without a checkpoint starts: the default ensemble before its first measurement.
 
 The ensemble is made of the boat's mass m and top speed U. Each number of its state and of its description is
 

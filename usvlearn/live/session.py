@@ -1,4 +1,4 @@
-"""A node with all around it: its folder, its clock, the thread that compiles and the one that writes.
+"""Runs a node: its folder, its clock, the thread that compiles and the one that writes.
 
 What the middlewares share. It is called from one thread.
 """

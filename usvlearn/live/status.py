@@ -1,4 +1,4 @@
-"""What a node tells people: what it publishes, the operator's page, the line in a terminal, `usvlearn live status`."""
+"""Shows what a node does: published values, the operator's page, the line in a terminal, `usvlearn live status`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings to a `Fleet`: each boat is a batch element, with its runs one after the other."""
+"""Joins recordings to a `Fleet`: each boat is a batch element, with its runs one after the other."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From the folders of runs to their report: all sections from the saved data of a season.
+"""Builds the report of runs from their folders: all sections from the saved data of a season.
 
 The library does not use Hydra: it receives functions that build objects from configuration nodes and that align logs.
 """

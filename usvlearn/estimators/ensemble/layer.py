@@ -1,4 +1,4 @@
-"""An ensemble."""
+"""An ensemble of estimators in torch: members, combiners, intervals, monitors."""
 
 from __future__ import annotations
 

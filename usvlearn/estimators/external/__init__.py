@@ -1,1 +1,1 @@
-"""Members of an ensemble whose steps other code than this package's kernels makes."""
+"""Members of an ensemble that have no kernel: their steps are made by other code."""

@@ -1,4 +1,4 @@
-"""What models from outside are given of a step, by name, and estimators that make many steps in one call."""
+"""The inputs of a step by name, for models of other libraries, and estimators that make many steps in one call."""
 
 from __future__ import annotations
 

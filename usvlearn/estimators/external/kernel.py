@@ -1,4 +1,4 @@
-"""The step of a member that other code steps."""
+"""Reads the prediction of a member without a kernel, which other code has made."""
 
 from usvlearn.core.jit import jit
 from usvlearn.core.prepared_samples import ROW

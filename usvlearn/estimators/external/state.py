@@ -1,4 +1,4 @@
-"""A member that other code steps: kernels find its prediction in a column of their own behind each prepared sample.
+"""A member without a kernel: kernels find its prediction in a column of their own behind each prepared sample.
 
 They keep no state of it: that of its class stands beside theirs in a checkpoint.
 """

@@ -1,4 +1,4 @@
-"""What fault accommodation does to a joint EKF: (1) and (2) of `usvlearn.estimators.ensemble.accommodation`."""
+"""Fault accommodation in a joint EKF: (1) and (2) of `usvlearn.estimators.ensemble.accommodation`."""
 
 import numpy as np
 

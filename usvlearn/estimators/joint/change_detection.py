@@ -1,4 +1,4 @@
-"""The trial of the joint EKF: its arguments and its first state."""
+"""The second filter of the joint EKF, which tests whether the boat has changed: its arguments and its first state."""
 
 from __future__ import annotations
 

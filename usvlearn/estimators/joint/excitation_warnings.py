@@ -1,4 +1,4 @@
-"""What a log lacks, in sentences: from a joint EKF's covariance, and from what was identified. Imports no torch.
+"""Warnings that a log excites the boat too little, from a joint EKF's covariance and quantities. Imports no torch.
 
 The equations are those of `periodic_estimates`.
 """

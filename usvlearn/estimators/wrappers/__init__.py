@@ -1,1 +1,1 @@
-"""What wraps an estimator."""
+"""Wrappers around an estimator."""

@@ -1,4 +1,4 @@
-"""What comes and goes on a MAVLink link: frames, the numbers of channels in them, and what is told in turn.
+"""Messages on a MAVLink link: frames, the numbers of channels in them, and the messages of the node.
 
 Each frame of MAVLink 1 or 2 (https://mavlink.io/en/guide/serialization.html) is checked and decoded by pymavlink. What
 is no frame is skipped byte by byte, so that a damaged frame never takes a good one with it. An unknown message cannot

@@ -1,4 +1,4 @@
-"""The vehicle's clock, and what is asked of the vehicle: messages at a rate, and the parameters of its servos.
+"""The vehicle's clock, and requests to the vehicle: messages at a rate, and the parameters of its servos.
 
 Stamps in `time_boot_ms` are taken as they are. A stamp that is implausible, because it is before the last one or ahead
 of it by more than the time since, is held back until the next one agrees with it: then the vehicle has booted anew, or

@@ -1,4 +1,4 @@
-"""What is done with each message and each second, without I/O and clock: finds the vehicle, asks, pushes, answers.
+"""Handles each message and each second, without I/O and clock: finds the vehicle, asks, pushes, answers.
 
 The vehicle is the first autopilot that is heard, or the one of a given system id. Its servo outputs count only while
 it is armed, as in a telemetry log that `usvlearn.logs.formats.ardupilot.tlog` reads.

@@ -1,4 +1,4 @@
-"""What a mission file and the command line say to the node: its options, and where the MOOSDB is.
+"""Reads the options of the node and the address of the MOOSDB from a mission file and the command line.
 
     ServerHost = localhost           // top level, for every app
     define: HOME_FOLDER = /home/boat

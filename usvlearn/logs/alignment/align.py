@@ -1,4 +1,4 @@
-"""Asynchronous channels to samples on a grid of `dt`, message by message: live on a boat, or in a loop over a log.
+"""Aligns asynchronous channels to samples on a grid of `dt`, message by message: live on a boat, or over a log.
 
 `docs/theory/model.md#inputs-and-causality` says what a step, its target, and the choices of `inputs` and `steps` are;
 `docs/troubleshooting.md` lists the causes by which rejected messages are counted.

@@ -1,4 +1,4 @@
-"""Means of a series over bins of equal length: what two channels with stamps of their own are compared by.
+"""Means of a series over bins of equal length, by which channels with stamps of their own are compared.
 
 A series is a pair (time, value), s and SI units, in any order, with gaps and NaN. Between two stamps a value is
 interpolated linearly, or held; a mean is the difference of the integral at the edges of a bin, divided by its length.

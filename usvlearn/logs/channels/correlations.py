@@ -1,4 +1,4 @@
-"""How two channels of a log hang together: slope, correlation and lag, each with its certainty.
+"""Relations of two channels of a log: slope, correlation and lag, each with its certainty.
 
 A series is a pair (time, value), s and SI units, in any order, with gaps, NaN and stamps of its own. Two series are
 compared by their means over bins of equal length; a bin in which one of them has a gap is left out. The equations (1)

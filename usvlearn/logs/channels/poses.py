@@ -1,4 +1,4 @@
-"""What a log says at the end of each step beside the surge: heading, yaw rate, sway and position.
+"""The pose at the end of each step, from a log: heading, yaw rate, sway and position.
 
 Each has its own freshness: a number is the last message stamped within its window before the end of the step, or NaN.
 Nothing stamped after the end of a step is used, nor what came after the step was made, so that a boat that is under way

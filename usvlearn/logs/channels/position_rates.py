@@ -1,4 +1,4 @@
-"""A position against the velocity, the speed, the sway or the heading, by relations of `channels.correlations`."""
+"""Compares a position with the velocity, the speed, the sway or the heading, by `channels.correlations`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Copies of a measured speed: a sensor that is logged faster than it measures.
+"""Finds copies of a measured speed, as of a sensor that is logged faster than it measures.
 
 The rule and its reasons are in `docs/theory/model.md#repeated-samples`. Copies of a coarse sensor are not found:
 declare its `period`, where it is known.

@@ -1,4 +1,4 @@
-"""What readers of logs do; all numbers of a log, before anybody has said what they mean; and jumps of a log's clock."""
+"""The interface of all readers of logs, the series of numbers that they read, and jumps of a log's clock."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A course over ground in place of a heading, and errors of a heading that change, by the velocity over ground.
+"""Checks the heading by the velocity over ground: a course in its place, and errors that change.
 
 A current c adds Re(c exp(−iψ)) to the speed along a heading ψ, and Im(c exp(−iψ)) across it. Both are fitted by least
 squares over bins of 2 s: the speed along beside the thrust, the speed across beside the turn. Only along a course, the

@@ -1,4 +1,4 @@
-"""The check of the data before a run: is what was read likely to be what the configuration says that it is?
+"""Checks data before a run: is what was read likely to be what the configuration says that it is?
 
 Wrong units, reversed sides and delays do not stop a run: it prints plausible numbers. Each check compares channels with
 each other and with physics, on all runs of a boat together, and yields findings with the setting that corrects them. A

@@ -1,4 +1,4 @@
-"""What the checks look at: all runs of one boat as series, and their means over bins of a second."""
+"""The evidence for the checks: all runs of one boat as series, and their means over bins of a second."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A channel that stays the same number while the others show that it should change: a sensor that froze.
+"""Finds a channel that stays the same number while the others show that it should change: a sensor that froze.
 
 A stretch of equal values is a finding only with a witness in its own time, since coarse numbers, copies and held
 commands repeat themselves, too. The thrusters of a boat at rest may be off, so zeros of a speed need positions. At the

@@ -1,4 +1,4 @@
-"""Units and scales: speeds, commands, headings and yaw rates against each other and against physics.
+"""Checks units and scales: speeds, commands, headings and yaw rates against each other and against physics.
 
 A ratio of two speeds is that of a unit from 1.39 on, midway between 1 and that of knots: currents and noise of
 positions change it, too. Thrust that is 30 % greater makes up to 30 % more speed, and a current some 0.5 m/s over

@@ -1,4 +1,4 @@
-"""Commands against the motion: sides, and whether anything can be learned from them.
+"""Checks commands against the motion: sides, and whether anything can be learned from them.
 
 The signs of turn and speed with each command tell the mistake: see `docs/theory/model.md#two-channels`. Over half an
 hour of simulated boats without mistakes the certainties are 10 (turn) and 3.4 (speed), or more.

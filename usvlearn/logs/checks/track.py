@@ -1,4 +1,4 @@
-"""Positions, from which tracks are judged, against the measured velocity; and the sway against both.
+"""Checks positions, from which tracks are judged, against the measured velocity; and the sway against both.
 
 The rate of a position over 5 s is compared with the velocity of surge, sway and heading, as complex numbers north +
 i east (`usvlearn.logs.channels.position_rates`). North and east interchanged, or one of them reversed, make a mirror

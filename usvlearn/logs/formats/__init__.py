@@ -1,1 +1,1 @@
-"""The formats of logs: a parser each, with one interface."""
+"""Parsers of log formats, all with one interface."""

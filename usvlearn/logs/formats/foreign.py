@@ -1,4 +1,4 @@
-"""Files that are no logs which usvlearn reads: the bytes that tell it, what they are, and one way out."""
+"""Recognises files that are no logs which usvlearn reads: the bytes that tell it, what they are, and one way out."""
 
 from __future__ import annotations
 

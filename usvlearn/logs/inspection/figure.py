@@ -1,4 +1,4 @@
-"""The picture of `usvlearn inspect --plot`: the channels over time, and how they hang together."""
+"""The picture of `usvlearn inspect --plot`: the channels over time, and their relations."""
 
 from __future__ import annotations
 

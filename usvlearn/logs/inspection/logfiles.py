@@ -1,4 +1,4 @@
-"""Which logs are named, in which format, and all series that they hold.
+"""Finds the logs that arguments name, their format, and all series that they hold.
 
 The first bytes of a file tell its format, and its suffix where the bytes do not. Which tables are topics of one run,
 the names of their columns tell, by the rules of `usvlearn.logs.formats.csv.topics`.

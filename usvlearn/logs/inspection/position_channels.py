@@ -1,4 +1,4 @@
-"""Where the boat was: the series of its position, its course over ground, and the rate of its position."""
+"""Finds the series of the boat's position, and computes its course over ground and the rate of its position."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the names in a log say: the words of a name, and how well they fit the channels that are looked for.
+"""The words of a name in a log, and how well they fit each channel that is looked for.
 
 A name says what its author meant, in one of a few languages and in abbreviations. It is a hint: the numbers decide
 where they can.

@@ -1,4 +1,4 @@
-"""The speed controller of one identified boat: what is designed, and what is told of it."""
+"""Designs the speed controller of one identified boat, and describes it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which terms a log supports, by leaving out one mission, or piece of one, at a time.
+"""Chooses the terms that a log supports, by leaving out one mission, or piece of one, at a time.
 
 Equation (1): `docs/theory/identification.md#batch-fit-choice`; g and H are ∇L and Φ there. So a set costs one pass more
 over the missions, not one fit for each. Missions, never single steps, are left out: errors of neighbouring steps are

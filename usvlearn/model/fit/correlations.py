@@ -1,4 +1,4 @@
-"""What is left in the errors of a simulation: their autocorrelation, and their correlation with the commands.
+"""The autocorrelation of a simulation's errors, and their correlation with the commands.
 
 Equations (1) and (2): `docs/theory/identification.md#batch-fit-residuals`; r is ρ there, R a sum in place of a mean.
 The grid of the fit is uniform, so a lag is a time, also across a gap. 99 % are within 2.58 deviations. Lags with few

@@ -1,4 +1,4 @@
-"""A checkpoint in which the joint EKFs go on from a batch fit.
+"""Writes a batch fit into a checkpoint, from which the joint EKFs go on.
 
 An ensemble that has learned online keeps everything else: other members, intervals, noise, current. Its joint EKFs get
 the parameters and the covariance of the fitted set whose terms are theirs, and no trial. A periodic mean becomes the

@@ -1,4 +1,4 @@
-"""Errors one step ahead (paper, figure 3), what is left in them, and forecasts by horizon."""
+"""Errors one step ahead (paper, figure 3), their autocorrelation, and forecasts by horizon."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `usvlearn fit` has written beside a run, `RUN/fit/BOAT.fit.json`, checked: a file of others is data."""
+"""Reads the fit that `usvlearn fit` wrote beside a run, `RUN/fit/BOAT.fit.json`: a file of others is data."""
 
 from __future__ import annotations
 

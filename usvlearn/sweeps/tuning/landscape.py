@@ -1,4 +1,4 @@
-"""All evaluations of a tuning: one file of arrays, a picture, and whether the best setting is told from others.
+"""All evaluations of a tuning: one file of arrays, a picture, and whether the best setting differs from others.
 
 Two settings are compared by the differences of their errors on each run of each boat, because the difficulty of a run
 cancels. A setting is as good as the best if the 95 % interval of the mean difference contains 0. The state goes on from

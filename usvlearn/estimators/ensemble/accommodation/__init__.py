@@ -1,1 +1,1 @@
-"""Fault accommodation: what the monitor of the thrusters finds is given to the filters."""
+"""Fault accommodation: the filters use the losses that the monitor of the thrusters finds."""

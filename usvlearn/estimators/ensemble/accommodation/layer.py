@@ -1,4 +1,4 @@
-"""Fault accommodation: who takes part, the first state, and what it tells."""
+"""Fault accommodation: the filters that use it, its first state, and its diagnostics."""
 
 from __future__ import annotations
 

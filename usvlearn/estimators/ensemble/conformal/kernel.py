@@ -1,4 +1,4 @@
-"""Prediction intervals: equation (1) of `state`, and what they know of the manoeuvre."""
+"""Prediction intervals: equation (1) of `state`, and widths as a function of the manoeuvre."""
 
 import numpy as np
 

@@ -1,1 +1,1 @@
-"""Half-widths of intervals that know the manoeuvre, for one step and for forecasts."""
+"""Interval widths as a function of the manoeuvre, for one step and for forecasts."""

@@ -1,4 +1,4 @@
-"""What is known of interval widths as a function of the manoeuvre before the first sample."""
+"""The first state of interval widths as a function of the manoeuvre."""
 
 from __future__ import annotations
 

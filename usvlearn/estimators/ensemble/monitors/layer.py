@@ -1,4 +1,4 @@
-"""The monitors before the first sample, and what their states tell."""
+"""The monitors: their first state, and their diagnostics."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables whose rows are of several boats, or hold one number each beside its name.
+"""Finds tables whose rows are of several boats, or hold one number each beside its name.
 
 The column that tells them apart is called so, also in several tables. Or it has few values, and from a row of one to a
 row of another most measured numbers jump far more than between two rows of the same. Where one boat changes its mode or

@@ -1,4 +1,4 @@
-"""How a table of text is written, found from its first lines: encoding, delimiter, comments, header, decimal sign.
+"""Finds how a table of text is written from its first lines: encoding, delimiter, comments, header, decimal sign.
 
 Each choice is the same for the same file. Where the file does not tell, the choice comes with a doubt, in words.
 """

@@ -1,4 +1,4 @@
-"""The options with which a table is to be read, found from its first rows before anybody has named a column."""
+"""Finds the options with which a table is to be read from its first rows, before anybody has named a column."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bags that their recorder has not closed, or that are damaged, read as far as they are whole.
+"""Reads bags that their recorder has not closed, or that are damaged, as far as they are whole.
 
 ROS 1 bags and MCAPs without an index are read record by record up to the first damaged one. The records are those of
 https://wiki.ros.org/Bags/Format/2.0 and of https://mcap.dev/spec. An MCAP may hold messages of ROS 1, too. Of an SQLite
