@@ -347,10 +347,10 @@ class Learned(_Tables):
             from usvlearn.model.fit.hand_over import handed_over
 
             mass = float(self.logs.settings["vehicle"]["mass"])
-            if fit.boat != self.boats[element] or fit.found.mass != mass:
+            if fit.boat != self.boats[element] or fit.identified.mass != mass:
                 raise ConfigError(
-                    f"fit: found that of {fit.boat}, {fit.found.mass:g} kg, expected one of {self.boats[element]}, "
-                    f"{mass:g} kg"
+                    f"fit: found that of {fit.boat}, {fit.identified.mass:g} kg, expected one of "
+                    f"{self.boats[element]}, {mass:g} kg"
                 )
             leaves = {name: leaf.numpy() for name, leaf in named_leaves(state)}
             state, fitted = handed_over(leaves, kernel, fit, float(self.logs.settings["align"]["dt"]))

@@ -159,11 +159,11 @@ def test_what_it_writes_is_read_by_all_that_read_a_run(folder, tmp_path, monkeyp
         work(["run"])
     before, after = read_boats("run")[0], read_boats("run/fit")[0]
     saved = json.loads(Path("run/fit/heron1.fit.json").read_text())
-    assert after.name == "heron1" and isinstance(after.found, FittedBoat) and after.setup == before.setup
+    assert after.name == "heron1" and isinstance(after.identified, FittedBoat) and after.setup == before.setup
     with pytest.raises(UsvlearnError, match="run/fit: is the folder of a fit: give that of its run, run"):
         work(["run/fit"])
     for name, each in saved["quantities"].items():
-        assert after.found[name][:3] == tuple(math.nan if x is None else x for x in list(each.values())[:3]), name
+        assert after.identified[name][:3] == tuple(math.nan if x is None else x for x in list(each.values())[:3]), name
     tables = after.model.tables
     for side in ("left", "right"):
         full = float(
@@ -172,7 +172,7 @@ def test_what_it_writes_is_read_by_all_that_read_a_run(folder, tmp_path, monkeyp
         full += tables.thrust[side][-1] + sum(
             after.model.coefficients.get(f"thrust_even_{kind}_{side}", 0.0) for kind in ("linear", "quadratic")
         )
-        assert full == pytest.approx(after.found[f"thrust_full_{side}"].value, rel=1e-9)
+        assert full == pytest.approx(after.identified[f"thrust_full_{side}"].value, rel=1e-9)
     commands = [
         ["export", "run/fit", "--boat", "heron1", "--to", "json,c,mat"],
         ["controller", "run/fit", "--boat", "heron2", "--boats", "5"],
@@ -186,7 +186,7 @@ def test_what_it_writes_is_read_by_all_that_read_a_run(folder, tmp_path, monkeyp
     )
     boat = Path("run/fit/checkpoints/heron1")
     online = Online.open(boat)
-    fit = after.found["steady_speed_full"]
+    fit = after.identified["steady_speed_full"]
     assert online.identified()["steady_speed_full"].value == pytest.approx(fit.value, rel=0.05)
     assert newest(boat)[2].name == "fit.safetensors"  # `live --start`
     assert math.isfinite(online.step(Sample(Inputs(0.5, 0.5, 0.0, 0.0, 0.4), 1.0, True, True)))

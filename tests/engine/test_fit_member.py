@@ -37,7 +37,7 @@ def theta_of(thrust: float = 1.0) -> np.ndarray:
 
 
 def table(theta: np.ndarray, late: float = 0.0) -> list[float]:
-    return table_of(SimpleNamespace(fit=SimpleNamespace(theta=theta, top=TOP), found=SimpleNamespace(late=late)))
+    return table_of(SimpleNamespace(fit=SimpleNamespace(theta=theta, top=TOP), identified=SimpleNamespace(late=late)))
 
 
 def online(**settings) -> Online:

@@ -318,8 +318,8 @@ def test_a_node_fits_its_missions_beside_its_steps(tmp_path, start, capfd):
         assert health.refit.missions == 2 and not any("signal" in each for each in health.warnings)
     assert read_refit(tmp_path, session.setup) == session._missions.told and len(session._missions.told.table) == TABLE
     (found,) = read_boats(tmp_path / "fit")
-    assert isinstance(found.found, FittedBoat) and found.setup == session.setup
-    assert health.refit.quantities["time_constant"][0] == pytest.approx(found.found["time_constant"].value)
+    assert isinstance(found.identified, FittedBoat) and found.setup == session.setup
+    assert health.refit.quantities["time_constant"][0] == pytest.approx(found.identified["time_constant"].value)
     before = (tmp_path / "fit" / "refit.json").read_bytes()
     (tmp_path / "fit" / "refit.json").unlink()
     with Session(Options(tmp_path), PLAIN) as session:

@@ -84,7 +84,7 @@ def with_fit(path: str, boat: IdentifiedBoat) -> tuple[IdentifiedBoat, Identifie
     if not doubts:
         return fitted, None
     complain(f"warning: {boat.name}: speeds are as learned online, as its fit has doubts: {doubts[0]}")
-    return boat, fitted.found
+    return boat, fitted.identified
 
 
 def _write(folder: Path, design: Controller) -> list[str]:

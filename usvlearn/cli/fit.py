@@ -114,7 +114,7 @@ def work(arguments: Sequence[str], console: Console | None = None, trust: Any = 
     if stopped is not None and not done:
         raise stopped
     whole = given.all if alone else terminal.ALL in terminal.asked
-    use: dict[str, Quantities] = {x.boat: displayed(x.found) for x, *_ in done if not x.doubts}
+    use: dict[str, Quantities] = {x.boat: displayed(x.identified) for x, *_ in done if not x.doubts}
     for found, last, files in done:
         if whole or (alone and len(done) == 1):
             console.print(*tables(found, None if last is None else last.online, whole), sep="\n")

@@ -98,18 +98,18 @@ def _planned(boat: IdentifiedBoat, limits: Limits, seed: int) -> Planned:
     from usvlearn.model.planning.search import Rehearsal, derived, refitted, search, wide
 
     boat.check_physical()
-    top = boat.found["steady_speed_full"].value
+    top = boat.identified["steady_speed_full"].value
     if not top > 0:
         raise ConfigError(
             f"{printable(boat.name)}: found a steady speed of {top:.2f} m/s at full command, expected one ahead: "
-            f"check by usvlearn inspect whether a side is reversed, and learn anew ({' '.join(boat.found.lacks)})"
+            f"check by usvlearn inspect whether a side is reversed, and learn anew ({' '.join(boat.identified.lacks)})"
         )
     dt = float(boat.setup.align["dt"]) if boat.setup else STEP
     rehearsal = Rehearsal(boat.members, boat.leaves)
     one_command = boat.setup is not None and boat.setup.one_command
     if one_command:
         limits = replace(limits, steering=0.0)  # a turn is the rudder's
-    aims, quantities = wide(rehearsal.found, one_command), derived(rehearsal.found, one_command)
+    aims, quantities = wide(rehearsal.identified, one_command), derived(rehearsal.identified, one_command)
     plan = search(rehearsal, limits, dt, aims or quantities, seed)
     mower = lawn_mower(limits, rehearsal.top_speed(limits.most), dt)
     expected: list[Mapping[str, Quantity]] = [plan.expected.found, rehearsal(mower.rows).found]
@@ -150,9 +150,9 @@ def _segments(boat: IdentifiedBoat, rehearsal: Rehearsal, plan: BestCourse, limi
         f"{boat.name}: what to sail for {limits.minutes:g} min", ["time, s"],
         ["left", "right", "heading", "speed, m/s", "why"],
     )  # fmt: skip
-    before, first = rehearsal.found, 0
+    before, first = rehearsal.identified, 0
     for part, last in zip(rehearsal.by_part(course.rows, ends), ends.tolist(), strict=True):
-        shrunk = {name: _width(part.found, name) / _width(before, name) for name in aims}
+        shrunk = {name: _width(part.identified, name) / _width(before, name) for name in aims}
         name = min(shrunk, key=lambda each: shrunk[each] if shrunk[each] == shrunk[each] else 1.0)
         why = f"{name} {shrunk[name] - 1:+.0%}" if shrunk[name] < 0.995 else "–"
         straight = slice(last - 1, last)
@@ -160,7 +160,7 @@ def _segments(boat: IdentifiedBoat, rehearsal: Rehearsal, plan: BestCourse, limi
             f"{first * course.dt:.0f}", f"{course.left[straight][0]:.2f}", f"{course.right[straight][0]:.2f}",
             f"{math.degrees(course.wanted[first]) % 360:.0f}", f"{part.speed[-1]:.2f}", why,
         )  # fmt: skip
-        before, first = part.found, last
+        before, first = part.identified, last
     return table
 
 

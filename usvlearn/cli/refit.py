@@ -41,11 +41,11 @@ def _refit(folder: Path) -> str:
         missions = missions_of(align_fleet(recordings, **fine(setup.align)), boat)
         fitted = fit_boat(boat, missions, setup.mass, setup.surge_max, online=None if last is None else last.online)
         write(folder / FIT, fitted, last, float(setup.align["dt"]))
-        against = " ".join(fitted.doubts)
+        against, values = " ".join(fitted.doubts), fitted.identified
         many = f"the fit of {fitted.missions.number} mission{'s' * (fitted.missions.number != 1)}"
         answer |= {
             "use": not against, "missions": fitted.missions.number, "table": table_of(fitted),
-            "quantities": {k: x for k in fitted.quantities if np.isfinite((x := fitted.found.displayed(k))[:3]).all()},
+            "quantities": {k: x for k in fitted.quantities if np.isfinite((x := values.displayed(k))[:3]).all()},
             "sentence": f"use those learned online, not {many}: {against}" if against else f"use those of {many}",
         }  # fmt: skip
     except UsvlearnError as error:

@@ -39,7 +39,7 @@ class IdentifiedBoat(NamedTuple):
 
     name: str  # of the boat
     path: Path  # of the checkpoint
-    found: Identified  # its identified quantities
+    identified: Identified  # its identified quantities
     model: SurgeModel  # at the means of the periodic estimates, or of a batch fit
     setup: Setup | None  # None: it states none
     leaves: dict[str, np.ndarray]  # of the state, arrays (…,) by dotted name
@@ -67,13 +67,13 @@ class IdentifiedBoat(NamedTuple):
         Traceback (most recent call last):
         usvlearn.errors.ConfigError: heron: drag pushes the boat.
         """
-        if self.found.unphysical:
-            raise ConfigError(f"{printable(self.name)}: {self.found.unphysical}{remedy}")
+        if self.identified.unphysical:
+            raise ConfigError(f"{printable(self.name)}: {self.identified.unphysical}{remedy}")
 
     @property
     def lacks(self) -> tuple[str, ...]:
         """What its model rests on that nobody has confirmed, and what is not identified well; a sentence each."""
-        return (*self.guessed, *self.found.lacks)
+        return (*self.guessed, *self.identified.lacks)
 
     @property
     def guessed(self) -> list[str]:

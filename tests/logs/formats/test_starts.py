@@ -29,7 +29,7 @@ def test_a_table_begins_at_its_first_stamp(tmp_path, stamp):
     shown = [UNIX + k / 10 if "T" not in stamp else k / 10 for k in range(200)]
     cells = [f"{each * 1e9:.0f}" if stamp == "ns" else stamp.format(each) for each in shown]
     path = write(tmp_path / "a.csv", "time,v\n" + "".join(f"{each},{k}\n" for k, each in enumerate(cells)))
-    assert start(Table.found(path)[0], path, surge=Source("v")) == pytest.approx(UNIX, abs=1e-3)
+    assert start(Table.of_file(path)[0], path, surge=Source("v")) == pytest.approx(UNIX, abs=1e-3)
 
 
 def test_logs_of_moos_and_of_ardupilot_begin_when_they_say(tmp_path):

@@ -21,7 +21,7 @@ def test_a_step_is_that_of_the_model():
 
 
 def test_a_late_command_acts_later_by_its_delay():
-    theta = np.stack([known_boat().found.theta] * 2)
+    theta = np.stack([known_boat().identified.theta] * 2)
     found = simulate(Ahead(theta), np.array([0.0, 0.6]), RoverLaw(ROVER, 0.2), [1.0], 4.0)
     first = [float(found.time[np.flatnonzero(found.speed[:, k] > 0)[0]]) for k in range(2)]
     assert first[1] - first[0] == pytest.approx(0.6)
@@ -68,7 +68,7 @@ def test_gains_beyond_the_margins_are_seen_to_be_unstable():
     found = controller(known_boat(), Wanted(boats=50))
     times = 1.5 * 10 ** (found.margins.gain / 20)
     loud = found.rover._replace(proportional=times * found.rover.proportional, integral=times * found.rover.integral)
-    theta = draws(found.boat.found, 50)
+    theta = draws(found.boat.identified, 50)
     course = [found.speeds[0], found.speeds[4], found.speeds[-1]]
     responses = simulate(
         Ahead(theta), np.full(50, found.late + found.period), RoverLaw(loud, found.period), course, 30.0

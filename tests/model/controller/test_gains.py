@@ -12,7 +12,7 @@ COMMANDS = np.array([0.3, 0.5, 0.7])
 
 def test_the_linearised_boat_is_the_derivative_of_the_simulated_one():
     boat = known_boat()
-    linear = linearised("heron", boat.found, COMMANDS)
+    linear = linearised("heron", boat.identified, COMMANDS)
     speeds, dt, e = boat.model.ahead.steady_speed(COMMANDS), 1e-5, 1e-4
 
     def force(speed, command):
@@ -84,14 +84,14 @@ def test_the_worst_corner_counts():
 
 @pytest.mark.parametrize("delay", [0.0, 0.05, 0.4, 3.0])
 def test_the_default_gains_keep_the_least_margins_at_all_corners(delay):
-    linear = linearised("heron", known_boat().found, COMMANDS)
+    linear = linearised("heron", known_boat().identified, COMMANDS)
     gains, left = design("heron", linear, delay)
     assert left.gain >= GAIN and left.phase >= PHASE
     assert gains.proportional > 0 and gains.integral > 0
 
 
 def test_a_bandwidth_that_is_unstable_at_a_corner_is_refused():
-    linear = linearised("heron", known_boat().found, COMMANDS)
+    linear = linearised("heron", known_boat().identified, COMMANDS)
     with pytest.raises(ConfigError, match=r"--bandwidth: found 20 rad/s, .* give at most \d"):
         design("heron", linear, 0.4, bandwidth=20.0)
 
@@ -99,13 +99,13 @@ def test_a_bandwidth_that_is_unstable_at_a_corner_is_refused():
 def test_intervals_that_hold_no_thrust_are_refused():
     boat = known_boat(spread=0.6)
     with pytest.raises(ConfigError, match=r"gain of the thrust at \d+ % command, -.* holds 0.*: sail straight ahead"):
-        linearised("heron", boat.found, COMMANDS)
-    assert Feedforward.of("heron", boat.found).speed[-1] > 0
+        linearised("heron", boat.identified, COMMANDS)
+    assert Feedforward.of("heron", boat.identified).speed[-1] > 0
 
 
 def of(**options) -> Feedforward:
     boat = known_boat(**options)
-    return Feedforward.of(boat.name, boat.found)
+    return Feedforward.of(boat.name, boat.identified)
 
 
 def test_the_command_holds_the_speed_in_a_simulation():
@@ -122,8 +122,8 @@ def test_the_band_holds_the_commands_of_nine_boats_in_ten():
     assert low < forward.at(1.2) < high
     rng, inside = np.random.default_rng(1), 0
     for _ in range(300):
-        theta = rng.multivariate_normal(boat.found.theta, boat.found.covariance)
-        model = type(boat.model).of(boat.found, theta)
+        theta = rng.multivariate_normal(boat.identified.theta, boat.identified.covariance)
+        model = type(boat.model).of(boat.identified, theta)
         commands = np.linspace(0.2, 0.8, 601)
         inside += low <= float(np.interp(1.2, model.ahead.steady_speed(commands), commands)) <= high
     assert 0.85 < inside / 300 < 0.95

@@ -64,7 +64,7 @@ def test_all_corners_keep_their_margins():
 @pytest.mark.parametrize(
     ("boat", "said"),
     [
-        (known_boat().found, "usvlearn fit RUN"),
+        (known_boat().identified, "usvlearn fit RUN"),
         (replace(fitted_boat(), turning=None, lacks=(HARDLY,)), "hardly turned"),
         (replace(fitted_boat(), turning=None), "run usvlearn fit RUN again"),
         (fitted_boat(explained=0.2), "explain 20 % of the turns"),

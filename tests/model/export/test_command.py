@@ -107,7 +107,7 @@ def test_a_filter_that_diverged_is_no_boat(run, tmp_path, told):
 
 
 def test_a_boat_that_is_not_physical_is_written_by_force_only(run, boat, tmp_path, told, monkeypatch):
-    wrong = boat._replace(found=dataclasses.replace(boat.found, unphysical="It goes astern."))
+    wrong = boat._replace(identified=dataclasses.replace(boat.identified, unphysical="It goes astern."))
     monkeypatch.setattr(export, "read_boats", lambda *_: [wrong])
     said = told(run, "--to", "json", "--out", tmp_path)
     assert said == f"error: {boat.name}: It goes astern. To write it all the same, add --force."

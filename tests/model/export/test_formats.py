@@ -44,12 +44,12 @@ def without_even(boat):
 
 @pytest.mark.thorough
 def test_the_c_header_prints_no_number_for_what_is_not_known(boat):
-    vague = replace(boat.found, unknown=frozenset({"thrust_ratio"}))
-    rows = c_header(boat._replace(found=vague)).splitlines()
+    vague = replace(boat.identified, unknown=frozenset({"thrust_ratio"}))
+    rows = c_header(boat._replace(identified=vague)).splitlines()
     (row,) = [each for each in rows if each.startswith(" * thrust_ratio")]
     assert row.split() == ["*", "thrust_ratio", "not", "known", "yet", "left/right"]
     (row,) = [each for each in rows if each.startswith(" * time_constant ")]
-    assert float(row.split()[2]) == pytest.approx(boat.found["time_constant"].value, rel=1e-4)
+    assert float(row.split()[2]) == pytest.approx(boat.identified["time_constant"].value, rel=1e-4)
 
 
 def fitted(boat):
@@ -132,8 +132,8 @@ def test_mat_is_read_again_by_scipy(boat):
 
     found = loadmat(io.BytesIO(mat_file(boat)), simplify_cells=True)["boat"]
     assert found["model"]["drag_linear"]["value"] == boat.model.coefficients["drag_linear"]
-    assert found["identified"]["quantities"]["thrust_full_left"]["low"] == boat.found["thrust_full_left"].low
-    np.testing.assert_array_equal(found["covariance"]["matrix"], boat.found.covariance)
+    assert found["identified"]["quantities"]["thrust_full_left"]["low"] == boat.identified["thrust_full_left"].low
+    np.testing.assert_array_equal(found["covariance"]["matrix"], boat.identified.covariance)
     assert list(found["covariance"]["parameters"])[:1] == ["drag_quadratic"]
     assert found["covariance"]["matrix"].dtype == np.float64  # a matrix in MATLAB, not a cell of numbers
     assert isinstance(found["model"]["drag_linear"]["value"], float)

@@ -37,10 +37,10 @@ def fitted():
 
 
 def test_a_checkpoint_has_the_whole_boat(fitted):
-    found = FittedBoat.read(json.loads(json.dumps(fitted.found.facts(), allow_nan=False)))
-    assert found.json() == fitted.found.json() and found.lacks == fitted.found.lacks
-    assert found.lag(0.4) == fitted.found.lag(0.4) and found.beside.common == fitted.found.beside.common
-    np.testing.assert_array_equal(found.covariance, fitted.found.covariance)
+    found = FittedBoat.read(json.loads(json.dumps(fitted.identified.facts(), allow_nan=False)))
+    assert found.json() == fitted.identified.json() and found.lacks == fitted.identified.lacks
+    assert found.lag(0.4) == fitted.identified.lag(0.4) and found.beside.common == fitted.identified.beside.common
+    np.testing.assert_array_equal(found.covariance, fitted.identified.covariance)
     np.testing.assert_array_equal(found.every(found.theta), fitted.fit.theta)
     assert repr(found).splitlines()[1].split()[0] == "drag_quadratic" and "Fitted to 3 missions" in repr(found)
 
@@ -58,13 +58,13 @@ def test_that_a_boat_hardly_turned_is_said(turns):
 
 
 def test_a_fit_of_a_version_whose_sets_had_no_lag_is_read(fitted):
-    facts = copy.deepcopy(fitted.found.facts())
+    facts = copy.deepcopy(fitted.identified.facts())
     place = list(facts["theta"]).index(TIME_CONSTANT)
     del facts["theta"][TIME_CONSTANT]
     facts["covariance"] = np.delete(np.delete(facts["covariance"], place, 0), place, 1).tolist()
-    found = FittedBoat.read(facts)
-    assert found.theta[place] == 0.0 == found.covariance[place, place]
-    assert FittedBoat.read(found.facts())["time_constant"] == found["time_constant"] == fitted.found["time_constant"]
+    boat = FittedBoat.read(facts)
+    assert boat.theta[place] == 0.0 == boat.covariance[place, place]
+    assert FittedBoat.read(boat.facts())["time_constant"] == boat["time_constant"] == fitted.identified["time_constant"]
 
 
 @pytest.mark.parametrize(
@@ -78,11 +78,11 @@ def test_a_fit_of_a_version_whose_sets_had_no_lag_is_read(fitted):
 )  # fmt: skip
 def test_a_damaged_one_is_refused_in_one_sentence(fitted, change):
     with pytest.raises(CheckpointError, match=r"its fit is damaged .*: run usvlearn fit again") as error:
-        FittedBoat.read(copy.deepcopy(fitted.found.facts()) | change)
+        FittedBoat.read(copy.deepcopy(fitted.identified.facts()) | change)
     assert "\n" not in str(error.value)
     with pytest.raises(CheckpointError):
         FittedBoat.read(None)
-    facts = copy.deepcopy(fitted.found.facts())
+    facts = copy.deepcopy(fitted.identified.facts())
     facts["covariance"][0][0] = -1.0
     with pytest.raises(CheckpointError, match="negative variance"):
         FittedBoat.read(facts)
@@ -118,7 +118,7 @@ def test_joint_filters_go_on_from_the_fit(fitted):
     joint = JointEKF(surge_max=TOP, mass=MASS, read_every=600.0, even=None)
     leaves = {name: leaf.detach().numpy() for name, leaf in named_leaves(joint.init())}
     found, facts = handed_over(leaves, joint.description(), fitted, dt=0.4)
-    assert facts == {FITTED: fitted.found.facts()} and set(found) == set(leaves)
+    assert facts == {FITTED: fitted.identified.facts()} and set(found) == set(leaves)
     assert all(found[name].shape == leaf.shape and found[name].dtype == leaf.dtype for name, leaf in leaves.items())
     cubic = fitted.fits["cubic"]
     own = names(even=False)

@@ -213,7 +213,7 @@ def found_boat(quantities_: dict[str, Quantity], doubts: tuple[str, ...] = ()) -
     fits = {"nine": fit_of("nine", 2), "cubic": fit_of("cubic", 2)}
     return SimpleNamespace(
         boat="heron", missions=SimpleNamespace(number=2), doubts=doubts, quantities=quantities_,
-        found=own, fits=fits, fit=fits["cubic"], chosen="cubic", simulation=None,
+        identified=own, fits=fits, fit=fits["cubic"], chosen="cubic", simulation=None,
         scores={"nine": Score(np.zeros(2), -0.5, math.inf), "cubic": Score(np.zeros(2), 0.0, 0.0)},
         errors={"nine": 0.0512, "cubic": 0.0341},
     )  # fmt: skip

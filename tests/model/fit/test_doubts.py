@@ -54,6 +54,6 @@ def test_each_doubt_is_one_sentence_with_what_to_do(given, words):
 def test_quantities_that_no_boat_can_have_are_a_doubt(monkeypatch):
     monkeypatch.setattr(fitted, "doubts", lambda *_: ("It hardly brakes.",))
     for wrong in ("", "It goes astern."):
-        one = SimpleNamespace(found=SimpleNamespace(unphysical=wrong), fit=None, diagnostics={"cross_correlation": {}},
-                              online=None, lag=0.0)  # fmt: skip
+        one = SimpleNamespace(identified=SimpleNamespace(unphysical=wrong), fit=None, online=None, lag=0.0,
+                              diagnostics={"cross_correlation": {}})  # fmt: skip
         assert fitted.Fitted.doubts.func(one) == (*filter(None, [wrong]), "It hardly brakes.")

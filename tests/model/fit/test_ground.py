@@ -22,7 +22,7 @@ OFFSET, CURRENT = np.radians(5.0), np.array([0.2, -0.15])  # rad; m/s north and 
 @pytest.fixture(scope="module")
 def plain() -> FittedBoat:
     rows = sailed(steps=1800)
-    return fit_boat("a", {"1": rows}, MASS, TOP, "nine").found
+    return fit_boat("a", {"1": rows}, MASS, TOP, "nine").identified
 
 
 def drifting(seed: int, course: float | None = None, offset: float = OFFSET) -> np.ndarray:
@@ -83,7 +83,7 @@ def test_dead_zone_and_lag_are_those_of_the_commands_or_unknown(plain):
     assert lag.low < TRUE[LAG] < lag.high and lag.unit == "s"
     rows = sailed(steps=900)
     rows[:, RIGHT] = rows[:, LEFT]
-    found = fit_boat("a", {"1": rows}, MASS, TOP, "nine").found
+    found = fit_boat("a", {"1": rows}, MASS, TOP, "nine").identified
     assert np.isnan(found["dead_zone"].value) and NO_DEAD in found.lacks
 
 

@@ -19,7 +19,7 @@ SHORT = Limits(minutes=1.0)
 @pytest.fixture(scope="module")
 def plan(boat):
     rehearsal = Rehearsal(boat.members, boat.leaves)
-    return search(rehearsal, SHORT, 0.4, derived(rehearsal.found))
+    return search(rehearsal, SHORT, 0.4, derived(rehearsal.identified))
 
 
 def at(times, values, when):

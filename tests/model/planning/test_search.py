@@ -23,7 +23,7 @@ def rehearsal(boat):
 
 @pytest.fixture(scope="module")
 def plan(rehearsal):
-    return search(rehearsal, SHORT, STEP, wide(rehearsal.found))
+    return search(rehearsal, SHORT, STEP, wide(rehearsal.identified))
 
 
 @pytest.mark.thorough
@@ -42,30 +42,30 @@ def test_a_rehearsal_is_the_recursion_of_the_torch_filter_on_its_own_predictions
     found = rehearsal(rows)
     assert found.speed == pytest.approx(speeds, abs=1e-9)
     parameters = state.covariance[4:, 4:].numpy()
-    assert not np.allclose(parameters, boat.found.covariance, rtol=0.1)
-    assert found.found.covariance / parameters == pytest.approx((found.found.covariance / parameters)[0, 0], rel=1e-6)
+    assert not np.allclose(parameters, boat.identified.covariance, rtol=0.1)
+    assert (ratio := found.identified.covariance / parameters) == pytest.approx(ratio[0, 0], rel=1e-6)
 
 
 def test_a_rehearsal_leaves_the_state_as_it_was(rehearsal, boat):
     rows = lawn_mower(SHORT, 2.7, STEP).rows
     first, second = rehearsal(rows), rehearsal(rows)
-    assert first.found.json() == second.found.json()
-    assert rehearsal.found.json() == boat.found.json()
+    assert first.identified.json() == second.identified.json()
+    assert rehearsal.identified.json() == boat.identified.json()
 
 
 def test_parts_add_up_to_the_whole(rehearsal):
     rows = lawn_mower(SHORT, 2.7, STEP).rows
     parts = rehearsal.by_part(rows, np.array([100, len(rows)]))
     assert np.concatenate([part.speed for part in parts]).tolist() == rehearsal(rows).speed.tolist()
-    assert parts[-1].found.json() == rehearsal(rows).found.json()
+    assert parts[-1].identified.json() == rehearsal(rows).identified.json()
 
 
 @pytest.mark.thorough
 def test_a_plan_is_better_than_a_lawn_mower_and_keeps_its_bounds(rehearsal, plan):
-    aims = wide(rehearsal.found)
+    aims = wide(rehearsal.identified)
     mower = rehearsal(lawn_mower(SHORT, rehearsal.top_speed(1.0), STEP).rows)
-    assert log_width(plan.expected.found, aims) < log_width(mower.found, aims) - 0.1
-    assert log_width(plan.expected.found, aims) < log_width(rehearsal.found, aims) - 0.1
+    assert log_width(plan.expected.identified, aims) < log_width(mower.identified, aims) - 0.1
+    assert log_width(plan.expected.identified, aims) < log_width(rehearsal.identified, aims) - 0.1
     assert beyond(plan.path, SHORT).max() <= 0.01
     for side in (plan.course.left, plan.course.right):
         assert side.min() >= 0 and side.max() <= 1
@@ -73,7 +73,7 @@ def test_a_plan_is_better_than_a_lawn_mower_and_keeps_its_bounds(rehearsal, plan
 
 
 def test_no_change_of_one_segment_is_better(rehearsal, plan):
-    aims, best = wide(rehearsal.found), log_width(plan.expected.found, wide(rehearsal.found))
+    aims, best = wide(rehearsal.identified), log_width(plan.expected.identified, wide(rehearsal.identified))
     first = np.searchsorted(steps_of(SHORT, STEP), np.arange(SHORT.segments))
     own, headings = plan.course.throttle[first], np.round((plan.course.wanted[first] - SHORT.heading) / QUARTER)
     worse = 0
@@ -85,14 +85,14 @@ def test_no_change_of_one_segment_is_better(rehearsal, plan):
             course = planned(throttles, quarters, SHORT, STEP)
             other = rehearsal(course.rows)
             if beyond(course.path(other.speed, rehearsal.current), SHORT).max() <= 0.01:
-                assert log_width(other.found, aims) >= best - 1e-12
-                worse += log_width(other.found, aims) > best
+                assert log_width(other.identified, aims) >= best - 1e-12
+                worse += log_width(other.identified, aims) > best
     assert worse > 20
 
 
 def test_a_boat_that_may_go_astern_is_planned_within_its_bounds(rehearsal):
     limits = Limits(minutes=1.0, least=-0.5, most=0.5)
-    found = search(rehearsal, limits, STEP, wide(rehearsal.found))
+    found = search(rehearsal, limits, STEP, wide(rehearsal.identified))
     sides = np.concatenate([found.course.left, found.course.right])
     assert -0.5 <= sides.min() < 0 < sides.max() <= 0.5
 
@@ -102,7 +102,7 @@ def test_a_boat_stays_in_a_small_area_in_a_current_that_would_carry_it_out(boat)
     carried = Rehearsal(boat.members, boat.leaves)
     carried.current = np.array([0.2, -0.15])
     limits = Limits(minutes=2.0, area=20.0)  # the current alone goes 30 m
-    found = search(carried, limits, STEP, derived(carried.found))
+    found = search(carried, limits, STEP, derived(carried.identified))
     assert beyond(found.path, limits).max() <= 0.01 and found.course.throttle.max() > 0
 
 
@@ -111,7 +111,7 @@ def test_an_area_that_is_too_small_is_said_with_one_that_would_do(rehearsal):
     with pytest.raises(
         ConfigError, match=r"--area: found 10 m, and no course was found .* give an area of \d+ m, a shorter --segment"
     ):
-        search(rehearsal, Limits(minutes=1.0, area=10.0, least=0.3, segment=15.0), STEP, derived(rehearsal.found))
+        search(rehearsal, Limits(minutes=1.0, area=10.0, least=0.3, segment=15.0), STEP, derived(rehearsal.identified))
 
 
 @pytest.mark.parametrize(

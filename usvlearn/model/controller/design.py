@@ -103,7 +103,7 @@ def controller(boat: IdentifiedBoat, wanted: Wanted | None = None, fit: Identifi
         raise ConfigError(f"--seed: found {wanted.seed}, expected 0 or more")
     if not 2 <= wanted.boats <= MOST_BOATS:
         raise ConfigError(f"--boats: found {wanted.boats}, expected 2 to {MOST_BOATS}")
-    name, identified = boat.name, boat.found
+    name, identified = boat.name, boat.identified
     forward = Feedforward.of(name, identified)
     low, high = _range(name, forward, wanted)
     speeds = np.linspace(low, high, POINTS)
@@ -199,7 +199,7 @@ def facts(design: Controller) -> dict[str, Any]:
     values = {
         "boat": design.boat.name,
         "set": design.boat.path.name,
-        "basis": design.boat.found.basis,
+        "basis": design.boat.identified.basis,
         "lacks": list(design.boat.lacks),
         "feedforward": {
             **dict(zip(("command", "speed_m_s", "low_m_s", "high_m_s"), np.round(forward, 5).tolist(), strict=True)),
@@ -281,7 +281,7 @@ def head(design: Controller) -> list[str]:
 def parts(design: Controller) -> Iterator[str | Text | Blocks]:
     """All of it, for a terminal: sentences, tables, and lines of files, which are not broken."""
     yield printable(f"{design.boat.name}: speed and steering from {design.boat.path.name}")
-    yield from (design.boat.found.basis, *design.boat.lacks, "")
+    yield from (design.boat.identified.basis, *design.boat.lacks, "")
     yield from _feedforward(design)
     yield ""
     yield from _gains(design)

@@ -41,11 +41,11 @@ def c_header(boat: IdentifiedBoat) -> str:
         *wrap(equation(boat.model), 110), "",
         *wrap(STEP, 110), "",
         *wrap(SIGNS, 110), "",
-        *wrap(f"m = {boat.model.mass:.6g} kg, added mass included. {boat.found.scale}", 110),
-        *wrap(boat.found.basis, 110), *(line for each in boat.lacks for line in wrap(each, 110)), "",
+        *wrap(f"m = {boat.model.mass:.6g} kg, added mass included. {boat.identified.scale}", 110),
+        *wrap(boat.identified.basis, 110), *(line for each in boat.lacks for line in wrap(each, 110)), "",
         "Identified, with 90 % intervals; the coefficients are those of motion ahead, where terms are summed:",
         "quantity                       value        from          to  unit",
-        *(_row(quantity, boat.found.displayed(quantity)) for quantity in boat.found),
+        *(_row(quantity, boat.identified.displayed(quantity)) for quantity in boat.identified),
     ]  # fmt: skip
     body = [
         *_table_function(boat.model, name),

@@ -64,7 +64,7 @@ def module_text(head: Sequence[str], body: str) -> str:
 
 def mass_of(boat: IdentifiedBoat) -> list[str]:
     """The mass, for a docstring."""
-    return wrap(f"m = {boat.model.mass:.6g} kg, added mass included. {boat.found.scale}", 100)
+    return wrap(f"m = {boat.model.mass:.6g} kg, added mass included. {boat.identified.scale}", 100)
 
 
 def surge_text(boat: IdentifiedBoat) -> str:

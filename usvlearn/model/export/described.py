@@ -59,7 +59,7 @@ UNIT_OF_CURVE = {"drag": ("m/s", "N"), "steady_speed": ("1", "m/s")}  # of the o
 
 def described(boat: IdentifiedBoat) -> dict[str, Any]:
     """The document of a boat; `model` has what `SurgeModel.step` uses, at full precision, `identified` motion ahead."""
-    model, identified = boat.model, boat.found
+    model, identified = boat.model, boat.identified
     return {
         "format": FORMAT,
         "usvlearn": usvlearn.__version__,
@@ -100,7 +100,7 @@ def surge_of(boat: IdentifiedBoat) -> dict[str, Any]:
     """Mass, coefficients and tables of the surge."""
     model = boat.model
     return {
-        "mass": {"value": model.mass, "unit": "kg", "basis": boat.found.scale},
+        "mass": {"value": model.mass, "unit": "kg", "basis": boat.identified.scale},
         "model": {name: {"value": value, "unit": UNITS[name]} for name, value in model.coefficients.items()},
         **_tables(model),
     }

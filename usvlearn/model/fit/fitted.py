@@ -39,7 +39,7 @@ class Fitted:
     fits: dict[str, Fit]  # of all sets of terms
     scores: dict[str, Score]  # of the same, on missions that they have not learned
     chosen: str  # the set to use
-    found: FittedBoat  # its quantities
+    identified: FittedBoat  # its quantities
     errors: dict[str, float]  # m/s, mean |error| of the simulation of each set over the logs
     simulation: FreeMode | None = None  # None: it was not asked which one to use
     online: Identified | None = None  # what was identified online
@@ -49,13 +49,13 @@ class Fitted:
     def diagnostics(self) -> dict[str, Any]:
         """As of `usvlearn.model.fit.diagnostics`."""
         rivals = [self.fits[name] for name in alike(self.scores, self.chosen)]
-        return diagnostics(self.missions, self.fit, self.found.mass, rivals)
+        return diagnostics(self.missions, self.fit, self.identified.mass, rivals)
 
     @cached_property
     def doubts(self) -> tuple[str, ...]:
         """Why its values are not to be used, but those learned online, one sentence each."""
-        sentences = doubts(self.fit, self.found, self.diagnostics["cross_correlation"], self.online, self.lag)
-        return (*filter(None, [self.found.unphysical]), *sentences)
+        sentences = doubts(self.fit, self.identified, self.diagnostics["cross_correlation"], self.online, self.lag)
+        return (*filter(None, [self.identified.unphysical]), *sentences)
 
     @property
     def fit(self) -> Fit:
@@ -65,14 +65,14 @@ class Fitted:
     @property
     def quantities(self) -> dict[str, Quantity]:
         """Of the chosen set, with 90 % intervals."""
-        return self.found.quantities
+        return self.identified.quantities
 
     def __repr__(self) -> str:
-        return repr(self.found)
+        return repr(self.identified)
 
     def json(self) -> dict[str, Any]:
         """What `BOAT.fit.json` has: JSON values; parameters are in units of force, times the mass."""
-        mass = self.found.mass
+        mass = self.identified.mass
         forces = {name: mass for name in NAMES} | {LAG: 1.0, TIME_CONSTANT: 1.0}  # neither of these is a force
         return finite({
             "boat": self.boat,
@@ -81,12 +81,12 @@ class Fitted:
             "terms": self.chosen,
             "missions": self.missions.number,
             "pieces": len(self.missions.rows),
-            "late": self.found.late,
+            "late": self.identified.late,
             "steps": int(self.fit.count.sum()),
             "deviation": self.fit.deviation,
-            "parameters": {name: forces[name] * float(self.fit.theta[AT[name]]) for name in self.found.names},
-            "quantities": {name: each._asdict() for name, each in self.found.items()},
-            "lacks": list(self.found.lacks),
+            "parameters": {name: forces[name] * float(self.fit.theta[AT[name]]) for name in self.identified.names},
+            "quantities": {name: each._asdict() for name, each in self.identified.items()},
+            "lacks": list(self.identified.lacks),
             "simulation": None if self.simulation is None else self.simulation.json(),
             "doubts": list(self.doubts),
             "diagnostics": self.diagnostics,

@@ -90,7 +90,7 @@ def handed_over(
             for key, value in new.items():
                 old = copied[prefix + key]
                 copied[prefix + key] = np.broadcast_to(np.asarray(value, old.dtype), old.shape).copy()
-    return copied, {FITTED: fitted.found.facts()}
+    return copied, {FITTED: fitted.identified.facts()}
 
 
 def _parameters(fitted: Fitted, even: bool, dt: float, member: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
@@ -100,7 +100,7 @@ def _parameters(fitted: Fitted, even: bool, dt: float, member: Mapping[str, Any]
         fit, _ = worn(fitted.missions, fit, fit.deviation)
     wanted, places = names(even), {int(place): k for k, place in enumerate(fit.known.active)}
     scale = np.array([DT / dt if name == LAG else 1.0 for name in wanted])
-    late = (fitted.found.late + fit.theta[PLACE_TIME]) / DT
+    late = (fitted.identified.late + fit.theta[PLACE_TIME]) / DT
     theta = np.array([fit.theta[AT[name]] + (late if name == LAG else 0.0) for name in wanted]) * scale
     theta[-1] = np.clip(theta[-1], LAG_LEAST, LAG_MOST)
     covariance = np.diag(np.asarray(member["vectors"]["variance"], float))
@@ -158,7 +158,7 @@ def table_of(fitted: Fitted) -> list[float]:
     far = FARTHEST * fitted.fit.top
     speeds, commands = np.linspace(-far, far, at.SPEEDS), np.linspace(-LARGEST, LARGEST, at.COMMANDS)
     table[at.SPEED], table[at.CROSS], table[at.COMMAND] = far, theta[AT["drag_cross"]], LARGEST
-    table[at.LATE] = DT * theta[AT[LAG]] + theta[AT[TIME_CONSTANT]] + fitted.found.late
+    table[at.LATE] = DT * theta[AT[LAG]] + theta[AT[TIME_CONSTANT]] + fitted.identified.late
     for k, side in enumerate(SIDES):
         table[at.MORE + 2 * k : at.MORE + 2 * k + 2] = theta[[AT[f"thrust_{x}speed_{side}"] for x in ("", "even_")]]
         table[at.THRUST + k * at.COMMANDS :][: at.COMMANDS] = boat.thrust(commands, side)

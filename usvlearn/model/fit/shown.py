@@ -24,7 +24,7 @@ MAIN = (
 
 def tables(fitted: Fitted, online: Identified | None, whole: bool = True) -> list[RenderableType]:
     """The quantities beside those learned online, the sets of terms, and what they mean; not `whole`: the main ones."""
-    use = "" if fitted.doubts else " (use)"
+    use, boat = "" if fitted.doubts else " (use)", fitted.identified
     beside = (["online", "from", "to"] if whole else ["online"]) if online is not None else []
     table = Blocks(
         f"{fitted.boat}: fitted to all missions, with 90 % intervals", ["quantity"],
@@ -32,11 +32,11 @@ def tables(fitted: Fitted, online: Identified | None, whole: bool = True) -> lis
     )  # fmt: skip
     for name in fitted.quantities if whole else (each for each in MAIN if each in fitted.quantities):
         learned = online.displayed(name)[:3] if online is not None and name in online else (math.nan,) * 3
-        cells = [*fitted.found.displayed(name)[:3], *learned[: len(beside)]]
+        cells = [*boat.displayed(name)[:3], *learned[: len(beside)]]
         table.add(name, *map(shown, cells), fitted.quantities[name].unit)
     many = "1 mission errs" if fitted.missions.number == 1 else f"{fitted.missions.number} missions err"
     doubts = ["Do not use the values of the fit before this is settled:", *fitted.doubts] if fitted.doubts else [USE]
-    lacks = [each for each in fitted.found.lacks if each not in fitted.doubts]
+    lacks = [each for each in boat.lacks if each not in fitted.doubts]
     if not whole:
         return [table, *map(Text, [*doubts, *lacks[:FEW]]), *[Text(MORE)] * (len(lacks) > FEW)]
     sets = Blocks(
@@ -51,9 +51,9 @@ def tables(fitted: Fitted, online: Identified | None, whole: bool = True) -> lis
         MEANING,
         MEANING_OF_FIT,
         *doubts,
-        f"In open loop, {many} by {fitted.errors[fitted.chosen]:.4f} m/s; speeds are {fitted.found.late:.1f} s late.",
+        f"In open loop, {many} by {fitted.errors[fitted.chosen]:.4f} m/s; speeds are {boat.late:.1f} s late.",
         *([] if fitted.simulation is None else [fitted.simulation.sentence]),
-        fitted.found.scale,
+        boat.scale,
         *lacks,
     ]
     return [table, Text(), sets, *map(Text, lines)]

@@ -67,7 +67,7 @@ class Expected:
     """The intervals of a fit now, and after more data."""
 
     def __init__(self, fitted: Fitted):
-        fit, mass = fitted.fit, fitted.found.mass
+        fit, mass = fitted.fit, fitted.identified.mass
         rows = np.concatenate([each[each[:, MODE] >= PREDICT] for each in fitted.missions.rows])
         self.fitted, self.hours, self.beyond = fitted, float(rows[:, DT].sum()) / 3600, unreached(fitted.missions)
         self.one_command = float((rows[:, LEFT] - rows[:, RIGHT]).std()) < APART
@@ -138,7 +138,7 @@ def verdicts(
 
 
 def _told(expected: Expected, channels: Mapping[str, Any]) -> Iterator[str]:
-    now, identified = expected.after(0.0), expected.fitted.found
+    now, identified = expected.after(0.0), expected.fitted.identified
     purposes = [each for each in PURPOSES if not (expected.one_command and each in (SIDES, TURNING))]
     words = {each: _width(now, each) for each in purposes}
     bad = [each for each in purposes if not _served(now, each)]

@@ -36,7 +36,7 @@ from usvlearn.model.planning.course import Course, Limits, planned, steps_of
 class Rehearsed(NamedTuple):
     """What is expected after a course."""
 
-    found: Identified
+    identified: Identified
     speed: np.ndarray  # (steps,) through the water, m/s
 
 
@@ -50,7 +50,7 @@ class Rehearsal:
         self._node = self._plan.program[1]
         self._state = self._plan.pack({key: leaf.astype(float) for key, leaf in read.items()})
         self.current: np.ndarray = read["mean"][NORTH:THETA].astype(float)  # (2,) north and east, m/s
-        self.found = identify(self.description, read)
+        self.identified = identify(self.description, read)
 
     def __call__(self, rows: np.ndarray) -> Rehearsed:
         """What is expected after a course, `(steps, ROW)`, which starts at rest; the state stays as it was."""
@@ -167,7 +167,7 @@ def search(rehearsal: Rehearsal, limits: Limits, dt: float, aims: Sequence[str],
         course = planned(levels[places], quarters, limits, dt)
         expected = rehearsal(course.rows)
         outside = beyond(course.path(expected.speed, rehearsal.current), limits)
-        return float(outside.mean()) if outside.max() > TOLERANCE else 0.0, log_width(expected.found, aims)
+        return float(outside.mean()) if outside.max() > TOLERANCE else 0.0, log_width(expected.identified, aims)
 
     def improved(places: np.ndarray, quarters: np.ndarray) -> tuple[Cost, np.ndarray, np.ndarray]:
         cost = tried(places, quarters)

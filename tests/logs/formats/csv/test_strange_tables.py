@@ -67,7 +67,7 @@ def write(path, header, cells, sep=","):
 def test_stamps_of_every_kind(tmp_path, header):
     cells = [DATES[header](w) for w in WHEN] if header in DATES else [[ELAPSED[header](t)] for t in TIME]
     path = write(tmp_path / "a.csv", header, cells)
-    table, unsure = Table.found(path)
+    table, unsure = Table.of_file(path)
     channel = table.read(path, {"surge": Source("speed")})[0]["surge"]
     rounded = 0.06 if header == "time" and cells[0][0].count(":") else 1e-3
     assert np.abs(channel.time - TIME).max() < rounded and not [each for each in unsure if "unit" in each]
@@ -76,7 +76,7 @@ def test_stamps_of_every_kind(tmp_path, header):
 @pytest.mark.parametrize(("header", "cells"), [("time,ns", (0.25, "N")), ("time,ms", (1, 1.25)), ("secs,us", (2, ""))])
 def test_only_integers_are_the_fraction_of_a_second(tmp_path, header, cells):
     path = write(tmp_path / "a.csv", header, [(round(cells[0] * k, 2), cells[1]) for k in range(600)])
-    assert Table.found(path)[0].time == header.split(",")[0]
+    assert Table.of_file(path)[0].time == header.split(",")[0]
 
 
 def test_an_underscore_is_no_part_of_a_number():
@@ -84,7 +84,7 @@ def test_an_underscore_is_no_part_of_a_number():
 
 
 def test_minutes_without_a_unit_are_unsure(tmp_path):
-    table, unsure = Table.found(write(tmp_path / "a.csv", "time", [[f"{t / 60:.7f}"] for t in TIME]))
+    table, unsure = Table.of_file(write(tmp_path / "a.csv", "time", [[f"{t / 60:.7f}"] for t in TIME]))
     assert table.time_unit == "min" and "may be s or min" in unsure[0]
 
 
@@ -94,13 +94,13 @@ def test_a_row_number_asks_for_the_rate(tmp_path, header):
     with pytest.raises(
         LogFormatError, match=f"{header}' counts rows and does not tell their rate.*10 rows a second: awk"
     ):
-        Table.found(path)
+        Table.of_file(path)
 
 
 def test_days_rounded_as_a_spreadsheet_does_are_spread_and_whole_minutes_refused(tmp_path):
     path = write(tmp_path / "a.csv", "Time", [[f"{45446.38542 + t / 86400:.5f}"] for t in TIME])
     with pytest.warns(UserWarning, match="rounded, with 3.45 rows"):
-        time = Table.found(path)[0].read(path, {"surge": Source("speed")})[0]["surge"].time
+        time = Table.of_file(path)[0].read(path, {"surge": Source("speed")})[0]["surge"].time
     assert (np.diff(time) > 0).all() and np.abs(time - TIME).max() < 0.6
     path = write(tmp_path / "b.csv", "time", [[f"{w:%H:%M}"] for w in WHEN])
     with pytest.raises(LogFormatError, match="rows of each minute, expected seconds"):
@@ -175,7 +175,7 @@ def test_a_table_of_several_boats_asks_which(tmp_path, column, labels, stacked):
             LogFormatError, match=f"several boats.*{column}'.*--name {labels[0]};.*boat_column={column}"
         ):
             read(path)
-    assert Table.found(path, labels[1])[0].rows == f"{column}={labels[1]}"
+    assert Table.of_file(path, labels[1])[0].rows == f"{column}={labels[1]}"
     found = read_recordings(path, Table("time"), CHANNELS, boat_column=column)
     assert [each.boat for each in found] == [*labels]
     assert found[1].channels["surge"].value.tolist() == np.roll(SPEED, -120).tolist()
@@ -239,7 +239,7 @@ def test_modes_gears_and_commands_are_no_boats(tmp_path):
     for name, values in label.items():
         rows = (f"{t},{m},{v:.3f},{t % 360},{m}\n" for t, m, v in zip(TIME, values, SPEED, strict=True))
         (tmp_path / "a.csv").write_text(f"time,{name},speed,heading,left\n" + "".join(rows))
-        table, unsure = Table.found(tmp_path / "a.csv")
+        table, unsure = Table.of_file(tmp_path / "a.csv")
         assert table.rows == "auto" and not unsure
 
 
@@ -251,7 +251,7 @@ def test_one_number_a_row_is_to_be_pivoted(tmp_path):
     with pytest.raises(
         LogFormatError, match=r"sep=';'.*pivot_table\(index='time', columns='variable', values='value'\)"
     ):
-        Table.found(tmp_path / "a.csv")
+        Table.of_file(tmp_path / "a.csv")
 
 
 def test_packed_tables(tmp_path):
@@ -321,4 +321,4 @@ def test_a_column_without_plain_numbers_is_told_with_a_cell_and_what_to_write(tm
     path = tmp_path / "a.csv"
     path.write_text("time;x;speed\n" + "".join(f"{t};{cell.format(v)};{v}\n" for t, v in zip(TIME, SPEED, strict=True)))
     with pytest.warns(UserWarning, match=r"'x' \(0 of 600, as '.*where there are none, write them without units"):
-        Table.found(path)[0].survey(path)
+        Table.of_file(path)[0].survey(path)

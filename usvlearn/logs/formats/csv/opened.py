@@ -133,8 +133,8 @@ class OpenedTable:
             )
         columns = self.columns([name for name in self.names if every.count(name) < 2 and name not in parts])
         readable, series, left = np.isfinite(columns.time), list[Series](), list[str]()
-        for name in (each for each in list(columns.found) if each not in parts):
-            column = columns.found.pop(name)
+        for name in (each for each in list(columns.by_name) if each not in parts):
+            column = columns.by_name.pop(name)
             known = np.isfinite(column.values)
             if not known.any() and column.first.strip() in HEMISPHERES:
                 ones, unit = np.ones(int(readable.sum())), f"hemisphere {column.first.strip()}"

@@ -203,7 +203,7 @@ class Columns(NamedTuple):
     time: np.ndarray  # (rows,) float64, s since the first readable stamp, NaN where it is unreadable
     origin: float  # that stamp, s since 1970, midnight or a start
     order: np.ndarray  # (rows,) int64, lines
-    found: dict[str, Column]
+    by_name: dict[str, Column]
     torn: int  # incomplete rows
 
 
@@ -224,7 +224,7 @@ def channels_of(
     """
     channels, dropped = {}, {}
     for channel, (path, name, source) in places.items():
-        table, column = tables[path], tables[path].found[name]
+        table, column = tables[path], tables[path].by_name[name]
         channels[channel], causes = build_channel(
             f"{path}: {channel}", source, table.time, column.values, orders[path], column.empty, column.first or None,
             table.origin,
