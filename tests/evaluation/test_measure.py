@@ -171,11 +171,11 @@ def test_a_run_ends_with_what_it_measures(objective, tmp_path):
 
 def test_the_newest_set_that_has_not_learned_from_a_run_is_taken():
     _, (season,) = boats(np.ones((1, 9)))
-    assert [season.set_before(k) for k in range(2)] == [(0, True), (0, False)]
-    several = season._replace(own=np.array([0, 0, 1, 1]))
-    assert [several.set_before(k) for k in range(2)] == [(0, True), (1, False)]
-    other = season._replace(own=np.array([-1, -1]))  # sets of other logs
-    assert [other.set_before(k) for k in range(2)] == [(1, False), (1, False)]
+    assert [season.checkpoint_before(k) for k in range(2)] == [(0, True), (0, False)]
+    several = season._replace(saved_in=np.array([0, 0, 1, 1]))
+    assert [several.checkpoint_before(k) for k in range(2)] == [(0, True), (1, False)]
+    other = season._replace(saved_in=np.array([-1, -1]))  # sets of other logs
+    assert [other.checkpoint_before(k) for k in range(2)] == [(1, False), (1, False)]
 
 
 def test_a_boat_without_noise_is_simulated_as_it_moved():

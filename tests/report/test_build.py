@@ -106,13 +106,13 @@ def test_sets_know_their_run_and_their_hours(saved):
     lengths = json.loads((saved / "runs.json").read_text())["boats"]["heron2"]
     season = seasons[1]
     assert season.boat == "heron2" and not is_sweep(saved)
-    for path, own, hours in zip(season.paths, season.own, season.hours, strict=True):
+    for path, own, hours in zip(season.paths, season.saved_in, season.hours, strict=True):
         run_, step = map(int, path.stem.split("_"))
         assert own == run_ and path.parent.name == "heron2"
         assert hours == pytest.approx((sum(length for _, length, _ in lengths[:run_]) + step) * 0.4 / 3600)
     theta = load(season.paths[1])[0]["members.aid.theta"]
     assert np.array_equal(season.state.members["aid"].theta[1].numpy(), theta)
-    assert season.others.sum(1).tolist() == [1] * len(season.own)
+    assert season.others.sum(1).tolist() == [1] * len(season.saved_in)
     for each, (name, length, _) in zip(season.runs, lengths, strict=True):
         assert each.name == name and each.published["predictions"].shape == (length, len(ensemble.names))
     with pytest.raises(CheckpointError, match="does not fit"), pytest.warns(UserWarning, match="expected numbers of"):

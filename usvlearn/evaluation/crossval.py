@@ -31,7 +31,7 @@ ELEMENTS = 2048  # of one batch; about what fits into a processor's cache
 
 
 class FreeErrors(NamedTuple):
-    """Errors of free simulations; arrays are `(sets, runs, methods)` unless stated otherwise."""
+    """Errors of free simulations; arrays are `(checkpoints, runs, methods)` unless stated otherwise."""
 
     methods: tuple[str, ...]
     mae: np.ndarray  # m/s; NaN where a run has no measured step
@@ -40,7 +40,7 @@ class FreeErrors(NamedTuple):
     steps: np.ndarray  # (runs,) measured steps
 
     def pooled(self, errors: np.ndarray, some: np.ndarray | None = None) -> np.ndarray:
-        """`mae` or `mse` of each checkpoint over its runs, with equal weight for every step, `(sets, methods)`."""
+        """`mae` or `mse` of each checkpoint over its runs, with equal weight per step, `(checkpoints, methods)`."""
         weight = np.broadcast_to(self.steps, errors.shape[:2]) * (1.0 if some is None else some)
         with np.errstate(invalid="ignore"):
             return (weight[..., None] * np.nan_to_num(errors)).sum(1) / weight.sum(1)[:, None]
@@ -49,7 +49,7 @@ class FreeErrors(NamedTuple):
         """MAE of the runs of a boat, each with the newest checkpoint that has not learned from it, m/s, by method."""
         some = np.zeros(self.mae.shape[:2], bool)
         for run in np.flatnonzero(self.steps > 0).tolist():
-            place, learned = season.set_before(run)
+            place, learned = season.checkpoint_before(run)
             some[place, run] = not learned
         if not some.any():
             return dict.fromkeys(self.methods)
@@ -76,19 +76,19 @@ def cross_validate(
     elements: int = ELEMENTS,
     advance: Callable[[int], object] = lambda steps: None,
 ) -> FreeErrors:
-    """Simulate every checkpoint, leaves `(sets, ...)`, free on every run, leaves `(time,)`.
+    """Simulate every checkpoint, leaves `(checkpoints, ...)`, free on every run, leaves `(time,)`.
 
     At most so many `elements`, or all checkpoints on one run, are in a batch. `advance` receives the number of measured
     steps done over all batch elements.
     """
     names = methods(ensemble)
-    sets = next(leaf for _, leaf in named_leaves(state)).shape[0]
-    shape = (sets, len(runs), len(names))
+    count = next(leaf for _, leaf in named_leaves(state)).shape[0]
+    shape = (count, len(runs), len(names))
     errors = FreeErrors(
         names, np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape, bool), np.zeros(len(runs))
     )
     order = np.argsort([-len(run.surge) for run in runs], kind="stable")
-    at_once = max(1, elements // sets)
+    at_once = max(1, elements // count)
     for first in range(0, len(runs), at_once):
         some = order[first : first + at_once]  # of nearly the same length
         absolute, square, diverged, steps = _simulated(ensemble, state, [runs[k] for k in some], advance)
@@ -100,13 +100,13 @@ def cross_validate(
 
 
 def _simulated(ensemble: Ensemble, state: Any, runs: Sequence[Sample], advance: Callable[[int], object]):
-    """Sums of |error| and error², `(sets, runs, methods)`; which simulations diverged; measured steps of each run."""
-    dtype, sets = state.predictions.dtype, state.predictions.shape[0]
+    """Sums of |error| and error², `(checkpoints, runs, methods)`; which diverged; measured steps of each run."""
+    dtype, count = state.predictions.dtype, state.predictions.shape[0]
     from usvlearn.engine.external import first_pass
     from usvlearn.engine.open_loop_scores import free_totals
 
     samples = _side_by_side(runs, dtype)  # (time, runs)
-    batch = (sets, len(runs))
+    batch = (count, len(runs))
     state = tree_map(lambda x: x[:, None].expand(*batch, *x.shape[1:]), state)
     learning = _learning(ensemble)
     scored = masks(samples, ensemble.surge_limit).learns.to(dtype).sum(0).cpu().numpy()
@@ -119,7 +119,7 @@ def _simulated(ensemble: Ensemble, state: Any, runs: Sequence[Sample], advance: 
     arrays, first = (arrays_of(state), tree_map(array_of, whole)), first_pass(description, ensemble, state)
     given = None if first is None else first.run(*arrays, True)[1]
     totals = free_totals(description, *arrays, rules, torch.get_num_threads(), given)
-    advance(scored.sum().item() * sets)
+    advance(scored.sum().item() * count)
     return totals[..., 0], totals[..., 1], totals[..., 2] > 0, scored
 
 

@@ -79,14 +79,14 @@ class FreeRun(NamedTuple):
 
 
 def free_runs(ensemble: Ensemble, season: Season) -> Iterator[FreeRun]:
-    """Simulate each run of a boat with the newest parameters of `Season.set_before`."""
+    """Simulate each run of a boat with the newest parameters of `Season.checkpoint_before`."""
     import torch
 
     from usvlearn.engine.rollouts import simulate, tensors
 
     limit = ensemble.surge_max
     for k, run in enumerate(season.runs):
-        chosen, learned = season.set_before(k)
+        chosen, learned = season.checkpoint_before(k)
         state = tree_map(lambda x, one=chosen: x[one : one + 1], season.state)
         samples = tree_map(lambda x: x[:, None], run.samples)
         with torch.no_grad():

@@ -56,10 +56,10 @@ class Season(NamedTuple):
 
     boat: str
     runs: tuple[SeasonRun, ...]
-    state: Any  # the checkpoints in the order in which they were saved, leaves (sets, ...)
+    state: Any  # the checkpoints in the order in which they were saved, leaves (checkpoints, ...)
     paths: tuple[Path, ...]  # of the checkpoints
-    own: np.ndarray  # (sets,) index of the run in which each was saved, -1 if it is none of `runs`
-    hours: np.ndarray  # (sets,) h on the water until the checkpoint was saved
+    saved_in: np.ndarray  # (checkpoints,) index of the run in which each was saved, -1 if it is none of `runs`
+    hours: np.ndarray  # (checkpoints,) h on the water until the checkpoint was saved
 
     @property
     def replayed(self) -> tuple[Fleet, list[tuple[int, int, dict[str, np.ndarray]]]]:
@@ -75,18 +75,18 @@ class Season(NamedTuple):
 
     @property
     def later(self) -> np.ndarray:
-        """Which runs a checkpoint has not learned from, bool `(sets, runs)`: those after its own, else all."""
-        return self.own[:, None] < np.arange(len(self.runs))
+        """Which runs a checkpoint has not learned from, bool `(checkpoints, runs)`: those after its own, else all."""
+        return self.saved_in[:, None] < np.arange(len(self.runs))
 
-    def set_before(self, run: int) -> tuple[int, bool]:
+    def checkpoint_before(self, run: int) -> tuple[int, bool]:
         """The newest checkpoint that has not learned from a run, and False; else the first saved since, and True."""
-        before = np.flatnonzero(self.own < run)
-        return (int(before[-1]), False) if len(before) else (int(np.flatnonzero(self.own >= run)[0]), True)
+        before = np.flatnonzero(self.saved_in < run)
+        return (int(before[-1]), False) if len(before) else (int(np.flatnonzero(self.saved_in >= run)[0]), True)
 
     @property
     def others(self) -> np.ndarray:
-        """Which runs a checkpoint was not saved in, bool `(sets, runs)`."""
-        return self.own[:, None] != np.arange(len(self.runs))
+        """Which runs a checkpoint was not saved in, bool `(checkpoints, runs)`."""
+        return self.saved_in[:, None] != np.arange(len(self.runs))
 
 
 @dataclass(frozen=True)

@@ -138,7 +138,7 @@ def _apart(boats: Mapping[str, IdentifiedBoat]) -> list[IdentifiedBoat]:
 
 
 def _read(path: Path) -> IdentifiedBoat:
-    """The newest readable set of a folder, or a checkpoint."""
+    """The newest readable checkpoint of a folder, or one that is named."""
     used = [path]
 
     def read(each: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:

@@ -190,17 +190,17 @@ def simulations(ensemble: Ensemble, seasons: Sequence[Season]) -> int:
     """The steps that are simulated: every checkpoint and one more on every run of its boat, and one per boat on all."""
     steps = {season.boat: sum(int(run.steps.sum()) for run in season.runs) for season in seasons}
     matrices = len(_compared(ensemble)) * len(seasons) * sum(steps.values()) if len(seasons) > 1 else 0
-    return sum((len(season.own) + 1) * steps[season.boat] for season in seasons) + matrices
+    return sum((len(season.saved_in) + 1) * steps[season.boat] for season in seasons) + matrices
 
 
 def facts(seasons: Sequence[Season], folders: Sequence[Path]) -> list[str]:
     """The data on which a report is based, one sentence each."""
     runs = [run for season in seasons for run in season.runs]
     hours = sum(float(run.samples.inputs.dt[run.steps].sum()) for run in runs) / 3600
-    sets = sum(len(season.own) for season in seasons)
+    count = sum(len(season.saved_in) for season in seasons)
     boats = "1 boat" if len(seasons) == 1 else f"{len(seasons)} boats"
     return [
-        f"{boats}, {len(runs)} runs, {hours:.1f} h measured, {sets} checkpoints, of {', '.join(map(str, folders))}."
+        f"{boats}, {len(runs)} runs, {hours:.1f} h measured, {count} checkpoints, of {', '.join(map(str, folders))}."
     ]
 
 
@@ -259,7 +259,7 @@ def front_of(
 
 def best_start(ensemble: Ensemble, seasons: Sequence[Season]) -> Path:
     """The boat's last checkpoint whose open-loop simulations, on the runs of all boats, have the least MSE."""
-    last = [len(season.own) - 1 for season in seasons]
+    last = [len(season.saved_in) - 1 for season in seasons]
     method = _compared(ensemble)[0]
     matrix = fleet_matrices(seasons, _each_on_all(ensemble, seasons, last), [method])[method]
     best = int(np.nanargmin(matrix.mean(1)))

@@ -91,12 +91,12 @@ class Resumption:
             readable.append(before)
         for place in reversed(readable):
             note = f"resuming after step {place.step} of run {place.run + 1} of {len(self.fleet.runs)}, from {source}"
-            places = list(zip(self.fleet.boats, self.own(place), strict=True))
+            places = list(zip(self.fleet.boats, self.places(place), strict=True))
             try:
                 for path in [checkpoint_path(source / PLANAR, *each) for each in places] if self._planar else ():
                     if path.exists():  # else, as in older runs, sway and yaw rate are learned anew
                         load(path)
-                state = self._state(source, start, self.own(place))
+                state = self._state(source, start, self.places(place))
                 break
             except CheckpointError as error:
                 warnings.warn(f"{error}; resuming from before it", stacklevel=2)
@@ -113,7 +113,7 @@ class Resumption:
         boats = (of_boat(start.state, element) for element in range(len(places)))
         return stack([restored(*each, ESTIMATOR, self.kernel)[0] for each in zip(paths, boats, strict=True)])
 
-    def own(self, place: Position) -> list[Position]:
+    def places(self, place: Position) -> list[Position]:
         """The boats' own places when the fleet is at `place`: their runs may be shorter, or fewer."""
         places = []
         for element in range(len(self.fleet.boats)):
@@ -150,7 +150,7 @@ class Resumption:
             folder = boat.parent.parent / PLANAR
             return [(folder, [[folder / CHECKPOINTS / boat.name / source.name]] * len(boats))]
         at_begin = [BEGIN if continued else None] * len(boats)
-        places = at_begin if place == BEGIN else self.own(place)
+        places = at_begin if place == BEGIN else self.places(place)
         folders = []
         for folder in (self.path / PLANAR, source / PLANAR):
             newest = [reversed(checkpoints(folder / CHECKPOINTS / boat)) for boat in boats]

@@ -84,7 +84,7 @@ def _velocities(
     return Velocities(north, east, read_speed(size, relation, convention, 3.0, places[0].length if places else ""))
 
 
-def tell_velocities(
+def report_velocities(
     velocities: Velocities, speeds: Sequence[Speed], channels: dict, series: dict, doubt: str
 ) -> list[Decision]:
     """Both components, from which the surge is computed with the heading; and why they may be interchanged, or ""."""
@@ -181,7 +181,7 @@ def _part(of: Callable[[np.ndarray], np.ndarray], speed: Pair, course: Pair, hea
     return time, np.interp(time, at, size) * of(angle - np.interp(time, stamps, np.unwrap(turned)))
 
 
-def tell_course(chosen: Course, channels: dict[str, dict[str, Any]], series: dict[str, Candidate]) -> list[Decision]:
+def report_course(chosen: Course, channels: dict[str, dict[str, Any]], series: dict[str, Candidate]) -> list[Decision]:
     """Both as channels, and what is said about them."""
     course, speed = chosen.course, chosen.speed
     scale = {} if course.span == 1 else {"span": course.span}

@@ -297,7 +297,7 @@ def _rate_unit(slope: float, tolerance: float = RATIO) -> str:
     return ""
 
 
-def tell_heading(best: Heading, headings: Sequence[Heading], channels: dict, series: dict) -> list[Decision]:
+def report_heading(best: Heading, headings: Sequence[Heading], channels: dict, series: dict) -> list[Decision]:
     """The best heading as the channel, its unit, and its span where it has one."""
     candidate = best.candidate
     scale = {} if best.span == 1 else {"span": best.span}
@@ -329,7 +329,7 @@ def tell_heading(best: Heading, headings: Sequence[Heading], channels: dict, ser
     return decisions
 
 
-def tell_yaw_rate(
+def report_yaw_rate(
     yaw: YawRate | None, heading: Heading, rivals: Sequence[str], channels: dict, series: dict
 ) -> list[Decision]:
     """The yaw rate as the channel; where no series is one, it is the derivative of the heading."""

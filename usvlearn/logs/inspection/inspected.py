@@ -81,9 +81,9 @@ def inspect_logs(
     notes += [each for each in sentences if each not in notes]
     lag = None
     if recordings:
-        top = _tell_top_speed(settings, recordings, decisions)
+        top = _report_top_speed(settings, recordings, decisions)
         lag = find_lag(recordings, speed_limit(top))
-        _tell_delay(settings, lag, decisions)
+        _report_delay(settings, lag, decisions)
         recordings = delayed(recordings, lag.delay)
     why = "not in the logs; forces scale with it"
     decisions.append(Decision("vehicle", "mass", f"{MASS:g} kg", UNSURE, why))
@@ -111,7 +111,7 @@ def _aligned(recordings: Sequence[Recording], top: float) -> Fleet | None:
         return None
 
 
-def _tell_top_speed(settings: dict[str, Any], recordings: Sequence[Recording], decisions: list[Decision]) -> float:
+def _report_top_speed(settings: dict[str, Any], recordings: Sequence[Recording], decisions: list[Decision]) -> float:
     speed = np.concatenate([np.abs(one.channels["surge"].value) for one in recordings])
     greatest = float(np.quantile(speed, 0.998)) if len(speed) else math.nan
     if not 0.05 < greatest < 100:
@@ -127,7 +127,7 @@ def _tell_top_speed(settings: dict[str, Any], recordings: Sequence[Recording], d
     return top
 
 
-def _tell_delay(settings: dict[str, Any], lag: Lag, decisions: list[Decision]) -> None:
+def _report_delay(settings: dict[str, Any], lag: Lag, decisions: list[Decision]) -> None:
     if not len(lag.errors):
         why = "too few steps to tell a delay: give longer logs"
         decisions.append(Decision(COMMANDS[0], "delay", "0 s", UNSURE, why))

@@ -136,7 +136,7 @@ def moved_along(places: Places, speed: Pair, heading: Pair) -> Motion:
     return position_on_velocity((places.north, places.east), velocity)
 
 
-def tell_places(places: Places, channels: dict, series: dict, confirmed: bool, axes: str, doubt: str) -> list[Decision]:
+def report_places(places: Places, channels: dict, series: dict, proved: bool, axes: str, doubt: str) -> list[Decision]:
     """The position as auxiliary channels, for the track.
 
     `axes` says how certain it is which coordinate is north, and `doubt` why it is not certain.
@@ -147,9 +147,9 @@ def tell_places(places: Places, channels: dict, series: dict, confirmed: bool, a
         why = "neither the names nor the heading tell which of them is north: set data.channels.north and .east"
         return [Decision("position", "series", both, UNSURE, why)]
     named = fit(names[0], places.first.label) >= 1 or not places.geographic
-    sure = UNSURE if not named else CERTAIN if confirmed else PROBABLE
-    why = "the speed follows its rate" if confirmed else "by name and range"
-    why += "" if confirmed or places.length else "; taken as m"
+    sure = UNSURE if not named else CERTAIN if proved else PROBABLE
+    why = "the speed follows its rate" if proved else "by name and range"
+    why += "" if proved or places.length else "; taken as m"
     if fit("longitude", places.first.label) >= 1:
         why = "against the names: only with latitude and longitude interchanged, the speed follows their rate"
     if axes != CERTAIN:

@@ -22,11 +22,11 @@ from usvlearn.logs.inspection.speeds import (
     following,
     interchanged,
     norms,
-    tell_speed,
-    tell_without_sign,
+    report_speed,
+    report_without_sign,
     turned_ahead,
 )
-from usvlearn.logs.inspection.sway_channels import find_sway, tell_sway
+from usvlearn.logs.inspection.sway_channels import find_sway, report_sway
 from usvlearn.logs.inspection.vehicles import of_one_vehicle
 from usvlearn.logs.inspection.vocabulary import (
     WORDS,
@@ -96,9 +96,9 @@ def propose(everything: Sequence[Candidate], convention: str, exchanged: bool = 
         turning = [each for each in pool if len(alone) < 2 or not names_side_alone(each.label)]  # L and R are sides
         yaw, rejected = directions.find_yaw_rate(turning, heading)
         turn = _turn(heading, yaw)
-        decisions += directions.tell_heading(heading, headings, channels, series)
+        decisions += directions.report_heading(heading, headings, channels, series)
         rivals = [each.label for each in turning if fit("yaw_rate", each.label) >= 0.5]
-        decisions += directions.tell_yaw_rate(yaw, heading, rivals, channels, series)
+        decisions += directions.report_yaw_rate(yaw, heading, rivals, channels, series)
         decisions += rejected
     taken = [each for each in (heading and heading.candidate, yaw and yaw.candidate) if each is not None]
     for each in places:
@@ -127,7 +127,7 @@ def propose(everything: Sequence[Candidate], convention: str, exchanged: bool = 
     still, unfit = of_vehicle, ""
     if azimuths := [each.label for each in pool if names_azimuth(each.label)]:
         rest, still = ([each for each in group if _names_whole(each)] for group in (rest, of_vehicle))
-        unfit = "" if rest else _told_azimuths(azimuths)
+        unfit = "" if rest else _azimuths_reported(azimuths)
     proved = heading is not None and heading.certainty == CERTAIN and not crossing
     commands = find_commands(rest, still, speed, turn, convention, proved)
     if heading and course and not (proved or heading.declared(convention)):
@@ -152,7 +152,7 @@ def propose(everything: Sequence[Candidate], convention: str, exchanged: bool = 
     elif contested and (local or exchangeable):
         axes, doubt = UNSURE, "the sense that they give the heading is doubtful: north and east may be interchanged"
         decisions = [_doubted(each, "its name or the sides say the opposite") for each in decisions]
-    decisions = tell_commands(commands, channels, series) + decisions
+    decisions = report_commands(commands, channels, series) + decisions
     lost = seconds_astern(commands[0], beside.metres) if commands and beside else 0.0
     by_course = courses.course_beside(left, beside, heading) if beside else None
     if by_course and heading and not track:
@@ -162,28 +162,28 @@ def propose(everything: Sequence[Candidate], convention: str, exchanged: bool = 
         speeds, lost = [signed, *(each for each in speeds if each is not signed)], 0.0
     if lost:
         over_ground = over_ground or by_course
-        decisions += tell_without_sign(speeds[0], lost, over_ground, bool(track))
+        decisions += report_without_sign(speeds[0], lost, over_ground, bool(track))
     if lost and over_ground:
-        decisions += courses.tell_course(over_ground, channels, series)
+        decisions += courses.report_course(over_ground, channels, series)
     elif lost and track:
         pass  # the surge comes from the position
     elif velocities:
-        decisions += courses.tell_velocities(
+        decisions += courses.report_velocities(
             velocities, speeds[1:], channels, series, doubt if contested or exchanged else ""
         )
     elif speeds:
-        decisions += tell_speed(speeds, channels, series)
+        decisions += report_speed(speeds, channels, series)
     elif places:
         known = f"{', '.join(each.label for each in sets)} {IS_SET}" if sets else "no series is known to be the speed"
         why = f"{known}: the position tells it"
         decisions.append(Decision("surge", "series", "from the position", PROBABLE, why))
     if sway:
-        decisions += tell_sway(sway, channels, series, least(sense, axes))
+        decisions += report_sway(sway, channels, series, least(sense, axes))
     elif over_ground and not lost and least(sense, axes) == CERTAIN:
-        decisions += courses.tell_course(over_ground, channels, series)
+        decisions += courses.report_course(over_ground, channels, series)
     if places:
         confirmed = bool(speeds and not lost and speeds[0].confirmed and speeds[0].certainty == CERTAIN)
-        decisions += position_channels.tell_places(places[0], channels, series, confirmed, axes, doubt)
+        decisions += position_channels.report_places(places[0], channels, series, confirmed, axes, doubt)
     spoken = {each.spoken: each.named(spoken="").label for each in of_vehicle if each.spoken}
     decisions = [each._replace(value=spoken.get(each.value, each.value)) for each in decisions]
     why = "it comes again and again, far beyond all others: it means unknown"
@@ -219,7 +219,7 @@ def _names_whole(candidate: Candidate) -> bool:
     return names_force(candidate.label) or names_moment(candidate.label)
 
 
-def _told_azimuths(labels: Sequence[str]) -> str:
+def _azimuths_reported(labels: Sequence[str]) -> str:
     return (
         f"the thrusters turn ({', '.join(labels[:3])}), so that no two fixed sides drive this boat: log the force "
         "ahead, N, and the moment about the vertical axis, N·m, as tau_x and tau_n, or compute them from thrusts and "
@@ -264,7 +264,7 @@ def _on_change(candidate: Candidate) -> tuple[bool, str]:
     return True, PROBABLE if ratio > ON_CHANGE else UNSURE
 
 
-def tell_commands(commands: Sequence[Commands], channels: dict, series: dict) -> list[Decision]:
+def report_commands(commands: Sequence[Commands], channels: dict, series: dict) -> list[Decision]:
     """The best commands as the channels: series, zero, span and sign of each side, and how it is posted."""
     if not commands:
         return []

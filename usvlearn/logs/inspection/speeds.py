@@ -282,7 +282,7 @@ def turned_ahead(speed: Speed, places: Places, heading: Pair) -> Speed:
     return speed._replace(candidate=one.named(value=-one.value, span=-one.span))
 
 
-def tell_speed(speeds: Sequence[Speed], channels: dict, series: dict) -> list[Decision]:
+def report_speed(speeds: Sequence[Speed], channels: dict, series: dict) -> list[Decision]:
     """The best speed as the channel, its unit, its sensor's period, and how certain each of that is."""
     best = speeds[0]
     candidate = best.candidate
@@ -326,7 +326,7 @@ def _why_better(best: Speed, other: Speed) -> str:
     return ", ".join(reasons) or "its name fits better"
 
 
-def tell_without_sign(speed: Speed, seconds: float, course: object, placed: bool) -> list[Decision]:
+def report_without_sign(speed: Speed, seconds: float, course: object, placed: bool) -> list[Decision]:
     """The surge of a boat that goes astern, where its speed has no sign in some seconds, but a course or a position."""
     why = f"{speed.candidate.label} has no sign, and by commands or course the boat goes astern in {seconds:.0f} s"
     if not course and not placed:

@@ -115,7 +115,7 @@ def _by_name(
     return Sway(candidate, unit, -1.0 if turned else 1.0, (sure, of_unit, UNSURE), reasons)
 
 
-def tell_sway(
+def report_sway(
     sway: Sway, channels: dict[str, dict[str, Any]], series: dict[str, Candidate], sense: str
 ) -> list[Decision]:
     """The sway as a channel, and what is said about it.

@@ -32,7 +32,7 @@ BETWEEN_RESULT = (
 def cross_section(
     seasons: Sequence[Season], errors: Mapping[str, FreeErrors], remarks: Mapping[str, str] | None = None
 ) -> Section:
-    """The distribution of the open-loop MAE over (set, other run), per boat and method."""
+    """The distribution of the open-loop MAE over (checkpoint, other run), per boat and method."""
     boxes: dict[str, dict[str, Box | None]] = {}
     subtitles, rows, remarks = {}, [], dict(remarks or {})
     remarks |= {name: SEES for name in errors[seasons[0].boat].methods if name.endswith("+")}
@@ -42,7 +42,7 @@ def cross_section(
             name: box(free.mae[..., k][others], int(free.diverged[..., k][others].sum()))
             for k, name in enumerate(free.methods)
         }
-        subtitles[season.boat] = f"{len(season.own)} checkpoints × {len(season.runs)} runs"
+        subtitles[season.boat] = f"{len(season.saved_in)} checkpoints × {len(season.runs)} runs"
         for name in by_error({name: each and each.mean for name, each in boxes[season.boat].items()}):
             if (each := boxes[season.boat][name]) is not None:
                 later = free.mae[..., free.methods.index(name)][season.later & (free.steps > 0)]
@@ -132,7 +132,7 @@ def best_checkpoints(seasons: Sequence[Season], errors: Mapping[str, FreeErrors]
 
 def fleet_matrices(seasons: Sequence[Season], between: Mapping[str, FreeErrors], methods: Sequence[str]):
     """MSE of the best checkpoint of each boat (rows) on all runs of each boat (columns), m²/s², by method."""
-    columns = [between[season.boat].pooled(between[season.boat].mse) for season in seasons]  # (sets, methods) each
+    columns = [between[each.boat].pooled(between[each.boat].mse) for each in seasons]  # (checkpoints, methods) each
     names = between[seasons[0].boat].methods
     return {name: np.stack([column[:, names.index(name)] for column in columns], -1) for name in methods}
 

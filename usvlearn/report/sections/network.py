@@ -40,7 +40,7 @@ def network_section(seasons: Sequence[Season], ensemble: Ensemble, errors: Mappi
         return None
     name, network = next(iter(members.items()))
     surge_max = 0.5 / network.scale
-    networks = {s.boat: [element_weights(s.state.members[name], k) for k in range(len(s.own))] for s in seasons}
+    networks = {s.boat: [element_weights(s.state.members[name], k) for k in range(len(s.saved_in))] for s in seasons}
     margins: dict[str, dict[str, np.ndarray]] = {}
     rates = {}
     for boat, some in networks.items():
@@ -166,7 +166,7 @@ def _sentence(judged: Judged) -> str:
 
 @guarded
 def rates_figure(hours: Mapping[str, np.ndarray], rates: Mapping[str, np.ndarray]):
-    """The contraction rate K at every saved checkpoint `(sets,)`, a line per boat: certified where it is below one."""
+    """The contraction rate K, `(checkpoints,)`, a line per boat: certified where it is below one."""
     from matplotlib import colormaps
 
     shades = colormaps["viridis"](np.linspace(0.25, 0.92, max(2, len(hours))))  # hues are reserved for methods
