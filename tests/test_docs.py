@@ -122,7 +122,7 @@ CHOSEN = {  # of a member of the ensemble, in place of the signature's default
     ("joint", "trial"), ("joint_averaged", "trial"), ("rnn_replay", "replay_size"), ("rnn_replay", "unroll"),
     *itertools.product(("joint_quick",), ("disturbance", "disturbance_time", "current", "drift_time", "outlier")),
     *itertools.product(
-        ("joint_averaged",), ("disturbance", "disturbance_time", "drift_time", "current", "lag", "read_every")),
+        ("joint_averaged",), ("disturbance", "disturbance_time", "drift_time", "current", "lag", "estimate_every")),
 }  # fmt: skip
 GIVEN = {"_target_", "model", "members", "estimator", "mass", "surge_max"}  # to whom, and of the vehicle
 

@@ -141,7 +141,7 @@ class Terminal(io.StringIO):
 def test_a_compilation_counts_its_seconds_at_a_terminal(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "stderr", Terminal())
     monkeypatch.setattr(jit, "folder", lambda source: tmp_path)
-    with jit.announced(jit.__file__, "trial"):
+    with jit.announce(jit.__file__, "trial"):
         for _ in range(600):  # a minute at most
             time.sleep(0.1)
             if " s" in sys.stderr.getvalue():

@@ -22,8 +22,8 @@ from usvlearn.engine import dispatch
 PREPARE = """
 import numpy as np
 from usvlearn.core import prepared_samples as samples
-from usvlearn.core.jit import announced
-with announced(samples.__file__, "trial"):
+from usvlearn.core.jit import announce
+with announce(samples.__file__, "trial"):
     ones = np.ones((2, 1))
     rows = np.empty((1, 2, samples.ROW))
     samples.prepare_all(*[ones] * 6, ones > 0, ones > 0, True, 100.0, rows)

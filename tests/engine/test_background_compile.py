@@ -40,7 +40,7 @@ def until(path: Path) -> None:
 
 
 def test_a_run_waits_for_the_process(marks, capfd):
-    with background_compile.compiling("float32") as process:
+    with background_compile.compile_ahead("float32") as process:
         until(marks / "started")
         (marks / "go").touch()
     assert (marks / "kernels of single steps, float32").exists() and process.returncode is not None
@@ -51,26 +51,26 @@ def test_a_run_waits_for_the_process(marks, capfd):
 def test_what_is_compiled_starts_no_process(marks):
     for each in ("runs", "single steps"):
         (marks / f"kernels of {each}, float64").touch()
-    with background_compile.compiling() as process:
+    with background_compile.compile_ahead() as process:
         assert process is None
-    with background_compile.compiling(tracks=True) as process:
+    with background_compile.compile_ahead(tracks=True) as process:
         assert process
         (marks / "go").touch()
     (marks / "kernels of tracks, float64").touch()
-    with background_compile.compiling(tracks=True) as process:
+    with background_compile.compile_ahead(tracks=True) as process:
         assert process is None
 
 
 def test_a_process_that_fails_keeps_nobody_waiting(marks, monkeypatch, capfd):
     monkeypatch.setattr(background_compile, "CHILD", "raise SystemExit('no kernels today')")
-    with background_compile.compiling() as process:
+    with background_compile.compile_ahead() as process:
         process.wait()
     assert not (marks / "kernels of runs, float64").exists()
     assert "no kernels today" not in capfd.readouterr().err
 
 
 def test_an_error_ends_the_process(marks):
-    with pytest.raises(ValueError, match="of the job"), background_compile.compiling() as process:
+    with pytest.raises(ValueError, match="of the job"), background_compile.compile_ahead() as process:
         until(marks / "started")
         raise ValueError("of the job")
     assert process.returncode is not None
@@ -84,5 +84,5 @@ def test_without_another_process_nothing_is_different(marks, monkeypatch, lacks)
         monkeypatch.setattr(background_compile.sys, "executable", "")
     else:
         monkeypatch.setattr(background_compile.sys, "executable", os.devnull)
-    with background_compile.compiling() as process:
+    with background_compile.compile_ahead() as process:
         assert process is None

@@ -25,7 +25,7 @@ READER = {"disturbance": 0.05, "disturbance_time": 3.0, "current": 0.15, "drift_
 
 
 def averaged(**changed) -> JointEKF:
-    return JointEKF(**({"surge_max": TOP, "mass": MASS, "read_every": 600.0} | READER | changed))
+    return JointEKF(**({"surge_max": TOP, "mass": MASS, "estimate_every": 600.0} | READER | changed))
 
 
 def leaves_of(state) -> dict[str, np.ndarray]:
@@ -296,9 +296,9 @@ def test_online_identifies_with_and_without_torch_and_says_where_it_cannot(tmp_p
     assert Online.open(path).identified().quantities == online.identified().quantities
     batch = Online(averaged(), batch=(2,)).identified()
     assert len(batch) == 2 and batch[0].quantities == batch[1].quantities
-    with pytest.raises(ConfigError, match="no joint EKF with read_every"):
+    with pytest.raises(ConfigError, match="no joint EKF with estimate_every"):
         Online(Ensemble({"aid": AID(MASS), "joint": JointEKF(TOP)})).identified()
-    with pytest.raises(ConfigError, match=r"not inside Robust: add JointEKF\(..., read_every=600.0\)"):
+    with pytest.raises(ConfigError, match=r"not inside Robust: add JointEKF\(..., estimate_every=600.0\)"):
         Online(AID(MASS)).identified()
 
 

@@ -229,7 +229,7 @@ def boat(hours: float, noise: float = 0.03, seed: int = 0):
 
 def test_a_mean_of_readings_and_their_covariance():
     """Weights 0.9^age, the first three dropped, against NumPy."""
-    joint, samples = JointEKF(2.0, read_every=20.0, drift_time=300.0), mission(900, faults=False, seed=2)
+    joint, samples = JointEKF(2.0, estimate_every=20.0, drift_time=300.0), mission(900, faults=False, seed=2)
     samples = samples._replace(inputs=samples.inputs._replace(dt=torch.full_like(samples.inputs.dt, 0.5)))
     state, _, record = rollout(joint, joint.init(), samples, ["mean"])
     read = record["mean"][39::40, 4:].numpy()

@@ -44,7 +44,7 @@ ONE_BY_ONE = (  # what makes an estimator, and arguments that are refused by the
            "condition": ["loose"], "contraction_rate": [1.5], "gauge": ["x"], "replay_size": [-1, 1.0, True, 10**6],
            "replay_steps": [0, 10**6]}),
     (lambda **given: JointEKF(**{"surge_max": 2.0} | given),
-     {"mass": [0.0], "surge_max": [-1.0], "disturbance": [0.0], "outlier": [0.0], "read_every": [-1.0],
+     {"mass": [0.0], "surge_max": [-1.0], "disturbance": [0.0], "outlier": [0.0], "estimate_every": [-1.0],
       "theta0": [[1.0], [1.0] * 9]}),
     (ARX, {"lags": [-1, 2.0, True, 51], "even": ["yes"], "turning": [1], "project": [None], "scale": [0.0],
            "walk": [-1.0], "degrees": [0.0, -INF], "surge_max": [0.0]}),

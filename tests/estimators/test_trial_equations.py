@@ -77,7 +77,7 @@ def samples() -> Sample:
 
 @pytest.fixture(scope="module")
 def judged():
-    estimator = JointEKF(2.5, 28.0, trial=Trial(), read_every=600.0)
+    estimator = JointEKF(2.5, 28.0, trial=Trial(), estimate_every=600.0)
     before = state_before(estimator)
     return before, rollout(estimator, before, samples())[0]
 

@@ -31,7 +31,7 @@ TOP = 2.74
 
 
 def planar() -> Planar:
-    joint = JointEKF(surge_max=TOP, mass=33.75, read_every=600.0)
+    joint = JointEKF(surge_max=TOP, mass=33.75, estimate_every=600.0)
     return Planar(Ensemble({"joint": joint}, forecasts=ForecastSettings(members=["joint"])), surge_max=TOP)
 
 

@@ -255,7 +255,7 @@ def test_a_compilation_is_told_in_the_line_of_activity_alone(tmp_path, monkeypat
     monkeypatch.setattr(jit, "folder", lambda source: tmp_path)
     monkeypatch.setattr("sys.stderr", errors)
     with Activity(Console(file=shown, force_terminal=True, width=80, legacy_windows=False)):
-        with jit.announced(jit.__file__, "trial"):
+        with jit.announce(jit.__file__, "trial"):
             for _ in range(600):
                 time.sleep(0.1)
                 if "compiling the trial" in shown.getvalue():

@@ -78,8 +78,8 @@ ESTIMATORS = FAMILIES | {  # and other settings of them
     "rnn_penalty": lambda: RNN(6, stability="penalty", penalty=1e-3, unroll=2, decay=None),
     "rnn_estimate": lambda: RNN(6, condition="interval", unroll=2, feedback="estimate"),
     "persistence": Persistence,
-    "joint_odd": lambda: JointEKF(2.5, 28.0, disturbance=5.0, even=None, lag=0.3, outlier=8.0, read_every=2.0),
-    "joint_trial": lambda: JointEKF(2.5, 28.0, read_every=2.0, trial=Trial(threshold=4.0, leads=1.0, steps=9)),
+    "joint_odd": lambda: JointEKF(2.5, 28.0, disturbance=5.0, even=None, lag=0.3, outlier=8.0, estimate_every=2.0),
+    "joint_trial": lambda: JointEKF(2.5, 28.0, estimate_every=2.0, trial=Trial(threshold=4.0, leads=1.0, steps=9)),
     "sway": lambda: SwayEKF(2.5),
     "arx_gaussian": lambda: ARX(
         lags=1, even=False, turning=True, thrust_speed=True, project=False, walk=1e-2, degrees=None

@@ -30,7 +30,7 @@ LONGEST = 300  # s of a command
 
 SMALL = ["data.hours=0.0667", "data.mission_minutes=2", "estimators.rnn.neurons=4", "save_minutes=0.5"]
 LEAST_SQUARES = "+estimator@estimators.dynamic_rls=dynamic_rls"  # whose parameters have a band
-SEASON = [*SMALL, "data.n=2", "estimators.joint_averaged.read_every=60", LEAST_SQUARES]  # of the fixture `finished`
+SEASON = [*SMALL, "data.n=2", "estimators.joint_averaged.estimate_every=60", LEAST_SQUARES]  # of the fixture `finished`
 
 
 LEFT_OUT = ["rnn", "joint_quick", "arx", "joint_averaged"]

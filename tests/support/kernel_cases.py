@@ -264,7 +264,7 @@ LONG = {  # one of every family; four batch elements, which are settings where h
     "rnn_replay": lambda: RNN(6, rate=1e-3 * _some, unroll=2, replay_size=300, replay_steps=4),
     "rnn_replay_penalty": lambda: RNN(6, stability="penalty", penalty=1e-3 * _some, replay_size=50),
     "joint": lambda: JointEKF(
-        1 + _some, 28.0 * _some, disturbance=_some, even=0.1 * _some, outlier=3 + _some, read_every=60.0
+        1 + _some, 28.0 * _some, disturbance=_some, even=0.1 * _some, outlier=3 + _some, estimate_every=60.0
     ),
     "yaw": lambda: YawEKF(1 + _some, turn_max=_some, disturbance=_some, drift_time=100 * _some, outlier=3 + _some),
     "arx": lambda: ARX(scale=0.3 * _some, walk=1e-4 * _some, degrees=5 * _some),

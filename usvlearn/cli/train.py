@@ -51,9 +51,9 @@ def work(cfg: DictConfig, folder: Path, overrides: Sequence[str], resume: str | 
     console = terminal.console(quiet)  # of its own: what a worker is sent must be picklable
     with as_written(cfg):
         if not asked(composed_cfg):
-            from usvlearn.engine.background_compile import compiling
+            from usvlearn.engine.background_compile import compile_ahead
 
-            with nullcontext() if quiet else compiling(tracks=composed_cfg.get("tracks") is not None):
+            with nullcontext() if quiet else compile_ahead(tracks=composed_cfg.get("tracks") is not None):
                 return train(composed_cfg, folder, console, resume or cfg.resume, overrides)
         with Activity(console, "loading"):
             from usvlearn.sweeps.tuning.tune import tune

@@ -135,7 +135,7 @@ def ensemble_of(cfg: Mapping[str, Any]) -> Ensemble:
 
 
 def planar_of(cfg: Mapping[str, Any], ensemble: Ensemble) -> tuple[Planar | None, str]:
-    """What learns sway and yaw rate beside an ensemble, and makes tracks; or None, and why."""
+    """The ensembles of sway and yaw rate beside that of the surge, which make tracks; or None, and why."""
     if not cfg.get("tracks"):
         return None, ""
     from usvlearn.estimators.planar.layer import Planar

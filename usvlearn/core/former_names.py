@@ -16,7 +16,7 @@ TARGETS = {  # classes in settings; the first six are in the boats' files of `us
     "usvlearn.logs.tlog.Tlog": "usvlearn.logs.formats.ardupilot.tlog.Tlog",
     "usvlearn.logs.ulog.Ulog": "usvlearn.logs.formats.px4.ulog.Ulog",
 }
-KEYS: dict[str, str] = {}  # keys of settings and of descriptions, and parts of the dotted names of a state's arrays
+KEYS = {"read_every": "estimate_every"}  # keys of settings, descriptions; parts of the dotted names of a state's arrays
 
 
 def today(found: Any, levels: int = 100) -> Any:

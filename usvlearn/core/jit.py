@@ -272,7 +272,7 @@ def mark_of(source: str, what: str) -> Path:
 
 
 @contextmanager
-def announced(source: str, what: str) -> Iterator[None]:
+def announce(source: str, what: str) -> Iterator[None]:
     """Report on stderr the first compilation of a source file's functions on this machine, and its duration.
 
     One process at a time compiles; another waits, and then finds the machine code.
@@ -281,7 +281,7 @@ def announced(source: str, what: str) -> Iterator[None]:
     if NUMBA.DISABLE_JIT or mark.exists():
         yield
         return
-    with counted(f"compiling the {what}, only once …", f"kept in {mark.parent}"), _alone_in(mark):
+    with count_seconds(f"compiling the {what}, only once …", f"kept in {mark.parent}"), _alone_in(mark):
         with rare_collections():
             yield
         with suppress(OSError):
@@ -289,7 +289,7 @@ def announced(source: str, what: str) -> Iterator[None]:
 
 
 @contextmanager
-def counted(text: str, end: str) -> Iterator[None]:
+def count_seconds(text: str, end: str) -> Iterator[None]:
     """Tell what is done, and count its seconds, in the line in which a command shows its progress; nothing is left of
     it there. Else print it on stderr, and behind it how long it took; a terminal counts seconds in that line.
     """

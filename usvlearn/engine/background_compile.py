@@ -11,7 +11,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-from usvlearn.core.jit import HERE, NUMBA, counted, mark_of
+from usvlearn.core.jit import HERE, NUMBA, count_seconds, mark_of
 
 DISPATCH = str(HERE / "engine" / "dispatch.py")
 RUNS, STEPS, TRACKS = "runs", "single steps", "tracks"  # what needs kernels
@@ -24,7 +24,7 @@ def kernels(of: str, dtype: object) -> str:
 
 
 @contextmanager
-def compiling(dtype: str = "float64", tracks: bool = False) -> Iterator[subprocess.Popen | None]:
+def compile_ahead(dtype: str = "float64", tracks: bool = False) -> Iterator[subprocess.Popen | None]:
     """A context in whose background a process compiles the kernels, unless they are compiled; at its end they all are.
 
     One process compiles all, with `tracks` theirs, too: runs and single steps need most of the same. If it fails, or
@@ -47,7 +47,7 @@ def compiling(dtype: str = "float64", tracks: bool = False) -> Iterator[subproce
         if process is not None and process.poll() is None:
             from usvlearn.display.terminal import Activity, console  # a boat has no rich
 
-            with Activity(console()), counted(f"compiling the {parts[-1]}, only once …", "kept beside the others"):
+            with Activity(console()), count_seconds(f"compiling the {parts[-1]}, only once …", "kept beside others"):
                 process.wait()
     finally:
         if process is not None:

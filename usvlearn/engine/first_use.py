@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 
 from usvlearn.core.family import WIDTH
-from usvlearn.core.jit import NUMBA, announced
+from usvlearn.core.jit import NUMBA, announce
 from usvlearn.core.prepared_samples import ROW, prepare_all
 from usvlearn.engine import dispatch, forecasting, planar
 from usvlearn.engine.background_compile import RUNS, STEPS, TRACKS, kernels
@@ -28,7 +28,7 @@ def compile_steps(dtype: np.dtype) -> None:
     if NUMBA.DISABLE_JIT:  # plain Python, for a debugger
         return
     plan, numbers, work = _smallest(dtype)
-    with COMPILING, announced(dispatch.__file__, kernels(STEPS, dtype)):
+    with COMPILING, announce(dispatch.__file__, kernels(STEPS, dtype)):
         dispatch.surge_limit(plan.program, numbers[0])
         dispatch.step_once.disable_compile(False)
         state = np.zeros(plan.size, dtype)
@@ -44,7 +44,7 @@ def compile_runs(dtype: np.dtype) -> None:
     plan, numbers, work = _smallest(dtype)
     samples, masks, column = np.zeros((1, 1), dtype), np.zeros((1, 1), bool), np.zeros(1, np.int64)
     rows, picks = np.zeros((1, 1, ROW), dtype), np.zeros((1, 1, 1), dtype)
-    with COMPILING, announced(dispatch.__file__, kernels(RUNS, dtype)):
+    with COMPILING, announce(dispatch.__file__, kernels(RUNS, dtype)):
         limit = dispatch.surge_limit(plan.program, numbers[0])
         prepare_all(samples, samples, samples, samples, samples, samples, masks, masks, False, limit, rows)
         states = np.zeros((1, plan.size), dtype)
@@ -69,7 +69,7 @@ def compile_planar(dtype: np.dtype) -> None:
     if NUMBA.DISABLE_JIT:
         return
     plan, numbers, work = _smallest(dtype)
-    with COMPILING, announced(dispatch.__file__, kernels(TRACKS, dtype)):
+    with COMPILING, announce(dispatch.__file__, kernels(TRACKS, dtype)):
         state, pose, none = np.zeros(plan.size, dtype), np.zeros(5, dtype), np.zeros(0, dtype)
         wide = np.zeros(len(work) + 4 * ROW, dtype)
         dispatch.step_planar.disable_compile(False)
@@ -94,7 +94,7 @@ def compile_plans(dtype: np.dtype) -> None:
     if NUMBA.DISABLE_JIT:
         return
     numbers, none, program = np.zeros(2 * ROW, dtype), np.zeros(0, dtype), np.zeros((1, 2 * WIDTH), np.int64)
-    with COMPILING, announced(forecasting.__file__, kernels("forecasts", dtype)):
+    with COMPILING, announce(forecasting.__file__, kernels("forecasts", dtype)):
         found = np.zeros((0, 2), dtype)
         forecasting.forecast_plan(
             program, numbers, numbers, none, none, none, none, none, False, 1.0, numbers, found, numbers

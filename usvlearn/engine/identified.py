@@ -32,8 +32,8 @@ def reader_leaves(
     name = reader_of(members)
     if name is None:
         raise ConfigError(
-            "identified: found no joint EKF with read_every among the estimators, expected one that is itself a "
-            "member, not inside Robust: add JointEKF(..., read_every=600.0), or "
+            "identified: found no joint EKF with estimate_every among the estimators, expected one that is itself a "
+            "member, not inside Robust: add JointEKF(..., estimate_every=600.0), or "
             "+estimator@estimators.joint_averaged=joint_averaged on the command line, and learn anew"
         )
     prefix, description = f"members.{name}." if name else "", members[name]

@@ -21,7 +21,7 @@ import numpy as np
 from usvlearn.core import prepared_samples
 from usvlearn.core.checkpoint import write_atomically
 from usvlearn.core.family import Row
-from usvlearn.core.jit import announced, folder
+from usvlearn.core.jit import announce, folder
 from usvlearn.core.on_device import SIMULATED, Device, imported, obstacle
 from usvlearn.engine import dispatch, dispatch_tables
 from usvlearn.engine.parts import Description
@@ -134,7 +134,7 @@ class Lanes:
         found = [self.cuda.device_array(count, kind) for kind in (np.float64, np.int64)]
         found += [self.cuda.device_array((count, steps, *each), self.dtype) for each in ((), (len(places) - 2,))]
         read = [self._sent(x) for x in (rows, columns[self.order])]
-        with announced(__file__, f"kernel {name} for the GPU"), warnings.catch_warnings():
+        with announce(__file__, f"kernel {name} for the GPU"), warnings.catch_warnings():
             warnings.filterwarnings("ignore", ".*Grid size")  # few lanes leave a part of the GPU idle
             launched = kernel[-(-count // THREADS), THREADS]
             launched(*self.inputs, self.states, self.works, *read, free, *found)

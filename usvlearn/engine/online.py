@@ -327,10 +327,10 @@ class Online:
             Of one vehicle; of a batch a list, one entry for each boat.
 
         Raises:
-            ConfigError: no member is a joint EKF with `read_every`.
+            ConfigError: no member is a joint EKF with `estimate_every`.
 
         >>> from usvlearn import JointEKF
-        >>> Online(JointEKF(surge_max=2.7, mass=28.0, read_every=600.0)).identified()["steady_speed_full"].unit
+        >>> Online(JointEKF(surge_max=2.7, mass=28.0, estimate_every=600.0)).identified()["steady_speed_full"].unit
         'm/s'
         """
         from usvlearn.engine.identified import identified

@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 
 from usvlearn.core.family import WIDTH, Row
-from usvlearn.core.jit import NUMBA, announced, jit
+from usvlearn.core.jit import NUMBA, announce, jit
 from usvlearn.core.prepared_samples import DT, LEARN, MODE, ROW, START, SURGE
 from usvlearn.core.samples import Sample
 from usvlearn.engine.dispatch import mask_diverged, run, surge_max
@@ -68,7 +68,7 @@ def compile_free_runs(dtype: np.dtype) -> None:
     if NUMBA.DISABLE_JIT:
         return
     none, rows, program = np.zeros(0, dtype), np.zeros((0, ROW), dtype), np.zeros((2, WIDTH), np.int64)
-    with announced(__file__, f"kernels of open-loop simulations, {dtype}"):
+    with announce(__file__, f"kernels of open-loop simulations, {dtype}"):
         assess(program, none, np.zeros(1, dtype), rows, rows, np.zeros(0, np.int64), rows, none)
 
 

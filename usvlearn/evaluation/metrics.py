@@ -4,8 +4,8 @@ With the errors e of the steps that count and their mean m, the autocorrelation 
 
     r(k) = (Σ (e_i − m) (e_(i+k) − m) / n_k) / (Σ (e_i − m)² / n)                                      (2)
 
-over the n_k pairs of steps i and i + k of one segment of one run that both count. If errors do not depend on each
-other, r(k) has the standard deviation 1/√n_k, so that 99 % of it are within ± 2.58/√n_k (Ljung 1999, section 16.6).
+over the n_k pairs of steps i and i + k of one segment of one run that both count. (1) and the bounds of independent
+errors: `docs/theory/ensemble.md#scores`.
 """
 
 from __future__ import annotations

@@ -99,7 +99,7 @@ def _ends(forecast: tuple[float, float, float]) -> str:
 
 def of_health(health: Health) -> list[Post]:
     """What is published each second; the shell may send what changes seldom less often."""
-    found = [Post("HEALTH", told(health))]
+    found = [Post("HEALTH", summary_of(health))]
     known = {name: each[0] for name, each in health.identified.items() if math.isfinite(each[0])}
     if known:
         found.append(Post("PARAMS", ",".join(f"{name}={value:.4g}" for name, value in known.items())))
@@ -116,7 +116,7 @@ def of_health(health: Health) -> list[Post]:
     return found
 
 
-def told(health: Health) -> str:
+def summary_of(health: Health) -> str:
     """The health in one line."""
     saved = f"{health.saved:.0f}" if math.isfinite(health.saved) else "never"
     missing = [part for part, age in health.ages.items() if not math.isfinite(age)]

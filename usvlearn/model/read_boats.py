@@ -30,7 +30,7 @@ class IdentifiedBoat(NamedTuple):
 
     >>> from tempfile import TemporaryDirectory
     >>> from usvlearn import JointEKF, Online
-    >>> joint = JointEKF(surge_max=2.7, mass=28.0, read_every=600.0)
+    >>> joint = JointEKF(surge_max=2.7, mass=28.0, estimate_every=600.0)
     >>> with TemporaryDirectory() as folder:
     ...     (boat,) = read_boats(Online(joint).save(f"{folder}/heron/1.safetensors"))
     >>> boat.name, boat.model.mass

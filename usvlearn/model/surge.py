@@ -108,7 +108,7 @@ class SurgeModel:
             ConfigError: nothing is identified.
 
         >>> from usvlearn import JointEKF, Online
-        >>> identified = Online(JointEKF(surge_max=2.7, mass=28.0, read_every=600.0)).identified()
+        >>> identified = Online(JointEKF(surge_max=2.7, mass=28.0, estimate_every=600.0)).identified()
         >>> round(float(SurgeModel.of(identified).ahead.steady_speed(1.0)), 2)
         2.7
         """

@@ -131,7 +131,7 @@ def sail(
     hold; the autopilot does not know them. The wind is that of `Gusts.course`. Returns the step in s, surge over ground
     and heading at its multiples, `(steps + 1, missions, boats)`, and the commands, `(ticks, missions, boats, 2)`.
     """
-    from usvlearn.core.jit import announced  # numba takes a moment to import
+    from usvlearn.core.jit import announce  # numba takes a moment to import
     from usvlearn.simulate import missions_kernel as kernel
 
     substeps = math.ceil(SUBSTEPS_HZ / autopilot.hz)
@@ -149,7 +149,7 @@ def sail(
         part = tree_map(lambda x, a=begin, b=end: x[a:b].reshape(b - a, count), reference)
         steps = slice(begin * substeps, end * substeps)
         known = kernel.known(vessels[begin], batch, dt, top, current, direction, gusts or Gusts())
-        with announced(kernel.__file__, "simulator"):
+        with announce(kernel.__file__, "simulator"):
             kernel.sail_on(
                 kernel.gains(autopilot), part, *known, blows[begin:end], dt, substeps,
                 integral, state, surge[steps], heading[steps], commands[begin:end],
@@ -295,7 +295,7 @@ def simulate(vessel: Vessel, state: VesselState, commands: Tensor, dt: float) ->
     >>> simulate(heron(), at_rest((3,)), torch.ones(5, 3, 2, dtype=torch.float64), 0.1).surge.shape
     torch.Size([5, 3])
     """
-    from usvlearn.core.jit import announced  # numba takes a moment to import
+    from usvlearn.core.jit import announce  # numba takes a moment to import
     from usvlearn.simulate import missions_kernel as kernel
 
     ticks, batch, none = len(commands), commands.shape[1:-1], torch.zeros((), dtype=torch.float64)
@@ -305,7 +305,7 @@ def simulate(vessel: Vessel, state: VesselState, commands: Tensor, dt: float) ->
     now: Any = [leaf.clone().numpy() for leaf in leaves]
     states: Any = [np.empty((ticks, *leaf.shape)) for leaf in now]
     known = kernel.known(vessel, batch, dt, none, none, none, Gusts())
-    with announced(kernel.__file__, "simulator"):
+    with announce(kernel.__file__, "simulator"):
         kernel.drift(*known, dt, given, VesselState(*now), VesselState(*states))
     shaped = (x.reshape(ticks, *batch, *size) for x, size in zip(states, sizes, strict=True))
     return VesselState(*map(torch.from_numpy, shaped))

@@ -16,7 +16,7 @@ from usvlearn.live.moos.block import Mission
 def learned(tmp_path_factory):
     """A checkpoint of a boat that was learned from a simulated hour."""
     logs = usvlearn.read(data="simulated", hours=1.0, seed=3, spread=0.0)
-    reader = JointEKF(surge_max=2.74, mass=28.0, read_every=600.0, current=0.15, even=0.2, lag=0.3)
+    reader = JointEKF(surge_max=2.74, mass=28.0, estimate_every=600.0, current=0.15, even=0.2, lag=0.3)
     return usvlearn.learn(logs, reader).save(tmp_path_factory.mktemp("sets") / "heron.safetensors")
 
 
@@ -63,7 +63,7 @@ def test_bad_input_takes_one_sentence(learned, arguments, said, monkeypatch, cap
 
 def test_a_log_without_excitation_is_told_what_to_sail(tmp_path, monkeypatch, capsys):
     logs = usvlearn.read(data="simulated", hours=0.008, seed=3)
-    path = usvlearn.learn(logs, JointEKF(surge_max=2.74, mass=28.0, read_every=600.0)).save(
+    path = usvlearn.learn(logs, JointEKF(surge_max=2.74, mass=28.0, estimate_every=600.0)).save(
         tmp_path / "short.safetensors"
     )
     monkeypatch.setattr(sys, "argv", [])
@@ -75,7 +75,7 @@ def test_a_log_without_excitation_is_told_what_to_sail(tmp_path, monkeypatch, ca
 @pytest.mark.thorough
 def test_a_fit_gives_the_values_and_the_steering_and_its_doubts_are_told(tmp_path, monkeypatch, capsys):
     logs = usvlearn.read(data="planar", hours=0.4, seed=3)
-    learned = usvlearn.learn(logs, JointEKF(surge_max=2.74, mass=33.75, read_every=600.0))
+    learned = usvlearn.learn(logs, JointEKF(surge_max=2.74, mass=33.75, estimate_every=600.0))
     fitted = learned.fit("cubic")["planar"]
     learned.save(tmp_path / "checkpoints" / "planar" / "1.safetensors")
     monkeypatch.setattr(sys, "argv", [])

@@ -84,7 +84,7 @@ def test_bad_input_is_told_in_one_sentence(run, tmp_path, told):
     (tmp_path / "text.safetensors").write_text("no checkpoint")
     assert "text.safetensors" in told(tmp_path / "text.safetensors", "--to", "c")
     alone = Online(AID(28.0)).save(tmp_path / "aid.safetensors")
-    assert "found no joint EKF with read_every" in told(alone, "--to", "c")
+    assert "found no joint EKF with estimate_every" in told(alone, "--to", "c")
     alone.write_bytes(checkpoints(run / "checkpoints" / "heron1")[-1].read_bytes())
     assert "found no predictions of heron1" in told(alone, "--to", "csv")
 

@@ -115,7 +115,7 @@ def test_what_the_commands_do_not_show_is_said():
 
 
 def test_joint_filters_go_on_from_the_fit(fitted):
-    joint = JointEKF(surge_max=TOP, mass=MASS, read_every=600.0, even=None)
+    joint = JointEKF(surge_max=TOP, mass=MASS, estimate_every=600.0, even=None)
     leaves = {name: leaf.detach().numpy() for name, leaf in named_leaves(joint.init())}
     found, facts = handed_over(leaves, joint.description(), fitted, dt=0.4)
     assert facts == {FITTED: fitted.identified.facts()} and set(found) == set(leaves)

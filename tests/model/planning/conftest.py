@@ -13,7 +13,7 @@ from usvlearn.model.read_boats import IdentifiedBoat, read_boats
 def reader() -> JointEKF:
     """As in configs/estimator/joint_averaged.yaml."""
     return JointEKF(surge_max=2.7, mass=28.0, disturbance=0.05, current=0.15, lag=0.3, cubic=1.0, even=0.2,
-                    read_every=600.0)  # fmt: skip
+                    estimate_every=600.0)  # fmt: skip
 
 
 @pytest.fixture(scope="session")

@@ -47,7 +47,7 @@ class Ensemble(Estimator):
     Attributes:
         columns: the names of the members.
         names: those and the combiners'.
-        averaged: name of the first averaged joint EKF (`read_every`), or None.
+        averaged: name of the first averaged joint EKF (`estimate_every`), or None.
         external: names of the members without a kernel: each runs alone, and the kernels read its predictions.
         accommodated: names of the members that are given what the monitor of the thrusters finds.
         aided: whether kernels make a part of each step: intervals by manoeuvre, monitors or forecasts.
@@ -99,7 +99,7 @@ class Ensemble(Estimator):
         self.surge_limit = min(self.surge_limit, self.surge_max)
         if not 0 < coverage < 1:
             raise ConfigError(f"coverage: found {coverage!r}, expected a number between 0 and 1, both excluded")
-        reads = (name for name, member in members.items() if math.isfinite(getattr(member, "read_every", math.inf)))
+        reads = (name for name, member in members.items() if math.isfinite(getattr(member, "estimate_every", math.inf)))
         self.averaged = next(reads, None)
         self.external = tuple(name for name, member in members.items() if not has_kernel(member))
         self.accommodated = accommodation.accommodated(members) if watched else ()

@@ -111,7 +111,7 @@ def learn(node, s, q, x, estimate, target, work):
         leads = s[node[AT_TRIAL.leads]] > 0
     if x[DT] > LONGEST:
         start(node, s, q, target)
-    elif s[node[AT.learned]] >= q[node[Row.NUMBERS] :][Number.READ_EVERY] and not leads:
+    elif s[node[AT.learned]] >= q[node[Row.NUMBERS] :][Number.ESTIMATE_EVERY] and not leads:
         read(node, s, s[node[AT.mean] + THETA : node[AT.mean] + node[Row.SIZE]])
 
 

@@ -44,11 +44,9 @@ class JointEKF(KernelEstimator):
             changes, 1e5 for one that does not.
         lag: prior standard deviation of μ, share of a step.
         cubic: that of κ, in units of the force per mass of one side at full, no unit.
-        even: ρ, that of the fore-aft asymmetry terms, in units of the drag's and that force, no unit; None: without
-            these terms.
-        outlier: k, number of standard deviations beyond which a measurement is an outlier; None: none is. Broadcasts,
-            too.
-        read_every: s of update steps under way between two periodic estimates of the parameters; None: none.
+        even: ρ, that of the fore-aft asymmetry terms, in units of the drag's and that force; None: no such terms.
+        outlier: k, standard deviations beyond which a measurement is an outlier; None: none is. Broadcasts, too.
+        estimate_every: s of update steps under way between two periodic estimates of the parameters; None: none.
         known: forces by name, or by a sum of names, in N, as `{"thrust_full_left": 33.6}`: the mass is identified too
             (`usvlearn.estimators.mass`); the names are those of `quantities.sums`.
         trial: how a change of the boat is answered within seconds; None: as fast as the parameters drift.
@@ -86,7 +84,7 @@ class JointEKF(KernelEstimator):
         cubic: Hyper = 1.0,
         even: Hyper | None = 0.2,
         outlier: Hyper | None = 4.0,
-        read_every: float | None = None,
+        estimate_every: float | None = None,
         known: Mapping[str, float] | None = None,
         trial: Trial | None = None,
     ):
@@ -99,7 +97,9 @@ class JointEKF(KernelEstimator):
         self.drift_time = Positive(drift_time, "drift_time", learnable=False)
         self.lag, self.cubic = Positive(lag, "lag", learnable=False), Positive(cubic, "cubic", learnable=False)
         self.even = None if even is None else Positive(even, "even", learnable=False)
-        self.read_every = torch.inf if read_every is None else check_positive("read_every", read_every, "of s")
+        self.estimate_every = (
+            torch.inf if estimate_every is None else check_positive("estimate_every", estimate_every, "of s")
+        )
         self.register_buffer("outlier", as_tensor(torch.inf if outlier is None else outlier, "outlier"))
         self.register_buffer("mass", as_tensor(mass, "mass"))
         v = as_tensor(surge_max, "surge_max")

@@ -89,7 +89,7 @@ class Identified(Mapping[str, Quantity]):
         unphysical: a sentence if no boat can have these quantities, as its signs or sides are wrong; else "".
 
     >>> from usvlearn import JointEKF, Online
-    >>> found = Online(JointEKF(surge_max=2.7, mass=28.0, read_every=600.0)).identified()
+    >>> found = Online(JointEKF(surge_max=2.7, mass=28.0, estimate_every=600.0)).identified()
     >>> found["steady_speed_full"].unit, found.json()["steady_speed_full"]["unit"]
     ('m/s', 'm/s')
     >>> found.lag(dt=0.4)[1] > 0
@@ -118,7 +118,7 @@ class Identified(Mapping[str, Quantity]):
             Forces per mass and steady speeds, for each row of θ.
 
         >>> from usvlearn import JointEKF, Online
-        >>> found = Online(JointEKF(surge_max=2.7, mass=28.0, read_every=600.0)).identified()
+        >>> found = Online(JointEKF(surge_max=2.7, mass=28.0, estimate_every=600.0)).identified()
         >>> round(float(found.ahead(found.theta).steady_speed(1.0)), 2)
         2.7
         """
@@ -150,7 +150,7 @@ class Identified(Mapping[str, Quantity]):
             Its value and interval, NaN where the interval is wider than what such a boat can have.
 
         >>> from usvlearn import JointEKF, Online
-        >>> found = Online(JointEKF(surge_max=2.7, mass=28.0, read_every=600.0)).identified()
+        >>> found = Online(JointEKF(surge_max=2.7, mass=28.0, estimate_every=600.0)).identified()
         >>> found.displayed("steady_speed_full").unit
         'm/s'
         """
@@ -207,7 +207,7 @@ def reader_of(members: Mapping[str, Mapping[str, Any] | None]) -> str | None:
 
 def reads(description: Mapping[str, Any]) -> bool:
     """Whether a description is that of a joint EKF with periodic estimates."""
-    return description.get("kind") == "joint" and math.isfinite(description["numbers"]["read_every"])
+    return description.get("kind") == "joint" and math.isfinite(description["numbers"]["estimate_every"])
 
 
 def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -> Identified:
@@ -218,7 +218,7 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
     prior, variance = (np.asarray(vectors[name], dtype=np.float64) for name in ("prior", "variance"))
     now, P = state["mean"][THETA:], covariance_of(state["factor"])
     used = max(float(state["readings"]) - DROPPED, 0.0)
-    every = float(numbers["read_every"])
+    every = float(numbers["estimate_every"])
     learned = float(state["learned"]) + (float(state["readings"]) * every if math.isfinite(every) else 0.0)
     if not all(np.isfinite(x).all() for x in (now, P, state["reading"], state["spread"])):
         return _nothing(mass, inverse, now, P[THETA:, THETA:])

@@ -109,7 +109,7 @@ class Number(Parameters):
     CURRENT_TIME = POSITIVE  # τ_c
     DRIFT_TIME = POSITIVE  # T_θ
     OUTLIER = POSITIVE_OR_INFINITE  # k
-    READ_EVERY = POSITIVE_OR_INFINITE
+    ESTIMATE_EVERY = POSITIVE_OR_INFINITE
     MASS = MODEST  # kg: for the units of what is read
     THRESHOLD = POSITIVE, 12.0  # of g; this one and the next six are of trials
     LEADS = FINITE, 5.0

@@ -251,7 +251,7 @@ class App:
             self._publish(post for post in of_health(health) if seldom or post.name not in SELDOM_POSTS)
 
     def _status(self, cpu: float) -> str:
-        """What every app says about itself."""
+        """The posts that every app makes about itself."""
         now, most = _memory()
         facts = {
             "AppErrorFlag": "false", "Uptime": f"{self._uptime() * self.settings.warp:.2f}", "cpuload": f"{cpu:.2f}",

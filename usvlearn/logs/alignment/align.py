@@ -68,7 +68,7 @@ class Aligner:
         outage: float = 5.0,
         steps: str = "grid",
     ):
-        from usvlearn.core.jit import announced
+        from usvlearn.core.jit import announce
 
         limits = {"surge_max": surge_max, "command_max": command_max, "yaw_rate_max": yaw_rate_max}
         self._settings = checked(channels, dt, inputs, limits, patience, outage, steps)
@@ -78,7 +78,7 @@ class Aligner:
         self._times, self._values = np.empty((2, len(CHANNELS), ROOM))  # recent messages
         self._room = ROOM  # messages until some are to be forgotten
         none = np.empty(0)
-        with announced(str(kernel.__file__), "alignment"):  # so that a boat's first message need not wait
+        with announce(str(kernel.__file__), "alignment"):  # so that a boat's first message need not wait
             self.feed(none.astype(np.int64), none, none)
             self._make_room(0)
             self.ahead(1)

@@ -281,10 +281,10 @@ class MessageReader(Reader):
         """
         data, log = np.fromfile(path, dtype=np.uint8), _LAST.get(self.what)
         if log is None or log.path != path or not np.array_equal(log.data, data):
-            from usvlearn.core.jit import announced
+            from usvlearn.core.jit import announce
             from usvlearn.logs.formats.ardupilot import binary_kernel
 
-            with announced(str(binary_kernel.__file__), "readers of binary logs"):
+            with announce(str(binary_kernel.__file__), "readers of binary logs"):
                 log = _LAST[self.what] = self._messages(path, data)
         count, gaps, end = (int(each) for each in log.skipped[:3])
         tail = log.data[end + SHORT :]

@@ -14,7 +14,7 @@ from functools import cache
 
 import numpy as np
 
-from usvlearn.core.jit import announced
+from usvlearn.core.jit import announce
 from usvlearn.core.prepared_samples import LEARN, LEFT, MODE, RIGHT, ROW, prepare_all
 from usvlearn.core.prepared_samples import SURGE as SPEED
 from usvlearn.core.samples import PLAUSIBLE, Sample, tree_map
@@ -88,7 +88,7 @@ def scored(rows: np.ndarray) -> np.ndarray:
 def compile_fit() -> None:
     """Compile the kernel, unless that is done or cached on the disk."""
     one, none = np.zeros(1), np.zeros((0, ROW))
-    with announced(kernel.__file__, "kernel of the fit"):
+    with announce(kernel.__file__, "kernel of the fit"):
         kernel.mission(
             none, np.zeros(len(NAMES)), np.zeros(1, np.int64), 1.0, 1.0, 1.0, 1.0, np.zeros(0), one, np.zeros((1, 1)),
             np.zeros(4 * len(NAMES) + 4), np.zeros((4, 3)), np.zeros((3, 1)),

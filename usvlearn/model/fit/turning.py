@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from usvlearn.core.events import NINETY
-from usvlearn.core.jit import announced
+from usvlearn.core.jit import announce
 from usvlearn.core.prepared_samples import COS, LEARN, MODE, PREDICT, ROW, SIN, SURGE, YAW_RATE
 from usvlearn.estimators.axis.turning_intervals import HARDLY, TOLD, VAGUE, joined, on_log_scale
 from usvlearn.estimators.axis.turning_quantities import INNER, OF_FIT, QUANTITIES, balance
@@ -72,7 +72,7 @@ def evaluate(theta: np.ndarray, pieces: Sequence[np.ndarray]) -> Fit:
     """The sum and its derivatives for some parameters."""
     p, count, m = natural(theta), len(pieces), at.PARAMETERS
     loss, score, information, work = np.zeros(count), np.zeros((count, m)), np.zeros((count, m, m)), np.zeros((12, m))
-    with announced(at.__file__, "kernel of turning"):
+    with announce(at.__file__, "kernel of turning"):
         for k, rows in enumerate(pieces):
             loss[k] = at.turned(rows, p, score[k], information[k], np.zeros((len(rows), 2)), work)
     slopes = np.where(np.isin(np.arange(m), POSITIVE), p, 1.0)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.core.events import NINETY
-from usvlearn.core.jit import announced, jit
+from usvlearn.core.jit import announce, jit
 from usvlearn.core.prepared_samples import COS, DT, LEARN, LEFT, MODE, RIGHT, ROW
 from usvlearn.engine import select_element
 from usvlearn.engine.identified import reader_leaves
@@ -75,7 +75,7 @@ class Rehearsal:
 
     def _advanced(self, state: np.ndarray, rows: np.ndarray, begin: bool) -> np.ndarray:
         speed, work = np.empty(len(rows)), np.empty(self._plan.work)
-        with announced(__file__, "rehearsal"):
+        with announce(__file__, "rehearsal"):
             _rehearse(self._node, state[0], self._plan.numbers[0], np.ascontiguousarray(rows), begin, work, speed)
         return speed
 

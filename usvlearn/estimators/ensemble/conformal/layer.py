@@ -13,13 +13,13 @@ from usvlearn.estimators.ensemble.manoeuvre_intervals.state import PATH, StepSta
 
 
 def conformal_start(batch: Sequence[int], k: int, like: Tensor, knows: bool = False) -> ConformalState:
-    """The intervals before the first innovation, of k predictions; `knows` whether they know the manoeuvre."""
+    """The intervals before the first innovation, of k predictions; `knows`: whether they depend on the manoeuvre."""
     own = StepState(conditional.init(batch, k, like), like.new_zeros((*batch, PATH))) if knows else NONE
     return ConformalState(like.new_full((*batch, k), START), like.new_zeros((*batch, k)), own)
 
 
 def published(state: ConformalState) -> Tensor:
-    """The half-widths that do not know the manoeuvre, m/s, `(*batch, k)`: infinite before FEW innovations."""
+    """The half-widths that do not depend on the manoeuvre, m/s, `(*batch, k)`: infinite before FEW innovations."""
     return torch.where(state.count < FEW, torch.inf, state.halfwidth)
 
 

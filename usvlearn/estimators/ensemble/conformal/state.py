@@ -42,7 +42,7 @@ class Number(Parameters):
 
 
 class Choice(Options):
-    """Whether the published half-widths know the manoeuvre, 0 or 1."""
+    """Whether the published half-widths depend on the manoeuvre, 0 or 1."""
 
     CONDITIONAL = Range(0, 1)
 
