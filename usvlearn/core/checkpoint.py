@@ -77,8 +77,8 @@ def load(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
             f"{path}: is not a usvlearn checkpoint or is damaged ({str(error)[:QUOTED]}): use the checkpoint saved "
             "before it"
         ) from error
-    made, schema = facts.get("configuration"), facts.get("schema")
-    if schema == 1 or (schema == 2 and isinstance(made, dict) and not {"tracks", "conditional"} & made.keys()):
+    settings, schema = facts.get("configuration"), facts.get("schema")
+    if schema == 1 or (schema == 2 and isinstance(settings, dict) and not {"tracks", "conditional"} & settings.keys()):
         version = printable(".".join(str(facts.get("version", "0.2")).split(".")[:2]))
         raise FormerVersionError(
             f"{path}: was made by usvlearn {version}, which this version does not open: open it with "
@@ -188,7 +188,7 @@ def _sweep(folder: Path) -> None:
     """Remove the temporary files of writers of this machine that no longer run, if that is permitted."""
     with suppress(OSError):
         for name in os.listdir(folder):
-            if (found := LEFT.fullmatch(name)) and name not in _WRITING and not _runs_elsewhere(int(found[1])):
+            if (match := LEFT.fullmatch(name)) and name not in _WRITING and not _runs_elsewhere(int(match[1])):
                 (folder / name).unlink(missing_ok=True)
 
 

@@ -54,8 +54,8 @@ class Event(NamedTuple):
         if math.isnan(self.effectiveness):
             return f"the {self.side} thruster has lost thrust"
         ends = f" ({100 * self.low:.0f} ... {100 * self.high:.0f} %)" if math.isfinite(self.low) else ""
-        told = f"; {who} got this after {self.given:.0f} s" if math.isfinite(self.given) and who else ""
-        return f"the {self.side} thruster gives {100 * self.effectiveness:.0f} % of its thrust{ends}{told}"
+        handed = f"; {who} got this after {self.given:.0f} s" if math.isfinite(self.given) and who else ""
+        return f"the {self.side} thruster gives {100 * self.effectiveness:.0f} % of its thrust{ends}{handed}"
 
 
 class EventWatch:
@@ -81,7 +81,7 @@ class EventWatch:
         What is on already at the first step is an alarm, and counts begin there: the model may be that of a checkpoint.
         Where the time, s, goes back, because a clock began anew, losses count from there.
         """
-        row, found = np.asarray(row, float), []
+        row, events = np.asarray(row, float), []
         before = self._row
         if before is None:
             before = row.copy()
@@ -94,7 +94,7 @@ class EventWatch:
             if not (row[RAISED + side] > 0 or row[HANDED + side] > 0):
                 if side in self.losses:
                     del self.losses[side]
-                    found.append(Event(time, RECOVERY, name))
+                    events.append(Event(time, RECOVERY, name))
                 continue
             first, new = side not in self.losses, row[HANDED + side] > before[HANDED + side]
             event = self.losses.get(side, Event(time, LOSS, name))
@@ -108,12 +108,12 @@ class EventWatch:
             if new and not first:
                 event = event._replace(given=late, filters=self.filters)
             if first or new:
-                found.append(event)
+                events.append(event)
             self.losses[side] = event
         changed = tuple(name for name, x, y in zip(self.filters, row[FIXED:], before[FIXED:], strict=True) if x > y)
         if changed and not any(time - event.time <= TOGETHER for event in self.losses.values()):
-            found.append(Event(time, CHANGE, filters=changed))
-        return found
+            events.append(Event(time, CHANGE, filters=changed))
+        return events
 
 
 def event_of(values: Mapping[str, Any]) -> Event:

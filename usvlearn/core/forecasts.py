@@ -96,10 +96,10 @@ class Track(NamedTuple):
         return major, minor, np.where(unknown, 0.0, bearing)
 
 
-def track_of(found: np.ndarray, dt: np.ndarray) -> Track:
+def track_of(written: np.ndarray, dt: np.ndarray) -> Track:
     """A `Track` from what the kernel wrote, `(time, *batch, 9)`: 3 speeds, heading, 2 of the place, covariance."""
-    covariance = found[..., [6, 7, 7, 8]].reshape(*found.shape[:-1], 2, 2)
-    surge, sway, yaw_rate, heading, north, east = (found[..., i] for i in range(6))
+    covariance = written[..., [6, 7, 7, 8]].reshape(*written.shape[:-1], 2, 2)
+    surge, sway, yaw_rate, heading, north, east = (written[..., i] for i in range(6))
     return Track(np.cumsum(dt), surge, sway, yaw_rate, heading, north, east, covariance)
 
 
@@ -155,25 +155,25 @@ def _numbers(name: str, value: Any) -> np.ndarray:
     if value is None:
         raise ShapeError(f"{name}: found None, expected numbers")
     try:
-        found = np.asarray(value, dtype=np.float64)
+        array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ShapeError(f"{name}: found {value!r:.80}, expected numbers") from error
-    return found
+    return array
 
 
 def _wide(name: str, value: Any, shape: tuple[int, ...], limit: float, unit: str) -> np.ndarray:
     """One number, `(time,)` or `(time, *batch)` as an array `(time, *batch)`, whose numbers are within ± `limit`."""
-    found = _numbers(name, value)
-    if found.ndim == 0:
-        if not abs(one := float(found)) <= limit:
-            _check_range(name, found.reshape(1), limit, unit)
+    array = _numbers(name, value)
+    if array.ndim == 0:
+        if not abs(one := float(array)) <= limit:
+            _check_range(name, array.reshape(1), limit, unit)
         return np.full(shape, one)
-    _check_range(name, found, limit, unit)
-    if found.shape == shape:
-        return found
-    if found.shape != shape[:1]:
-        raise ShapeError(f"{name}: found the shape {found.shape}, expected one number, or {shape} as the commands have")
-    return np.broadcast_to(found.reshape(-1, *[1] * (len(shape) - 1)), shape)
+    _check_range(name, array, limit, unit)
+    if array.shape == shape:
+        return array
+    if array.shape != shape[:1]:
+        raise ShapeError(f"{name}: found the shape {array.shape}, expected one number, or {shape} as the commands have")
+    return np.broadcast_to(array.reshape(-1, *[1] * (len(shape) - 1)), shape)
 
 
 def _within(values: np.ndarray, limit: float) -> bool:

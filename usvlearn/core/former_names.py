@@ -19,11 +19,11 @@ TARGETS = {  # classes in settings; the first six are in the boats' files of `us
 KEYS = {"read_every": "estimate_every"}  # keys of settings, descriptions; parts of the dotted names of a state's arrays
 
 
-def today(found: Any, levels: int = 100) -> Any:
+def today(content: Any, levels: int = 100) -> Any:
     """Settings, a description or arrays with the names of today; nested deeper than `levels` they stay unchanged."""
-    if isinstance(found, list) and levels:
-        return [today(each, levels - 1) for each in found]
-    if not isinstance(found, Mapping) or not levels:
-        return TARGETS.get(found, found) if isinstance(found, str) else found
-    names = {key: ".".join(KEYS.get(part, part) for part in key.split(".")) for key in found if isinstance(key, str)}
-    return {names.get(key, key): today(value, levels - 1) for key, value in found.items()}
+    if isinstance(content, list) and levels:
+        return [today(each, levels - 1) for each in content]
+    if not isinstance(content, Mapping) or not levels:
+        return TARGETS.get(content, content) if isinstance(content, str) else content
+    names = {key: ".".join(KEYS.get(part, part) for part in key.split(".")) for key in content if isinstance(key, str)}
+    return {names.get(key, key): today(value, levels - 1) for key, value in content.items()}

@@ -80,10 +80,10 @@ class UnitInterval(nn.Module):
 
 def numbers(**values: Any) -> dict[str, Any]:
     """Hyperparameters and constants as numbers, or lists of numbers, that JSON can store."""
-    found = {name: value() if isinstance(value, Positive | UnitInterval) else value for name, value in values.items()}
+    plain = {name: value() if isinstance(value, Positive | UnitInterval) else value for name, value in values.items()}
     return {
         name: value.detach().cpu().double().tolist() if isinstance(value, Tensor) else float(value)
-        for name, value in found.items()
+        for name, value in plain.items()
     }
 
 

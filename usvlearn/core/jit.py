@@ -78,71 +78,71 @@ def folder(source: Path) -> Path:
         base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     except RuntimeError:  # no home
         return _temporary() / name
-    found = Path(base) / "usvlearn" / name
+    place = Path(base) / "usvlearn" / name
     try:
-        found.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=found):
-            return found
+        place.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=place):
+            return place
     except OSError:
-        return _copied(found, _temporary() / name)
+        return _copied(place, _temporary() / name)
 
 
-def _copied(found: Path, own: Path) -> Path:
+def _copied(source: Path, target: Path) -> Path:
     """A folder of this user with the machine code of one that cannot be written to; numba would not use that one."""
     with suppress(OSError):
-        if found.is_dir() and not own.exists():
-            part = tempfile.mkdtemp(dir=own.parent)
-            shutil.copytree(found, part, dirs_exist_ok=True)
-            os.rename(part, own)
-    return own
+        if source.is_dir() and not target.exists():
+            part = tempfile.mkdtemp(dir=target.parent)
+            shutil.copytree(source, part, dirs_exist_ok=True)
+            os.rename(part, target)
+    return target
 
 
 def sources(path: Path) -> set[Path]:
     """A source file, and those of this package that it imports, directly or not: all that is in its machine code."""
-    found: set[Path] = set()
+    files: set[Path] = set()
     ahead = [path]
     while ahead:
-        if (path := ahead.pop()) not in found:
-            found.add(path)
+        if (path := ahead.pop()) not in files:
+            files.add(path)
             ahead += _imported(path)
-    return found
+    return files
 
 
 @cache
 def _imported(path: Path) -> tuple[Path, ...]:
     """The files of this package that a source file imports."""
-    found: list[Path] = []
+    imports: list[Path] = []
     for names in _import_names(path.read_bytes()):
         places = [HERE.parent.joinpath(*name.split(".")) for name in names if name.split(".")[0] == HERE.name]
         files = (file for place in places for file in (place.with_suffix(".py"), place / "__init__.py"))
-        found += [file for file in files if file.is_file()][:1]
+        imports += [file for file in files if file.is_file()][:1]
         if f"{HERE.name}.estimators.COMPILED" in names:  # the kernels of this list are imported by name
-            found += (HERE / "estimators").rglob("kernel.py")
-    return tuple(found)
+            imports += (HERE / "estimators").rglob("kernel.py")
+    return tuple(imports)
 
 
 @cache
 def _import_names(content: bytes) -> tuple[tuple[str, ...], ...]:
     """For each import of a source, the names that may be a module, the longest first. Each content is parsed once."""
-    found: list[tuple[str, ...]] = []
+    names: list[tuple[str, ...]] = []
     for node in ast.walk(ast.parse(content)):
         if isinstance(node, ast.Import):
-            found += [(each.name,) for each in node.names]
+            names += [(each.name,) for each in node.names]
         elif isinstance(node, ast.ImportFrom):  # `from usvlearn.engine import dispatch` names a module
-            found += [(f"{node.module}.{each.name}", str(node.module)) for each in node.names]
-    return tuple(found)
+            names += [(f"{node.module}.{each.name}", str(node.module)) for each in node.names]
+    return tuple(names)
 
 
 @cache
 def _temporary() -> Path:
     """A temporary folder that only this user can write to, because the code in it is run."""
     user = os.getuid() if hasattr(os, "getuid") else 0
-    own = Path(tempfile.gettempdir()) / f"usvlearn-{user}"
+    temporary = Path(tempfile.gettempdir()) / f"usvlearn-{user}"
     try:
-        own.mkdir(mode=0o700, exist_ok=True)
-        state = own.lstat()
+        temporary.mkdir(mode=0o700, exist_ok=True)
+        state = temporary.lstat()
         if stat.S_ISDIR(state.st_mode) and (not user or state.st_uid == user) and not state.st_mode & 0o022:
-            return own
+            return temporary
     except OSError:
         pass
     return Path(tempfile.mkdtemp(prefix="usvlearn-"))
@@ -205,8 +205,8 @@ def _alone(function: Callable[..., Any], options: dict[str, Any]) -> Callable[..
         compiled = numba.njit(cache=True, **options)(function)
     finally:
         NUMBA.CACHE_DIR = before
-    if (kept := getattr(compiled, "_cache", None)) is not None:  # None under NUMBA_DISABLE_JIT
-        kept._cache_file = CheckedFiles(kept._cache_file, place)
+    if (cache := getattr(compiled, "_cache", None)) is not None:  # None under NUMBA_DISABLE_JIT
+        cache._cache_file = CheckedFiles(cache._cache_file, place)
     return compiled
 
 

@@ -66,20 +66,20 @@ class Device(dict):
         inline = self.inline or bool(function.targetoptions.get("forceinline"))
         self[function] = self.jit(FunctionType(code, names), inline)
         for name in (names.keys() & {*code.co_names}) - self.names.keys():
-            if isinstance(found := names[name], Dispatcher):
-                names[name] = self[found]
-            elif isinstance(found, EnumMeta):  # its members are no indices there, but numbers are
-                names[name] = _numbers(found, *found.__members__)
+            if isinstance(value := names[name], Dispatcher):
+                names[name] = self[value]
+            elif isinstance(value, EnumMeta):  # its members are no indices there, but numbers are
+                names[name] = _numbers(value, *value.__members__)
             else:
-                names[name] = self.np if found is np else int(found) if isinstance(found, int) else found
+                names[name] = self.np if value is np else int(value) if isinstance(value, int) else value
         return self[function]
 
 
 def _numbers(source: Any, *names: str) -> ModuleType:
     """A module with some names of another, or of an IntEnum."""
-    made, found = ModuleType("numbers"), {name: getattr(source, name) for name in names}
-    vars(made).update({name: int(x) if isinstance(x, int) else x for name, x in found.items()})
-    return made
+    module, values = ModuleType("numbers"), {name: getattr(source, name) for name in names}
+    vars(module).update({name: int(x) if isinstance(x, int) else x for name, x in values.items()})
+    return module
 
 
 def _code(function: FunctionType) -> Any:
@@ -108,19 +108,19 @@ def _matrix() -> Any:
 
     @intrinsic
     def matrix(context, x, n, m):
-        found = types.Array(x.dtype, 2, "C" if x.layout == "C" else "A", readonly=not x.mutable)
+        kind = types.Array(x.dtype, 2, "C" if x.layout == "C" else "A", readonly=not x.mutable)
 
         def code(target, builder, signature, arguments):
             source = arrays.make_array(x)(target, builder, arguments[0])
-            made = arrays.make_array(found)(target, builder)
+            array = arrays.make_array(kind)(target, builder)
             wide = [target.cast(builder, x, y, types.intp) for x, y in zip(arguments[1:], (n, m), strict=True)]
             stride = builder.extract_value(source.strides, 0)
             if x.layout == "C":
                 stride = target.get_constant(types.intp, target.get_abi_sizeof(target.get_data_type(x.dtype)))
             strides = [builder.mul(stride, wide[1]), stride]
-            arrays.populate_array(made, source.data, wide, strides, source.itemsize, source.meminfo, source.parent)
-            return made._getvalue()
+            arrays.populate_array(array, source.data, wide, strides, source.itemsize, source.meminfo, source.parent)
+            return array._getvalue()
 
-        return found(x, n, m), code
+        return kind(x, n, m), code
 
     return matrix

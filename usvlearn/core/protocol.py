@@ -266,8 +266,8 @@ def spec_of(part: Any) -> dict[str, Any] | None:
 
 def has_kernel(member: Any) -> bool:
     """Whether compiled code makes the steps of a member of an ensemble."""
-    found = spec_of(member) if isinstance(member, Estimator) else None
-    return found is not None and found["kind"] != "ensemble"
+    description = spec_of(member) if isinstance(member, Estimator) else None
+    return description is not None and description["kind"] != "ensemble"
 
 
 def describe(family: Family[Any], part: Any, **own: Any) -> dict[str, Any]:

@@ -42,7 +42,7 @@ def read_yaml(key: str, path: Path) -> dict[Any, Any]:
             raise ConfigError(
                 f"{key}: {path}: has a YAML alias, which can expand to gigabytes: write out what it names"
             )
-        found = yaml.safe_load(text)
+        content = yaml.safe_load(text)
     except OSError as error:
         raise ConfigError(f"{key}: {path} cannot be read ({error.strerror or error}): correct the path") from error
     except UnicodeDecodeError as error:
@@ -54,4 +54,4 @@ def read_yaml(key: str, path: Path) -> dict[Any, Any]:
         raise ConfigError(f"{key}: {path}: is nested too deeply: name a configuration") from error
     except (yaml.YAMLError, ValueError) as error:
         raise ConfigError(f"{key}: {path}: {str(error).splitlines()[0]}: correct the file") from error
-    return found if isinstance(found, dict) else {}
+    return content if isinstance(content, dict) else {}

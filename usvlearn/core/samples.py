@@ -114,13 +114,13 @@ UNITS = {  # of a run's time, and of all fields of its samples
 
 def _with_units(fields: Inputs | Sample) -> list[tuple[str, str]]:
     """Name and value of each number of inputs or of a sample, with its unit; of arrays the shape."""
-    found = []
+    pairs = []
     for path, leaf in named_leaves(fields):
         name, shape = path.rpartition(".")[2], np.shape(leaf)
         unit = UNITS[name].partition(",")[0]
         value = f"array {shape}" if shape else f"{leaf}"
-        found.append((name, f"{value} {unit}" if unit in ("rad", "rad/s", "s", "m/s") else value))
-    return found
+        pairs.append((name, f"{value} {unit}" if unit in ("rad", "rad/s", "s", "m/s") else value))
+    return pairs
 
 
 def html_table(rows: Iterable[tuple[str, str]]) -> str:
@@ -262,7 +262,7 @@ def _check_field(name: str, value: Any, kinds: str, expected: str, batch: tuple[
     shape = np.shape(value)
     if np.prod(shape) == 1:
         return
-    fits = all(own in (1, wide) for own, wide in zip(reversed(shape), reversed(batch), strict=False))
+    fits = all(length in (1, wide) for length, wide in zip(reversed(shape), reversed(batch), strict=False))
     if len(shape) > len(batch) or not fits:
         raise ShapeError(f"{name}: found the shape {tuple(shape)}, expected one number or the batch {batch}")
 

@@ -26,15 +26,15 @@ def questions_of(section: Any, file: str = "") -> Questions:
     """A section that may come from anybody, and the file that has it; what is not understood counts as unsure."""
     if not isinstance(section, Mapping | None):
         raise ConfigError(f"{SECTION}: found {section!r:.60}, expected KEY: {{certainty: …}}, or no such section")
-    found: Questions = {}
+    questions: Questions = {}
     for key, given in (section or {}).items():
         known = {"written": {}, **(given if isinstance(given, Mapping) else {})} | ({"file": file} if file else {})
-        found[str(key)] = {
+        questions[str(key)] = {
             "certainty": PROBABLE if known.get("certainty") == PROBABLE else UNSURE,
             **{name: str(known.get(name, "")) for name in ("found", "why", "file")},
             "written": dict(known["written"]) if isinstance(known["written"], Mapping) else {},
         }
-    return found
+    return questions
 
 
 def questions_in(content: Mapping[str, Any], path: Path) -> Questions:
@@ -60,12 +60,12 @@ def unconfirmed(questions: Mapping[str, Mapping[str, Any]]) -> list[str]:
     if not questions:
         return []
     by = {sure: [k for k, each in questions.items() if each["certainty"] == sure] for sure in (UNSURE, PROBABLE)}
-    told = ", ".join(f"{printable(', '.join(keys))} ({sure})" for sure, keys in by.items() if keys)
+    listed = ", ".join(f"{printable(', '.join(keys))} ({sure})" for sure, keys in by.items() if keys)
     path = Path(next((each["file"] for each in questions.values() if each.get("file")), "my_boat.yaml"))
     path = path.relative_to(here) if path.is_relative_to(here := Path.cwd()) else path
     how = f"Correct {printable(str(path))}, or confirm what is right: {confirmation(path)}; then train again."
     more = next((f" {each['why']}" for each in questions.values() if each.get("why") == OLDER), "")
-    return [f"{len(questions)} guess{'es' * (len(questions) > 1)} unconfirmed: {told}.{more} {how}"]
+    return [f"{len(questions)} guess{'es' * (len(questions) > 1)} unconfirmed: {listed}.{more} {how}"]
 
 
 def confirmation(path: str | Path) -> str:
