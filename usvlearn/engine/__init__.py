@@ -30,20 +30,20 @@ def select_element(description: Any, elements: int, element: int) -> Any:
     """The description of one batch element: where a number differs by batch element, that of this batch element."""
     if not isinstance(description, Mapping):
         return description
-    own = {}
+    selected = {}
     for key, value in description.items():
         if key in ("numbers", "vectors"):
             axes = int(key == "vectors")  # behind that of the batch elements: a vector's entries
-            own[key] = {
+            selected[key] = {
                 name: x if np.ndim(x) <= axes else (x[element] if len(x) == elements else x[0])
                 for name, x in value.items()
             }
         elif key in ("inner", "forecasts", "fit"):
-            own[key] = select_element(value, elements, element)
+            selected[key] = select_element(value, elements, element)
         elif key == "table":
-            own[key] = value if np.ndim(value) == 1 else value[element]
+            selected[key] = value if np.ndim(value) == 1 else value[element]
         elif key in ("members", "rules") and isinstance(value, Mapping):
-            own[key] = {name: select_element(x, elements, element) for name, x in value.items()}
+            selected[key] = {name: select_element(x, elements, element) for name, x in value.items()}
         else:
-            own[key] = value
-    return own
+            selected[key] = value
+    return selected

@@ -38,7 +38,7 @@ def start(program, node, s, q, surge):
 
 
 @jit
-def advance(program, node, s, q, row, learns, work, kept):
+def advance(program, node, s, q, row, learns, work, backup):
     """One estimator, one step on, its wrappers included; returns what it predicted, m/s."""
     predicted, estimate = predict(node, s, q, row, work)
     if not learns:
@@ -48,7 +48,7 @@ def advance(program, node, s, q, row, learns, work, kept):
         learn(node, s, q, row, estimate, row[SURGE], work)
         return predicted
     wrapper, state = program[node[Row.ROBUST]], s[node[Row.BEGIN] : node[Row.END]]
-    before = kept[: len(state)]
+    before = backup[: len(state)]
     copy(before, state)
     target, beyond, clips, first = within(wrapper, s, q, row[SURGE], predicted)
     if first and INFLATES >> node[Row.FAMILY] & 1:
@@ -71,12 +71,12 @@ def step(program, s, q, row, mode, work):
         if whole[Row.RULES] > 0 and whole[Row.FORECASTS] >= 0:
             forget_forecasts(program[whole[Row.FORECASTS]], s, q)
         return NAN
-    kept = work[whole[Row.KEPT] :]
+    backup = work[whole[Row.KEPT] :]
     if whole[Row.RULES] == 0:
-        return advance(program, program[1], s, q, row, mode == LEARN, work, kept)
+        return advance(program, program[1], s, q, row, mode == LEARN, work, backup)
     predictions = s[whole[AT.predictions] : whole[AT.predictions] + whole[Row.NAMES]]
     for i in range(estimators):
-        predictions[i] = advance(program, program[i + 1], s, q, row, mode == LEARN, work, kept)
+        predictions[i] = advance(program, program[i + 1], s, q, row, mode == LEARN, work, backup)
     aggregate(program, s, q, predictions, row, mode == LEARN, work)
     if whole[Row.FORECASTS] >= 0:
         limit = surge_max(program, q)
@@ -98,8 +98,8 @@ def aggregate(program, s, q, predictions, row, learns, work):
         if learns:
             learn_rule(rule, s, q, x, inactive, row[SURGE], row[DT], rest)
     if whole[Row.FORECASTS] >= 0 and s[program[whole[Row.FORECASTS], COASTED]] > 0:
-        made = program[whole[Row.FORECASTS]]
-        predictions[whole[Row.OUTPUT]] = coasted(made, s, q, predictions, row[DT], surge_max(program, q), work)
+        forecasts = program[whole[Row.FORECASTS]]
+        predictions[whole[Row.OUTPUT]] = coasted(forecasts, s, q, predictions, row[DT], surge_max(program, q), work)
     intervals = program[whole[Row.CONFORMAL]]
     limit, spreads = surge_max(program, q), work[2 * names : 3 * names]
     published(intervals, s, predictions, n, limit, row, spreads, s[whole[AT.halfwidths] :])
@@ -153,14 +153,14 @@ def step_once(program, s, q, work, left, right, heading, yaw_rate, dt, surge, fr
 def steps(program, head, s, q, row, pose, mode, work):
     """One step of all axes; returns the prediction of the surge, m/s."""
     predicted, axes, end = NAN, len(head) - 1, row_begin(program, work)
-    own = work[end - ROW : end]
+    prepared = work[end - ROW : end]
     for axis in range(max(axes, 1)):
         if axis > 0:
-            mode = axis_row(axis, head, s, row, pose, own)
-        at, x = head[axis], row if axis == 0 else own
-        found = step(program[at[PROGRAM] :], s[at[STATE] :], q[at[NUMBER] :], x, mode, work)
+            mode = axis_row(axis, head, s, row, pose, prepared)
+        at, x = head[axis], row if axis == 0 else prepared
+        prediction = step(program[at[PROGRAM] :], s[at[STATE] :], q[at[NUMBER] :], x, mode, work)
         if axis == 0:
-            predicted = found
+            predicted = prediction
     if axes > 0:
         tracks(program, head, s, q, row, pose, work)
     return predicted

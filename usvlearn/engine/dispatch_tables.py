@@ -71,16 +71,16 @@ def bits(verb: str) -> int:
 def chain(verb: str, families: Container[int] = range(len(KERNELS))) -> Any:
     """The function of a verb, for some families."""
     every = dict(enumerate(map(free_step_of, KERNELS))) if verb == "free_step" else having(verb)
-    own = {k: function for k, function in every.items() if k in families}
+    functions = {k: function for k, function in every.items() if k in families}
     lines = [f"def {verb}({VERBS[verb]}):"]
-    for k in own:
+    for k in functions:
         call = f"return {verb}_{k}({VERBS[verb]})"
-        last = k == max(own)
+        last = k == max(functions)
         lines += [f"    {call}"] if last else [f"    if node[{Row.FAMILY:d}] == {k}:", f"        {call}"]
     if verb in SHORT:
-        own = {k: jit(getattr(each, "py_func", each), inline=True) for k, each in own.items()}
-    names = {"__name__": __name__, **{f"{verb}_{k}": function for k, function in own.items()}}
-    exec(compile("\n".join(lines if own else [*lines, "    pass"]), __file__, "exec"), names)
+        functions = {k: jit(getattr(each, "py_func", each), inline=True) for k, each in functions.items()}
+    names = {"__name__": __name__, **{f"{verb}_{k}": function for k, function in functions.items()}}
+    exec(compile("\n".join(lines if functions else [*lines, "    pass"]), __file__, "exec"), names)
     return jit(names[verb], inline=True)
 
 

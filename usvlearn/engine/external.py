@@ -47,8 +47,8 @@ class FirstPass:
     """
 
     def __init__(self, description: Description, members: Mapping[str, Estimator], states: Mapping[str, State]):
-        axis, own = ("surge.", description["surge"]) if "surge" in description else ("", description)
-        self._limit, self._names = min(PLAUSIBLE, own["numbers"]["surge_max"]), external_in(description)
+        axis, surge = ("surge.", description["surge"]) if "surge" in description else ("", description)
+        self._limit, self._names = min(PLAUSIBLE, surge["numbers"]["surge_max"]), external_in(description)
         self._members: dict[str, Any] = {name: members[name] for name in self._names if name in members}
         self._states, self._prefix = states, {name: f"{axis}members.{name}" for name in self._names}
         self.ended, self._told = dict[str, str](), set[str]()  # prefix of leaves -> what happened; names
@@ -67,15 +67,15 @@ class FirstPass:
         after = dict[str, np.ndarray]()
         for name, member in self._members.items():
             prefix = self._prefix[name]
-            own = {key: torch.as_tensor(leaf) for key, leaf in leaves.items() if key.startswith(f"{prefix}.")}
-            state = rebuild(self._states[name], own, prefix)
-            numbers = [leaf for leaf in own.values() if leaf.is_floating_point()]
+            tensors = {key: torch.as_tensor(leaf) for key, leaf in leaves.items() if key.startswith(f"{prefix}.")}
+            state = rebuild(self._states[name], tensors, prefix)
+            numbers = [leaf for leaf in tensors.values() if leaf.is_floating_point()]
             if numbers and all(bool(leaf.isnan().all()) for leaf in numbers):
                 self.ended.setdefault(f"{prefix}.", f"estimators.{name}: it failed before: the run goes on without it")
             else:
                 self.ended.pop(f"{prefix}.", None)
-                state, found = self._alone(name, member, state, steps)
-                given[..., self._names.index(name)] = array_of(found)
+                state, predicted = self._alone(name, member, state, steps)
+                given[..., self._names.index(name)] = array_of(predicted)
             after |= {key: array_of(leaf) for key, leaf in named_leaves(state, prefix)}
         self.done += len(steps.surge)
         return after, given
@@ -87,34 +87,34 @@ class FirstPass:
         names = [name for name in record if name.startswith(tuple(f"{each}." for each in self._prefix.values()))]
         if not names:
             return *self.run(leaves, samples, free), {}
-        after, given, kept = dict(leaves), list[np.ndarray](), list[dict[str, np.ndarray]]()
+        after, given, records = dict(leaves), list[np.ndarray](), list[dict[str, np.ndarray]]()
         for k in range(len(samples.surge)):
             after, one = self.run(after, tree_map(lambda x, k=k: x[k : k + 1], samples), free)
             given.append(one)
-            kept.append({name: after[name] for name in names})
-        return after, np.concatenate(given), {name: np.stack([each[name] for each in kept]) for name in names}
+            records.append({name: after[name] for name in names})
+        return after, np.concatenate(given), {name: np.stack([each[name] for each in records]) for name in names}
 
     def _alone(self, name: str, member: Any, before: State, steps: Step) -> tuple[State, Tensor]:
         """One member over all steps: the state at the end, and what it predicted, m/s."""
         stretch = getattr(member, "stretch", None)
         try:
-            state, found = stretch(before, steps) if stretch else each_step(member, before, steps)
+            state, predicted = stretch(before, steps) if stretch else each_step(member, before, steps)
             shapes = ({key: tuple(leaf.shape) for key, leaf in named_leaves(tree)} for tree in (state, before))
             if (now := next(shapes)) != (was := next(shapes)):
                 raise ShapeError(f"its state has the shapes {now}, expected {was}")
         except Exception as error:
             cause: BaseException | None = error
-            step, found = len(steps.surge) - 1, torch.full_like(steps.surge, torch.nan)
+            step, predicted = len(steps.surge) - 1, torch.full_like(steps.surge, torch.nan)
             if isinstance(error, MemberError):
-                step, found, cause = error.step, error.predictions, error.__cause__
+                step, predicted, cause = error.step, error.predictions, error.__cause__
             what = " ".join(PAINT.sub("", f"{type(cause).__name__}: {cause}").split())[:LONGEST]
             told = self._tell(name, step, f"{what}: the run goes on without it from here")
             self.ended[f"{self._prefix[name]}."] = told
-            return tree_map(lambda x: torch.full_like(x, torch.nan) if x.is_floating_point() else x, before), found
-        lost = (steps.steps & ~found.isfinite()).reshape(len(found), -1).any(1).nonzero()
+            return tree_map(lambda x: torch.full_like(x, torch.nan) if x.is_floating_point() else x, before), predicted
+        lost = (steps.steps & ~predicted.isfinite()).reshape(len(predicted), -1).any(1).nonzero()
         if len(lost) and name not in self._told:
             self._tell(name, int(lost[0]), "it predicted no finite number: it is inactive there")
-        return state, found
+        return state, predicted
 
     def _tell(self, name: str, step: int, what: str) -> str:
         self._told.add(name)
@@ -124,17 +124,17 @@ class FirstPass:
 
 def each_step(member: Estimator, begin: State, steps: Step) -> tuple[State, Tensor]:
     """All steps of one member by torch; raises a MemberError, which knows the step."""
-    state, found, batch = begin, list[Tensor](), steps.surge.shape[1:]
+    state, predictions, batch = begin, list[Tensor](), steps.surge.shape[1:]
     try:
         for each in walk(member, begin, steps):
             state, surge = each
             if surge.shape != batch:
                 raise ShapeError(f"it predicted the shape {tuple(surge.shape)}, expected {tuple(batch)}")
-            found.append(surge)
+            predictions.append(surge)
     except Exception as error:
-        rest = torch.full_like(steps.surge[len(found) :], torch.nan)
-        raise MemberError(len(found), torch.cat([*(x[None] for x in found), rest])) from error
-    return state, torch.stack(found)
+        rest = torch.full_like(steps.surge[len(predictions) :], torch.nan)
+        raise MemberError(len(predictions), torch.cat([*(x[None] for x in predictions), rest])) from error
+    return state, torch.stack(predictions)
 
 
 def first_pass(description: Description, estimator: Any, state: Any) -> FirstPass | None:
@@ -152,11 +152,11 @@ def roll_both(
     """`engine.run.roll`, after the first pass."""
     if first is None:
         return roll(description, leaves, samples, free, record, threads, device)
-    own = samples.sample if isinstance(samples, PlanarSample) else samples
-    after, given, kept = first.recorded(leaves, own, free, record)
-    theirs = [name for name in record if name not in kept]
+    plain = samples.sample if isinstance(samples, PlanarSample) else samples
+    after, given, recorded = first.recorded(leaves, plain, free, record)
+    theirs = [name for name in record if name not in recorded]
     result = roll(description, leaves, samples, free, theirs, threads, device, given)
-    return Result({**result.leaves, **after}, result.predictions, {**result.record, **kept})
+    return Result({**result.leaves, **after}, result.predictions, {**result.record, **recorded})
 
 
 class BothStepper:
@@ -185,10 +185,10 @@ class BothStepper:
 
     def step(self, sample: Sample | PlanarSample) -> Any:
         """Predict, then learn; returns the prediction, m/s: a float, or an array `(*batch,)`."""
-        own = sample.sample if isinstance(sample, PlanarSample) else sample
+        plain = sample.sample if isinstance(sample, PlanarSample) else sample
         check_sample(sample, self.batch)
         with self._kernels.lock:
-            after = self._hand_over(own, free=False)
+            after = self._hand_over(plain, free=False)
             predicted = self._kernels.step(sample)
             self._kernels.others |= after
             return predicted

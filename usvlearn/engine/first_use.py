@@ -95,9 +95,9 @@ def compile_plans(dtype: np.dtype) -> None:
         return
     numbers, none, program = np.zeros(2 * ROW, dtype), np.zeros(0, dtype), np.zeros((1, 2 * WIDTH), np.int64)
     with COMPILING, announce(forecasting.__file__, kernels("forecasts", dtype)):
-        found = np.zeros((0, 2), dtype)
+        forecasts = np.zeros((0, 2), dtype)
         forecasting.forecast_plan(
-            program, numbers, numbers, none, none, none, none, none, False, 1.0, numbers, found, numbers
+            program, numbers, numbers, none, none, none, none, none, False, 1.0, numbers, forecasts, numbers
         )
 
 

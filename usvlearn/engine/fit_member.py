@@ -26,23 +26,23 @@ def with_fit(leaves: Mapping[str, np.ndarray], description: Description, table: 
     They are of an ensemble or of a boat in the plane; the table is of `usvlearn.model.fit.hand_over.table_of`.
     """
     if description["kind"] == "planar":
-        own = {name[6:]: leaf for name, leaf in leaves.items() if name.startswith("surge.")}
-        own, surge = with_fit(own, description["surge"], table)
+        surge_leaves = {name[6:]: leaf for name, leaf in leaves.items() if name.startswith("surge.")}
+        surge_leaves, surge = with_fit(surge_leaves, description["surge"], table)
         description = {**description, "surge": surge}
         length, slots = leaves_of(description)["track.slots"].shape[-1], leaves["track.slots"]
-        found = {**leaves, **{f"surge.{name}": leaf for name, leaf in own.items()}}
+        changed = {**leaves, **{f"surge.{name}": leaf for name, leaf in surge_leaves.items()}}
         if slots.shape[-1] != length:  # tracks under way end
-            found["track.slots"] = np.full((*slots.shape[:-1], length), EMPTY)
-        return found, description
-    made: Mapping[str, Any] = description.get("forecasts") or {"members": []}
-    members, found = description.get("members", {}), dict(leaves)
-    weighed = {description["columns"][column]: column for column in made["members"]}
+            changed["track.slots"] = np.full((*slots.shape[:-1], length), EMPTY)
+        return changed, description
+    forecasts: Mapping[str, Any] = description.get("forecasts") or {"members": []}
+    members, changed = description.get("members", {}), dict(leaves)
+    weighed = {description["columns"][column]: column for column in forecasts["members"]}
     name = next((name for name in weighed if members[name]["kind"] == "joint"), None)
     if name is None or FIT in members:
-        return found, description
-    new = {**made, FIT: {"column": weighed[name], "table": np.asarray(table).tolist()}}
-    first, place = FIT not in made, len(weighed)
-    anew = np.array(True) if first else ~np.any(made[FIT]["table"], -1)
+        return changed, description
+    new = {**forecasts, FIT: {"column": weighed[name], "table": np.asarray(table).tolist()}}
+    first, place = FIT not in forecasts, len(weighed)
+    anew = np.array(True) if first else ~np.any(forecasts[FIT]["table"], -1)
     if anew.any():
         rule = {key: leaves[f"forecasts.rule.{key}"][..., :place] for key in ("weights", "losses", "squares", "ranges")}
         weights = rule["weights"] / rule["weights"].sum(-1, keepdims=True)
@@ -55,9 +55,9 @@ def with_fit(leaves: Mapping[str, np.ndarray], description: Description, table: 
         begun |= {leaf.replace(begin, f"forecasts.frozen.{FIT}."): x for leaf, x in under_way.items()}
         for leaf, x in begun.items():
             where = anew.reshape(anew.shape + (1,) * (x.ndim - anew.ndim))
-            found[leaf] = x if first else np.where(where, x, leaves[leaf])
+            changed[leaf] = x if first else np.where(where, x, leaves[leaf])
     if first:
-        new["vectors"] = made["vectors"] | at.with_fit(made["vectors"]["prior"])
+        new["vectors"] = forecasts["vectors"] | at.with_fit(forecasts["vectors"]["prior"])
         for leaf, value in (("forecasts.weights", 0.0), ("forecasts.predictions", math.nan)):
-            found[leaf] = np.insert(leaves[leaf], place, value, -1)
-    return found, {**description, "forecasts": new}
+            changed[leaf] = np.insert(leaves[leaf], place, value, -1)
+    return changed, {**description, "forecasts": new}

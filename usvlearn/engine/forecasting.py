@@ -105,7 +105,7 @@ def forecast_step(program, node, s, q, row, learns, limit, work):
 
 
 @jit(entry=True)
-def forecast_plan(program, s, q, left, right, heading, yaw_rate, dt, heads, limit, slot, found, work):
+def forecast_plan(program, s, q, left, right, heading, yaw_rate, dt, heads, limit, slot, out, work):
     """Forecast the steps of a plan, arrays `(time,)`: writes predictions and half-widths, m/s, `(time, 2)`.
 
     `heads`: whether a member needs the heading. `slot` is an array of the length of a slot.
@@ -124,10 +124,10 @@ def forecast_plan(program, s, q, left, right, heading, yaw_rate, dt, heads, limi
         step_frozen(program, node, slot, q, row, limit, x, rest)
         elapsed += dt[k]
         weights_after(node, s, q, elapsed, weights)
-        found[k, 0] = combine(node, q, weights, x)
+        out[k, 0] = combine(node, q, weights, x)
         if knows:
             extend_path(path, row[LEFT], row[RIGHT])
-        found[k, 1] = halfwidth_after(node, known, knows, s, q, elapsed, weights, x, found[k, 0], path)
+        out[k, 1] = halfwidth_after(node, known, knows, s, q, elapsed, weights, x, out[k, 0], path)
 
 
 @jit
@@ -136,7 +136,7 @@ def coasted(node, s, q, predictions, dt, limit, work):
     M = node[Choice.MEMBERS]
     x, weights = work[:M], work[M : 2 * M]
     for m in range(M):
-        own = predictions[node[WIDTH + 1 + M + m]]
-        x[m] = own if abs(own) < limit else np.nan
+        prediction = predictions[node[WIDTH + 1 + M + m]]
+        x[m] = prediction if abs(prediction) < limit else np.nan
     weights_after(node, s, q, s[node[AT.coasted]] + dt, weights)
     return combine(node, q, weights, x)

@@ -38,8 +38,8 @@ def reader_leaves(
         )
     prefix, description = f"members.{name}." if name else "", members[name]
     assert description is not None
-    own = {key.removeprefix(prefix): np.asarray(leaf) for key, leaf in leaves.items() if key.startswith(prefix)}
-    return description, own
+    selected = {key.removeprefix(prefix): np.asarray(leaf) for key, leaf in leaves.items() if key.startswith(prefix)}
+    return description, selected
 
 
 def identified(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -> list[Identified]:
@@ -61,9 +61,9 @@ def _with_turning(description: Mapping[str, Any], leaves: Mapping[str, np.ndarra
     found, boats = [], identified(description["surge"], surge)
     for element, each in enumerate(boats):
         yaw, sway = (_filter(axis, description[axis], leaves, len(boats), element) for axis in ("yaw", "sway"))
-        variance = np.asarray(select_element(own, len(boats), element)["vectors"]["variance"], dtype=np.float64)
-        found.append(with_turning(each, variance, yaw, sway if float(sway[1]["updates"]) >= USED else None))
-    return found
+        variance = np.asarray(select_element(joint, len(boats), element)["vectors"]["variance"], dtype=np.float64)
+        results.append(with_turning(each, variance, yaw, sway if float(sway[1]["updates"]) >= USED else None))
+    return results
 
 
 def _filter(
@@ -73,18 +73,18 @@ def _filter(
     name = filter_of(axis, ensemble)
     assert name is not None  # see `Planar.description`
     prefix = f"{axis}.members.{name}."
-    own = {key.removeprefix(prefix): leaf[element] for key, leaf in leaves.items() if key.startswith(prefix)}
-    return select_element(ensemble["members"][name], boats, element), own
+    selected = {key.removeprefix(prefix): leaf[element] for key, leaf in leaves.items() if key.startswith(prefix)}
+    return select_element(ensemble["members"][name], boats, element), selected
 
 
-def sentences(found: Mapping[str, Identified], whole: bool = True) -> list[str]:
+def sentences(boats: Mapping[str, Identified], whole: bool = True) -> list[str]:
     """What is said of each boat: once where it is true of all of them, else with the names of the boats. Not `whole`:
     only what the logs lack.
     """
     said: dict[str, list[str]] = {}
-    for boat, each in found.items():
+    for boat, each in boats.items():
         for sentence in filter(None, (*((each.basis, each.scale) if whole else ()), *each.lacks)):
             said.setdefault(sentence, []).append(boat)
-    every = "all boats" if len(found) > 1 and len(said) > 2 else ""
-    named = {sentence: every if len(of) == len(found) else ", ".join(of) for sentence, of in said.items()}
+    every = "all boats" if len(boats) > 1 and len(said) > 2 else ""
+    named = {sentence: every if len(of) == len(boats) else ", ".join(of) for sentence, of in said.items()}
     return [f"{boats}: {sentence}" if boats else sentence for sentence, boats in named.items()]

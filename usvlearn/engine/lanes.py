@@ -116,9 +116,9 @@ class Lanes:
 
     def copied(self) -> Lanes:
         """The same lanes with states of their own."""
-        made = copy(self)
-        made.states = self._sent(self.states.copy_to_host())
-        return made
+        lanes = copy(self)
+        lanes.states = self._sent(self.states.copy_to_host())
+        return lanes
 
     def run(
         self, rows: np.ndarray, columns: np.ndarray, free: bool, due: Sequence[int] = (-1, -1),
@@ -131,24 +131,24 @@ class Lanes:
         count, steps = len(columns), 0 if picked is None else rows.shape[1]
         places = np.array([*due, *([] if picked is None else picked)], np.int64)
         name, kernel = kernel_of(self.plan, self.own, places)
-        found = [self.cuda.device_array(count, kind) for kind in (np.float64, np.int64)]
-        found += [self.cuda.device_array((count, steps, *each), self.dtype) for each in ((), (len(places) - 2,))]
+        buffers = [self.cuda.device_array(count, kind) for kind in (np.float64, np.int64)]
+        buffers += [self.cuda.device_array((count, steps, *each), self.dtype) for each in ((), (len(places) - 2,))]
         read = [self._sent(x) for x in (rows, columns[self.order])]
         with announce(__file__, f"kernel {name} for the GPU"), warnings.catch_warnings():
             warnings.filterwarnings("ignore", ".*Grid size")  # few lanes leave a part of the GPU idle
             launched = kernel[-(-count // THREADS), THREADS]
-            launched(*self.inputs, self.states, self.works, *read, free, *found)
+            launched(*self.inputs, self.states, self.works, *read, free, *buffers)
             self.cuda.synchronize()
-        return [self._by_element(x.copy_to_host()) for x in found]
+        return [self._by_element(x.copy_to_host()) for x in buffers]
 
     def ends(self) -> np.ndarray:
         """The states, `(elements, size)`."""
         return self._by_element(self.states.copy_to_host().T)
 
     def _by_element(self, x: np.ndarray) -> np.ndarray:
-        found = np.empty_like(x, order="C")
-        found[self.order] = x
-        return found
+        ordered = np.empty_like(x, order="C")
+        ordered[self.order] = x
+        return ordered
 
     def _sent(self, x: np.ndarray) -> Any:
         return self.cuda.to_device(np.ascontiguousarray(x))
@@ -191,8 +191,8 @@ def _written(plan: Program, numbers: np.ndarray, own: np.ndarray, places: np.nda
         "DUE": int(places[0]), "WHEN": int(places[1]), "PICKED": np.append(places[2:], 0), "PICKS": len(places) - 2,
     }  # fmt: skip
     names |= {name: device[getattr(dispatch, name)] for name in (("start", "advance") if alone else ("step",))}
-    placed, kept = (IN_THREAD, KEPT) if plan.size + plan.work <= THREAD else (IN_COLUMNS, "")
-    source = KERNEL.replace("STEP", ALONE if alone else TOGETHER).replace("PLACED", placed).replace("KEPT", kept)
+    placed, keeping = (IN_THREAD, KEPT) if plan.size + plan.work <= THREAD else (IN_COLUMNS, "")
+    source = KERNEL.replace("STEP", ALONE if alone else TOGETHER).replace("PLACED", placed).replace("KEPT", keeping)
     if not path.exists():  # numba-cuda compiles anew what has another time
         write_atomically(path, source.encode())
     exec(compile(source, str(path), "exec"), names)

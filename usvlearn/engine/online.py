@@ -153,8 +153,8 @@ class Online:
         """Of the predictions in the state's leaf `predictions`, where the estimator is an ensemble; else ()."""
         if self._template is not None or self.description is None:
             return getattr(getattr(self._template, "estimator", None), "names", ())
-        own = self.description.get("surge", self.description)
-        return (*own.get("columns", ()), *own.get("rules", ()))
+        description = self.description.get("surge", self.description)
+        return (*description.get("columns", ()), *description.get("rules", ()))
 
     @property
     def ended(self) -> Mapping[str, str]:
@@ -344,8 +344,8 @@ class Online:
             name = getattr(ensemble, "averaged", None)
             members = {} if name is None else {name: spec_of(ensemble.members[name])}
             description = {"kind": "ensemble", "members": members}
-        found = identified(description, leaves)
-        return found if batch else found[0]
+        quantities = identified(description, leaves)
+        return quantities if batch else quantities[0]
 
     def take_fit(self, table: Sequence[float]) -> None:
         """Let a batch fit forecast, too, in place of an earlier one. An ensemble without a joint EKF stays as it is.
@@ -382,8 +382,8 @@ class Online:
         ...     Online(Persistence()).restore(path)["boat"]
         'heron'
         """
-        own = {"estimator": self._name, "kernel": self.description}
-        facts = own | ({} if self.setup is None else {"setup": self.setup}) | metadata
+        about = {"estimator": self._name, "kernel": self.description}
+        facts = about | ({} if self.setup is None else {"setup": self.setup}) | metadata
         return checkpoint.save(path, self.state, **facts)
 
     def restore(self, path: str | Path) -> dict[str, Any]:

@@ -94,19 +94,19 @@ def free_totals(
     none = np.zeros((1, 1, 0), plan.dtype)
 
     def some(first: int, last: int) -> None:
-        work, made = np.empty(plan.work, plan.dtype), np.empty((1, CHUNK), plan.dtype)
-        kept = np.empty((1, CHUNK, len(places)), plan.dtype)
+        work, predicted = np.empty(plan.work, plan.dtype), np.empty((1, CHUNK), plan.dtype)
+        recorded = np.empty((1, CHUNK, len(places)), plan.dtype)
         for element in range(first, last):
-            own = slice(element, element + 1)
-            q = plan.numbers[own] if len(plan.numbers) > 1 else plan.numbers
+            one = slice(element, element + 1)
+            q = plan.numbers[one] if len(plan.numbers) > 1 else plan.numbers
             for begin in range(0, rows.shape[1], CHUNK):
-                part = rows[columns[own], begin : begin + CHUNK]
+                part = rows[columns[one], begin : begin + CHUNK]
                 n = part.shape[1]
                 run(
-                    plan.program, plan.head, states[own], q, part, none, only, True, places, made[:, :n], kept[:, :n],
-                    work, 0, 1,
+                    plan.program, plan.head, states[one], q, part, none, only, True, places, predicted[:, :n],
+                    recorded[:, :n], work, 0, 1,
                 )  # fmt: skip
-                assess(plan.program, others[element], q[0], part[0], kept[0, :n], rules, totals[element], work)
+                assess(plan.program, others[element], q[0], part[0], recorded[0, :n], rules, totals[element], work)
 
     compile_free_runs(plan.dtype)
     rows, columns = prepared(samples, plan, given)

@@ -65,13 +65,13 @@ class Part(NamedTuple):
 
     def leaves(self) -> dict[str, Field]:
         """The leaves of its state by dotted name; of a copy those that an open-loop simulation needs."""
-        found = self.family.leaves(self.size, self.prefix, self.own)
+        fields = self.family.leaves(self.size, self.prefix, self.own)
         if self.slots:
-            names = [self.prefix + name for name in self.family.frozen] if self.family.frozen else list(found)
-            found = {name: replace(found[name], shape=(self.slots, *found[name].shape)) for name in names}
+            names = [self.prefix + name for name in self.family.frozen] if self.family.frozen else list(fields)
+            fields = {name: replace(fields[name], shape=(self.slots, *fields[name].shape)) for name in names}
         if self.inactive:
-            found = {name: replace(each, legal=each.legal.inactive()) for name, each in found.items()}
-        return found
+            fields = {name: replace(each, legal=each.legal.inactive()) for name, each in fields.items()}
+        return fields
 
 
 def compilable(description: Description | None) -> bool:
@@ -88,9 +88,9 @@ def leaves_of(description: Description) -> dict[str, Field]:
     return {name: field for part in parts(description) for name, field in part.leaves().items()}
 
 
-def elsewhere(found: Iterable[Part]) -> tuple[str, ...]:
+def elsewhere(all_parts: Iterable[Part]) -> tuple[str, ...]:
     """The prefixes of the leaves of members that other code steps."""
-    return tuple(part.prefix for part in found if part.role == "estimator" and part.own["kind"] == EXTERNAL)
+    return tuple(part.prefix for part in all_parts if part.role == "estimator" and part.own["kind"] == EXTERNAL)
 
 
 def external_in(description: Description) -> list[str]:
@@ -103,8 +103,8 @@ def batch_of(fields: Mapping[str, Field], leaves: Mapping[str, np.ndarray]) -> t
     """The batch of a state, from the shape of its first leaf; a ShapeError where that leaf is missing."""
     name, field = next(iter(fields.items()))
     if name not in leaves or leaves[name].ndim < len(field.shape):
-        found = f"found the shape {leaves[name].shape}" if name in leaves else "found no such leaf"
-        raise ShapeError(f"{name}: {found}, expected (*batch, {', '.join(map(str, field.shape))})")
+        seen = f"found the shape {leaves[name].shape}" if name in leaves else "found no such leaf"
+        raise ShapeError(f"{name}: {seen}, expected (*batch, {', '.join(map(str, field.shape))})")
     return leaves[name].shape[: leaves[name].ndim - len(field.shape)]
 
 

@@ -215,8 +215,8 @@ def tracks(program, head, s, q, row, pose, work):
 
 
 @jit(entry=True)
-def track_plan(program, head, s, q, slot, left, right, dt, found, work):
-    """The track of a plan, from now; `found` is `(time, FOUND)`.
+def track_plan(program, head, s, q, slot, left, right, dt, out, work):
+    """The track of a plan, from now; `out` is `(time, FOUND)`.
 
     `slot` is an array of a slot's length; `left`, `right` and `dt` are `(time,)`.
     """
@@ -226,7 +226,7 @@ def track_plan(program, head, s, q, slot, left, right, dt, found, work):
     origin(program, head, s, q, slot, psi, s[head[at.TRACK, at.BEFORE]] + along)
     for j in range(len(left)):
         track_step(program, head, s, q, slot, left[j], right[j], dt[j], own, rest, False)
-        row = found[j]
+        row = out[j]
         row[0], row[1], row[2], row[3] = slot[at.U], slot[at.V], slot[at.R], slot[at.PSI]
         if used(head, s):
             row[1] += slot[at.C_EAST] * slot[at.COS] - slot[at.C_NORTH] * slot[at.SIN]

@@ -122,25 +122,25 @@ class Program:
     def places(self, name: str) -> np.ndarray:
         """The places of a leaf's numbers in a batch element's row, in the leaf's shape."""
         leaf = self.leaves[name]
-        found = np.full(leaf.shape, leaf.place)
+        places = np.full(leaf.shape, leaf.place)
         for axis, (length, stride) in enumerate(zip(leaf.shape, leaf.strides, strict=True)):
-            found += (np.arange(length) * stride).reshape([-1 if k == axis else 1 for k in range(len(leaf.shape))])
-        return found
+            places += (np.arange(length) * stride).reshape([-1 if k == axis else 1 for k in range(len(leaf.shape))])
+        return places
 
     def _views(self, states: np.ndarray) -> dict[str, np.ndarray]:
         return {name: self.view(states, name) for name in self._layout}
 
-    def _alone(self, found: Sequence[Part]) -> None:
+    def _alone(self, all_parts: Sequence[Part]) -> None:
         """Lay out an estimator, or an ensemble."""
         estimators: list[list[int]] = []
         rules: list[list[int]] = []
         others: list[list[int]] = []
         copies: list[tuple[int, int]] = []  # the number of the row of each, and the column
         forecasts: list[int] = []
-        members = [part for part in found if part.role == "estimator"]
-        first = 1 + len(members) + sum(part.role == "rule" for part in found)
+        members = [part for part in all_parts if part.role == "estimator"]
+        first = 1 + len(members) + sum(part.role == "rule" for part in all_parts)
         whole, links, largest = [-1] * WIDTH, dict[Row, int](), 0
-        for part in found:
+        for part in all_parts:
             role, columns, work = part.role, part.columns, part.family.work(part.size)
             column = columns[0] if role == "copy" else 0
             row = self._copy(part, members[column], estimators[column]) if role == "copy" else self._row(part)
@@ -181,8 +181,8 @@ class Program:
         whole[Row.HEADS] = any(part.family.heading(part.own) for part in members)
         self.elsewhere = elsewhere(members)
         whole[Row.EXTERNAL] = self.external = len(self.elsewhere)
-        kept = max(row[Row.END] - row[Row.BEGIN] for row in estimators)
-        whole[Row.KEPT], self.work = largest, largest + kept + ROW + self.external
+        backup = max(row[Row.END] - row[Row.BEGIN] for row in estimators)
+        whole[Row.KEPT], self.work = largest, largest + backup + ROW + self.external
         self.program, self.head = _stacked([whole, *estimators, *rules, *others]), np.zeros((1, PLACES), np.int64)
 
     def _side_by_side(self, description: Description) -> None:
@@ -192,16 +192,16 @@ class Program:
         self.head, self.work = np.zeros((len(AXES) + 1, PLACES), np.int64), 0
         block, tables = at.slot_length(count, ()), list[np.ndarray]()
         for row, axis in zip(self.head, AXES, strict=False):
-            own, program = description[axis], program_for(description[axis], self.batch, self.dtype)
-            name, leaves, table = filter_of(axis, own), program.leaves, program.program
-            member, made = f"members.{name}.", table[table[0, Row.FORECASTS]]
+            ensemble, program = description[axis], program_for(description[axis], self.batch, self.dtype)
+            name, leaves, table = filter_of(axis, ensemble), program.leaves, program.program
+            member, forecasts = f"members.{name}.", table[table[0, Row.FORECASTS]]
             weights = block + program.slot
             row[: at.DEVIATION + 1] = (
                 sum(map(len, tables)), self.size, len(self._columns), leaves[f"{member}mean"].place,
                 0 if axis == "surge" else leaves[f"{member}updates"].place, block, weights,
-                leaves["predictions"].place + own["columns"].index(name), leaves[f"{member}deviation"].place,
+                leaves["predictions"].place + ensemble["columns"].index(name), leaves[f"{member}deviation"].place,
             )  # fmt: skip
-            block = weights + made[ForecastChoice.HORIZONS] * made[ForecastChoice.MEMBERS]
+            block = weights + forecasts[ForecastChoice.HORIZONS] * forecasts[ForecastChoice.MEMBERS]
             for leaf, each in leaves.items():
                 self.leaves[f"{axis}.{leaf}"] = each._replace(place=each.place + self.size)
             tables.append(table)

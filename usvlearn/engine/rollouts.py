@@ -305,8 +305,8 @@ def kernel_forecast(description: dict[str, Any], state: State, inputs: Inputs) -
     """Predictions and half-widths of a plan, m/s, `(time, *batch)`, of a described ensemble, without gradients."""
     from usvlearn.engine.single_steps import CompiledStepper
 
-    found = CompiledStepper(description, arrays_of(state)).forecast(Inputs(*map(array_of, inputs)))
-    surge, width = (torch.as_tensor(x, device=inputs.dt.device) for x in found)
+    arrays = CompiledStepper(description, arrays_of(state)).forecast(Inputs(*map(array_of, inputs)))
+    surge, width = (torch.as_tensor(x, device=inputs.dt.device) for x in arrays)
     return surge, width
 
 

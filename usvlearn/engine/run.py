@@ -48,9 +48,9 @@ def roll(
         device: "cpu", or "cuda": a GPU (`engine.lanes`).
         given: what members that other code steps predict, m/s, `(time, *batch, members)`; None: they are inactive.
     """
-    own = samples.sample if isinstance(samples, PlanarSample) else samples
-    steps, *batch = own.surge.shape
-    plan = program_for(description, batch, own.surge.dtype)
+    plain = samples.sample if isinstance(samples, PlanarSample) else samples
+    steps, *batch = plain.surge.shape
+    plan = program_for(description, batch, plain.surge.dtype)
     states = plan.pack(leaves)
     places = {name: plan.places(name) for name in record}
     picked = np.concatenate([np.zeros(0, np.int64), *(x.reshape(-1) for x in places.values())])
@@ -66,7 +66,7 @@ def roll(
 
     if device == "cpu":
         compile_runs(plan.dtype)
-    rows, columns = prepared(own, plan, given)
+    rows, columns = prepared(plain, plan, given)
     poses = np.zeros((1, 1, 0), plan.dtype)
     if isinstance(samples, PlanarSample):  # no batch elements share a pose
         rows, columns, poses = rows[columns], np.arange(plan.elements), _poses(samples, plan)
@@ -76,13 +76,13 @@ def roll(
         states = lanes.ends()
     else:
         in_parallel(some, plan.elements, threads)
-    kept, begin = {}, 0
+    recorded, begin = {}, 0
     for name, place in places.items():
         part = picks[..., begin : begin + place.size].reshape(*batch, steps, *place.shape)
-        kept[name] = plan.typed(name, np.ascontiguousarray(np.moveaxis(part, len(batch), 0)))
+        recorded[name] = plan.typed(name, np.ascontiguousarray(np.moveaxis(part, len(batch), 0)))
         begin += place.size
     together = np.ascontiguousarray(np.moveaxis(predictions.reshape(*batch, steps), -1, 0))
-    return Result(plan.unpack(states), together, kept)
+    return Result(plan.unpack(states), together, recorded)
 
 
 def _poses(samples: PlanarSample, plan: Program) -> np.ndarray:
@@ -99,15 +99,15 @@ def prepared(samples: Sample, plan: Program, given: np.ndarray | None = None) ->
     arrays = [leaf for _, leaf in named_leaves(samples)]
     steps, *batch = arrays[0].shape
     shared = [all(x.strides[axis + 1] == 0 for x in arrays) or length == 1 for axis, length in enumerate(batch)]
-    own = tuple(1 if same else length for same, length in zip(shared, batch, strict=True))
-    count = int(np.prod(own, dtype=int))
+    distinct = tuple(1 if same else length for same, length in zip(shared, batch, strict=True))
+    count = int(np.prod(distinct, dtype=int))
     pick = (slice(None), *(slice(0, 1) if same else slice(None) for same in shared))
     own_columns: Sample = tree_map(lambda x: np.ascontiguousarray(x[pick].reshape(steps, count)), samples)
     rows = np.empty((count, steps, ROW + plan.external), plan.dtype)
     rows[..., ROW:] = np.nan
     heads, limit = plan.program[0, Row.HEADS] > 0, step.surge_limit(plan.program, plan.numbers[0])
     prepare_all(*own_columns.inputs, *own_columns[1:], heads, limit, rows)
-    columns = np.broadcast_to(np.arange(count).reshape(own), batch).flatten()
+    columns = np.broadcast_to(np.arange(count).reshape(distinct), batch).flatten()
     if given is None:
         return rows, columns
     rows = rows[columns]

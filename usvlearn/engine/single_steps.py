@@ -59,9 +59,9 @@ class CompiledStepper:
 
     def described(self, description: Description, leaves: Mapping[str, np.ndarray]) -> Any:
         """The same, of another description."""
-        made = type(self)(description, leaves)
-        made.current = self.current
-        return made
+        stepper = type(self)(description, leaves)
+        stepper.current = self.current
+        return stepper
 
     @property
     def batch(self) -> tuple[int, ...]:
@@ -125,21 +125,19 @@ class CompiledStepper:
             raise ConfigError(NONE)
         compile_plans(dtype)
         steps, elements = len(inputs.dt), plan.elements
-        found, slot = np.empty((elements, steps, 2), dtype), np.empty(plan.slot, dtype)
+        out, slot = np.empty((elements, steps, 2), dtype), np.empty(plan.slot, dtype)
         current = self.current
         columns = [np.ascontiguousarray(x.reshape(steps, elements).T, dtype) for x in inputs]
         heads, limit = bool(plan.program[0, Row.HEADS] > 0), step.surge_limit(plan.program, plan.numbers[0])
         with self.lock:
             for element, (program, s, q, work) in enumerate(self._steps):
                 left, right, heading, yaw_rate, dt = (x[element] for x in columns)
-                forecast_plan(
-                    program, s, q, left, right, heading, yaw_rate, dt, heads, limit, slot, found[element], work
-                )
+                forecast_plan(program, s, q, left, right, heading, yaw_rate, dt, heads, limit, slot, out[element], work)
         if not current:
-            found[..., 1] = np.inf
+            out[..., 1] = np.inf
         if not plan.batch:
-            return found[0, :, 0], found[0, :, 1]
-        wide = np.moveaxis(found, 0, 1).reshape(steps, *plan.batch, 2)
+            return out[0, :, 0], out[0, :, 1]
+        wide = np.moveaxis(out, 0, 1).reshape(steps, *plan.batch, 2)
         return wide[..., 0], wide[..., 1]
 
     def _arguments(self, states: np.ndarray) -> list[Element]:
@@ -164,11 +162,11 @@ class CompiledStepper:
         inputs, surge, fresh, measured = sample
         fields = map(one_number, (*inputs, surge, *pose, fresh, measured))
         wide = [np.broadcast_to(np.asarray(x), batch).reshape(-1).tolist() for x in fields]
-        found = []
+        predictions = []
         for element, (*numbers, fresh, measured) in zip(elements, zip(*wide, strict=True), strict=True):
             plain = (*map(float, numbers[:6]), bool(fresh), bool(measured))
-            found.append(self._once(element, plain, numbers[6:]))
-        return np.array(found, self.plan.dtype).reshape(batch) if batch else found[0]
+            predictions.append(self._once(element, plain, numbers[6:]))
+        return np.array(predictions, self.plan.dtype).reshape(batch) if batch else predictions[0]
 
     def _once(self, element: Any, sample: Any, pose: Sequence[Any]) -> Any:
         return LIVE(*element, *sample)
@@ -186,13 +184,13 @@ class PlanarStepper(CompiledStepper):
 
     def step(self, sample: Sample | PlanarSample) -> Any:
         """Predict, then learn; returns the prediction of the surge, m/s. A `Sample` alone measures nothing else."""
-        own, pose = (sample, UNKNOWN) if isinstance(sample, Sample) else (sample.sample, sample[1:])
+        plain, pose = (sample, UNKNOWN) if isinstance(sample, Sample) else (sample.sample, sample[1:])
         with self.lock:
             self.current = True
-            if not self.plan.batch and type(own.fresh) is bool is type(own.measured):
+            if not self.plan.batch and type(plain.fresh) is bool is type(plain.measured):
                 with suppress(*NOT_PLAIN):
-                    return self._once(self._steps[0], (*own.inputs, *own[1:]), pose)
-            return self._checked(self._steps, own, pose)
+                    return self._once(self._steps[0], (*plain.inputs, *plain[1:]), pose)
+            return self._checked(self._steps, plain, pose)
 
     def _once(self, element: Any, sample: Any, pose: Sequence[Any]) -> Any:
         program, *others = element
@@ -207,13 +205,13 @@ class PlanarStepper(CompiledStepper):
         left, right, lengths = (
             np.ascontiguousarray(x.reshape(steps, count).T, plan.dtype) for x in (left, right, lengths)
         )
-        found, slot = np.empty((count, steps, FOUND), plan.dtype), np.empty(plan.length, plan.dtype)
+        out, slot = np.empty((count, steps, FOUND), plan.dtype), np.empty(plan.length, plan.dtype)
         with self.lock:
             for k, (program, s, q, work) in enumerate(self._steps):
-                track_plan(program, plan.head, s, q, slot, left[k], right[k], lengths[k], found[k], work)
+                track_plan(program, plan.head, s, q, slot, left[k], right[k], lengths[k], out[k], work)
         if not self.current:
-            found[..., 6:] = np.inf, 0.0, np.inf
-        return track_of(np.moveaxis(found, 0, 1).reshape(steps, *plan.batch, FOUND), lengths[0])
+            out[..., 6:] = np.inf, 0.0, np.inf
+        return track_of(np.moveaxis(out, 0, 1).reshape(steps, *plan.batch, FOUND), lengths[0])
 
 
 def live_of(description: Description, leaves: Mapping[str, np.ndarray]) -> CompiledStepper:

@@ -91,8 +91,8 @@ def walk(estimator: Estimator, state: State, steps: Step) -> Iterator[tuple[Stat
     known = not occur.is_meta and not is_transformed(occur)
     some = [Kinds(*each) for each in occur.tolist()] if known else [EVERY] * len(occur)
     inputs = zip(*(x.unbind(0) for x in steps.inputs), strict=True)
-    for own, *others, kind in zip(inputs, *(x.unbind(0) for x in steps[1:]), some, strict=True):
-        state, surge = advance(estimator, state, Step(Inputs(*own), *others), kind)
+    for values, *others, kind in zip(inputs, *(x.unbind(0) for x in steps[1:]), some, strict=True):
+        state, surge = advance(estimator, state, Step(Inputs(*values), *others), kind)
         yield state, surge
 
 

@@ -28,15 +28,15 @@ MEMBER = re.compile(r"(\w+\.)?members\.\w+\.")  # prefix of the leaves of one
 
 def check(description: Any, leaves: Mapping[str, np.ndarray]) -> None:
     """Raise a CheckpointError, which names the entry, unless the kernels can continue from a file's content."""
-    found = list(parts(description))
-    fields = _fields(found)
-    numbers = [entry for part in found for entry in part.numbers]
-    copied = sum(len(part.leaves()) for part in found if part.role == "copy")
-    table = (len(found) + 1) * (WIDTH + 2 + max(len(part.columns) for part in found) + 7 * copied)
+    all_parts = list(parts(description))
+    fields = _fields(all_parts)
+    numbers = [entry for part in all_parts for entry in part.numbers]
+    copied = sum(len(part.leaves()) for part in all_parts if part.role == "copy")
+    table = (len(all_parts) + 1) * (WIDTH + 2 + max(len(part.columns) for part in all_parts) + 7 * copied)
     total = table + sum(each.length for each in numbers) + sum(prod(field.shape) for field in fields.values())
     if total > LARGEST:
         raise CheckpointError(f"kernel: found {total} numbers in all, expected {LARGEST} at most")
-    batch, dtype = _check_state(found, leaves)
+    batch, dtype = _check_state(all_parts, leaves)
     for each in numbers:
         _check_numbers(each, batch, dtype)
 
@@ -73,16 +73,16 @@ def restored(path: Path, template: Any, estimator: str, description: Any) -> tup
     return state, facts
 
 
-def _fields(found: Sequence[Part]) -> dict[str, Field]:
-    return {name: field for part in found for name, field in part.leaves().items()}
+def _fields(all_parts: Sequence[Part]) -> dict[str, Field]:
+    return {name: field for part in all_parts for name, field in part.leaves().items()}
 
 
-def _check_state(found: Sequence[Part], leaves: Mapping[str, np.ndarray]) -> tuple[tuple[int, ...], np.dtype]:
+def _check_state(all_parts: Sequence[Part], leaves: Mapping[str, np.ndarray]) -> tuple[tuple[int, ...], np.dtype]:
     """The batch and the dtype of a state; a CheckpointError, which names the leaf, where it is not legal.
 
     What other code than kernels reads is not looked at.
     """
-    fields, others = _fields(found), elsewhere(found)
+    fields, others = _fields(all_parts), elsewhere(all_parts)
     if other := sorted(name for name in fields.keys() ^ leaves.keys() if not name.startswith(others)):
         what = "found no such leaf" if other[0] in fields else "found a leaf that the estimator does not have"
         raise CheckpointError(f"state.{other[0]}: {what}, expected the leaves of the described estimator")
@@ -135,14 +135,14 @@ def afresh(
     members `ended`, such as "members.mine.", stay as they are.
     """
     wrong = [name for name, leaf in leaves.items() if leaf.dtype != bool and not np.isfinite(leaf).all()]
-    members = sorted({found[0] for name in wrong if (found := MEMBER.match(name))} - {*ended})
-    leaves, begin, told = dict(leaves), first() if members else {}, list[str]()
+    members = sorted({match[0] for name in wrong if (match := MEMBER.match(name))} - {*ended})
+    leaves, begin, texts = dict(leaves), first() if members else {}, list[str]()
     for member in members:
         batch = leaves[f"{member.partition('members.')[0]}predictions"].shape[:-1]
-        own = {name: leaf for name, leaf in leaves.items() if name.startswith(member)}
-        bad = ~np.all([np.isfinite(leaf).reshape(*batch, -1).all(-1) for leaf in own.values()], 0)
-        for name, leaf in own.items():
+        of_member = {name: leaf for name, leaf in leaves.items() if name.startswith(member)}
+        bad = ~np.all([np.isfinite(leaf).reshape(*batch, -1).all(-1) for leaf in of_member.values()], 0)
+        for name, leaf in of_member.items():
             leaves[name] = np.where(np.reshape(bad, (*batch, *[1] * (leaf.ndim - len(batch)))), begin[name], leaf)
         name = member.replace("members.", "").rstrip(".")
-        told.append(f"the state of {name} is not finite in {bad.sum()} of {bad.size} vehicles: it begins again there")
-    return leaves, "; ".join(told)
+        texts.append(f"the state of {name} is not finite in {bad.sum()} of {bad.size} vehicles: it begins again there")
+    return leaves, "; ".join(texts)
