@@ -69,9 +69,9 @@ class ARX(KernelEstimator):
         self.scale, self.walk = Positive(scale, "scale", learnable=False), Positive(walk, "walk", learnable=False)
         degrees = None if isinstance(degrees, float) and degrees == math.inf else degrees
         self.degrees = None if degrees is None else Positive(degrees, "degrees", learnable=False)
-        found = deviations(lags, even, turning, thrust_speed)
-        self.names = tuple(found)
-        self.register_buffer("ratios", as_tensor(list(found.values())))
+        scales = deviations(lags, even, turning, thrust_speed)
+        self.names = tuple(scales)
+        self.register_buffer("ratios", as_tensor(list(scales.values())))
 
     def init(self, batch: Sequence[int] = ()) -> ARXState:
         check_broadcast(self, tuple(batch))

@@ -44,14 +44,14 @@ def decay(dt, time):
 
 
 @jit
-def isolate(A, own):
-    """The start of a segment: P loses all that joins y and b to others, and P_yy becomes `own`."""
+def isolate(A, alone):
+    """The start of a segment: P loses all that joins y and b to others, and P_yy becomes `alone`."""
     disturbed = variance(A, B)
     for j in range(1, len(A)):
         A[j, Y] = 0.0
     for j in range(2, len(A)):
         A[j, B] = 0.0
-    A[Y, Y], A[B, B] = own, disturbed
+    A[Y, Y], A[B, B] = alone, disturbed
 
 
 @jit(inline=True, reorder=True)
@@ -89,8 +89,8 @@ def add_noise(node, s, A, prior, first, disturbance, drift_time, h, rest, a):
     k = whole(turn, EVERY * parameters)
     if k == turn and k % EVERY == 0 and not rest:
         share = EVERY * parameters * (STEP * span) / drift_time
-        i, own = first + k // EVERY, prior[k // EVERY]
-        add(A, i, walked(A, i, own, share * own), a)
+        i, variance = first + k // EVERY, prior[k // EVERY]
+        add(A, i, walked(A, i, variance, share * variance), a)
     s[node[AT.turn]] = turn + 1 if 0 <= turn + 1 < EVERY * parameters else 0.0
 
 

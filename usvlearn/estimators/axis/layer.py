@@ -150,7 +150,7 @@ class SwayEKF(AxisEKF):
 
 def positive(name: str, value: Hyper) -> Tensor:
     """A positive number or tensor, or a ConfigError."""
-    found = as_tensor(value, name)
-    if not bool((found > 0).all()):
-        raise ConfigError(f"{name}: found {found.tolist()}, expected positive numbers")
-    return found
+    tensor = as_tensor(value, name)
+    if not bool((tensor > 0).all()):
+        raise ConfigError(f"{name}: found {tensor.tolist()}, expected positive numbers")
+    return tensor

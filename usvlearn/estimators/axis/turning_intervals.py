@@ -64,11 +64,11 @@ def with_turning(surge: Identified, surge_variance: np.ndarray, yaw: Filter, swa
         nothing = {name: Quantity(math.nan, math.nan, math.nan, unit) for name, unit in QUANTITIES.items()}
         return joined(surge, nothing, [said])
     values, slopes = _gradients(parts)
-    found = {}
+    quantities = {}
     for name, unit in QUANTITIES.items():
         variance = sum(float(g @ part.P @ g) for part, g in zip(parts, slopes[name], strict=True))  # (1)
-        found[name] = on_log_scale(values[name], variance, OWN_ERROR[name], unit)
-    return joined(surge, found, _lacks(parts[1], slopes[TOLD][1], updates) or [FIRST], told=False)
+        quantities[name] = on_log_scale(values[name], variance, OWN_ERROR[name], unit)
+    return joined(surge, quantities, _lacks(parts[1], slopes[TOLD][1], updates) or [FIRST], told=False)
 
 
 class _Part(NamedTuple):
@@ -95,11 +95,11 @@ def _gradients(parts: list[_Part]) -> tuple[dict[str, float], dict[str, list[np.
     return values, {name: np.split(slope, ends) for name, slope in slopes.items()}
 
 
-def on_log_scale(value: float, variance: float, own: float, unit: str) -> Quantity:
+def on_log_scale(value: float, variance: float, error: float, unit: str) -> Quantity:
     """(1); NaN where it is undefined."""
     if not (math.isfinite(value) and value > 0 and math.isfinite(variance)):
         return Quantity(math.nan, math.nan, math.nan, unit)
-    ratio = math.exp(min(NINETY * math.hypot(math.sqrt(max(variance, 0.0)) / value, own), WIDEST))
+    ratio = math.exp(min(NINETY * math.hypot(math.sqrt(max(variance, 0.0)) / value, error), WIDEST))
     return Quantity(value, value / ratio, value * ratio, unit)
 
 
@@ -113,9 +113,9 @@ def _lacks(yaw: _Part, slope: np.ndarray, updates: float) -> list[str]:
     return [HARDLY]
 
 
-def joined(surge: B, found: dict[str, Quantity], lacks: Sequence[str], told: bool = True) -> B:
+def joined(surge: B, turning: dict[str, Quantity], lacks: Sequence[str], told: bool = True) -> B:
     """A boat with the quantities of turning behind those of the surge, told or not, and what its log lacks for them."""
-    unknown = {name for name, each in found.items() if not (told and each.high <= RATIO * each.low)}
+    unknown = {name for name, each in turning.items() if not (told and each.high <= RATIO * each.low)}
     return dataclasses.replace(
-        surge, quantities=surge.quantities | found, lacks=(*surge.lacks, *lacks), unknown=surge.unknown | unknown
+        surge, quantities=surge.quantities | turning, lacks=(*surge.lacks, *lacks), unknown=surge.unknown | unknown
     )

@@ -114,14 +114,14 @@ class Ensemble(Estimator):
                 combiner.bind(chosen)
         self.forecasts = forecasts
         self.aided = watched or self.conditional or forecasts is not None  # by kernels, in each step
-        if self.aided and (own := [name for name, rule in rules.items() if spec_of(rule) is None]):
+        if self.aided and (names := [name for name, rule in rules.items() if spec_of(rule) is None]):
             raise ConfigError(
-                f"combiners.{own[0]}: found {type(rules[own[0]]).__name__}, which has no kernel, expected "
+                f"combiners.{names[0]}: found {type(rules[names[0]]).__name__}, which has no kernel, expected "
                 "watched: false, conditional: false and forecasts: null beside it"
             )
         if forecasts is not None:
-            own = [name for name in self.weighed if has_kernel(members[name])] or self.weighed
-            chosen = own if forecasts.members is None else forecasts.members
+            names = [name for name in self.weighed if has_kernel(members[name])] or self.weighed
+            chosen = names if forecasts.members is None else forecasts.members
             forecasts.bind(chosen, members, coverage, self.surge_max, self.conditional)
 
     def _named(self, members: Sequence[str] | None, combiner: str) -> list[str]:
@@ -157,9 +157,9 @@ class Ensemble(Estimator):
         conformal = conformal_start(batch, len(self.names), like, self.conditional)
         watched = monitors.init(batch, len(self.names), like) if self.watched else {}
         width = torch.full_like(conformal.halfwidth, math.inf)
-        made = {} if self.forecasts is None else self.forecasts.init(batch, self.members, members)
+        forecasting = {} if self.forecasts is None else self.forecasts.init(batch, self.members, members)
         given = accommodation.init(batch, like) if self.accommodated else {}
-        return EnsembleState(members, combiners, conformal, torch.zeros_like(width), width, watched, made, given)
+        return EnsembleState(members, combiners, conformal, torch.zeros_like(width), width, watched, forecasting, given)
 
     def predict(self, state: EnsembleState, inputs: Inputs) -> tuple[EnsembleState, Tensor]:
         return self._stepped(state, inputs, None)
@@ -186,10 +186,10 @@ class Ensemble(Estimator):
         new = state
         if self.aided:
             target = torch.full_like(inputs.dt, math.nan) if surge is None else surge
-            own, given = self.description(), [surges[name] for name in self.external]
-            assert own is not None, "expected combiners with kernels, as `__init__` does"
-            new, _ = kernel_step(own, state, inputs, target, True, surge is not None, given)
-            members = {name: members[name] if name in surges else own for name, own in new.members.items()}
+            description, given = self.description(), [surges[name] for name in self.external]
+            assert description is not None, "expected combiners with kernels, as `__init__` does"
+            new, _ = kernel_step(description, state, inputs, target, True, surge is not None, given)
+            members = {name: members[name] if name in surges else member for name, member in new.members.items()}
         columns = new.predictions.unbind(-1)
         single = torch.stack([surges.get(name, columns[k]) for k, name in enumerate(self.columns)], -1)
         seen, rules, before = self._seen(single), self.combiners.items(), state.combiners
@@ -209,8 +209,8 @@ class Ensemble(Estimator):
 
     def start(self, state: EnsembleState, surge: Tensor) -> EnsembleState:
         members = {name: member.start(state.members[name], surge) for name, member in self.members.items()}
-        made = state.forecasts if self.forecasts is None else self.forecasts.start(state.forecasts)
-        return state._replace(members=members, forecasts=made)
+        forecasting = state.forecasts if self.forecasts is None else self.forecasts.start(state.forecasts)
+        return state._replace(members=members, forecasts=forecasting)
 
     def forecast(self, state: EnsembleState, inputs: Inputs) -> tuple[Tensor, Tensor]:
         """Predictions and half-widths of a plan, given its inputs.
@@ -241,7 +241,7 @@ class Ensemble(Estimator):
         columns = {name: describe(EXTERNAL, self, column=k) for k, name in enumerate(self.external)}
         members = {name: columns.get(name) or spec_of(member) for name, member in self.members.items()}
         rules = {
-            name: (own := spec_of(rule)) and {**own, "columns": self._places[name]}
+            name: (described := spec_of(rule)) and {**described, "columns": self._places[name]}
             for name, rule in self.combiners.items()
         }
         if None in rules.values():

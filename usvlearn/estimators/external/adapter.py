@@ -45,7 +45,7 @@ class External(Stretched):
     def stretch(self, state: ExternalState, steps: Step) -> tuple[ExternalState, Tensor]:
         models, speeds = self._models(state.model), state.surge.reshape(-1).tolist()
         wide, modes = columns_of(steps)
-        found, change = np.full(modes.shape, np.nan), self.target == "change"
+        predicted, change = np.full(modes.shape, np.nan), self.target == "change"
         for k, (row, mode) in enumerate(zip(wide.tolist(), modes.tolist(), strict=True)):
             try:
                 for e, (_, *others, surge) in enumerate(row):
@@ -56,20 +56,20 @@ class External(Stretched):
                         x = X(speeds[e], *others)
                         asked = self._ask(models[e], x)
                         speed = speeds[e] if asked is None else np.asarray(asked, float).item() + before
-                        found[k, e] = speed
+                        predicted[k, e] = speed
                         if mode[e] == 3:
                             self._teach(models[e], x, surge - before)
                             speed = surge
                         speeds[e] = speed
             except Exception as error:
                 self._kept = None
-                raise MemberError(k, torch.from_numpy(found).reshape(steps.surge.shape).to(steps.surge)) from error
+                raise MemberError(k, torch.from_numpy(predicted).reshape(steps.surge.shape).to(steps.surge)) from error
         content = state.model
         if bool((modes == 3).any()):
             content = torch.from_numpy(self._packed(models)).reshape(state.model.shape)
             self._kept = content, models
         surge = torch.tensor(speeds, dtype=state.surge.dtype).reshape(state.surge.shape)
-        return ExternalState(surge, content), torch.from_numpy(found).reshape(steps.surge.shape).to(steps.surge)
+        return ExternalState(surge, content), torch.from_numpy(predicted).reshape(steps.surge.shape).to(steps.surge)
 
     def _models(self, content: Tensor) -> list[Any]:
         """The models of all vehicles, in these states."""
@@ -90,11 +90,11 @@ class External(Stretched):
             except TypeError as error:
                 self.cause = f"{type(self.model).__name__} cannot be resumed ({error}): give it get_state and set_state"
                 warnings.warn(self.cause, stacklevel=3)
-        found = np.zeros((len(models), self.size), np.uint8)
+        content = np.zeros((len(models), self.size), np.uint8)
         if models[0] is not self.model:
             self._run += 1
-            found[:, :8] = np.frombuffer(self._run.to_bytes(8, "little"), np.uint8)
-        return found
+            content[:, :8] = np.frombuffer(self._run.to_bytes(8, "little"), np.uint8)
+        return content
 
 
 def external(model: Any, target: str = "speed", state_size: int = 16384) -> External:

@@ -59,10 +59,10 @@ class Stretched(Estimator):
         return self.learn(state, inputs, surge)[0]
 
     def learn(self, state: Any, inputs: Inputs, surge: Tensor | None) -> tuple[State, Tensor]:
-        own, yes = Inputs(*(x[None] for x in inputs)), torch.ones_like(inputs.dt, dtype=torch.bool)[None]
+        batched, yes = Inputs(*(x[None] for x in inputs)), torch.ones_like(inputs.dt, dtype=torch.bool)[None]
         target, no = torch.zeros_like(inputs.dt) if surge is None else surge, torch.zeros_like(yes)
-        state, found = self.stretch(state, Step(own, target[None], yes, no if surge is None else yes, no))
-        return state, found[0]
+        state, predicted = self.stretch(state, Step(batched, target[None], yes, no if surge is None else yes, no))
+        return state, predicted[0]
 
 
 def columns_of(steps: Step) -> tuple[Tensor, Tensor]:

@@ -77,8 +77,8 @@ class OnlineModule(Estimator):
         self._shapes = {name: each.shape for name, each in trained.items()}
 
     def init(self, batch: Sequence[int] = ()) -> OnlineModuleState:
-        own = dict(self.net.named_parameters())
-        weights = torch.cat([own[name].detach().reshape(-1) for name in self._shapes])
+        parameters = dict(self.net.named_parameters())
+        weights = torch.cat([parameters[name].detach().reshape(-1) for name in self._shapes])
         batch, count, n = tuple(batch), len(weights), self.window
 
         def zeros(*shape: int) -> Tensor:
@@ -130,9 +130,9 @@ class OnlineModule(Estimator):
         >>> type(module.trained(module.init())).__name__
         'Bilinear'
         """
-        found = copy.deepcopy(self.net)
-        found.load_state_dict(self._named(state.weights), strict=False)
-        return found
+        net = copy.deepcopy(self.net)
+        net.load_state_dict(self._named(state.weights), strict=False)
+        return net
 
     def _inputs(self, inputs: Inputs) -> Tensor:
         return torch.stack(x_of(torch.zeros_like(inputs.dt), inputs)[1:], -1)
@@ -143,16 +143,16 @@ class OnlineModule(Estimator):
 
     def _ahead(self, weights: Mapping[str, Tensor], x: Tensor, u: Tensor) -> Tensor:
         """One step of one vehicle."""
-        found = functional_call(self.net, dict(weights), (x[None], u[None]))
-        if found.shape != (1, self.states):
-            raise ShapeError(f"net: found a result of the shape {tuple(found.shape)}, expected (1, {self.states})")
-        return found[0]
+        result = functional_call(self.net, dict(weights), (x[None], u[None]))
+        if result.shape != (1, self.states):
+            raise ShapeError(f"net: found a result of the shape {tuple(result.shape)}, expected (1, {self.states})")
+        return result[0]
 
     @torch.no_grad()
     def _each(self, state: OnlineModuleState, u: Tensor) -> Tensor:
         """One step of all vehicles."""
         rows = [tree.reshape(-1, tree.shape[-1]).unbind(0) for tree in (state.weights, state.x, u)]
-        ahead = [self._ahead(self._named(w), x, own) for w, x, own in zip(*rows, strict=True)]
+        ahead = [self._ahead(self._named(w), x, inputs) for w, x, inputs in zip(*rows, strict=True)]
         return torch.stack(ahead).reshape(state.x.shape)
 
     def _trained(self, new: OnlineModuleState) -> tuple[Tensor, Tensor]:
@@ -176,6 +176,6 @@ class OnlineModule(Estimator):
             net: nn.Module = self.trained(new._replace(weights=weights))
             with torch.no_grad():
                 net.project()  # type: ignore[operator]  # a method of a module of one's own
-            own = dict(net.named_parameters())
-            weights = torch.cat([own[name].detach().reshape(-1) for name in self._shapes])
+            parameters = dict(net.named_parameters())
+            weights = torch.cat([parameters[name].detach().reshape(-1) for name in self._shapes])
         return weights, moments

@@ -38,25 +38,25 @@ class OwnKernel(Stretched):
         self.numbers: Any = _settings(tuple(numbers))(**numbers) if numbers else ()
 
     def init(self, batch: Sequence[int] = ()) -> OwnKernelState:
-        own = self.rest.new_tensor(self.first)
-        return OwnKernelState(self.rest.expand(tuple(batch)).clone(), own.expand(*batch, len(own)).clone())
+        first = self.rest.new_tensor(self.first)
+        return OwnKernelState(self.rest.expand(tuple(batch)).clone(), first.expand(*batch, len(first)).clone())
 
     def stretch(self, state: OwnKernelState, steps: Step) -> tuple[OwnKernelState, Tensor]:
         wide, modes = (x.numpy() for x in columns_of(steps))
-        surge, own = state.surge.reshape(-1).clone().numpy(), state.own.reshape(-1, len(self.first)).clone().numpy()
-        found, at = np.full(modes.shape, np.nan, wide.dtype), np.zeros(1, np.int64)
+        surge, memory = state.surge.reshape(-1).clone().numpy(), state.own.reshape(-1, len(self.first)).clone().numpy()
+        predicted, at = np.full(modes.shape, np.nan, wide.dtype), np.zeros(1, np.int64)
         try:
-            loop(*self.functions)(wide, modes, surge, own, self.numbers, found, at)
+            loop(*self.functions)(wide, modes, surge, memory, self.numbers, predicted, at)
         except Exception as error:
-            found[at[0] :] = np.nan
-            raise MemberError(int(at[0]), torch.from_numpy(found).reshape(steps.surge.shape)) from error
+            predicted[at[0] :] = np.nan
+            raise MemberError(int(at[0]), torch.from_numpy(predicted).reshape(steps.surge.shape)) from error
         new = OwnKernelState(
-            torch.from_numpy(surge).reshape(state.surge.shape), torch.from_numpy(own).reshape(state.own.shape)
+            torch.from_numpy(surge).reshape(state.surge.shape), torch.from_numpy(memory).reshape(state.own.shape)
         )
-        return new, torch.from_numpy(found).reshape(steps.surge.shape)
+        return new, torch.from_numpy(predicted).reshape(steps.surge.shape)
 
 
-def kernel(made: type) -> type[OwnKernel]:
+def kernel(definition: type) -> type[OwnKernel]:
     """Make an estimator of a class with two numba functions, which are compiled at the first step.
 
     Its functions are `predict(s, x, p)`, which returns the speed at the end of the step, m/s, and `learn(s, x, y, p)`,
@@ -64,7 +64,7 @@ def kernel(made: type) -> type[OwnKernel]:
     (`estimators.external.inputs`: x.speed, x.left …), `p` has the settings by name: p.rate.
 
     Args:
-        made: a class with these functions; `state`, how many numbers it remembers, 0 at first, or their first values;
+        definition: a class with these; `state`, how many numbers it remembers, 0 at first, or their first values;
             and settings, other attributes that are numbers, which the estimator takes as arguments.
 
     Returns:
@@ -86,16 +86,16 @@ def kernel(made: type) -> type[OwnKernel]:
     >>> Ensemble({"mine": Smoothing(rate=0.3)}).external
     ('mine',)
     """
-    own = vars(made)
-    if missing := [name for name in ("predict", "learn", "state") if name not in own]:
+    space = vars(definition)
+    if missing := [name for name in ("predict", "learn", "state") if name not in space]:
         raise ConfigError(
-            f"{made.__name__}: found no {missing[0]}, expected predict(s, x, p), learn(s, x, y, p), state"
+            f"{definition.__name__}: found no {missing[0]}, expected predict(s, x, p), learn(s, x, y, p), state"
         )
-    first = (0.0,) * own["state"] if isinstance(own["state"], int) else tuple(map(float, own["state"]))
-    settings = {name: value for name, value in own.items() if type(value) in (int, float) and name != "state"}
-    named = {key: own.get(key) for key in ("__module__", "__doc__", "__qualname__") if key in own}
-    facts = {"first": first, "settings": settings, "functions": (own["predict"], own["learn"])}
-    return type(made.__name__, (OwnKernel,), named | facts)
+    first = (0.0,) * space["state"] if isinstance(space["state"], int) else tuple(map(float, space["state"]))
+    settings = {name: value for name, value in space.items() if type(value) in (int, float) and name != "state"}
+    named = {key: space.get(key) for key in ("__module__", "__doc__", "__qualname__") if key in space}
+    facts = {"first": first, "settings": settings, "functions": (space["predict"], space["learn"])}
+    return type(definition.__name__, (OwnKernel,), named | facts)
 
 
 @cache
@@ -112,7 +112,7 @@ def loop(predict: Callable[..., Any], learn: Callable[..., Any]) -> Callable[...
     ask, teach = njit(predict), njit(learn)
 
     @njit
-    def steps(wide: Any, modes: Any, surge: Any, own: Any, p: Any, found: Any, at: Any) -> None:
+    def steps(wide: Any, modes: Any, surge: Any, memory: Any, p: Any, predicted: Any, at: Any) -> None:
         for k in range(len(modes)):
             at[0] = k
             for e in range(modes.shape[1]):
@@ -121,9 +121,9 @@ def loop(predict: Callable[..., Any], learn: Callable[..., Any]) -> Callable[...
                     surge[e] = row[9]
                 elif mode > 1:
                     x = X(surge[e], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8])
-                    found[k, e] = surge_after = ask(own[e], x, p)
+                    predicted[k, e] = surge_after = ask(memory[e], x, p)
                     if mode == 3:
-                        teach(own[e], x, row[9], p)
+                        teach(memory[e], x, row[9], p)
                         surge_after = row[9]
                     surge[e] = surge_after
 

@@ -28,9 +28,9 @@ def packed(model: Any, size: int) -> np.ndarray:
     content = zlib.compress(json.dumps(_plain(given, {}, 0)).encode(), 1)
     if len(content) + 4 > size:
         raise ValueError(f"its state has {len(content)} bytes, expected {size - 4} at most: give a larger state_size")
-    found = np.zeros(size, np.uint8)
-    found[: len(content) + 4] = np.frombuffer(len(content).to_bytes(4, "little") + content, np.uint8)
-    return found
+    buffer = np.zeros(size, np.uint8)
+    buffer[: len(content) + 4] = np.frombuffer(len(content).to_bytes(4, "little") + content, np.uint8)
+    return buffer
 
 
 def unpacked(content: np.ndarray, model: Any) -> Any:
@@ -38,10 +38,10 @@ def unpacked(content: np.ndarray, model: Any) -> Any:
     length = int.from_bytes(content[:4].tobytes(), "little")
     try:
         unzip = zlib.decompressobj()
-        found = json.loads(unzip.decompress(content[4 : 4 + length].tobytes(), LARGEST))
+        read = json.loads(unzip.decompress(content[4 : 4 + length].tobytes(), LARGEST))
         if hasattr(model, "set_state"):
-            model.set_state(_built(found, None))
-        elif _built(found, model) is not model:
+            model.set_state(_built(read, None))
+        elif _built(read, model) is not model:
             raise ValueError("expected attributes")
     except (zlib.error, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise CheckpointError(f"its state does not fit {type(model).__name__} ({error})") from error
@@ -71,27 +71,27 @@ def _plain(value: Any, seen: dict[int, Any], depth: int) -> Any:
         if kind is container:
             return {name: [_plain(each, seen, depth + 1) for each in value]}  # pyright: ignore[reportGeneralTypeIssues]
     slots = any(getattr(each, "__slots__", ()) for each in kind.__mro__)
-    own: Any = [vars(each).keys() & {"__reduce__", "__reduce_ex__"} for each in kind.__mro__ if each is not object]
-    if not hasattr(value, "__dict__") or slots or any(own):
+    hooks: Any = [vars(each).keys() & {"__reduce__", "__reduce_ex__"} for each in kind.__mro__ if each is not object]
+    if not hasattr(value, "__dict__") or slots or any(hooks):
         raise TypeError(f"{kind.__module__}.{kind.__qualname__} is not plain")
     return {"object": {key: _plain(each, seen, depth + 1) for key, each in vars(value).items()}}
 
 
-def _built(found: Any, before: Any) -> Any:
+def _built(read: Any, before: Any) -> Any:
     """What `_plain` has read; objects, functions and kinds of dictionaries are those of the state before."""
-    if not isinstance(found, dict):
-        return found
-    (name, content), *_ = found.items()
+    if not isinstance(read, dict):
+        return read
+    (name, content), *_ = read.items()
     if name == "array":
-        flat, order = np.frombuffer(base64.b64decode(content), np.dtype(found["of"])), found["order"]
-        return flat.reshape(found["shape"], order=order).copy(order)
+        flat, order = np.frombuffer(base64.b64decode(content), np.dtype(read["of"])), read["order"]
+        return flat.reshape(read["shape"], order=order).copy(order)
     if name == "dict":
-        own = before if isinstance(before, dict) else {}
+        result = before if isinstance(before, dict) else {}
         pairs = [(_built(key, None), value) for key, value in content]
-        built = {key: _built(value, own.get(key)) for key, value in pairs}
-        own.clear()
-        own.update(built)
-        return own
+        built = {key: _built(value, result.get(key)) for key, value in pairs}
+        result.clear()
+        result.update(built)
+        return result
     if name in CONTAINERS:
         fits = isinstance(before, list | tuple) and len(before) == len(content)
         parts = list(before) if fits else [None] * len(content)

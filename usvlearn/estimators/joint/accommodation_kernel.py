@@ -45,15 +45,15 @@ def give_back(node, s, q, side, loose, surge, a):
 @jit
 def give(node, s, side, share, loose, a):
     """A side's parameters are `share` times the older ones, and P grows along them."""
-    n, own = node[Row.SIZE], node[AT.mean]
+    n, mean = node[Row.SIZE], node[AT.mean]
     a = a[:n]
     side_of(node, s[node[AT_TRIAL.past_mean] :], side, a)
     k, e = THETA + 3 + 3 * side, E + 1 + 3 * side
     for i in range(3):
-        s[own + k + i] = share * a[k + i]
+        s[mean + k + i] = share * a[k + i]
         if node[Choice.EVEN]:
-            s[own + e + i] = share * a[e + i]
-    s[own + KAPPA + side] = share * a[KAPPA + side]
+            s[mean + e + i] = share * a[e + i]
+    s[mean + KAPPA + side] = share * a[KAPPA + side]
     along(s[node[AT.factor] : node[AT.factor] + n * n].reshape(n, n), n - 1, loose * loose, a)
 
 

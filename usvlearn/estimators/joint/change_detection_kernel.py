@@ -37,10 +37,10 @@ def has_trial(node):
 @jit
 def keep(node, s):
     """The second filter is the state before this step."""
-    n, own, kept = node[Row.SIZE], node[AT.mean], node[AT_TRIAL.mean]
-    copy(s[kept : kept + n], s[own : own + n])
-    own, kept = node[AT.factor], node[AT_TRIAL.factor]
-    copy(s[kept : kept + n * n], s[own : own + n * n])
+    n, present, second = node[Row.SIZE], node[AT.mean], node[AT_TRIAL.mean]
+    copy(s[second : second + n], s[present : present + n])
+    present, second = node[AT.factor], node[AT_TRIAL.factor]
+    copy(s[second : second + n * n], s[present : present + n * n])
     s[node[AT_TRIAL.noise]], s[node[AT_TRIAL.updates]] = s[node[AT.noise]], s[node[AT.updates]]
 
 

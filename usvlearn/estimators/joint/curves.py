@@ -22,21 +22,21 @@ class Curve(NamedTuple):
     high: np.ndarray
 
 
-def curves(found: Identified) -> dict[str, Curve]:
+def curves(boat: Identified) -> dict[str, Curve]:
     """`drag`, N over m/s up to the steady speed at full command; `thrust_left` and `thrust_right`, N at standstill, and
     `steady_speed`, m/s, over the command. {} if nothing is identified.
     """
-    top = abs(found["steady_speed_full"].value)
-    beside = found.beside
+    top = abs(boat["steady_speed_full"].value)
+    beside = boat.beside
     if beside is None or not (
-        np.isfinite(found.theta).all() and np.isfinite(found.covariance).all() and np.isfinite(top)
+        np.isfinite(boat.theta).all() and np.isfinite(boat.covariance).all() and np.isfinite(top)
     ):
         return {}
     speeds, commands = np.linspace(0.0, top, POINTS), np.linspace(0.0, 1.0, POINTS)
 
     def force(of: Callable[[Ahead], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
         return lambda theta: (
-            kilograms_of(theta, found.mass, found.inverse_mass)[..., None] * of(found.ahead(theta[..., None, :]))
+            kilograms_of(theta, boat.mass, boat.inverse_mass)[..., None] * of(boat.ahead(theta[..., None, :]))
         )
 
     def pull(side: str) -> Callable[[Ahead], np.ndarray]:
@@ -45,24 +45,24 @@ def curves(found: Identified) -> dict[str, Curve]:
     functions = {
         "drag": (speeds, force(lambda boat: boat.drag(speeds))),
         **{f"thrust_{side}": (commands, force(pull(side))) for side in SIDES},
-        "steady_speed": (commands, lambda theta: found.ahead(theta[..., None, :]).steady_speed(commands)),
+        "steady_speed": (commands, lambda theta: boat.ahead(theta[..., None, :]).steady_speed(commands)),
     }
-    return {name: banded(found, beside, name, *function) for name, function in functions.items()}
+    return {name: banded(boat, beside, name, *function) for name, function in functions.items()}
 
 
 def banded(
-    found: Identified, beside: IntervalTerms, name: str, at: np.ndarray, f: Callable[[np.ndarray], np.ndarray]
+    boat: Identified, beside: IntervalTerms, name: str, at: np.ndarray, f: Callable[[np.ndarray], np.ndarray]
 ) -> Curve:
     """A curve at points, f of θ per unit mass, `(..., m)` to `(..., points)`, with their 90 % intervals."""
     steps = steps_of(beside.variance)
     shifts = np.diag(steps)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        values = [f(theta) for theta in (found.theta, beside.now, beside.prior)]
+        values = [f(theta) for theta in (boat.theta, beside.now, beside.prior)]
         slopes, of_prior = (
-            (f(theta + shifts) - f(theta - shifts)) / (2 * steps[:, None]) for theta in (found.theta, beside.prior)
+            (f(theta + shifts) - f(theta - shifts)) / (2 * steps[:, None]) for theta in (boat.theta, beside.prior)
         )  # (m, points)
     band = [
-        beside.interval(name, each, slope, first, found.covariance)
+        beside.interval(name, each, slope, first, boat.covariance)
         for *each, slope, first in zip(*values, slopes.T, of_prior.T, strict=True)
     ]
     low, high = np.array(band).T

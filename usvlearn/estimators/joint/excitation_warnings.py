@@ -119,16 +119,16 @@ def _combinations(even: bool) -> dict[str, np.ndarray]:
     odd = {side: [f"thrust_{kind}_{side}" for kind in ("linear", "quadratic", "speed", "cubic")] for side in SIDES}
     beside = {name: of[other] for name, other in EVEN_BESIDE.items() if even}
     each = {side: [of[name] for name in odd[side]] + [beside[x] for x in odd[side] if x in beside] for side in SIDES}
-    found = dict(each)
-    found["drag"] = [of["drag_quadratic"], of["drag_linear"], *([of["drag_even"]] if even else [])]
-    found["apart"] = [left - right for left, right in zip(each["left"], each["right"], strict=True)]
+    combinations = dict(each)
+    combinations["drag"] = [of["drag_quadratic"], of["drag_linear"], *([of["drag_even"]] if even else [])]
+    combinations["apart"] = [left - right for left, right in zip(each["left"], each["right"], strict=True)]
     both = {"ahead": (1.0, SIDES), "astern": (-1.0, SIDES)} | {f"ahead_{side}": (1.0, (side,)) for side in SIDES}
     for name, (sign, sides) in both.items():  # linear and quadratic thrust, of the sides together
-        found[name] = [
+        combinations[name] = [
             sum((of[odd[side][k]] + sign * beside.get(odd[side][k], 0.0) for side in sides), np.zeros(len(of)))
             for k in range(2)
         ]
-    return {name: np.stack(rows) for name, rows in found.items()}
+    return {name: np.stack(rows) for name, rows in combinations.items()}
 
 
 def _least_share(left: np.ndarray, prior: np.ndarray) -> float:
@@ -164,12 +164,12 @@ def misstated(speed: float, low: float, high: float, variance: np.ndarray) -> li
     ]
 
 
-def unphysical(found: Mapping[str, Quantity]) -> str:
+def unphysical(quantities: Mapping[str, Quantity]) -> str:
     """A sentence about quantities that are surely negative, and cannot be so; "" if there is none."""
     wrong = [
-        f"{words} of {found[name].value:.3g} {found[name].unit}"
+        f"{words} of {quantities[name].value:.3g} {quantities[name].unit}"
         for name, words in POSITIVE_OF_BOATS.items()
-        if name in found and found[name].value < 0 and found[name].high < 0
+        if name in quantities and quantities[name].value < 0 and quantities[name].high < 0
     ]
     if not wrong:
         return ""

@@ -144,11 +144,11 @@ class JointEKF(KernelEstimator):
     @property
     def variance(self) -> Tensor:
         """Prior variance of the parameters, `(m,)` or `(*batch, m)`."""
-        found, kinds = self.scale * self.chosen[0], (self.cubic, self.even, self.lag)
-        for kind, own in zip(kinds, self.chosen[1:], strict=True):
+        deviation, kinds = self.scale * self.chosen[0], (self.cubic, self.even, self.lag)
+        for kind, mask in zip(kinds, self.chosen[1:], strict=True):
             if kind is not None:
-                found = found + self.scale * own * kind()[..., None]
-        return found * found
+                deviation = deviation + self.scale * mask * kind()[..., None]
+        return deviation * deviation
 
     def init(self, batch: Sequence[int] = ()) -> JointState:
         batch = tuple(batch)

@@ -61,8 +61,8 @@ class IntervalTerms(NamedTuple):
         value, present, first = values
         if not (math.isfinite(value) and np.isfinite(slope).all()):
             return math.nan, math.nan
-        own = math.hypot(OWN_ERROR.get(name, 0.0), self.common) * abs(value)
-        ends = [*around(name, value, math.hypot(_deviation(slope, covariance), own))]
+        error = math.hypot(OWN_ERROR.get(name, 0.0), self.common) * abs(value)
+        ends = [*around(name, value, math.hypot(_deviation(slope, covariance), error))]
         ends.append(present if math.isfinite(present) else value)
         if self.vague:
             ends += [
@@ -154,8 +154,8 @@ class Identified(Mapping[str, Quantity]):
         >>> found.displayed("steady_speed_full").unit
         'm/s'
         """
-        found = self.quantities[name]
-        return Quantity(math.nan, math.nan, math.nan, found.unit) if name in self.unknown else found
+        quantity = self.quantities[name]
+        return Quantity(math.nan, math.nan, math.nan, quantity.unit) if name in self.unknown else quantity
 
     def __getitem__(self, name: str) -> Quantity:
         return self.quantities[name]
@@ -233,8 +233,8 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
             f"{(DROPPED + 1) * every / 60:g} min of learning."
         )
     silent = float(state["noise"]) <= SILENT**2
-    found = lacking(P, variance, float(numbers["current"]), float(state["updates"]), silent)
-    total = inflation * P[THETA:, THETA:] + spread + np.diag(found.astern)
+    missing = lacking(P, variance, float(numbers["current"]), float(state["updates"]), silent)
+    total = inflation * P[THETA:, THETA:] + spread + np.diag(missing.astern)
     of = partial(quantities_of, mass=mass, inverse_mass=inverse)
     values, slopes = gradients(of, theta, steps_of(variance))
     top = values["steady_speed_full"]
@@ -242,7 +242,7 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
     single = total + (FEW_SINGLE - FEW_P) / used * P[THETA:, THETA:] if used else total
     speed = max(abs(top), 1e-9) if math.isfinite(top) else stated_top(variance)
     beside = IntervalTerms(
-        math.hypot(2 * found.blind / speed, MODEL if used else 0.0), now, prior, variance, found.vague
+        math.hypot(2 * missing.blind / speed, MODEL if used else 0.0), now, prior, variance, missing.vague
     )
     present, (first, first_slopes) = of(now), gradients(of, prior, steps_of(variance))
 
@@ -257,8 +257,8 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
         value, low, high, unit = signed[name]
         signed[name] = Quantity(value, low, value + TWICE * (high - value), unit)
     if top < 0:  # its sign is known sooner than its size: the filter's own interval tells it
-        own = NINETY * _deviation(slopes["steady_speed_full"], P[THETA:, THETA:])
-        signed["steady_speed_full"] = Quantity(top, top - own, top + own, QUANTITIES["steady_speed_full"])
+        half = NINETY * _deviation(slopes["steady_speed_full"], P[THETA:, THETA:])
+        signed["steady_speed_full"] = Quantity(top, top - half, top + half, QUANTITIES["steady_speed_full"])
     impossible = unphysical(signed)
     if top < 0:  # a sign is reversed
         beside = beside._replace(vague=True)
@@ -268,7 +268,7 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
         if name in values:
             low, high = interval(name)
             quantities[name] = Quantity(values[name] if low == low else math.nan, low, high, unit)
-    lacks = [*filter(None, [impossible]), *found.lacks, *said, *wrong]
+    lacks = [*filter(None, [impossible]), *missing.lacks, *said, *wrong]
     return Identified(
         quantities,
         basis,
@@ -284,12 +284,12 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
     )
 
 
-def says_nothing(name: str, found: Quantity, prior: Mapping[str, float], mass: float) -> bool:
+def says_nothing(name: str, quantity: Quantity, prior: Mapping[str, float], mass: float) -> bool:
     """Whether an interval is wider than what a boat like that of the prior can have.
 
     The scale of a unit follows from the prior's speed and thrust at full command.
     """
-    value, low, high, unit = found
+    value, low, high, unit = quantity
     if name in POSITIVE:
         return low > 0 and high > RATIO * low
     speed, force = abs(prior["steady_speed_full"]), sum(abs(prior[f"thrust_full_{side}"]) for side in SIDES)

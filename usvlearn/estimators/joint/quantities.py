@@ -41,17 +41,17 @@ EVEN_BESIDE = {"drag_quadratic": "drag_even"} | {
 def sums(even: bool) -> dict[str, np.ndarray]:
     """Coefficients, `(m,)`, of sums of parameters: the nine of motion ahead, and each side's pull, (1)."""
     of = dict(zip(names(even), np.eye(len(names(even))), strict=True))
-    found = {name: of[name] + (of[EVEN_BESIDE[name]] if even and name in EVEN_BESIDE else 0.0) for name in SURGE}
+    rows = {name: of[name] + (of[EVEN_BESIDE[name]] if even and name in EVEN_BESIDE else 0.0) for name in SURGE}
     pulls = {
-        f"thrust_full_{side}": found[f"thrust_linear_{side}"]
-        + found[f"thrust_quadratic_{side}"]
+        f"thrust_full_{side}": rows[f"thrust_linear_{side}"]
+        + rows[f"thrust_quadratic_{side}"]
         + of[f"thrust_cubic_{side}"]
         for side in SIDES
     }
     for side in SIDES:
         for kind, share in CUBIC_FIT.items():
-            found[f"thrust_{kind}_{side}"] = found[f"thrust_{kind}_{side}"] + share * of[f"thrust_cubic_{side}"]
-    return found | pulls
+            rows[f"thrust_{kind}_{side}"] = rows[f"thrust_{kind}_{side}"] + share * of[f"thrust_cubic_{side}"]
+    return rows | pulls
 
 
 class Ahead:
@@ -60,8 +60,8 @@ class Ahead:
     def __init__(self, theta: np.ndarray):
         even = theta.shape[-1] == len(names(even=True))
         self.sums = {name: theta @ row for name, row in sums(even).items()}
-        own = dict(zip(names(even), np.moveaxis(theta, -1, 0), strict=True))
-        self.cubic = {side: own[f"thrust_cubic_{side}"] for side in SIDES}
+        parameters = dict(zip(names(even), np.moveaxis(theta, -1, 0), strict=True))
+        self.cubic = {side: parameters[f"thrust_cubic_{side}"] for side in SIDES}
         self.quadratic, self.linear = self.sums["drag_quadratic"], self.sums["drag_linear"]
         self.lift = self.sums["thrust_speed_left"] + self.sums["thrust_speed_right"]
 
@@ -132,11 +132,11 @@ def quantities(theta: np.ndarray, mass: float, inverse_mass: np.ndarray) -> dict
         quadratic = np.where(np.abs(boat.quadratic) > 1e-9, -boat.quadratic, 1e-9)  # (5) goes to its limit, ln(10)/-l
         fast, slow = (quadratic * part - boat.linear for part in (top, COAST * top))
         forces = boat.sums | {"drag_half_speed": boat.drag(top / 2)}
-        found = {name: kilograms * forces[name] for name in FORCES} | speeds
-        found["time_constant"] = np.where(slope > 0, 1 / slope, np.nan)
-        found["stopping_distance"] = np.log(fast / slow) / quadratic
-        found["thrust_ratio"] = forces["thrust_full_left"] / forces["thrust_full_right"]
-    return found | ({"mass": kilograms} if inverse_mass.any() else {})
+        values = {name: kilograms * forces[name] for name in FORCES} | speeds
+        values["time_constant"] = np.where(slope > 0, 1 / slope, np.nan)
+        values["stopping_distance"] = np.log(fast / slow) / quadratic
+        values["thrust_ratio"] = forces["thrust_full_left"] / forces["thrust_full_right"]
+    return values | ({"mass": kilograms} if inverse_mass.any() else {})
 
 
 def steps_of(variance: np.ndarray) -> np.ndarray:
@@ -152,6 +152,6 @@ def gradients(
     every = of(np.concatenate([theta[None], theta + shifts, theta - shifts]))
     with np.errstate(invalid="ignore"):
         return (
-            {name: float(found[0]) for name, found in every.items()},
-            {name: (found[1 : m + 1] - found[m + 1 :]) / (2 * steps) for name, found in every.items()},
+            {name: float(values[0]) for name, values in every.items()},
+            {name: (values[1 : m + 1] - values[m + 1 :]) / (2 * steps) for name, values in every.items()},
         )

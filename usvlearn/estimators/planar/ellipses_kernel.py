@@ -27,23 +27,23 @@ BEYOND = 1 + 1e-4  # times the longest horizon, with room for rounding
 def follow_surprise(head, s, row, pose):
     """ν and ν̄ of (4) after a step."""
     quick, slow = min(row[DT] / at.QUICK_TIME, 1.0), min(row[DT] / at.SLOW_TIME, 1.0)
-    found = s[head[at.TRACK, at.SURPRISE] :]
+    surprises = s[head[at.TRACK, at.SURPRISE] :]
     for i in range(2):
         axis = at.SURGE if i == 0 else at.YAW
-        target, own = row[TARGET] if i == 0 else pose[at.TURN], s[head[axis, at.STATE] :]
-        z = (target - own[head[axis, at.PREDICTED]]) / max(own[head[axis, at.DEVIATION]], NARROWEST)
+        target, state = row[TARGET] if i == 0 else pose[at.TURN], s[head[axis, at.STATE] :]
+        z = (target - state[head[axis, at.PREDICTED]]) / max(state[head[axis, at.DEVIATION]], NARROWEST)
         square = min(z * z, at.LARGEST)
         if square == square and (i == 1 or row[MODE] == LEARN):
-            found[2 * i] += quick * (square - found[2 * i])
-            found[2 * i + 1] += slow * (square - found[2 * i + 1])
+            surprises[2 * i] += quick * (square - surprises[2 * i])
+            surprises[2 * i + 1] += slow * (square - surprises[2 * i + 1])
 
 
 @jit
 def surprise(head, s):
     """The factor of (4)."""
-    found, most = s[head[at.TRACK, at.SURPRISE] :], 1.0
+    surprises, most = s[head[at.TRACK, at.SURPRISE] :], 1.0
     for i in range(2):
-        most = max(most, found[2 * i] / (at.USUAL * max(found[2 * i + 1], NARROWEST)))
+        most = max(most, surprises[2 * i] / (at.USUAL * max(surprises[2 * i + 1], NARROWEST)))
     return min(np.sqrt(most), at.MOST_SURPRISE)
 
 
@@ -58,18 +58,18 @@ def width_of(head, s, k):
 @jit
 def radius_held(slot, k, horizon):
     """The radius of a track at a horizon, m, for which it knows the distance run and the commands until now."""
-    kept, path = slot[at.HORIZON + k * at.OF_HORIZON :], slot[at.COMMANDS : at.COMMANDS + PATH]
-    return slot[at.WIDER] * halfwidth_held(kept[:HELD], kept[HELD], slot[at.RUN], path[FAR], group_of(path))
+    stored, path = slot[at.HORIZON + k * at.OF_HORIZON :], slot[at.COMMANDS : at.COMMANDS + PATH]
+    return slot[at.WIDER] * halfwidth_held(stored[:HELD], stored[HELD], slot[at.RUN], path[FAR], group_of(path))
 
 
 @jit
-def shape(head, s, k, found):
+def shape(head, s, k, out):
     """Write S of (3)."""
     count, C = s[head[at.TRACK, at.ERRORS] + k], s[head[at.TRACK, at.COVARIANCE] + 3 * k :]
     round_ = at.FLOOR + at.ROUND / (count + at.ROUND) * (C[0] + C[2]) / 2
     a, b, c = C[0] + round_, C[1], C[2] + round_
     root = np.sqrt(max(a * c - b * b, 1e-6 * a * c))
-    found[0], found[1], found[2] = a / root, b / root, c / root
+    out[0], out[1], out[2] = a / root, b / root, c / root
 
 
 @jit
@@ -90,17 +90,17 @@ def publish_due(head, s, q, slot, k, pose):
     turned = slot[at.PSI] - pose[at.HEADING]
     turned -= 2 * np.pi * np.floor((turned + np.pi) / (2 * np.pi))
     path = slot[at.COMMANDS : at.COMMANDS + PATH]
-    group, kept = group_of(path), slot[at.HORIZON + k * at.OF_HORIZON :]
+    group, stored = group_of(path), slot[at.HORIZON + k * at.OF_HORIZON :]
     u, r, h = slot[at.U_0], slot[at.R_0], slot[at.ELAPSED]
     psi, half = slot[at.PSI_0], r * h / 2
     chord = u * h * (np.sin(half) / half if abs(half) > 1e-9 else 1.0)
     due[at.ERROR], due[at.HEADING_ERROR] = np.hypot(dn, de), abs(turned)
     due[at.CONSTANT] = np.hypot(chord * np.cos(psi + half) - north, chord * np.sin(psi + half) - east)
     due[at.HELD_RATE] = np.hypot(slot[at.HELD_NORTH] - north, slot[at.HELD_EAST] - east)
-    due[at.RHO] = rho(kept[HELD + 1 :], forward, aside)
+    due[at.RHO] = rho(stored[HELD + 1 :], forward, aside)
     due[at.RADIUS], due[at.GROUP], due[at.DISTANCE] = radius_held(slot, k, h), group, slot[at.RUN]
     wider = slot[at.WIDER]
-    learn_track(head, s, q, k, forward / wider, aside / wider, slot[at.RUN], path[FAR], group, kept[HELD + 1 :])
+    learn_track(head, s, q, k, forward / wider, aside / wider, slot[at.RUN], path[FAR], group, stored[HELD + 1 :])
 
 
 @jit
@@ -132,14 +132,14 @@ def keep_ellipses(head, s, slot):
     """Keep in a track, as it begins, what its ellipses at all horizons need."""
     slot[at.WIDER] = surprise(head, s)
     for k in range(head[at.TRACK, at.HORIZON_COUNT]):
-        kept = slot[at.HORIZON + k * at.OF_HORIZON :]
-        hold(s, head[at.TRACK, at.LEARNED : at.LEARNED + 6], k, s[head[at.TRACK, at.ERRORS] + k], kept[:HELD])
-        kept[HELD] = width_of(head, s, k)
-        shape(head, s, k, kept[HELD + 1 :])
+        stored = slot[at.HORIZON + k * at.OF_HORIZON :]
+        hold(s, head[at.TRACK, at.LEARNED : at.LEARNED + 6], k, s[head[at.TRACK, at.ERRORS] + k], stored[:HELD])
+        stored[HELD] = width_of(head, s, k)
+        shape(head, s, k, stored[HELD + 1 :])
 
 
 @jit
-def ellipse(head, q, slot, found):
+def ellipse(head, q, slot, out):
     """Write the covariance of a track's position, NN, NE, EE, m², of which the learned ellipse has the coverage."""
     H, horizons, t = head[at.TRACK, at.HORIZON_COUNT], q[head[at.TRACK, at.Q] + 2 :], slot[at.ELAPSED]
     k = 0
@@ -153,14 +153,14 @@ def ellipse(head, q, slot, found):
     elif t < horizons[0]:
         width *= t / horizons[0]
     if not (t <= horizons[H - 1] * BEYOND and width < np.inf):
-        found[0], found[1], found[2] = np.inf, 0.0, np.inf
+        out[0], out[1], out[2] = np.inf, 0.0, np.inf
         return
     a, b = slot[at.HORIZON + k * at.OF_HORIZON + HELD + 1 :], slot[at.HORIZON + above * at.OF_HORIZON + HELD + 1 :]
     for i in range(3):
-        found[i] = (1 - rise) * a[i] + rise * b[i]
+        out[i] = (1 - rise) * a[i] + rise * b[i]
     size = width * width / (-2 * np.log(1 - q[head[at.TRACK, at.Q]]))
-    forward, both, aside = found[0], found[1], found[2]
+    forward, both, aside = out[0], out[1], out[2]
     c, d = slot[at.COS_0], slot[at.SIN_0]
-    found[0] = size * (c * c * forward - 2 * c * d * both + d * d * aside)
-    found[1] = size * (c * d * (forward - aside) + (c * c - d * d) * both)
-    found[2] = size * (d * d * forward + 2 * c * d * both + c * c * aside)
+    out[0] = size * (c * c * forward - 2 * c * d * both + d * d * aside)
+    out[1] = size * (c * d * (forward - aside) + (c * c - d * d) * both)
+    out[2] = size * (d * d * forward + 2 * c * d * both + c * c * aside)

@@ -134,21 +134,21 @@ class Planar(nn.Module):
         >>> Planar(surge, surge_max=2.7).description()["kind"]
         'planar'
         """
-        found: dict[str, Any] = {"kind": "planar"}
+        described: dict[str, Any] = {"kind": "planar"}
         for axis in AXES:
-            own = spec_of(getattr(self, axis))
-            if own is None or not own.get("forecasts"):
+            ensemble = spec_of(getattr(self, axis))
+            if ensemble is None or not ensemble.get("forecasts"):
                 raise ConfigError(
                     f"{axis}: found an ensemble without compiled code or forecasts, expected both: set forecasts"
                 )
-            if at.filter_of(axis, own) is None:
+            if at.filter_of(axis, ensemble) is None:
                 raise ConfigError(
-                    f"{axis}: found the members {', '.join(own['members'])}, expected a filter of the kind "
+                    f"{axis}: found the members {', '.join(ensemble['members'])}, expected a filter of the kind "
                     f"{at.FILTERS[axis]} among them"
                 )
-            found[axis] = own
+            described[axis] = ensemble
         numbers = {"coverage": self.surge.coverage, "overlap": self.overlap}
-        return found | {"numbers": numbers, "vectors": {"horizons": list(self.horizons)}}
+        return described | {"numbers": numbers, "vectors": {"horizons": list(self.horizons)}}
 
 
 def axis_ensemble(members: dict[str, Estimator]) -> Ensemble:

@@ -41,11 +41,11 @@ def pretrained_weights(given: str, n: int) -> ShallowWeights:
         networks = load(path)
     except CertifyError as error:
         raise ConfigError(f"pretrained: {error}") from error
-    found = networks if path == given else [each for each in networks if each.path == str(Path(given))]
-    if len(found) != 1:
+    matches = networks if path == given else [each for each in networks if each.path == str(Path(given))]
+    if len(matches) != 1:
         names = ", ".join(each.path for each in networks[:6]) + (", …" if len(networks) > 6 else "")
-        raise ConfigError(f"pretrained: found {len(found)} networks for {given!r}, expected one: give one of {names}")
-    weights = found[0].weights
+        raise ConfigError(f"pretrained: found {len(matches)} networks for {given!r}, expected one: give one of {names}")
+    weights = matches[0].weights
     if (shape := weights.W2.shape) != (n, 4):
         raise ConfigError(
             f"pretrained: found {shape[0]} neurons and {shape[1]} inputs in {given}, expected {n} and 4: set neurons "

@@ -287,18 +287,18 @@ class RNN(Estimator):
     def _at_rest(self, state: RNNState) -> dict[str, Tensor]:
         """The equilibrium without thrust, at the last heading, that is nearest to the speed: its place and class."""
         rest = pad(state.inputs_before[..., :2], (0, 2))
-        found = torch.full((*state.surge.shape, 3), torch.nan, dtype=torch.float64)
+        places = torch.full((*state.surge.shape, 3), torch.nan, dtype=torch.float64)
         for element in np.ndindex(*state.surge.shape):
             weights = element_weights(state, element)
             x = float(self.scale * state.surge[element])
             if not all(np.isfinite(w).all() for w in weights):
                 continue
             every = equilibria(weights, rest[element].tolist(), -1.0, 1.0)
-            found[(*element, 0)] = len(every)
+            places[(*element, 0)] = len(every)
             if every:
                 nearest = every[int(np.argmin([abs(each.x - x) for each in every]))]
-                found[(*element, 1)], found[(*element, 2)] = nearest.x / self.scale, list(CLASSES).index(nearest.kind)
-        columns = found.to(state.surge.device).unbind(-1)
+                places[(*element, 1)], places[(*element, 2)] = nearest.x / self.scale, list(CLASSES).index(nearest.kind)
+        columns = places.to(state.surge.device).unbind(-1)
         return dict(zip(("equilibria", "equilibrium", "equilibrium_class"), columns, strict=True))
 
     def _stable(self, weights: ShallowWeights) -> ShallowWeights:

@@ -15,7 +15,7 @@ from usvlearn.estimators.rnn.state import BEGIN, INPUTS, Condition
 def threshold(a, cost, radius):
     """θ of (1), and 1/Σ c² of those that do not become zero, by which it falls with the radius; 0, 0 in the ball."""
     theta, slope = 0.0, 0.0
-    kept = -1
+    last = -1
     while True:
         total, squares, count = 0.0, 0.0, 0
         for i in range(len(a)):
@@ -24,9 +24,9 @@ def threshold(a, cost, radius):
                 total += cost[i] * size
                 squares += cost[i] * cost[i]
                 count += 1
-        if (kept == -1 and not total > radius) or count == 0 or 0 <= kept <= count:  # they only become fewer
+        if (last == -1 and not total > radius) or count == 0 or 0 <= last <= count:  # they only become fewer
             return theta, slope
-        kept = count
+        last = count
         theta, slope = (total - radius) / squares, 1.0 / squares
 
 
@@ -52,13 +52,13 @@ def extremes(a, w1):
 
 
 @jit
-def scale(a, w1, sign, found, kappa):
+def scale(a, w1, sign, rate, kappa):
     """Scale a by κ/found where that is below 1, of the neurons whose s has this sign; 0 means all."""
-    if not found > kappa:
+    if not rate > kappa:
         return
     for i in range(len(a)):
         if sign == 0 or (a[i] * w1[i] > 0) == (sign > 0):
-            a[i] *= kappa / found
+            a[i] *= kappa / rate
 
 
 @jit
@@ -104,7 +104,7 @@ def regauge(weights, n):
 def project_diagonal(a, w1, condition, best, kappa, cost):
     """The conditions `simple` and `gershgorin`, in either gauge."""
     n = len(a)
-    found = 0.0
+    rate = 0.0
     tiny = np.finfo(a.dtype).tiny
     if condition == Condition.SIMPLE:
         for i in range(n):
@@ -112,14 +112,14 @@ def project_diagonal(a, w1, condition, best, kappa, cost):
             limit = kappa * (0.25 / ((n + 1) * max(w, tiny)) if best else (1 - w) / (n + 1))
             a[i] = min(abs(a[i]), limit) * np.sign(a[i])
             size = (n + 1) * abs(a[i])
-            found = max(found, 4 * (n + 1) * abs(a[i] * w1[i]) if best else size / (1 - w))
+            rate = max(rate, 4 * (n + 1) * abs(a[i] * w1[i]) if best else size / (1 - w))
     else:
         for i in range(n):
             cost[i] = abs(w1[i]) if best else 1 / (1 - abs(w1[i]))
         shrink(a, cost, kappa / 2 if best else 2 * kappa)
         for i in range(n):
-            found += 2 * abs(a[i] * w1[i]) if best else abs(a[i]) / (1 - abs(w1[i])) / 2
-    scale(a, w1, 0, found, kappa)
+            rate += 2 * abs(a[i] * w1[i]) if best else abs(a[i]) / (1 - abs(w1[i])) / 2
+    scale(a, w1, 0, rate, kappa)
 
 
 @jit

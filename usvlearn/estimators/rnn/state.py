@@ -123,17 +123,17 @@ class Choice(Options):
     ACTIVATION = ("relu",)  # by which `certify` knows φ
 
 
-def replay(kept: int) -> Replay | dict[str, Any]:
+def replay(count: int) -> Replay | dict[str, Any]:
     """The leaves of so many samples."""
-    if kept == 0:
+    if count == 0:
         return {}
-    last, turn = (leaf(legal=Range(0.0, end - 1, index=True)) for end in (2.0 * kept, TURN))
-    return Replay(samples=leaf(kept, KEPT), learned=last, turn=turn)
+    last, turn = (leaf(legal=Range(0.0, end - 1, index=True)) for end in (2.0 * count, TURN))
+    return Replay(samples=leaf(count, KEPT), learned=last, turn=turn)
 
 
 FAMILY = Family(
     ("rnn",),
-    lambda n, kept: RNNState(
+    lambda n, count: RNNState(
         weights=weights(n),
         moment1=leaf(WEIGHTS * n),
         moment2=leaf(WEIGHTS * n, legal=NOT_NEGATIVE),
@@ -143,7 +143,7 @@ FAMILY = Family(
         inputs_before=leaf(INPUTS),
         dt=leaf(),
         unbroken=leaf(legal=UNIT, flag=True),
-        replay=replay(kept),
+        replay=replay(count),
     ),
     Number,
     Choice,

@@ -16,49 +16,49 @@ from usvlearn.estimators.joint.accommodation_kernel import give_back, hand_over,
 @jit
 def accommodate(program, node, monitors, s, q, row, work):
     """What the monitor has found enters the filters, whose rows follow that of this part, after their number."""
-    own, thrusters, surge = q[node[Row.NUMBERS] :], MONITOR.thrusters, row[SURGE]
+    numbers, thrusters, surge = q[node[Row.NUMBERS] :], MONITOR.thrusters, row[SURGE]
     joints, handed = node[WIDTH + 1 : WIDTH + 1 + node[WIDTH]], s[node[AT.handed] : node[AT.handed] + 2]
     share, deviation = s[node[AT.share] : node[AT.share] + 2], s[node[AT.deviation] : node[AT.deviation] + 2]
     raised, evidence = s[monitors[thrusters.raised] :], s[monitors[thrusters.evidence] :]
-    late, new = s[monitors[thrusters.since]] >= own[Number.AFTER], False
+    late, new = s[monitors[thrusters.since]] >= numbers[Number.AFTER], False
     for side in range(2):
         on = raised[side] > 0
         if on and not handed[side] > 0 and late:
             handed[side], new = 1.0, True
             share[side] = max(effectiveness(monitors, s, q, side, work)[0], 0.0)
         elif handed[side] > 0 and not on:
-            value, spread = fuse(program, joints, monitors, s, q, side, own, False, work)
+            value, spread = fuse(program, joints, monitors, s, q, side, numbers, False, work)
             if value + NINETY * spread >= 1:
                 handed[side], share[side] = 0.0, 1.0
                 for i in joints:
-                    give_back(program[i], s, q, side, own[Number.LOOSE], surge, work)
+                    give_back(program[i], s, q, side, numbers[Number.LOOSE], surge, work)
     if new:
         for i in joints:
-            hand_over(program[i], s, q, share, own[Number.LOOSE], surge, work)
+            hand_over(program[i], s, q, share, numbers[Number.LOOSE], surge, work)
     quiet = not (raised[0] > 0 or raised[1] > 0 or handed[0] > 0 or handed[1] > 0)
     if quiet and evidence[0] < SIGNIFICANT and evidence[1] < SIGNIFICANT:
         s[node[AT.calm]] += row[DT]
-        if s[node[AT.calm]] >= own[Number.WAIT]:
+        if s[node[AT.calm]] >= numbers[Number.WAIT]:
             s[node[AT.calm]] = 0.0
             for i in joints:
                 keep_past(program[i], s)
     for side in range(2):
         on = raised[side] > 0
         if handed[side] > 0:
-            share[side], deviation[side] = fuse(program, joints, monitors, s, q, side, own, on, work)
+            share[side], deviation[side] = fuse(program, joints, monitors, s, q, side, numbers, on, work)
         else:
             share[side], deviation[side] = effectiveness(monitors, s, q, side, work) if on else (1.0, 0.0)
 
 
 @jit
-def fuse(program, joints, monitors, s, q, side, own, alarmed, work):
+def fuse(program, joints, monitors, s, q, side, numbers, alarmed, work):
     """(3): η and s of a side, with the monitor's while its alarm is on."""
     total, moment = 0.0, 0.0
     if alarmed:
         value, spread = effectiveness(monitors, s, q, side, work)
-        total, moment = weigh(value, own[Number.MONITOR] * spread, total, moment)
+        total, moment = weigh(value, numbers[Number.MONITOR] * spread, total, moment)
     for i in joints:
-        value, spread = thrust_left(program[i], s, side, own[Number.SCALE], own[Number.FLOOR], work)
+        value, spread = thrust_left(program[i], s, side, numbers[Number.SCALE], numbers[Number.FLOOR], work)
         total, moment = weigh(value, spread, total, moment)
     return (moment / total, 1 / np.sqrt(total)) if total > 0 else (1.0, 1.0)
 

@@ -46,5 +46,5 @@ def thrust_remaining(thrusters: ThrusterState, given: Any) -> tuple[Tensor, Tens
     share, deviation = effectiveness(thrusters)
     if not given:
         return share, deviation
-    told = (thrusters.raised > 0) | (given.handed > 0)
-    return torch.where(told, given.share, share), torch.where(told, given.deviation, deviation)
+    accommodated = (thrusters.raised > 0) | (given.handed > 0)
+    return torch.where(accommodated, given.share, share), torch.where(accommodated, given.deviation, deviation)

@@ -47,9 +47,9 @@ def fill_inactive(node, s, q, predictions, x):
     total, together = 0.0, 0.0
     for k in range(m):
         if not np.isnan(x[k]):
-            own = share(node, s, q, k)
-            total += own
-            together += own * x[k]
+            weight = share(node, s, q, k)
+            total += weight
+            together += weight * x[k]
     together = together / total if total > 0 else np.nan
     for k in range(m):
         if np.isnan(x[k]):
@@ -121,10 +121,10 @@ def learn_exponential(node, s, q, x, surge, dt, work):
     m, numbers, square = node[Row.SIZE], q[node[Row.NUMBERS] :], node[Loss.LOSS] == SQUARE
     weights = s[node[AT_EXPONENTIAL.weights] : node[AT_EXPONENTIAL.weights] + m]
     losses = s[node[AT_EXPONENTIAL.losses] : node[AT_EXPONENTIAL.losses] + m]
-    exponents, kept = work[:m], np.exp(-dt / numbers[Exponential.MEMORY])
+    exponents, kappa = work[:m], np.exp(-dt / numbers[Exponential.MEMORY])
     for k in range(m):
         error = x[k] - surge
-        losses[k] = kept * losses[k] + (error * error if square else abs(error))
+        losses[k] = kappa * losses[k] + (error * error if square else abs(error))
         exponents[k] = -numbers[Exponential.RATE] * losses[k]
     shares(weights, q[node[Prior.PRIOR] : node[Prior.PRIOR] + m], exponents)
 
@@ -135,28 +135,28 @@ def learn_boa(node, s, q, x, surge, dt, work):
     m, numbers = node[Row.SIZE], q[node[Row.NUMBERS] :]
     weights = s[node[AT_BOA.weights] : node[AT_BOA.weights] + m]
     losses, squares = s[node[AT_BOA.losses] :], s[node[AT_BOA.squares] :]
-    prior, costs, kept = q[node[Priors.PRIOR] :], q[node[Priors.COSTS] :], np.exp(-dt / numbers[Bernstein.MEMORY])
+    prior, costs, kappa = q[node[Priors.PRIOR] :], q[node[Priors.COSTS] :], np.exp(-dt / numbers[Bernstein.MEMORY])
     scale, part, square = numbers[Bernstein.SCALE], numbers[Bernstein.SHARE], node[Loss.LOSS] == SQUARE
     ranges = s[node[AT_BOA.ranges] :]
-    bernstein(weights, losses, squares, ranges, prior, costs, kept, scale, part, square, x, surge, work)
+    bernstein(weights, losses, squares, ranges, prior, costs, kappa, scale, part, square, x, surge, work)
 
 
 @jit
-def bernstein(weights, losses, squares, ranges, prior, costs, kept, scale, share, square, x, surge, work):
-    """Equations (1) to (4) of members' predictions x, with κ = `kept`."""
+def bernstein(weights, losses, squares, ranges, prior, costs, kappa, scale, share, square, x, surge, work):
+    """Equations (1) to (4) of members' predictions x, with κ = `kappa`."""
     m = len(weights)
     factors, exponents, combined = work[:m], work[m : 2 * m], dot(weights, x[:m])
     error = combined - surge
     slope = 2 * error if square else np.sign(error)
     for k in range(m):
         loss = slope * (x[k] - combined)
-        ranges[k] = max(max(kept * ranges[k], scale), abs(loss))  # (1)
+        ranges[k] = max(max(kappa * ranges[k], scale), abs(loss))  # (1)
         c = costs[k]
         least = c * ranges[k] * ranges[k]
         surprising = np.sqrt(c / max(squares[k], least)) * loss
         surcharge = ranges[k] if surprising > 0.5 else 0.0
-        losses[k] = kept * losses[k] + 0.5 * (loss * (1 + surprising) + surcharge)  # (2)
-        squares[k] = kept * squares[k] + loss * loss
+        losses[k] = kappa * losses[k] + 0.5 * (loss * (1 + surprising) + surcharge)  # (2)
+        squares[k] = kappa * squares[k] + loss * loss
         rate = np.sqrt(c / max(squares[k], least))  # (3)
         factors[k] = prior[k] * rate
         exponents[k] = -rate * losses[k]

@@ -309,20 +309,20 @@ class BOA(Prior):
         combined = (state.weights * x).sum(-1, keepdim=True)
         error = combined - surge[..., None]
         loss = (error.sign() if self.loss == "absolute" else 2 * error) * (x - combined)
-        kept = self._kept(dt)
-        ranges = torch.maximum((kept * state.ranges).clamp(min=self.scale), loss.abs())  # (1)
+        kappa = self._kept(dt)
+        ranges = torch.maximum((kappa * state.ranges).clamp(min=self.scale), loss.abs())  # (1)
         surprising = self._rates(ranges, state.squares) * loss
         surcharge = torch.where(surprising > 0.5, ranges, 0.0)
-        losses = kept * state.losses + 0.5 * (loss * (1 + surprising) + surcharge)  # (2)
-        squares = kept * state.squares + loss * loss
+        losses = kappa * state.losses + 0.5 * (loss * (1 + surprising) + surcharge)  # (2)
+        squares = kappa * state.squares + loss * loss
         rates = self._rates(ranges, squares)  # (3)
         weights = (self.log_prior + rates.log() - rates * losses).softmax(-1)  # (4)
         weights = torch.lerp(weights, self.log_prior.exp(), self.share)
         return BOAState(weights, losses, squares, ranges)
 
     def description(self) -> dict[str, Any]:
-        found = self._spec(at.BOA)
-        return found | {"vector": [*found["vector"], *self._costs().tolist()]}
+        described = self._spec(at.BOA)
+        return described | {"vector": [*described["vector"], *self._costs().tolist()]}
 
     def _costs(self) -> Tensor:
         """c = log(1/w0) of (3), `(members,)`."""

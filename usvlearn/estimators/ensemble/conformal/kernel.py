@@ -20,10 +20,10 @@ FIRST, PLACE = AT.conditional.learned.coefficients, AT.conditional.path
 
 
 @jit
-def published(node, s, predictions, members, limit, row, spreads, found):
+def published(node, s, predictions, members, limit, row, spreads, out):
     """Write the half-widths of predictions, those of members first; infinite before FEW innovations."""
     for i in range(node[Row.SIZE]):
-        found[i] = np.inf if s[node[AT.count] + i] < FEW else s[node[AT.halfwidth] + i]
+        out[i] = np.inf if s[node[AT.count] + i] < FEW else s[node[AT.halfwidth] + i]
     if node[Choice.CONDITIONAL] <= 0:
         return
     at, path = node[FIRST:], s[node[PLACE] : node[PLACE] + PATH]
@@ -32,7 +32,7 @@ def published(node, s, predictions, members, limit, row, spreads, found):
     for i in range(node[Row.SIZE]):
         if abs(predictions[i]) < limit:
             spreads[i] = spread_about(predictions[i], predictions, members, limit)
-            found[i] = halfwidth_now(s, at, i, s[node[AT.count] + i], found[i], spreads[i], path[FAR], group)
+            out[i] = halfwidth_now(s, at, i, s[node[AT.count] + i], out[i], spreads[i], path[FAR], group)
 
 
 @jit

@@ -14,8 +14,8 @@ from usvlearn.estimators.ensemble.manoeuvre_intervals.state import PATH, StepSta
 
 def conformal_start(batch: Sequence[int], k: int, like: Tensor, knows: bool = False) -> ConformalState:
     """The intervals before the first innovation, of k predictions; `knows`: whether they depend on the manoeuvre."""
-    own = StepState(conditional.init(batch, k, like), like.new_zeros((*batch, PATH))) if knows else NONE
-    return ConformalState(like.new_full((*batch, k), START), like.new_zeros((*batch, k)), own)
+    widths = StepState(conditional.init(batch, k, like), like.new_zeros((*batch, PATH))) if knows else NONE
+    return ConformalState(like.new_full((*batch, k), START), like.new_zeros((*batch, k)), widths)
 
 
 def published(state: ConformalState) -> Tensor:

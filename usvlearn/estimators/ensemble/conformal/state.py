@@ -48,8 +48,8 @@ class Choice(Options):
 
 
 def _state(k: int, conditional: int = 0) -> ConformalState:
-    own = StepState(learned_leaves(k), leaf(PATH, legal=COMMAND)) if conditional else NONE
-    return ConformalState(leaf(k, legal=POSITIVE), leaf(k, legal=NOT_NEGATIVE), own)
+    widths = StepState(learned_leaves(k), leaf(PATH, legal=COMMAND)) if conditional else NONE
+    return ConformalState(leaf(k, legal=POSITIVE), leaf(k, legal=NOT_NEGATIVE), widths)
 
 
 FAMILY = Family(("conformal",), _state, Number, Choice, lengths=(Choice.CONDITIONAL,), work=lambda k: 2 * k)

@@ -40,7 +40,7 @@ class FittedForecasts(ForecastSettings):
         return super().init(batch, members, {**states, at.FIT: states[self.copied]})
 
     def description(self, columns: Sequence[str]) -> dict[str, Any]:
-        found = super().description([*columns, at.FIT])
+        described = super().description([*columns, at.FIT])
         fit = {"column": list(columns).index(self.copied), "table": self.fit.tolist()}
-        vectors = found["vectors"] | at.with_fit(self.prior)
-        return {**found, "members": found["members"][:-1], "vectors": vectors, at.FIT: fit}
+        vectors = described["vectors"] | at.with_fit(self.prior)
+        return {**described, "members": described["members"][:-1], "vectors": vectors, at.FIT: fit}

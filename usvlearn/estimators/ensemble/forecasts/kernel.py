@@ -116,16 +116,16 @@ def combine(node, q, weights, x):
 def publish(node, known, knows, s, q, slot, k, x):
     """What one slot says over the horizon k."""
     H, M = node[Choice.HORIZONS], node[Choice.MEMBERS]
-    found = s[node[AT.predictions] + k * (M + 2) :]
+    forecast = s[node[AT.predictions] + k * (M + 2) :]
     for m in range(M):
-        found[m] = x[m]
+        forecast[m] = x[m]
     weights = s[node[AT.weights] + (slot * H + k) * M :]
-    found[M], found[M + 1] = s[node[AT.origin] + slot], combine(node, q, weights, x)
+    forecast[M], forecast[M + 1] = s[node[AT.origin] + slot], combine(node, q, weights, x)
     width = s[node[AT.widths] + slot * H + k]
     if knows:
         due, path = s[known[KNOWN.due] + k * DUE :], s[path_at(known, slot) :]
         group, held = group_of(path), s[known[KNOWN.held] + (slot * H + k) * HELD :]
-        due[0], due[1], due[2] = spread_of(weights, x, found[M + 1], M), path[FAR], group
+        due[0], due[1], due[2] = spread_of(weights, x, forecast[M + 1], M), path[FAR], group
         width = halfwidth_held(held, width, due[0], path[FAR], group)
     s[node[AT.halfwidths] + k] = width
 
@@ -140,15 +140,15 @@ def learn_due(node, known, knows, s, q, surge, dt, work):
     alpha = 1 - numbers[Number.COVERAGE]
     moves = moves_of(overlap, alpha)
     for k in range(H):
-        found = s[node[AT.predictions] + k * (M + 2) :]
-        if not np.isfinite(found[M + 1]):
+        forecast = s[node[AT.predictions] + k * (M + 2) :]
+        if not np.isfinite(forecast[M + 1]):
             continue
         begin = k * M
         weights = s[node[AT.rule.weights] + begin : node[AT.rule.weights] + begin + M]
         unit, total, together = np.sqrt(horizons[k] / STEP), 0.0, 0.0
-        kept = np.exp(-max(horizons[k] / overlap, dt) / memory[k])
+        kappa = np.exp(-max(horizons[k] / overlap, dt) / memory[k])
         for m in range(M):
-            x[m] = found[m] / unit
+            x[m] = forecast[m] / unit
             if not np.isnan(x[m]):
                 total += weights[m] + tiny
                 together += (weights[m] + tiny) * x[m]
@@ -159,9 +159,9 @@ def learn_due(node, known, knows, s, q, surge, dt, work):
             s[node[AT.rule.losses] + begin : node[AT.rule.losses] + begin + M],
             s[node[AT.rule.squares] + begin : node[AT.rule.squares] + begin + M],
             s[node[AT.rule.ranges] + begin : node[AT.rule.ranges] + begin + M],
-            prior, costs, kept, numbers[Number.SCALE], numbers[Number.SHARE], False, x, surge / unit, rest,
+            prior, costs, kappa, numbers[Number.SCALE], numbers[Number.SHARE], False, x, surge / unit, rest,
         )  # fmt: skip
-        e, q_before, s_before = abs(found[M + 1] - surge), s[node[AT.quantile] + k], s[node[AT.error] + k]
+        e, q_before, s_before = abs(forecast[M + 1] - surge), s[node[AT.quantile] + k], s[node[AT.error] + k]
         s[node[AT.errors] + k] += 1
         s[node[AT.error] + k] += max(1 / s[node[AT.errors] + k], SHARE) * (e - s_before)  # (2)
         if knows:
@@ -208,9 +208,9 @@ def fill_slot(node, known, knows, s, q, slot, surge, half):
     s[node[AT.elapsed] + slot], s[node[AT.origin] + slot], s[node[AT.reach] + slot] = 0.0, surge, reach
     weights = s[node[AT.weights] + slot * H * M :]
     for k in range(H):
-        own = s[node[AT.rule.weights] + judged(node, s, k) * M :]
+        source = s[node[AT.rule.weights] + judged(node, s, k) * M :]
         for m in range(M):
-            weights[k * M + m] = own[m]
+            weights[k * M + m] = source[m]
         s[node[AT.widths] + slot * H + k] = halfwidth(node, s, k)
         if knows:
             held = s[known[KNOWN.held] + (slot * H + k) * HELD :]

@@ -160,13 +160,13 @@ class ForecastSettings(nn.Module):
 
     def monitor(self, state: ForecastState) -> dict[str, Tensor]:
         """Weights and half-widths by horizon, as `weight_MEMBER_at_10` and `halfwidth_at_10`."""
-        found: dict[str, Tensor] = {}
+        values: dict[str, Tensor] = {}
         weights = self._weights(state)
         for k, h in enumerate(self.labels):
-            own = weights[..., k, :].unbind(-1)
-            found |= {f"weight_{name}_at_{h}": weight for name, weight in zip(self.names, own, strict=True)}
-            found[f"halfwidth_at_{h}"] = self._halfwidths(state)[..., k]
-        return found
+            split = weights[..., k, :].unbind(-1)
+            values |= {f"weight_{name}_at_{h}": weight for name, weight in zip(self.names, split, strict=True)}
+            values[f"halfwidth_at_{h}"] = self._halfwidths(state)[..., k]
+        return values
 
     def _leaves(self, member: str, state: Any) -> dict[str, Tensor]:
         """The leaves of a member's state that its open-loop simulation needs, by dotted name."""
@@ -175,11 +175,11 @@ class ForecastSettings(nn.Module):
 
     def _weights(self, state: ForecastState) -> Tensor:
         """The weights of each horizon, `(*batch, H, M)`: those of a shorter one where too few errors are known."""
-        own, known = state.rule.weights, state.errors >= FEW
-        found = [own[..., 0, :]]
-        for k in range(1, own.shape[-2]):
-            found.append(torch.where(known[..., k, None], own[..., k, :], found[-1]))
-        return torch.stack(found, -2)
+        weights, known = state.rule.weights, state.errors >= FEW
+        filled = [weights[..., 0, :]]
+        for k in range(1, weights.shape[-2]):
+            filled.append(torch.where(known[..., k, None], weights[..., k, :], filled[-1]))
+        return torch.stack(filled, -2)
 
     def _halfwidths(self, state: ForecastState) -> Tensor:
         """q s, `(*batch, H)`, which do not know the manoeuvre; infinite where too few errors are known."""

@@ -87,11 +87,11 @@ def hold(s, at, k, count, held):
 
 
 @jit
-def mix(width, own, a):
+def mix(width, learned, a):
     """(2): w, v and a; infinite where w is."""
     if not np.isfinite(width) or a >= 1:
-        return own if np.isfinite(width) else width
-    return np.exp((1 - a) * np.log(width) + a * np.log(own))
+        return learned if np.isfinite(width) else width
+    return np.exp((1 - a) * np.log(width) + a * np.log(learned))
 
 
 @jit
@@ -111,8 +111,8 @@ def expected_error(s, at, k, spread, far):
 @jit
 def halfwidth_now(s, at, k, count, width, spread, far, group):
     """(2) of the present state, likewise."""
-    own = s[at[FACTORS] + GROUPS * k + group] * expected_error(s, at, k, spread, far)
-    return mix(width, max(own, NARROWEST), share(s, at, k, count))
+    learned = s[at[FACTORS] + GROUPS * k + group] * expected_error(s, at, k, spread, far)
+    return mix(width, max(learned, NARROWEST), share(s, at, k, count))
 
 
 @jit
@@ -133,12 +133,12 @@ def learn_error(s, at, k, count, e, width, spread, far, group, moves, alpha):
     c, factors = s[at[COEFFICIENTS] + FEATURES * k :], s[at[FACTORS] + GROUPS * k :]
     level, scores = s[at[LEVEL] + k], s[at[SCORES] + 2 * k :]
     expected = expected_error(s, at, k, spread, far)
-    own = max(factors[group] * expected, NARROWEST)
+    learned = max(factors[group] * expected, NARROWEST)
     if count > FEW:
         part = max(1 / (count - FEW), SLOW)
-        scores[0] += part * (2 * own + 2 / alpha * max(e - own, 0.0) - scores[0])
+        scores[0] += part * (2 * learned + 2 / alpha * max(e - learned, 0.0) - scores[0])
         scores[1] += part * (2 * width + 2 / alpha * max(e - width, 0.0) - scores[1])
-    common, alone = (moves[2], moves[3]) if e > own else (moves[0], moves[1])
+    common, alone = (moves[2], moves[3]) if e > learned else (moves[0], moves[1])
     for j in range(GROUPS):
         factors[j] = min(max(factors[j] * (alone if j == group else common), SMALLEST), GREATEST)  # (4)
     after = level + max(1 / count, QUICK) * (e - level)

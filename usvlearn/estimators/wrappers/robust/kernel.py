@@ -34,11 +34,11 @@ def within(node, s, q, surge, predicted):
 
 
 @jit
-def update_scale(node, s, q, innovation, beyond, clips, first, inner, kept):
+def update_scale(node, s, q, innovation, beyond, clips, first, inner, backup):
     """The scale and the counts, (2); a sample that spoiled the estimator's state is undone."""
     numbers, square = q[node[Row.NUMBERS] :], innovation * innovation
-    if not np.isfinite(square) or (not finite(inner) and finite(kept)):
-        copy(inner, kept)
+    if not np.isfinite(square) or (not finite(inner) and finite(backup)):
+        copy(inner, backup)
         s[node[AT.rejected]] += 1
         return
     variance = s[node[AT.variance]]
