@@ -24,8 +24,8 @@ def surge_of(online: Online) -> tuple[Mapping[str, Any], str]:
 
 def fit_of(description: Any) -> tuple[float, ...]:
     """The table of the batch fit that forecasts, too, of an estimator; () without."""
-    made = description.get("surge", description).get("forecasts") or {}
-    return tuple(made.get(FIT, {}).get("table", ()))
+    forecasts = description.get("surge", description).get("forecasts") or {}
+    return tuple(forecasts.get(FIT, {}).get("table", ()))
 
 
 def surge_alone(leaves: Mapping[str, Any], facts: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -69,9 +69,9 @@ def identified(online: Online, one_command: bool = False) -> tuple[dict[str, tup
 
     if online.description is None or reader_of(members_of(surge_of(online)[0])) is None:
         return {}, ""
-    found: Any = online.identified()
-    names = [name for name in found if not (one_command and tells_sides(name))]
-    return {name: tuple(found.displayed(name)) for name in names}, found.unphysical
+    quantities: Any = online.identified()
+    names = [name for name in quantities if not (one_command and tells_sides(name))]
+    return {name: tuple(quantities.displayed(name)) for name in names}, quantities.unphysical
 
 
 def networks(online: Online) -> dict[str, dict[str, Any]]:
@@ -84,13 +84,13 @@ def networks(online: Online) -> dict[str, dict[str, Any]]:
 
     if online.description is None:
         return {}
-    own, begin = surge_of(online)
-    found = {}
-    for name, description in members_of(own).items():
+    surge, begin = surge_of(online)
+    by_name = {}
+    for name, description in members_of(surge).items():
         if description is not None and description["kind"] == "rnn":
             prefix = f"{begin}members.{name}." if name else begin
-            found[name] = _network(online, prefix, description["numbers"]["scale"])
-    return found
+            by_name[name] = _network(online, prefix, description["numbers"]["scale"])
+    return by_name
 
 
 def _network(online: Online, prefix: str, scale: float) -> dict[str, Any]:

@@ -61,8 +61,8 @@ class Health(NamedTuple):
 
     def json(self) -> dict[str, Any]:
         """As JSON values: a number that is not finite becomes null."""
-        found: dict[str, Any] = finite({**self._asdict(), "refit": self.refit and self.refit._asdict()})
-        return found
+        content: dict[str, Any] = finite({**self._asdict(), "refit": self.refit and self.refit._asdict()})
+        return content
 
 
 def quantity(value: float, low: float, high: float, unit: str) -> str:
@@ -133,8 +133,8 @@ class Listening:
         for part, age in ages.items():
             source = self._sources[part]
             channel = part.partition("[")[0]
-            interval, own = (windows or {}).get(channel, (0.0, MOST_WINDOW))
-            longest = (own if source.window == AUTO else float(source.window)) + float(source.period) + 2 * dt
+            interval, window = (windows or {}).get(channel, (0.0, MOST_WINDOW))
+            longest = (window if source.window == AUTO else float(source.window)) + float(source.period) + 2 * dt
             if not source.held and age > max(SILENT * self._warp, longest):
                 old.append(f"{self._named(part)} for {seconds(age)}")
             if not source.held and math.isnan(interval) and channel not in self._refused:
@@ -210,9 +210,9 @@ class Usable:
         wanted = max(round(SPAN / node.dt), LEAST)
         while len(self._counts) > 1 and now.steps - self._counts[1].steps >= wanted:
             self._counts.popleft()
-        found = self._lost(node, self._counts[0], now) if now.steps - self._counts[0].steps >= wanted else None
-        if found is None or self._cause is None or self._cause[:2] != found[:2]:
-            self._cause = found
+        cause = self._lost(node, self._counts[0], now) if now.steps - self._counts[0].steps >= wanted else None
+        if cause is None or self._cause is None or self._cause[:2] != cause[:2]:
+            self._cause = cause
         return seldom or (None if self._cause is None else self._cause[2])
 
     def _seldom(self, silent: set[str]) -> Cause | None:

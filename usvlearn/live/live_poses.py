@@ -143,9 +143,9 @@ class _Recent:
 
     def last(self, time: float) -> np.ndarray:
         """The last value within its window before a time, s, `(1,)`; NaN if there is none."""
-        kept = self._messages
-        while len(kept) > 1 and kept[1][0] <= time + poses.LATE:
-            kept.popleft()
-        if not kept or kept[0][0] > time + poses.LATE or not time - kept[0][0] <= kept[0][2]:
+        messages = self._messages
+        while len(messages) > 1 and messages[1][0] <= time + poses.LATE:
+            messages.popleft()
+        if not messages or messages[0][0] > time + poses.LATE or not time - messages[0][0] <= messages[0][2]:
             return NONE
-        return np.array([kept[0][1]])
+        return np.array([messages[0][1]])

@@ -69,9 +69,9 @@ class Recent:
             fleet = align_fleet([recording], **self._setup.align)
         except LogFormatError:  # the check says why
             fleet = None
-        found = check_data([recording], fleet, self._setup.align, top, declared, horizons)
-        told = [each.sentence() for each in found if each.severity == WARNING and each.kind not in LIVE_KNOWS]
-        return [each.replace("data.channels.", "").replace("vehicle.surge_max", "surge_max") for each in told]
+        findings = check_data([recording], fleet, self._setup.align, top, declared, horizons)
+        sentences = [each.sentence() for each in findings if each.severity == WARNING and each.kind not in LIVE_KNOWS]
+        return [each.replace("data.channels.", "").replace("vehicle.surge_max", "surge_max") for each in sentences]
 
 
 def recording_of(setup: Setup, columns: Mapping[str, Sequence[np.ndarray]], boat: str, run: str) -> Recording:

@@ -45,27 +45,27 @@ def settings_of(setup: Setup) -> Any:
 
 def sizes_of(folder: Path) -> dict[Path, int]:
     """The bytes of each mission in a folder, from the oldest; without those that are removed meanwhile."""
-    found = {}
+    sizes = {}
     for path in checkpoint.checkpoints(folder):
         with suppress(FileNotFoundError):
-            found[path] = path.stat().st_size
-    return found
+            sizes[path] = path.stat().st_size
+    return sizes
 
 
 def read_refit(folder: Path, setup: Setup | None = None) -> Refit:
     """What the last fit in a node's folder says; of another setup, nothing."""
     try:
-        found = status_of(folder / FIT, RESULT)
-        if not found or (setup is not None and found[KEY] != settings_of(setup)):
+        result = status_of(folder / FIT, RESULT)
+        if not result or (setup is not None and result[KEY] != settings_of(setup)):
             return Refit()
         rows = {
             printable(name): (float(value), float(low), float(high), printable(unit))
-            for name, (value, low, high, unit) in found["quantities"].items()
+            for name, (value, low, high, unit) in result["quantities"].items()
         }
-        table = tuple(float(x) for x in found.get("table", ()))
+        table = tuple(float(x) for x in result.get("table", ()))
         if len(table) not in (0, TABLE) or not np.isfinite(table).all():
             raise ValueError("its table is none")
-        return Refit(found["use"] is True, int(found["missions"]), rows, printable(found["sentence"]), table)
+        return Refit(result["use"] is True, int(result["missions"]), rows, printable(result["sentence"]), table)
     except (CheckpointError, KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         return Refit(sentence=f"{folder / FIT / RESULT} cannot be read ({error!r:.80}): remove it")
 
@@ -131,9 +131,9 @@ class Missions:
     def _write(self, path: Path, columns: Columns) -> None:
         leaves = {name: np.stack(each) for name, each in columns.items()}
         checkpoint.save(path, leaves, boat=self._options.boat, **{KEY: self._setup.json()})
-        kept = sizes_of(self._folder)
-        while sum(kept.values()) > MOST:
-            kept.pop(oldest := next(iter(kept)))
+        sizes = sizes_of(self._folder)
+        while sum(sizes.values()) > MOST:
+            sizes.pop(oldest := next(iter(sizes)))
             oldest.unlink(missing_ok=True)
 
     def _start(self) -> None:

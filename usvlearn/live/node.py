@@ -73,17 +73,17 @@ class Node:
         description = online.description
         if description is None:
             raise ConfigError("estimator: found one without compiled code, expected one that has it")
-        own, _ = diagnostics.surge_of(online)
-        self._output = str(own.get("output"))
-        self._watch = diagnostics.event_watch(own)
+        surge, _ = diagnostics.surge_of(online)
+        self._output = str(surge.get("output"))
+        self._watch = diagnostics.event_watch(surge)
         self.origin = math.nan  # stamps are counted from here, s
         self.derived: float | None = None  # m/s, the surge that the last message completed
         # Is called with channel, time and value, s and SI units, of each message that is aligned.
         self.took: Callable[[str, float, float], None] = lambda *_: None
         self.dt = float(setup.align["dt"])
         self.horizons, self.track_horizons = (  # s, of forecasts and of tracks
-            tuple(each for each in found if round(each / self.dt) <= LONGEST)
-            for found in (diagnostics.horizons(own), diagnostics.track_horizons(description))
+            tuple(each for each in horizons if round(each / self.dt) <= LONGEST)
+            for horizons in (diagnostics.horizons(surge), diagnostics.track_horizons(description))
         )
         # The intervals of forecasts, whatever is commanded.
         self.held = HeldIntervals(self.horizons, self.dt)
@@ -152,13 +152,13 @@ class Node:
             value = mixed
         if self._poses is not None:
             self._poses.take(channel, time, value)
-        found = self._feed(channel, time, value) if channel in CHANNELS else []
+        steps = self._feed(channel, time, value) if channel in CHANNELS else []
         self.derived = None
         if self._derived is not None and (channel == "heading" or channel in self._derived.pair):
             self.derived = self._derived.push(channel, time, value)
             if self.derived is not None:
-                found += self._feed(SURGE, time, self.derived)
-        return found
+                steps += self._feed(SURGE, time, self.derived)
+        return steps
 
     def _feed(self, channel: str, time: float, value: float) -> list[Step]:
         self.took(channel, time, value)
@@ -170,11 +170,11 @@ class Node:
 
     def restart(self) -> list[Step]:
         """Begin anew, because the clock of the stamps began anew; returns the last steps before that."""
-        found = self.finish()
+        steps = self.finish()
         for channel, causes in self._aligner.rejected.items():
             self._before.setdefault(channel, Counter()).update(causes)
         self._begin()
-        return found
+        return steps
 
     def _step(self, time: float, sample: Sample) -> Step:
         """Predict, learn, and look ahead."""
@@ -182,16 +182,16 @@ class Node:
         if self._poses is not None:
             learnt = PlanarSample(sample, *self._poses.at(time, sample).tolist())
         predicted = float(self.online.step(learnt))
-        made = math.isfinite(predicted)
+        stepped = math.isfinite(predicted)
         self.grid += 1
         self.fresh += bool(sample.fresh)
         self.measured += bool(sample.measured)
-        self.steps += made
-        self.learned += bool(made and sample.measured)
-        every: Any = self.online.last_predictions() if made and self.online.names else {}
+        self.steps += stepped
+        self.learned += bool(stepped and sample.measured)
+        every: Any = self.online.last_predictions() if stepped and self.online.names else {}
         members = {name: surge for name, (surge, _) in every.items()}
         width = every[self._output][1] if every else math.nan
-        events = self._events(time + self.origin) if made else ()
+        events = self._events(time + self.origin) if stepped else ()
         self.held.compare(time, sample.surge if sample.measured else math.nan)
         after, after_width, forecasts, if_held, track = self._outlook()
         self.held.expect(time, {horizon: surge for horizon, (surge, _, _) in if_held.items()})
@@ -219,11 +219,11 @@ class Node:
             surge, width = self.online.predict(first), math.nan
         forecasts, if_held = {}, {}
         if self.horizons:
-            found = self._forecast(ahead.command_left, ahead.command_right, ahead.heading, ahead.yaw_rate)
+            forecast = self._forecast(ahead.command_left, ahead.command_right, ahead.heading, ahead.yaw_rate)
             for horizon in self.horizons:
                 k = max(round(horizon / self.dt), 1) - 1
-                speed, half = float(found.surge[k]), self.held.halfwidth(horizon)
-                if_held[horizon] = speed, float(found.low[k]), float(found.high[k])
+                speed, half = float(forecast.surge[k]), self.held.halfwidth(horizon)
+                if_held[horizon] = speed, float(forecast.low[k]), float(forecast.high[k])
                 forecasts[horizon] = speed, speed - half, speed + half
         track = self._track(ahead.command_left, ahead.command_right) if self.track_horizons else None
         return float(surge), float(width), forecasts, if_held, track
@@ -249,11 +249,11 @@ class Node:
         A plan that cannot be used is counted; nothing is raised.
         """
         try:
-            found: Forecast | Track | str = self._planned(parse_plan(text))
+            forecast: Forecast | Track | str = self._planned(parse_plan(text))
         except (ConfigError, ShapeError) as error:
             self.drop("plan", "refused")
-            found = str(error)
-        return answer(text, self.last, found)
+            forecast = str(error)
+        return answer(text, self.last, forecast)
 
     def _planned(self, plan: PlannedCommands) -> Forecast | Track:
         last = float(plan.time[-1]) / self.dt  # steps until then; infinite where t is as large as numbers go
@@ -285,9 +285,9 @@ class Node:
         """The events of this step, at `time`, s."""
         if self._watch is None:
             return ()
-        found = self._watch.see(time, diagnostics.event_row(self.online, self._watch.filters))
+        events = self._watch.see(time, diagnostics.event_row(self.online, self._watch.filters))
         losses = sorted(self._watch.losses.values(), key=lambda event: event.effectiveness)
         self.loss = losses[0] if losses else None
         self.alarm = self.loss and self.loss.side
-        self.alarms += sum(event.is_alarm for event in found)
-        return tuple(found)
+        self.alarms += sum(event.is_alarm for event in events)
+        return tuple(events)

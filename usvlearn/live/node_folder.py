@@ -31,7 +31,7 @@ class NodeFolder:
     def __init__(self, folder: Path, keep: int = 100):
         self.folder, self._keep = folder, max(keep, 2)
         folder.mkdir(parents=True, exist_ok=True)
-        numbers = [int(found[1]) for path in folder.iterdir() if (found := NAME.fullmatch(path.name))]
+        numbers = [int(match[1]) for path in folder.iterdir() if (match := NAME.fullmatch(path.name))]
         with suppress(CheckpointError):  # a node starts beside a damaged status, too
             if not numbers and (status := status_of(folder)) and "middleware" not in status:
                 raise ConfigError(f"{folder / STATUS}: is not the status of a node: choose another folder")
@@ -109,11 +109,11 @@ def status_of(folder: Path, name: str = STATUS) -> dict[str, Any]:
             raise ValueError("it is no regular file")
         if path.stat().st_size > LARGEST:
             raise ValueError("it is too large")
-        found = json.loads(path.read_text())
-        if not isinstance(found, dict):
+        status = json.loads(path.read_text())
+        if not isinstance(status, dict):
             raise ValueError("it is no object")
     except FileNotFoundError:
         return {}
     except (OSError, ValueError, RecursionError) as error:
         raise CheckpointError(f"{path}: is not the status of a node ({error}): remove it") from error
-    return found
+    return status

@@ -100,11 +100,11 @@ def is_json(text: str) -> bool:
 def identifier(text: str) -> Any:
     """The `id` of a plan in JSON, a text or a number, by which the sender knows the answer; None without."""
     try:
-        found = json.loads(text).get("id")
+        value = json.loads(text).get("id")
     except (ValueError, AttributeError, RecursionError):
         return None
-    plain = isinstance(found, str | int) or (isinstance(found, float) and math.isfinite(found))
-    return found if plain and len(str(found)) <= 100 else None
+    plain = isinstance(value, str | int) or (isinstance(value, float) and math.isfinite(value))
+    return value if plain and len(str(value)) <= 100 else None
 
 
 def _of_json(text: str) -> list[list[float]]:
@@ -150,28 +150,28 @@ def sampled(plan: PlannedCommands, edges: np.ndarray, before: np.ndarray, side: 
     after = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(time))])  # the integral up to each row
     total = np.interp(edges, time, after) + values[-1] * np.maximum(edges - time[-1], 0.0)
     waits = np.clip(time[0] - edges[:-1], 0.0, length) / length
-    found: np.ndarray = np.diff(total) / length + waits * before
-    return found
+    means: np.ndarray = np.diff(total) / length + waits * before
+    return means
 
 
-def answer(text: str, time: float, found: Forecast | Track | str) -> str:
+def answer(text: str, time: float, forecast: Forecast | Track | str) -> str:
     """The answer to a plan, in its form: a forecast or a track, or a sentence that says why there is none."""
     if not is_json(text):
-        if isinstance(found, str):
-            return f"error: {found}"
-        if isinstance(found, Track):
-            return ",".join(f"{t:.6g}={point.text}" for t, point in zip(found.time, points(found), strict=True))
+        if isinstance(forecast, str):
+            return f"error: {forecast}"
+        if isinstance(forecast, Track):
+            return ",".join(f"{t:.6g}={point.text}" for t, point in zip(forecast.time, points(forecast), strict=True))
         return ",".join(
             f"{t:.6g}={v:.3f}" + (f":{low:.3f}:{high:.3f}" if math.isfinite(low) else "")
-            for t, v, low, high in zip(*found, strict=True)
+            for t, v, low, high in zip(*forecast, strict=True)
         )
     head = {} if (name := identifier(text)) is None else {"id": name}
-    if isinstance(found, str):
-        return json.dumps({**head, "error": found})
-    if isinstance(found, Track):
-        rows = dict(zip(Point._fields, zip(*points(found), strict=True), strict=True))
-        rows = {"t": found.time, "surge": found.surge, "sway": found.sway, **rows}
+    if isinstance(forecast, str):
+        return json.dumps({**head, "error": forecast})
+    if isinstance(forecast, Track):
+        rows = dict(zip(Point._fields, zip(*points(forecast), strict=True), strict=True))
+        rows = {"t": forecast.time, "surge": forecast.surge, "sway": forecast.sway, **rows}
     else:
-        rows = dict(zip(("t", "surge", "low", "high"), found, strict=True))
+        rows = dict(zip(("t", "surge", "low", "high"), forecast, strict=True))
     columns = {key: [round(float(x), 3) if math.isfinite(x) else None for x in values] for key, values in rows.items()}
     return json.dumps({**head, "time": round(time, 3), **columns})

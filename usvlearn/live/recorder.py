@@ -47,7 +47,7 @@ class Recorder:
         self._rows: list[str] = []
         self._written = -math.inf
         names = [NAME.fullmatch(path.name) for path in folder.glob("record_*.alog")]
-        number = 1 + max((int(found[1]) for found in names if found), default=0)
+        number = 1 + max((int(match[1]) for match in names if match), default=0)
         self.path = folder / f"record_{number:04d}.alog"
         try:
             start = _begin(self.path, boat, *begins)

@@ -117,13 +117,13 @@ class Session:
             return []
         node = self._node
         assert node is not None
-        found = node.push(part, stamp, raw)
+        steps = node.push(part, stamp, raw)
         if self._recorder is not None and math.isfinite(stamp):
             self._recorder.write(part, node.relative(stamp), raw)
             if node.derived is not None:
                 self._recorder.write(SURGE, node.relative(stamp), node.derived)
-        self._took(found)
-        return found
+        self._took(steps)
+        return steps
 
     def answer(self, text: str) -> str:
         """The answer to a plan. See `Node.answer`."""
@@ -148,12 +148,12 @@ class Session:
         """The clock of the stamps began anew: a new segment, and a new record."""
         if self._node is None:
             return []
-        found = self._node.restart()
-        self._took(found)
+        steps = self._node.restart()
+        self._took(steps)
         self._missions.keep(ended=True, anew=True)
         if self._recorder is not None:
             self._record()
-        return found
+        return steps
 
     def tick(self, clock: float | None = None) -> Health:
         """The health, once a second; saves what is due. `clock` is `time.monotonic()`."""
@@ -176,8 +176,8 @@ class Session:
         elif clock - self._began >= FIRST_CHECK and not self._checked:
             self._check()
         self.advise("fit", self._missions.tick(saves, outage, node.loss))
-        told, before = self._missions.told, diagnostics.fit_of(node.online.description)
-        if told is not None and (fit := (told.table or before) if told.use else (0.0,) * len(before)) != before:
+        refit, before = self._missions.told, diagnostics.fit_of(node.online.description)
+        if refit is not None and (fit := (refit.table or before) if refit.use else (0.0,) * len(before)) != before:
             node.online.take_fit(fit)
         self.advise("ended", "; ".join(node.online.ended.values()))
         health = self._health(ages, clock)
@@ -225,8 +225,8 @@ class Session:
         """Release the folder; what this session has made of it and left empty is removed."""
         self._lock.release()
         with suppress(OSError):  # it is not empty
-            for made in self._made:
-                made.rmdir()
+            for path in self._made:
+                path.rmdir()
 
     def _end(self) -> str:
         node = self._node
@@ -354,7 +354,7 @@ class Session:
         if told:
             node.online.state = leaves
             node.drop("members", "not_finite")
-            self.advise("afresh", told)
+            self.advise("afresh", sentence)
         return leaves, facts
 
     def _save_soon(self, clock: float) -> None:

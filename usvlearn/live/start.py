@@ -94,27 +94,27 @@ class Begin(NamedTuple):
 
 def begin(folder: NodeFolder, options: Options, middleware: Middleware) -> Begin:
     """Read the checkpoint from which a node starts; without any, make a prior of a mass and a top speed."""
-    leaves, facts, sentence, told = _found(folder, options)
+    leaves, facts, sentence, warnings = _found(folder, options)
     setup = _setup(facts, options, middleware)
-    return Begin(leaves, facts, setup, sentence, [*told, *unconfirmed(setup.unconfirmed)])
+    return Begin(leaves, facts, setup, sentence, [*warnings, *unconfirmed(setup.unconfirmed)])
 
 
 def _found(folder: NodeFolder, options: Options) -> tuple[dict[str, np.ndarray], dict[str, Any], str, list[str]]:
     damaged = []
     if folder.any:
         try:
-            leaves, facts, path, told = newest(folder.folder)
-            return leaves, facts, f"continuing from {path.name} of {folder.folder}", told
+            leaves, facts, path, warnings = newest(folder.folder)
+            return leaves, facts, f"continuing from {path.name} of {folder.folder}", warnings
         except CheckpointError as error:
             if options.start is None and (options.mass is None or options.surge_max is None):
                 raise
             damaged = [str(error)]
     if options.start is not None:
         try:
-            leaves, facts, path, told = _newest_of_run(options.start)
+            leaves, facts, path, warnings = _newest_of_run(options.start)
         except CheckpointError as error:
             raise CheckpointError(f"start: {error}") from error
-        return leaves, facts, f"starting from {path}", [*damaged, *told]
+        return leaves, facts, f"starting from {path}", [*damaged, *warnings]
     if options.mass is None or options.surge_max is None:
         raise ConfigError(
             f"{folder.folder}: found no checkpoint, and no mass and top speed for a prior: give a checkpoint to start "
@@ -135,8 +135,8 @@ def _newest_of_run(start: Path) -> tuple[dict[str, np.ndarray], dict[str, Any], 
             return newest(start / PLANAR)
         except CheckpointError as error:
             damaged = [f"no tracks: {error}"]
-    leaves, facts, path, told = newest(start)
-    return leaves, facts, path, [*damaged, *told]
+    leaves, facts, path, warnings = newest(start)
+    return leaves, facts, path, [*damaged, *warnings]
 
 
 def _setup(facts: Mapping[str, Any], options: Options, middleware: Middleware) -> Setup:
@@ -146,13 +146,13 @@ def _setup(facts: Mapping[str, Any], options: Options, middleware: Middleware) -
     except ConfigError as error:
         raise CheckpointError(f"the checkpoint's {error}: use another checkpoint") from error
     planar = facts["kernel"]["kind"] == PLANAR
-    own = {} if known is None else known.json()["channels"]
+    known_channels = {} if known is None else known.json()["channels"]
     if known is not None and known.reader == middleware.reader:
-        channels = {name: dict(each) for name, each in own.items()}
+        channels = {name: dict(each) for name, each in known_channels.items()}
     else:  # the names in the checkpoint are those of another kind of log
         defaults = {**middleware.channels, **(middleware.auxiliary if planar else {})}
         channels = {name: dict(each) for name, each in defaults.items()}
-        for name, given in own.items():
+        for name, given in known_channels.items():
             if name in channels:
                 own_options = {key: value for key, value in given.items() if key not in NAMES}
                 channels[name] = own_options | channels[name]
@@ -176,21 +176,21 @@ def _setup(facts: Mapping[str, Any], options: Options, middleware: Middleware) -
     if top is not None and (limit := speed_limit(top)) > LIMIT:
         align.setdefault("surge_max", limit)
     asked = options.unconfirmed if known is None or options.unconfirmed is not None else known.unconfirmed
-    found = Setup(declared, align, mass, top, middleware.reader, asked or {})
-    return found if planar else found.live()
+    setup = Setup(declared, align, mass, top, middleware.reader, asked or {})
+    return setup if planar else setup.live()
 
 
 def _sided(channels: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
     """The channels, with the commands of both sides in place of throttle and steering."""
-    found = dict(channels)
-    throttle, steering = (found.pop(name, None) for name in (THROTTLE, STEERING))
+    sided = dict(channels)
+    throttle, steering = (sided.pop(name, None) for name in (THROTTLE, STEERING))
     if throttle is None and steering is None:
-        return found
+        return sided
     if throttle is None:
         raise ConfigError(f"{STEERING}: found it without {THROTTLE}, expected both: name the throttle, too")
-    if sides := [name for name in COMMANDS if name in found]:
+    if sides := [name for name in COMMANDS if name in sided]:
         raise ConfigError(f"{sides[0]}: found it beside {THROTTLE}, expected one of them: leave one out")
-    return found | sides_of(throttle, steering)
+    return sided | sides_of(throttle, steering)
 
 
 def _check_alike(channels: Mapping[str, Mapping[str, Any]], changes: Mapping[str, Any]) -> None:
@@ -204,22 +204,22 @@ def _check_alike(channels: Mapping[str, Mapping[str, Any]], changes: Mapping[str
             )
 
 
-def _changed(own: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+def _changed(options: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """The options of a channel with those of the user; where several signals make it, and now one, or the reverse, the
     former options of each are left out.
     """
-    if "name" in changes and (listed(own.get("name")) is None) != (listed(changes["name"]) is None):
-        own = {
+    if "name" in changes and (listed(options.get("name")) is None) != (listed(changes["name"]) is None):
+        options = {
             key: value
-            for key, value in own.items()
+            for key, value in options.items()
             if key not in (*PER_NAME, "weight") or (key == "unit" and listed(value) is None)
         }
-    return {**own, **changes}
+    return {**options, **changes}
 
 
 def channel_options(given: Mapping[str, str]) -> dict[str, dict[str, Any]]:
     """Changes to channels from text by dotted key: {"surge": "NAV_SPEED"}, comma-separated names, or "surge.unit"."""
-    found: dict[str, dict[str, Any]] = {}
+    changes: dict[str, dict[str, Any]] = {}
     for dotted, text in given.items():
         channel, _, key = dotted.partition(".")
         key = key or "name"
@@ -229,8 +229,8 @@ def channel_options(given: Mapping[str, str]) -> dict[str, dict[str, Any]]:
             else:
                 hint = did_you_mean(channel, NAMED) or f": channels are {', '.join(CHANNELS)}"
             raise ConfigError(f"{dotted}: found no such option of a channel, such as surge or surge.unit{hint}")
-        found.setdefault(channel, {})[key] = _value(dotted, key, str(text).strip())
-    return found
+        changes.setdefault(channel, {})[key] = _value(dotted, key, str(text).strip())
+    return changes
 
 
 def _value(dotted: str, key: str, text: str) -> Any:
@@ -260,15 +260,15 @@ def boat_of(path: Path) -> tuple[dict[str, dict[str, Any]], dict[str, float], Qu
         from usvlearn.core.safe_yaml import read_yaml
     except ImportError as error:
         raise ConfigError("channels: PyYAML is not installed here: run `pip install pyyaml`") from error
-    found = today(read_yaml("channels", path))
-    data, vehicle = found.get("data"), found.get("vehicle")
+    content = today(read_yaml("channels", path))
+    data, vehicle = content.get("data"), content.get("vehicle")
     channels = data.get("channels") if isinstance(data, dict) else None
     if not isinstance(channels, dict) or not all(isinstance(each, dict | None) for each in channels.values()):
         raise ConfigError(f"channels: {path} has no data.channels: name a file that usvlearn inspect wrote")
     known = vehicle if isinstance(vehicle, dict) else {}
     numbers = {name: known[name] for name in ("mass", "surge_max") if isinstance(known.get(name), int | float)}
-    own = {name: dict(each) for name, each in channels.items() if each is not None}
-    return own, numbers, questions_in(found, path)
+    listed = {name: dict(each) for name, each in channels.items() if each is not None}
+    return listed, numbers, questions_in(content, path)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

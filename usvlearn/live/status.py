@@ -79,17 +79,17 @@ def of_step(step: Step, members: bool = False) -> list[Post]:
         "SPEED_ERROR": step.measured - step.speed, "SPEED_NEXT": step.next, "SPEED_NEXT_LOW": step.next_low,
         "SPEED_NEXT_HIGH": step.next_high,
     }  # fmt: skip
-    found = [Post(name, value) for name, value in numbers.items() if math.isfinite(value)]
+    posts = [Post(name, value) for name, value in numbers.items() if math.isfinite(value)]
     for name, forecasts in (("FORECAST", step.forecasts), ("FORECAST_IF_HELD", step.if_held)):
         if forecasts:
-            found.append(Post(name, ",".join(f"{horizon:g}={_ends(each)}" for horizon, each in forecasts.items())))
+            posts.append(Post(name, ",".join(f"{horizon:g}={_ends(each)}" for horizon, each in forecasts.items())))
     places = {horizon: point for horizon, point in step.places.items() if all(map(math.isfinite, point[:3]))}
     if places:
-        found.append(Post(TRACK, ",".join(f"{horizon:g}={point.text}" for horizon, point in places.items())))
+        posts.append(Post(TRACK, ",".join(f"{horizon:g}={point.text}" for horizon, point in places.items())))
     if members and step.members:
-        found.append(Post("MEMBERS", ",".join(f"{name}={value:.3f}" for name, value in step.members.items())))
-    found += [Post("ALARM", event.sentence) for event in step.events if event.is_alarm]
-    return found + [Post("EVENT", event.sentence) for event in step.events]
+        posts.append(Post("MEMBERS", ",".join(f"{name}={value:.3f}" for name, value in step.members.items())))
+    posts += [Post("ALARM", event.sentence) for event in step.events if event.is_alarm]
+    return posts + [Post("EVENT", event.sentence) for event in step.events]
 
 
 def _ends(forecast: tuple[float, float, float]) -> str:
@@ -99,21 +99,21 @@ def _ends(forecast: tuple[float, float, float]) -> str:
 
 def of_health(health: Health) -> list[Post]:
     """What is published each second; the shell may send what changes seldom less often."""
-    found = [Post("HEALTH", summary_of(health))]
+    posts = [Post("HEALTH", summary_of(health))]
     known = {name: each[0] for name, each in health.identified.items() if math.isfinite(each[0])}
     if known:
-        found.append(Post("PARAMS", ",".join(f"{name}={value:.4g}" for name, value in known.items())))
+        posts.append(Post("PARAMS", ",".join(f"{name}={value:.4g}" for name, value in known.items())))
     if health.refit is not None:
         use, fitted = "fit" if health.refit.use else "online", health.refit.quantities
         rows = [f"{name}={value:.4g}:{low:.4g}:{high:.4g}" for name, (value, low, high, _) in fitted.items()]
-        found.append(Post("REFIT", ",".join([f"use={use},missions={health.refit.missions}", *rows])))
+        posts.append(Post("REFIT", ",".join([f"use={use},missions={health.refit.missions}", *rows])))
     for name, network in list(health.contraction.items())[:1]:
         verdict = f"yes by {network['condition']}" if network["contracting"] else "not certified"
-        found.append(Post("CONTRACTING", f"{name}: {verdict}"))
+        posts.append(Post("CONTRACTING", f"{name}: {verdict}"))
         for post, value in (("CONTRACTION_RATE", network["rate"]), ("EQUILIBRIUM", network["equilibrium"])):
             if value is not None:
-                found.append(Post(post, float(value)))
-    return found
+                posts.append(Post(post, float(value)))
+    return posts
 
 
 def summary_of(health: Health) -> str:
@@ -163,20 +163,20 @@ def page(health: Health, step: Step | None = None) -> list[str]:
 
 def _speeds(step: Step) -> list[str]:
     measured = f"{step.measured:.2f}" if math.isfinite(step.measured) else "unknown"
-    found = [_line("Speed", f"measured {measured}, predicted {_interval(step.speed, step.low, step.high)} m/s")]
+    lines = [_line("Speed", f"measured {measured}, predicted {_interval(step.speed, step.low, step.high)} m/s")]
     if math.isfinite(step.next):
-        found.append(_line("Next", f"{_interval(step.next, step.next_low, step.next_high)} m/s under these commands"))
+        lines.append(_line("Next", f"{_interval(step.next, step.next_low, step.next_high)} m/s under these commands"))
     if step.forecasts:
         horizon, each = list(step.forecasts.items())[-1]
         _, low, high = step.if_held[horizon]
         stays = f", ({low:.2f} ... {high:.2f}) if commands stay" if math.isfinite(low) else ""
-        found.append(_line(f"In {horizon:g} s", f"{_interval(*each)} m/s{stays}"))
+        lines.append(_line(f"In {horizon:g} s", f"{_interval(*each)} m/s{stays}"))
     if step.places:
         horizon, place = next((item for item in step.places.items() if item[0] >= FAR), [*step.places.items()][-1])
         size = f", within {place.major:.1f} x {place.minor:.1f} m" if math.isfinite(place.major) else ""
         where = f"{place.north:.1f} m north, {place.east:.1f} m east, heading {place.heading:.0f} deg"
-        found.append(_line(f"Track {horizon:g} s", where + size))
-    return found
+        lines.append(_line(f"Track {horizon:g} s", where + size))
+    return lines
 
 
 def _interval(value: float, low: float, high: float) -> str:
@@ -236,10 +236,10 @@ class StatusLine:
             self._shown = len(text)
             return
         missing = DURATION.sub("", health.sentence.partition(";")[0])  # durations change
-        told = f"{missing}{'; ' if link else ''}{link}"
-        if told != self._told:
-            self._told = told
-            self.say(told)
+        sentence = f"{missing}{'; ' if link else ''}{link}"
+        if sentence != self._told:
+            self._told = sentence
+            self.say(sentence)
 
     def close(self) -> None:
         """End the line."""
@@ -286,35 +286,35 @@ def status_lines(folder: Path) -> list[str]:
     """What a running or dead node last knew, as lines."""
     if not folder.is_dir():
         raise ConfigError(f"status: found no folder {folder}, expected the one of a node: correct the path")
-    found, saved = status_of(folder), checkpoint.checkpoints(folder)
-    if not found and not saved:
+    status, saved = status_of(folder), checkpoint.checkpoints(folder)
+    if not status and not saved:
         return [f"{folder}: no node has written here"]
-    lines = [f"Node        {_state(folder, found)}"]
+    lines = [f"Node        {_state(folder, status)}"]
     titles = {"boat": "Boat", "middleware": "Middleware", "sentence": "State", "loss": "Alarm", "began_from": "Start"}
     for key, title in titles.items():
-        if isinstance(found.get(key), str) and found[key]:
-            lines.append(f"{title:<11} {printable(found[key])}")
-    last: Any = found.get("last")
+        if isinstance(status.get(key), str) and status[key]:
+            lines.append(f"{title:<11} {printable(status[key])}")
+    last: Any = status.get("last")
     if isinstance(last, dict) and _number(last.get("speed")):
         lines.append(f"Predicted   {last['speed']:.2f} m/s at its last step")
-    lines += _networks(found) + _identified("Identified", found.get("identified"))
+    lines += _networks(status) + _identified("Identified", status.get("identified"))
     if (folder / FIT / RESULT).exists():
         refit = read_refit(folder)
         lines += [f"Values      {refit.sentence}", *_identified("Fit", {k: [*x] for k, x in refit.quantities.items()})]
     for title, key in (("Note", "notes"), ("Warning", "warnings")):
-        said = found.get(key)
+        said = status.get(key)
         sentences = [each for each in said if isinstance(each, str)] if isinstance(said, list) else []
         lines += [f"{title:<11} {printable(each)}" for each in sentences]
     return [*lines, f"Checkpoints {_checkpoints(saved)}"]
 
 
-def _state(folder: Path, found: dict[str, Any]) -> str:
-    written = found.get("written")
+def _state(folder: Path, status: dict[str, Any]) -> str:
+    written = status.get("written")
     age = time.time() - written if written is not None and _number(written) else math.inf
     said = f"its status is {seconds(max(age, 0.0))} old" if math.isfinite(age) else "it has written no status"
     if _runs(folder):
-        return f"running, {found.get('state', 'state unknown')}; {said}"
-    ended = "ended" if found.get("state") == "ended" else "not running, it did not end in order"
+        return f"running, {status.get('state', 'state unknown')}; {said}"
+    ended = "ended" if status.get("state") == "ended" else "not running, it did not end in order"
     return f"{ended}; {said}"
 
 
@@ -334,8 +334,8 @@ def _runs(folder: Path) -> bool:
     return False
 
 
-def _networks(found: dict[str, Any]) -> list[str]:
-    lines, networks = [], found.get("contraction")
+def _networks(status: dict[str, Any]) -> list[str]:
+    lines, networks = [], status.get("contraction")
     for name, each in networks.items() if isinstance(networks, dict) else ():
         if isinstance(each, dict):
             verdict = f"contracting by {each.get('condition')}" if each.get("contracting") else "not certified"

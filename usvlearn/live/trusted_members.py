@@ -16,10 +16,10 @@ def trusted_members(facts: Mapping[str, Any], trust: Sequence[str]) -> dict[str,
     known = settings.get("estimators") if isinstance(settings, dict) else None
     if lost := [name for name in names if not isinstance(known, dict) or name not in known]:
         raise CheckpointError(f"trust: the checkpoint does not say how {lost[0]} is made: start from that of a run")
-    own = {name: known[name] for name in names} if isinstance(known, dict) else {}
-    if own:  # by layers above this one
-        import_module("usvlearn.runs.trust").check_settings("the checkpoint", own, list(trust))
-        return import_module("usvlearn.composition.configuration").instantiate(own)
+    chosen = {name: known[name] for name in names} if isinstance(known, dict) else {}
+    if chosen:  # by layers above this one
+        import_module("usvlearn.runs.trust").check_settings("the checkpoint", chosen, list(trust))
+        return import_module("usvlearn.composition.configuration").instantiate(chosen)
     return {}
 
 

@@ -62,16 +62,16 @@ def parse_peer(text: str, place: Place) -> Peer:
     """The sender that `--peer` names, of a connection by UDP."""
     if place.kind == "serial":
         raise ConfigError(f"--peer: found {text!r} with a serial port, which has one sender: leave it out")
-    found = re.fullmatch(r"(?:\[([^\]]+)\]|([^:\s]+))(?::(\d+))?", text)
-    if not found or not 0 <= int(found[3] or 0) < 65536:
+    match = re.fullmatch(r"(?:\[([^\]]+)\]|([^:\s]+))(?::(\d+))?", text)
+    if not match or not 0 <= int(match[3] or 0) < 65536:
         raise ConfigError(f"--peer: found {text!r}, expected HOST or HOST:PORT, such as 192.168.2.1 or [::1]:14551")
-    return Peer(found[1] or found[2], int(found[3] or 0))
+    return Peer(match[1] or match[2], int(match[3] or 0))
 
 
 def _addresses(peer: Peer, family: int) -> set[tuple[str, int]]:
     """All addresses of a peer, and its port; raises OSError while its name is not known."""
-    found = socket.getaddrinfo(peer.host, None, family, socket.SOCK_DGRAM)
-    return {(str(address[0]), peer.port) for *_, address in found}
+    addresses = socket.getaddrinfo(peer.host, None, family, socket.SOCK_DGRAM)
+    return {(str(address[0]), peer.port) for *_, address in addresses}
 
 
 def _speeds() -> dict[int, int]:
@@ -80,8 +80,8 @@ def _speeds() -> dict[int, int]:
         import termios
     except ImportError as error:
         raise ConfigError("connection: found a serial port, expected udpin or udpout on this system") from error
-    found = {int(name[1:]): value for name, value in vars(termios).items() if re.fullmatch(r"B\d+", name)}
-    return {baud: found[baud] for baud in sorted(found) if baud >= 1200}
+    speeds = {int(name[1:]): value for name, value in vars(termios).items() if re.fullmatch(r"B\d+", name)}
+    return {baud: speeds[baud] for baud in sorted(speeds) if baud >= 1200}
 
 
 class Udp:

@@ -63,7 +63,7 @@ class Frames:
 
     def take(self, data: bytes, whole: bool = False) -> list[Any]:
         """The messages that are complete now, as pymavlink decodes them; whole: a datagram begins and ends with one."""
-        data, place, found = self._rest + data, 0, []
+        data, place, messages = self._rest + data, 0, []
         while (first := FIRST.search(data, place)) is not None:
             self.skipped += first.start() - place
             place = first.start()
@@ -75,13 +75,13 @@ class Frames:
                 self.skipped += 1
                 place += 1
             else:
-                found.append(message)
+                messages.append(message)
                 place = end
         else:
             self.skipped += len(data) - place
             place = len(data)
         self._rest = data[place:]
-        return found
+        return messages
 
     def clear(self) -> None:
         """Forget the beginning of a frame: the link is a new one."""

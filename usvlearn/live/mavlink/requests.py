@@ -118,7 +118,7 @@ class Intervals:
 
     def due(self, now: float) -> list[int]:
         """The messages to ask for now; `now` in s of a steady clock."""
-        found = []
+        numbers = []
         for number, wish in self._wishes.items():
             age = now - wish.asked
             if age < wish.wait:
@@ -128,8 +128,8 @@ class Intervals:
                 continue
             wish.wait = LEAST if age != age else min(2 * wish.wait, MOST)
             wish.count, wish.asked = 0, now
-            found.append(number)
-        return found
+            numbers.append(number)
+        return numbers
 
 
 OUTPUTS = 16  # servos whose function is asked for
@@ -183,9 +183,9 @@ class ServoParameters:
 
     def share(self, function: str, message: Any) -> float | None:
         """The share of full scale in a SERVO_OUTPUT_RAW; None while the servo is unknown."""
-        if (found := self._found.get(function)) is None:
+        if (servo := self._found.get(function)) is None:
             return None
-        column, limits = found
+        column, limits = servo
         return float(limits.share(np.array([getattr(message, column)], float))[0])
 
     def _resolve(self) -> None:

@@ -154,31 +154,31 @@ class Vehicle:
 
     def _take(self, message: Any, number: int, sender: tuple[int, int], now: float) -> None:
         """One message with numbers, of any sender."""
-        own = sender == self.address
-        stamp = self._stamp(message, number, own, now)
-        if own:
+        of_vehicle = sender == self.address
+        stamp = self._stamp(message, number, of_vehicle, now)
+        if of_vehicle:
             self._intervals.arrived(number)
             if number == ATTITUDE:
                 self._heading = message.yaw
             if number in RANKS and self._replaceable:
                 self._take_velocity(message, number, stamp, now)
         for route in self._routes.get(number, ()):
-            if (own if route.sender is None else fnmatchcase(f"{sender[0]}.{sender[1]}", route.sender)) and (
-                self._is_instance(message, number, route.instance) and not (own and route.replaceable)
+            if (of_vehicle if route.sender is None else fnmatchcase(f"{sender[0]}.{sender[1]}", route.sender)) and (
+                self._is_instance(message, number, route.instance) and not (of_vehicle and route.replaceable)
             ):
                 self._push_route(route, message, stamp, now)
 
-    def _stamp(self, message: Any, number: int, own: bool, now: float) -> float | None:
+    def _stamp(self, message: Any, number: int, of_vehicle: bool, now: float) -> float | None:
         """The vehicle's time of a message, s; None if it is doubted, or while the time is unknown."""
         name = MESSAGES[number].stamp
-        if not own or name is None:
+        if not of_vehicle or name is None:
             stamp = self._clock.of_receipt(now)
         elif name == "time_boot_ms":
             boots = self._clock.boots
-            found = self._clock.stamp(1e-3 * message.time_boot_ms, now)
+            seconds = self._clock.stamp(1e-3 * message.time_boot_ms, now)
             if self._clock.boots > boots:
                 self._reboot(now)
-            return found
+            return seconds
         else:
             bits = 64 if MESSAGES[number].fields[name].dtype == "<u8" else 32
             stamp = self._clock.of_micros(message.time_usec, bits, now)
@@ -195,11 +195,11 @@ class Vehicle:
 
     def _is_instance(self, message: Any, number: int, wanted: int | None) -> bool:
         """Whether a message comes from the wanted one of equal senders: by default from that of the least number."""
-        found = instance_of(message)
-        if found is None or found == wanted:
-            return wanted is None or found == wanted
-        least = self._instances[number] = min(found, self._instances.get(number, found))
-        return wanted is None and found == least
+        instance = instance_of(message)
+        if instance is None or instance == wanted:
+            return wanted is None or instance == wanted
+        least = self._instances[number] = min(instance, self._instances.get(number, instance))
+        return wanted is None and instance == least
 
     def _push_route(self, route: Route, message: Any, stamp: float | None, now: float) -> None:
         if route.is_output and not self._armed:
@@ -221,14 +221,14 @@ class Vehicle:
         if number != self._source:
             self._source = number
             self._announce(f"the speed comes from {MESSAGES[number].name} now", WARNING, now)
-        found = velocity_of(message, self._heading)
+        velocity = velocity_of(message, self._heading)
         for route in self._replaceable:
             if stamp is None:
                 self._session.drop(route.part, "no_time")
             elif number == NED:
                 self._push(route.part, stamp, number_of(message, route.fields[0]), now)
-            elif found is not None:
-                self._push(route.part, stamp, route.raw(found[VELOCITIES[route.fields[0]]]), now)
+            elif velocity is not None:
+                self._push(route.part, stamp, route.raw(velocity[VELOCITIES[route.fields[0]]]), now)
 
     def _push(self, part: str, stamp: float, raw: float, now: float) -> None:
         self._tell(self._session.push(part, stamp, raw), now)

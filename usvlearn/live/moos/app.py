@@ -180,10 +180,10 @@ class App:
             self._expect_last_values()
         key, stamp = message.key, message.time
         old = stamp < self._subscribed - OLD * self.settings.warp or stamp == self._stamps.get(key)
-        found = old and key not in self._heard
+        is_last = old and key not in self._heard
         self._heard.add(key)
         self._stamps[key] = stamp
-        return found
+        return is_last
 
     def _expect_last_values(self) -> None:
         self._subscribed = self.client.now()
@@ -221,8 +221,8 @@ class App:
 
     # what goes out
 
-    def _publish(self, found: Iterable[Post]) -> None:
-        for post in found:
+    def _publish(self, posts: Iterable[Post]) -> None:
+        for post in posts:
             self._published.add(self.settings.prefix + post.name)
             self.client.notify(self.settings.prefix + post.name, post.value)
 
@@ -330,8 +330,8 @@ def _memory() -> tuple[str, str]:
         lines = Path("/proc/self/status").read_text().splitlines()
     except OSError:
         return "0", "0"
-    found = {key: value.split() for key, _, value in (line.partition(":") for line in lines)}
-    now, most = (found.get(key, ["0"])[0] for key in ("VmRSS", "VmHWM"))
+    sizes = {key: value.split() for key, _, value in (line.partition(":") for line in lines)}
+    now, most = (sizes.get(key, ["0"])[0] for key in ("VmRSS", "VmHWM"))
     return now, most
 
 

@@ -87,9 +87,9 @@ class Mission:
                     block = None
                 else:
                     block.lines.append((number, line))
-            elif found := _BLOCK.match(line):
+            elif match := _BLOCK.match(line):
                 self._unopened(block)
-                block, opened = Block(self._expanded(found[1], number), number, []), bool(found[2])
+                block, opened = Block(self._expanded(match[1], number), number, []), bool(match[2])
                 self.blocks.append(block)
             elif block is not None:
                 if not line.startswith("{"):
@@ -131,19 +131,19 @@ class Mission:
         )
 
     def _entries(self, block: Block) -> dict[str, Entry]:
-        found: dict[str, Entry] = {}
+        entries: dict[str, Entry] = {}
         for number, line in block.lines:
             key, equals, value = line.partition("=")
             entry = Entry(key.strip(), _unquoted(self._expanded(value, number)), number)
             if not equals or not entry.key:
                 raise ConfigError(f"{self.path}, line {number}: found {printable(line)[:60]!r}, expected KEY = VALUE")
-            if (before := found.get(entry.key.lower())) is not None:
+            if (before := entries.get(entry.key.lower())) is not None:
                 raise ConfigError(
                     f"{self.path}, line {number}: found {printable(entry.key)} again, which line {before.line} has: "
                     "remove one of them"
                 )
-            found[entry.key.lower()] = entry
-        return found
+            entries[entry.key.lower()] = entry
+        return entries
 
     def _expanded(self, text: str, line: int) -> str:
         def value(match: re.Match[str]) -> str:
@@ -159,8 +159,8 @@ class Mission:
 
 def _code(line: str) -> str:
     """A line without its comment."""
-    found = _CODE.match(line)
-    return found[0].strip() if found else ""
+    match = _CODE.match(line)
+    return match[0].strip() if match else ""
 
 
 def _unquoted(text: str) -> str:
@@ -248,8 +248,8 @@ class _Parser(argparse.ArgumentParser):
 
 def parser() -> argparse.ArgumentParser:
     """The parser of the command line. What it says overrides the mission file."""
-    made = _Parser("usvlearn live moos", description="A node as an app of MOOS.", allow_abbrev=False)
-    add = made.add_argument
+    parser = _Parser("usvlearn live moos", description="A node as an app of MOOS.", allow_abbrev=False)
+    add = parser.add_argument
     add("mission", nargs="?", metavar="MISSION.moos", help="mission file")
     add("alias", nargs="?", metavar="ALIAS", help=f"name of this app and of its block ({NAME}); pAntler gives it")
     add("--alias", dest="other", metavar="ALIAS", help="likewise")
@@ -260,8 +260,8 @@ def parser() -> argparse.ArgumentParser:
     add("-e", "--example", action="store_true", help="print a block of a mission file")
     add("-i", "--interface", action="store_true", help="print the variables that are subscribed to and published")
     add("-v", "--version", action="version", version=f"usvlearn {usvlearn.__version__}")
-    add_arguments(made)
-    return made
+    add_arguments(parser)
+    return parser
 
 
 def settings_of(arguments: Sequence[str], given: argparse.Namespace) -> Settings:
@@ -279,8 +279,8 @@ def settings_of(arguments: Sequence[str], given: argparse.Namespace) -> Settings
             known = [*KNOWN, *NAMED]
             raise ConfigError(f"{_where(mission, entry)}: found no such key{did_you_mean(key, known)}")
     parse = parser()
-    own = [argument for key, entry in entries.items() for argument in _argument(mission, key, entry)]
-    for argument, entry in own:
+    options = [argument for key, entry in entries.items() for argument in _argument(mission, key, entry)]
+    for argument, entry in options:
         try:
             parse.parse_args([argument])
         except ConfigError as error:
@@ -302,8 +302,8 @@ def settings_of(arguments: Sequence[str], given: argparse.Namespace) -> Settings
     plan = entries.get("plan")
     for each in (prefix, plan):
         if each is not None and (re.search(r"\s", each.value) or (each is plan and not each.value)):
-            found = f"{_where(mission, each)}: found {each.value!r:.60}"
-            raise ConfigError(f"{found}, expected one without blanks")
+            problem = f"{_where(mission, each)}: found {each.value!r:.60}"
+            raise ConfigError(f"{problem}, expected one without blanks")
     tick = _number(mission, entries.get("apptick"), TICK)
     if not LEAST_TICK <= tick <= MOST_TICK:
         raise ConfigError(f"AppTick: found {tick:g}, expected {LEAST_TICK:g} to {MOST_TICK:g} Hz")
@@ -313,7 +313,7 @@ def settings_of(arguments: Sequence[str], given: argparse.Namespace) -> Settings
         name, host, int(port), warp, community.value if community else "",
         tick, PREFIX if prefix is None else prefix.value,
         _switch(mission, entries.get("members")),
-        options_of(parse.parse_args([*(argument for argument, _ in own), *arguments]), warp),
+        options_of(parse.parse_args([*(argument for argument, _ in options), *arguments]), warp),
         PLAN if plan is None else plan.value,
     )  # fmt: skip
 

@@ -61,24 +61,24 @@ def choose_topics(
     """
     below, current = namespace.rstrip("/") + "/", current or {}
     names = sorted(name for name in names if name.startswith(below))
-    found = Subscriptions({}, {}, {})
+    taken = Subscriptions({}, {}, {})
     for part, source in sources.items():
         chosen = matching(source.name, names) if set("*?[") & set(source.name) else [resolve(source.name)]
-        kept = [topic for topic in chosen if topic in current]
+        subscribed = [topic for topic in chosen if topic in current]
         if len(chosen) > 1:
-            found.problems[part] = f"{_listing(chosen)} match {source.name}: set channels.{part}.name to one of them"
+            taken.problems[part] = f"{_listing(chosen)} match {source.name}: set channels.{part}.name to one of them"
         elif not chosen:
-            found.problems[part] = f"no topic below {below} matches {source.name} yet"
-        if len(chosen) != 1 and len(kept) != 1:
+            taken.problems[part] = f"no topic below {below} matches {source.name} yet"
+        if len(chosen) != 1 and len(subscribed) != 1:
             continue
-        topic = (kept or chosen)[0]
+        topic = (subscribed or chosen)[0]
         kind, problem = _kind(topic, sorted(set(kinds(topic))), current.get(topic))
         if problem:
-            found.problems[part] = problem
+            taken.problems[part] = problem
         if kind is not None:
-            found.topics[topic] = kind
-            found.fields.setdefault(topic, {})[part] = source.field or default_field(kind, part)
-    return found
+            taken.topics[topic] = kind
+            taken.fields.setdefault(topic, {})[part] = source.field or default_field(kind, part)
+    return taken
 
 
 def _kind(topic: str, published: Sequence[str], current: str | None) -> tuple[str | None, str | None]:
@@ -149,16 +149,16 @@ class Messages:
 
     def sentences(self) -> list[str]:
         """What an operator should know of the messages."""
-        found = [each for parts in self.problems.values() for each in parts.values()]
+        lines = [each for parts in self.problems.values() for each in parts.values()]
         hint = "set the clock of its computer" if self._simulated else "set that clock, or use_sim_time"
         for topic, seconds in self.off.items():
-            found.append(
+            lines.append(
                 f"the stamps of {topic} are {abs(seconds):.3g} s {'ahead of' if seconds > 0 else 'behind'} the node's "
                 f"clock: the time of receipt is used; {hint}"
             )
         if self._simulated and self._now == 0:
-            found.append("use_sim_time is set, and nobody publishes /clock: no message has a time")
-        return found
+            lines.append("use_sim_time is set, and nobody publishes /clock: no message has a time")
+        return lines
 
 
 NORMAL90 = 1.6448536269514722  # half-width of a 90 % interval over the standard deviation
@@ -237,7 +237,7 @@ class Outputs:
 
     def forecast(self, forecasts: Mapping[float, Sequence[float]], if_held: Mapping[float, Sequence[float]]) -> Any:
         """The surge at each horizon: rows of horizon (s), surge, low, high (m/s), and the ends if commands stay."""
-        rows = [(horizon, *found, *if_held[horizon][1:]) for horizon, found in sorted(forecasts.items())]
+        rows = [(horizon, *values, *if_held[horizon][1:]) for horizon, values in sorted(forecasts.items())]
         return self.table(rows, "horizon", "horizon_s,surge,low,high,low_if_held,high_if_held")
 
     def path(self, stamp: float, track: Track) -> Any:
@@ -314,8 +314,8 @@ class Outputs:
 def _model(health: Any) -> Iterable[tuple[str, Any]]:
     yield from (("state", health.state), ("steps", health.steps), ("learned", health.learned))
     yield from (("alarms", health.alarms), ("uptime s", health.uptime), ("saved s ago", health.saved))
-    for network, found in health.contraction.items():
-        yield from ((f"{network} {key.replace('_', ' ')}", value) for key, value in found.items())
+    for network, verdict in health.contraction.items():
+        yield from ((f"{network} {key.replace('_', ' ')}", value) for key, value in verdict.items())
     for name, (value, low, high, unit) in health.identified.items():
         known = math.isfinite(value)
         yield name, f"{value:.4g} {unit}, 90 % interval {low:.4g} to {high:.4g}" if known else "not known yet"

@@ -60,7 +60,7 @@ class Given(NamedTuple):
 
 def given_by(parameters: Mapping[str, Any]) -> Given:
     """Sort parameters, by their full names."""
-    found = Given({}, dict(OWN), {})
+    given = Given({}, dict(OWN), {})
     for name, value in parameters.items():
         if name in OF_ROS or name.startswith(PREFIXES_OF_ROS):
             continue
@@ -68,19 +68,19 @@ def given_by(parameters: Mapping[str, Any]) -> Given:
             channel, _, key = name.removeprefix(PREFIX).partition(".")
             if channel not in NAMED or key not in SOURCE_KEYS:
                 raise _unknown(name, (PREFIX + f"{each}.{option}" for each in NAMED for option in SOURCE_KEYS))
-            found.channels.setdefault(channel, {})[key] = _plain(value)
+            given.channels.setdefault(channel, {})[key] = _plain(value)
             continue
         if name not in KINDS:
             raise _unknown(name, KINDS)
         if not isinstance(value, KINDS[name]) or (isinstance(value, bool) and bool not in KINDS[name]):
             raise ConfigError(f"parameter {name}: found {value!r:.60}, expected {MEANING[KINDS[name][0]]}")
         if name in OWN:
-            found.own[name] = value
+            given.own[name] = value
         elif value != "":  # an empty text leaves the default, as a launch file may pass it
-            found.options[name] = Path(str(value)).expanduser() if name in PATHS else value
-    if found.own["clock"] not in CLOCKS:
-        raise ConfigError(f"parameter clock: found {found.own['clock']!r}, expected one of {', '.join(CLOCKS)}")
-    return found
+            given.options[name] = Path(str(value)).expanduser() if name in PATHS else value
+    if given.own["clock"] not in CLOCKS:
+        raise ConfigError(f"parameter clock: found {given.own['clock']!r}, expected one of {', '.join(CLOCKS)}")
+    return given
 
 
 def with_parameters(options: Options, given: Given) -> Options:
@@ -194,23 +194,23 @@ class Shell:
                 reason = str(error).partition(", at ")[0].rpartition(": ")[2]
                 raise ConfigError(f"channels: found the topic {name[:QUOTED]!r}: {reason}: name another") from error
 
-        own = {publisher.topic_name for publisher in self._publishers.values()}
-        names = [name for name, _ in node.get_topic_names_and_types() if name not in own]
+        published = {publisher.topic_name for publisher in self._publishers.values()}
+        names = [name for name, _ in node.get_topic_names_and_types() if name not in published]
         current = {topic: kind for topic, (kind, _) in self._subscriptions.items()}
-        found = choose_topics(self._session.sources, names, kinds_of, resolve, node.get_namespace(), current)
-        self._fields, problems = found.fields, dict(found.problems)
-        for topic, kind in found.topics.items():
+        chosen = choose_topics(self._session.sources, names, kinds_of, resolve, node.get_namespace(), current)
+        self._fields, problems = chosen.fields, dict(chosen.problems)
+        for topic, kind in chosen.topics.items():
             if current.get(topic) == kind:
                 continue
             if topic in current:  # first: DDS lets a topic have one type in a process
                 node.destroy_subscription(self._subscriptions.pop(topic)[1])
             try:
-                made = node.create_subscription(message_class(kind), topic, self._receiver(topic), self._listen)
+                subscription = node.create_subscription(message_class(kind), topic, self._receiver(topic), self._listen)
             except (ConfigError, RuntimeError) as error:  # rclpy raises a RuntimeError
-                problems |= dict.fromkeys(found.fields[topic], f"{topic}: {' '.join(str(error).split())}")
+                problems |= dict.fromkeys(chosen.fields[topic], f"{topic}: {' '.join(str(error).split())}")
                 continue
-            self._subscriptions[topic] = kind, made
-            node.get_logger().info(f"reads {', '.join(found.fields[topic])} from {topic}, {kind}")
+            self._subscriptions[topic] = kind, subscription
+            node.get_logger().info(f"reads {', '.join(chosen.fields[topic])} from {topic}, {kind}")
         for part, problem in problems.items():
             if self._problems.get(part) != problem:
                 node.get_logger().info(f"{part}: {problem}")
@@ -245,12 +245,12 @@ class Shell:
     def _publish_track(self, step: Any) -> None:
         """Publish where the boat will be; the topics are made with the first track."""
         if "track" not in self._publishers:
-            made = {name: message_class(f"{package}/msg/{name}") for name, package in TRACK_CLASSES.items()}
-            self._types.update(made)
+            classes = {name: message_class(f"{package}/msg/{name}") for name, package in TRACK_CLASSES.items()}
+            self._types.update(classes)
             for key, topic, name in (
                 ("track", "~/track", "Path"), ("place", "~/track_pose", "PoseWithCovarianceStamped"),
             ):  # fmt: skip
-                self._publishers[key] = self._node.create_publisher(made[name], topic, DEPTH)
+                self._publishers[key] = self._node.create_publisher(classes[name], topic, DEPTH)
         self._publishers["track"].publish(self._outputs.path(step.time, step.track))
         for horizon in step.places:
             k = max(round(horizon / self._dt), 1) - 1
@@ -300,24 +300,24 @@ def run(session: Session, node: Any, **options: Any) -> int:
 
 def parser() -> argparse.ArgumentParser:
     """The arguments before --ros-args."""
-    made = argparse.ArgumentParser(
+    parser = argparse.ArgumentParser(
         prog="usvlearn live ros2",
         description="A node of ROS 2 that learns how its boat moves, and predicts its speed. Source your ROS 2 before.",
         epilog="What follows --ros-args goes to ROS: -p NAME:=VALUE, --params-file FILE, -r FROM:=TO. The options of a "
         "node are parameters, too, with _ for -: -p save_period:=60.0 comes before --save-period. Options of channels "
         "are parameters such as channels.surge.name.",
     )
-    made.add_argument("place", nargs="?", metavar="FOLDER", help="as --folder")
-    made.add_argument("--launch-file", action="store_true", help="print the path of a launch file, and end")
-    made.add_argument("--example", action="store_true", help="print an example of a file of parameters, and end")
-    add_arguments(made)
-    return made
+    parser.add_argument("place", nargs="?", metavar="FOLDER", help="as --folder")
+    parser.add_argument("--launch-file", action="store_true", help="print the path of a launch file, and end")
+    parser.add_argument("--example", action="store_true", help="print an example of a file of parameters, and end")
+    add_arguments(parser)
+    return parser
 
 
 def main(arguments: Sequence[str]) -> int:
     """The command; returns the exit code."""
-    own = list(arguments[: arguments.index("--ros-args")] if "--ros-args" in arguments else arguments)
-    given = parser().parse_args(own)
+    before_ros = list(arguments[: arguments.index("--ros-args")] if "--ros-args" in arguments else arguments)
+    given = parser().parse_args(before_ros)
     if given.launch_file or given.example:
         print(LAUNCH if given.launch_file else EXAMPLE.read_text().rstrip())
         return 0
@@ -326,7 +326,7 @@ def main(arguments: Sequence[str]) -> int:
     options, rclpy = options_of(given), ros()
     signals = importlib.import_module("rclpy.signals").SignalHandlerOptions.NO
     try:
-        rclpy.init(args=list(arguments[len(own) :]), signal_handler_options=signals)
+        rclpy.init(args=list(arguments[len(before_ros) :]), signal_handler_options=signals)
     except Exception as error:  # rclpy has its own errors for arguments that cannot be parsed
         raise ConfigError(f"--ros-args: {' '.join(str(error).split())}: see usvlearn live ros2 --help") from error
     try:
