@@ -87,8 +87,8 @@ def published(given: tuple[str, ...], more: tuple[str, ...] = ()) -> tuple[Ensem
 
 def replayed(given: tuple[str, ...], more: tuple[str, ...] = ()) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
     """Names of the columns; predictions and half-widths, m/s, `(time, boats, columns)`."""
-    model, made = published(given, more)
-    return model.names, *(np.concatenate([each[x] for *_, each in made]) for x in ("predictions", "halfwidths"))
+    model, runs = published(given, more)
+    return model.names, *(np.concatenate([each[x] for *_, each in runs]) for x in ("predictions", "halfwidths"))
 
 
 def measured(log: Log) -> np.ndarray:
@@ -110,28 +110,28 @@ def rows(log: Log, more: tuple[str, ...] = (), part: np.ndarray | None = None) -
     return scores(predictions[part, log.element], measured(log)[part], names, halfwidths[part, log.element])
 
 
-def best_member(found: dict[str, dict], rules: Sequence[str] = ("average", "weighted", "ensemble")) -> str:
-    return min((n for n in found if n not in rules), key=lambda n: found[n]["mae"] or np.inf)
+def best_member(scores: dict[str, dict], rules: Sequence[str] = ("average", "weighted", "ensemble")) -> str:
+    return min((n for n in scores if n not in rules), key=lambda n: scores[n]["mae"] or np.inf)
 
 
 def one_step(logs: Sequence[tuple[str, Log]]) -> Iterator[str]:
     yield "| boat | steps | persistence | ensemble | first half | second half | best member | MAE / its MAE | covers |"
     yield "|---|" + "---:|" * 5 + "---|" + "---:|" * 2
     for label, log in logs:
-        found, half = rows(log), first_half(log)
-        own, best = found["ensemble"], best_member(found)
+        scores, half = rows(log), first_half(log)
+        output, best = scores["ensemble"], best_member(scores)
         halves = [rows(log, (), part)["ensemble"]["skill"] for part in (half, ~half)]
         yield (
-            f"| {label} | {own['steps']} | {found['persistence']['mae']:.4f} | **{own['skill']:.3f}** | "
-            f"{halves[0]:.3f} | {halves[1]:.3f} | {best} {found[best]['skill']:.3f} | "
-            f"{own['mae'] / found[best]['mae']:.3f} | {own['coverage']:.1%} |"
+            f"| {label} | {output['steps']} | {scores['persistence']['mae']:.4f} | **{output['skill']:.3f}** | "
+            f"{halves[0]:.3f} | {halves[1]:.3f} | {best} {scores[best]['skill']:.3f} | "
+            f"{output['mae'] / scores[best]['mae']:.3f} | {output['coverage']:.1%} |"
         )
 
 
 def every_member(logs: Sequence[tuple[str, Log]]) -> Iterator[str]:
     names = replayed(logs[0][1].overrides)[0]
-    found = {label: rows(log) for label, log in logs}
-    yield from table(["boat", *names], [[x, *(f"{y[name]['skill']:.3f}" for name in names)] for x, y in found.items()])
+    tables = {label: rows(log) for label, log in logs}
+    yield from table(["boat", *names], [[x, *(f"{y[name]['skill']:.3f}" for name in names)] for x, y in tables.items()])
 
 
 class Fixed(Persistence):
@@ -184,8 +184,8 @@ def least_squares(model: SurgeDynamics, runs: Sequence[Sample]) -> Fixed:
     """Batch least squares of the increments between measured speeds."""
     phis, increments = [], []
     for samples in runs:
-        made = masks(samples)
-        known, step = made.learns | made.starts, made.learns.clone()
+        mask = masks(samples)
+        known, step = mask.learns | mask.starts, mask.learns.clone()
         step[1:] &= known[:-1]
         step[0] = False
         before = torch.where(known, samples.surge, 0.0).roll(1, 0)
@@ -218,13 +218,13 @@ class SecondHalf(NamedTuple):
 
 
 def second_half(log: Log) -> SecondHalf:
-    found, (before, after) = rows(log, (), ~first_half(log)), halves(log)
+    scores, (before, after) = rows(log, (), ~first_half(log)), halves(log)
     before, after = ([tree_map(lambda x: x[:, [log.element]], run) for run in half] for half in (before, after))
     model = ensemble(log.overrides)
     fit = least_squares(SurgeDynamics(configuration(log.overrides).vehicle.mass), before)
     return SecondHalf(
-        found["persistence"]["mae"],
-        found["ensemble"]["mae"],
+        scores["persistence"]["mae"],
+        scores["ensemble"]["mae"],
         float(free_run(fit, fit.init((1,)), after)[0]),
         float(free_run(model, learned(model, before), after)[model.names.index("ensemble")]),
     )

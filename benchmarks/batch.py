@@ -113,15 +113,15 @@ def peer_row(module, log: Log) -> Row | None:
     except ModuleNotFoundError as error:
         print(error, file=sys.stderr)
         return None
-    found = skills(errors(log.runs.later, [fitted.model.forecast(run) for run in log.runs.later]))
-    return Row(free_run_errors(fitted.model, log.runs.later)[0], found, fitted.setting, fitted.seconds)
+    skill = skills(errors(log.runs.later, [fitted.model.forecast(run) for run in log.runs.later]))
+    return Row(free_run_errors(fitted.model, log.runs.later)[0], skill, fitted.setting, fitted.seconds)
 
 
 def percentage(predictions: Sequence[np.ndarray], runs: Sequence[Sample]) -> float:
     """The fit percentage 100 (1 − |v − v̂| / |v − mean v|) over all steps whose speed was measured."""
     use = np.concatenate([masks(run).learns for run in runs])
-    made, true = np.concatenate(predictions)[use], np.concatenate([run.surge for run in runs])[use]
-    return float(100 * (1 - np.linalg.norm(true - made) / np.linalg.norm(true - true.mean())))
+    predicted, true = np.concatenate(predictions)[use], np.concatenate([run.surge for run in runs])[use]
+    return float(100 * (1 - np.linalg.norm(true - predicted) / np.linalg.norm(true - true.mean())))
 
 
 def fit_row(log: Log) -> Row:
@@ -131,9 +131,9 @@ def fit_row(log: Log) -> Row:
         if runs is not None:
             fitted = fit_boat(log.name, runs.rows, log.mass, log.top)
             pairs.append((simulations(fitted.fit, runs), runs.later, fitted.chosen, time.process_time() - began))
-    made, later, terms, seconds = pairs[0]
+    simulated, later, terms, seconds = pairs[0]
     shares = (*(percentage(*each[:2]) for each in pairs), math.nan)[:2]
-    return Row(free_run_mae(made, later), {}, terms, seconds, shares)
+    return Row(free_run_mae(simulated, later), {}, terms, seconds, shares)
 
 
 @torch.no_grad()
@@ -141,8 +141,8 @@ def ours_by_free_run(log: Log) -> dict[str, float]:
     """MAE, m/s, of the open-loop simulations of the later runs; what was learned on the others stays as it is."""
     model = accuracy.ensemble(log.overrides)
     before, after = ([tensors(run, torch.float64) for run in runs] for runs in (log.runs.learned, log.runs.later))
-    found = accuracy.free_run(model, accuracy.learned(model, before), after)
-    return {name: float(found[model.names.index(name)]) for name in OURS}
+    errors = accuracy.free_run(model, accuracy.learned(model, before), after)
+    return {name: float(errors[model.names.index(name)]) for name in OURS}
 
 
 @torch.no_grad()
@@ -150,21 +150,21 @@ def online_forecasts(
     model: Ensemble, learned: Sequence[Sample], later: Sequence[Sample], horizons: Sequence[int] = HORIZONS
 ) -> list[np.ndarray]:
     """Of each later run, which is learned online meanwhile, forecasts `(horizons, origins, columns)`, m/s."""
-    state, made = accuracy.learned(model, [tensors(run, torch.float64) for run in learned]), []
+    state, forecasts = accuracy.learned(model, [tensors(run, torch.float64) for run in learned]), []
     for run in later:
         aim = targets(run, horizons)
         state, _, states = rollout(model, state, tensors(run, torch.float64), record=lambda state: state)
         at_origins = tree_map(lambda leaf, o=aim.origins: leaf[o].contiguous(), states)
-        made.append(free_from(model, at_origins, run, aim, max(horizons))[np.array(horizons) - 1])
-    return made
+        forecasts.append(free_from(model, at_origins, run, aim, max(horizons))[np.array(horizons) - 1])
+    return forecasts
 
 
 def ours_by_horizon(log: Log) -> dict[str, Skills]:
     """Skill of our own forecasts of the later runs, by name and horizon."""
     model = accuracy.ensemble(log.overrides)
-    made = online_forecasts(model, log.runs.learned, log.runs.later)
+    forecasts = online_forecasts(model, log.runs.learned, log.runs.later)
     columns = {name: model.names.index(name) for name in OURS}
-    return {name: skills(errors(log.runs.later, [each[..., k].T for each in made])) for name, k in columns.items()}
+    return {name: skills(errors(log.runs.later, [each[..., k].T for each in forecasts])) for name, k in columns.items()}
 
 
 def free_from(model: Ensemble, states, run: Sample, aim: Targets, longest: int) -> np.ndarray:
@@ -182,16 +182,16 @@ def free_from(model: Ensemble, states, run: Sample, aim: Targets, longest: int) 
 
 def rows(log: Log) -> dict[str, Row | None]:
     """Every method on a boat."""
-    found: dict[str, Row | None] = {"persistence": Row(free_run_errors(Held(), log.runs.later)[1], {})}
+    table: dict[str, Row | None] = {"persistence": Row(free_run_errors(Held(), log.runs.later)[1], {})}
     for label, module in PEERS.items():
-        found[label] = peer_row(module, log)
-        print(log.name, label, found[label], flush=True)
-    found[FIT] = fit_row(log)
+        table[label] = peer_row(module, log)
+        print(log.name, label, table[label], flush=True)
+    table[FIT] = fit_row(log)
     ahead, free = ours_by_horizon(log), ours_by_free_run(log)
     for name in OURS:
-        found[f"ours: {name}"] = Row(free[name], ahead[name])
-        print(log.name, name, found[f"ours: {name}"], flush=True)
-    return found
+        table[f"ours: {name}"] = Row(free[name], ahead[name])
+        print(log.name, name, table[f"ours: {name}"], flush=True)
+    return table
 
 
 def shown(value: float | None, digits: int) -> str:
@@ -200,23 +200,23 @@ def shown(value: float | None, digits: int) -> str:
     return f"{round(value, digits) + 0.0:.{digits}f}" if np.isfinite(value) else "–"
 
 
-def page(found: Mapping[str, Mapping[str, Row | None]], minutes: float) -> list[str]:
+def page(boats: Mapping[str, Mapping[str, Row | None]], minutes: float) -> list[str]:
     """The page, from the rows of every boat."""
     free = [
-        [name, *(shown(each[name] and each[name].free, 3) for each in found.values())]
-        for name in next(iter(found.values()))
+        [name, *(shown(each[name] and each[name].free, 3) for each in boats.values())]
+        for name in next(iter(boats.values()))
     ]
     for k, part in enumerate(("second half", "all in sample")):
-        shares = (each[FIT].percentages[k] for each in found.values())
+        shares = (each[FIT].percentages[k] for each in boats.values())
         free.append([f"fit percentage of {FIT}, {part}", *(f"{x:.1f}%" if math.isfinite(x) else "–" for x in shares)])
-    text = [OPENING.format(minutes), "", *table(["", *found], free), "", "## Forecasts: skill", "", FORECASTS]
-    for boat, each in found.items():
+    text = [OPENING.format(minutes), "", *table(["", *boats], free), "", "## Forecasts: skill", "", FORECASTS]
+    for boat, each in boats.items():
         ahead = {name: row for name, row in each.items() if row is None or row.skills}
         lines = [[name, *(shown(row and row.skills[h], 2) for h in HORIZONS)] for name, row in ahead.items()]
         text += ["", *table([boat, *(f"{h * DT:.1f} s" for h in HORIZONS)], lines)]
     chosen = [
         [boat, name, row.setting, f"{row.seconds:.0f}"]
-        for boat, each in found.items()
+        for boat, each in boats.items()
         for name, row in each.items()
         if row and row.setting
     ]
@@ -228,8 +228,8 @@ def main() -> None:
     torch.set_num_threads(1)
     began, folder = time.process_time(), Path(sys.argv[1])
     logs = [*(recorded(folder, name) for name in REAL), *map(simulated, PLANTS)]
-    found = {log.name: rows(log) for log in logs}
-    publish(__file__, page(found, (time.process_time() - began) / 60))
+    boats = {log.name: rows(log) for log in logs}
+    publish(__file__, page(boats, (time.process_time() - began) / 60))
 
 
 if __name__ == "__main__":

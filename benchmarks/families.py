@@ -14,12 +14,12 @@ from certify.training import conditions
 
 def random_networks(count: int, n: int, rng: np.random.Generator) -> list[ShallowWeights]:
     """Normal weights, four inputs, scaled so that K is spread log-uniformly over 0.03 … 3."""
-    found = []
+    networks = []
     for K in np.exp(rng.uniform(math.log(0.03), math.log(3), count)):
         a, w1, b = rng.normal(size=(3, n))
         gain = math.sqrt(K / float(conditions.rate(torch.tensor(a), torch.tensor(w1))))
-        found.append(ShallowWeights(gain * a, gain * w1, rng.normal(size=(n, 4)), b))
-    return found
+        networks.append(ShallowWeights(gain * a, gain * w1, rng.normal(size=(n, 4)), b))
+    return networks
 
 
 def signed_networks(count: int, n: int, rarer: int, rng: np.random.Generator) -> list[ShallowWeights]:

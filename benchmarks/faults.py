@@ -69,13 +69,13 @@ class Answer(NamedTuple):
 
 def events() -> dict[str, Event]:
     """All of them by name."""
-    found = {
+    named = {
         f"{side} {share:.0%}": Event({"fault": Fault(side, share, MINUTE)}, side, share)
         for side in SIDES
         for share in (0.7, 0.4, 0.0)
     }
     one = {"per_hour": 0.0, "minute": MINUTE, "seconds": (30.0, 30.0)}
-    return found | {
+    return named | {
         "left +50 %": Event({"fault": Fault("left", 1.5, MINUTE)}, "left", 1.5),
         "wear to 40 %": Event({"fault": Fault("left", 0.4, MINUTE, over=10.0)}, "left", 0.4, 25.0),
         "towed body": Event({"fault": Fault(share=1.0, minute=MINUTE, drag=1.5)}),
@@ -114,26 +114,26 @@ def estimator(plant: str) -> Ensemble:
     return stress.default_ensemble(*NOMINAL[plant])
 
 
-def answer(event: Event, found: Course, plant: str, peers: Mapping[str, Callable[[], Peer]] = PEERS) -> Answer:
+def answer(event: Event, course: Course, plant: str, peers: Mapping[str, Callable[[], Peer]] = PEERS) -> Answer:
     """What the members, the ensemble, peers and the monitor make of a course."""
-    ensemble, boats = estimator(plant), found.samples.surge.shape[1:]
+    ensemble, boats = estimator(plant), course.samples.surge.shape[1:]
     with torch.no_grad():
         wanted = ("predictions", *HEALTH, *GIVEN)
-        _, _, kept = rollout(ensemble, ensemble.init(boats), found.samples, wanted)
-        predictions = {name: kept["predictions"][..., k] for k, name in enumerate(ensemble.names)}
-        predictions["true model"] = found.true
-        predictions["persistence"] = rollout(Persistence(), Persistence().init(boats), found.samples)[1]
+        _, _, recorded = rollout(ensemble, ensemble.init(boats), course.samples, wanted)
+        predictions = {name: recorded["predictions"][..., k] for k, name in enumerate(ensemble.names)}
+        predictions["true model"] = course.true
+        predictions["persistence"] = rollout(Persistence(), Persistence().init(boats), course.samples)[1]
     for name, make in peers.items():
-        predictions[name] = torch.stack([stress.follow(make(), one) for one in alone(found.samples)], -1)
-    errors = {name: (x - found.target).abs().numpy() for name, x in predictions.items()}
-    at = found.begin + LATER if event.minutes <= 15 else -WINDOW
+        predictions[name] = torch.stack([stress.follow(make(), one) for one in alone(course.samples)], -1)
+    errors = {name: (x - course.target).abs().numpy() for name, x in predictions.items()}
+    at = course.begin + LATER if event.minutes <= 15 else -WINDOW
     side = SIDES.index(event.side or "left")
     state = ensemble.init(())
-    health = state.monitors.thrusters._replace(**{name.rpartition(".")[2]: kept[name][at] for name in HEALTH})
-    given = state.accommodation._replace(**{name.rpartition(".")[2]: kept[name][at] for name in GIVEN})
+    health = state.monitors.thrusters._replace(**{name.rpartition(".")[2]: recorded[name][at] for name in HEALTH})
+    given = state.accommodation._replace(**{name.rpartition(".")[2]: recorded[name][at] for name in GIVEN})
     effect, deviation = (x[:, side].numpy() for x in thrust_remaining(health, given))
-    told = alarms(kept["monitors.thrusters.raised"].numpy(), found.begin, side)
-    return Answer(errors, found.begin, *told, effect - event.share, deviation)
+    raised = alarms(recorded["monitors.thrusters.raised"].numpy(), course.begin, side)
+    return Answer(errors, course.begin, *raised, effect - event.share, deviation)
 
 
 def alone(samples: Sample) -> Iterator[Sample]:
@@ -165,37 +165,37 @@ def joined(parts: Sequence[Answer]) -> Answer:
     )
 
 
-def ratio(found: Answer, name: str) -> float:
+def ratio(reply: Answer, name: str) -> float:
     """The mean error of the first predictions over that of the true model."""
-    part = slice(found.begin, found.begin + FIRST)
-    return float(np.nanmean(found.errors[name][part]) / np.nanmean(found.errors["true model"][part]))
+    part = slice(reply.begin, reply.begin + FIRST)
+    return float(np.nanmean(reply.errors[name][part]) / np.nanmean(reply.errors["true model"][part]))
 
 
-def steps_back(found: Answer, name: str) -> float:
+def steps_back(reply: Answer, name: str) -> float:
     """Steps until the running error stays within BACK times the true model's, or times what it was of it before."""
     window = np.ones(WINDOW)
-    own, true = (np.convolve(np.nan_to_num(found.errors[key]).sum(1), window, "valid") for key in (name, "true model"))
-    share, begin = own / true, found.begin
+    ours, true = (np.convolve(np.nan_to_num(reply.errors[key]).sum(1), window, "valid") for key in (name, "true model"))
+    share, begin = ours / true, reply.begin
     before = float(np.mean(share[begin - 10 * WINDOW : begin - WINDOW]))
     beyond = np.flatnonzero(share[begin : begin + LONGEST] > BACK * max(1.0, before))
     back = float(beyond[-1]) + 1 if len(beyond) else 0.0
     return back if back < LONGEST else math.inf
 
 
-def cells(event: Event, found: Answer) -> dict[str, str]:
+def cells(event: Event, reply: Answer) -> dict[str, str]:
     """A row of the table."""
     row = {}
     for name in ("joint", "joint_averaged", "ensemble", *PEERS, "persistence"):
-        if name in found.errors:
-            back = steps_back(found, name)
-            row[name] = f"{ratio(found, name):.2f}, " + ("never" if math.isinf(back) else f"{back:.0f}")
-    there, weakens = np.isfinite(found.delay), event.side is not None and event.share < 1
-    delays = np.quantile(found.delay, (0.5, 0.9), method="higher")
+        if name in reply.errors:
+            back = steps_back(reply, name)
+            row[name] = f"{ratio(reply, name):.2f}, " + ("never" if math.isinf(back) else f"{back:.0f}")
+    there, weakens = np.isfinite(reply.delay), event.side is not None and event.share < 1
+    delays = np.quantile(reply.delay, (0.5, 0.9), method="higher")
     row["alarm"], row["in 90 %"] = ("–" if math.isinf(x) else f"{x:.0f} s" for x in delays)
     row["boats"] = f"{there.mean():.0%}"
-    row["side right"] = f"{found.right[there].mean():.0%}" if weakens and there.any() else ""
-    row["effect ± .10"] = f"{(abs(found.effect) <= 0.1).mean():.0%}" if weakens else ""
-    row["interval holds"] = f"{(abs(found.effect) <= NINETY * found.deviation).mean():.0%}" if weakens else ""
+    row["side right"] = f"{reply.right[there].mean():.0%}" if weakens and there.any() else ""
+    row["effect ± .10"] = f"{(abs(reply.effect) <= 0.1).mean():.0%}" if weakens else ""
+    row["interval holds"] = f"{(abs(reply.effect) <= NINETY * reply.deviation).mean():.0%}" if weakens else ""
     return row
 
 
@@ -236,8 +236,8 @@ def false_alarms(seed: int, hours: float, n: int, plants: Sequence[str] = PLANTS
 def section(seed: int, n: int, hours: float, names: Sequence[str] = ()) -> list[str]:
     """The part of the page: `n` boats of each plant, and gusts for `hours` of as many boats."""
     rows: list[dict[str, str]] = []
-    for name, drive, event, found in answers(seed, n, names):
-        rows.append({"event": name, "commands": drive, **cells(event, found)})
+    for name, drive, event, reply in answers(seed, n, names):
+        rows.append({"event": name, "commands": drive, **cells(event, reply)})
         print(*rows[-1].values(), sep=" | ", flush=True)
     count, total = false_alarms(seed, hours, n)
     heads = list(rows[0])

@@ -113,13 +113,13 @@ def model(parameters: Mapping[str, float], lag: float = 0.0, current: Sequence[f
 def ahead(theta: np.ndarray) -> dict[str, float]:
     """Nine parameters and cubic thrust of motion ahead, whose fore-aft asymmetry terms are added; per mass."""
     boat = Ahead(theta)
-    found = {name: float(boat.sums[name]) for name in sums(True) if not name.startswith("thrust_full")}
+    forces = {name: float(boat.sums[name]) for name in sums(True) if not name.startswith("thrust_full")}
     for side in ("left", "right"):
         cubic = float(boat.cubic[side])
-        found[f"thrust_cubic_{side}"] = cubic
-        found[f"thrust_linear_{side}"] += 0.4 * cubic
-        found[f"thrust_quadratic_{side}"] -= 4 / 3 * cubic
-    return found
+        forces[f"thrust_cubic_{side}"] = cubic
+        forces[f"thrust_linear_{side}"] += 0.4 * cubic
+        forces[f"thrust_quadratic_{side}"] -= 4 / 3 * cubic
+    return forces
 
 
 def study(plant: str, seed: int, n: int = N, hours: float = HOURS, later: float = LATER) -> Iterator[Study]:
@@ -136,7 +136,7 @@ def study(plant: str, seed: int, n: int = N, hours: float = HOURS, later: float 
         flow, theta = np.mean([state.mean[NORTH:THETA].numpy() for state in states], 0), noted[-1].theta
         adapted = learned(aid, runs.learned)[-1].theta / mass
         adaptive = dict(zip(aid.model.names, adapted.tolist(), strict=True))
-        found = {FIT: fitted.quantities, ONLINE: noted[-1]} | {
+        values = {FIT: fitted.quantities, ONLINE: noted[-1]} | {
             name: polynomial(each, top, mass)
             for name, each in ((BATCH, nine.parameters), (SQUARES, plain), (ADAPTIVE, adaptive))
         }
@@ -145,7 +145,7 @@ def study(plant: str, seed: int, n: int = N, hours: float = HOURS, later: float 
         free = {FIT: free_run_mae(simulations(fitted.fit, runs), runs.later)} | {
             name: free_run_mae(output_error.free_runs(each, runs.later), runs.later) for name, each in models.items()
         }
-        yield Study(plant, truth[boat], found, free, fitted.chosen, noted[: len(AFTER)])
+        yield Study(plant, truth[boat], values, free, fitted.chosen, noted[: len(AFTER)])
 
 
 def wrong(one: Study, method: str, name: str) -> float:
@@ -176,37 +176,37 @@ def verdict(met: bool | np.bool) -> str:
     return "yes" if met else "**no**"
 
 
-def accuracy_table(found: Sequence[Study]) -> list[str]:
+def accuracy_table(studies: Sequence[Study]) -> list[str]:
     """Median errors, by method."""
     head = ["median of \\|error\\|", *AIMS, "open-loop simulation over batch"]
     lines = []
     for method in SHOWN:
-        medians = [statistics.median(abs(wrong(one, method, name)) for one in found) for name in AIMS]
-        free = statistics.median(one.free[method] / one.free[BATCH] for one in found)
+        medians = [statistics.median(abs(wrong(one, method, name)) for one in studies) for name in AIMS]
+        free = statistics.median(one.free[method] / one.free[BATCH] for one in studies)
         lines.append([method, *map(share, medians), f"{free:.2f}"])
     return table(head, [*lines, ["aim of the fit", *(f"≤ {aim:.1%}" for aim in AIMS.values()), ""]])
 
 
-def plants_table(found: Sequence[Study]) -> list[str]:
+def plants_table(studies: Sequence[Study]) -> list[str]:
     """The fit's median errors with their signs, by plant."""
     lines = []
-    for plant in dict.fromkeys(one.plant for one in found):
-        some = [one for one in found if one.plant == plant]
+    for plant in dict.fromkeys(one.plant for one in studies):
+        some = [one for one in studies if one.plant == plant]
         lines.append([plant, *(f"{statistics.median(wrong(one, FIT, name) for one in some):+.1%}" for name in AIMS)])
     return table(["median error of the fit", *AIMS], lines)
 
 
-def coverage_table(found: Sequence[Study]) -> list[str]:
+def coverage_table(studies: Sequence[Study]) -> list[str]:
     """Which share of the truths the intervals hold, and how wide they are."""
     lines, held = (
         [],
-        {method: np.mean([holds(one, method, n) for one in found for n in one.truth]) for method in (FIT, ONLINE)},
+        {method: np.mean([holds(one, method, n) for one in studies for n in one.truth]) for method in (FIT, ONLINE)},
     )
-    for name in found[0].truth:
-        inside, beside = (np.mean([holds(one, method, name) for one in found]) for method in (FIT, ONLINE))
-        wide, other = (statistics.median(width(one, method, name) / abs(one.truth[name] or np.nan) for one in found)
+    for name in studies[0].truth:
+        inside, beside = (np.mean([holds(one, method, name) for one in studies]) for method in (FIT, ONLINE))
+        wide, other = (statistics.median(width(one, method, name) / abs(one.truth[name] or np.nan) for one in studies)
                        for method in (FIT, ONLINE))  # fmt: skip
-        narrower = statistics.median(width(one, FIT, name) / width(one, ONLINE, name) for one in found)
+        narrower = statistics.median(width(one, FIT, name) / width(one, ONLINE, name) for one in studies)
         aim = NARROWER if name in NARROW else WIDEST
         met = EACH[0] <= inside <= EACH[1] and (name in SPLIT or narrower <= aim)
         lines.append([name, share(inside, 0), share(beside, 0), share(wide), share(other), f"{narrower:.2f}",
@@ -217,12 +217,12 @@ def coverage_table(found: Sequence[Study]) -> list[str]:
     return table(head, lines)
 
 
-def page(found: Sequence[Study], command: str) -> list[str]:
+def page(studies: Sequence[Study], command: str) -> list[str]:
     """The page."""
     return [
         "# The batch fit beside online learning and other batch fits",
         "",
-        f"Made by `{command}`: {len(found)} simulated boats of {len(PLANTS)} plants, {HOURS:g} h to learn",
+        f"Made by `{command}`: {len(studies)} simulated boats of {len(PLANTS)} plants, {HOURS:g} h to learn",
         f"from and {LATER:g} h of open-loop simulations each.",
         "",
         SCOPE,
@@ -231,15 +231,15 @@ def page(found: Sequence[Study], command: str) -> list[str]:
         "",
         ERRORS,
         "",
-        *accuracy_table(found),
+        *accuracy_table(studies),
         "",
-        *plants_table(found),
+        *plants_table(studies),
         "",
         "## Intervals of 90 %",
         "",
         INTERVALS,
         "",
-        *coverage_table(found),
+        *coverage_table(studies),
     ]
 
 
@@ -249,14 +249,14 @@ def main() -> None:
     options.add_argument("--boats", type=int, default=N)
     given = options.parse_args()
     torch.set_num_threads(1)
-    found = []
+    studies = []
     for seed in given.seeds:
         for plant in PLANTS:
             for one in study(plant, seed, given.boats):
-                found.append(one)
+                studies.append(one)
                 print(plant, seed, one.terms, {name: f"{x:.3f}" for name, x in one.free.items()}, flush=True)
     command = f"python benchmarks/fit.py --seeds {' '.join(map(str, given.seeds))} --boats {given.boats}"
-    publish(__file__, page(found, command))
+    publish(__file__, page(studies, command))
 
 
 if __name__ == "__main__":

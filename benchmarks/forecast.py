@@ -43,15 +43,15 @@ FIT_SEED = 501
 
 def by_horizon(log: Log, more: tuple[str, ...] = (), part: np.ndarray | None = None) -> list[dict[str, Any]]:
     """Scores of the ensemble on a part of the log, by horizon, as of `usvlearn.evaluation.horizons`."""
-    (model, made), kept, begin = published(log.overrides, more), [], 0
-    for run, step, arrays in made:
+    (model, runs), cut, begin = published(log.overrides, more), [], 0
+    for run, step, arrays in runs:
         forecasts = arrays["forecasts"]
         if part is not None:
             forecasts = np.where(part[begin : begin + len(forecasts), None, None], forecasts, np.nan)
         begin += len(forecasts)
-        kept.append((run, step, arrays | {"forecasts": forecasts}))
+        cut.append((run, step, arrays | {"forecasts": forecasts}))
     boat = log.fleet.boats[log.element]
-    return list(ensemble_scores(model, log.fleet, kept)[boat][model.output].values())
+    return list(ensemble_scores(model, log.fleet, cut)[boat][model.output].values())
 
 
 def column(rows: Sequence[dict[str, Any]], key: str) -> np.ndarray:
@@ -111,9 +111,9 @@ def manoeuvres(real: Sequence[Log], boats: Sequence[Log]) -> Iterator[str]:
     yield f"manoeuvre. Whole logs; – : fewer than {MANY} forecasts. Settings were chosen on boats of seed 9301 and on"
     yield "the recorded boats; seed 77 is reported."
     yield ""
-    found = {label: [by_manoeuvre(log) for log in logs] for label, logs in _groups(real, boats).items()}
+    groups = {label: [by_manoeuvre(log) for log in logs] for label, logs in _groups(real, boats).items()}
     inside, scores = {}, {}
-    for label, each in found.items():
+    for label, each in groups.items():
         shares, score = np.stack([x[:3] for x in each]), np.stack([x[3] for x in each])
         several = {", least": np.nanmin, ", greatest": np.nanmax} if len(each) > 1 else {}
         for what, reduce in {"": np.nanmean, **several}.items():
@@ -153,9 +153,9 @@ def with_fits(given: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray] | None:
             with suppress(UsvlearnError):
                 missions = missions_of(small._replace(runs=small.runs[:k]), boat)
                 fits[k] = fit_boat(boat, missions, cfg.vehicle.mass, cfg.vehicle.surge_max)
-    first = min((k for k, found in fits.items() if not found.doubts), default=0)
+    first = min((k for k, fit in fits.items() if not fit.doubts), default=0)
     errors: list[list[np.ndarray]] = [[], []]
-    for with_them, kept in enumerate(errors):
+    for with_them, part in enumerate(errors):
         description, leaves = model.description(), arrays_of(model.init((1,)))
         for k, run in enumerate(fleet.runs):
             if with_them and k in fits and k >= first:
@@ -165,13 +165,13 @@ def with_fits(given: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray] | None:
             leaves, _, record = roll(description, leaves, samples, record=["forecasts.predictions"])
             surge = np.where(masks(run.samples).learns, run.samples.surge, np.nan)
             if k >= first:
-                kept.append(record["forecasts.predictions"][:, 0, :, -2:] - surge[..., None])
-    found = []
-    for kept in errors:
-        held, own = np.moveaxis(np.abs(np.concatenate(kept)), -1, 0)
-        enough = np.isfinite(own).sum(0) >= LEAST
-        found.append(np.where(enough, 1 - np.nanmean(own, 0) / np.nanmean(held, 0), np.nan))
-    return (found[0], found[1]) if first else None
+                part.append(record["forecasts.predictions"][:, 0, :, -2:] - surge[..., None])
+    skills = []
+    for part in errors:
+        held, ahead = np.moveaxis(np.abs(np.concatenate(part)), -1, 0)
+        enough = np.isfinite(ahead).sum(0) >= LEAST
+        skills.append(np.where(enough, 1 - np.nanmean(ahead, 0) / np.nanmean(held, 0), np.nan))
+    return (skills[0], skills[1]) if first else None
 
 
 def fitted(folder: Path) -> Iterator[str]:

@@ -85,24 +85,24 @@ def cases(shared: Path) -> dict[str, Callable[[], Case | None]]:
 @torch.no_grad()
 def steps_of(make: Callable[[], Estimator], batch: tuple[int, ...]) -> Case:
     """States and predictions of one estimator in each way to make its steps."""
-    found: Case = {}
+    case: Case = {}
     for name, dtype in TYPES.items():
         estimator = copy.deepcopy(make()).to(dtype)  # a cached ensemble stays as it is
         samples, start = mission(STEPS, *batch, dtype=dtype), estimator.init(batch)
         recorded = [leaf for leaf, _ in named_leaves(start)]
         state, surge, states = rollout(estimator, start, samples, recorded, backend="kernel")
-        found[f"{name} replay by step"] = {"surge": surge, "state": states}
+        case[f"{name} replay by step"] = {"surge": surge, "state": states}
         _, surge, states = simulate(estimator, state, samples, recorded, backend="kernel")
-        found[f"{name} open loop by step"] = {"surge": surge, "state": states}
-        found |= called(f"{name} single steps", Online(estimator, batch), one_by_one(samples, batch))
+        case[f"{name} open loop by step"] = {"surge": surge, "state": states}
+        case |= called(f"{name} single steps", Online(estimator, batch), one_by_one(samples, batch))
         if isinstance(estimator, Ensemble) and estimator.forecasts:
             plan = tree_map(lambda x: x.nan_to_num(0.0).clamp(-1, 1), mission(PLAN, *batch, dtype=dtype, faults=False))
-            found[f"{name} forecast by step"] = forecast(estimator, state, plan.inputs)._asdict()
+            case[f"{name} forecast by step"] = forecast(estimator, state, plan.inputs)._asdict()
     estimator, samples = copy.deepcopy(make()).to(torch.float64), mission(EAGER, *batch)
     start = estimator.init(batch)
     recorded = [leaf for leaf, _ in named_leaves(start)]
     _, surge, states = rollout(estimator, start, samples, recorded, backend="torch")
-    return found | {"float64 torch by step": {"surge": surge, "state": states}}
+    return case | {"float64 torch by step": {"surge": surge, "state": states}}
 
 
 def one_by_one(samples: Sample, batch: tuple[int, ...]) -> list[Sample]:
@@ -122,7 +122,7 @@ def track_steps() -> Case:
     """The default ensemble with sway, yaw rate and tracks, on a simulated boat that turns and drifts."""
     run = align_fleet(planar_fleet(n=2, hours=0.08, mission_minutes=2.4, seed=3)).runs[0]
     part: PlanarSample = tree_map(lambda x: x[:STEPS], run.planar)
-    found: Case = {}
+    case: Case = {}
     for name, dtype in TYPES.items():
         configured = accuracy.configuration(())
         planar, _ = planar_of(configured, accuracy.ensemble(()))
@@ -130,18 +130,18 @@ def track_steps() -> Case:
         start = planar.init(part.sample.surge.shape[1:])
         recorded = [leaf for leaf, _ in named_leaves(start)]
         [(state, states)] = chunked_rollout(planar, start, [part], recorded)
-        found[f"{name} replay by step"] = states
+        case[f"{name} replay by step"] = states
         online = Online(planar)
         alone = [tree_map(lambda x, k=k: x[k, 0].item(), part) for k in range(len(part.sample.surge))]
-        found |= called(f"{name} single steps", online, alone)
+        case |= called(f"{name} single steps", online, alone)
         left = np.linspace(-0.5, 1.0, PLAN)
         pair = np.stack([left, left[::-1]], -1)
-        found[f"{name} track by step"] = online.forecast(pair)._asdict()
-        found[f"{name} forecast by step"] = online.forecast(pair, headings=0.3)._asdict()
+        case[f"{name} track by step"] = online.forecast(pair)._asdict()
+        case[f"{name} forecast by step"] = online.forecast(pair, headings=0.3)._asdict()
         wide = torch.from_numpy(np.repeat(left[:, None], 2, 1)).to(dtype)
         plan = Inputs(wide, wide.flip(0), None, None, torch.full_like(wide, 0.4))
-        found[f"{name} tracks of a batch by step"] = forecast(planar, state, plan)._asdict()
-    return found
+        case[f"{name} tracks of a batch by step"] = forecast(planar, state, plan)._asdict()
+    return case
 
 
 # Runs and exports
@@ -150,26 +150,26 @@ def track_steps() -> Case:
 @cache
 def finished(overrides: tuple[str, ...]) -> tuple[tempfile.TemporaryDirectory, Path]:
     """The folder of a run, which is removed when the process ends."""
-    kept = tempfile.TemporaryDirectory(prefix="usvlearn-gate-")
-    folder = Path(kept.name) / "run"
+    temporary = tempfile.TemporaryDirectory(prefix="usvlearn-gate-")
+    folder = Path(temporary.name) / "run"
     with quiet():
         work(accuracy.configuration(overrides), folder, overrides, quiet=True)
-    return kept, folder
+    return temporary, folder
 
 
 def run_of(overrides: tuple[str, ...], logs: Path | None = None) -> Case:
     """`results.json`, the predictions and the checkpoints of a run; texts do not tell where the logs are."""
     _, folder = finished(overrides)
     results = without_place((folder / "results.json").read_text(), folder, *([] if logs is None else [logs]))
-    found: Case = {"results": lasting(json.loads(results))}
+    case: Case = {"results": lasting(json.loads(results))}
     for path in sorted(folder.glob("predictions/*.npz")):
         with np.load(path) as archive:
             stepped = {name: archive[name] for name in archive.files if archive[name].dtype.kind == "f"}
-        found[f"predictions {path.stem} by step"] = stepped
+        case[f"predictions {path.stem} by step"] = stepped
     for path in sorted(folder.rglob("*.safetensors")):
-        own = checkpoint.load(path)[0]  # safetensors lists them in another order in each process
-        found[f"checkpoint {path.relative_to(folder)}"] = dict(sorted(own.items()))
-    return found
+        arrays = checkpoint.load(path)[0]  # safetensors lists them in another order in each process
+        case[f"checkpoint {path.relative_to(folder)}"] = dict(sorted(arrays.items()))
+    return case
 
 
 def recorded_run(logs: Path, name: str) -> Case | None:
@@ -228,29 +228,29 @@ def verdicts(group: int) -> Case:
 def assessed(weights: ShallowWeights) -> Case:
     inside = box.operating_box(weights.W2.shape[1])
     row, _ = assess(Network("network", weights), box=inside, seconds=UNLIMITED)
-    made = {name: certificate.make(weights, name) for name in certificate.CLOSED_FORMS}
-    made["interval"] = certificate.make(weights, "interval", box=inside)
+    certificates = {name: certificate.make(weights, name) for name in certificate.CLOSED_FORMS}
+    certificates["interval"] = certificate.make(weights, "interval", box=inside)
     if (rate := row["box"]["proved_rate"]) is not None:
         trees = {name: row["box"][name] for name in ("tree", "invariance_tree")}
-        made["box"] = certificate.make(weights, "box", rate, inside, **trees)
-    return {"verdicts": lasting(row), "certificates": lasting(made)}
+        certificates["box"] = certificate.make(weights, "box", rate, inside, **trees)
+    return {"verdicts": lasting(row), "certificates": lasting(certificates)}
 
 
 def vector_verdicts(group: int) -> Case:
     """Likewise of a vector state; the scaling is searched for in every fifth network, and drawn in the others."""
-    found, rng = {}, np.random.default_rng([49, group])
+    case, rng = {}, np.random.default_rng([49, group])
     for k in range(GROUP):
         q, n, last = ((2, 3, 0), (2, 4, 2), (3, 3, 0))[k % 3]
         network = VectorNetwork("network", vector_network(rng, q, 1, n, last), RELU)
         if k % 5 == 0:
-            row, made = assess(network, seconds=UNLIMITED, steps=True)
-            found[f"network {k}"] = {"verdicts": lasting(row), "certificates": lasting(made)}
+            row, certificates = assess(network, seconds=UNLIMITED, steps=True)
+            case[f"network {k}"] = {"verdicts": lasting(row), "certificates": lasting(certificates)}
             continue
         T, norm = draw_scaling(rng, q), ("inf", "one")[k % 2]
         exact = vector_certificate.make(network, "exact", norm=norm, scaling=T)
         lemma = vector_certificate.make(network, "gershgorin")
-        found[f"network {k}"] = {"exact": lasting(exact), "gershgorin": lasting(lemma)}
-    return found
+        case[f"network {k}"] = {"exact": lasting(exact), "gershgorin": lasting(lemma)}
+    return case
 
 
 # Inspection
@@ -258,36 +258,36 @@ def vector_verdicts(group: int) -> Case:
 
 def inspected(shape: Shape) -> Case:
     """How right a proposal is, and the file that it writes."""
-    with tempfile.TemporaryDirectory() as made:
-        folder = Path(made) / "logs"  # which may give the boat its name
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary) / "logs"  # which may give the boat its name
         folder.mkdir()
         given = shape.write(folder, voyage(0, **shape.options))
         with warnings.catch_warnings(action="ignore"):
-            found = inspect_logs([str(given)])
-        scored = score(found.proposal.channels, certainties(found.decisions), shape.truth)
+            result = inspect_logs([str(given)])
+        scored = score(result.proposal.channels, certainties(result.decisions), shape.truth)
         counts = {name: len(each) for name, each in scored._asdict().items()}
-        return {"counts": counts, "score": scored, "proposal": without_place(found.text, folder)}
+        return {"counts": counts, "score": scored, "proposal": without_place(result.text, folder)}
 
 
 def strangers(source: Path) -> Case | None:
     """What is proposed for the small logs of strangers, or the sentence of the refusal."""
     if not (source / "make.py").is_file():
         return None
-    found: Case = {}
-    with tempfile.TemporaryDirectory() as made:
-        place = Path(made) / "logs"
+    case: Case = {}
+    with tempfile.TemporaryDirectory() as temporary:
+        place = Path(temporary) / "logs"
         subprocess.run([sys.executable, "-B", "-W", "ignore", source / "make.py", place], check=True)
         for path in sorted(place.iterdir()):
             try:
                 with warnings.catch_warnings(action="ignore"):
-                    told = inspect_logs([str(path)])
-                said = {"text": told.text, "decisions": [" ".join(map(str, each)) for each in told.decisions]}
+                    result = inspect_logs([str(path)])
+                said = {"text": result.text, "decisions": [" ".join(map(str, each)) for each in result.decisions]}
             except UsvlearnError as error:
                 said = {"refused": str(error)}
             except Exception as error:  # a defect, which is recorded, too
                 said = {"failed": f"{type(error).__name__}: {error}"}
-            found[path.name] = {
+            case[path.name] = {
                 name: without_place(each, place) if isinstance(each, str) else [without_place(x, place) for x in each]
                 for name, each in said.items()
             }
-    return found
+    return case

@@ -33,7 +33,7 @@ def renamed(source: Path, into: Path) -> Path:
                 copy.parent.mkdir(parents=True, exist_ok=True)
                 content = path.read_bytes()
                 if path.suffix in (".py", ".yaml"):
-                    content = IMPORTED.sub(lambda found: RENAMED[found[1]], content.decode()).encode()
+                    content = IMPORTED.sub(lambda match: RENAMED[match[1]], content.decode()).encode()
                 copy.write_bytes(content)
     return into
 

@@ -70,21 +70,21 @@ def bits(array: np.ndarray) -> np.ndarray:
 
 def digest(case: Leaves) -> str:
     """Of all names, types, shapes and bits."""
-    found = hashlib.sha256()
+    sha = hashlib.sha256()
     for name, leaf in case.items():
-        found.update(f"{name}\n{leaf.dtype} {leaf.shape}\n".encode())
-        found.update(np.ascontiguousarray(bits(leaf)).tobytes())
-    return found.hexdigest()[:DIGITS]
+        sha.update(f"{name}\n{leaf.dtype} {leaf.shape}\n".encode())
+        sha.update(np.ascontiguousarray(bits(leaf)).tobytes())
+    return sha.hexdigest()[:DIGITS]
 
 
 def first_difference(recorded: Leaves, present: Leaves) -> Difference | None:
     """The first difference of two cases, in the order of parts, then steps, then leaves; None if all is equal."""
     names = [*recorded, *(name for name in present if name not in recorded)]
     for part in dict.fromkeys(name.partition(PART)[0] for name in names):
-        own = [name for name in names if name.partition(PART)[0] == part]
-        found = [(place, name) for name in own if (place := _first(recorded.get(name), present.get(name))) is not None]
-        if found:
-            place, name = min(found, key=lambda each: each[0][:1] or (0,))  # of several at one step, the first leaf
+        same = [name for name in names if name.partition(PART)[0] == part]
+        pairs = [(place, name) for name in same if (place := _first(recorded.get(name), present.get(name))) is not None]
+        if pairs:
+            place, name = min(pairs, key=lambda each: each[0][:1] or (0,))  # of several at one step, the first leaf
             return _told(part, name, place, recorded.get(name), present.get(name))
     return None
 

@@ -69,19 +69,19 @@ def source_files(folder: Path) -> list[Path]:
     """Files below PLACES, relative, in order; those that git ignores are left out where the folder is a checkout."""
     if (folder / ".git").exists():
         listed = git("ls-files", "-z", "--cached", "--others", "--exclude-standard", "--", *PLACES, folder=folder)
-        found = {Path(name) for name in listed.decode().split("\0") if name and (folder / name).is_file()}
+        files = {Path(name) for name in listed.decode().split("\0") if name and (folder / name).is_file()}
     else:
         every = (path for place in PLACES for path in [folder / place, *(folder / place).rglob("*")])
-        found = {path.relative_to(folder) for path in every if path.is_file() and "__pycache__" not in path.parts}
-    return sorted(found - {RECORD.relative_to(ROOT)})
+        files = {path.relative_to(folder) for path in every if path.is_file() and "__pycache__" not in path.parts}
+    return sorted(files - {RECORD.relative_to(ROOT)})
 
 
 def source_digest(folder: Path) -> str:
-    found = hashlib.sha256()
+    sha = hashlib.sha256()
     for path in source_files(folder):
         content = (folder / path).read_bytes()
-        found.update(f"{path.as_posix()}\n{len(content)}\n".encode() + content)
-    return found.hexdigest()[:12]
+        sha.update(f"{path.as_posix()}\n{len(content)}\n".encode() + content)
+    return sha.hexdigest()[:12]
 
 
 def git(*arguments: str, folder: Path = ROOT) -> bytes:
@@ -97,40 +97,40 @@ def cache() -> Path:
 
 def keep(source: str) -> Path:
     """The recorded source as a folder: kept before, or out of the commit that wrote gates.json, or out of HEAD."""
-    kept = cache() / source
-    if kept.exists():
-        return kept
+    target = cache() / source
+    if target.exists():
+        return target
     with suppress(OSError, subprocess.CalledProcessError):  # no git, no repository, or a commit that lacks a folder
         for commit in (git("log", "-1", "--format=%H", "--", str(RECORD)).decode().strip(), "HEAD"):
-            with tempfile.TemporaryDirectory() as made:
+            with tempfile.TemporaryDirectory() as temporary:
                 with tarfile.open(fileobj=io.BytesIO(git("archive", commit or "HEAD", *PLACES))) as archive:
-                    archive.extractall(made, filter="data")
-                if source_digest(Path(made)) == source:
-                    return stored(Path(made), kept)
+                    archive.extractall(temporary, filter="data")
+                if source_digest(Path(temporary)) == source:
+                    return stored(Path(temporary), target)
     raise SystemExit(
         f"gates.json: the commit that wrote it does not hold the recorded source {source}: fetch the whole history, or "
         "run python benchmarks/gates.py record in a checkout of the commit whose values are right"
     )
 
 
-def stored(folder: Path, kept: Path) -> Path:
+def stored(folder: Path, target: Path) -> Path:
     """Copy a source into the cache, completely or not at all."""
-    if not kept.exists():
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        part = Path(tempfile.mkdtemp(dir=kept.parent))
+    if not target.exists():
+        target.parent.mkdir(parents=True, exist_ok=True)
+        part = Path(tempfile.mkdtemp(dir=target.parent))
         for path in source_files(folder):
             (part / path).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(folder / path, part / path)
-        part.rename(kept)
-    return kept
+        part.rename(target)
+    return target
 
 
 def recorded_digests(recorded: Recorded, shared: Path) -> Mapping[str, str]:
     """The digests that the recorded source has on this machine."""
     if recorded.machine == machine():
         return recorded.cases
-    own = hashlib.sha256(json.dumps(machine()).encode()).hexdigest()[:12]
-    path = cache() / f"{recorded.source}-{own}.json"
+    tag = hashlib.sha256(json.dumps(machine()).encode()).hexdigest()[:12]
+    path = cache() / f"{recorded.source}-{tag}.json"
     if not path.exists():
         print(f"gates.json is of another machine ({differing(recorded.machine)}): its source computes all cases here")
         run(keep(recorded.source), "record", "--to", path, "--shared", shared)
@@ -146,12 +146,12 @@ def recorded_values(recorded: Recorded, names: Sequence[str], shared: Path) -> d
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "values.npz"
         run(keep(recorded.source), "dump", path, *names, "--shared", shared)
-        found: dict[str, dict[str, np.ndarray]] = {name: {} for name in names}
+        values: dict[str, dict[str, np.ndarray]] = {name: {} for name in names}
         with np.load(path) as archive:
             for entry in archive["entries"]:
                 key, case, leaf = entry.split("\t", 2)
-                found[case][leaf] = archive[key]
-        return found
+                values[case][leaf] = archive[key]
+        return values
 
 
 def run(source: Path, *arguments: str | Path) -> None:
@@ -168,26 +168,26 @@ def computed(names: Iterable[str] | None, shared: Path, prefixes: Sequence[str] 
     wanted = [name for name in every if name.startswith(tuple(prefixes))] if names is None else names
     for name in wanted:
         if name in every:
-            found = every[name]()
-            yield name, None if found is None else leaves(found)
+            case = every[name]()
+            yield name, None if case is None else leaves(case)
 
 
 def record(path: Path, shared: Path) -> None:
     source = source_digest(ROOT)
-    own = {name: ABSENT if case is None else digest(case) for name, case in computed(None, shared)}
+    digests = {name: ABSENT if case is None else digest(case) for name, case in computed(None, shared)}
     if source_digest(ROOT) != source:
         raise SystemExit("gates.json: the source was changed while it was recorded: run it again")
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(Recorded(source, machine(), own)._asdict(), indent=1) + "\n")
+    path.write_text(json.dumps(Recorded(source, machine(), digests)._asdict(), indent=1) + "\n")
     stored(ROOT, cache() / source)
-    print(f"{len(own)} cases of the source {source} are recorded in {path}")
+    print(f"{len(digests)} cases of the source {source} are recorded in {path}")
 
 
 def dump(path: Path, names: Sequence[str], shared: Path) -> None:
     """Write the leaves of some cases."""
     arrays, entries = {}, []
-    for case, found in computed(names, shared):
-        for leaf, array in (found or {}).items():
+    for case, values in computed(names, shared):
+        for leaf, array in (values or {}).items():
             key = f"a{len(entries)}"
             arrays[key] = array
             entries.append(f"{key}\t{case}\t{leaf}")
@@ -198,13 +198,13 @@ def compare(prefixes: Sequence[str], shared: Path) -> bool:
     """Print what differs; whether nothing does."""
     recorded = read()
     known, present, states = recorded_digests(recorded, shared), {}, {}
-    for name, found in computed(None, shared, prefixes):
-        own = ABSENT if found is None else digest(found)
-        states[name] = "equal" if own == known.get(name) else ABSENT if found is None else "differs"
-        if own == ABSENT or name not in known or known[name] == ABSENT:
-            states[name] = ABSENT if own == ABSENT else "not recorded"
+    for name, values in computed(None, shared, prefixes):
+        code = ABSENT if values is None else digest(values)
+        states[name] = "equal" if code == known.get(name) else ABSENT if values is None else "differs"
+        if code == ABSENT or name not in known or known[name] == ABSENT:
+            states[name] = ABSENT if code == ABSENT else "not recorded"
         elif states[name] == "differs":
-            present[name] = found
+            present[name] = values
     if unknown := [each for each in prefixes if not any(name.startswith(each) for name in (*known, *states))]:
         raise SystemExit(f"--only: found {', '.join(unknown)}, expected the beginning of a case, such as steps/aid")
     gone = [name for name in known if name.startswith(tuple(prefixes)) and name not in states]
@@ -225,9 +225,9 @@ def told(gate: str, states: Mapping[str, str], before: Mapping[str, Any], presen
         if names := by.get(state):
             print(f"{'':13} {state}: {', '.join(names)}")
     for name in by.get("differs", [])[:1]:
-        found = first_difference(before[name], present[name])
+        difference = first_difference(before[name], present[name])
         again = f"the recorded source computes the same here today: {name} is not repeatable, or its logs have changed"
-        print(f"{'':13} {name}: {again if found is None else found}")
+        print(f"{'':13} {name}: {again if difference is None else difference}")
     sys.stdout.flush()
 
 

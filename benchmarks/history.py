@@ -109,8 +109,8 @@ def append(path: Path, entries: Sequence[Entry]) -> None:
     if not old:
         writer.writerow(COLUMNS)
     for run, figure in entries:
-        own = "" if figure.spread is None else f"{figure.spread:.3g}"
-        writer.writerow([*run, figure.name, f"{figure.value:.5g}", figure.reference, own])
+        spread = "" if figure.spread is None else f"{figure.spread:.3g}"
+        writer.writerow([*run, figure.name, f"{figure.value:.5g}", figure.reference, spread])
     path.write_text(old + ("\n" if old and not old.endswith("\n") else "") + lines.getvalue())
 
 

@@ -26,27 +26,27 @@ batch fit, parameters frozen, over the fourth hour. The batch fit and the averag
 currents over the missions that they have learned; `aid` knows of no current."""
 
 
-def covered(found: Sequence[Study], after: int, names: Sequence[str]) -> str:
+def covered(studies: Sequence[Study], after: int, names: Sequence[str]) -> str:
     """Which share of the truths the intervals hold after so many missions."""
-    inside = [one.noted[after][x].low <= one.truth[x] <= one.noted[after][x].high for one in found for x in names]
+    inside = [one.noted[after][x].low <= one.truth[x] <= one.noted[after][x].high for one in studies for x in names]
     return share(np.mean(inside), 0)
 
 
-def page(found: Sequence[Study], seed: int) -> str:
+def page(studies: Sequence[Study], seed: int) -> str:
     rows = []
     for name in (BATCH, ONLINE, ADAPTIVE):
-        errors = [statistics.median(abs(wrong(one, name, key)) for one in found) for key in MAIN]
-        bias = statistics.median(wrong(one, name, "drag_half_speed") for one in found)
-        ratio = statistics.median(one.free[name] / one.free[BATCH] for one in found)
+        errors = [statistics.median(abs(wrong(one, name, key)) for one in studies) for key in MAIN]
+        bias = statistics.median(wrong(one, name, "drag_half_speed") for one in studies)
+        ratio = statistics.median(one.free[name] / one.free[BATCH] for one in studies)
         rows.append([name, *map(share, errors), f"{bias:+.1%}", f"{ratio:.2f}"])
     rows.append(["aim", *(AIMS.get(key, "") for key in MAIN), "", "1.02"])
     head = ["", *MAIN, "bias of drag", "open-loop simulation/batch"]
-    groups, quantities = {"five main quantities": MAIN, "all quantities": tuple(found[0].truth)}, []
-    held = [[name, *(covered(found, k, own) for k in range(len(AFTER)))] for name, own in groups.items()]
-    for name in found[0].truth:
-        wide = statistics.median(width(one, ONLINE, name) / abs(one.truth[name] or np.nan) for one in found)
-        error = statistics.median(abs(wrong(one, ONLINE, name)) for one in found)
-        inside = np.mean([holds(one, ONLINE, name) for one in found])
+    groups, quantities = {"five main quantities": MAIN, "all quantities": tuple(studies[0].truth)}, []
+    held = [[name, *(covered(studies, k, keys) for k in range(len(AFTER)))] for name, keys in groups.items()]
+    for name in studies[0].truth:
+        wide = statistics.median(width(one, ONLINE, name) / abs(one.truth[name] or np.nan) for one in studies)
+        error = statistics.median(abs(wrong(one, ONLINE, name)) for one in studies)
+        inside = np.mean([holds(one, ONLINE, name) for one in studies])
         quantities.append([name, share(inside, 0), share(wide, 0), share(error, 0)])
     opening = (
         f"Made by `python benchmarks/identify.py --seed {seed}`: {len(PLANTS)} plants, {N} boats each, {HOURS:.0f} h "
@@ -69,15 +69,15 @@ def main() -> None:
     options.add_argument("--seed", type=int, default=77)
     seed = options.parse_args().seed
     torch.set_num_threads(1)
-    found = []
+    studies = []
     for plant in PLANTS:
         for one in study(plant, seed):
-            found.append(one)
+            studies.append(one)
             print(plant, *(f"{name} {x:.3f}" for name, x in one.free.items()), flush=True)
     if seed == 77:
-        publish(__file__, page(found, seed))
+        publish(__file__, page(studies, seed))
     else:
-        print(page(found, seed))
+        print(page(studies, seed))
 
 
 if __name__ == "__main__":

@@ -87,10 +87,10 @@ def measured(name: str, dtype: str, samples: Sample, counts: tuple[int, ...]) ->
     """Compare with the CPU, then time more and more lanes."""
     few, kind = wide(samples, CHECKED, CHECK_STEPS, dtype), getattr(torch, dtype)
     description, leaves = made(name, CHECKED, kind)
-    found = roll(description, leaves, few, device="cuda")
+    result = roll(description, leaves, few, device="cuda")
     expected = roll(description, leaves, few).predictions
-    assert np.array_equal(np.isnan(found.predictions), np.isnan(expected)), f"{name}: NaN at other steps"
-    difference = float(np.nanmax(np.abs(found.predictions - expected)))
+    assert np.array_equal(np.isnan(result.predictions), np.isnan(expected)), f"{name}: NaN at other steps"
+    difference = float(np.nanmax(np.abs(result.predictions - expected)))
     rates: dict[int, float] = {}
     for count in counts:
         description, leaves = made(name, count, kind)
@@ -118,16 +118,16 @@ def command(folder: str) -> tuple[float, float]:
 
 def rows(names: list[str], counts: tuple[int, ...], samples: Sample) -> dict[tuple[str, str], Row]:
     """What was measured of each; a fault of one is printed, and the others go on."""
-    found = {}
+    table = {}
     for name in names:
         for dtype in FLOATS.get(name, ("float64",)):
             try:
                 most = tuple(min(count, 8192) if name in ENSEMBLE else count for count in counts)
-                found[name, dtype] = row = measured(name, dtype, samples, most)
+                table[name, dtype] = row = measured(name, dtype, samples, most)
                 print(name, dtype, *row, flush=True)
             except Exception as error:
                 print(name, dtype, type(error).__name__, str(error)[-1500:], flush=True)
-    return found
+    return table
 
 
 def main() -> None:
@@ -136,22 +136,22 @@ def main() -> None:
     parser.add_argument("--only", action="store_true", help="print what is measured; write no page, run no command")
     parser.add_argument("--lanes", type=int, nargs="*", default=[FEW, MANY])
     options = parser.parse_args()
-    found = rows(options.names, tuple(options.lanes), log(LONGEST))
+    table = rows(options.names, tuple(options.lanes), log(LONGEST))
     if options.only:
         return
     with tempfile.TemporaryDirectory() as folder:
         taken = [command(f"{folder}/{k}") for k in range(2)]
-    publish(__file__, page(found, tuple(options.lanes), taken))
+    publish(__file__, page(table, tuple(options.lanes), taken))
 
 
-def page(found: dict[tuple[str, str], Row], counts: tuple[int, ...], taken: list[tuple[float, float]]) -> str:
+def page(results: dict[tuple[str, str], Row], counts: tuple[int, ...], taken: list[tuple[float, float]]) -> str:
     whole = MANY * HOURS * 3600 / DT
     lanes = [f"{count:,} lanes" for count in counts]
     head = ["G lane-steps/s", *lanes, "65,536 settings × 30 h", "largest difference"]
     body = [
         [name if dtype == "float64" else f"{name}, {dtype}", *(f"{rate / 1e9:.2g}" for rate in row.rates.values()),
          f"{whole / list(row.rates.values())[-1]:.3g} s", f"{row.difference:.0e} m/s"]
-        for (name, dtype), row in found.items()
+        for (name, dtype), row in results.items()
     ]  # fmt: skip
     return f"""# Sweeps on a GPU
 

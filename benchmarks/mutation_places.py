@@ -115,8 +115,8 @@ def written(place: Place, source: Path) -> Iterator[tuple[Place, ast.AST, ast.AS
     """A place that is no change of `changes`, where a source file contains it."""
     visitor = Visitor()
     visitor.visit(ast.parse(source.read_text()))
-    found = [x for function, x in visitor.nodes if function == place.function and shown(x) == place.expression]
-    for node in found[place.count : place.count + 1]:
+    nodes = [x for function, x in visitor.nodes if function == place.function and shown(x) == place.expression]
+    for node in nodes[place.count : place.count + 1]:
         yield place, node, ast.parse(place.becomes, mode="eval").body
 
 

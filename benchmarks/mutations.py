@@ -44,29 +44,29 @@ MEMORY = 8 << 30  # bytes of one place: a changed size may ask for all there is
 
 def every_place(root: Path, groups: Iterable[str] = GROUPS) -> dict[Place, tuple[Path, ast.AST, ast.AST]]:
     """All places of groups by name; of two equal names in different files the first file's."""
-    found: dict[Place, tuple[Path, ast.AST, ast.AST]] = {}
+    known: dict[Place, tuple[Path, ast.AST, ast.AST]] = {}
     for group in groups:
         for source in sorted(path for pattern in GROUPS[group].sources for path in root.glob(pattern)):
-            own = [each for place in ALWAYS if place[0] == group for each in written(Place(*place), source)]
-            for place, node, other in [*places(group, source), *own]:
-                found.setdefault(place, (source, node, other))
-    return found
+            more = [each for place in ALWAYS if place[0] == group for each in written(Place(*place), source)]
+            for place, node, other in [*places(group, source), *more]:
+                known.setdefault(place, (source, node, other))
+    return known
 
 
 def drawn(known: dict[Place, tuple[Path, ast.AST, ast.AST]]) -> list[Place]:
     """The places of each group, from one seed, as evenly over its files and functions as they come."""
     rng, chosen = random.Random(SEED), [Place(*each) for each in ALWAYS if Place(*each) in known]
     for group, each in GROUPS.items():
-        own: dict[Path, list[Place]] = {}
+        by_file: dict[Path, list[Place]] = {}
         for place, (source, *_) in known.items():
             if place.group == group:
-                own.setdefault(source, []).append(place)
-        files, taken = list(own.values()), [place for place in chosen if place.group == group]
+                by_file.setdefault(source, []).append(place)
+        files, taken = list(by_file.values()), [place for place in chosen if place.group == group]
         rng.shuffle(files)
         for of_file in files:
             rng.shuffle(of_file)
             of_file[:] = [place for place in of_file if place not in EQUIVALENT]
-        while len(taken) < min(each.places, sum(map(len, own.values()))):
+        while len(taken) < min(each.places, sum(map(len, by_file.values()))):
             taken += [of_file.pop() for of_file in files[: each.places - len(taken)] if of_file]
         chosen += [place for place in taken if place not in chosen]
     return chosen
@@ -74,13 +74,13 @@ def drawn(known: dict[Place, tuple[Path, ast.AST, ast.AST]]) -> list[Place]:
 
 def filled(named: list[Place], new: list[Place], known: dict[Place, Any]) -> list[Place]:
     """The places of the table that exist, and of each group as many new ones as it lacks."""
-    kept = [place for place in named if place in known]
-    lacking = Counter({group: each.places for group, each in GROUPS.items()}) - Counter(place.group for place in kept)
+    chosen = [place for place in named if place in known]
+    lacking = Counter({group: each.places for group, each in GROUPS.items()}) - Counter(place.group for place in chosen)
     for place in new:
-        if place not in kept and lacking[place.group] > 0:
-            kept.append(place)
+        if place not in chosen and lacking[place.group] > 0:
+            chosen.append(place)
             lacking[place.group] -= 1
-    return kept
+    return chosen
 
 
 def copied(root: Path, folder: Path) -> Path:
@@ -157,8 +157,8 @@ def failed(folder: Path, options: list[str], compiled: bool, seconds: float) -> 
         return f"longer than {seconds:g} s"
     if ran.returncode in (0, EMPTY):
         return None
-    found = re.search(r"^(?:FAILED|ERROR) (\S+)", output, re.MULTILINE)
-    return found[1] if found else " ".join(output.split())[-120:]
+    match = re.search(r"^(?:FAILED|ERROR) (\S+)", output, re.MULTILINE)
+    return match[1] if match else " ".join(output.split())[-120:]
 
 
 def table(rows: list[dict[str, Any]]) -> str:
@@ -204,8 +204,8 @@ def main() -> None:
         else:
             rows[place] = {**place._asdict(), "lost": True, "killed_by": None}
         print(f"{k}/{len(wanted)} {' | '.join(map(str, place[:4]))}: {rows[place]['killed_by']}", flush=True)
-        kept = [rows[each] for each in wanted if each in rows]
-        TABLE.write_text(json.dumps(kept, indent=1, ensure_ascii=False) + "\n")
+        still = [rows[each] for each in wanted if each in rows]
+        TABLE.write_text(json.dumps(still, indent=1, ensure_ascii=False) + "\n")
     print(table([rows[each] for each in wanted if each in rows]))
 
 

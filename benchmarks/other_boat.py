@@ -44,13 +44,13 @@ def moved(boat: Boat, state: np.ndarray, left: float, right: float, force: float
 
 def truth(boat: Boat) -> dict[str, float]:
     """The quantities in the words of the product, SI."""
-    found = {"thrust_full_left": boat.full, "thrust_full_right": boat.full}
+    values = {"thrust_full_left": boat.full, "thrust_full_right": boat.full}
     for name, left, right in (("full", 1, 1), ("half", 0.5, 0.5), ("quarter", 0.25, 0.25), ("turn", 0.5, 0.25)):
         state = np.zeros(5)
         for _ in range(2000):
             state = moved(boat, state, left, right)
-        found["yaw_rate_half" if name == "turn" else f"steady_speed_{name}"] = float(state[2 if name == "turn" else 0])
-    return found | {"drag_half_speed": drag(found["steady_speed_full"] / 2)}
+        values["yaw_rate_half" if name == "turn" else f"steady_speed_{name}"] = float(state[2 if name == "turn" else 0])
+    return values | {"drag_half_speed": drag(values["steady_speed_full"] / 2)}
 
 
 def mission(boat: Boat, seconds: float, rng: np.random.Generator) -> list[tuple[float, ...]]:

@@ -116,7 +116,7 @@ def simulate(rows, theta, current, speeds, sensitivity):
 
 def rows_of(runs: Sequence[Sample], restart: bool) -> np.ndarray:
     """Rows of all runs, `(steps, 13)`."""
-    found = []
+    parts = []
     for index, run in enumerate(runs):
         use, x = masks(run, 10.0), run.inputs
         starts = use.starts
@@ -129,8 +129,8 @@ def rows_of(runs: Sequence[Sample], restart: bool) -> np.ndarray:
         before = [np.where(opens, u, np.append(u[:1], u[:-1])) for u in commands]
         columns = (x.dt, *commands, *before, np.cos(x.heading), np.sin(x.heading), x.yaw_rate, run.surge,
                    use.steps & ~starts, use.learns & ~starts, starts, np.full(len(x.dt), index))  # fmt: skip
-        found.append(np.nan_to_num(np.stack([np.asarray(column, float) for column in columns], -1)))
-    return np.concatenate(found)
+        parts.append(np.nan_to_num(np.stack([np.asarray(column, float) for column in columns], -1)))
+    return np.concatenate(parts)
 
 
 def first_guess(top: float) -> np.ndarray:
@@ -164,13 +164,13 @@ def fit(runs: Sequence[Sample], top: float, cubic: bool = True, current: bool = 
 
     def jacobian(x: np.ndarray) -> np.ndarray:
         simulate(rows, *split(x), speeds, sensitivity)
-        found = sensitivity[learns]
-        full = np.zeros((len(found) + (2 * count if current else 0), len(x)))
-        full[: len(found), :shared] = found[:, :SHARED][:, free]
+        slopes = sensitivity[learns]
+        full = np.zeros((len(slopes) + (2 * count if current else 0), len(x)))
+        full[: len(slopes), :shared] = slopes[:, :SHARED][:, free]
         if current:
             for k in range(2):
-                full[np.arange(len(found)), shared + 2 * places + k] = found[:, SHARED + k]
-            full[len(found) :, shared:] = prior
+                full[np.arange(len(slopes)), shared + 2 * places + k] = slopes[:, SHARED + k]
+            full[len(slopes) :, shared:] = prior
         return full
 
     start = np.concatenate([first[free], np.zeros(2 * count if current else 0)])

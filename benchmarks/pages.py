@@ -52,14 +52,14 @@ def hardware() -> str:
 
 def machine() -> str:
     """The machine and what computes on it."""
-    found = [
+    facts = [
         hardware(),
         f"Python {platform.python_version()}",
         *(f"{name} {version(name)}" for name in ("torch", "numba", "numpy")),
     ]
     if compiler():
-        told = subprocess.run([compiler(), "--version"], capture_output=True, text=True, check=True).stdout
-        found.append(f"{told.splitlines()[0]} with `{' '.join(FLAGS)}`")
+        banner = subprocess.run([compiler(), "--version"], capture_output=True, text=True, check=True).stdout
+        facts.append(f"{banner.splitlines()[0]} with `{' '.join(FLAGS)}`")
     if hasattr(os, "getloadavg"):
-        found.append(f"load {os.getloadavg()[0]:.1f} before")
-    return "; ".join(found)
+        facts.append(f"load {os.getloadavg()[0]:.1f} before")
+    return "; ".join(facts)

@@ -54,26 +54,26 @@ class Boat(NamedTuple):
 
 
 def planar(overrides: tuple[str, ...]) -> Planar:
-    found, why = planar_of(configuration(overrides), ensemble(overrides))
-    if found is None:
+    model, why = planar_of(configuration(overrides), ensemble(overrides))
+    if model is None:
         raise SystemExit(why)
-    return found
+    return model
 
 
 def followed(model: Planar, fleet: Fleet) -> Iterator[np.ndarray]:
     """What became due in each run."""
     parts = [run.planar for run in fleet.runs]
     with torch.no_grad():
-        for _, kept in chunked_rollout(model, model.init((len(fleet.boats),)), parts, ["track.due"]):
-            yield kept["track.due"]
+        for _, recorded in chunked_rollout(model, model.init((len(fleet.boats),)), parts, ["track.due"]):
+            yield recorded["track.due"]
 
 
 def boat(name: str, overrides: tuple[str, ...], halves: bool) -> Boat:
     """The whole of a fleet, or the second half of its runs or of its only run."""
-    found = list(followed(planar(overrides), fleet_of(overrides)))
-    lengths = [len(part) for part in found]
+    due = list(followed(planar(overrides), fleet_of(overrides)))
+    lengths = [len(part) for part in due]
     first = sum(lengths[: len(lengths) // 2]) if len(lengths) > 1 else lengths[0] // 2
-    return Boat(name, np.concatenate(found)[first if halves else 0 :])
+    return Boat(name, np.concatenate(due)[first if halves else 0 :])
 
 
 def mean(values: np.ndarray, digits: int = 2) -> str:
@@ -130,8 +130,8 @@ def main() -> None:
     folder = Path(sys.argv[1])
     real = [boat(name, (f"data={name}", f"data.path={folder / name}"), True) for name in REAL]
     seasons = [("data=planar", f"data.n={BOATS}", f"data.hours={HOURS}", f"data.seed={seed}") for seed in SEEDS]
-    made = np.concatenate([boat("simulated", season, False).due for season in seasons], 1)
-    every = [*real, Boat("simulated", made)]
+    due = np.concatenate([boat("simulated", season, False).due for season in seasons], 1)
+    every = [*real, Boat("simulated", due)]
     sections = ["# Tracks: where the boat will be", "", machine(), "", OPENING, "", *errors(every), ""]
     sections += ["## Ellipses of 90 %", "", ELLIPSES, "", *coverage(every), "", "## Cost", "", *cost(seasons[0])]
     publish(__file__, sections)

@@ -114,9 +114,9 @@ def reference(estimator: Estimator, samples: Sample) -> Callable[[], np.ndarray]
 
 def numbers(values, length: int = P):
     """Numbers as a C array, filled up with zeros."""
-    found = np.zeros(length)
-    found[: len(values)] = values
-    return (NUMBER * length)(*found)
+    array = np.zeros(length)
+    array[: len(values)] = values
+    return (NUMBER * length)(*array)
 
 
 def least_squares(estimator: RLS | SIFtRLS):

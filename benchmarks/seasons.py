@@ -55,11 +55,11 @@ def season(plant: str, seed: int, n: int = 3, hours: float = HOURS, later: float
     grids = [align_fleet(logs, dt=dt, patience=1.0) for dt in (DT, FINE)]
 
     def parts(one: Fleet, element: int) -> tuple[list[Run], list[Run]]:
-        found: tuple[list[Run], list[Run]] = [], []
+        split: tuple[list[Run], list[Run]] = [], []
         for run in one.runs:
             if run.names[element]:
-                found[int(run.names[element][:3]) > first].append(alone(run, element))
-        return found
+                split[int(run.names[element][:3]) > first].append(alone(run, element))
+        return split
 
     return {boat: _halves(*(parts(grid, k) for grid in grids)) for k, boat in enumerate(grids[0].boats)}
 
@@ -91,12 +91,12 @@ def alone(run: Run, element: int) -> Run:
 
 def cut(run: Run, time: float) -> list[Run]:
     """A run of one boat before and after a time, s; the second part starts a segment."""
-    at, found = int((run.time[:, 0] < time).sum()), []
+    at, parts = int((run.time[:, 0] < time).sum()), []
     for part in (slice(at), slice(at, None)):
         samples = tree_map(lambda x, part=part: x[part].copy(), run.samples)
         samples.inputs.dt[0] = 0.0
-        found.append(Run(run.time[part], samples, run.names, (len(samples.surge),)))
-    return found
+        parts.append(Run(run.time[part], samples, run.names, (len(samples.surge),)))
+    return parts
 
 
 def _halves(coarse: Sequence[list[Run]], fine: Sequence[list[Run]]) -> Halves:
@@ -122,4 +122,4 @@ def simulations(fit: Fit, runs: Halves) -> list[np.ndarray]:
 def free_run_mae(predictions: Sequence[np.ndarray], runs: Sequence[Sample]) -> float:
     """The mean absolute error of open-loop simulations, m/s, over all steps whose speed was measured."""
     pairs = zip(predictions, runs, strict=True)
-    return float(np.concatenate([bounded(made - run.surge)[masks(run).learns] for made, run in pairs]).mean())
+    return float(np.concatenate([bounded(speed - run.surge)[masks(run).learns] for speed, run in pairs]).mean())

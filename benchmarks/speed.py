@@ -137,10 +137,10 @@ def axis_samples(kind: str, hours: float = 0.25) -> Sample:
     """A simulated boat as the axis EKF of a kind sees it, `(time,)`: what is known of the others is one step old."""
     (run,) = align_fleet(planar_fleet(hours=hours, mission_minutes=60 * hours, current=0.0)).runs
     every, poses = tree_map(lambda x: torch.as_tensor(x[:, 0]), run.samples), torch.as_tensor(run.poses[:, 0])
-    own, other = poses[:, [TURN, MEASURED_SWAY] if kind == "yaw" else [MEASURED_SWAY, TURN]].unbind(-1)
+    measured, other = poses[:, [TURN, MEASURED_SWAY] if kind == "yaw" else [MEASURED_SWAY, TURN]].unbind(-1)
     left, right, *_, dt = every.inputs
     inputs = Inputs(left, right, other.roll(1), every.surge.roll(1), dt)
-    return every._replace(inputs=inputs, surge=own)
+    return every._replace(inputs=inputs, surge=measured)
 
 
 def as_numbers(run: Sample) -> list[Sample]:
@@ -196,8 +196,8 @@ def costs(estimator: Estimator, effort: Effort, ways: Sequence[str]) -> dict[str
         "torch": partial(streamed, estimator, short, "torch"),
         "loop": loop(effort.calls),
     }
-    if made := compiler() and reference(estimator, run):
-        works["C"] = made
+    if in_c := compiler() and reference(estimator, run):
+        works["C"] = in_c
     counts = {"streamed": effort.steps, "C": effort.steps, "call": len(calls), "torch": effort.eager}
     counts["loop"] = effort.calls
     spent = in_turn({way: works[way] for way in ways if way in works}, effort.repeats, effort.clock)
@@ -213,17 +213,17 @@ def times(spent: Mapping[str, Sequence[float]], way: str, reference: str) -> str
 
 
 def steps(effort: Effort) -> list[str]:
-    found = {name: costs(estimator, effort, list(WAYS)) for name, estimator in estimators().items()}
+    times = {name: costs(estimator, effort, list(WAYS)) for name, estimator in estimators().items()}
     note = "C is `benchmarks/reference.c`, equal to ours to rounding; called from Python is `Online.step`."
-    return [*steps_table(found), "", note]
+    return [*steps_table(times), "", note]
 
 
-def steps_table(found: Mapping[str, Mapping[str, Sequence[float]]]) -> list[str]:
+def steps_table(spent_by: Mapping[str, Mapping[str, Sequence[float]]]) -> list[str]:
     """The times of steps, by estimator and way."""
     rows = [
         [name, *(micro(median(spent, way)) for way in WAYS), times(spent, "streamed", "C"),
          times(spent, "torch", "streamed")]
-        for name, spent in found.items()
+        for name, spent in spent_by.items()
     ]  # fmt: skip
     return table(["µs a step", *WAYS.values(), "streamed / C", "torch / streamed"], rows)
 

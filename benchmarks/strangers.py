@@ -71,14 +71,14 @@ def logged(boats: ModuleType, name: str, seed: int, missions: int, folder: Path,
         boats.write(logs / f"mission_{k + 1}.csv", boat, boats.mission(boat, minutes * 60 / missions, rng))
     command = [sys.executable, "-m", "usvlearn", "inspect", str(logs), "--name", name, "--output", str(description)]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    facts, found = asdict(boat), read(data=str(description), mass=boat.mx)
-    heading = found.settings["data"]["channels"].get("heading") or {}
+    facts, read_logs = asdict(boat), read(data=str(description), mass=boat.mx)
+    heading = read_logs.settings["data"]["channels"].get("heading") or {}
     sensors = f"{'gyro, ' * facts['gyro']}{'signed speed' if facts.get('signed') else 'course'}"
     sensors += f"{', position' * facts.get('position', True)}{', rudder' * bool(facts.get('rudder'))}"
     truth = boats.truth(boat) | {"dead_zone": boat.dead, "current": boat.current}
     truth["compass_offset"] = boat.declination - float(heading.get("zero") or 0.0)
-    top, runs = float(found.settings["vehicle"]["surge_max"]), [each.samples for each in found.runs]
-    return Log(name, missions, sensors, boat.mx, top, truth, found, runs)
+    top, runs = float(read_logs.settings["vehicle"]["surge_max"]), [each.samples for each in read_logs.runs]
+    return Log(name, missions, sensors, boat.mx, top, truth, read_logs, runs)
 
 
 def rows_of(log: Log, said: list[str]) -> Iterator[Row]:
@@ -86,14 +86,14 @@ def rows_of(log: Log, said: list[str]) -> Iterator[Row]:
     learned, began = learn(log.read), time.process_time()
     try:
         fitted = learned.fit()[log.name]
-        found, doubts = {FIT: fitted.quantities}, " ".join(fitted.doubts)
+        methods, doubts = {FIT: fitted.quantities}, " ".join(fitted.doubts)
     except UsvlearnError as error:
-        found, doubts = {FIT: {}}, str(error)
+        methods, doubts = {FIT: {}}, str(error)
     said += [f"{log.name}, {KINDS[log.missions]}: {time.process_time() - began:.1f} s; {doubts}"] if doubts else []
-    found |= {ONLINE: learned.identified()[log.name],
+    methods |= {ONLINE: learned.identified()[log.name],
               SQUARES: polynomial(squares(log.runs, log.mass), log.top, log.mass),
               BATCH: polynomial(output_error.fit(log.runs, log.top).parameters, log.top, log.mass)}  # fmt: skip
-    for method, values in found.items():
+    for method, values in methods.items():
         for name, true in log.truth.items():
             each, scale = values.get(name), 1.0 if name in ABSOLUTE else abs(true)
             value, low, high = each[:3] if each is not None else [math.nan] * 3
@@ -107,15 +107,15 @@ def forecasts(log: Log) -> dict[str, list[float]]:
     before, after = cut(log.runs, LEARNED)
     after = [run for run in after if len(run.surge) > max(AHEAD)]
     model = ensemble_of(log.read.settings)
-    made, own = batch.online_forecasts(model, before, after, AHEAD), model.names.index("ensemble")
-    found = {"ours, online": skills(after, [each[..., own].T for each in made])}
+    forecasts, column = batch.online_forecasts(model, before, after, AHEAD), model.names.index("ensemble")
+    table = {"ours, online": skills(after, [each[..., column].T for each in forecasts])}
     for name, module in PEERS.items():
         try:
             peer = module.fit(before, log.top).model
-            found[name] = skills(after, [peer.forecast(run, AHEAD) for run in after])
+            table[name] = skills(after, [peer.forecast(run, AHEAD) for run in after])
         except ModuleNotFoundError:
-            found[name] = []
-    return found
+            table[name] = []
+    return table
 
 
 def skills(runs: Sequence[Sample], predicted: Sequence[np.ndarray]) -> list[float]:
@@ -129,19 +129,19 @@ def percent(x: float, name: str = "") -> str:
 
 def summary(rows: Sequence[Row], name: str = "") -> list[str]:
     """Told, holding, median error and median half-width of the rows of one method."""
-    told = [each for each in rows if math.isfinite(each.half)]
-    if not told:
+    known = [each for each in rows if math.isfinite(each.half)]
+    if not known:
         return [f"0 of {len(rows)}", "–", "–", "–"]
-    middle = [statistics.median(getattr(each, key) for each in told) for key in ("error", "half")]
-    held = np.mean([each.holds for each in told])
-    return [f"{len(told)} of {len(rows)}", f"{held:.0%}", *(percent(x, name) for x in middle)]
+    middle = [statistics.median(getattr(each, key) for each in known) for key in ("error", "half")]
+    held = np.mean([each.holds for each in known])
+    return [f"{len(known)} of {len(rows)}", f"{held:.0%}", *(percent(x, name) for x in middle)]
 
 
 def by_quantity(rows: Sequence[Row], missions: int) -> list[str]:
     lines = []
     for name in dict.fromkeys(each.name for each in rows):
-        own = [each for each in rows if (each.missions, each.name) == (missions, name)]
-        some = {method: [each for each in own if each.method == method] for method in (FIT, ONLINE, BATCH, SQUARES)}
+        those = [each for each in rows if (each.missions, each.name) == (missions, name)]
+        some = {method: [each for each in those if each.method == method] for method in (FIT, ONLINE, BATCH, SQUARES)}
         others = [[x.error for x in some[method] if math.isfinite(x.error)] for method in (BATCH, SQUARES)]
         middle = [percent(statistics.median(each)) if each else "–" for each in others]
         lines.append([name, *summary(some[FIT], name), *summary(some[ONLINE], name)[1:3], *middle])
@@ -153,8 +153,8 @@ def by_sensors(rows: Sequence[Row]) -> list[str]:
     lines, groups = [], {"surge": QUANTITIES, "turning": TURNING, "dead zone, compass, current": OF_FIT}
     fits, sets = [each for each in rows if each.method == FIT], dict.fromkeys(each.sensors for each in rows)
     for sensors, (group, names) in product(["all", *sets], groups.items()):
-        own = [each for each in fits if sensors in ("all", each.sensors) and each.name in names]
-        parts = [summary([each for each in own if each.missions == missions]) for missions in KINDS]
+        those = [each for each in fits if sensors in ("all", each.sensors) and each.name in names]
+        parts = [summary([each for each in those if each.missions == missions]) for missions in KINDS]
         wide = ["" if group.startswith("dead") else part[3] for part in parts]
         lines.append([sensors, group, *(f"{part[0]}, {part[1]}" for part in parts), *wide])
     heads = [f"{kind}{what}" for what in (": told, holds", ": half-width") for kind in KINDS.values()]

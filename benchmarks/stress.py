@@ -94,45 +94,45 @@ def scenarios(steps: int = 1_000_000, elements: int = 24) -> dict[str, Scenario]
     rng = np.random.default_rng(0)
     lead, ten_minutes, outage, cycle = (min(n, steps) for n in (2000, 1500, 3000, 25_000))
     twice, half = [("excited", lead)] * 2, slice(lead, None)
-    found = {}
+    cases = {}
     for seed, (name, long) in enumerate({"idle": 100_000, "cruise": 9_000}.items()):
         n = min(long, steps)
         quiet = drive([("excited", lead), (name, n), ("excited", lead)], 4, seed)
         title = f"{n} steps of {name}, then excitation: first 50 predictions"
-        found[name] = quiet._replace(title=title, after=slice(lead + n, lead + n + 50), event=lead + n)
+        cases[name] = quiet._replace(title=title, after=slice(lead + n, lead + n + 50), event=lead + n)
 
     parts = [("idle", cycle * 2 // 5), ("cruise", cycle * 2 // 5), ("excited", cycle // 5)] * (steps // cycle)
     mixed = drive([("excited", lead), *parts], 1, 2)
     title = f"{len(mixed.target)} steps of idle, cruise and excitation in turn: last {cycle // 5}"
-    found["mixed"] = mixed._replace(title=title, after=slice(-(cycle // 5), None))
+    cases["mixed"] = mixed._replace(title=title, after=slice(-(cycle // 5), None))
 
     wild = drive(twice, elements, 3)
     off = 2 * rng.standard_t(3, wild.target.shape) * (rng.random(wild.target.shape) < OUTLIERS)
     title = f"{OUTLIERS:.0%} of the speeds off by 2 m/s times Student's t of 3 degrees: second half"
     samples = wild.samples._replace(surge=wild.target + torch.from_numpy(off))
-    found["outliers"] = wild._replace(title=title, samples=samples, after=half)
+    cases["outliers"] = wild._replace(title=title, samples=samples, after=half)
 
     spoilt = drive(twice, elements, 4)
     inputs, surge = tree_map(torch.clone, spoilt.samples.inputs), spoilt.target.clone()
     surge[lead], inputs.command_left[lead + 20], inputs.command_right[lead + 40] = math.nan, math.nan, math.inf
     title = "a speed that is NaN, a command that is NaN, one that is infinite: all that follows"
     samples = spoilt.samples._replace(surge=surge, inputs=inputs)
-    found["nan"] = spoilt._replace(title=title, samples=samples, after=half, event=lead)
+    cases["nan"] = spoilt._replace(title=title, samples=samples, after=half, event=lead)
 
     jump = drive(twice, elements, 5, 2 ** rng.uniform(-1, 1, (elements, P)), lead)
     title = "all parameters jump by factors of ½ to 2: first 100 predictions"
-    found["jump"] = jump._replace(title=title, after=slice(lead, lead + 100), event=lead)
+    cases["jump"] = jump._replace(title=title, after=slice(lead, lead + 100), event=lead)
 
     fault = drive([("excited", ten_minutes)] * 2, elements, 6, np.repeat([1.0, 0.4, 1.0], 3), ten_minutes)
     title = "left thruster at 40 % from minute 10: first 100 predictions"
-    found["thruster"] = fault._replace(title=title, after=slice(ten_minutes, ten_minutes + 100), event=ten_minutes)
+    cases["thruster"] = fault._replace(title=title, after=slice(ten_minutes, ten_minutes + 100), event=ten_minutes)
 
     silent = drive([("excited", lead), ("excited", outage), ("excited", lead)], elements, 7)
     back, samples = lead + outage, tree_map(torch.clone, silent.samples)
     samples.measured[lead:back], samples.inputs.dt[back] = False, 0.0  # the first speed opens a segment
     title = f"{outage * DT / 60:.0f} min without speed, commands go on: first 50 predictions after"
-    found["outage"] = silent._replace(title=title, samples=samples, after=slice(back + 1, back + 51), event=back)
-    return found
+    cases["outage"] = silent._replace(title=title, samples=samples, after=slice(back + 1, back + 51), event=back)
+    return cases
 
 
 def default_ensemble(mass: float = 1.0, surge_max: float = SURGE_MAX) -> Ensemble:
@@ -241,15 +241,15 @@ def cell(result: Result) -> str:
 
 def report(steps: int) -> str:
     cases = scenarios(steps)
-    found: dict[str, dict[str, Result]] = {}
+    by_name: dict[str, dict[str, Result]] = {}
     for case, scenario in cases.items():
         results = {"true model": true_model(scenario)}
         results |= {name: run_peer(scenario, make) for name, make in peers(excitation(scenario)).items()}
         results |= {name: run_ours(scenario, one) for name, one in ours().items()}
         for name, result in results.items():
-            found.setdefault(name, {})[case] = result
+            by_name.setdefault(name, {})[case] = result
         print(case, flush=True)
-    rows = [[name, *(cell(x) for x in row.values())] for name, row in found.items()]
+    rows = [[name, *(cell(x) for x in row.values())] for name, row in by_name.items()]
     return "\n".join([
         "# Stress tests beside other libraries", "", *__doc__.strip().splitlines()[4:], "",
         f"Measured on {machine()}; ours are streamed. A cell: the MAE of one-step",

@@ -53,8 +53,8 @@ def targets(run: Sample, horizons: Sequence[int] = HORIZONS) -> Targets:
     origins = np.flatnonzero((use.learns | use.starts) & (np.arange(count) % EVERY == 0))
     rows = origins[:, None] + np.asarray(horizons)
     inside, rows = rows < count, rows.clip(max=count - 1)
-    made = np.cumsum(use.steps)
-    reached = inside & (made[rows] - made[origins][:, None] == np.asarray(horizons))
+    steps = np.cumsum(use.steps)
+    reached = inside & (steps[rows] - steps[origins][:, None] == np.asarray(horizons))
     return Targets(origins, rows, reached, reached & use.learns[rows])
 
 
@@ -90,12 +90,12 @@ class Stepper(ABC):
     def forecast(self, run: Sample, horizons: Sequence[int] = HORIZONS) -> np.ndarray:
         x, aim = features(run, self.heading), targets(run, horizons)
         state = self._follow(run, told=True)[1][aim.origins]
-        found = np.full(aim.rows.shape, np.nan)
+        forecasts = np.full(aim.rows.shape, np.nan)
         for ahead in range(1, max(horizons) + 1):
             state, speeds = self.step(state, x[(aim.origins + ahead).clip(max=len(x) - 1)])
             if ahead in horizons:
-                found[:, horizons.index(ahead)] = speeds
-        return np.where(aim.reached, found, np.nan)
+                forecasts[:, horizons.index(ahead)] = speeds
+        return np.where(aim.reached, forecasts, np.nan)
 
     def _follow(self, run: Sample, told: bool) -> tuple[np.ndarray, np.ndarray]:
         """Speeds `(time,)` and states `(time, n)` along a run."""
@@ -126,7 +126,7 @@ class Windows(NamedTuple):
 
 def windows(runs: Sequence[Sample], heading: bool) -> Windows:
     """Overlapping stretches of `WARM + FREE` steps or less; every second one is free from its first step on."""
-    found, stride = [], max(STRIDE, sum(len(run.surge) for run in runs) // MOST)
+    pieces, stride = [], max(STRIDE, sum(len(run.surge) for run in runs) // MOST)
     for run in runs:
         use, x = masks(run), features(run, heading)
         usable = use.learns | use.starts
@@ -134,16 +134,16 @@ def windows(runs: Sequence[Sample], heading: bool) -> Windows:
             for first in range(begin, end - 1, stride):
                 if usable[first]:
                     rows = np.arange(first + 1, min(end, first + 1 + WARM + FREE))
-                    warm = WARM if len(found) % 2 and len(rows) > WARM else 0
+                    warm = WARM if len(pieces) % 2 and len(rows) > WARM else 0
                     learned, ahead = use.learns[rows], np.arange(len(rows)) >= warm
                     speeds = np.where(learned, run.surge[rows], 0.0)
-                    found.append((x[rows], run.surge[first], speeds, learned & ~ahead, learned & ahead))
-    padded = [np.zeros((WARM + FREE, len(found), *np.shape(part)[1:]), part.dtype) for part in found[0] if part.ndim]
-    for element, (x, _, *rest) in enumerate(found):
+                    pieces.append((x[rows], run.surge[first], speeds, learned & ~ahead, learned & ahead))
+    padded = [np.zeros((WARM + FREE, len(pieces), *np.shape(part)[1:]), part.dtype) for part in pieces[0] if part.ndim]
+    for element, (x, _, *rest) in enumerate(pieces):
         for whole, part in zip(padded, (x, *rest), strict=True):
             whole[: len(part), element] = part
     inputs, *rest = padded
-    return Windows(inputs, np.array([one[1] for one in found]), *rest)
+    return Windows(inputs, np.array([one[1] for one in pieces]), *rest)
 
 
 def stretches(steps: np.ndarray, starts: np.ndarray) -> list[tuple[int, int]]:
@@ -214,8 +214,8 @@ def bounded(wrong: np.ndarray) -> np.ndarray:
 
 def judged(model: Any, runs: Sequence[Sample]) -> float:
     """MAE over that of persistence, mean over the horizons and the open-loop simulation."""
-    made = errors(runs, [model.forecast(run) for run in runs])
-    pairs = [*made.values(), free_run_errors(model, runs)]
+    scores = errors(runs, [model.forecast(run) for run in runs])
+    pairs = [*scores.values(), free_run_errors(model, runs)]
     return float(np.nanmean([mae / held if held > 0 else math.nan for mae, held in pairs]))
 
 

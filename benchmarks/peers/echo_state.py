@@ -55,13 +55,13 @@ def one(runs: Sequence[Sample], top: float, radius: float, leak: float, penalty:
     """The model of one setting; it is told each measured speed of the windows, and learns the change to the next."""
     data = windows(runs, heading)
     model = EchoState(data.inputs.shape[-1], radius, leak, heading, top)
-    state, known, made, change = model.begin(data.first, data.inputs[0]), np.ones(len(data.first), bool), [], []
-    for inputs, speeds, told in zip(data.inputs, data.speeds / top, data.told | data.scored, strict=True):
+    state, known, regressors, change = model.begin(data.first, data.inputs[0]), np.ones(len(data.first), bool), [], []
+    for inputs, speeds, given in zip(data.inputs, data.speeds / top, data.told | data.scored, strict=True):
         rows = model.rows(state, inputs)
-        made.append(rows[known & told])
-        change.append((speeds - state[:, 0])[known & told])
-        state, known = np.concatenate([np.where(told, speeds, state[:, 0])[:, None], rows[:, :UNITS]], -1), told
-    rows, goal = np.concatenate(made), np.concatenate(change)
+        regressors.append(rows[known & given])
+        change.append((speeds - state[:, 0])[known & given])
+        state, known = np.concatenate([np.where(given, speeds, state[:, 0])[:, None], rows[:, :UNITS]], -1), given
+    rows, goal = np.concatenate(regressors), np.concatenate(change)
     model.out = np.linalg.solve(rows.T @ rows + penalty * len(rows) * np.eye(rows.shape[1]), rows.T @ goal)
     return model
 

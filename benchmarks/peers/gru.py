@@ -52,7 +52,7 @@ def one(runs: Sequence[Sample], top: float, units: int, heading: bool, updates: 
     """The network of one setting."""
     data = windows(runs, heading)
     x, first, speeds = (torch.as_tensor(part, dtype=torch.float32) for part in data[:3])
-    told, scored = (torch.as_tensor(part) for part in data[3:])
+    given, scored = (torch.as_tensor(part) for part in data[3:])
     first, speeds = first / top, speeds / top
     torch.manual_seed(0)
     net = Gru(units, heading, top)
@@ -62,13 +62,13 @@ def one(runs: Sequence[Sample], top: float, units: int, heading: bool, updates: 
     rates = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, updates)
     for _ in range(updates):
         elements = torch.randint(len(first), (min(LANES, len(first)),))
-        h, v, found = torch.zeros(len(elements), units), first[elements], []
+        h, v, predicted = torch.zeros(len(elements), units), first[elements], []
         for k in range(len(x)):
             h, v = net(h, v, x[k, elements])
-            found.append(v)
-            v = torch.where(told[k, elements], speeds[k, elements], v)
+            predicted.append(v)
+            v = torch.where(given[k, elements], speeds[k, elements], v)
         judged = scored[:, elements]
-        loss = nn.functional.smooth_l1_loss(torch.stack(found)[judged], speeds[:, elements][judged], beta=BEND)
+        loss = nn.functional.smooth_l1_loss(torch.stack(predicted)[judged], speeds[:, elements][judged], beta=BEND)
         optimiser.zero_grad()
         loss.backward()
         nn.utils.clip_grad_norm_(net.parameters(), 1.0)

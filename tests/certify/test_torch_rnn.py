@@ -26,12 +26,12 @@ from tests.support.vector_networks import spectral
 def module(n: int, rate: float = 0.9, seed: int = 0, **options) -> nn.RNN:
     """W_hh = rate times a rotation, in other coordinates: no norm has a smaller rate, a quadratic one has it."""
     torch.manual_seed(seed)
-    made = nn.RNN(2, n, **options)
+    rnn = nn.RNN(2, n, **options)
     turn = torch.linalg.qr(torch.randn(n, n))[0]
     units = torch.exp2(torch.arange(n) % 5 - 2.0)
     with torch.no_grad():
-        made.weight_hh_l0.copy_(rate * units[:, None] * turn / units)
-    return made
+        rnn.weight_hh_l0.copy_(rate * units[:, None] * turn / units)
+    return rnn
 
 
 def network(W: np.ndarray) -> VectorNetwork:
@@ -58,8 +58,8 @@ def patterns(W: np.ndarray, count: int = 200) -> np.ndarray:
 @pytest.mark.parametrize("prefix", ["", "rnn.", "module.rnn."])
 @pytest.mark.parametrize("cell", [False, True])
 def test_a_state_dict_is_read_whatever_it_is_saved_in(tmp_path, ending, prefix, cell):
-    made = nn.RNNCell(2, 3) if cell else nn.RNN(2, 3)
-    tensors = {prefix + name: x.detach().clone() for name, x in made.state_dict().items()} | {
+    net = nn.RNNCell(2, 3) if cell else nn.RNN(2, 3)
+    tensors = {prefix + name: x.detach().clone() for name, x in net.state_dict().items()} | {
         "head.weight": torch.ones(1, 3)
     }
     path = tmp_path / f"net.{ending}"
@@ -69,11 +69,11 @@ def test_a_state_dict_is_read_whatever_it_is_saved_in(tmp_path, ending, prefix, 
         save_file(tensors, path)
     else:
         np.savez(path, **{name: x.numpy() for name, x in tensors.items()})
-    shallow, (found,) = read_both(path)
-    W, W2, *biases = made.parameters()
+    shallow, (read,) = read_both(path)
+    W, W2, *biases = net.parameters()
     expected = [x.detach().double().numpy() for x in (W2, W, sum(b.double() for b in biases))]
-    assert shallow == [] and found.activation == TANH
-    for x, y in zip((found.weights.W, found.weights.W2, found.weights.b), expected, strict=True):
+    assert shallow == [] and read.activation == TANH
+    for x, y in zip((read.weights.W, read.weights.W2, read.weights.b), expected, strict=True):
         np.testing.assert_array_equal(x, y)
 
 
@@ -99,8 +99,8 @@ def test_other_modules_and_damaged_weights_are_one_sentence(tmp_path, capsys, ma
 
 
 def test_a_module_states_its_nonlinearity():
-    found = certify.certify(nn.Sequential(nn.Linear(1, 2), module(3, nonlinearity="relu"), nn.Linear(3, 1)))
-    assert found.contracting and found.found["activation"] == "relu"
+    result = certify.certify(nn.Sequential(nn.Linear(1, 2), module(3, nonlinearity="relu"), nn.Linear(3, 1)))
+    assert result.contracting and result.found["activation"] == "relu"
     assert certify.certify(module(3), "tanh").certificate["activation"] == "tanh"
     for wrong, given, words in (
         (module(3), "relu", "the module has 'tanh'"),
@@ -117,8 +117,8 @@ def test_a_module_states_its_nonlinearity():
 
 @pytest.mark.parametrize("n", [1, 4, 12, 40])
 def test_a_known_rate_is_found_and_proved(n):
-    found = certify.certify(module(n))
-    assert found.contracting and 0.9 - 1e-6 <= found.rate < 0.9005
+    result = certify.certify(module(n))
+    assert result.contracting and 0.9 - 1e-6 <= result.rate < 0.9005
     torch_twice = certify.certify(module(n, rate=1.1), seconds=0.2)
     assert not torch_twice.contracting and torch_twice.certificate is None
 
@@ -126,13 +126,13 @@ def test_a_known_rate_is_found_and_proved(n):
 @pytest.mark.parametrize("n, full", [(2, True), (5, True), (12, True), (12, False), (30, False)])
 def test_no_pattern_grows_faster_than_a_rate_that_is_proved(n, full):
     W = random(n)
-    found = by_full_metric(W, 10.0) if full else by_spectral_norm(W)
+    answer = by_full_metric(W, 10.0) if full else by_spectral_norm(W)
     slopes = patterns(W)
-    assert spectral(slopes, found.proof.metric) <= float(found.kappa) * (1 + 1e-9)
+    assert spectral(slopes, answer.proof.metric) <= float(answer.kappa) * (1 + 1e-9)
     radius = np.abs(np.linalg.eigvals(slopes)).max()
-    assert radius <= found.kappa <= by_spectral_norm(W).kappa * Fraction(10001, 10000)
-    less = found.kappa * Fraction(99, 100)
-    assert not recurrent.proves(W, found.proof.metric, found.proof.multipliers[0], less)
+    assert radius <= answer.kappa <= by_spectral_norm(W).kappa * Fraction(10001, 10000)
+    less = answer.kappa * Fraction(99, 100)
+    assert not recurrent.proves(W, answer.proof.metric, answer.proof.multipliers[0], less)
 
 
 @pytest.mark.thorough
@@ -188,9 +188,9 @@ def test_many_states_are_certified_by_numbers_that_verification_accepts(n):
 
 @pytest.mark.parametrize("n", [3, 10])
 def test_a_certificate_is_about_its_weights_alone(n):
-    made = by_spectral_norm(0.5 * random(n))
+    answer = by_spectral_norm(0.5 * random(n))
     net = network(0.5 * random(n))
-    content = vector_certificate.make(net, "quadratic", made.kappa, made.proof)
+    content = vector_certificate.make(net, "quadratic", answer.kappa, answer.proof)
     assert vector_certificate.verify(content, net).valid
     assert not vector_certificate.verify(content, network(0.6 * random(n))).valid
     exact = vector_certificate.make(network(0.1 * random(n)), "exact", norm="one", scaling=diagonal_scaling(random(n)))
@@ -212,8 +212,8 @@ def test_steps_of_many_states_are_refused_before_their_signs_are_tried():
     proof = exact["proof"] | {"step": "1/2"}
     claims = {key: exact[key] for key in exact.keys() - {"proof", "path", "versions", "sha256"}}
     claims |= vector_certificate._claims(net.weights, net.activation, "exact", Fraction(exact["rate"]), proof)
-    found = vector_certificate.verify(described(claims, proof, ""), net)
-    assert not found.valid and "too large" in found.reason
+    check = vector_certificate.verify(described(claims, proof, ""), net)
+    assert not check.valid and "too large" in check.reason
 
 
 @pytest.mark.parametrize("part", ["metric", "scaling"])
@@ -259,8 +259,8 @@ def test_a_full_metric_of_many_states_is_found_in_time(n, seconds):
     net = nn.RNN(1, n)
     with torch.no_grad():
         net.weight_hh_l0.copy_(torch.as_tensor(W))
-    found = certify.certify(net)
-    assert found.contracting and found.rate < 0.97 < by_spectral_norm(W).kappa
+    result = certify.certify(net)
+    assert result.contracting and result.rate < 0.97 < by_spectral_norm(W).kappa
     assert time.process_time() - began < seconds
 
 
@@ -286,8 +286,8 @@ def test_a_network_that_learns_a_boat_is_certified_where_it_is_constrained(const
                 W = net["rnn"].weight_hh_l0
                 W.mul_((0.99 / torch.linalg.matrix_norm(W, 2)).clamp(max=1))
     assert losses[-1] < 0.1 * losses[0]
-    found = certify.certify(net)
-    assert found.contracting or not constrained
-    assert not constrained or found.rate <= 0.9901
+    result = certify.certify(net)
+    assert result.contracting or not constrained
+    assert not constrained or result.rate <= 0.9901
     for slopes in itertools.islice(patterns(net["rnn"].weight_hh_l0.detach().double().numpy()), 20):
-        assert not found.contracting or np.abs(np.linalg.eigvals(slopes)).max() <= found.rate
+        assert not result.contracting or np.abs(np.linalg.eigvals(slopes)).max() <= result.rate

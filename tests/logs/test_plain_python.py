@@ -25,7 +25,7 @@ OPTIONS = {  # how the log below is aligned
 
 def aligned() -> dict:
     """All that comes of a log with jitter, gaps, repeated stamps, impossible values, and a clock that is set back."""
-    rng, count, found = np.random.default_rng(1), 1500, {}
+    rng, count, results = np.random.default_rng(1), 1500, {}
     stamps = np.cumsum(rng.exponential(0.03, count)) + rng.normal(0, 0.05, count)
     stamps[500:], stamps[900:], stamps[1200:] = stamps[500:] + 3, stamps[900:] + 40, stamps[1200:] - 70
     stamps[rng.integers(0, count, 20)] = 1e9
@@ -39,8 +39,8 @@ def aligned() -> dict:
             aligner._make_room(len(part))
             rows += aligner.feed(places[part], stamps[part], values[part]).tolist()
         rows += aligner.feed(places[:0], stamps[:0], values[:0], flush=True).tolist()
-        found[name] = [rows, np.array(aligner.ahead(9)).tolist(), aligner.windows, aligner.rejected]
-    return found
+        results[name] = [rows, np.array(aligner.ahead(9)).tolist(), aligner.windows, aligner.rejected]
+    return results
 
 
 def scanned() -> list:

@@ -90,11 +90,11 @@ def test_a_path_without_logs_is_refused(tmp_path, monkeypatch, path, expected):
         ({"surge": {"name": "v", "span": "wide"}}, ["data.channels.surge.span", "'wide'"]),
         ({"surge": {"name": "v", "held": "yes"}}, ["data.channels.surge.held", "'yes'"]),
         ({"surge": {"name": "v", "unit": "Mach"}}, ["'Mach'", "knots"]),
-        *(({"surge": {"name": "v", "period": each}}, ["data.channels.surge.period: found ", told])
-          for each, told in (("fast", "a time in s, or auto"), (-1.0, "a time of 0 to 10 s, or auto"),
+        *(({"surge": {"name": "v", "period": each}}, ["data.channels.surge.period: found ", words])
+          for each, words in (("fast", "a time in s, or auto"), (-1.0, "a time of 0 to 10 s, or auto"),
                              (50, "a time of 0 to 10 s, or auto"), (math.nan, "or auto"), (True, "in s, or auto"))),
-        *(({name: {"name": "v", "unit": unit}}, [f"data.channels.{name}.unit: found {unit!r}, expected one of {told}"])
-          for name, unit, told in (("surge", "deg", "1, m/s"), ("surge", "kn", "1, m/s"), ("sway", "deg/s", "1, m/s"),
+        *(({name: {"name": "v", "unit": unit}}, [f"data.channels.{name}.unit: found {unit!r}, expected one of {legal}"])
+          for name, unit, legal in (("surge", "deg", "1, m/s"), ("surge", "kn", "1, m/s"), ("sway", "deg/s", "1, m/s"),
                                    ("heading", "m/s", "1, rad, deg"), ("command_left", "rad", "1, percent"),
                                    ("yaw_rate", "deg", "1, rad/s"), ("latitude", "m", "1, deg"),
                                    ("north", "deg", "1, m"))),
@@ -192,8 +192,8 @@ def test_real_logs(boat):
     assert len(recordings) == runs == len({r.run for r in recordings})
     assert {r.boat for r in recordings} == {boat}
     channels = ("command_left", "command_right", "heading", "yaw_rate", "surge")
-    found = [sum(len(r.channels[c].time) for r in recordings if c in r.channels) for c in channels]
-    assert found == list(counts)
+    lengths = [sum(len(r.channels[c].time) for r in recordings if c in r.channels) for c in channels]
+    assert lengths == list(counts)
     speeds = np.concatenate([r.channels["surge"].value for r in recordings])
     assert (speeds.min(), speeds.max()) == pytest.approx(surge, abs=0.01)
     assert sum(sum(r.dropped.get(name, {}).values()) for r in recordings for name in channels) == dropped
@@ -219,16 +219,16 @@ def test_a_reader_that_fails_on_one_log_leaves_the_others_in_the_folder(tmp_path
     for name in ("bad", "good"):
         write(tmp_path / f"{name}.csv", "t,L,R,v,psi\n" + "".join(f"{k},0.5,0.5,1.{k},{k}\n" for k in range(9)))
     for method in ("read", "survey"):
-        own = getattr(Table, method)
+        original = getattr(Table, method)
 
-        def fails(self, path, *given, own=own):
-            return own(self, path, *given) if path.stem != "bad" else {}["Mult"]
+        def fails(self, path, *given, original=original):
+            return original(self, path, *given) if path.stem != "bad" else {}["Mult"]
 
         monkeypatch.setattr(Table, method, fails)
     channels = {"command_left": "L", "command_right": "R", "surge": "v", "heading": "psi"}
-    told = r"bad\.csv: cannot be read \(KeyError: 'Mult', in test_read\.py:\d+\): leave it out, and report"
-    with pytest.warns(UserWarning, match=f"log left out: .*{told}"):
-        found = read_recordings(tmp_path, Table("t"), {name: Source(column) for name, column in channels.items()})
-    assert [recording.run for recording in found] == ["good"]
+    text = r"bad\.csv: cannot be read \(KeyError: 'Mult', in test_read\.py:\d+\): leave it out, and report"
+    with pytest.warns(UserWarning, match=f"log left out: .*{text}"):
+        recordings = read_recordings(tmp_path, Table("t"), {name: Source(column) for name, column in channels.items()})
+    assert [recording.run for recording in recordings] == ["good"]
     logs = open_logs([str(tmp_path)])
-    assert len(logs.surveyed) == 1 and re.search(told, logs.notes[0])
+    assert len(logs.surveyed) == 1 and re.search(text, logs.notes[0])

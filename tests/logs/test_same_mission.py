@@ -64,7 +64,7 @@ def bag(kind: str) -> Callable[[Path], None]:
 
         store = get_typestore(Stores.ROS1_NOETIC if kind == "ROS1" else Stores.ROS2_HUMBLE)
         vector, pose = (store.types[f"geometry_msgs/msg/{name}"] for name in ("Vector3", "Pose2D"))
-        made = {
+        topics = {
             "/thrust": lambda k: vector(x=LEFT[k], y=RIGHT[k], z=0.0),
             "/pose": lambda k: pose(x=EAST[k], y=NORTH[k], theta=math.pi / 2 - PSI[k]),
             "/twist": lambda k: vector(x=U[k], y=-V[k], z=-R[k]),
@@ -73,10 +73,10 @@ def bag(kind: str) -> Callable[[Path], None]:
         pack = store.serialize_ros1 if kind == "ROS1" else store.serialize_cdr
         plugin = None if kind == "ROS1" else StoragePlugin[kind]
         with Writer1(path) if plugin is None else Writer2(folder, version=9, storage_plugin=plugin) as bag:
-            kinds = {topic: make(0).__msgtype__ for topic, make in made.items()}
+            kinds = {topic: make(0).__msgtype__ for topic, make in topics.items()}
             opened = {topic: bag.add_connection(topic, kind, typestore=store) for topic, kind in kinds.items()}
             for k, t in enumerate(TIME):
-                for topic, make in made.items():
+                for topic, make in topics.items():
                     bag.write(opened[topic], round(1e9 * (1.7e9 + t)), pack(make(k), kinds[topic]))
         if kind != "ROS1":
             next(folder.glob(f"*{path.suffix}")).rename(path)
@@ -85,23 +85,23 @@ def bag(kind: str) -> Callable[[Path], None]:
 
 
 def dataflash(path: Path) -> None:
-    found = dataflash_header() + b"".join(logged("PARM", 0, name, value, 0.0) for name, value in SERVOS.items())
+    data = dataflash_header() + b"".join(logged("PARM", 0, name, value, 0.0) for name, value in SERVOS.items())
     for k, t in enumerate(TIME):
         us = round(1e6 * (t + 5))
-        found += logged("RCOU", us, PULSES[k][0], 0, PULSES[k][1], 0) + logged("ATT", us, 0, float(DEG * PSI[k] % 360))
-        found += logged("IMU", us, 0, R[k], 0) + logged("XKF1", us, 0, VN[k], VE[k], NORTH[k], EAST[k])
-    path.write_bytes(found + logged("MSG", us, "end"))
+        data += logged("RCOU", us, PULSES[k][0], 0, PULSES[k][1], 0) + logged("ATT", us, 0, float(DEG * PSI[k] % 360))
+        data += logged("IMU", us, 0, R[k], 0) + logged("XKF1", us, 0, VN[k], VE[k], NORTH[k], EAST[k])
+    path.write_bytes(data + logged("MSG", us, "end"))
 
 
 def tlog(path: Path) -> None:
-    found = b"".join(frame("PARAM_VALUE", 0.0, param_id=name.encode(), param_value=x) for name, x in SERVOS.items())
-    found += frame("HEARTBEAT", 0.0, type=11, autopilot=3, base_mode=128)
+    content = b"".join(frame("PARAM_VALUE", 0.0, param_id=name.encode(), param_value=x) for name, x in SERVOS.items())
+    content += frame("HEARTBEAT", 0.0, type=11, autopilot=3, base_mode=128)
     for k, t in enumerate(TIME):
         ms = round(1000 * (t + 5))
-        found += frame("SERVO_OUTPUT_RAW", t, time_usec=1000 * ms, servo1_raw=PULSES[k][0], servo3_raw=PULSES[k][1])
-        found += frame("ATTITUDE", t, time_boot_ms=ms, yaw=YAW[k], yawspeed=R[k])
-        found += frame("LOCAL_POSITION_NED", t, time_boot_ms=ms, vx=VN[k], vy=VE[k], x=NORTH[k], y=EAST[k])
-    path.write_bytes(found)
+        content += frame("SERVO_OUTPUT_RAW", t, time_usec=1000 * ms, servo1_raw=PULSES[k][0], servo3_raw=PULSES[k][1])
+        content += frame("ATTITUDE", t, time_boot_ms=ms, yaw=YAW[k], yawspeed=R[k])
+        content += frame("LOCAL_POSITION_NED", t, time_boot_ms=ms, vx=VN[k], vy=VE[k], x=NORTH[k], y=EAST[k])
+    path.write_bytes(content)
 
 
 def ulog(path: Path) -> None:
@@ -161,19 +161,19 @@ def test_the_samples_and_poses_are_those_of_the_mission(tmp_path, name):
     else:
         (recording,) = read_recordings(path, *how)
     channels = {key: Channel(TIME, x, len(TRUE) * np.arange(len(TIME)) + k) for k, (key, x) in enumerate(TRUE.items())}
-    (made,), (true,) = (align_fleet([each]).runs for each in (recording, Recording("mission", "1", channels, {})))
-    np.testing.assert_allclose(made.time, true.time, atol=1e-5)
-    np.testing.assert_array_equal(made.samples.measured, true.samples.measured)
-    own, expected = made.samples, true.samples
+    (run,), (true,) = (align_fleet([each]).runs for each in (recording, Recording("mission", "1", channels, {})))
+    np.testing.assert_allclose(run.time, true.time, atol=1e-5)
+    np.testing.assert_array_equal(run.samples.measured, true.samples.measured)
+    samples, expected = run.samples, true.samples
     for side in ("command_left", "command_right"):
-        np.testing.assert_allclose(getattr(own.inputs, side), getattr(expected.inputs, side), atol=step + 1e-5)
-    turned = np.exp(1j * (own.inputs.heading - expected.inputs.heading))
+        np.testing.assert_allclose(getattr(samples.inputs, side), getattr(expected.inputs, side), atol=step + 1e-5)
+    turned = np.exp(1j * (samples.inputs.heading - expected.inputs.heading))
     np.testing.assert_allclose(np.angle(turned), 0, atol=1e-5)  # what 32 bits resolve of 360 deg
-    np.testing.assert_allclose(own.surge, expected.surge, atol=1e-5)
-    assert made.samples.measured.mean() > 0.99 and np.nanmin(own.surge) < -1
-    heading, rate, sway, *place = np.moveaxis(made.poses[1:, 0], -1, 0)
+    np.testing.assert_allclose(samples.surge, expected.surge, atol=1e-5)
+    assert run.samples.measured.mean() > 0.99 and np.nanmin(samples.surge) < -1
+    heading, rate, sway, *place = np.moveaxis(run.poses[1:, 0], -1, 0)
     heading_, rate_, sway_, *place_ = np.moveaxis(true.poses[1:, 0], -1, 0)
     np.testing.assert_allclose(np.angle(np.exp(1j * (heading - heading_))), 0, atol=0.01)
     np.testing.assert_allclose((rate, sway), (rate_, sway_), atol=1e-5)
-    for found, other in zip(place, place_, strict=True):
-        np.testing.assert_allclose(found - found[0], other - other[0], atol=0.2)  # of a fix of 0.1 s before
+    for way, other in zip(place, place_, strict=True):
+        np.testing.assert_allclose(way - way[0], other - other[0], atol=0.2)  # of a fix of 0.1 s before

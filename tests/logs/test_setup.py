@@ -75,10 +75,10 @@ def test_a_mix_of_live_messages_is_that_of_the_log(held, weights, posts):
     for part, gap, value in posts:
         rows.append((part, time := time + gap, value))
     live = LiveMix(given_)
-    found = [(t, total) for part, t, value in rows if (total := live.push(part, t, value)) is not None]
+    sums = [(t, total) for part, t, value in rows if (total := live.push(part, t, value)) is not None]
     order = np.arange(len(rows))
     if len(Counter(part for part, _, _ in rows)) < 2:
-        assert not found
+        assert not sums
         return
     parts = [
         Channel(
@@ -91,4 +91,4 @@ def test_a_mix_of_live_messages_is_that_of_the_log(held, weights, posts):
         for part in (0, 1)
     ]
     whole, _ = mix(parts, given_.weights)
-    assert found == list(zip(whole.time.tolist(), whole.value.tolist(), strict=True))
+    assert sums == list(zip(whole.time.tolist(), whole.value.tolist(), strict=True))

@@ -52,18 +52,18 @@ def test_a_bag_gives_every_number_of_every_topic(tmp_path, whole):
 
 
 def test_ros_2_gives_yaw_arrays_that_grow_and_no_image_nor_constant(tmp_path):
-    made = ros2_types()
-    stamp = made["Time"](sec=START // NS, nanosec=NS // 2)
-    header = made["Header"](stamp=stamp, frame_id="")
+    types = ros2_types()
+    stamp = types["Time"](sec=START // NS, nanosec=NS // 2)
+    header = types["Header"](stamp=stamp, frame_id="")
 
     def messages(k: int):
-        layout = made["MultiArrayLayout"](dim=[], data_offset=0)
-        yield "/thrust", made["Float64MultiArray"](layout=layout, data=np.arange(1.0, 1 + k))
-        quaternion = made["Quaternion"](x=0.0, y=0.0, z=np.sin(0.1 * k), w=np.cos(0.1 * k))
-        yield "/attitude", made["QuaternionStamped"](header=header, quaternion=quaternion)
-        status = made["NavSatStatus"](status=1, service=2)
+        layout = types["MultiArrayLayout"](dim=[], data_offset=0)
+        yield "/thrust", types["Float64MultiArray"](layout=layout, data=np.arange(1.0, 1 + k))
+        quaternion = types["Quaternion"](x=0.0, y=0.0, z=np.sin(0.1 * k), w=np.cos(0.1 * k))
+        yield "/attitude", types["QuaternionStamped"](header=header, quaternion=quaternion)
+        status = types["NavSatStatus"](status=1, service=2)
         yield "/status", status
-        yield "/large", made["ByteMultiArray"](layout=layout, data=np.zeros(LARGE, np.uint8))
+        yield "/large", types["ByteMultiArray"](layout=layout, data=np.zeros(LARGE, np.uint8))
 
     path = write_ros2(tmp_path / "run", ((k * NS // 4, *post) for k in range(3) for post in messages(k)))
     with pytest.warns(UserWarning, match=r"/large \(.*ByteMultiArray\) is skipped, since a message has 65552 b"):

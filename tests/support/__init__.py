@@ -94,8 +94,8 @@ ESTIMATORS = FAMILIES | {  # and other settings of them
 
 def layers(estimators: dict[str, Callable]) -> dict[str, Callable]:
     """The estimators whose steps torch makes, too; an ensemble with forecasts takes it too long."""
-    own = {name: make for name, make in estimators.items() if not name.startswith("forecasts")}
-    return {name: make for name, make in own.items() if not isinstance(make(), KernelEstimator)}
+    chosen = {name: make for name, make in estimators.items() if not name.startswith("forecasts")}
+    return {name: make for name, make in chosen.items() if not isinstance(make(), KernelEstimator)}
 
 
 def unaided(estimator):

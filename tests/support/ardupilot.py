@@ -58,26 +58,26 @@ def logged(name: str, *values) -> bytes:
 
 def header(units: bool = True) -> bytes:
     """FMT of all messages, and their units."""
-    found = described(128, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns")
-    found += b"".join(described(kind, name, *rest[:2]) for name, (kind, *rest) in LAYOUTS.items())
+    content = described(128, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns")
+    content += b"".join(described(kind, name, *rest[:2]) for name, (kind, *rest) in LAYOUTS.items())
     if units:
-        found += b"".join(logged("UNIT", 0, ord(key), label) for key, label in UNITS.items())
-        found += b"".join(logged("MULT", 0, ord(key), factor) for key, factor in MULTIPLIERS.items())
-        found += b"".join(logged("FMTU", 0, kind, *rest[2:]) for kind, *rest in LAYOUTS.values())
-    return found
+        content += b"".join(logged("UNIT", 0, ord(key), label) for key, label in UNITS.items())
+        content += b"".join(logged("MULT", 0, ord(key), factor) for key, factor in MULTIPLIERS.items())
+        content += b"".join(logged("FMTU", 0, kind, *rest[2:]) for kind, *rest in LAYOUTS.values())
+    return content
 
 
 def dataflash(steps: int = 60, parameters=PARAMETERS, events=(), units: bool = True) -> bytes:
     """A boat that goes ahead at 1.5 m/s on a slow turn; events are (step, message)."""
-    found = header(units) + b"".join(logged("PARM", 0, name, value, 0.0) for name, value in parameters.items())
+    content = header(units) + b"".join(logged("PARM", 0, name, value, 0.0) for name, value in parameters.items())
     for k in range(steps):
         us, psi = 5_000_000 + 100_000 * k, np.radians(10.0) + 0.02 * k
-        found += b"".join(message for step, message in events if step == k)
-        found += logged("RCOU", us, 1500 + 5 * k, 0, 1500 - 4 * k, 1500)
-        found += logged("ATT", us + 10, -150, float(np.degrees(psi)))
-        found += logged("IMU", us + 20, 0, 0.2, 21) + logged("IMU", us + 20, 1, 0.3, 22)
-        found += logged("XKF1", us + 30, 0, 1.5 * np.cos(psi), 1.5 * np.sin(psi), 1.0 * k, 2.0 * k)
-    return found
+        content += b"".join(message for step, message in events if step == k)
+        content += logged("RCOU", us, 1500 + 5 * k, 0, 1500 - 4 * k, 1500)
+        content += logged("ATT", us + 10, -150, float(np.degrees(psi)))
+        content += logged("IMU", us + 20, 0, 0.2, 21) + logged("IMU", us + 20, 1, 0.3, 22)
+        content += logged("XKF1", us + 30, 0, 1.5 * np.cos(psi), 1.5 * np.sin(psi), 1.0 * k, 2.0 * k)
+    return content
 
 
 def frame(name: str, receipt: float, version: int = 2, sender=(1, 1), signed: bool = False, **values) -> bytes:
@@ -113,7 +113,7 @@ def packet(number, extra, payload, receipt=0.0, version=2, sender=(1, 1), signed
 
 def tlog(steps: int = 60, armed_from: int = 0, parameters=PARAMETERS, version: int = 2) -> bytes:
     """The same boat, as a ground station heard it, 20 to 60 ms late."""
-    found = b"".join(
+    content = b"".join(
         frame("PARAM_VALUE", 0.001 * k, version, param_id=name.encode(), param_value=value)
         for k, (name, value) in enumerate(parameters.items())
     )
@@ -121,12 +121,12 @@ def tlog(steps: int = 60, armed_from: int = 0, parameters=PARAMETERS, version: i
         ms, psi, receipt = 5000 + 100 * k, np.radians(10.0) + 0.02 * k, 0.1 * k + 0.02 * (1 + k % 3)
         if k % 10 == 0:
             mode = 128 if k >= armed_from else 0
-            found += frame("HEARTBEAT", receipt, version, type=11, autopilot=3, base_mode=mode)
-            found += frame("HEARTBEAT", receipt, version, (255, 190), type=6, autopilot=8)
+            content += frame("HEARTBEAT", receipt, version, type=11, autopilot=3, base_mode=mode)
+            content += frame("HEARTBEAT", receipt, version, (255, 190), type=6, autopilot=8)
         widths = {"servo1_raw": 1500 + 5 * k, "servo3_raw": 1500 - 4 * k}
-        found += frame("SERVO_OUTPUT_RAW", receipt, version, time_usec=1000 * ms, **widths)
-        found += frame("ATTITUDE", receipt, version, time_boot_ms=ms, yaw=psi, yawspeed=0.2)
-        found += frame("VFR_HUD", receipt, version, groundspeed=1.5)
+        content += frame("SERVO_OUTPUT_RAW", receipt, version, time_usec=1000 * ms, **widths)
+        content += frame("ATTITUDE", receipt, version, time_boot_ms=ms, yaw=psi, yawspeed=0.2)
+        content += frame("VFR_HUD", receipt, version, groundspeed=1.5)
         velocity = {"vx": 1.5 * np.cos(psi), "vy": 1.5 * np.sin(psi), "x": k, "y": 2 * k}
-        found += frame("LOCAL_POSITION_NED", receipt, version, time_boot_ms=ms, **velocity)
-    return found
+        content += frame("LOCAL_POSITION_NED", receipt, version, time_boot_ms=ms, **velocity)
+    return content

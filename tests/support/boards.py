@@ -9,11 +9,11 @@ KEEP_ALL = {"scalars": 0, "images": 0, "tensors": 0}
 
 def boards(folder: Path) -> dict[str, EventAccumulator]:
     """All runs below a folder by name, in the order in which TensorBoard gives them colours."""
-    found = {}
+    runs = {}
     for path in {file.parent for file in folder.rglob("*tfevents*")}:
-        found[path.relative_to(folder).as_posix()] = events = EventAccumulator(str(path), KEEP_ALL)
+        runs[path.relative_to(folder).as_posix()] = events = EventAccumulator(str(path), KEEP_ALL)
         events.Reload()
-    return dict(sorted(found.items(), key=lambda item: item[1].FirstEventTimestamp()))
+    return dict(sorted(runs.items(), key=lambda item: item[1].FirstEventTimestamp()))
 
 
 def tags(events: EventAccumulator) -> set[str]:
@@ -23,8 +23,8 @@ def tags(events: EventAccumulator) -> set[str]:
 
 
 def texts(events: EventAccumulator) -> dict[str, str]:
-    found = (tag for tag in events.Tags()["tensors"] if not tag.startswith("_hparams_"))
-    return {tag: events.Tensors(tag)[-1].tensor_proto.string_val[0].decode() for tag in found}
+    tags = (tag for tag in events.Tags()["tensors"] if not tag.startswith("_hparams_"))
+    return {tag: events.Tensors(tag)[-1].tensor_proto.string_val[0].decode() for tag in tags}
 
 
 def steps(events: EventAccumulator, tag: str) -> list[int]:

@@ -72,8 +72,8 @@ def write_table(path: Path, columns: Mapping[str, Sequence], delimiter: str = ",
 def write_alog(path: Path, posts: Mapping[str, tuple[np.ndarray, np.ndarray]], app: str = "pNav") -> Path:
     """A MOOS log of variables with their stamps and values."""
     lines = ["%" * 80, "%% LOG FILE: ./LOG_BOAT", "%% LOGSTART 1721841528.2", "%" * 80]
-    found = [(t, name, v) for name, (time, value) in posts.items() for t, v in zip(time, value, strict=True)]
-    lines += [f"{t:<12.3f} {name:<20} {app:<12} {v:.5f}" for t, name, v in sorted(found)]
+    rows = [(t, name, v) for name, (time, value) in posts.items() for t, v in zip(time, value, strict=True)]
+    lines += [f"{t:<12.3f} {name:<20} {app:<12} {v:.5f}" for t, name, v in sorted(rows)]
     path.write_text("\n".join(lines) + "\n")
     return path
 
@@ -267,14 +267,14 @@ def adrift(voyage: Voyage) -> dict[str, np.ndarray]:
 
 def sways(at: At) -> dict[str, np.ndarray]:
     """A sway in knots, under a German name."""
-    own = adrift(at.voyage)
+    boat = adrift(at.voyage)
     return {
         "time": at.time,
-        "Breite": own["lat"],
-        "Länge": own["lon"],
+        "Breite": boat["lat"],
+        "Länge": boat["lon"],
         "Steuerkurs (°)": DEG * at.heading,
         "Geschwindigkeit (kn)": KNOTS * at.surge,
-        "Quergeschwindigkeit (kn)": KNOTS * own["sway"],
+        "Quergeschwindigkeit (kn)": KNOTS * boat["sway"],
         "Schub links (%)": 100 * at.left,
         "Schub rechts (%)": 100 * at.right,
     }
@@ -282,14 +282,14 @@ def sways(at: At) -> dict[str, np.ndarray]:
 
 def sways_to_port(at: At) -> dict[str, np.ndarray]:
     """A velocity in the axes of ROS: x ahead, y to port, beside a yaw from east."""
-    own = adrift(at.voyage)
+    boat = adrift(at.voyage)
     return {
         "time": at.time,
-        "latitude": own["lat"],
-        "longitude": own["lon"],
+        "latitude": boat["lat"],
+        "longitude": boat["lon"],
         "yaw": enu(at.heading),
         "twist.linear.x": at.surge,
-        "twist.linear.y": -own["sway"],
+        "twist.linear.y": -boat["sway"],
         "left_motor": at.left,
         "right_motor": at.right,
     }

@@ -28,5 +28,5 @@ def known_boat(spread: float = 0.04, vague: bool = False, lacks=(), **parameters
     theta = np.array([{**HERON, **parameters}[name] for name in names(even=False)])
     covariance = np.diag((spread * theta) ** 2)
     beside = IntervalTerms(0.0, theta, theta, np.maximum(theta**2, 1e-4), vague)
-    found = Identified({}, "Known.", "", tuple(lacks), MASS, np.zeros(len(theta)), theta, covariance, beside)
-    return IdentifiedBoat("heron", Path("known.safetensors"), found, SurgeModel.of(found), SETUP, {}, {})
+    identified = Identified({}, "Known.", "", tuple(lacks), MASS, np.zeros(len(theta)), theta, covariance, beside)
+    return IdentifiedBoat("heron", Path("known.safetensors"), identified, SurgeModel.of(identified), SETUP, {}, {})

@@ -41,14 +41,14 @@ def compared(name: str, dtype: torch.dtype, steps: int) -> tuple[float, bool]:
     samples = tree_map(lambda x: x.to(dtype) if x.is_floating_point() else x, mission(steps, 3))
     state, arrays = estimator.init((3,)), tree_map(array_of, samples)
     recorded = ["predictions"] if "predictions" in arrays_of(state) else []
-    found, expected = (
+    result, expected = (
         roll(spec_of(estimator), arrays_of(state), arrays, record=recorded, device=each) for each in ("cuda", "cpu")
     )
-    pairs = [(tree_of(state, found.leaves), tree_of(state, expected.leaves))]
-    pairs += [(torch.as_tensor(found.predictions), torch.as_tensor(expected.predictions))]
-    pairs += [(torch.as_tensor(found.record[name]), torch.as_tensor(expected.record[name])) for name in recorded]
-    same = np.array_equal(np.isnan(found.predictions), np.isnan(expected.predictions))
-    return max(difference(x, y) for x, y in pairs), same and bool(np.isfinite(found.predictions).any())
+    pairs = [(tree_of(state, result.leaves), tree_of(state, expected.leaves))]
+    pairs += [(torch.as_tensor(result.predictions), torch.as_tensor(expected.predictions))]
+    pairs += [(torch.as_tensor(result.record[name]), torch.as_tensor(expected.record[name])) for name in recorded]
+    same = np.array_equal(np.isnan(result.predictions), np.isnan(expected.predictions))
+    return max(difference(x, y) for x, y in pairs), same and bool(np.isfinite(result.predictions).any())
 
 
 def ptx(name: str, capability: tuple[int, int] = (9, 0)) -> str:

@@ -73,12 +73,12 @@ def planar_setup(recording: Recording) -> Setup:
 
 def planar_set(folder: Path, reader: str | None = PLAIN.reader) -> Path:
     """A checkpoint of `planar`, as a run keeps it, and beside it one of its ensemble; returns the run's folder."""
-    own, setup = planar(), planar_setup(turning()).json()
+    model, setup = planar(), planar_setup(turning()).json()
     setup["reader"] = reader
     for name in setup["channels"]:
         setup["channels"][name]["name"] = name.upper()
-    Online(own.surge).save(folder / "checkpoints" / "planar" / "0001_00000001.safetensors", setup=setup)
-    Online(own).save(folder / "planar" / "checkpoints" / "planar" / "0001_00000001.safetensors", setup=setup)
+    Online(model.surge).save(folder / "checkpoints" / "planar" / "0001_00000001.safetensors", setup=setup)
+    Online(model).save(folder / "planar" / "checkpoints" / "planar" / "0001_00000001.safetensors", setup=setup)
     return folder
 
 

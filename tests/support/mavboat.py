@@ -108,14 +108,14 @@ class MavBoat:
 
     def due(self, time: float) -> list[bytes]:
         """The frames that are due by this time of the boat, s."""
-        found = []
+        due = []
         for number, interval in {HEARTBEAT: 1.0, **self.intervals}.items():
             at = self._due.get(number, time)
             while at <= time + 1e-9:
-                found.append((at, number))
+                due.append((at, number))
                 at += interval
             self._due[number] = at
-        return [self.packed(self.message(number, at)) for at, number in sorted(found)]
+        return [self.packed(self.message(number, at)) for at, number in sorted(due)]
 
     def message(self, number: int, time: float):
         """What it says of one time, as pymavlink's message."""

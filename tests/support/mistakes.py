@@ -166,8 +166,8 @@ def kinds(recordings: Sequence[Recording], plant: str, severity: str | None = No
         aligned = align_fleet(recordings, **ALIGN)
     except ValueError:  # nothing is left to align: the check runs all the same
         aligned = None
-    found = check_data(recordings, aligned, ALIGN, TOP[plant], CONFIGURED)
-    return [each.kind for each in found if severity in (None, each.severity)]
+    findings = check_data(recordings, aligned, ALIGN, TOP[plant], CONFIGURED)
+    return [each.kind for each in findings if severity in (None, each.severity)]
 
 
 def boats(plant: str, seed: int, hours: float, fault: Fault | None = None, rough: bool = False) -> list[Recording]:

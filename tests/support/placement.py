@@ -37,11 +37,11 @@ class _NoneOnTheHost(TorchDispatchMode):
     """Refuses operations that make a tensor with axes on the CPU; a number without axes may be there."""
 
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        found = func(*args, **(kwargs or {}))
-        for x in tree_leaves(found):
+        result = func(*args, **(kwargs or {}))
+        for x in tree_leaves(result):
             if isinstance(x, Tensor):
                 assert x.device.type != "cpu" or x.ndim == 0, f"{func} makes a tensor {tuple(x.shape)} on the CPU"
-        return found
+        return result
 
 
 @contextmanager

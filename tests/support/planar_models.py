@@ -28,9 +28,9 @@ def drawn_planar(rng: np.random.Generator, sways: bool = True, surge: SurgeModel
 
 def commanded(rng: np.random.Generator, count: int) -> np.ndarray:
     """Left, right, step and current of some steps, with zeros among the commands, `(5, count)`."""
-    found = rng.uniform([-1, -1, 0.05, -0.5, -0.5], [1, 1, 0.8, 0.5, 0.5], (count, 5)).T
-    found[:2][rng.random((2, count)) < 0.05] = 0.0
-    return found
+    steps = rng.uniform([-1, -1, 0.05, -0.5, -0.5], [1, 1, 0.8, 0.5, 0.5], (count, 5)).T
+    steps[:2][rng.random((2, count)) < 0.05] = 0.0
+    return steps
 
 
 def moving(rng: np.random.Generator, count: int | None = None) -> Motion:

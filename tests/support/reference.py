@@ -25,29 +25,29 @@ class Listed(NamedTuple):
 @functools.cache
 def blocks() -> dict[str, Listed]:
     """Everything behind `:::` by its name."""
-    found = {}
+    listed = {}
     for page in PAGES:
         for name, block in re.findall(r"^::: (\S+)((?:\n    .*)*)", with_families(page.read_text()), re.MULTILINE):
             options = (yaml.safe_load(block) or {}).get("options", {})
-            found[name] = Listed(load(name), page.stem, options.get("members", True))
-    return found
+            listed[name] = Listed(load(name), page.stem, options.get("members", True))
+    return listed
 
 
 @functools.cache
 def listed() -> dict[str, Listed]:
     """Every function and class behind `:::` by its name; those of a module in its place."""
-    found: dict[str, Listed] = {}
+    names: dict[str, Listed] = {}
     for name, (value, page, members) in blocks().items():
         if not inspect.ismodule(value):
-            found[name] = Listed(value, page, members)
+            names[name] = Listed(value, page, members)
         elif members:
-            own = {f"{name}.{key}": each for key, each in vars(value).items() if not key.startswith("_")}
-            found |= {
+            inner = {f"{name}.{key}": each for key, each in vars(value).items() if not key.startswith("_")}
+            names |= {
                 path: Listed(each, page, True)
-                for path, each in own.items()
+                for path, each in inner.items()
                 if (inspect.isfunction(each) or inspect.isclass(each)) and each.__module__ == value.__name__
             }
-    return found
+    return names
 
 
 def load(name: str) -> Any:

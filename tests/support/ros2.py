@@ -58,11 +58,11 @@ def rclpy_class(kind: str) -> type:
 
 def like_rclpy(message: Any) -> Any:
     """A message of rosbags as rclpy would have given it."""
-    made = rclpy_class(message.__msgtype__)()
-    for name in made.get_fields_and_field_types():
+    copied = rclpy_class(message.__msgtype__)()
+    for name in copied.get_fields_and_field_types():
         value = getattr(message, name)
-        object.__setattr__(made, name, like_rclpy(value) if hasattr(value, "__msgtype__") else value)
-    return made
+        object.__setattr__(copied, name, like_rclpy(value) if hasattr(value, "__msgtype__") else value)
+    return copied
 
 
 class Peer:
@@ -84,9 +84,9 @@ class Peer:
 
     def listen(self, topic: str, kind: str, qos: Any = 10) -> list[Any]:
         """The messages of a topic, as they come."""
-        found: list[Any] = []
-        self.node.create_subscription(message_class(kind), topic, found.append, qos)
-        return found
+        heard: list[Any] = []
+        self.node.create_subscription(message_class(kind), topic, heard.append, qos)
+        return heard
 
     def close(self) -> None:
         self.executor.shutdown()

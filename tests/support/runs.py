@@ -44,11 +44,11 @@ def session(
 
 def contents(folder) -> dict[str, np.ndarray]:
     """Every leaf of every checkpoint and every prediction."""
-    found = {}
+    leaves = {}
     for path in sorted(folder.path.rglob("*.safetensors")):
         for name, leaf in checkpoint.load(path)[0].items():
-            found[f"{path.relative_to(folder.path)}:{name}"] = leaf
-    return found | {f"run {k}": array for k, array in enumerate(published(folder, "predictions"))}
+            leaves[f"{path.relative_to(folder.path)}:{name}"] = leaf
+    return leaves | {f"run {k}": array for k, array in enumerate(published(folder, "predictions"))}
 
 
 def published(folder: RunFolder, name: str) -> list[np.ndarray]:

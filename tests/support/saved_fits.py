@@ -25,32 +25,32 @@ def missions(count: int = 3, noise: float = 0.05, terms: str = "cubic", steps: i
         each[1:, SURGE] = simulated(each, theta, terms)[1:] + noise * rng.standard_normal(steps)
         each[1:, MODE] = LEARN
         rows.append(each)
-    made = Missions(rows, TOP)
-    return made, made.evaluate(terms, theta, noise)
+    sailed = Missions(rows, TOP)
+    return sailed, sailed.evaluate(terms, theta, noise)
 
 
 @cache
 def facts() -> dict[str, Any]:
     """A file `BOAT.fit.json`; nobody changes it."""
-    made, fit = missions()
-    found = {name: float(value) for name, value in quantities(fit.theta, TOP, MASS).items()}
+    sailed, fit = missions()
+    values = {name: float(value) for name, value in quantities(fit.theta, TOP, MASS).items()}
     score = {"parameters": 12, "gain": 0.0, "error": 0.0, "mae": 0.04}
     return {
         "boat": "heron1",
         "mass": MASS,
         "top": TOP,
         "terms": "cubic",
-        "missions": len(made.rows),
+        "missions": len(sailed.rows),
         "steps": 6000,
         "deviation": fit.deviation,
         "parameters": {},
         "quantities": {
             name: {"value": x, "low": x - 0.1 * abs(x), "high": x + 0.1 * abs(x), "unit": "N"}
-            for name, x in found.items()
+            for name, x in values.items()
         },
         "lacks": ["The thrusters hardly ever pushed astern."],
         "doubts": [],
         "simulation": FreeMode("fit", 3, 0.05, 0.06, 0.01, 0.002).json(),
         "sets": {"nine": score | {"gain": -0.5, "error": None}, "cubic": score},
-        "diagnostics": diagnostics(made, fit, MASS),
+        "diagnostics": diagnostics(sailed, fit, MASS),
     }

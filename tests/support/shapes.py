@@ -117,36 +117,36 @@ class Score(NamedTuple):
 
 def score(channels: Mapping[str, Mapping[str, Any]], certainty: Callable[[str, str], str], truth: Truth) -> Score:
     """Compare proposed channels with the truth, key by key."""
-    found = Score([], [], [])
+    scored = Score([], [], [])
     for channel, allowed in truth.items():
-        own = channels.get(channel) or {"name": None}
-        expected = next((each for each in allowed if _same(own.get("name"), each["name"])), allowed[0])
+        given = channels.get(channel) or {"name": None}
+        expected = next((each for each in allowed if _same(given.get("name"), each["name"])), allowed[0])
         for key in expected:
-            good = _equal(key, own, expected)
+            good = _equal(key, given, expected)
             sure = certainty(channel, key)
-            told = (
-                f"{channel} {key}" if good else f"{channel} {key} {own.get(key)!r}, expected {expected[key]!r} ({sure})"
-            )
-            (found.right if good else found.unsure if sure == "unsure" else found.wrong).append(told)
-    return found
+            wrong = "" if good else f" {given.get(key)!r}, expected {expected[key]!r} ({sure})"
+            text = f"{channel} {key}{wrong}"
+            (scored.right if good else scored.unsure if sure == "unsure" else scored.wrong).append(text)
+    return scored
 
 
 def certainties(decisions: Iterable[Decision]) -> Callable[[str, str], str]:
     """The least certainty of what was decided about a channel's key, or about its series where the key has none."""
-    found: dict[tuple[str, str], str] = {}
+    sure: dict[tuple[str, str], str] = {}
     for each in decisions:
         place = each.channel, KEYS.get(each.what, each.what)
-        found[place] = least(found.get(place, CERTAIN), each.certainty)
-    return lambda channel, key: found.get((channel, key), found.get((channel, "name"), UNSURE))
+        sure[place] = least(sure.get(place, CERTAIN), each.certainty)
+    return lambda channel, key: sure.get((channel, key), sure.get((channel, "name"), UNSURE))
 
 
-def _same(own: Any, expected: Any) -> bool:
-    return sorted(own) == sorted(expected) if isinstance(own, list) and isinstance(expected, list) else own == expected
+def _same(given: Any, expected: Any) -> bool:
+    lists = isinstance(given, list) and isinstance(expected, list)
+    return sorted(given) == sorted(expected) if lists else given == expected
 
 
-def _equal(key: str, own: Mapping[str, Any], expected: Mapping[str, Any]) -> bool:
+def _equal(key: str, proposed: Mapping[str, Any], expected: Mapping[str, Any]) -> bool:
     """Zero and span within 4 % and 20 % of full scale."""
-    value, right = own.get(key, 1.0 if key == "span" else None), expected[key]
+    value, right = proposed.get(key, 1.0 if key == "span" else None), expected[key]
     if key in ("zero", "span") and isinstance(value, int | float):
         return abs(value - right) <= (0.2 if key == "span" else 0.04) * abs(expected["span"])
     return _same(value, right)

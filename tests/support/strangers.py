@@ -35,13 +35,13 @@ def sail(minutes: float = 4.0, seed: int = 1, lowest: float = -0.8, dies: str = 
         if k % 5 == 0:
             rows.append((0.05 * k, l, r, psi, turn, u, v, n, e))
     names = ("time", "l", "r", "psi", "turn", "u", "v", "n", "e")
-    found = dict(zip(names, np.array(rows).T, strict=True))
-    found["u"] = found["u"] + rng.normal(0, 0.02, len(rows))
-    found["hdg"], found["sog"] = np.degrees(found["psi"]) % 360, np.hypot(found["u"], found["v"])
-    found["cog"] = np.degrees(found["psi"] + np.arctan2(found["v"], found["u"])) % 360
-    found["lat"] = 42.3 + found["n"] / 111195
-    found["lon"] = -71.1 + found["e"] / 111195 / np.cos(np.radians(42.3))
-    return found
+    boat = dict(zip(names, np.array(rows).T, strict=True))
+    boat["u"] = boat["u"] + rng.normal(0, 0.02, len(rows))
+    boat["hdg"], boat["sog"] = np.degrees(boat["psi"]) % 360, np.hypot(boat["u"], boat["v"])
+    boat["cog"] = np.degrees(boat["psi"] + np.arctan2(boat["v"], boat["u"])) % 360
+    boat["lat"] = 42.3 + boat["n"] / 111195
+    boat["lon"] = -71.1 + boat["e"] / 111195 / np.cos(np.radians(42.3))
+    return boat
 
 
 def concluded(boat: dict[str, np.ndarray], convention: str = "CSV", **columns: np.ndarray) -> Proposal:
@@ -54,9 +54,9 @@ def concluded(boat: dict[str, np.ndarray], convention: str = "CSV", **columns: n
     return propose(candidates(series), convention)
 
 
-def told(found: Proposal) -> dict[tuple[str, str], tuple[str, str]]:
+def told(proposal: Proposal) -> dict[tuple[str, str], tuple[str, str]]:
     """Channel and what -> value and certainty."""
-    return {each[:2]: (each.value, each.certainty) for each in found.decisions}
+    return {each[:2]: (each.value, each.certainty) for each in proposal.decisions}
 
 
 def pulses(share):

@@ -54,8 +54,8 @@ def drifting(sway: Callable[[np.ndarray], np.ndarray]) -> Callable[[At], dict[st
     """The position of a boat that drifts, beside a sway."""
 
     def changed(at: At) -> dict[str, Any]:
-        own = adrift(at.voyage)
-        return {"lat": own["lat"], "lon": own["lon"], "sway": sway(own["sway"])}
+        boat = adrift(at.voyage)
+        return {"lat": boat["lat"], "lon": boat["lon"], "sway": sway(boat["sway"])}
 
     return changed
 

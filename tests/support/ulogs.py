@@ -20,12 +20,12 @@ def header(formats: dict[str, str]) -> bytes:
 
 def parameters(**values: float) -> bytes:
     """Parameters; those of an int are integers."""
-    found = []
+    blocks = []
     for name, value in values.items():
         kind, code = ("int32_t", "i") if isinstance(value, int) else ("float", "f")
         key = f"{kind} {name}".encode()
-        found.append(block("P", bytes([len(key)]) + key + struct.pack("<" + code, value)))
-    return b"".join(found)
+        blocks.append(block("P", bytes([len(key)]) + key + struct.pack("<" + code, value)))
+    return b"".join(blocks)
 
 
 def subscribe(number: int, name: str, instance: int = 0) -> bytes:

@@ -49,8 +49,8 @@ def test_json_of_one_network(files, capsys):
     ],
 )
 def test_the_condition_decides_the_exit_code(files, capsys, names, condition, code):
-    found, rows = told(capsys, *(files / f"{name}.npz" for name in names), "--condition", condition)
-    assert found == code and len(rows) == len(names)
+    status, rows = told(capsys, *(files / f"{name}.npz" for name in names), "--condition", condition)
+    assert status == code and len(rows) == len(names)
 
 
 def test_equilibria_are_those_of_the_paper_and_its_errata(files, capsys):
@@ -168,8 +168,8 @@ def test_closed_forms_import_no_solver(files):
         f"rc = main([{str(files / 'run')!r}, {str(files / 'good.npz')!r}])\n"
         "sys.exit(rc or any(name in sys.modules for name in ('cvxpy', 'torch', 'scipy', 'matplotlib')))"
     )
-    found = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
-    assert found.returncode == 0, found.stderr + found.stdout
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr + done.stdout
 
 
 def test_what_is_printed_is_never_below_the_rate_or_above_a_margin(files, capsys, monkeypatch):
@@ -185,8 +185,8 @@ def test_a_file_whose_name_is_no_text_is_certified(files, capsys, monkeypatch):
     monkeypatch.chdir(files)
     np.savez(os.fsdecode(b"bad\xff.npz"), **np.load("good.npz"))
     assert told(capsys, os.fsdecode(b"bad\xff.npz"), "--certificate", "proofs")[0] == 0
-    (made,) = Path("proofs").iterdir()
-    assert main(["good.npz", "--verify", str(made)]) == 0 and ": valid" in capsys.readouterr().out
+    (proof,) = Path("proofs").iterdir()
+    assert main(["good.npz", "--verify", str(proof)]) == 0 and ": valid" in capsys.readouterr().out
 
 
 def test_any_locale_will_do(files):
@@ -194,8 +194,8 @@ def test_any_locale_will_do(files):
     plain = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONPATH": str(ROOT)}
     calls = ["good.npz", "--certificate", "proofs"], ["--verify", "proofs/good.exact.json"], ["good.npz", "--json"]
     code = f"from certify.__main__ import main\nassert [main(each) for each in {calls}] == [0, 0, 0]"
-    found = subprocess.run([sys.executable, "-c", code], cwd=files, env=plain, capture_output=True, text=True)
-    assert found.returncode == 0, found.stderr
+    done = subprocess.run([sys.executable, "-c", code], cwd=files, env=plain, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
 
 
 CALLS = list(itertools.product((("good", 0), ("identity", 1)), ([], ["--json"])))
@@ -235,13 +235,13 @@ def networks(count: int, n: int) -> list:
 def test_the_table_counts_what_was_examined():
     pytest.importorskip("cvxpy")
     rows = [examine(w, 2.0, "CLARABEL") for w in networks(12, 4)]
-    made = {row["condition"]: row for row in table({RANDOM: rows})}
-    counts = [made[name]["certified"] for name in ("simple", "gershgorin", "lmi", "exact", "box")]
+    named = {row["condition"]: row for row in table({RANDOM: rows})}
+    counts = [named[name]["certified"] for name in ("simple", "gershgorin", "lmi", "exact", "box")]
     assert counts == sorted(counts) and counts[2] < counts[3] == sum(row["rates"]["exact"] < 1 for row in rows)
-    assert made["lmi"]["over_K"] == pytest.approx(2) and made["exact"]["over_K"] == 1 > made["box"]["over_K"] - 1e-9
-    assert made["lmi"]["disagreements"] == made["exact"]["disagreements"] == 0
-    low, high = made["exact"]["interval"]
-    assert low < counts[3] / 12 < high and made["lmi"]["largest"] < 0.5
+    assert named["lmi"]["over_K"] == pytest.approx(2) and named["exact"]["over_K"] == 1 > named["box"]["over_K"] - 1e-9
+    assert named["lmi"]["disagreements"] == named["exact"]["disagreements"] == 0
+    low, high = named["exact"]["interval"]
+    assert low < counts[3] / 12 < high and named["lmi"]["largest"] < 0.5
     assert table({"own": rows})[0]["interval"] is None  # no draws
     rows[0]["solved"]["exact"] = "unknown" if rows[0]["certified"]["exact"] else "certified"
     assert {row["condition"]: row["disagreements"] for row in table({RANDOM: rows})}["exact"] == 1
@@ -249,8 +249,8 @@ def test_the_table_counts_what_was_examined():
 
 def test_checkpoints_and_random_networks_are_printed_and_drawn(files, capsys):
     pytest.importorskip("matplotlib")
-    own = [str(files / "run"), str(files / "good.npz")]
-    assert main(["compare", *own, "--plot", str(files / "c.png")]) == 0
+    paths = [str(files / "run"), str(files / "good.npz")]
+    assert main(["compare", *paths, "--plot", str(files / "c.png")]) == 0
     text = capsys.readouterr().out
     assert "2 of 2" in text and "1 of 1" in text and "gershgorin" in text and (files / "c.png").stat().st_size > 5000
     code, rows = told(capsys, "compare", "--networks", "4", "--neurons", "4")

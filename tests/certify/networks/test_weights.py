@@ -21,22 +21,22 @@ def weights(n: int = 3, m: int = 4, seed: int = 0) -> ShallowWeights:
     return ShallowWeights(rng.normal(size=n), rng.normal(size=n), rng.normal(size=(n, m)), rng.normal(size=n))
 
 
-def same(found: ShallowWeights, expected: ShallowWeights) -> bool:
-    return all(np.array_equal(x, y) for x, y in zip(found, expected, strict=True))
+def same(weights: ShallowWeights, expected: ShallowWeights) -> bool:
+    return all(np.array_equal(x, y) for x, y in zip(weights, expected, strict=True))
 
 
 def test_a_checkpoint_of_an_ensemble_with_two_networks(tmp_path):
     ensemble = Ensemble({"aid": AID(28.0), "rnn": RNN(6), "wide": RNN(9, seed=1)})
-    found = load(save(tmp_path / "set.safetensors", ensemble.init(), boat="heron"))
-    assert [network.path.rpartition(":")[2] for network in found] == ["members.rnn.weights", "members.wide.weights"]
-    assert [len(network.weights.a) for network in found] == [6, 9]
-    assert np.array_equal(found[0].weights.W2, ensemble.init().members["rnn"].weights.W2.detach().numpy())
+    networks = load(save(tmp_path / "set.safetensors", ensemble.init(), boat="heron"))
+    assert [network.path.rpartition(":")[2] for network in networks] == ["members.rnn.weights", "members.wide.weights"]
+    assert [len(network.weights.a) for network in networks] == [6, 9]
+    assert np.array_equal(networks[0].weights.W2, ensemble.init().members["rnn"].weights.W2.detach().numpy())
 
 
 def test_elements_are_parameter_sets(tmp_path):
-    found = load(save(tmp_path / "lanes.safetensors", RNN(5).init((2, 3))))
-    assert len(found) == 6 and found[-1].path.endswith("lanes.safetensors[1,2]")
-    assert found[0].weights.W2.shape == (5, 4)
+    networks = load(save(tmp_path / "lanes.safetensors", RNN(5).init((2, 3))))
+    assert len(networks) == 6 and networks[-1].path.endswith("lanes.safetensors[1,2]")
+    assert networks[0].weights.W2.shape == (5, 4)
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
@@ -47,16 +47,16 @@ def test_files_of_every_kind_hold_the_same(tmp_path, dtype):
     save_file(arrays, tmp_path / "net.safetensors")
     torch.save({name: torch.from_numpy(x) for name, x in arrays.items()}, tmp_path / "net.pt")
     for name in ("net.npz", "net.safetensors", "net.pt"):
-        (found,) = load(tmp_path / name)
-        assert found.path == str(tmp_path / name) and same(found.weights, expected)
-        assert found.weights.a.dtype == np.float64
+        (net,) = load(tmp_path / name)
+        assert net.path == str(tmp_path / name) and same(net.weights, expected)
+        assert net.weights.a.dtype == np.float64
 
 
 def test_the_state_dict_of_two_linear_layers(tmp_path):
     layers = torch.nn.Sequential(torch.nn.Linear(5, 3), torch.nn.ReLU(), torch.nn.Linear(3, 1, bias=False)).double()
     torch.save(layers.state_dict(), tmp_path / "net.pth")
-    (found,) = load(tmp_path / "net.pth")
-    a, w1, W2, b = found.weights
+    (net,) = load(tmp_path / "net.pth")
+    a, w1, W2, b = net.weights
     x, u = 0.3, np.array([0.1, -0.2, 0.3, 0.4])
     expected = layers(torch.tensor([x, *u], dtype=torch.float64)).item()
     assert np.maximum(w1 * x + W2 @ u + b, 0) @ a == pytest.approx(expected, rel=1e-12)
@@ -208,18 +208,18 @@ def test_an_archive_that_unpacks_to_gigabytes_is_refused_before_it_is_unpacked(t
 
 def test_a_file_states_its_activation_and_a_contradiction_is_refused(tmp_path):
     ensemble = Ensemble({"rnn": RNN(6)})
-    own = save(tmp_path / "set.safetensors", ensemble.init(), kernel=ensemble.description())
-    assert stated_activation(own) == "relu" and read_both(own)[0] and read_both(own, RELU)[0]
+    saved = save(tmp_path / "set.safetensors", ensemble.init(), kernel=ensemble.description())
+    assert stated_activation(saved) == "relu" and read_both(saved)[0] and read_both(saved, RELU)[0]
     with pytest.raises(CertifyError, match="states the activation relu, found --activation tanh"):
-        read_both(own, activation("tanh"))
+        read_both(saved, activation("tanh"))
     for file in (tmp_path / "net.npz", tmp_path / "net.safetensors"):
         arrays = weights()._asdict()
         if file.suffix == ".npz":
             np.savez(file, **arrays, activation="leaky:0.01")
         else:
             save_file(arrays, file, {"activation": "leaky:0.01"})
-        (found,) = read_both(file)[1]
-        assert str(found.activation) == "leaky:1/100" and read_both(file, activation("leaky:1/100"))[1]
+        (net,) = read_both(file)[1]
+        assert str(net.activation) == "leaky:1/100" and read_both(file, activation("leaky:1/100"))[1]
         with pytest.raises(CertifyError, match="states the activation 'leaky"):
             load(file)
     np.savez(tmp_path / "bad.npz", **weights()._asdict(), activation="gelu")

@@ -29,8 +29,8 @@ def network(n: int = 5, K: float = 0.9, seed: int = 0) -> ShallowWeights:
 
 def small(n: int = 5) -> ShallowWeights:
     """One that holds every condition."""
-    found = network(n)
-    return found._replace(a=found.a / np.abs(found.a).max() * 0.1 / (n + 1), w1=found.w1 / np.abs(found.w1).max() * 0.8)
+    net = network(n)
+    return net._replace(a=net.a / np.abs(net.a).max() * 0.1 / (n + 1), w1=net.w1 / np.abs(net.w1).max() * 0.8)
 
 
 def boxed() -> tuple[ShallowWeights, dict]:
@@ -38,20 +38,20 @@ def boxed() -> tuple[ShallowWeights, dict]:
     box = operating_box(2)
     for seed in range(50):
         weights = network(12, 1.4, seed)
-        found = certify(weights, box)
-        if found.verdict == "certified" and len(found.tree) > 3 and found.invariant == "no":
-            return weights, certificate.make(weights, "box", 1, box, found.tree, found.invariance_tree, "net.npz")
+        result = certify(weights, box)
+        if result.verdict == "certified" and len(result.tree) > 3 and result.invariant == "no":
+            return weights, certificate.make(weights, "box", 1, box, result.tree, result.invariance_tree, "net.npz")
     raise AssertionError("no such network was drawn")
 
 
 @pytest.mark.parametrize("condition", certificate.CLOSED_FORMS)
 def test_what_holds_is_proved(condition):
     weights = small()
-    made = json.loads(json.dumps(certificate.make(weights, condition, path="net.npz")))
-    assert certificate.verify(made, weights) == (True, made["claim"])
-    assert Fraction(made["rate"]) > exact.conditions(weights.a, weights.w1)[condition].rate
-    assert made["margin"] == pytest.approx(float(exact.conditions(weights.a, weights.w1)[condition].margin))
-    assert set(made["proof"]) == {"metric", "multipliers"} and made["path"] == "net.npz"
+    cert = json.loads(json.dumps(certificate.make(weights, condition, path="net.npz")))
+    assert certificate.verify(cert, weights) == (True, cert["claim"])
+    assert Fraction(cert["rate"]) > exact.conditions(weights.a, weights.w1)[condition].rate
+    assert cert["margin"] == pytest.approx(float(exact.conditions(weights.a, weights.w1)[condition].margin))
+    assert set(cert["proof"]) == {"metric", "multipliers"} and cert["path"] == "net.npz"
 
 
 @pytest.mark.parametrize("condition", certificate.CLOSED_FORMS)
@@ -62,22 +62,22 @@ def test_what_does_not_hold_gets_no_certificate(condition):
 
 
 def test_box_and_interval():
-    weights, made = boxed()
-    assert certificate.verify(made, weights).valid and "for as long as x stays in it" in made["claim"]
+    weights, cert = boxed()
+    assert certificate.verify(cert, weights).valid and "for as long as x stays in it" in cert["claim"]
     assert certificate.make(weights, "exact") is None
     assert certificate.make(weights, "interval", 1, operating_box(2)) is None
     off = weights._replace(b=np.full(12, -50.0))
-    made = certificate.make(off, "interval", 1, operating_box(2), invariance_tree=".")
-    assert certificate.verify(made, off).valid and "maps into itself" in made["claim"]
+    cert = certificate.make(off, "interval", 1, operating_box(2), invariance_tree=".")
+    assert certificate.verify(cert, off).valid and "maps into itself" in cert["claim"]
     with pytest.raises(CertifyError, match="no box"):
         certificate.make(weights, "interval")
 
 
-def resigned(made: dict) -> dict:
+def resigned(cert: dict) -> dict:
     """With the checksum that belongs to what it says now: only the mathematics can refuse it."""
-    made = {key: value for key, value in made.items() if key != "sha256"}
-    text = json.dumps(made, sort_keys=True)
-    return {**made, "sha256": hashlib.sha256(text.encode()).hexdigest()}
+    cert = {key: value for key, value in cert.items() if key != "sha256"}
+    text = json.dumps(cert, sort_keys=True)
+    return {**cert, "sha256": hashlib.sha256(text.encode()).hexdigest()}
 
 
 TAMPERED = {
@@ -117,29 +117,29 @@ TAMPERED = {
 @pytest.mark.parametrize("name", TAMPERED)
 def test_a_tampered_certificate_is_refused(name):
     weights = network()
-    made = certificate.make(weights)
-    text = json.dumps(made)
-    TAMPERED[name](made)
-    assert json.dumps(made) != text
-    assert not certificate.verify(made, weights).valid
-    assert not certificate.verify(resigned(made), weights).valid
+    cert = certificate.make(weights)
+    text = json.dumps(cert)
+    TAMPERED[name](cert)
+    assert json.dumps(cert) != text
+    assert not certificate.verify(cert, weights).valid
+    assert not certificate.verify(resigned(cert), weights).valid
 
 
 def test_other_weights_are_refused():
     weights = network()
-    made = certificate.make(weights)
+    cert = certificate.make(weights)
     for k, name in enumerate(ShallowWeights._fields):
         changed = weights[k].copy()
         changed.flat[0] = np.nextafter(changed.flat[0], np.inf)
-        found = certificate.verify(made, weights._replace(**{name: changed}))
-        assert not found.valid and "other weights" in found.reason
-    assert not certificate.verify(made, weights._replace(a=[np.nan] * 5)).valid
+        check = certificate.verify(cert, weights._replace(**{name: changed}))
+        assert not check.valid and "other weights" in check.reason
+    assert not certificate.verify(cert, weights._replace(a=[np.nan] * 5)).valid
 
 
 def claim_of(proof: dict) -> str:
     ends = ", ".join(f"[{Decimal(float(Fraction(lo)))}, {Decimal(float(Fraction(hi)))}]" for lo, hi in proof["box"])
-    kept = "for as long as x stays in it" if proof["invariance_tree"] is None else "which f maps into itself"
-    return f"for (x, u) in {ends}, {kept}"
+    where = "for as long as x stays in it" if proof["invariance_tree"] is None else "which f maps into itself"
+    return f"for (x, u) in {ends}, {where}"
 
 
 @pytest.mark.parametrize(
@@ -157,10 +157,10 @@ def claim_of(proof: dict) -> str:
     ],
 )
 def test_a_tampered_tree_is_refused(change):
-    weights, made = boxed()
-    change(made["proof"])
-    made["claim"] = re.sub(r"for \(x, u\).*", claim_of(made["proof"]), made["claim"])
-    assert not certificate.verify(resigned(made), weights).valid
+    weights, cert = boxed()
+    change(cert["proof"])
+    cert["claim"] = re.sub(r"for \(x, u\).*", claim_of(cert["proof"]), cert["claim"])
+    assert not certificate.verify(resigned(cert), weights).valid
 
 
 def test_what_is_claimed_is_never_below_what_is_proved():
@@ -169,19 +169,19 @@ def test_what_is_claimed_is_never_below_what_is_proved():
     for short in (Fraction(1, 3), Fraction(1, 10**28), Fraction(1, 10**29 + 7), Fraction(1, 2**300)):
         slope = 1 - short
         weights = one._replace(a=[0.25])
-        made = certificate.make(weights, "exact", slope)
-        claimed = Fraction(re.search(r"≤ ([0-9.]+) ", made["claim"])[1])
+        cert = certificate.make(weights, "exact", slope)
+        claimed = Fraction(re.search(r"≤ ([0-9.]+) ", cert["claim"])[1])
         assert slope <= claimed < 1
     rng = np.random.default_rng(0)
     for _ in range(200):
         weights = one._replace(a=rng.uniform(0, 0.9, 1), w1=rng.uniform(0, 1, 1))
-        made = certificate.make(weights)
+        cert = certificate.make(weights)
         margin = exact.conditions(weights.a, weights.w1)["exact"].margin
-        assert made["margin"] <= margin and np.nextafter(made["margin"], 1) > margin
+        assert cert["margin"] <= margin and np.nextafter(cert["margin"], 1) > margin
     box = box_of([(0.1, 0.7), (-1 / 3, 1e-9), (0, 1)], 2)
     claim = certificate.make(network(K=0.5), "interval", 1, box)["claim"]
-    told = [Fraction(x) for x in re.findall(r"[-+0-9.Ee]+(?=[,\]])", claim)]
-    assert told == [Fraction(float(end)) for pair in zip(box.lo, box.hi, strict=True) for end in pair]
+    stated = [Fraction(x) for x in re.findall(r"[-+0-9.Ee]+(?=[,\]])", claim)]
+    assert stated == [Fraction(float(end)) for pair in zip(box.lo, box.hi, strict=True) for end in pair]
 
 
 @pytest.mark.parametrize(
@@ -200,17 +200,17 @@ def test_what_is_claimed_is_never_below_what_is_proved():
 )
 def test_a_refusal_is_short_and_soon(change):
     weights = network()
-    made = certificate.make(weights)
-    change(made)
+    cert = certificate.make(weights)
+    change(cert)
     started = time.process_time()
-    found = certificate.verify(resigned(made), weights)
-    assert not found.valid and len(found.reason) < 250 and time.process_time() - started < 2
+    check = certificate.verify(resigned(cert), weights)
+    assert not check.valid and len(check.reason) < 250 and time.process_time() - started < 2
 
 
 def test_files_are_whole_and_bad_ones_are_named(tmp_path):
-    made = certificate.make(network())
-    path = certificate.write(tmp_path / "proofs/net.json", made)
-    assert certificate.read(path) == made and list(path.parent.iterdir()) == [path]
+    cert = certificate.make(network())
+    path = certificate.write(tmp_path / "proofs/net.json", cert)
+    assert certificate.read(path) == cert and list(path.parent.iterdir()) == [path]
     (tmp_path / "list.json").write_text("[]")
     (tmp_path / "text.json").write_text("hello")
     text = path.read_text()
@@ -234,9 +234,9 @@ def test_files_are_whole_and_bad_ones_are_named(tmp_path):
 
 
 def test_verification_needs_no_solver_and_no_torch(tmp_path):
-    weights, made = boxed()
+    weights, cert = boxed()
     np.savez(tmp_path / "net.npz", **weights._asdict())
-    certificate.write(tmp_path / "box.json", {**made})
+    certificate.write(tmp_path / "box.json", {**cert})
     certificate.write(tmp_path / "exact.json", certificate.make(network()))
     np.savez(tmp_path / "other.npz", **network()._asdict())
     code = (
@@ -247,9 +247,9 @@ def test_verification_needs_no_solver_and_no_torch(tmp_path):
         "heavy = [name for name in ('torch', 'scipy', 'cvxpy', 'matplotlib', 'usvlearn') if name in sys.modules]\n"
         "sys.exit(f'{rc} {heavy}' if rc or heavy else 0)"
     )
-    found = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
-    assert found.returncode == 0, found.stderr
-    assert found.stdout.count(": valid: ") == 2
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count(": valid: ") == 2
 
 
 @pytest.mark.parametrize("condition", few(certificate.CLOSED_FORMS, {"simple", "exact"}, "thorough"))
@@ -259,15 +259,15 @@ def test_large_networks_and_dead_neurons_have_short_proofs(condition):
     a = rng.normal(size=500) / 500**2 / 4
     a[::7], w1[::5] = 0.0, 0.0
     weights = ShallowWeights(a, w1, np.zeros((500, 1)), np.zeros(500))
-    made = certificate.make(weights, condition)
-    assert certificate.verify(made, weights).valid
-    assert max(map(len, made["proof"]["multipliers"])) < 200 and len(made["proof"]["metric"]) < 200
+    cert = certificate.make(weights, condition)
+    assert certificate.verify(cert, weights).valid
+    assert max(map(len, cert["proof"]["multipliers"])) < 200 and len(cert["proof"]["metric"]) < 200
 
 
 def test_a_tree_with_splits_is_no_interval_certificate():
     """The condition that a certificate names is the one that it proves."""
-    weights, made = boxed()
-    forged = {**made, "condition": "interval"}
+    weights, cert = boxed()
+    forged = {**cert, "condition": "interval"}
     assert not certificate.verify(resigned(forged), weights).valid
 
 
@@ -276,8 +276,8 @@ def test_every_certificate_says_contracting():
     interval = certificate.make(weights, "interval", box=operating_box(2))
     assert Fraction(interval["rate"]) < Fraction(1, 3)
     close = weights._replace(a=weights.a * ((1 - 1e-9) / 0.25))
-    made = certificate.make(close)
-    assert Fraction(made["rate"]) < 1 and "≤ 1 |" not in made["claim"]
+    cert = certificate.make(close)
+    assert Fraction(cert["rate"]) < 1 and "≤ 1 |" not in cert["claim"]
     assert "< 1 |" in certificate.make(weights, "box", 1, operating_box(2))["claim"]
     assert certificate.make(weights, "exact", 0.9) is not None  # a float is a rate, too
     for rate in (0, 2, float("nan")):
@@ -298,14 +298,14 @@ def test_weights_with_many_digits_do_not_make_a_check_long(condition, n):
     content |= {"condition": condition, "neurons": n, "inputs": 1, "weights": certificate.digest(weights)}
     content["sha256"] = certificate._checksum(content)
     began = time.process_time()
-    found = certificate.verify(content, weights)
-    assert not found.valid and time.process_time() - began < 5
-    assert ("about 5 s" in found.reason) == (n > certificate.MOST_ROWS or condition == "gershgorin")
+    check = certificate.verify(content, weights)
+    assert not check.valid and time.process_time() - began < 5
+    assert ("about 5 s" in check.reason) == (n > certificate.MOST_ROWS or condition == "gershgorin")
 
 
 def test_a_tree_of_cells_of_earlier_versions_is_refused_in_one_sentence():
-    weights, made = boxed()
-    parts = {**made["proof"], "tree": "z0 . z1 . e0:1,1:1"}
+    weights, cert = boxed()
+    parts = {**cert["proof"], "tree": "z0 . z1 . e0:1,1:1"}
     claims = certificate._claims(weights, "box", Fraction(1), parts)
     assert (
         "proved any more: make it again" in certificate.verify(certificate.described(claims, parts, ""), weights).reason

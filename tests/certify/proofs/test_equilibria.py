@@ -56,7 +56,7 @@ def brute_force(weights: ShallowWeights, u, lo: float, hi: float) -> list[tuple]
         else:
             merged.append((left, right))
     steepest = 1 + sum(abs(ai * wi) for ai, wi in zip(a, w, strict=True))
-    told = []
+    known = []
     for left, right in merged:
         room = min((abs(t - x) for t in knots for x in (left, right) if t != x), default=Fraction(1))
         step = room / steepest**5
@@ -67,8 +67,8 @@ def brute_force(weights: ShallowWeights, u, lo: float, hi: float) -> list[tuple]
             attracts = all(f(f(x)) == f(x) or abs(f(x) - end) < step for x, end in outside)
         else:
             kind, attracts = class_by_simulation(f, left, step)
-        told.append((float(left), float(right), kind, float(slope_left), float(slope_right), attracts))
-    return told
+        known.append((float(left), float(right), kind, float(slope_left), float(slope_right), attracts))
+    return known
 
 
 def class_by_simulation(f, x: Fraction, step: Fraction) -> tuple[str, bool]:

@@ -67,9 +67,9 @@ def test_definiteness_agrees_with_the_minors():
         if k % 3 == 0:  # a Gram matrix, singular where it has fewer columns than rows
             B = generator.integers(-2, 3, (n, generator.integers(1, 5)))
             M = B @ B.T
-        found = definiteness(rationals(M))
-        assert found == by_minors(rationals(M)), M
-        counts[found] += 1
+        kind = definiteness(rationals(M))
+        assert kind == by_minors(rationals(M)), M
+        counts[kind] += 1
     assert min(counts.values()) > 80
 
 
@@ -105,16 +105,16 @@ def test_matrix_is_that_of_the_paper():
 def test_conditions_are_those_of_the_paper():
     for a, w1 in networks(60, sizes=(1, 2, 5)):
         n, K = len(a), slope(a, w1)
-        found = exact.conditions(a, w1)
-        assert list(found) == list(CORNER)
-        assert found["exact"] == (1 - K, K) and found["lmi"] == (1 - 2 * K, 2 * K)
+        results = exact.conditions(a, w1)
+        assert list(results) == list(CORNER)
+        assert results["exact"] == (1 - K, K) and results["lmi"] == (1 - 2 * K, 2 * K)
         sizes = [(abs(Fraction(x)), abs(Fraction(y))) for x, y in zip(a.tolist(), w1.tolist(), strict=True)]
-        assert (found["simple"].margin > 0) == all((n + 1) * x + y < 1 for x, y in sizes)
+        assert (results["simple"].margin > 0) == all((n + 1) * x + y < 1 for x, y in sizes)
         inside = all(y < 1 for _, y in sizes)
         half = sum(x / (1 - y) for x, y in sizes) / 2 if inside else None
-        assert (found["gershgorin"].margin > 0) == (inside and half < 1)
-        assert found["gershgorin"].rate == half
-        rate = found["simple"].rate
+        assert (results["gershgorin"].margin > 0) == (inside and half < 1)
+        assert results["gershgorin"].rate == half
+        rate = results["simple"].rate
         assert (rate is None) == (not inside)
         if rate:
             assert max((n + 1) * x / rate + y for x, y in sizes) == 1
@@ -131,14 +131,14 @@ def test_closed_form_multipliers_prove_what_holds_and_nothing_else(condition, ra
     held = 0
     for a, w1 in networks(count, seed=3):
         smallest = exact.conditions(a, w1)[condition].rate
-        found = multipliers(condition, a, w1, rate)
-        assert (found is not None) == (smallest is not None and smallest < rate)
-        if found is not None:
-            assert proves(condition, a, w1, found, rate)
+        proof = multipliers(condition, a, w1, rate)
+        assert (proof is not None) == (smallest is not None and smallest < rate)
+        if proof is not None:
+            assert proves(condition, a, w1, proof, rate)
             held += 1
         elif smallest is not None:  # what proves a larger rate proves no smaller one
-            found = multipliers(condition, a, w1, 2 * smallest)
-            assert proves(condition, a, w1, found, 2 * smallest) and not proves(condition, a, w1, found, rate)
+            proof = multipliers(condition, a, w1, 2 * smallest)
+            assert proves(condition, a, w1, proof, 2 * smallest) and not proves(condition, a, w1, proof, rate)
     assert 0.1 * count < held < 0.98 * count
 
 
@@ -186,8 +186,8 @@ def test_nothing_is_proved_by_what_was_tampered_with():
     assert proves("lmi", *gauge, multipliers("lmi", *gauge)) and multipliers("gershgorin", *gauge) is None
     assert not proves("gershgorin", *gauge, multipliers("lmi", *gauge)), "M ≻ 0 is not the lemma"
     for p in (Fraction(7, 4), Fraction(1, 8)):  # 2 − p ≤ Σ|a_i|, p ≤ Σ λ_i |w_i|
-        found = best._replace(metric=p, multipliers=[Fraction(1, 2)] * 2)
-        assert proves("lmi", a, w1, found) and not proves("gershgorin", a, w1, found)
+        proof = best._replace(metric=p, multipliers=[Fraction(1, 2)] * 2)
+        assert proves("lmi", a, w1, proof) and not proves("gershgorin", a, w1, proof)
 
 
 def test_two_lambda_and_semidefinite_passes_the_identity():

@@ -33,11 +33,11 @@ def network(phi: str = "relu") -> VectorNetwork:
 @pytest.mark.parametrize("condition", certificate.CONDITIONS)
 def test_certificates_of_shallow_networks_follow_the_schema(condition, validator):
     more = {"box": UNIT} if condition in ("interval", "box") else {}
-    made = certificate.make(SHALLOW, condition, **more)
-    validator.validate(made)
+    cert = certificate.make(SHALLOW, condition, **more)
+    validator.validate(cert)
     for key in ("rate", "sha256", "proof"):
-        assert not validator.is_valid({name: value for name, value in made.items() if name != key})
-    assert not validator.is_valid({**made, "proof": {**made["proof"], "more": "1"}})
+        assert not validator.is_valid({name: value for name, value in cert.items() if name != key})
+    assert not validator.is_valid({**cert, "proof": {**cert["proof"], "more": "1"}})
 
 
 @pytest.mark.parametrize("condition", vector_certificate.CONDITIONS)
@@ -46,14 +46,14 @@ def test_certificates_of_vector_states_follow_the_schema(condition, validator):
     if condition in ("lmi", "quadratic"):
         one = Fraction(1)
         more = {"proof": Proof([[one, 0 * one], [0 * one, one]], [[one / 4, one / 4]])}
-    made = vector_certificate.make(network(), condition, **more)
-    validator.validate(made)
-    assert not validator.is_valid({**made, "format": certificate.FORMAT})
-    assert not validator.is_valid({**made, "activation": "gelu"})
-    assert not validator.is_valid({**made, "proof": {}})
+    cert = vector_certificate.make(network(), condition, **more)
+    validator.validate(cert)
+    assert not validator.is_valid({**cert, "format": certificate.FORMAT})
+    assert not validator.is_valid({**cert, "activation": "gelu"})
+    assert not validator.is_valid({**cert, "proof": {}})
 
 
 def test_a_leaky_network_and_all_steps_follow_the_schema(validator):
-    made = vector_certificate.make(network("leaky:0.01"), "exact", norm="one", step=Fraction(3, 2))
-    validator.validate(made)
-    assert made["proof"]["step"] == "3/2" and made["activation"] == "leaky:1/100"
+    cert = vector_certificate.make(network("leaky:0.01"), "exact", norm="one", step=Fraction(3, 2))
+    validator.validate(cert)
+    assert cert["proof"]["step"] == "3/2" and cert["activation"] == "leaky:1/100"

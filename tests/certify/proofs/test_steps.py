@@ -38,22 +38,22 @@ def test_the_closed_form_is_the_exact_rate_of_every_step(name, last, norm):
             T = [[Fraction(int(rng.integers(1, 5))) * (i == j) + Fraction(i < j, 3) for j in range(1 + k % 3)]
                  for i in range(1 + k % 3)]  # fmt: skip
         slopes = everywhere(net, phi)
-        found = steps(net, slopes, norm, T)
-        for eta in [*ETAS, found.fastest, found.largest]:
-            assert rate(stepped(net, eta), slopes, norm, T) == (found.rate(eta) if eta else 1)
-        if found.largest:
+        limits = steps(net, slopes, norm, T)
+        for eta in [*ETAS, limits.fastest, limits.largest]:
+            assert rate(stepped(net, eta), slopes, norm, T) == (limits.rate(eta) if eta else 1)
+        if limits.largest:
             contracting += 1
-            assert found.rate(found.largest) == 1 and found.fastest < found.largest
-            eta = short(found.largest)
-            assert 0 < found.largest - eta <= Fraction(1, 2**20) and found.rate(eta) < 1
-            kappa = found.rate(found.fastest)
-            assert rate(stepped(net, found.fastest), everywhere(net, phi), norm, T) == kappa
+            assert limits.rate(limits.largest) == 1 and limits.fastest < limits.largest
+            eta = short(limits.largest)
+            assert 0 < limits.largest - eta <= Fraction(1, 2**20) and limits.rate(eta) < 1
+            kappa = limits.rate(limits.fastest)
+            assert rate(stepped(net, limits.fastest), everywhere(net, phi), norm, T) == kappa
             for each in ETAS:  # equation (2)
-                if each <= found.fastest:
-                    assert found.rate(each) <= 1 - each / found.fastest * (1 - kappa)
+                if each <= limits.fastest:
+                    assert limits.rate(each) <= 1 - each / limits.fastest * (1 - kappa)
         else:
-            assert found.measure >= 0 and all(rate(stepped(net, eta), slopes, norm, T) >= 1 for eta in ETAS)
-            assert short(found.largest) is None
+            assert limits.measure >= 0 and all(rate(stepped(net, eta), slopes, norm, T) >= 1 for eta in ETAS)
+            assert short(limits.largest) is None
     assert contracting >= 4
 
 

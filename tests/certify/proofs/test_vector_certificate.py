@@ -25,9 +25,9 @@ def made(condition: str, net: VectorNetwork) -> dict:
     proof = None
     if condition in ("lmi", "quadratic"):
         proof = smallest_rate(net.weights, net.activation, 2 if condition == "lmi" else 1).proof
-    found = certificates.make(net, condition, proof=proof)
-    assert found is not None
-    return found
+    cert = certificates.make(net, condition, proof=proof)
+    assert cert is not None
+    return cert
 
 
 CASES = list(
@@ -81,9 +81,9 @@ def test_a_changed_proof_with_a_right_checksum_is_refused_or_still_true(conditio
                 else:
                     forged["proof"][key][place[0]][place[1]] = wrong
                 forged["sha256"] = _checksum(forged)
-                found = certificates.verify(forged, net)
-                if found.valid:  # another multiplier, scaling or step may prove the same claim
-                    assert found.reason == forged["claim"] and isinstance(wrong, str)
+                check = certificates.verify(forged, net)
+                if check.valid:  # another multiplier, scaling or step may prove the same claim
+                    assert check.reason == forged["claim"] and isinstance(wrong, str)
     for key in good:
         for wrong in junk:
             forged = {**copy.deepcopy(good), key: wrong}
@@ -113,8 +113,8 @@ def test_a_check_that_would_take_long_is_refused_before(condition):
         parts = {"metric": [[str(int(i == j)) for j in range(q)] for i in range(q)], "multipliers": [["1"] * n]}
     claims = certificates._claims(net.weights, net.activation, condition, Fraction(1), parts)
     began = time.process_time()
-    found = certificates.verify(described(claims, parts, "net.npz"), net)
-    assert not found.valid and "would take longer than about 5 s" in found.reason
+    check = certificates.verify(described(claims, parts, "net.npz"), net)
+    assert not check.valid and "would take longer than about 5 s" in check.reason
     assert time.process_time() - began < 5
     small = network(np.random.default_rng(2), q, 40)  # with a T as long, but a smaller network
     if condition != "quadratic":
@@ -124,9 +124,9 @@ def test_a_check_that_would_take_long_is_refused_before(condition):
 
 def test_all_smaller_steps_are_certified():
     net = network(np.random.default_rng(4))
-    found = certificates.make(net, "exact", step=Fraction(5, 4))
-    assert found is not None and certificates.verify(found, net).valid and "0 < η ≤ 5/4" in found["claim"]
-    K = Fraction(found["contraction_rate"])
+    cert = certificates.make(net, "exact", step=Fraction(5, 4))
+    assert cert is not None and certificates.verify(cert, net).valid and "0 < η ≤ 5/4" in cert["claim"]
+    K = Fraction(cert["contraction_rate"])
     rng = np.random.default_rng(0)
     x, u = rng.normal(size=(2, 200, 2)), rng.normal(size=(200, 2))
     for eta in (0.05, 0.5, 1.0, 1.25):
@@ -148,11 +148,11 @@ def test_one_state_is_a_special_case():
         n = int(rng.integers(1, 8))
         a, w1 = rng.normal(size=(2, n)) * rng.uniform(0.05, 1)
         shallow = ShallowWeights(a, w1, rng.normal(size=(n, 2)), rng.normal(size=n))
-        found, weights = conditions(a, w1), of_shallow(shallow)
-        assert vector_exact.rate(weights, vector_exact.everywhere(weights, RELU)) == found["exact"].rate
+        results, weights = conditions(a, w1), of_shallow(shallow)
+        assert vector_exact.rate(weights, vector_exact.everywhere(weights, RELU)) == results["exact"].rate
         margin, smallest = vector_exact.gershgorin(weights)
-        assert smallest == found["gershgorin"].rate and (margin > 0) == (found["gershgorin"].margin > 0)
-        kappa = found["exact"].rate * Fraction(101, 100)
+        assert smallest == results["gershgorin"].rate and (margin > 0) == (results["gershgorin"].margin > 0)
+        kappa = results["exact"].rate * Fraction(101, 100)
         proof = multipliers("exact", a, w1, kappa)
         lam = [x * kappa * kappa for x in proof.multipliers]  # there a/κ, here κ² P
         assert vector_exact.proves(weights, RELU, Proof([[Fraction(1)]], [lam]), kappa)
@@ -163,15 +163,15 @@ def test_two_layers_of_the_papers_matrix_count_twice():
     rng = np.random.default_rng(12)
     net = network(rng, two=True)
     net = net._replace(weights=net.weights._replace(R=np.zeros((2, 2))))
-    found = made("lmi", net)
-    assert Fraction(found["contraction_rate"]) == Fraction(found["rate"]) / 4
-    P = np.array([[float(Fraction(x)) for x in row] for row in found["proof"]["metric"]])
+    cert = made("lmi", net)
+    assert Fraction(cert["contraction_rate"]) == Fraction(cert["rate"]) / 4
+    P = np.array([[float(Fraction(x)) for x in row] for row in cert["proof"]["metric"]])
     root = np.linalg.cholesky(P).T
     for _ in range(500):
         first, second = rng.integers(0, 2, 4), rng.integers(0, 2, 3)
         J = net.weights.A @ (second[:, None] * net.weights.V) @ (first[:, None] * net.weights.W)
         size = np.linalg.norm(root @ J @ np.linalg.inv(root), 2)
-        assert size <= float(Fraction(found["contraction_rate"])) * (1 + 1e-9)
+        assert size <= float(Fraction(cert["contraction_rate"])) * (1 + 1e-9)
 
 
 @pytest.mark.parametrize(("condition", "w"), [("gershgorin", 0.5), ("lmi", 1.0)])
@@ -181,12 +181,12 @@ def test_one_layer_of_the_papers_matrix_claims_half_its_rate_and_no_less(conditi
     net = VectorNetwork("net.npz", weights)
     kappa = Fraction(9, 10) * Fraction(w) + Fraction(1, 1000)  # 2K and a little more
     proof = smallest_rate(weights, RELU, 2).proof if condition == "lmi" else None
-    found = certificates.make(net, condition, rate=kappa, proof=proof)
-    claimed = Fraction(found["contraction_rate"])
+    cert = certificates.make(net, condition, rate=kappa, proof=proof)
+    claimed = Fraction(cert["contraction_rate"])
     x = np.array([[0.0], [1.0]])
     slope = Fraction(float(np.diff(forward(net, x, np.zeros((2, 0))), axis=0)[0, 0]))
     assert slope <= claimed == kappa / 2 < slope * Fraction(101, 100)
-    assert f"≤ {float(claimed):.6g} |x₁ − x₂|_P" in found["claim"]
+    assert f"≤ {float(claimed):.6g} |x₁ − x₂|_P" in cert["claim"]
     skip = net._replace(weights=weights._replace(R=np.array([[0.2]]), A=np.array([[0.2]])))
     rate, proof = Fraction(9, 10), smallest_rate(skip.weights, RELU, 2).proof if condition == "lmi" else None
     with_skip = certificates.make(skip, condition, rate=rate, proof=proof)
@@ -200,8 +200,8 @@ def test_linear_layers_of_torch_are_the_same_network(two):
     weights = net.weights._replace(R=np.zeros((2, 2)))
     tensors = {"0.weight": np.concatenate([weights.W, weights.W2], 1), "0.bias": weights.b}
     tensors |= {"2.weight": weights.V, "2.bias": weights.c} if two else {}
-    (found,) = from_tensors({**tensors, "4.weight": weights.A, "4.bias": np.zeros(2)})
-    for given, expected in zip(found.weights, weights, strict=True):
+    (same,) = from_tensors({**tensors, "4.weight": weights.A, "4.bias": np.zeros(2)})
+    for given, expected in zip(same.weights, weights, strict=True):
         np.testing.assert_array_equal(given, expected)
     with pytest.raises(CertifyError, match="offset"):
         from_tensors({**tensors, "4.weight": weights.A, "4.bias": np.ones(2)})

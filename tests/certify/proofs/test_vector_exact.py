@@ -48,8 +48,8 @@ def test_rate_is_the_largest_norm_over_all_patterns(q, norm):
     for case in range(8):
         weights, phi = draw(rng, q, int(rng.integers(1, 6))), activation(PHI[case % 3])
         T = draw_scaling(rng, q) if case % 2 else exact.identity(q)
-        found = exact.rate(weights, exact.everywhere(weights, phi), norm, T)
-        assert found == enumerated(weights, phi, norm, T)
+        rate = exact.rate(weights, exact.everywhere(weights, phi), norm, T)
+        assert rate == enumerated(weights, phi, norm, T)
 
 
 @pytest.mark.parametrize("norm", exact.NORMS)
@@ -58,10 +58,10 @@ def test_two_layers_are_bounded_from_above(norm):
     for case in range(16):
         weights = draw(rng, int(rng.integers(1, 4)), int(rng.integers(1, 5)), int(rng.integers(1, 4)))
         phi, T = activation(PHI[case % 3]), draw_scaling(rng, len(weights.R))
-        found = exact.rate(weights, exact.everywhere(weights, phi), norm, T)
+        rate = exact.rate(weights, exact.everywhere(weights, phi), norm, T)
         most = enumerated(weights, phi, norm, T)
-        assert found >= most
-        ratios.append(float(found / most) if most else 1.0)
+        assert rate >= most
+        ratios.append(float(rate / most) if most else 1.0)
     assert min(ratios) < 1.0001 and max(ratios) < 10  # sharp for some, and never far
 
 
@@ -90,8 +90,8 @@ def lemma_by_linear_program(weights) -> float:
         second[r], second[-1] = 1, -2
         rows += [first, second]
         limits += [-R[:, r].sum(), -R[r].sum() - A[r].sum()]
-    found = linprog(np.eye(q + n + 1)[-1], np.array(rows), limits, bounds=[(0, None)] * (q + n + 1), method="highs")
-    return found.x[-1] if found.success else np.inf
+    solution = linprog(np.eye(q + n + 1)[-1], np.array(rows), limits, bounds=[(0, None)] * (q + n + 1), method="highs")
+    return solution.x[-1] if solution.success else np.inf
 
 
 @pytest.mark.parametrize("cases", [120, pytest.param(2000, marks=pytest.mark.slow)])

@@ -58,8 +58,8 @@ def test_neurons_on_one_hyperplane_count_once():
     third = ShallowWeights(np.array([1.0, -3.0]), np.array([3.0, 1.0]), nothing, np.array([-1.5, -0.5]))
     assert rate(cancel, operating_box(0)).upper < 1e-12 and rate(cancel, operating_box(0)).witness is None
     assert rate(third, operating_box(0)).upper < 1e-12
-    found = rate(pair, operating_box(0))
-    assert found.lower == 0.9 and found.upper == pytest.approx(0.9, rel=1e-12)
+    bracket = rate(pair, operating_box(0))
+    assert bracket.lower == 0.9 and bracket.upper == pytest.approx(0.9, rel=1e-12)
     assert len(planes(pair, operating_box(0)).rows) == 1
 
 
@@ -76,8 +76,8 @@ def test_a_fixed_input_is_folded_into_the_constant():
 def test_one_neuron():
     for b, expected in ((-0.5, 0.75), (0.5, 0.75), (-2.0, 0.0), (0.0, 0.75)):
         weights = ShallowWeights(np.array([-0.75]), np.ones(1), np.zeros((1, 1)), np.array([b]))
-        found = rate(weights, operating_box(1))
-        assert found.lower == expected and found.upper == pytest.approx(expected, abs=1e-12) and found.closed
+        bracket = rate(weights, operating_box(1))
+        assert bracket.lower == expected and bracket.upper == pytest.approx(expected, abs=1e-12) and bracket.closed
         verdict = certify(weights, operating_box(1), rate=0.75)
         assert verdict.verdict == ("refuted" if expected else "certified")
 
@@ -88,8 +88,8 @@ def test_a_search_that_is_stopped_gives_a_bracket():
     assert whole.closed
     truth = whole.lower
     for seconds in (0.0, 0.005):
-        found = rate(weights, over, seconds=seconds)
-        assert found.lower <= truth * (1 + 1e-12) and truth <= found.upper
+        bracket = rate(weights, over, seconds=seconds)
+        assert bracket.lower <= truth * (1 + 1e-12) and truth <= bracket.upper
     assert not rate(weights, over, seconds=0.0).closed
     verdict = certify(weights, over, rate=truth * 1.0001, seconds=0.0)
     assert verdict.verdict == "unknown" and verdict.tree is None and verdict.lower <= truth <= verdict.upper
@@ -200,19 +200,19 @@ def test_hyperplanes_through_one_point_stay_open_and_nothing_false_is_said():
     a, w1 = rng.normal(size=(2, 12))
     weights, over = ShallowWeights(a, w1, rng.normal(size=(12, 2)), np.zeros(12)), operating_box(2)
     truth = float(exact_rate(weights, over))
-    found = rate(weights, over)
-    assert found.lower <= truth * (1 + 1e-12) and truth <= found.upper and not found.closed
+    bracket = rate(weights, over)
+    assert bracket.lower <= truth * (1 + 1e-12) and truth <= bracket.upper and not bracket.closed
     verdict = certify(weights, over, truth * (1 + 1e-9))
     assert verdict.verdict == "unknown" and verdict.tree is None
 
 
 def test_a_tree_of_halves_is_refused_for_other_weights_or_another_rate():
     weights, over = network(20, 4, 0), operating_box(4)
-    found = certify(weights, over, rate=0.1795)
-    tokens = found.tree.split()
-    assert found.verdict == "certified" and len(tokens) > 100
-    assert not proves(weights, over, found.tree, 0.17)
-    assert not proves(weights._replace(a=1.01 * weights.a), over, found.tree, 0.1795)
+    result = certify(weights, over, rate=0.1795)
+    tokens = result.tree.split()
+    assert result.verdict == "certified" and len(tokens) > 100
+    assert not proves(weights, over, result.tree, 0.17)
+    assert not proves(weights._replace(a=1.01 * weights.a), over, result.tree, 0.1795)
     cuts = [k for k in range(len(tokens) - 2) if tokens[k][0] in "xu" and tokens[k + 1] == tokens[k + 2] == "."]
     assert cuts and not any(proves(weights, over, " ".join(tokens[:k] + tokens[k + 2 :]), 0.1795) for k in cuts[:20])
 

@@ -24,18 +24,18 @@ def slopes(weights, phi) -> np.ndarray:
     """J of every choice of least and greatest slopes, in floats."""
     ends = (float(phi.least), 1.0)
     layers = [weights.W] if weights.V is None else [weights.W, weights.V]
-    found = [np.eye(len(weights.R))]
+    matrices = [np.eye(len(weights.R))]
     for X in layers:
         chosen = list(itertools.product(ends, repeat=len(X)))
-        found = [np.array(d)[:, None] * (X @ J) for J in found for d in chosen]
-    return weights.R + weights.A @ np.array(found)
+        matrices = [np.array(d)[:, None] * (X @ J) for J in matrices for d in chosen]
+    return weights.R + weights.A @ np.array(matrices)
 
 
-def checked(weights, phi, found, most=1):
+def checked(weights, phi, answer, most=1):
     """A certified answer proves its κ, which is near the solver's rate."""
-    assert found.proof is not None
-    assert exact.proves(weights, phi, found.proof, found.kappa, Fraction(most))
-    assert found.rate < found.kappa <= found.rate * (1 + NEAR)
+    assert answer.proof is not None
+    assert exact.proves(weights, phi, answer.proof, answer.kappa, Fraction(most))
+    assert answer.rate < answer.kappa <= answer.rate * (1 + NEAR)
 
 
 def test_one_state_has_the_exact_rate():
@@ -43,10 +43,10 @@ def test_one_state_has_the_exact_rate():
     rng = np.random.default_rng(0)
     for case in range(12):
         weights, phi = draw(rng, 1, int(rng.integers(1, 9))), activation(PHI[case % 3])
-        found = smallest_rate(weights, phi)
-        checked(weights, phi, found)
+        answer = smallest_rate(weights, phi)
+        checked(weights, phi, answer)
         K = float(exact.rate(weights, exact.everywhere(weights, phi)))
-        assert found.rate == pytest.approx(K, rel=1e-5) if K else found.rate < 0.01  # a κ is above 0
+        assert answer.rate == pytest.approx(K, rel=1e-5) if K else answer.rate < 0.01  # a κ is above 0
     a, w1 = rng.standard_normal((2, 20))
     weights = of_shallow(ShallowWeights(a, w1, np.zeros((20, 0)), np.zeros(20)))
     K = exact.rate(weights, exact.everywhere(weights, RELU))
@@ -60,11 +60,11 @@ def test_rate_lies_between_enumeration_and_is_proved(cases):
     for case in range(cases):
         second = int(rng.integers(1, 5)) if case % 3 == 0 else 0
         weights, phi = draw(rng, int(rng.integers(1, 5)), int(rng.integers(1, 6)), second), activation(PHI[case % 3])
-        found = smallest_rate(weights, phi)
-        checked(weights, phi, found)
+        answer = smallest_rate(weights, phi)
+        checked(weights, phi, answer)
         J = slopes(weights, phi)
-        assert spectral(J, found.proof.metric) <= float(found.kappa) * (1 + 1e-9)
-        assert np.abs(np.linalg.eigvals(J)).max() <= float(found.kappa) * (1 + 1e-9)
+        assert spectral(J, answer.proof.metric) <= float(answer.kappa) * (1 + 1e-9)
+        assert np.abs(np.linalg.eigvals(J)).max() <= float(answer.kappa) * (1 + 1e-9)
         two += second > 0
     assert two
 
@@ -119,45 +119,45 @@ DEGENERATE = list(itertools.product(
 @pytest.mark.parametrize(("name", "layers"), few(DEGENERATE, [*DEGENERATE[::4], *DEGENERATE[3::4]], "thorough"))
 def test_degenerate_networks_are_proved(layers, name):
     weights = edge(f"{layers}, {name}")
-    found = smallest_rate(weights, RELU)
-    checked(weights, RELU, found)
-    assert spectral(slopes(weights, RELU), found.proof.metric) <= float(found.kappa) * (1 + 1e-6)
+    answer = smallest_rate(weights, RELU)
+    checked(weights, RELU, answer)
+    assert spectral(slopes(weights, RELU), answer.proof.metric) <= float(answer.kappa) * (1 + 1e-6)
     if name == "unstable":
-        assert found.rate > 2
+        assert answer.rate > 2
 
 
 def test_a_rate_that_no_metric_attains_is_approached():
     """A Jordan block has its spectral radius as an infimum."""
     weights = edge("one, Jordan")
-    found = smallest_rate(weights, RELU)
-    assert found.proof is not None and exact.proves(weights, RELU, found.proof, found.kappa)
-    assert 0.9 < found.kappa < 1.0
+    answer = smallest_rate(weights, RELU)
+    assert answer.proof is not None and exact.proves(weights, RELU, answer.proof, answer.kappa)
+    assert 0.9 < answer.kappa < 1.0
 
 
 def test_balancing_is_undone_exactly():
     """P and Λ of the balanced network prove the rate of the weights as given: both are the same inequality."""
     weights = edge("one, gauge")
-    found = balance(weights)
-    assert all(math.frexp(x)[0] == 0.5 for c in (found.state, *found.neurons) for x in c)
-    T, C, s = np.diag(found.state), found.neurons[0], found.size
-    np.testing.assert_array_equal(found.layers[0], C[:, None] * weights.W / found.state)
-    np.testing.assert_array_equal(found.layers[1], T @ weights.A / C / s)
-    np.testing.assert_array_equal(found.R, T @ weights.R / found.state / s)
-    ratios = np.abs(found.layers[0]).max(1) / np.abs(found.layers[1]).max(0)
+    balanced = balance(weights)
+    assert all(math.frexp(x)[0] == 0.5 for c in (balanced.state, *balanced.neurons) for x in c)
+    T, C, s = np.diag(balanced.state), balanced.neurons[0], balanced.size
+    np.testing.assert_array_equal(balanced.layers[0], C[:, None] * weights.W / balanced.state)
+    np.testing.assert_array_equal(balanced.layers[1], T @ weights.A / C / s)
+    np.testing.assert_array_equal(balanced.R, T @ weights.R / balanced.state / s)
+    ratios = np.abs(balanced.layers[0]).max(1) / np.abs(balanced.layers[1]).max(0)
     assert 0.2 < ratios.min() and ratios.max() < 5
 
 
 def test_proofs_are_short():
     weights = draw(np.random.default_rng(10), 3, 8)
-    found = smallest_rate(weights, RELU)
-    numbers = [x for row in (*found.proof.metric, *found.proof.multipliers) for x in row]
-    assert max(x.numerator.bit_length() for x in numbers) < 40 and found.kappa.numerator.bit_length() <= 26
+    answer = smallest_rate(weights, RELU)
+    numbers = [x for row in (*answer.proof.metric, *answer.proof.multipliers) for x in row]
+    assert max(x.numerator.bit_length() for x in numbers) < 40 and answer.kappa.numerator.bit_length() <= 26
 
 
 def test_another_solver_agrees_and_a_failing_one_is_a_status():
     weights = draw(np.random.default_rng(12), 2, 3)
-    found, other = smallest_rate(weights, RELU), smallest_rate(weights, RELU, solver="scs")
-    assert other.rate == pytest.approx(found.rate, rel=0.02)
+    answer, other = smallest_rate(weights, RELU), smallest_rate(weights, RELU, solver="scs")
+    assert other.rate == pytest.approx(answer.rate, rel=0.02)
     if other.proof is not None:
         assert exact.proves(weights, RELU, other.proof, other.kappa)
 
@@ -168,12 +168,12 @@ def test_a_solver_that_answers_nonsense_proves_nothing(monkeypatch):
     weights = draw(np.random.default_rng(13), 2, 3)
     for answer in (None, np.full(7, np.nan), np.ones(7), -np.ones(7), np.zeros(7)):
         monkeypatch.setattr(Program, "_by_clarabel", lambda self, kappa, answer=answer: (answer, "Nonsense"))
-        found = smallest_rate(weights, RELU)
-        assert found.status == "Nonsense"
-        if found.proof is not None:  # by chance P = Λ = 1 may do, for a large κ
-            assert exact.proves(weights, RELU, found.proof, found.kappa)
+        first = smallest_rate(weights, RELU)
+        assert first.status == "Nonsense"
+        if first.proof is not None:  # by chance P = Λ = 1 may do, for a large κ
+            assert exact.proves(weights, RELU, first.proof, first.kappa)
         else:
-            assert found.kappa is None
+            assert first.kappa is None
 
 
 def test_bad_input_is_refused():

@@ -32,9 +32,9 @@ def test_floats_of_the_search_are_the_exact_rates():
         weights = draw(rng, int(rng.integers(1, 5)), int(rng.integers(1, 8)), int(rng.integers(0, 4)))
         phi, T = activation(PHI[case % 3]), draw_scaling(rng, len(weights.R))
         for norm in exact.NORMS:
-            found = Values(weights, phi, norm).largest(np.array(T, dtype=float))
+            rate = Values(weights, phi, norm).largest(np.array(T, dtype=float))
             expected = exact.rate(weights, exact.everywhere(weights, phi), norm, T)
-            assert found == pytest.approx(float(expected), rel=1e-9, abs=1e-12)
+            assert rate == pytest.approx(float(expected), rel=1e-9, abs=1e-12)
 
 
 @pytest.mark.parametrize("norm", exact.NORMS)
@@ -58,13 +58,13 @@ def test_no_other_diagonal_is_better(norm, count):
         best = best_diagonal(Values(weights, activation(PHI[case % 3]), norm))
         K = values.largest(np.diag(best))
         for start in (np.log(best[1:] / best[0]), *rng.standard_normal((3, 2))):
-            found = minimize(
+            result = minimize(
                 lambda t, values=values: values.largest(np.diag(np.exp([0.0, *t]))),
                 start,
                 method="Nelder-Mead",
                 options={"xatol": 1e-9, "fatol": 1e-12, "maxiter": 2000},
             )
-            assert K <= found.fun * (1 + 1e-5)
+            assert K <= result.fun * (1 + 1e-5)
 
 
 def test_full_scaling_finds_the_basis_of_a_linear_map():
@@ -74,8 +74,8 @@ def test_full_scaling_finds_the_basis_of_a_linear_map():
         basis = rng.standard_normal((q, q)) + 2 * np.eye(q)
         weights = linear(basis @ np.diag(rng.uniform(0.5, 0.9, q)) @ np.linalg.inv(basis))
         radius = np.abs(np.linalg.eigvals(weights.R)).max()
-        found = best_scaling(weights, RELU)
-        assert radius * (1 - 1e-9) <= found.rate <= radius * 1.01 and unscaled(weights, RELU) > 1.1 * found.rate
+        scaling = best_scaling(weights, RELU)
+        assert radius * (1 - 1e-9) <= scaling.rate <= radius * 1.01 and unscaled(weights, RELU) > 1.1 * scaling.rate
 
 
 @pytest.mark.thorough
@@ -85,12 +85,12 @@ def test_best_scaling_is_exact_and_never_worse_than_none(count):
     for case in range(count):
         weights = draw(rng, int(rng.integers(1, 4)), int(rng.integers(1, 7)), int(rng.integers(0, 3)))
         phi = activation(PHI[case % 3])
-        found = best_scaling(weights, phi)
-        assert found.rate == exact.rate(weights, exact.everywhere(weights, phi), found.norm, found.T)
+        scaling = best_scaling(weights, phi)
+        assert scaling.rate == exact.rate(weights, exact.everywhere(weights, phi), scaling.norm, scaling.T)
         diagonal = best_scaling(weights, phi, full=False)
-        assert found.rate <= diagonal.rate <= unscaled(weights, phi)
-        assert max(x.denominator for row in found.T for x in row) <= 2**24
-        kinds.add(found.kind)
+        assert scaling.rate <= diagonal.rate <= unscaled(weights, phi)
+        assert max(x.denominator for row in scaling.T for x in row) <= 2**24
+        kinds.add(scaling.kind)
     assert {"none", "full"} <= kinds
 
 
@@ -99,16 +99,16 @@ def test_the_search_gives_the_same_result_again_and_ends_in_time():
     weights = draw(np.random.default_rng(5), 3, 6)
     assert best_scaling(weights, RELU, 60.0) == best_scaling(weights, RELU, 60.0)
     start = time.process_time()
-    found = best_scaling(draw(np.random.default_rng(5), 6, 40), RELU, seconds=0.0)
-    assert time.process_time() - start < 30 and found.kind in ("none", "diagonal")  # no search at all
+    scaling = best_scaling(draw(np.random.default_rng(5), 6, 40), RELU, seconds=0.0)
+    assert time.process_time() - start < 30 and scaling.kind in ("none", "diagonal")  # no search at all
 
 
 @pytest.mark.parametrize("size", [1e-150, 1e-30, 1e30])
 def test_weights_of_any_size(size):
     weights = draw(np.random.default_rng(6), 2, 4)
     weights = weights._replace(R=weights.R * 0, A=weights.A * size)
-    found = best_scaling(weights, RELU)
-    assert 0 < found.rate <= unscaled(weights, RELU)
+    scaling = best_scaling(weights, RELU)
+    assert 0 < scaling.rate <= unscaled(weights, RELU)
 
 
 def test_zero_slopes_have_the_rate_zero():

@@ -36,8 +36,8 @@ def patterns(n: int) -> torch.Tensor:
 
 
 def results(weights: ShallowWeights) -> dict:
-    found = {name: condition(weights.a, weights.w1) for name, condition in CONDITIONS.items()}
-    return found | {"interval": interval(weights, *BOX)}
+    values = {name: condition(weights.a, weights.w1) for name, condition in CONDITIONS.items()}
+    return values | {"interval": interval(weights, *BOX)}
 
 
 @pytest.mark.parametrize("name", BEST_GAUGE)
@@ -66,8 +66,8 @@ def corner_signs(weights: ShallowWeights) -> tuple[torch.Tensor, torch.Tensor]:
 def test_interval_is_the_largest_slope_over_the_patterns_that_it_cannot_exclude():
     weights = networks(200, seed=7)
     on, off = corner_signs(weights)
-    for found, expected in zip(fixed_signs(weights, *BOX), (on, off), strict=True):
-        assert found.equal(expected) and 100 < found.sum() < 1100
+    for signs, expected in zip(fixed_signs(weights, *BOX), (on, off), strict=True):
+        assert signs.equal(expected) and 100 < signs.sum() < 1100
     d = patterns(6)[:, None]
     d = torch.where(on, 1.0, torch.where(off, 0.0, d))
     largest = (d * weights.a * weights.w1).sum(-1).abs().amax(0)
@@ -88,13 +88,13 @@ def test_rates_equal_the_exact_ones_to_rounding():
         a, w1, *_ = networks(20, n=n, seed=11)
         for k in range(20):
             for name, expected in proofs.conditions(a[k].numpy(), w1[k].numpy()).items():
-                found = CONDITIONS[name](a[k], w1[k])
+                value = CONDITIONS[name](a[k], w1[k])
                 rounding = 4 * (n + 4) * EPS
-                assert abs(Fraction(found.margin.item()) - expected.margin) <= rounding * (1 + abs(expected.margin))
+                assert abs(Fraction(value.margin.item()) - expected.margin) <= rounding * (1 + abs(expected.margin))
                 if expected.rate is None:
-                    assert found.rate == torch.inf
+                    assert value.rate == torch.inf
                 else:
-                    assert abs(Fraction(found.rate.item()) - expected.rate) <= rounding * expected.rate
+                    assert abs(Fraction(value.rate.item()) - expected.rate) <= rounding * expected.rate
 
 
 def test_gradients():
@@ -116,13 +116,13 @@ def test_gradients_are_finite_where_no_rate_is():
 @pytest.mark.parametrize("batch", [(), (3,), (2, 3)])
 def test_batches_are_networks_one_by_one(batch):
     weights = networks(*batch, seed=13)
-    found = results(weights)
-    for each in (*found.values(), *(gauge(weights.a, weights.w1) for gauge in BEST_GAUGE.values())):
+    batched = results(weights)
+    for each in (*batched.values(), *(gauge(weights.a, weights.w1) for gauge in BEST_GAUGE.values())):
         assert each.margin.shape == each.rate.shape == batch
     for index in np.ndindex(batch):
-        own = results(ShallowWeights(*(x[index] for x in weights)))
-        for name, each in own.items():
-            assert each.margin == found[name].margin[index] and each.rate == found[name].rate[index]
+        alone = results(ShallowWeights(*(x[index] for x in weights)))
+        for name, each in alone.items():
+            assert each.margin == batched[name].margin[index] and each.rate == batched[name].rate[index]
 
 
 def test_the_identity_holds_at_no_condition():
@@ -138,6 +138,6 @@ def test_conditions_stay_on_the_device_of_the_weights(batch):
     """`meta` stands for an accelerator (`tests/estimators/test_devices.py`)."""
     there, box = ShallowWeights(*(x.to("meta") for x in networks(*batch))), [x.to("meta") for x in BOX]
     with on_device():
-        found = [each(there.a, there.w1) for each in (*CONDITIONS.values(), *BEST_GAUGE.values())]
-        found.append(interval(there, *box))
-    assert all(x.is_meta and x.shape == batch and x.dtype == torch.float64 for each in found for x in each)
+        values = [each(there.a, there.w1) for each in (*CONDITIONS.values(), *BEST_GAUGE.values())]
+        values.append(interval(there, *box))
+    assert all(x.is_meta and x.shape == batch and x.dtype == torch.float64 for each in values for x in each)

@@ -51,8 +51,8 @@ def exact_rate(weights: ShallowWeights, condition: str, gauge: str) -> Fraction:
             elif z + sum(map(max, ends)) > 0:
                 up, down = up + max(s, 0), down + max(-s, 0)
         return max(on + up, down - on)
-    found = exact.conditions(a, w1)[condition].rate
-    return Fraction(10**9) if found is None else found
+    rate = exact.conditions(a, w1)[condition].rate
+    return Fraction(10**9) if rate is None else rate
 
 
 def nearest_by_quadratic_program(weights: ShallowWeights, condition: str, gauge: str, kappa: float) -> np.ndarray:
@@ -205,7 +205,7 @@ def test_a_projection_stays_on_the_device_of_the_weights(condition, gauge, batch
     expected = project(here, condition, 0.9, gauge, bounds)
     for rate in (0.9, torch.full(batch, 0.9, device="meta")):
         with on_device():
-            found = project(there, condition, rate, gauge, away)
-            (slope,) = torch.autograd.grad(found.a.sum(), there.a)
-        assert all(x.is_meta and (x.shape, x.dtype) == (y.shape, y.dtype) for x, y in zip(found, expected, strict=True))
+            moved = project(there, condition, rate, gauge, away)
+            (slope,) = torch.autograd.grad(moved.a.sum(), there.a)
+        assert all(x.is_meta and (x.shape, x.dtype) == (y.shape, y.dtype) for x, y in zip(moved, expected, strict=True))
         assert slope.is_meta and slope.shape == here.a.shape

@@ -383,9 +383,9 @@ def test_a_mean_sees_nothing_that_is_stamped_after_the_speed():
 
 def test_every_step_waits_for_stragglers():
     """Also the steps of a gap, which become due together."""
-    aligner, made = Aligner({name: channel([], []) for name in REQUIRED}, patience=0.2), []
+    aligner, steps = Aligner({name: channel([], []) for name in REQUIRED}, patience=0.2), []
     for time in (0.0, 1.3, 1.45):
         for name in REQUIRED:
-            made += [(at, time) for at, _ in aligner.push(name, time, 0.1)]
-    assert max(at for at, _ in made) == pytest.approx(1.2)
-    assert all(at <= newest - 0.2 + 1e-9 for at, newest in made[1:])
+            steps += [(at, time) for at, _ in aligner.push(name, time, 0.1)]
+    assert max(at for at, _ in steps) == pytest.approx(1.2)
+    assert all(at <= newest - 0.2 + 1e-9 for at, newest in steps[1:])

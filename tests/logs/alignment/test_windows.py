@@ -13,13 +13,13 @@ from usvlearn.logs.channels.channel import AUTO, CHANNELS, MOST_WINDOW, Source
 
 def stamps(*stretches, jitter=0.0, lost=0.0, seed=0):
     """Times of messages: stretches of (seconds, Hz), one after the other; shifted by a share of their interval."""
-    rng, found, begin = np.random.default_rng(seed), [], 0.0
+    rng, parts, begin = np.random.default_rng(seed), [], 0.0
     for seconds, hz in stretches:
         regular = begin + np.arange(round(seconds * hz)) / hz
         moved = regular + rng.uniform(-jitter, jitter, len(regular)) / hz
-        found.append(moved[rng.random(len(regular)) >= lost])
+        parts.append(moved[rng.random(len(regular)) >= lost])
         begin += seconds
-    return np.concatenate(found)
+    return np.concatenate(parts)
 
 
 def boat(times, window=AUTO, **how):
@@ -106,10 +106,10 @@ def test_messages_one_by_one_and_at_once_give_the_same_bits(seed, steps):
     pushed += aligner.flush()
     whole = align(log, steps=steps)
     assert whole.rejected == aligner.rejected
-    found = np.array([(t, *s.inputs, s.surge, s.fresh, s.measured) for t, s in pushed])
+    live = np.array([(t, *s.inputs, s.surge, s.fresh, s.measured) for t, s in pushed])
     samples = whole.samples
     np.testing.assert_array_equal(
-        found, np.column_stack([whole.time, *samples.inputs, samples.surge, samples.fresh, samples.measured])
+        live, np.column_stack([whole.time, *samples.inputs, samples.surge, samples.fresh, samples.measured])
     )
     assert 0.3 < whole.samples.fresh.mean() < 1
     for name, (interval, window) in aligner.windows.items():
@@ -122,12 +122,12 @@ def test_the_parts_of_a_mix_have_windows_of_their_own(seed):
     times = stamps((60, 1), jitter=0.1, lost=0.1, seed=seed), stamps((60, 10), jitter=0.3, lost=0.1, seed=seed + 9)
     log = in_order({str(k): channel(t, np.sin(t + k), window=AUTO) for k, t in enumerate(times)})
     whole, dropped = mix([log["0"], log["1"]], [0.5, 0.5])
-    live, found = LiveMix(Mix.of({"name": ["a", "b"], "window": AUTO})), []
+    live, sums = LiveMix(Mix.of({"name": ["a", "b"], "window": AUTO})), []
     for _, name, time, value in sorted((o, n, t, v) for n, c in log.items() for t, v, o in zip(*c[:3], strict=True)):
         if (both := live.push(int(name), time, value)) is not None:
-            found.append(both)
-    np.testing.assert_array_equal(found, whole.value)
-    assert dropped < 0.1 * len(found)
+            sums.append(both)
+    np.testing.assert_array_equal(sums, whole.value)
+    assert dropped < 0.1 * len(sums)
 
 
 def test_a_held_channel_stays_held_and_a_number_stays_a_number():

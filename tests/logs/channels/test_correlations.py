@@ -71,8 +71,8 @@ def test_one_reversed_side_is_told_from_the_other(boats):
 def test_the_lag_of_a_speed_is_its_delay_and_the_inertia(delay, boats):
     for name, boat in boats.items():
         time, speed = boat["surge"]
-        found = correlations.speed_on_thrust(*sides(boat), (time + delay, speed), (-150.0, 150.0))
-        assert delay <= found.lag <= delay + 4.0 and found.certainty > SURE, name
+        relation = correlations.speed_on_thrust(*sides(boat), (time + delay, speed), (-150.0, 150.0))
+        assert delay <= relation.lag <= delay + 4.0 and relation.certainty > SURE, name
 
 
 @over("factor", (1.0, 180 / math.pi, math.pi / 180, -1.0))
@@ -83,8 +83,8 @@ def test_the_slope_of_a_yaw_rate_is_its_unit(factor, boats):
         time, heading = boat["heading"]
         gyro = correlations.heading_rate((time, heading))
         noisy = np.mod(heading + rng.normal(0, 0.01, len(time)), 2 * np.pi)
-        found = correlations.rate_slope((time, noisy), (gyro[0], factor * gyro[1]))
-        assert found.slope == pytest.approx(factor, rel=0.1) and abs(found.correlation) > 0.9, name
+        relation = correlations.rate_slope((time, noisy), (gyro[0], factor * gyro[1]))
+        assert relation.slope == pytest.approx(factor, rel=0.1) and abs(relation.correlation) > 0.9, name
         circle = correlations.rate_slope((time, noisy * factor), gyro)  # its own circle need not be 2π
         assert circle.slope == pytest.approx(1 / factor, rel=0.1), name
 
@@ -97,8 +97,8 @@ def test_the_slope_of_a_speed_over_positions_is_its_unit(factor, boats):
         passed = np.diff(time, prepend=time[0])
         north = np.cumsum(passed * speed * np.cos(heading)) + rng.normal(0, 0.5, len(time))
         east = np.cumsum(passed * speed * np.sin(heading)) + rng.normal(0, 0.5, len(time))
-        found = position_rates.speed_on_positions((time, north), (time, east), (time, factor * speed))
-        assert found.slope == pytest.approx(factor, rel=0.1) and found.correlation > 0.8, name
+        relation = position_rates.speed_on_positions((time, north), (time, east), (time, factor * speed))
+        assert relation.slope == pytest.approx(factor, rel=0.1) and relation.correlation > 0.8, name
 
 
 def test_unrelated_series_are_seldom_thought_to_be_related():
@@ -115,25 +115,25 @@ def test_unrelated_series_are_seldom_thought_to_be_related():
 
 def test_gaps_jitter_offsets_and_bad_values_do_not_matter(boats):
     boat, rng = boats["heron"], np.random.default_rng(0)
-    found = []
+    pairs = []
     for spoiled in (False, True):
         series = dict(boat)
         for name, (time, value) in boat.items():
             if spoiled:
                 time, value = time + 1.7e9, value.copy()
-                kept = (time % 300 > 20) & (rng.random(len(time)) > 0.2)
+                mask = (time % 300 > 20) & (rng.random(len(time)) > 0.2)
                 value[rng.random(len(time)) < 0.05] = np.nan
-                place = rng.permutation(np.flatnonzero(kept))
+                place = rng.permutation(np.flatnonzero(mask))
                 time, value = np.append(time[place], np.nan), np.append(value[place], 1.0)
             series[name] = time, value
         rate = correlations.heading_rate(series["heading"])
-        found.append(
+        pairs.append(
             (
                 correlations.side_sign(*sides(series), rate),
                 correlations.speed_on_thrust(*sides(series), series["surge"]),
             )
         )
-    for clean, spoiled in zip(*found, strict=True):
+    for clean, spoiled in zip(*pairs, strict=True):
         assert spoiled.correlation == pytest.approx(clean.correlation, abs=0.05)
         assert spoiled.lag == pytest.approx(clean.lag, abs=0.5)
 
@@ -143,7 +143,7 @@ def test_too_little_evidence_is_no_relation():
     long = np.arange(0.0, 600.0), np.sin(np.arange(600.0))
     flat = long[0], np.zeros(600)
     for series in (nothing, few, flat):
-        for found in (
+        for relation in (
             correlations.rate_slope(long, series),
             correlations.rate_slope(series, long),
             correlations.side_sign(series, series, long),
@@ -152,8 +152,8 @@ def test_too_little_evidence_is_no_relation():
             position_rates.speed_on_positions(series, series, long),
             each_side(series, long, long)[0],
         ):
-            assert math.isnan(found.correlation) or series is flat, found
-            assert not abs(found.certainty) > SURE
+            assert math.isnan(relation.correlation) or series is flat, relation
+            assert not abs(relation.certainty) > SURE
     assert correlations.angle_offset(few, long).seconds == 0
     assert correlations.in_series([]) == {} and correlations.in_series([{"surge": nothing}]) == {}
 
@@ -162,8 +162,8 @@ def test_a_span_of_decades_takes_no_memory():
     """A log whose first stamp is of 1969, as some write it."""
     time = np.append(-1.6e9, np.arange(0.0, 600.0, 0.2))
     value = np.random.default_rng(0).uniform(0, 1, 61).repeat(50)[: len(time)]
-    found = correlations.speed_on_thrust((time, value), (time, value), (time, value))
-    assert found.correlation > 0.9 and found.seconds > 500
+    relation = correlations.speed_on_thrust((time, value), (time, value), (time, value))
+    assert relation.correlation > 0.9 and relation.seconds > 500
 
 
 @pytest.mark.parametrize("name", RECORDED)
@@ -175,8 +175,8 @@ def test_real_boats_as_configured(name):
     assert thrust.correlation > 0.7 and -1.0 <= thrust.lag <= 10.0
     assert all(each.correlation > 0 for each in each_side(*sides(boat), boat["surge"]))
     if "yaw_rate" in boat:
-        found = correlations.rate_slope(boat["heading"], boat["yaw_rate"])
-        assert found.slope == pytest.approx(1.0, rel=0.02) and found.correlation > 0.99
+        relation = correlations.rate_slope(boat["heading"], boat["yaw_rate"])
+        assert relation.slope == pytest.approx(1.0, rel=0.02) and relation.correlation > 0.99
     rate = boat.get("yaw_rate") or correlations.heading_rate(boat["heading"])
     turns = correlations.side_sign(*sides(boat), rate)
     assert turns.correlation > 0.3

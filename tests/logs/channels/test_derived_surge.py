@@ -59,17 +59,17 @@ def read(tmp_path, rows, **pair):
 )
 def test_the_surge_is_that_of_the_boat_ahead_and_astern(tmp_path, pair, tolerance):
     surge, rows = voyage()
-    found = read(tmp_path, rows, **pair).channels["surge"]
-    true = np.interp(found.time, rows[:, 0], surge)
-    assert len(found.time) >= len(rows) - 3
-    np.testing.assert_allclose(found.value[30:], true[30:], atol=tolerance)  # the filter has settled
+    speed = read(tmp_path, rows, **pair).channels["surge"]
+    true = np.interp(speed.time, rows[:, 0], surge)
+    assert len(speed.time) >= len(rows) - 3
+    np.testing.assert_allclose(speed.value[30:], true[30:], atol=tolerance)  # the filter has settled
     assert true.min() < -0.4
 
 
 def test_speeds_from_noisy_positions_are_better_than_their_differences(tmp_path):
     surge, rows = voyage(np.random.default_rng(0), noise=0.1)
-    found = read(tmp_path, rows, north={"name": "x"}, east={"name": "y"}).channels["surge"]
-    error = np.abs(found.value - np.interp(found.time, rows[:, 0], surge))[50:]
+    speed = read(tmp_path, rows, north={"name": "x"}, east={"name": "y"}).channels["surge"]
+    error = np.abs(speed.value - np.interp(speed.time, rows[:, 0], surge))[50:]
     plain = np.abs(np.hypot(*np.diff(rows[:, -2:], axis=0).T) * HZ - np.abs(surge[1:]))[50:]
     assert error.mean() < 0.25 * plain.mean()
 
@@ -87,14 +87,14 @@ def test_copies_outliers_outages_and_bad_positions_do_no_harm():
     clean = np.array(filtered(t, x, y))
     x[400], y[401] = x[400] + 50, np.nan  # an outlier, and a hole
     x[600:602], y[600:602] = x[599], y[599]  # copies
-    found = np.array(filtered(t, x, y))
-    assert np.isnan(found[:, [400, 401, 600, 601]]).all()
-    fine = np.isfinite(found).all(0)
+    velocity = np.array(filtered(t, x, y))
+    assert np.isnan(velocity[:, [400, 401, 600, 601]]).all()
+    fine = np.isfinite(velocity).all(0)
     assert fine.sum() == len(t) - 4 - np.isnan(clean).any(0).sum()
-    np.testing.assert_allclose(found[:, fine], clean[:, fine], atol=0.15)
+    np.testing.assert_allclose(velocity[:, fine], clean[:, fine], atol=0.15)
     x[800:] += 300.0  # the position jumps, and stays there
-    found = np.array(filtered(t, x, y))
-    np.testing.assert_allclose(found[:, 850:], clean[:, 850:], atol=0.05)
+    velocity = np.array(filtered(t, x, y))
+    np.testing.assert_allclose(velocity[:, 850:], clean[:, 850:], atol=0.05)
 
 
 def test_no_speed_and_no_pair_is_told():

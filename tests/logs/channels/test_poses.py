@@ -37,13 +37,13 @@ def test_a_boat_on_a_circle():
         "velocity_north": channel(fine, velocities[0]), "velocity_east": channel(fine, velocities[1]),
         "north": channel(fine, north + 500.0, 0, 2), "east": channel(fine, east - 70.0, 1, 2),
     }  # fmt: skip
-    found = poses(channels, AT, samples())
+    pose = poses(channels, AT, samples())
     expected = np.interp(AT, fine, psi), np.full(len(AT), r), np.full(len(AT), v)
-    np.testing.assert_allclose(found[:, HEADING], np.remainder(expected[0], 2 * math.pi), atol=1e-9)
-    np.testing.assert_allclose(found[1:, TURN], r, atol=1e-9)
-    np.testing.assert_allclose(found[:, SWAY], v, atol=1e-9)
+    np.testing.assert_allclose(pose[:, HEADING], np.remainder(expected[0], 2 * math.pi), atol=1e-9)
+    np.testing.assert_allclose(pose[1:, TURN], r, atol=1e-9)
+    np.testing.assert_allclose(pose[:, SWAY], v, atol=1e-9)
     moved = np.column_stack([np.interp(AT, fine, north), np.interp(AT, fine, east)])
-    np.testing.assert_allclose(found[1:, NORTH:] - found[1, NORTH:], moved[1:] - moved[1], atol=2e-3)
+    np.testing.assert_allclose(pose[1:, NORTH:] - pose[1, NORTH:], moved[1:] - moved[1], atol=2e-3)
     course = {"ground_speed": channel(fine, math.hypot(u, v)), "course": channel(fine, psi + math.atan2(v, u)),
               "heading": channels["heading"]}  # fmt: skip
     np.testing.assert_allclose(poses(course, AT, samples())[:, SWAY], v, atol=1e-9)
@@ -58,10 +58,10 @@ def test_until_two_fixes_have_come_the_boat_is_reckoned_and_the_fixes_go_on_from
         "latitude": channel(fixes, np.radians(48.0) + 2 * fixes / 6_362_000, 0, 2),
         "longitude": channel(fixes, np.radians(9.0), 1, 2),
     }
-    found = poses(channels, AT, samples())
-    np.testing.assert_allclose(found[:23, NORTH], AT[:23], atol=1e-12)  # at 1 m/s, until 9 s
-    assert found[23, NORTH] == pytest.approx(AT[23])
-    np.testing.assert_allclose(np.diff(found[23:, NORTH]) / 0.4, 2.0, rtol=2e-3)  # the fixes say 2 m/s
+    pose = poses(channels, AT, samples())
+    np.testing.assert_allclose(pose[:23, NORTH], AT[:23], atol=1e-12)  # at 1 m/s, until 9 s
+    assert pose[23, NORTH] == pytest.approx(AT[23])
+    np.testing.assert_allclose(np.diff(pose[23:, NORTH]) / 0.4, 2.0, rtol=2e-3)  # the fixes say 2 m/s
     none = channels | {"latitude": channels["latitude"]._replace(value=np.zeros(12)),
                        "longitude": channels["longitude"]._replace(value=np.zeros(12))}  # fmt: skip
     np.testing.assert_allclose(poses(none, AT, samples())[:, NORTH], AT, atol=1e-12)
@@ -73,11 +73,11 @@ def test_what_is_old_is_not_known():
         "heading": channel(stop, 0.3), "yaw_rate": channel(AT[::10], 0.1, window=AUTO), "sway": channel(AT, np.nan),
         "north": channel(stop, stop, 0, 2), "east": channel(stop, 0.0, 1, 2),
     }  # fmt: skip
-    found = poses(channels, AT, samples())
-    assert np.isfinite(found[:26, HEADING]).all() and np.isnan(found[27:, HEADING]).all()
-    assert np.isfinite(found[10:, TURN]).all() and np.isnan(found[:10, TURN]).sum() == 9  # the window is not known yet
-    assert np.isnan(found[:, SWAY]).all()
-    assert np.isfinite(found[:37, NORTH]).all() and np.isnan(found[38:, NORTH]).all()  # 5 s
+    pose = poses(channels, AT, samples())
+    assert np.isfinite(pose[:26, HEADING]).all() and np.isnan(pose[27:, HEADING]).all()
+    assert np.isfinite(pose[10:, TURN]).all() and np.isnan(pose[:10, TURN]).sum() == 9  # the window is not known yet
+    assert np.isnan(pose[:, SWAY]).all()
+    assert np.isfinite(pose[:37, NORTH]).all() and np.isnan(pose[38:, NORTH]).all()  # 5 s
 
 
 def test_a_jump_is_no_motion_and_a_repeated_fix_no_new_one():
@@ -85,9 +85,9 @@ def test_a_jump_is_no_motion_and_a_repeated_fix_no_new_one():
     way = np.where(time < 10.0, time, time + 500.0)
     place = np.repeat(way[::2], 2)  # each fix is posted twice
     channels = {"heading": channel(time, 0.0), "north": channel(time, place, 0, 2), "east": channel(time, 0.0, 1, 2)}
-    found = poses(channels, AT, samples())[:, NORTH]
-    assert found[25] - found[24] == pytest.approx(500.4) and np.abs(np.diff(found) - 0.4)[[*range(3, 24)]].max() < 1e-9
-    assert np.abs(np.diff(found[26:]) - 0.4).max() < 1e-9
+    pose = poses(channels, AT, samples())[:, NORTH]
+    assert pose[25] - pose[24] == pytest.approx(500.4) and np.abs(np.diff(pose) - 0.4)[[*range(3, 24)]].max() < 1e-9
+    assert np.abs(np.diff(pose[26:]) - 0.4).max() < 1e-9
 
 
 def test_numbers_that_are_stamped_apart_are_no_fix():
@@ -104,8 +104,8 @@ def test_a_message_that_came_after_the_step_is_not_used():
     time = AT - 0.1
     heading = channel(time, np.arange(len(time)), 10, 10, window=1.0)
     came = heading.order - 1.0  # each step was made just before the last message that is stamped before its end
-    found = poses({"heading": heading}, AT, samples(), came)
-    assert found[1:, HEADING].tolist() == list(range(len(AT) - 1)) and np.isnan(found[0, HEADING])
+    pose = poses({"heading": heading}, AT, samples(), came)
+    assert pose[1:, HEADING].tolist() == list(range(len(AT) - 1)) and np.isnan(pose[0, HEADING])
     assert poses({"heading": heading}, AT, samples())[:, HEADING].tolist() == list(range(len(AT)))
 
 
@@ -121,8 +121,8 @@ def test_a_gyro_that_is_stuck_gives_way_to_the_heading():
         "heading": Channel(AT, 0.5 * AT % 6.28, np.arange(len(AT)), window=0.5),
         "yaw_rate": Channel(AT, gyro, np.arange(len(AT)), window=0.5),
     }
-    found = poses(channels, AT, samples())[:, TURN]
+    pose = poses(channels, AT, samples())[:, TURN]
     begin = int(np.searchsorted(AT, 4)) + 2
-    assert np.array_equal(found[1:begin], gyro[1:begin])
+    assert np.array_equal(pose[1:begin], gyro[1:begin])
     step = AT[1] - AT[0]
-    assert np.allclose(found[begin:][np.diff(0.5 * AT % 6.28)[begin - 1 :] > 0], 0.5, atol=1e-9), step
+    assert np.allclose(pose[begin:][np.diff(0.5 * AT % 6.28)[begin - 1 :] > 0], 0.5, atol=1e-9), step

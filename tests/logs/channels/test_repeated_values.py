@@ -143,10 +143,10 @@ def read(path: Path, **how) -> Channel:
 
 def test_reading_finds_copies_says_so_and_settles_what_is_done(tmp_path):
     copied = table(tmp_path, polled(60, 5, 9))
-    found = r"heron: 4\d% of the speeds repeat .* measures every 0.2 s: "
-    with pytest.warns(UserWarning, match=found + rf"the copies are dropped \({KEY}=0.2; 0 keeps them\)"):
+    text = r"heron: 4\d% of the speeds repeat .* measures every 0.2 s: "
+    with pytest.warns(UserWarning, match=text + rf"the copies are dropped \({KEY}=0.2; 0 keeps them\)"):
         assert read(copied, period="auto").period == 0.2
-    with pytest.warns(UserWarning, match=found + f"set {KEY}=0.2 to drop"):
+    with pytest.warns(UserWarning, match=text + f"set {KEY}=0.2 to drop"):
         assert read(copied).period == 0.0
     assert read(copied, period=0.25).period == 0.25  # as declared, without a word
     plain = table(tmp_path, polled(60, 9, 9, jitter=0.0))  # has no copies

@@ -84,16 +84,16 @@ def test_real_boats_as_configured(name):
     recordings, settings = recordings_of(name, {"data": {"path": str(REAL_LOGS / name)}})
     recordings, surge_max = list(recordings), settings["vehicle"]["surge_max"]
     aligned = align_fleet(recordings, **settings["align"])
-    found = check_data(recordings, aligned, settings["align"], surge_max, settings["data"]["channels"])
-    assert found == []
+    findings = check_data(recordings, aligned, settings["align"], surge_max, settings["data"]["channels"])
+    assert findings == []
     if name == "blueboat":  # its logs name the sides the other way round
         left, right = COMMANDS
         sides = [
             one._replace(channels={**one.channels, left: one.channels[right], right: one.channels[left]})
             for one in recordings
         ]
-        told = check_data(sides, None, settings["align"], surge_max, settings["data"]["channels"])
-        assert [(each.kind, each.severity) for each in told] == [("sides swapped", WARNING)]
+        others = check_data(sides, None, settings["align"], surge_max, settings["data"]["channels"])
+        assert [(each.kind, each.severity) for each in others] == [("sides swapped", WARNING)]
 
 
 def test_findings_say_the_number_and_the_key(logs):
@@ -128,8 +128,8 @@ def test_a_channel_that_freezes_is_told_with_its_run_and_time(name, patrol):
 def test_a_command_that_freezes_while_the_boat_turns_as_before_is_told(patrol):
     for side in COMMANDS:
         wrong = changed(patrol["heron"], frozen(side, 450, 900, 0.1))
-        found = check_data(wrong, None, ALIGN, TOP["heron"], CONFIGURED)
-        assert ("frozen", side) in [(each.kind, each.about) for each in found]
+        findings = check_data(wrong, None, ALIGN, TOP["heron"], CONFIGURED)
+        assert ("frozen", side) in [(each.kind, each.about) for each in findings]
 
 
 def test_what_stays_equal_for_a_reason_is_not_frozen(patrol):
@@ -146,8 +146,8 @@ def test_what_stays_equal_for_a_reason_is_not_frozen(patrol):
         return {name: frozen(name, 400, 600)(log)[name] for name in COMMANDS}
 
     for change in (lambda log: coarse, rest, cruise, then(rest, cruise)):
-        found = check_data(changed([log], change), None, ALIGN, TOP["heron"], CONFIGURED)
-        assert "frozen" not in [each.kind for each in found], change
+        findings = check_data(changed([log], change), None, ALIGN, TOP["heron"], CONFIGURED)
+        assert "frozen" not in [each.kind for each in findings], change
 
 
 def commands_before(seconds):
@@ -162,14 +162,14 @@ def test_a_delay_of_seconds_is_told_with_its_key(seconds):
             (commands_before(seconds), seconds),  # a speed that comes late
             (then(commands_before(seconds), set_delay(seconds)), None),  # the same, as configured
         ):
-            found = check_data(changed(recordings, change), None, ALIGN, TOP[plant], CONFIGURED)
-            keys = [each.key for each in found if each.kind == "delay"]
+            findings = check_data(changed(recordings, change), None, ALIGN, TOP[plant], CONFIGURED)
+            keys = [each.key for each in findings if each.kind == "delay"]
             if delay is None:
                 assert not keys, (plant, keys)
             else:
                 (key,) = keys
-                told = float(key.split()[0].removeprefix("data.channels.command_left.delay="))
-                assert abs(told - delay) <= 1, (plant, key)
+                proposed = float(key.split()[0].removeprefix("data.channels.command_left.delay="))
+                assert abs(proposed - delay) <= 1, (plant, key)
 
 
 def set_delay(seconds):
@@ -177,22 +177,22 @@ def set_delay(seconds):
 
 
 def test_a_configured_delay_that_is_too_long_is_told():
-    found = check_data(changed(boats("heron", 0, 0.6), set_delay(5)), None, ALIGN, TOP["heron"], CONFIGURED)
-    (finding,) = [each for each in found if each.kind == "delay"]
+    findings = check_data(changed(boats("heron", 0, 0.6), set_delay(5)), None, ALIGN, TOP["heron"], CONFIGURED)
+    (finding,) = [each for each in findings if each.kind == "delay"]
     assert finding.key.split()[0] in ("data.channels.command_left.delay=0", "data.channels.command_left.delay=1")
 
 
 def test_a_delay_is_told_from_enough_bins_on_and_no_command_freezes_near_its_end():
-    found = response.Fit(4, certainty=5.0, ratio=0.6, explained=0.5, bins=response.ENOUGH)
-    assert response._is_told(found, 0.0) and not response._is_told(found._replace(bins=found.bins - 1), 0.0)
+    fit = response.Fit(4, certainty=5.0, ratio=0.6, explained=0.5, bins=response.ENOUGH)
+    assert response._is_told(fit, 0.0) and not response._is_told(fit._replace(bins=fit.bins - 1), 0.0)
     e = SimpleNamespace(commands=(np.linspace(-1, 1, 400), np.linspace(-1, 1, 400)))  # whose turn is not looked at
     assert [_command(e, COMMANDS[0], value, slice(0, 300)) for value in (-0.97, 0.97)] == [None, None]
 
 
 def test_several_boats_are_checked_apart(logs):
     wrong = [one._replace(boat="other") for one in changed(logs["heron"], times(-1, "command_left"))]
-    found = check_data([*logs["heron"], *wrong], None, ALIGN, TOP["heron"])
-    assert {each.boat for each in found} == {"other"}
+    findings = check_data([*logs["heron"], *wrong], None, ALIGN, TOP["heron"])
+    assert {each.boat for each in findings} == {"other"}
 
 
 def test_a_copied_speed_rejected_and_stale_messages_and_a_clock_that_jumps_are_told(logs):
@@ -241,10 +241,10 @@ def test_horizons_without_a_step_are_told(logs):
 
 
 def test_strict_lists_all_warnings_and_no_note():
-    found = [Finding("a", "surge", "x", "1", "2", "k=1"), Finding("b", "heading", "y", "3", "4", severity=NOTE)]
+    findings = [Finding("a", "surge", "x", "1", "2", "k=1"), Finding("b", "heading", "y", "3", "4", severity=NOTE)]
     with pytest.raises(LogFormatError, match=r"check=strict: found 1 warning, expected none: \(1\) a, surge: found 1"):
-        refuse(found)
-    refuse(found[1:])
+        refuse(findings)
+    refuse(findings[1:])
 
 
 def test_levels():

@@ -31,17 +31,17 @@ def patrol():
 def read(raw, channels):
     """What a reader makes of recordings in the units of a log."""
     sources = sources_of(channels)
-    found = []
+    recordings = []
     for one in raw:
-        own = {}
+        series = {}
         for name, source in sources.items():
             time, value, order = one.channels[source.name][:3]
             how = source.held, source.window, source.delay, 0.0
-            own[name] = Channel(time, source.convert(value), order, *how)
-        if SURGE not in own:
-            own[SURGE], _ = derived_surge("log", own)
-        found.append(one._replace(channels=own, dropped={}))
-    return found
+            series[name] = Channel(time, source.convert(value), order, *how)
+        if SURGE not in series:
+            series[SURGE], _ = derived_surge("log", series)
+        recordings.append(one._replace(channels=series, dropped={}))
+    return recordings
 
 
 def findings(raw, channels):
@@ -59,11 +59,11 @@ def plain(raw):
 
 
 def with_overrides(channels, key):
-    found = {name: dict(each) for name, each in channels.items()}
+    changed = {name: dict(each) for name, each in channels.items()}
     for each in OverridesParser.create().parse_overrides(shlex.split(key)):
         *_, channel, option = each.get_key_element().split(".")
-        found[channel][option] = each.value()
-    return found
+        changed[channel][option] = each.value()
+    return changed
 
 
 def esc(log):
@@ -77,8 +77,8 @@ def another_boat(log):
 
 def degrees_and_minutes(log):
     places = (52 + log["north"].value / 111195, 10 + log["east"].value / 68458)
-    found = {name: 100 * np.floor(x) + 60 * (x % 1) for name, x in zip(("latitude", "longitude"), places, strict=True)}
-    return {name: log[METRES[0]]._replace(value=value) for name, value in found.items()}
+    values = {name: 100 * np.floor(x) + 60 * (x % 1) for name, x in zip(("latitude", "longitude"), places, strict=True)}
+    return {name: log[METRES[0]]._replace(value=value) for name, value in values.items()}
 
 
 WRONG = {  # what is wrong -> the log, options of its channels, the kind of the finding, what it proposes
@@ -117,10 +117,10 @@ def test_what_is_proposed_differs_and_helps(name, patrol):
     change, options, kind, proposed = WRONG[name]
     raw = changed(patrol, change)
     names = [each for each in raw[0].channels if not ("latitude" in raw[0].channels and each in METRES)]
-    channels = {each: own | options.get(each, {}) for each, own in plain(raw).items() if each in names}
-    told = [each for each in findings(raw, channels) if each.kind == kind]
-    assert told and all(proposed in each.key for each in told), told
-    for each in told:
+    channels = {each: keys | options.get(each, {}) for each, keys in plain(raw).items() if each in names}
+    those = [each for each in findings(raw, channels) if each.kind == kind]
+    assert those and all(proposed in each.key for each in those), those
+    for each in those:
         other = with_overrides(channels, each.key.split(" or ")[0])
         assert other != channels, "the key only repeats what is configured"
         channels = other
@@ -133,9 +133,9 @@ def test_rows_out_of_order_are_told_and_no_window_is_proposed(patrol):
         return {name: x._replace(time=x.time[late[name]], value=x.value[late[name]]) for name, x in log.items()}
 
     raw = changed(patrol, shuffled)
-    told = [each for each in findings(raw, plain(raw)) if each.kind == "stale"]
-    assert {"heading", "command_left"} <= {each.about for each in told} and "yaw_rate" not in [x.about for x in told]
-    assert all(each.key == "" and "sort the rows" in each.expected for each in told)
+    those = [each for each in findings(raw, plain(raw)) if each.kind == "stale"]
+    assert {"heading", "command_left"} <= {each.about for each in those} and "yaw_rate" not in [x.about for x in those]
+    assert all(each.key == "" and "sort the rows" in each.expected for each in those)
 
 
 def test_speeds_before_their_commands_say_what_to_do():
@@ -143,5 +143,5 @@ def test_speeds_before_their_commands_say_what_to_do():
         return {name: log[name]._replace(time=log[name].time + 60) for name in COMMANDS}
 
     raw = changed(boats("heron", 0, 0.25), late)
-    (found,) = (each for each in findings(raw, plain(raw)) if each.kind == "delay")
-    assert found.key == "" and "to the stamps of the speed" in found.expected
+    (finding,) = (each for each in findings(raw, plain(raw)) if each.kind == "delay")
+    assert finding.key == "" and "to the stamps of the speed" in finding.expected

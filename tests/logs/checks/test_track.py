@@ -90,8 +90,8 @@ MISTAKES = {
 @pytest.mark.parametrize("name", MISTAKES)
 def test_a_wrong_position_is_named_with_its_key(name, local):
     change, kind, key = MISTAKES[name]
-    ((told, _, fix),) = found(changed(local, change), LOCAL, TOP["heron"])
-    assert told == kind and fix.startswith(key)
+    ((stated, _, fix),) = found(changed(local, change), LOCAL, TOP["heron"])
+    assert stated == kind and fix.startswith(key)
     if kind in ("heading offset", "position axes"):  # nothing tells which of both is wrong
         assert " or data.channels." in fix
 
@@ -116,8 +116,8 @@ def test_the_position_of_another_boat_is_told(local):
 @pytest.mark.thorough
 def test_a_position_that_freezes_is_told_with_its_time(local, drifting):
     for recordings, channels, name in ((local, LOCAL, "east"), (drifting, GLOBAL, "longitude")):
-        told = check_data(changed(recordings, frozen(name, 200, 320)), None, ALIGN, 2.74, channels)
-        (only,) = (each for each in told if each.kind == "frozen")
+        findings = check_data(changed(recordings, frozen(name, 200, 320)), None, ALIGN, 2.74, channels)
+        (only,) = (each for each in findings if each.kind == "frozen")
         assert only.about == name and "from 20" in only.found and "speed and heading say" in only.found
 
 
@@ -138,8 +138,8 @@ GEOGRAPHIC = {
 @pytest.mark.parametrize("name", GEOGRAPHIC)
 def test_latitude_longitude_and_velocities(name, drifting):
     change, kind, key = GEOGRAPHIC[name]
-    told = found(changed(drifting, change), GLOBAL, 2.74)
-    assert [each[0] for each in told] == [kind] and told[0][2].startswith(key)
+    findings = found(changed(drifting, change), GLOBAL, 2.74)
+    assert [each[0] for each in findings] == [kind] and findings[0][2].startswith(key)
 
 
 def test_degrees_that_are_read_as_radians_are_told(drifting):
@@ -151,19 +151,19 @@ def test_degrees_that_are_read_as_radians_are_told(drifting):
 def test_a_sway_to_port_or_in_knots_is_told(drifting):
     right = changed(drifting, with_sway)
     assert found(right, SIDEWAYS, 2.74) == []
-    told = found(changed(right, times(-1, SWAY)), SIDEWAYS, 2.74)
-    assert told == [("sway sense", "sway", "data.channels.sway.span=-1")]
+    findings = found(changed(right, times(-1, SWAY)), SIDEWAYS, 2.74)
+    assert findings == [("sway sense", "sway", "data.channels.sway.span=-1")]
     ((kind, _, key),) = found(changed(right, times(1 / KNOT, SWAY)), SIDEWAYS, 2.74)
     assert kind == "sway unit" and abs(float(key.removeprefix("data.channels.sway.span=")) - 1.94) < 0.1
 
 
 def test_a_heading_is_checked_against_a_logged_course(drifting):
-    own = [one._replace(channels=without_position({**one.channels, **with_course(one.channels)})) for one in drifting]
+    logs = [one._replace(channels=without_position({**one.channels, **with_course(one.channels)})) for one in drifting]
     channels = {**BOTH, "surge": {"name": "u"}, "ground_speed": {"name": "sog"}, "course": {"name": "cog"}}
-    assert found(own, channels, 2.74) == []
-    told = found(changed(own, counter_clockwise), channels, 2.74)
-    assert ("heading sense", "heading", "data.channels.heading.unit=enu_deg") in told
-    assert not any(kind.startswith("position") for kind, *_ in told)
+    assert found(logs, channels, 2.74) == []
+    findings = found(changed(logs, counter_clockwise), channels, 2.74)
+    assert ("heading sense", "heading", "data.channels.heading.unit=enu_deg") in findings
+    assert not any(kind.startswith("position") for kind, *_ in findings)
 
 
 def test_short_logs_with_positions_are_left_in_peace():

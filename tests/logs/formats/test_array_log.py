@@ -57,9 +57,9 @@ def test_a_dictionary_and_a_table_with_units_give_the_same():
         "heading": {"name": "psi"}, "surge": {"name": "v"},
     }  # fmt: skip
     units = {"time": "ms", "heading": "deg", "surge": "knots"}
-    found = usvlearn.read(Frame(raw), time="stamp", units=units, channels=channels, boat="otter")
-    (left, right) = (each.runs[0].columns for each in (logs, found))
-    assert found.boats == ("otter",) and all(
+    table = usvlearn.read(Frame(raw), time="stamp", units=units, channels=channels, boat="otter")
+    (left, right) = (each.runs[0].columns for each in (logs, table))
+    assert table.boats == ("otter",) and all(
         left[name] == pytest.approx(right[name], abs=1e-9, nan_ok=True) for name in left
     )
 
@@ -83,9 +83,9 @@ def test_date_times_lists_forces_and_derived_speeds():
     mixed = {"name": ["X", "N"], "unit": ["N", "N·m"], "span": [400, 80]}
     sides = {f"command_{side}": mixed | {"weight": [1, way]} for side, way in (("left", 1), ("right", -1))}
     turned = {"velocity_north": np.cos(0.05 * T), "velocity_east": np.sin(0.05 * T)}
-    found = usvlearn.read(wrench | turned, channels=sides).runs[0].columns
-    assert np.abs(found["command_right"]).max() < 1e-9 < np.abs(found["command_left"]).max() < 0.51
-    assert np.nanmedian(found["surge"]) == pytest.approx(1)
+    columns = usvlearn.read(wrench | turned, channels=sides).runs[0].columns
+    assert np.abs(columns["command_right"]).max() < 1e-9 < np.abs(columns["command_left"]).max() < 0.51
+    assert np.nanmedian(columns["surge"]) == pytest.approx(1)
 
 
 @pytest.mark.thorough
@@ -142,10 +142,10 @@ BAD = {
 
 @pytest.mark.parametrize("name", BAD)
 def test_what_is_wrong_is_one_sentence_without_numbers(name):
-    changes, told = BAD[name]
+    changes, text = BAD[name]
     message = refused(ConfigError, lambda: usvlearn.read(**{**ALL, **changes}))
     assert np.array([0.5]).__repr__() not in message and "array([" not in message
-    with pytest.raises(ConfigError, match=told):
+    with pytest.raises(ConfigError, match=text):
         usvlearn.read(**{**ALL, **changes})
 
 
@@ -191,8 +191,8 @@ def test_what_is_masked_is_no_value(kind):
         "nullable": lambda: Column(np.where(HOLES, None, surge), junk),
     }[kind]()
     expected = usvlearn.read(**ALL | {"surge": np.where(HOLES, np.nan, surge)})
-    found = usvlearn.read(**ALL | {"surge": given})
-    assert same(expected, found) and found.rejected["boat"]["surge"]["empty"] == HOLES.sum()
+    log = usvlearn.read(**ALL | {"surge": given})
+    assert same(expected, log) and log.rejected["boat"]["surge"]["empty"] == HOLES.sum()
 
 
 @pytest.mark.parametrize("values", [SI["surge"] > 1, SI["surge"].astype(str)], ids=["booleans", "text"])

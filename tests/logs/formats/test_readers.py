@@ -255,9 +255,9 @@ def test_rosbag_config_reads_a_heron(tmp_path):
 
 
 def test_rosbag_reads_ros2_and_elements_of_arrays(tmp_path):
-    made = ros2_types()
-    layout = made["MultiArrayLayout"](dim=[], data_offset=0)
-    arrays = (made["Float64MultiArray"](layout=layout, data=np.array([k, -2.0 * k])) for k in range(3))
+    types = ros2_types()
+    layout = types["MultiArrayLayout"](dim=[], data_offset=0)
+    arrays = (types["Float64MultiArray"](layout=layout, data=np.array([k, -2.0 * k])) for k in range(3))
     path = write_ros2(tmp_path / "run", ((k * NS, "/thrust", each) for k, each in enumerate(arrays)))
     channel, _ = one(Rosbag(), path, name="thrust", field="data.1")
     np.testing.assert_array_equal(channel.value, [0, -2, -4])

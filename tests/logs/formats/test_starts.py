@@ -64,8 +64,8 @@ def shared(path):
 def test_two_boats_in_two_files_of_the_same_minutes_are_found(tmp_path, first, second, told):
     for name, begin in (("anna", first), ("bert", second)):
         write(tmp_path / f"{name}.csv", "time,id,l,r,psi,v\n" + "".join(rows(len(name), begin, 7)))
-    found = shared(tmp_path)
-    assert len(found) == told and all("anna and bert are of the same" in each for each in found)
+    findings = shared(tmp_path)
+    assert len(findings) == told and all("anna and bert are of the same" in each for each in findings)
 
 
 @pytest.mark.filterwarnings("ignore:.*the stamps jump back")

@@ -71,8 +71,8 @@ def test_the_printed_line_reads_any_path(run, log, folder):
     line = next(each for each in printed.out.splitlines() if "usvlearn train" in each)
     *_, given = shlex.split(line)  # as a POSIX shell does
     (override,) = with_data_files([given])
-    found = OverridesParser.create().parse_override(override).value()
-    assert getattr(found, "text", found) == str(Path(folder, "b.yaml").resolve())
+    value = OverridesParser.create().parse_override(override).value()
+    assert getattr(value, "text", value) == str(Path(folder, "b.yaml").resolve())
 
 
 def test_missing_channels_are_told_with_a_configuration_of_their_format(run, tmp_path):
@@ -156,11 +156,11 @@ BAD = {
 def test_bad_input_is_told_in_one_sentence(run, tmp_path, name):
     BAD[name](tmp_path / name)
     code, printed = run(tmp_path / name)
-    told = complaints(printed.err)
+    text = complaints(printed.err)
     assert code == 2
-    assert told.count("\n") == 1, told
-    assert told.startswith("error: ")
-    assert name in told
+    assert text.count("\n") == 1, text
+    assert text.startswith("error: ")
+    assert name in text
 
 
 def test_a_missing_log_is_told(run, tmp_path):
@@ -225,8 +225,8 @@ def test_columns_of_one_name_are_told(run, log):
     lines = log.read_text().splitlines()
     Path("twice.csv").write_text("\n".join([f"{lines[0]},speed,speed", *(f"{each},1,2" for each in lines[1:])]))
     _, printed = run("twice.csv")
-    told = " ".join(printed.out.split())
-    assert told.count("several columns are called 'speed', and none of them is taken") == 1
+    text = " ".join(printed.out.split())
+    assert text.count("several columns are called 'speed', and none of them is taken") == 1
 
 
 def test_a_folder_of_tables_with_the_suffix_of_text(run, tmp_path, log):

@@ -63,22 +63,22 @@ def concluded(table: dict[str, np.ndarray]):
 
 def trapped(table: dict[str, np.ndarray], trap: str) -> dict[str, np.ndarray]:
     swapped, left, right = TRAPS[trap]
-    own = {NAMES[0]: left * table[NAMES[0]], NAMES[1]: right * table[NAMES[1]]}
+    columns = {NAMES[0]: left * table[NAMES[0]], NAMES[1]: right * table[NAMES[1]]}
     if swapped:
-        own = {NAMES[0]: own[NAMES[1]], NAMES[1]: own[NAMES[0]]}
-    return {**table, **own}
+        columns = {NAMES[0]: columns[NAMES[1]], NAMES[1]: columns[NAMES[0]]}
+    return {**table, **columns}
 
 
-def judged(found, trap: str) -> tuple[bool, bool, bool, bool]:
+def judged(seen, trap: str) -> tuple[bool, bool, bool, bool]:
     """Whether the sides are right, and the signs; and whether each is listed under Please check."""
     swapped, *signs = TRAPS[trap]
     names = NAMES[::-1] if swapped else NAMES
     true = dict(zip(names, signs, strict=True))
-    own = [found.channels[name] for name in ("command_left", "command_right")]
-    unsure = {each.what for each in found.decisions if each.certainty == "unsure" and each.channel.startswith("comm")}
+    keys = [seen.channels[name] for name in ("command_left", "command_right")]
+    unsure = {each.what for each in seen.decisions if each.certainty == "unsure" and each.channel.startswith("comm")}
     right = (
-        [each["name"] for each in own] == list(names),
-        all(math.copysign(1, each["span"]) == true[each["name"]] for each in own),
+        [each["name"] for each in keys] == list(names),
+        all(math.copysign(1, each["span"]) == true[each["name"]] for each in keys),
     )
     return *right, "series" in unsure, "sign" in unsure
 
@@ -87,14 +87,14 @@ def test_a_boat_that_holds_its_speed_is_not_taken_for_reversed(tmp_path):
     table = steady()
     both = table["pwm_left"] + table["pwm_right"]
     assert np.corrcoef(both, table["speed"])[0, 1] < -0.9
-    found = inspect_logs([str(write_table(tmp_path / "steady.csv", table))])
-    own = found.settings["data"]["channels"]
-    assert [own[f"command_{side}"]["name"] for side in ("left", "right")] == ["pwm_left", "pwm_right"]
-    assert min(own[f"command_{side}"]["span"] for side in ("left", "right")) > 0
-    reasons = [each.reason for each in found.decisions]
+    result = inspect_logs([str(write_table(tmp_path / "steady.csv", table))])
+    channels = result.settings["data"]["channels"]
+    assert [channels[f"command_{side}"]["name"] for side in ("left", "right")] == ["pwm_left", "pwm_right"]
+    assert min(channels[f"command_{side}"]["span"] for side in ("left", "right")) > 0
+    reasons = [each.reason for each in result.decisions]
     assert not any("nan" in each.replace(".", " ").split() or "reversed:" in each for each in reasons)
-    listed = [each for each in found.decisions if each.certainty == "unsure" and each.channel == "command_left"]
-    assert {"series", "sign"} & {each.what for each in listed} or own["command_left"]["span"] == 400
+    listed = [each for each in result.decisions if each.certainty == "unsure" and each.channel == "command_left"]
+    assert {"series", "sign"} & {each.what for each in listed} or channels["command_left"]["span"] == 400
 
 
 @pytest.mark.parametrize("trap", TRAPS)
@@ -110,10 +110,10 @@ def test_what_is_wrong_is_never_silent(trap, minutes, kind):
 
 @pytest.mark.parametrize("trap", TRAPS)
 def test_a_long_log_tells_sides_and_signs(trap):
-    found = concluded(trapped(columns(voyage(33, "vtec", 20.0)), trap))
-    assert judged(found, trap)[:2] == (True, True)
+    proposal = concluded(trapped(columns(voyage(33, "vtec", 20.0)), trap))
+    assert judged(proposal, trap)[:2] == (True, True)
     overruled = TRAPS[trap][0], min(TRAPS[trap][1:]) < 0
-    assert judged(found, trap)[2:] == overruled  # listed where names, or habit, are overruled, and nowhere else
+    assert judged(proposal, trap)[2:] == overruled  # listed where names, or habit, are overruled, and nowhere else
 
 
 @pytest.mark.parametrize("names", [("throttle", "steering"), ("throttle", "rudder"), ("tau_x", "tau_n")])
@@ -121,31 +121,31 @@ def test_a_long_log_tells_sides_and_signs(trap):
 def test_a_throttle_of_both_sides_that_is_reversed_is_found_and_listed(names, ahead):
     table = columns(voyage(34, "vtec", 10.0))
     left, right = (table.pop(name) for name in NAMES)
-    found = concluded({**table, names[0]: ahead * (left + right) / 2, names[1]: (left - right) / 2})
+    proposal = concluded({**table, names[0]: ahead * (left + right) / 2, names[1]: (left - right) / 2})
     for name, way in (("command_left", 1), ("command_right", -1)):
-        own = found.channels[name]
-        signs = own.get("weight", [math.copysign(1, np.max(own["span"]))])
+        channel = proposal.channels[name]
+        signs = channel.get("weight", [math.copysign(1, np.max(channel["span"]))])
         assert signs == ([ahead] if names[1] == "rudder" else [ahead, way])
-    told = {each.certainty for each in found.decisions if each.what == "sign"}
-    assert (told == {"unsure"}) == (ahead < 0)
-    assert {each.value for each in found.decisions if each.what == "sign"} == {
+    certainties = {each.certainty for each in proposal.decisions if each.what == "sign"}
+    assert (certainties == {"unsure"}) == (ahead < 0)
+    assert {each.value for each in proposal.decisions if each.what == "sign"} == {
         "positive ahead" if ahead > 0 else "reversed"
     }
 
 
 def test_a_reason_gives_the_signs_that_were_decided():
-    found = concluded(trapped(columns(voyage(33, "vtec", 20.0)), "swapped and reversed"))
-    (reason,) = {each.reason for each in found.decisions if each.what == "sign"}
-    told = [[float(part.split()[-2]) for part in side.split(",")] for side in reason.partition(": ")[2].split(";")]
-    assert np.sign(told).tolist() == [[-1, -1], [-1, 1]]
+    proposal = concluded(trapped(columns(voyage(33, "vtec", 20.0)), "swapped and reversed"))
+    (reason,) = {each.reason for each in proposal.decisions if each.what == "sign"}
+    signs = [[float(part.split()[-2]) for part in side.split(",")] for side in reason.partition(": ")[2].split(";")]
+    assert np.sign(signs).tolist() == [[-1, -1], [-1, 1]]
     assert "likely" not in reason
 
 
 def test_a_latitude_on_a_straight_line_is_no_clock():
     table = steady()
     table["lat"] = 48.5 + 1.2e-5 * table["time"]
-    (found,) = (each for each in candidates([Series("lat", None, table["time"], table["lat"], np.arange(2400))]))
-    assert found.is_clock
+    (candidate,) = (each for each in candidates([Series("lat", None, table["time"], table["lat"], np.arange(2400))]))
+    assert candidate.is_clock
     assert concluded(table).channels["latitude"]["name"] == "lat"
 
 
@@ -158,9 +158,9 @@ def test_commands_without_a_sign_of_a_boat_that_goes_astern_are_asked(gear, size
 
     boat = sail(4)
     gears = {f"{gear}_{name}": np.sign(boat[name[0]]) for name in ("left", "right") if gear}
-    found = next(each for each in concluded(table(boat) | gears).decisions if each.what == "sign")
-    assert found.certainty == "unsure"
-    assert (", ".join(gears) if gear else "the speed is astern in") in found.reason
+    decision = next(each for each in concluded(table(boat) | gears).decisions if each.what == "sign")
+    assert decision.certainty == "unsure"
+    assert (", ".join(gears) if gear else "the speed is astern in") in decision.reason
     assert told(concluded(table(sail(4, lowest=0.0))))["command_left", "sign"][1] != "unsure"
 
 
@@ -172,16 +172,16 @@ def test_commands_without_names_are_found_whatever_their_sense(sign, names, part
     boat = strangers.sail(6, lowest=0.0)
     axes = (boat["l"], boat["r"]) if parts else (boat["l"] - boat["r"], (boat["l"] + boat["r"]) / 2)
     pair = {name: sign * each for name, each in zip(names, axes, strict=True)}
-    found = strangers.concluded(boat, heading=boat["hdg"], speed=boat["u"], **pair)
-    assert not found.missing and "position" not in {each.channel for each in found.decisions}
-    assert {math.copysign(1, found.channels[side]["span"]) for side in ("command_left", "command_right")} == {sign}
-    assert not parts or (found.channels["command_left"]["name"], found.channels["command_right"]["name"]) == names
-    assert strangers.told(found)["command_left", "series"][1] == "unsure"
+    proposal = strangers.concluded(boat, heading=boat["hdg"], speed=boat["u"], **pair)
+    assert not proposal.missing and "position" not in {each.channel for each in proposal.decisions}
+    assert {math.copysign(1, proposal.channels[side]["span"]) for side in ("command_left", "command_right")} == {sign}
+    assert not parts or (proposal.channels["command_left"]["name"], proposal.channels["command_right"]["name"]) == names
+    assert strangers.told(proposal)["command_left", "series"][1] == "unsure"
 
 
 @pytest.mark.parametrize(("name", "role"), [("heading", "hdg"), ("speed", "u")])
 def test_a_state_that_never_changes_is_named(name, role):
     boat = strangers.sail(4)
     states = {"heading": boat["hdg"], "speed": boat["u"]} | {name: 0 * boat[role] + 45}
-    found = strangers.concluded(boat, left=boat["l"], right=boat["r"], **states)
-    assert found.unfit.startswith(f"'{name}' is always 45")
+    proposal = strangers.concluded(boat, left=boat["l"], right=boat["r"], **states)
+    assert proposal.unfit.startswith(f"'{name}' is always 45")

@@ -13,15 +13,15 @@ from usvlearn.logs.inspection.vocabulary import WORDS, fit, side, unit_word
 
 def proposed(folder, swap=False, **names):
     """What is proposed for a log whose commands have these names."""
-    log, own = voyage(0, minutes=4.0), {"thrust_left": None, "thrust_right": None}
+    log, named = voyage(0, minutes=4.0), {"thrust_left": None, "thrust_right": None}
     for name, told_of in names.items():
         sides = [each if not swap else "right" if each == "left" else "left" for each in told_of.split()]
-        own[name] = sum(log.at(f"command_{each}", rows(log)) for each in sides) / len(sides)
-    return inspect_logs([str(write_table(folder / "a.csv", columns(log, **own)))]).proposal
+        named[name] = sum(log.at(f"command_{each}", rows(log)) for each in sides) / len(sides)
+    return inspect_logs([str(write_table(folder / "a.csv", columns(log, **named)))]).proposal
 
 
-def told(found, what):
-    return {each.channel: each for each in found.decisions if each.what == what}
+def told(proposal, what):
+    return {each.channel: each for each in proposal.decisions if each.what == what}
 
 
 NAMES = [
@@ -36,21 +36,21 @@ NAMES = [
 
 @pytest.mark.parametrize(("left", "right"), few(NAMES, NAMES[:3], "thorough"))
 def test_both_sides_are_found_by_name(tmp_path, left, right):
-    found = proposed(tmp_path, **{left: "left", right: "right"})
-    assert (found.channels["command_left"]["name"], found.channels["command_right"]["name"]) == (left, right)
-    assert told(found, "series")["command_left"].reason.startswith("by name")
+    proposal = proposed(tmp_path, **{left: "left", right: "right"})
+    assert (proposal.channels["command_left"]["name"], proposal.channels["command_right"]["name"]) == (left, right)
+    assert told(proposal, "series")["command_left"].reason.startswith("by name")
 
 
 def test_sides_that_the_boat_contradicts_are_swapped_against_their_names(tmp_path):
-    found = proposed(tmp_path, swap=True, left="left", right="right")
-    assert found.channels["command_left"]["name"] == "right"
-    series = told(found, "series")["command_left"]
+    proposal = proposed(tmp_path, swap=True, left="left", right="right")
+    assert proposal.channels["command_left"]["name"] == "right"
+    series = told(proposal, "series")["command_left"]
     assert (series.certainty, series.reason.partition(":")[0]) == ("unsure", "swapped against the names")
 
 
 def test_a_thruster_in_the_middle_is_told(tmp_path):
-    found = proposed(tmp_path, thr_left="left", thr_mid="left right", thr_right="right")
-    series = told(found, "series")["command_left"]
+    proposal = proposed(tmp_path, thr_left="left", thr_mid="left right", thr_right="right")
+    series = told(proposal, "series")["command_left"]
     assert series.certainty == "unsure"
     assert "thr_mid is on neither side" in series.reason
     assert series.alternatives[0] == "[thr_left, thr_mid]"
@@ -82,8 +82,8 @@ def test_a_table_in_a_language_is_understood(tmp_path, language):
         heading: np.degrees(sailed.at("heading", time)), speed: PER_SECOND[unit] * sailed.at("surge", time),
         "vind": np.sin(time), "batteri": 24 - time / 1e3,
     })  # fmt: skip
-    found = inspect_logs([str(path)])
-    channels = found.proposal.channels
+    result = inspect_logs([str(path)])
+    channels = result.proposal.channels
     named = {name: channels[name]["name"] for name in ("command_left", "command_right", "heading", "surge")}
     assert named == {"command_left": left, "command_right": right, "heading": heading, "surge": speed}
     assert (channels["surge"]["unit"], channels["heading"]["unit"]) == (unit, "deg")

@@ -91,10 +91,10 @@ def test_a_confirmed_file_is_the_same_elsewhere(found, tmp_path, end):
     lines = [*found.text.splitlines(), "  # mine", ""]
     path.write_bytes(end.join(lines).encode())
     first, second, *rest = found.settings[SECTION]
-    told = list(confirm([str(path)], [f"{first}, {second}"]))
-    kept = [each for each in lines if not each.startswith((f"  {first}: {{", f"  {second}: {{"))]
-    assert path.read_bytes() == end.join(kept).encode() and len(kept) == len(lines) - 2
-    assert f"{len(rest)} guess" in told[1] and "--confirm KEY" in told[1] and "it'\"'\"'s.yaml" in told[1]
+    said = list(confirm([str(path)], [f"{first}, {second}"]))
+    expected = [each for each in lines if not each.startswith((f"  {first}: {{", f"  {second}: {{"))]
+    assert path.read_bytes() == end.join(expected).encode() and len(expected) == len(lines) - 2
+    assert f"{len(rest)} guess" in said[1] and "--confirm KEY" in said[1] and "it'\"'\"'s.yaml" in said[1]
     with pytest.raises(ConfigError, match=f"found '{first}', expected one of {', '.join(rest)}, all"):
         list(confirm([str(path)], [first]))
     assert list(confirm([str(path)], ["all"]))[1] == "Nothing is open any more."
@@ -136,9 +136,9 @@ def test_what_cannot_be_removed_by_line_is_left_as_it_is(tmp_path):
             list(confirm(files, ["mass"]))
 
 
-def shown(found, width, whole=False):
+def shown(result, width, whole=False):
     console = Console(file=io.StringIO(), width=width, markup=False)
-    table_view.show(found, "my_boat.yaml", console, whole)
+    table_view.show(result, "my_boat.yaml", console, whole)
     return console.file.getvalue().splitlines()
 
 
@@ -172,10 +172,10 @@ def test_the_delay_that_is_written_is_checked(tmp_path):
     after = {name: np.interp(boat["time"] - 2.5, boat["time"], boat[name]) for name in ("u", "lat", "lon")}
     columns = {"time": boat["time"], "left": boat["l"], "right": boat["r"], "heading": boat["hdg"], "speed": after["u"]}
     path = write_table(tmp_path / "a.csv", columns | {"lat": after["lat"], "lon": after["lon"]})
-    found = inspect_logs([str(path)])
-    assert abs(found.lag.delay - 2.5) <= 0.5
-    assert {one.channels["command_left"].delay for one in found.recordings} == {found.lag.delay}
-    (told,) = (each for each in found.findings if each.kind == "delay")
-    assert f"take {found.lag.delay:g} s from the stamps of the speed" in told.sentence()
-    (asked,) = {each for each in found.decisions if each.what == "delay" and each.channel == "command_left"}
+    result = inspect_logs([str(path)])
+    assert abs(result.lag.delay - 2.5) <= 0.5
+    assert {one.channels["command_left"].delay for one in result.recordings} == {result.lag.delay}
+    (finding,) = (each for each in result.findings if each.kind == "delay")
+    assert f"take {result.lag.delay:g} s from the stamps of the speed" in finding.sentence()
+    (asked,) = {each for each in result.decisions if each.what == "delay" and each.channel == "command_left"}
     assert asked.certainty == "unsure" and "Clocks that differ look the same" in asked.reason

@@ -16,8 +16,8 @@ from usvlearn.logs.inspection.lag import DELAYS, choose
 
 
 def inspected(folder: Path, shape: Shape, seed: int = 0, minutes: float = 6.0, **options) -> tuple[Inspected, Score]:
-    found = inspect_logs([str(shape.write(folder, voyage(seed, minutes=minutes, **{**shape.options, **options})))])
-    return found, score(found.proposal.channels, certainties(found.decisions), shape.truth)
+    result = inspect_logs([str(shape.write(folder, voyage(seed, minutes=minutes, **{**shape.options, **options})))])
+    return result, score(result.proposal.channels, certainties(result.decisions), shape.truth)
 
 
 @pytest.fixture(scope="module")
@@ -28,10 +28,10 @@ def scored(tmp_path_factory):
 
 @pytest.mark.parametrize("name", few(SHAPES, [*SHAPES][1::2], "thorough"))
 def test_a_shape_is_read_as_it_was_written(scored, name):
-    found, result = scored(name)
+    read, result = scored(name)
     assert result.wrong == []
     assert len(result.right) >= 0.9 * sum(map(len, result)), result.unsure
-    assert len(found.recordings) == 1
+    assert len(read.recordings) == 1
 
 
 @pytest.mark.thorough
@@ -48,44 +48,44 @@ def test_it_is_never_sure_of_what_is_wrong(scored, name):
 
 @pytest.mark.parametrize("name", ["tenths", "hundredths", "gradians"])
 def test_a_heading_beyond_degrees_is_read_with_a_span(scored, name):
-    found, result = scored(name)
+    read, result = scored(name)
     assert {"heading unit", "heading span"} <= set(result.right)
-    own = found.recordings[0].channels["heading"]
-    assert np.abs(np.sin((own.value - voyage(0, minutes=6.0).at("heading", own.time + 0.5)) / 2)).max() < 0.01
+    heading = read.recordings[0].channels["heading"]
+    assert np.abs(np.sin((heading.value - voyage(0, minutes=6.0).at("heading", heading.time + 0.5)) / 2)).max() < 0.01
 
 
 def test_a_twist_that_follows_the_position_is_the_speed(scored):
-    found, result = scored("odometry")
+    read, result = scored("odometry")
     assert {"surge name", "surge unit"} <= set(result.right)
-    assert "unsure" not in [each.certainty for each in found.decisions if each.channel == "surge"]
-    assert {"north", "east"} <= set(found.proposal.channels)
+    assert "unsure" not in [each.certainty for each in read.decisions if each.channel == "surge"]
+    assert {"north", "east"} <= set(read.proposal.channels)
 
 
 def test_a_top_speed_is_as_sure_as_the_unit_of_the_speed(scored):
-    found, _ = scored("feet")
-    sure = {each[:2]: each.certainty for each in found.decisions}
+    read, _ = scored("feet")
+    sure = {each[:2]: each.certainty for each in read.decisions}
     assert sure["vehicle", "surge_max"] == sure["surge", "unit"] == "unsure"
 
 
 @pytest.mark.thorough
 def test_a_long_delay_is_found_and_one_at_the_end_of_the_search_is_unsure(tmp_path):
-    own = columns(voyage(0))
+    table = columns(voyage(0))
     for side in ("thrust_left", "thrust_right"):
-        own[side] = np.interp(own["time"] + 3, own["time"], own[side])
-    found = inspect_logs([str(write_table(tmp_path / "a.csv", own))])
-    assert 2.75 <= found.lag.delay <= 3.25
+        table[side] = np.interp(table["time"] + 3, table["time"], table[side])
+    result = inspect_logs([str(write_table(tmp_path / "a.csv", table))])
+    assert 2.75 <= result.lag.delay <= 3.25
     falling = 2 - np.array(DELAYS)[:, None] + np.random.default_rng(0).uniform(0, 0.1, (1, 500))
     assert choose(falling)[:4] == (1.0, (1.0,), 1.0, False)
 
 
 def test_the_recordings_have_the_simulated_values(scored):
     """Read back through the proposed units, zeros and spans, a log has the values that were exported."""
-    found, _ = scored("reversed")
-    own, true = found.recordings[0].channels, voyage(0, minutes=6.0)
+    read, _ = scored("reversed")
+    channels, true = read.recordings[0].channels, voyage(0, minutes=6.0)
     for name, tolerance in (("command_left", 0.002), ("command_right", 0.002), ("surge", 1e-6), ("yaw_rate", 1e-6)):
-        time = own[name].time + 0.5  # the table begins there
-        assert np.abs(own[name].value - true.at(name, time)).max() <= tolerance, name
-    turned = own["heading"].value - true.at("heading", own["heading"].time + 0.5)
+        time = channels[name].time + 0.5  # the table begins there
+        assert np.abs(channels[name].value - true.at(name, time)).max() <= tolerance, name
+    turned = channels["heading"].value - true.at("heading", channels["heading"].time + 0.5)
     assert np.abs(np.sin(turned)).max() < 1e-6
 
 

@@ -24,8 +24,8 @@ def placed(boat, noise=0.0):
 @pytest.mark.parametrize("factor", [1.0, 0.93, 1.07])
 def test_a_scale_that_is_a_little_wrong_is_found_where_the_boat_turns(factor, noise):
     boat = sail(8, lowest=0.0)
-    found = driven(boat, speed=factor * boat["u"], **placed(boat, noise=noise))
-    assert told(found)["surge", "unit"] == ("m/s", "certain" if factor == 1 else "unsure")
+    proposal = driven(boat, speed=factor * boat["u"], **placed(boat, noise=noise))
+    assert told(proposal)["surge", "unit"] == ("m/s", "certain" if factor == 1 else "unsure")
 
 
 def steered(seed=0, minutes=6, rate=math.inf):
@@ -51,9 +51,9 @@ def steered(seed=0, minutes=6, rate=math.inf):
 @pytest.mark.parametrize("name", ["speed", "vitesse", "v"])
 def test_a_setpoint_is_no_speed_beside_a_position(name, rate):
     boat = steered(rate=rate)
-    found = driven(boat, **{name: boat["ref"]}, **placed(boat))
-    assert "surge" not in found.channels
-    (told_of,) = (each for each in found.decisions if each.channel == "surge")
+    proposal = driven(boat, **{name: boat["ref"]}, **placed(boat))
+    assert "surge" not in proposal.channels
+    (told_of,) = (each for each in proposal.decisions if each.channel == "surge")
     assert told_of.reason.startswith(f"{name} is constant for long")
 
 
@@ -66,8 +66,8 @@ def test_a_setpoint_without_a_position_is_asked(factor):
 @pytest.mark.parametrize(("name", "measured"), [("speed", "v_filt"), ("velocity", "gps_v"), ("spd", "dvl_x")])
 def test_what_follows_a_setpoint_is_the_speed_and_both_are_named(name, measured):
     boat = steered(2)
-    found = driven(boat, **{name: boat["ref"], measured: boat["u"]})
-    (series,) = (each for each in found.decisions if each[:2] == ("surge", "series"))
+    proposal = driven(boat, **{name: boat["ref"], measured: boat["u"]})
+    (series,) = (each for each in proposal.decisions if each[:2] == ("surge", "series"))
     assert (series.value, series.certainty, series.alternatives) == (measured, "unsure", (name,))
     named = driven(boat, **{name: boat["ref"]}, ist_speed=boat["u"])
     assert told(named)["surge", "series"] == ("ist_speed", "probable")
@@ -88,8 +88,8 @@ def test_the_unit_of_a_speed_over_ground_is_known_in_a_current(current, factor):
     heading, speed = np.cumsum(0.2 * turn), 1.3 + 0.5 * np.sin(time / 11)
     rate = speed * np.exp(1j * heading) + current
     places = [(time, np.cumsum(0.2 * part)) for part in (rate.real, rate.imag)]
-    found = speed_on_positions(*places, (time, factor * np.abs(rate)), (time, heading))
-    assert abs(found.slope / factor - 1) < 0.02
+    relation = speed_on_positions(*places, (time, factor * np.abs(rate)), (time, heading))
+    assert abs(relation.slope / factor - 1) < 0.02
 
 
 @pytest.mark.parametrize(
@@ -98,11 +98,11 @@ def test_the_unit_of_a_speed_over_ground_is_known_in_a_current(current, factor):
 )
 def test_a_speed_that_is_negative_ahead_is_read_with_a_span(name, factor, place):
     boat = sail(6)
-    own = {**boat, "north": boat["n"], "east": boat["e"]}
-    track = {each: own[each] for each in place}
-    found = driven(boat, **{name: factor * boat["u"]}, **track)
-    assert (found.channels["surge"]["span"], told(found)["surge", "span"]) == (-1, ("-1", "probable"))
-    assert told(found)["command_left", "sign"] == ("positive ahead", "certain")
+    columns = {**boat, "north": boat["n"], "east": boat["e"]}
+    track = {each: columns[each] for each in place}
+    proposal = driven(boat, **{name: factor * boat["u"]}, **track)
+    assert (proposal.channels["surge"]["span"], told(proposal)["surge", "span"]) == (-1, ("-1", "probable"))
+    assert told(proposal)["command_left", "sign"] == ("positive ahead", "certain")
     assert "span" not in driven(boat, **{name: -factor * boat["u"]}, **track).channels["surge"]
 
 
@@ -115,9 +115,9 @@ def sailed(latitude: float, longitude: float, names=("lat", "lon"), seconds: flo
     north, east = (np.cumsum(0.2 * speed * f(course)) for f in (np.cos, np.sin))
     place = latitude + north / METRES, longitude + east / METRES / np.cos(np.radians(latitude))
     pool = [Candidate(name, None, "", "", TIME, value) for name, value in zip(names, place, strict=True)]
-    (found,) = find_places(pool)
-    kept = seconds > TIME
-    return found, Candidate("speed", None, "", "", TIME[kept], speed[kept])
+    (places,) = find_places(pool)
+    part = seconds > TIME
+    return places, Candidate("speed", None, "", "", TIME[part], speed[part])
 
 
 @pytest.mark.parametrize("latitude", [-33.9, 21.0, 48.5, 60.0])
@@ -125,8 +125,8 @@ def test_the_speed_tells_latitude_from_longitude(latitude):
     places, speed = sailed(latitude, 9.0)
     assert interchanged(places, [speed]) == (places, False)
     places, speed = sailed(latitude, 9.0, ("lon", "lat"))
-    found, doubtful = interchanged(places, [speed])
-    assert (found.first.label, found.second.label, doubtful) == ("lon", "lat", False)
+    right, doubtful = interchanged(places, [speed])
+    assert (right.first.label, right.second.label, doubtful) == ("lon", "lat", False)
 
 
 def test_no_speed_and_one_of_a_few_seconds_cast_no_doubt():
@@ -145,15 +145,15 @@ def test_a_ros_twist_stays_in_its_unit_and_the_factor_is_said(kind, slope):
         relation = Relation(slope, 0.98, 0.01, 0.0, 600.0)
         return read_speed(Candidate("v", "x", "", kind, TIME, np.sin(TIME)), relation, "ROS 2 (MCAP)", 3.0)
 
-    found = speed(kind, slope)
-    assert (found.unit, found.certainty) == ("m/s", "unsure") and f"but {slope:.3g} × the rate" in found.reason
-    assert found.alternatives[-1] == f"m/s, with span: {slope:.3g}" and by_other(found, speed("", 1.0)) == found
+    read = speed(kind, slope)
+    assert (read.unit, read.certainty) == ("m/s", "unsure") and f"but {slope:.3g} × the rate" in read.reason
+    assert read.alternatives[-1] == f"m/s, with span: {slope:.3g}" and by_other(read, speed("", 1.0)) == read
     assert (speed(kind, 1.02).unit, speed(kind, 1.02).certainty) == ("m/s", "certain")
     assert (speed("geometry_msgs/msg/Vector3", 1.94).unit, speed("", 1.94).certainty) == ("knots", "certain")
 
 
-def sources(found):
-    return {name: (each.get("unit"), each.get("span", 1.0)) for name, each in found.channels.items()}
+def sources(proposal):
+    return {name: (each.get("unit"), each.get("span", 1.0)) for name, each in proposal.channels.items()}
 
 
 @pytest.mark.parametrize(
@@ -165,10 +165,10 @@ def sources(found):
 def test_the_name_of_a_position_tells_its_unit(names, metres, speed):
     boat = sail(5, lowest=0.0)
     place = {name: boat[key] / metres for name, key in zip(names, "ne", strict=True)}
-    found = driven(boat, speed=speed * boat["u"], **place)
+    proposal = driven(boat, speed=speed * boat["u"], **place)
     scale = ("m", float(f"{1 / metres:.6g}"))
-    assert (sources(found)["north"], sources(found)["east"]) == (scale, scale)
-    (unit,) = (each for each in found.decisions if each[:2] == ("surge", "unit"))
+    assert (sources(proposal)["north"], sources(proposal)["east"]) == (scale, scale)
+    (unit,) = (each for each in proposal.decisions if each[:2] == ("surge", "unit"))
     assert (unit.value, unit.certainty) == (("m/s", "certain") if speed == 1 else ("ft/s", "unsure"))
     assert speed == 1 or unit.alternatives[0] == "km/h"
 
@@ -189,7 +189,7 @@ def test_a_longitude_beyond_100_degrees_is_no_degrees_and_minutes_and_is_told_wh
     shrunk = np.cos(np.radians(42.3)) / np.cos(np.radians(place[0]))
     lat, lon = place[0] + boat["lat"] - 42.3, place[1] + (boat["lon"] + 71.1) * shrunk
     for names in (("lat", "lon"), ("lon", "lat")):
-        found = driven(boat, speed=boat["u"], **dict(zip(names, (lat, lon), strict=True)))
-        kept = [found.channels[each] for each in ("latitude", "longitude")]
-        assert [(each["name"], each["unit"]) for each in kept] == [(name, "deg") for name in names]
-        assert told(found)["latitude", "series"][1] == ("certain" if names[0] == "lat" else "unsure")
+        proposal = driven(boat, speed=boat["u"], **dict(zip(names, (lat, lon), strict=True)))
+        channels = [proposal.channels[each] for each in ("latitude", "longitude")]
+        assert [(each["name"], each["unit"]) for each in channels] == [(name, "deg") for name in names]
+        assert told(proposal)["latitude", "series"][1] == ("certain" if names[0] == "lat" else "unsure")

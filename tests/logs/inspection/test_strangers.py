@@ -15,19 +15,19 @@ from usvlearn.logs.inspection.vocabulary import fit
 def test_what_drives_the_speed_alone_is_a_throttle_and_no_side(names):
     boat = sail(6)
     steer, throttle = 1500 + 300 * (boat["l"] - boat["r"]), 1500 + 200 * (boat["l"] + boat["r"])
-    found = concluded(boat, **dict(zip(names, (steer, throttle), strict=True)), heading=boat["hdg"], speed=boat["u"])
-    own = [found.channels[f"command_{side}"] for side in ("left", "right")]
-    assert own[0] == own[1]
-    assert own[0].get("field", own[0]["name"]) == names[1].split("__")[-1]
-    assert told(found)["command_left", "series"][1] == "unsure"
+    proposal = concluded(boat, **dict(zip(names, (steer, throttle), strict=True)), heading=boat["hdg"], speed=boat["u"])
+    both = [proposal.channels[f"command_{side}"] for side in ("left", "right")]
+    assert both[0] == both[1]
+    assert both[0].get("field", both[0]["name"]) == names[1].split("__")[-1]
+    assert told(proposal)["command_left", "series"][1] == "unsure"
 
 
 def test_two_rudders_and_two_motors_with_the_same_commands_are_no_sides():
     boat = sail(6)
     steer, throttle = 1500 + 300 * (boat["l"] - boat["r"]), 1500 + 200 * (boat["l"] + boat["r"])
     outputs = {"RCOU__C1": steer, "RCOU__C2": steer, "RCOU__C3": throttle, "RCOU__C4": throttle}
-    found = concluded(boat, **outputs, heading=boat["hdg"], speed=boat["u"])
-    assert {found.channels[f"command_{side}"]["field"] for side in ("left", "right")} == {"C3"}
+    proposal = concluded(boat, **outputs, heading=boat["hdg"], speed=boat["u"])
+    assert {proposal.channels[f"command_{side}"]["field"] for side in ("left", "right")} == {"C3"}
 
 
 @pytest.mark.parametrize("steering", [26.0, 73.0])
@@ -35,10 +35,10 @@ def test_the_parameters_of_an_autopilot_decide_first(tmp_path, steering):
     path, throttle = tmp_path / "a.bin", 70.0 if steering == 26 else 74.0
     functions = {"SERVO1_FUNCTION": steering, "SERVO3_FUNCTION": throttle}
     path.write_bytes(dataflash(80, PARAMETERS | functions))
-    found = inspect_logs([str(path)]).proposal
-    fields = [found.channels[f"command_{side}"]["field"] for side in ("left", "right")]
+    proposal = inspect_logs([str(path)]).proposal
+    fields = [proposal.channels[f"command_{side}"]["field"] for side in ("left", "right")]
     assert fields == (["throttle"] * 2 if steering == 26 else ["throttle_left", "throttle_right"])
-    assert told(found)["command_left", "span"] == ("1", "certain")
+    assert told(proposal)["command_left", "span"] == ("1", "certain")
 
 
 def test_the_known_messages_of_a_format_stand_before_backups_and_whole_degrees():
@@ -46,11 +46,11 @@ def test_the_known_messages_of_a_format_stand_before_backups_and_whole_degrees()
     whole, fine = np.round(boat["hdg"]), (boat["psi"] + np.pi) % (2 * np.pi) - np.pi
     north, east = (boat["u"] * each(boat["psi"]) for each in (np.cos, np.sin))
     ways = {"LOCAL_POSITION_NED__vx": north, "LOCAL_POSITION_NED__vy": east, "VFR_HUD__groundspeed": boat["sog"]}
-    found = concluded(boat, "MAVLink telemetry", AHRS2__yaw=fine, VFR_HUD__heading=whole, ATTITUDE__yaw=fine, **ways,
+    proposal = concluded(boat, "MAVLink telemetry", AHRS2__yaw=fine, VFR_HUD__heading=whole, ATTITUDE__yaw=fine, **ways,
                       cmd_left=boat["l"], cmd_right=boat["r"])  # fmt: skip
-    assert found.channels["heading"]["name"] == "ATTITUDE"
-    assert [found.channels[f"velocity_{way}"]["field"] for way in ("north", "east")] == ["vx", "vy"]
-    assert "surge" not in found.channels
+    assert proposal.channels["heading"]["name"] == "ATTITUDE"
+    assert [proposal.channels[f"velocity_{way}"]["field"] for way in ("north", "east")] == ["vx", "vy"]
+    assert "surge" not in proposal.channels
 
 
 def test_a_speed_without_a_sign_of_a_boat_that_goes_astern_is_replaced_or_told():
@@ -80,9 +80,9 @@ def test_a_boat_that_goes_astern_by_its_course_has_a_speed_by_both(names, seed, 
 def test_the_output_of_a_controller_is_the_speed_not_its_reference(names):
     boat = sail()
     wanted = 1.2 * (boat["u"] > 0.2)
-    found = driven(boat, **dict(zip(names, (wanted, boat["u"], wanted - boat["u"]), strict=True)))
-    assert found.channels["surge"]["name"] == names[1]
-    assert told(found)["surge", "series"][0] == names[1]
+    proposal = driven(boat, **dict(zip(names, (wanted, boat["u"], wanted - boat["u"]), strict=True)))
+    assert proposal.channels["surge"]["name"] == names[1]
+    assert told(proposal)["surge", "series"][0] == names[1]
 
 
 def test_of_two_speeds_that_which_follows_the_commands_is_taken():
@@ -98,8 +98,8 @@ def test_a_boat_that_turns_on_the_spot_does_not_tell_the_zero(scale):
     still, off = (boat["l"] == 0) & (boat["r"] == 0), rng.uniform(10, 60, len(boat["l"]))
     left, right = (1500 + np.where(still, sign * off, scale * boat[side]) for side, sign in (("l", -1), ("r", 1)))
     speed = np.where(still, 0.02, boat["u"])
-    found = concluded(boat, left=left, right=right, heading=boat["hdg"], speed=speed)
-    (zero,) = (each for each in found.decisions if each[:2] == ("command_left", "zero"))
+    proposal = concluded(boat, left=left, right=right, heading=boat["hdg"], speed=speed)
+    (zero,) = (each for each in proposal.decisions if each[:2] == ("command_left", "zero"))
     assert (zero.value, zero.certainty) == ("1500", "unsure")
     assert 1455 < float(zero.alternatives[0]) < 1475
 
@@ -112,19 +112,19 @@ IDLE = [(1000, 1000, 0.0), (1100, 800, 0.0), (5, 5, 0.0)]
 def test_where_the_boat_stands_decides_the_zero(zero, span, lowest):
     boat = sail(6, 2, lowest)
     left, right = (zero + span * boat[side] for side in "lr")
-    found = concluded(boat, duty_left=left, duty_right=right, heading=boat["hdg"], speed=boat["u"])
-    own = found.channels["command_left"]
-    assert own["zero"] == pytest.approx(zero, rel=1e-3)
-    assert own["span"] == pytest.approx(span, rel=0.03)
-    assert told(found)["command_left", "zero"][1] == "probable"
+    proposal = concluded(boat, duty_left=left, duty_right=right, heading=boat["hdg"], speed=boat["u"])
+    channel = proposal.channels["command_left"]
+    assert channel["zero"] == pytest.approx(zero, rel=1e-3)
+    assert channel["span"] == pytest.approx(span, rel=0.03)
+    assert told(proposal)["command_left", "zero"][1] == "probable"
 
 
 def test_a_dead_zone_is_told():
     boat = sail(6)
     idle = 20 * np.random.default_rng(0).uniform(-1, 1, len(boat["l"]))
     left, right = (1500 + np.where(share == 0, idle, 380 * share) for share in (boat["l"], boat["r"]))
-    found = concluded(boat, pwm_left=left, pwm_right=right, heading=boat["hdg"], speed=boat["u"])
-    (why,) = (each.reason for each in found.decisions if each[:2] == ("command_left", "zero"))
+    proposal = concluded(boat, pwm_left=left, pwm_right=right, heading=boat["hdg"], speed=boat["u"])
+    (why,) = (each.reason for each in proposal.decisions if each[:2] == ("command_left", "zero"))
     assert "14" in why and "15" in why and "a dead zone" in why
 
 
@@ -142,9 +142,9 @@ def test_commands_of_any_kind_make_no_error(seed):
 @pytest.mark.parametrize("bow", ["bow_thruster", "stern_tunnel_thruster", "Bugstrahlruder"])
 def test_a_thruster_that_pushes_sideways_is_no_throttle(bow):
     boat = sail()
-    found = concluded(boat, **{bow: 30 * np.sin(boat["time"] / 8)}, main_engine=50 * (boat["l"] + boat["r"]),
+    proposal = concluded(boat, **{bow: 30 * np.sin(boat["time"] / 8)}, main_engine=50 * (boat["l"] + boat["r"]),
                       helm=20 * (boat["l"] - boat["r"]), heading=boat["hdg"], speed=boat["u"])  # fmt: skip
-    assert {found.channels[f"command_{side}"]["name"] for side in ("left", "right")} == {"main_engine"}
+    assert {proposal.channels[f"command_{side}"]["name"] for side in ("left", "right")} == {"main_engine"}
 
 
 @pytest.mark.parametrize(
@@ -153,18 +153,18 @@ def test_a_thruster_that_pushes_sideways_is_no_throttle(bow):
 )
 def test_the_symbols_of_ships_are_known(throttle, rudder):
     boat = sail()
-    found = concluded(boat, **{throttle: 5 * (boat["l"] + boat["r"]), rudder: boat["l"] - boat["r"]},
+    proposal = concluded(boat, **{throttle: 5 * (boat["l"] + boat["r"]), rudder: boat["l"] - boat["r"]},
                       psi=boat["psi"] % 6.2832, u=boat["u"])  # fmt: skip
-    assert found.channels["command_left"]["name"] == throttle
-    assert "N: the" not in next(each.reason for each in found.decisions if each.what == "span")
-    assert found.channels["surge"]["name"] == "u"
+    assert proposal.channels["command_left"]["name"] == throttle
+    assert "N: the" not in next(each.reason for each in proposal.decisions if each.what == "span")
+    assert proposal.channels["surge"]["name"] == "u"
 
 
 @pytest.mark.parametrize("name", ["Distance (m)", "Bearing", "Energy (Wh)", "range_m", "Peilung"])
 def test_what_drives_nothing_is_no_command(name):
     boat = sail()
-    found = concluded(boat, **{name: np.cumsum(np.abs(boat["u"]))}, heading=boat["hdg"], speed=boat["u"])
-    assert {"command_left", "command_right"} <= set(found.missing)
+    proposal = concluded(boat, **{name: np.cumsum(np.abs(boat["u"]))}, heading=boat["hdg"], speed=boat["u"])
+    assert {"command_left", "command_right"} <= set(proposal.missing)
 
 
 def test_a_voltage_is_no_speed():
@@ -182,20 +182,20 @@ def test_english_units_are_known(name, factor, unit, tmp_path):
              name: boat["u"] / factor, "rot (deg/min)": 60 * np.degrees(boat["turn"])}  # fmt: skip
     path = tmp_path / "a.csv"
     np.savetxt(path, np.array([*table.values()]).T, "%.5g", ",", header=",".join(table), comments="")
-    found = inspect_logs([str(path)])
-    units = {name: each.get("unit") for name, each in found.proposal.channels.items()}
+    result = inspect_logs([str(path)])
+    units = {name: each.get("unit") for name, each in result.proposal.channels.items()}
     assert (units["surge"], units["yaw_rate"]) == (unit, "deg/min")
-    surge = found.recordings[0].channels["surge"]
+    surge = result.recordings[0].channels["surge"]
     assert np.abs(surge.value - np.interp(surge.time, boat["time"], boat["u"])).max() < 0.01
 
 
 def test_numbers_that_mean_unknown_are_told_and_count_as_none():
     boat = sail()
     bad = np.random.default_rng(0).random(len(boat["u"])) < 0.03
-    found = concluded(boat, cmd_left=100 * boat["l"], cmd_right=100 * boat["r"], hdt=np.where(bad, 511, boat["hdg"]),
+    proposal = concluded(boat, cmd_left=100 * boat["l"], cmd_right=100 * boat["r"], hdt=np.where(bad, 511, boat["hdg"]),
                       sog=np.where(bad, 102.3, boat["u"]))  # fmt: skip
-    assert [found.channels[name]["missing"] for name in ("heading", "surge")] == [[511.0], [102.3]]
-    assert told(found)["command_left", "series"][1] == "certain"
+    assert [proposal.channels[name]["missing"] for name in ("heading", "surge")] == [[511.0], [102.3]]
+    assert told(proposal)["command_left", "series"][1] == "certain"
 
 
 @pytest.mark.parametrize("value", [np.arange(400) % 100, np.append(np.arange(50.0), [100.0] * 9), np.ones(99)])
@@ -209,15 +209,15 @@ def test_impossible_numbers_within_reach_mean_unknown():
     heading = np.where(lost, -1, np.round(boat["hdg"] % 360, 1))
     lat, lon = (np.where(no_fix, 0, boat[key]) for key in ("lat", "lon"))
     left = np.where(lost, 0, pulses(boat["l"]))
-    found = concluded(boat, pwm_left=left, pwm_right=pulses(boat["r"]), heading=heading, lat=lat, lon=lon)
-    assert found.channels["heading"]["missing"] == [-1] and found.channels["command_left"]["missing"] == [0]
-    assert found.channels["latitude"]["missing"] == found.channels["longitude"]["missing"] == [0]
+    proposal = concluded(boat, pwm_left=left, pwm_right=pulses(boat["r"]), heading=heading, lat=lat, lon=lon)
+    assert proposal.channels["heading"]["missing"] == [-1] and proposal.channels["command_left"]["missing"] == [0]
+    assert proposal.channels["latitude"]["missing"] == proposal.channels["longitude"]["missing"] == [0]
 
 
 def test_a_propeller_at_the_bow_is_no_heading_and_electrical_power_no_command():
     boat = sail(6)
-    found = driven(boat, helice_proa=30 * np.sin(boat["time"] / 8), speed=boat["u"])
-    assert found.channels["heading"]["name"] == "heading"
+    proposal = driven(boat, helice_proa=30 * np.sin(boat["time"] / 8), speed=boat["u"])
+    assert proposal.channels["heading"]["name"] == "heading"
     watts = {f"power_{side}_W": 300 * np.abs(boat[side[0]]) for side in ("left", "right")}
     assert "command_left" in concluded(boat, **watts, heading=boat["hdg"], speed=boat["u"]).missing
 
@@ -226,8 +226,8 @@ def test_full_scale_and_a_wrap_are_not_taken_for_unknown():
     boat = sail()
     left = np.where(boat["l"] > 0.9, 255, 90 * boat["l"])
     heading = np.where(np.arange(len(left)) % 50 < 2, 359, 40 * np.abs(boat["l"]))
-    found = concluded(boat, motor_left=left, motor_right=90 * boat["r"], heading=heading, speed=boat["u"])
-    assert not any("missing" in each for each in found.channels.values())
+    proposal = concluded(boat, motor_left=left, motor_right=90 * boat["r"], heading=heading, speed=boat["u"])
+    assert not any("missing" in each for each in proposal.channels.values())
 
 
 @pytest.mark.parametrize("letters", ["column", "cell"])
@@ -242,11 +242,11 @@ def test_degrees_and_minutes_with_their_letters_are_a_position(letters, tmp_path
         numbers = [f"{each:.4f}" for each in (time, boat["l"][k], boat["r"][k], boat["hdg"][k], 1.94384 * boat["u"][k])]
         lines.append(",".join([*numbers, *cells]))
     path.write_text("\n".join(lines))
-    found = inspect_logs([str(path)])
-    own = found.recordings[0].channels
-    assert np.degrees(own["latitude"].value[0]) == pytest.approx(boat["lat"][0], abs=1e-6)
-    assert np.degrees(own["longitude"].value[0]) == pytest.approx(boat["lon"][0], abs=1e-6)
-    assert found.proposal.channels["surge"]["unit"] == "knots"
+    result = inspect_logs([str(path)])
+    channels = result.recordings[0].channels
+    assert np.degrees(channels["latitude"].value[0]) == pytest.approx(boat["lat"][0], abs=1e-6)
+    assert np.degrees(channels["longitude"].value[0]) == pytest.approx(boat["lon"][0], abs=1e-6)
+    assert result.proposal.channels["surge"]["unit"] == "knots"
 
 
 @pytest.mark.parametrize(
@@ -266,8 +266,8 @@ def test_a_measured_speed_is_not_in_metres(name, unit):
 
 def test_where_no_name_tells_a_speed_those_that_may_be_it_are_named():
     boat = sail(6)
-    found = driven(boat, w1=boat["u"], w2=20 + np.sin(boat["time"] / 30))
-    assert found.missing == ["surge"] and found.unfit.startswith(
+    proposal = driven(boat, w1=boat["u"], w2=20 + np.sin(boat["time"] / 30))
+    assert proposal.missing == ["surge"] and proposal.unfit.startswith(
         "'w1' follows the commands: call it speed only if it is measured"
     )
 
@@ -276,20 +276,20 @@ def test_where_no_name_tells_a_speed_those_that_may_be_it_are_named():
 def test_a_motor_that_idles_has_no_certain_zero(idle):
     boat = sail(4, lowest=0.0)
     rpm = {f"rpm_{side}": np.round(idle + 3000 * boat[side[0]]) for side in ("left", "right")}
-    found = told(concluded(boat, **rpm, heading=boat["hdg"], speed=boat["u"]))["command_left", "zero"]
-    assert found == (f"{idle:g}", "probable") or found[1] == "unsure"
+    zero = told(concluded(boat, **rpm, heading=boat["hdg"], speed=boat["u"]))["command_left", "zero"]
+    assert zero == (f"{idle:g}", "probable") or zero[1] == "unsure"
     moving = {name: np.maximum(value, idle + 40) for name, value in rpm.items()}
-    found = told(concluded(boat, **moving, heading=boat["hdg"]))["command_left", "zero"]
-    assert found[1] == "unsure"
+    zero = told(concluded(boat, **moving, heading=boat["hdg"]))["command_left", "zero"]
+    assert zero[1] == "unsure"
 
 
 def test_the_setpoint_of_a_speed_is_no_thrust_with_a_zero_of_its_own():
     boat = sail(4, lowest=0.0)
     speed = np.where(boat["time"] < 90, 1.8, 1.0 + 0.9 * (boat["time"] // 12 % 3))
     columns = {"/odom__heading": boat["psi"], "/odom__u": np.where(boat["time"] < 90, 0.0, boat["u"])}
-    found = concluded(boat, **{"/cmd_vel__linear.x": speed, **columns})
-    assert told(found)["command_left", "zero"][0] == "0"
-    assert any("it names a speed" in each.reason for each in found.decisions if each.channel == "command_left")
+    proposal = concluded(boat, **{"/cmd_vel__linear.x": speed, **columns})
+    assert told(proposal)["command_left", "zero"][0] == "0"
+    assert any("it names a speed" in each.reason for each in proposal.decisions if each.channel == "command_left")
 
 
 @pytest.mark.parametrize(("name", "factor"), [("speed_kn", 1.944), ("v_kmh", 3.6), ("speed_mps", 1.0)])
@@ -298,8 +298,8 @@ def test_a_declared_unit_that_is_off_is_unsure_with_the_span_that_fits(name, fac
     where = {"north": boat["n"], "east": boat["e"]}
     asked = []
     for off in (1.0, 0.92):
-        found = driven(boat, **where, **{name: boat["u"] * factor * off})
-        (unit,) = (each for each in found.decisions if each[:2] == ("surge", "unit"))
+        proposal = driven(boat, **where, **{name: boat["u"] * factor * off})
+        (unit,) = (each for each in proposal.decisions if each[:2] == ("surge", "unit"))
         asked.append(unit.certainty == "unsure" and "with span" in str(unit.alternatives))
     assert asked == [False, True]
 
@@ -326,5 +326,5 @@ def test_a_boat_that_was_carried_in_a_pause_has_one_unit_of_its_speed(pause, awa
     boat = sail(6)
     half = np.arange(len(boat["time"])) > 600
     moved = {"time": boat["time"] + pause * half, "lat": boat["lat"] + away * half}
-    own = {**boat, **moved}
-    assert tell(own, "surge unit", speed=own["u"], lat=own["lat"], lon=own["lon"]) == ("m/s", "certain")
+    shifted = {**boat, **moved}
+    assert tell(shifted, "surge unit", speed=shifted["u"], lat=shifted["lat"], lon=shifted["lon"]) == ("m/s", "certain")

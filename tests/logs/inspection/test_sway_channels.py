@@ -40,27 +40,27 @@ def drifting():
 
 
 def inspected(folder: Path, columns, **changed):
-    own = {name: value for name, value in (columns | changed).items() if value is not None}
-    found = inspect_logs([str(write_table(folder / "a.csv", own))])
-    return found, {each.what: each for each in found.decisions if each.channel == "sway"}
+    table = {name: value for name, value in (columns | changed).items() if value is not None}
+    result = inspect_logs([str(write_table(folder / "a.csv", table))])
+    return result, {each.what: each for each in result.decisions if each.channel == "sway"}
 
 
 @pytest.mark.parametrize(("factor", "unit", "span"), [(1.0, "m/s", None), (-1.0, "m/s", -1.0), (KNOTS, "knots", None)])
 def test_unit_and_side_are_proved_by_the_position(tmp_path, drifting, factor, unit, span):
-    found, sway = inspected(tmp_path, drifting, v=factor * drifting["v"])
-    own = found.settings["data"]["channels"]["sway"]
-    assert (own["name"], own["unit"], own.get("span")) == ("v", unit, span)
+    result, sway = inspected(tmp_path, drifting, v=factor * drifting["v"])
+    channel = result.settings["data"]["channels"]["sway"]
+    assert (channel["name"], channel["unit"], channel.get("span")) == ("v", unit, span)
     assert {each.certainty for each in sway.values()} == {"certain"}
     assert sway["sign"].value == ("to starboard" if factor > 0 else "to port")
-    (recording,) = found.recordings
+    (recording,) = result.recordings
     np.testing.assert_allclose(recording.channels["sway"].value, drifting["v"], atol=1e-9)
-    assert not [each for each in found.findings if each.kind.startswith(("sway", "position"))]
+    assert not [each for each in result.findings if each.kind.startswith(("sway", "position"))]
 
 
 def test_without_a_position_the_side_is_unsure(tmp_path, drifting):
-    found, sway = inspected(tmp_path, drifting, lat=None, lon=None)
+    result, sway = inspected(tmp_path, drifting, lat=None, lon=None)
     assert (sway["series"].value, sway["sign"].certainty) == ("v", "unsure")
-    assert "sway.sign: {certainty: unsure, found: to starboard" in found.text and "# or span: -1" in found.text
+    assert "sway.sign: {certainty: unsure, found: to starboard" in result.text and "# or span: -1" in result.text
 
 
 def over_ground(columns, late=0.0):
@@ -72,11 +72,11 @@ def over_ground(columns, late=0.0):
 
 @pytest.mark.thorough
 def test_speed_and_course_over_ground_are_written_where_they_tell_the_sway(tmp_path, drifting):
-    found, _ = inspected(tmp_path, drifting, **over_ground(drifting))
-    channels = found.settings["data"]["channels"]
+    result, _ = inspected(tmp_path, drifting, **over_ground(drifting))
+    channels = result.settings["data"]["channels"]
     assert (channels["ground_speed"]["name"], channels["surge"]["name"]) == ("sog", "sog")
     assert (channels["course"]["name"], channels["course"]["unit"]) == ("cog", "deg")
-    assert set(found.recordings[0].channels) >= {"ground_speed", "course", "surge"}
+    assert set(result.recordings[0].channels) >= {"ground_speed", "course", "surge"}
     late, _ = inspected(tmp_path, drifting, **over_ground(drifting, late=4.0))
     assert not {"ground_speed", "course"} & set(late.proposal.channels)
 
@@ -95,9 +95,9 @@ def test_no_other_series_is_taken_for_a_sway(tmp_path, drifting):
 
 def test_coordinates_of_which_none_is_known_to_be_north_are_told_and_not_written(tmp_path):
     path = TRAPS["unnamed_axes"].write(tmp_path, voyage(1, kind="station_keeping", plant="vtec"))
-    found = inspect_logs([str(path)])
-    (told,) = (each for each in found.decisions if each.channel == "position")
-    assert told.certainty == "unsure" and "north" not in found.proposal.channels
+    result = inspect_logs([str(path)])
+    (decision,) = (each for each in result.decisions if each.channel == "position")
+    assert decision.certainty == "unsure" and "north" not in result.proposal.channels
 
 
 def test_names_of_a_sway():

@@ -40,10 +40,10 @@ def run(tmp_path, monkeypatch, capsys):
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", few(TOPICS, ["rostopic"], "thorough"))
 def test_topics_are_read_as_they_were_written(tmp_path, name):
-    found = inspect_logs([str(TOPICS[name].write(tmp_path, voyage(0, minutes=4.0)))])
-    result = score(found.proposal.channels, certainties(found.decisions), TOPICS[name].truth)
+    read = inspect_logs([str(TOPICS[name].write(tmp_path, voyage(0, minutes=4.0)))])
+    result = score(read.proposal.channels, certainties(read.decisions), TOPICS[name].truth)
     assert result.wrong == result.unsure == []
-    assert len(found.recordings) == 1 and found.findings == []
+    assert len(read.recordings) == 1 and read.findings == []
 
 
 @pytest.mark.parametrize(("prefix", "dot"), [("field.twist.twist.", "."), ("/boat/odom/twist/", "/")])
@@ -57,9 +57,9 @@ def test_the_twist_of_an_odometry_without_a_position_is_the_speed(tmp_path, pref
     }
     for name, columns in {"cmd_drive": drive, "imu": turned, "goal": wanted, "odom": twist}.items():
         write_table(tmp_path / f"{name}.csv", {"__time": time, **columns})
-    found = inspect_logs([str(tmp_path)])
-    assert found.proposal.channels["surge"]["name"] == f"odom.{prefix}linear{dot}x"
-    assert found.findings == []
+    result = inspect_logs([str(tmp_path)])
+    assert result.proposal.channels["surge"]["name"] == f"odom.{prefix}linear{dot}x"
+    assert result.findings == []
 
 
 def test_tables_of_one_number_are_told_by_their_files(tmp_path):
@@ -67,9 +67,9 @@ def test_tables_of_one_number_are_told_by_their_files(tmp_path):
     names = {"port": "command_left", "starboard": "command_right", "heading": "heading", "speed": "surge"}
     for name, of in names.items():
         write_table(tmp_path / f"{name}.csv", {"timestamp": time, "value": log.at(of, time)})
-    found = inspect_logs([str(tmp_path)])
-    assert {found.proposal.channels[of]["name"] for of in names.values()} == {f"{name}.value" for name in names}
-    sides = [each.reason for each in found.decisions if (each.channel, each.what) == ("command_left", "series")]
+    result = inspect_logs([str(tmp_path)])
+    assert {result.proposal.channels[of]["name"] for of in names.values()} == {f"{name}.value" for name in names}
+    sides = [each.reason for each in result.decisions if (each.channel, each.what) == ("command_left", "series")]
     assert [each.partition(";")[0] for each in sides] == ["by name"]
 
 
@@ -97,9 +97,9 @@ def test_runs_stay_apart_and_it_says_why(tmp_path, run):
     assert "Each file is a run: they have the same columns" in run(tmp_path)[1]
     assert len(recordings_of("my_boat.yaml", {})[0]) == 2
     write_table(tmp_path / "battery.csv", {"time": np.arange(60.0), "volt": np.arange(60.0), "soc": np.arange(60.0)})
-    found = inspect_logs([str(tmp_path)])
-    assert found.logs.joined == "Each file is a run: run_1.csv has all channels."
-    assert len(found.logs.files) == 3 and len(found.recordings) == 2
+    result = inspect_logs([str(tmp_path)])
+    assert result.logs.joined == "Each file is a run: run_1.csv has all channels."
+    assert len(result.logs.files) == 3 and len(result.recordings) == 2
 
 
 def test_several_tables_of_a_run_are_given_by_name(tmp_path):
@@ -120,15 +120,15 @@ def test_a_table_of_another_clock_is_left_out(tmp_path):
     (folder / "imu.csv").write_text("\n".join([lines[0], *simulated]))
     (folder / "empty.csv").write_text("")
     (folder / "header.csv").write_text("%time,field.data\n")
-    found = inspect_logs([str(folder)])
-    assert found.settings["data"]["channels"]["heading"]["name"] == "odom.field.pose.pose.orientation"
-    told = " ".join(found.notes)
+    result = inspect_logs([str(folder)])
+    assert result.settings["data"]["channels"]["heading"]["name"] == "odom.field.pose.pose.orientation"
+    notes = " ".join(result.notes)
     assert (
-        "found imu from 0." in told
-        and "cmd_drive from 2023-07-22 04:26:40" in told
-        and "their clocks or time zones differ" in told
+        "found imu from 0." in notes
+        and "cmd_drive from 2023-07-22 04:26:40" in notes
+        and "their clocks or time zones differ" in notes
     )
-    assert "empty.csv" in told and "header.csv" in told
+    assert "empty.csv" in notes and "header.csv" in notes
 
 
 def test_azimuth_thrusters_without_a_force_are_told_in_one_sentence(tmp_path, run):

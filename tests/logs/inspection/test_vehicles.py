@@ -34,11 +34,11 @@ def test_two_vehicles_of_one_telemetry_log_are_never_one_boat(tmp_path):
             servos = {f"servo{n}_raw": 1500 + (300 * n + 70 * system + 7 * k) % 400 for n in (1, 3)}
             frames.append(frame("SERVO_OUTPUT_RAW", k / 10, sender=(system, 1), time_usec=100_000 * k, **servos))
     path.write_bytes(b"".join(frames))
-    found = inspect_logs([str(path)])
-    names = {str(each["name"]) for each in found.proposal.channels.values() if each["name"]}
+    result = inspect_logs([str(path)])
+    names = {str(each["name"]) for each in result.proposal.channels.values() if each["name"]}
     assert names
     assert all(name.endswith("@1.1") for name in names)
-    (asked,) = (each for each in found.decisions if each.what == "system")
+    (asked,) = (each for each in result.decisions if each.what == "system")
     assert (asked.certainty, asked.alternatives) == ("unsure", ("2",))
     assert "@2.1" in asked.reason
 
@@ -48,31 +48,31 @@ def test_vehicles_that_only_names_tell_apart_are_never_one_boat(name):
     one, other = sail(6), sail(6, seed=7)
     columns = {}
     for vehicle, boat in zip(("1", "2") if name[1] == "0" else ("anna", "bert"), (one, other), strict=True):
-        own = {
+        values = {
             "pwm_left": pulses(boat["l"]),
             "pwm_right": pulses(boat["r"]),
             "heading": boat["hdg"],
             "speed": boat["u"],
         }
-        columns |= {name.format(key, vehicle): value for key, value in own.items()}
-    found = concluded(one, **columns)
+        columns |= {name.format(key, vehicle): value for key, value in values.items()}
+    proposal = concluded(one, **columns)
     first = "1" if name[1] == "0" else "anna"
-    assert {each["name"] for each in found.channels.values() if each["name"]} == {
+    assert {each["name"] for each in proposal.channels.values() if each["name"]} == {
         name.format(key, first) for key in ("pwm_left", "pwm_right", "heading", "speed")
     }
-    assert told(found)["vehicle", "system"][1] == "unsure"
+    assert told(proposal)["vehicle", "system"][1] == "unsure"
 
 
 @pytest.mark.parametrize("name", ["/{1}/{0}", "/{1}/{0}/value", "{1}.{0}"])
 def test_vehicles_whose_commands_only_name_a_side_are_never_one_boat(name):
     columns = {}
     for vehicle, boat in (("alpha", sail(4)), ("bravo", sail(4, seed=7))):
-        own = {"left": boat["l"], "right": boat["r"], "odom__heading": boat["psi"], "odom__u": boat["u"]}
-        columns |= {name.format(key, vehicle): value for key, value in own.items()}
-    found = concluded(sail(4), **columns)
-    assert all("alpha" in each["name"] for each in found.channels.values() if each["name"])
-    assert told(found)["vehicle", "system"] == ("alpha", "unsure")
-    others = [other for each in found.decisions if each.channel != "vehicle" for other in each.alternatives]
+        values = {"left": boat["l"], "right": boat["r"], "odom__heading": boat["psi"], "odom__u": boat["u"]}
+        columns |= {name.format(key, vehicle): value for key, value in values.items()}
+    proposal = concluded(sail(4), **columns)
+    assert all("alpha" in each["name"] for each in proposal.channels.values() if each["name"])
+    assert told(proposal)["vehicle", "system"] == ("alpha", "unsure")
+    others = [other for each in proposal.decisions if each.channel != "vehicle" for other in each.alternatives]
     assert not any("bravo" in other for other in others)
     alone = {"/imu_left/heading": boat["psi"], "/imu_right/heading": boat["psi"], "/imu_left/r": boat["turn"]}
     assert ("vehicle", "system") not in told(concluded(boat, left=boat["l"], right=boat["r"], **alone))
@@ -109,6 +109,6 @@ def test_single_files_that_may_be_of_several_boats_are_told(files, told, tmp_pat
     paths = [tmp_path / f"{name}.csv" for name in files.split()]
     for path in paths:
         path.touch()
-    found = boats_of(paths)
-    assert len(found) == told
-    assert sorted(path for each in found.values() for path in glob.glob(each)) == sorted(map(str, paths)) * bool(told)
+    boats = boats_of(paths)
+    assert len(boats) == told
+    assert sorted(path for each in boats.values() for path in glob.glob(each)) == sorted(map(str, paths)) * bool(told)

@@ -68,8 +68,8 @@ def test_an_unknown_name_or_field_lists_what_there_is(tmp_path):
 
 def test_a_survey_gives_all_numbers_with_names_that_find_them(tmp_path):
     path = write(tmp_path, dataflash())
-    found = DataFlash(disarmed="keep").survey(path)
-    units = {(series.name, series.field): series.unit for series in found}
+    survey = DataFlash(disarmed="keep").survey(path)
+    units = {(series.name, series.field): series.unit for series in survey}
     assert units == {
         **{("RCOU", f"C{n}"): "us" for n in (1, 2, 3, 4)},
         **{("RCOU", side): "1" for side in ("throttle_left", "throttle_right")},
@@ -77,7 +77,7 @@ def test_a_survey_gives_all_numbers_with_names_that_find_them(tmp_path):
         **{(f"IMU[{n}]", field): unit for n in (0, 1) for field, unit in (("GyrZ", "rad/s"), ("Temp", "mV"))},
         **{("XKF1[0]", field): "m/s" if field[0] == "V" else "m" for field in ("VN", "VE", "PN", "PE")},
     }
-    files.assert_same_as_read(DataFlash(), path, found, ("time", "value", "order"))
+    files.assert_same_as_read(DataFlash(), path, survey, ("time", "value", "order"))
 
 
 def test_old_logs_are_stamped_in_milliseconds_and_their_gps_apart(tmp_path):
@@ -237,7 +237,7 @@ WRONG_TYPES = {  # of the format letters of a description: text for numbers, num
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name, letters", [(name, each) for name, found in WRONG_TYPES.items() for each in found])
+@pytest.mark.parametrize("name, letters", [(name, each) for name, kinds in WRONG_TYPES.items() for each in kinds])
 def test_a_description_of_another_type_tells_nothing_and_ends_nothing(tmp_path, name, letters):
     kind, _, columns, *_ = LAYOUTS[name]
     content = struct.pack("<" + "".join(map(PACKED.get, letters)), *(b"1" if each in "ZN" else 1 for each in letters))
@@ -254,8 +254,8 @@ def test_many_layouts_of_one_name_are_read_in_proportion(tmp_path, monkeypatch):
     monkeypatch.setattr(messages.Messages, "names", lambda self: asked.append(self) or names(self))
     for k in range(count):
         content += described(90, "VARY", "QfB", f"TimeUS,A{k},B{k}") + b"\xa3\x95\x5a" + struct.pack("<QfB", k, k, 1)
-    found = DataFlash().survey(write(tmp_path, content))
-    assert len(found) == 2 * count and [each.value.tolist() for each in found[2:4]] == [[1.0], [1.0]]
+    survey = DataFlash().survey(write(tmp_path, content))
+    assert len(survey) == 2 * count and [each.value.tolist() for each in survey[2:4]] == [[1.0], [1.0]]
     assert len(asked) <= 4 * count
 
 
@@ -284,16 +284,16 @@ def assert_equals_pymavlink(path) -> set[tuple[str, str]]:
     log.close()
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", ".*assumed these defaults", UserWarning)
-        found = defaultdict(list)
+        by_name = defaultdict(list)
         for series in DataFlash().survey(path):
             if not series.field.startswith("throttle"):
-                found[series.name.partition("[")[0], series.field].append(series)
-    for (kind, field), parts in found.items():  # several sensors: in the order of the log
+                by_name[series.name.partition("[")[0], series.field].append(series)
+    for (kind, field), parts in by_name.items():  # several sensors: in the order of the log
         place = np.argsort(np.concatenate([series.order for series in parts]))
         value = np.concatenate([series.value for series in parts])[place]
         np.testing.assert_array_equal(value, np.array(expected[kind, field], float), err_msg=f"{kind}.{field}")
         assert parts[0].unit == PLAIN.get(unit := formats[kind].get_unit(field), unit)
-    return set(expected) - set(found)
+    return set(expected) - set(by_name)
 
 
 def test_a_small_log_equals_pymavlink_in_every_column(tmp_path):

@@ -80,13 +80,13 @@ def test_names_of_senders_ports_and_arrays(tmp_path):
 
 def test_a_survey_gives_all_numbers_with_names_that_find_them(tmp_path):
     path = write(tmp_path, tlog())
-    found = KEEP.survey(path)
-    units = {(series.name, series.field): series.unit for series in found}
+    survey = KEEP.survey(path)
+    units = {(series.name, series.field): series.unit for series in survey}
     assert units["ATTITUDE", "yawspeed"] == "rad/s" and units["LOCAL_POSITION_NED", "vx"] == "m/s"
     assert units["SERVO_OUTPUT_RAW[0]", "throttle_right"] == "1" and units["SERVO_OUTPUT_RAW[0]", "servo1_raw"] == "us"
     assert ("HEARTBEAT@255.190", "base_mode") in units and ("HEARTBEAT", "base_mode") in units
     assert not {field for _, field in units} & {"time_boot_ms", "time_usec", "port", "param_value"}
-    files.assert_same_as_read(KEEP, path, found)
+    files.assert_same_as_read(KEEP, path, survey)
 
 
 # ---------------------------------------------------------------- time
@@ -161,8 +161,8 @@ def test_damaged_frames_are_skipped_and_told(tmp_path):
         with pytest.warns(
             UserWarning, match=r"a\.tlog: the log is damaged: skipped \d+ of \d+ bytes, in 1 places, which"
         ):
-            found = one(write(tmp_path, damaged), "ATTITUDE", "yaw")[0].value
-        assert len(found) == 60 - lost and set(found) <= good
+            yaw = one(write(tmp_path, damaged), "ATTITUDE", "yaw")[0].value
+        assert len(yaw) == 60 - lost and set(yaw) <= good
     assert len(one(write(tmp_path, whole[:-3]), "LOCAL_POSITION_NED", "vx")[0].value) == 59  # it was being written
 
 
@@ -226,11 +226,11 @@ def test_frames_of_pymavlink_equal_pymavlink_in_every_field(tmp_path, dialect, v
             for k, each in enumerate(value) if isinstance(value, list) else [(None, value)]:
                 expected[message.get_type(), field if k is None else f"{field}.{k}"].append(each)
     log.close()
-    found = KEEP.survey(path)
-    names = {series.name.partition("[")[0] for series in found}
+    survey = KEEP.survey(path)
+    names = {series.name.partition("[")[0] for series in survey}
     assert names | {"PARAM_VALUE"} == {name for name, _ in expected}
     compared = 0
-    for series in found:
+    for series in survey:
         if value := expected.get(
             (series.name, series.field)
         ):  # else a sensor's number splits it, or version 1 lacks it

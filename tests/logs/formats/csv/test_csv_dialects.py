@@ -250,9 +250,9 @@ def test_a_table_of_too_few_rows_is_told(tmp_path, rows, found):
 @pytest.mark.parametrize("line", ["t={}.5 L=0.2 R=-0.1 HDG=74.3", "t: {}, L: .2, R: 0.1, HDG: 7", "t:{};L:2;R:1;HDG:1"])
 def test_a_name_beside_each_number_is_told_with_what_makes_it_a_table(tmp_path, line):
     path = write(tmp_path / "a.csv", "".join(line.format(k) + "\n" for k in range(30)))
-    with pytest.raises(LogFormatError, match="found one beside each number") as told:
+    with pytest.raises(LogFormatError, match="found one beside each number") as refusal:
         Table.of_file(path)
-    subprocess.run(str(told.value).partition("as by ")[2], shell=True, cwd=tmp_path, check=True)
+    subprocess.run(str(refusal.value).partition("as by ")[2], shell=True, cwd=tmp_path, check=True)
     assert Table.of_file(tmp_path / "named.csv")[0].time == "t"
 
 
@@ -260,8 +260,8 @@ def test_a_name_beside_each_number_is_told_with_what_makes_it_a_table(tmp_path, 
 def test_a_table_that_lies_on_its_side_is_told_with_what_turns_it(tmp_path, delimiter):
     rows = [["time", *range(50)], ["left", *([0.5] * 50)], ["speed", *([1.5] * 50)]]
     path = write(tmp_path / "a.csv", "".join(delimiter.join(map(str, row)) + "\n" for row in rows))
-    with pytest.raises(LogFormatError, match="found one at the begin of each row") as told:
+    with pytest.raises(LogFormatError, match="found one at the begin of each row") as refusal:
         Table.of_file(path)
     if delimiter == ",":
-        subprocess.run(str(told.value).partition("as by ")[2], shell=True, cwd=tmp_path, check=True)
+        subprocess.run(str(refusal.value).partition("as by ")[2], shell=True, cwd=tmp_path, check=True)
         assert Table.of_file(tmp_path / "named.csv")[0].time == "time"

@@ -176,9 +176,9 @@ def test_a_table_of_several_boats_asks_which(tmp_path, column, labels, stacked):
         ):
             read(path)
     assert Table.of_file(path, labels[1])[0].rows == f"{column}={labels[1]}"
-    found = read_recordings(path, Table("time"), CHANNELS, boat_column=column)
-    assert [each.boat for each in found] == [*labels]
-    assert found[1].channels["surge"].value.tolist() == np.roll(SPEED, -120).tolist()
+    recordings = read_recordings(path, Table("time"), CHANNELS, boat_column=column)
+    assert [each.boat for each in recordings] == [*labels]
+    assert recordings[1].channels["surge"].value.tolist() == np.roll(SPEED, -120).tolist()
     (alone,) = read_recordings(path, Table("time"), CHANNELS, 2 if labels[1] == "2" else labels[1], column)
     assert alone.channels["surge"].time.tolist() == TIME.tolist()
     with pytest.raises(ConfigError, match=r"data\.boat: found 'z', expected one of "):
@@ -199,13 +199,13 @@ def of_boat(path, column, *labels, restart=False, gap=500):
 def test_tables_of_several_boats_are_refused_as_one_with_both_is(tmp_path, column, labels, places):
     for k, label in enumerate(labels):
         of_boat(tmp_path / places.format("pq"[k]), column, label)
-    told = f"several boats.*{column}'.*--name {labels[0]};.*boat_column={column}"
+    text = f"several boats.*{column}'.*--name {labels[0]};.*boat_column={column}"
     for read in (lambda: open_logs([str(tmp_path)]), lambda: read_recordings(tmp_path, Table("time"), CHANNELS)):
-        with pytest.raises(LogFormatError, match=told):
+        with pytest.raises(LogFormatError, match=text):
             read()
     assert open_logs([str(tmp_path)], labels[1]).reader.rows == f"{column}={labels[1]}"
-    found = read_recordings(tmp_path, Table("time"), CHANNELS, boat_column=column)
-    assert [(each.boat, each.run[0]) for each in found] == [(labels[0], "p"), (labels[1], "q")]
+    recordings = read_recordings(tmp_path, Table("time"), CHANNELS, boat_column=column)
+    assert [(each.boat, each.run[0]) for each in recordings] == [(labels[0], "p"), (labels[1], "q")]
     assert len(read_recordings(tmp_path, Table("time", rows="all"), CHANNELS)) == 2
 
 
@@ -265,8 +265,8 @@ def test_packed_tables(tmp_path):
     for name in ("a.csv.gz", "a.npz", "a.mat"):
         series = open_logs([str(tmp_path / name)]).surveyed[0][-1]
         assert series.value.tolist() == SPEED.tolist() and series.time.tolist() == TIME.tolist()
-    for name, told in (("b.mat", r"MATLAB 7\.3.*-v7"), ("b.csv.gz", "ended before.*save it as CSV")):
-        with pytest.raises(LogFormatError, match=told):
+    for name, words in (("b.mat", r"MATLAB 7\.3.*-v7"), ("b.csv.gz", "ended before.*save it as CSV")):
+        with pytest.raises(LogFormatError, match=words):
             open_logs([str(tmp_path / name)])
 
 

@@ -77,9 +77,9 @@ def test_a_complete_table_beside_others_is_a_run(tmp_path):
 def test_of_two_clocks_that_share_nothing_the_longer_tables_are_read(tmp_path):
     for name, begin, rows in (("a", 1e9, 50), ("b", 1e9, 50), ("c", 2e9, 5), ("d", 2e9, 5)):
         write(tmp_path / f"{name}.csv", "time,v\n" + "".join(f"{begin + k},{k}\n" for k in range(rows)))
-    with pytest.warns(UserWarning, match="table left out") as told:
+    with pytest.warns(UserWarning, match="table left out") as caught:
         assert {each.name for each in Table("auto").survey(tmp_path)} == {"a.v", "b.v"}
-    assert len(told) == 2
+    assert len(caught) == 2
 
 
 def test_a_bad_quaternion_is_masked_and_counted(tmp_path):
@@ -117,8 +117,8 @@ def test_force_and_moment_are_commands_with_a_unit(tmp_path):
     sides = {f"command_{side}": mixed | {"weight": [1, way]} for side, way in (("left", 1), ("right", -1))}
     (run,) = read(folder, CHANNELS | sides)
     assert run.channels["command_right"].value == pytest.approx(0.25 * np.arange(5))
-    for unit, told in ((["N", "Nm"], "'Nm'"), (["N"], "1 values"), ("m/s", "'m/s'")):
-        assert told in refused(ConfigError, read, folder, CHANNELS | {"command_left": mixed | {"unit": unit}})
+    for unit, text in ((["N", "Nm"], "'Nm'"), (["N"], "1 values"), ("m/s", "'m/s'")):
+        assert text in refused(ConfigError, read, folder, CHANNELS | {"command_left": mixed | {"unit": unit}})
     message = refused(ConfigError, read, folder, CHANNELS | {"command_left": {"name": "wrench.X", "unit": "N"}})
     assert "span: found 1 for 'wrench.X' in N, expected the greatest one" in message
 
@@ -127,5 +127,5 @@ def test_a_name_of_a_quaternion_finds_its_yaw_in_one_table(tmp_path):
     path = write(tmp_path / "a.csv", "t,o.x,o.y,o.z,o.w\n" + "".join(f"{k},{quaternion(k)}\n" for k in range(3)))
     channels, _ = Table("t").read(path, {"heading": Source("o", unit="enu_rad")})
     assert channels["heading"].value == pytest.approx(math.pi / 2 - np.arange(3), abs=1e-5)
-    (found,) = Table("t").survey(path)
-    assert (found.name, found.unit) == ("o", "enu_rad")
+    (series,) = Table("t").survey(path)
+    assert (series.name, series.unit) == ("o", "enu_rad")

@@ -74,8 +74,8 @@ def test_what_parameters_tell_of_each_actuator(stated, logged, expected, tmp_pat
         each = series[f"actuator_{name}"]
         np.testing.assert_allclose(each.value, value, atol=1e-6)
         assert each.unit == "1"
-        found = Ulog().read(path, {"surge": Source(each.name, field=each.field)})[0]["surge"]
-        np.testing.assert_array_equal(found.value, each.value)
+        channel = Ulog().read(path, {"surge": Source(each.name, field=each.field)})[0]["surge"]
+        np.testing.assert_array_equal(channel.value, each.value)
 
 
 @pytest.mark.parametrize(
@@ -104,5 +104,5 @@ def test_a_boat_whose_first_motor_is_to_starboard(stated, shown, left, sure, tmp
     logged = {f"actuator_{shown}": np.transpose(rows[shown]).tolist()}
     motion = np.transpose([heading, north, east]).tolist()
     path = written(tmp_path / "a.ulg", stated, **logged, vehicle_local_position=motion)
-    found = told(propose(candidates(Ulog().survey(path)), "PX4 ULog"))
-    assert found["command_left", "series"] == (f"actuator_{left}", sure)
+    decided = told(propose(candidates(Ulog().survey(path)), "PX4 ULog"))
+    assert decided["command_left", "series"] == (f"actuator_{left}", sure)

@@ -20,13 +20,13 @@ SIMULATED = 100.0, 0.5
 
 def heard(topic: str, stamps, kind: str = "Stamped", bag=BAG) -> Heard:
     """A topic whose messages were received at `WALL`; `stamps` in s, NaN for none; or (first, rate)."""
-    found = Heard(bag, topic, kind)
+    messages = Heard(bag, topic, kind)
     stamps = stamps[0] + stamps[1] * WALL if isinstance(stamps, tuple) else stamps
     for k, (wall, stamp) in enumerate(zip(WALL, np.broadcast_to(stamps, WALL.shape), strict=True)):
         ns = 0 if np.isnan(stamp) else int(stamp * 1e9)
         data = struct.pack("<II", ns // NS, ns % NS)
-        found.add(k, START + int(wall * 1e9), data if kind == CLOCK and not bag.is2 else b"\0\1\0\0" + data)
-    return found
+        messages.add(k, START + int(wall * 1e9), data if kind == CLOCK and not bag.is2 else b"\0\1\0\0" + data)
+    return messages
 
 
 WALL_CLOCK = START / 1e9, 1.0
@@ -51,13 +51,13 @@ CASES = {  # topics -> rate and topic of the clock that is found; 1 without a wo
 @pytest.mark.parametrize("name", CASES)
 def test_the_clock_of_most_topics_is_found(name):
     topics, rate, topic = CASES[name]
-    clock, told = find_clock(
+    clock, sentence = find_clock(
         heard(key, stamps, CLOCK if key == "/clock" else "Stamped") for key, stamps in topics.items()
     )
-    assert (clock is not None) == (rate > 0 and bool(topic)) and bool(told) == bool(topic) and topic in told
+    assert (clock is not None) == (rate > 0 and bool(topic)) and bool(sentence) == bool(topic) and topic in sentence
     if clock:
-        assert clock.rate == pytest.approx(rate) and clock.heard.topic == topic and f"advance by {rate:g} s" in told
-        assert "data.reader.clock=receive" in told
+        assert clock.rate == pytest.approx(rate) and clock.heard.topic == topic and f"advance by {rate:g} s" in sentence
+        assert "data.reader.clock=receive" in sentence
         assert heard("/cmd", np.nan).seconds(START, clock, False) == pytest.approx(rate * WALL, abs=1e-6)
 
 
@@ -83,23 +83,23 @@ def test_stamps_of_ros_1_and_of_another_byte_order():
 
 @pytest.mark.parametrize(("plugin", "with_clock"), [("MCAP", True), ("SQLITE3", False)])
 def test_a_bag_of_a_slow_simulation_is_in_its_time(tmp_path, plugin, with_clock):
-    made = ros2_types()
-    zero = made["Vector3"](x=0.0, y=0.0, z=0.0)
+    types = ros2_types()
+    zero = types["Vector3"](x=0.0, y=0.0, z=0.0)
 
     def messages(k: int):
-        stamp = made["Time"](sec=100 + k // 10, nanosec=k % 10 * NS // 10)
+        stamp = types["Time"](sec=100 + k // 10, nanosec=k % 10 * NS // 10)
         if with_clock:
-            yield "/clock", 0, made["Clock"](clock=stamp)
-        yield "/thrust", 1, made["Float64"](data=0.1 * k)
-        twist = made["Twist"](linear=made["Vector3"](x=0.2 * k, y=0.0, z=0.0), angular=zero)
-        yield "/twist", 2, made["TwistStamped"](header=made["Header"](stamp=stamp, frame_id=""), twist=twist)
+            yield "/clock", 0, types["Clock"](clock=stamp)
+        yield "/thrust", 1, types["Float64"](data=0.1 * k)
+        twist = types["Twist"](linear=types["Vector3"](x=0.2 * k, y=0.0, z=0.0), angular=zero)
+        yield "/twist", 2, types["TwistStamped"](header=types["Header"](stamp=stamp, frame_id=""), twist=twist)
 
     posts = ((k * NS // 5 + late * 10**6, topic, message) for k in range(40) for topic, late, message in messages(k))
     write_ros2(tmp_path / "run", posts, plugin)
     sources = {"command_left": Source("thrust"), "surge": Source("twist")}
     with pytest.warns(
         UserWarning, match=r"advance by 0\.5 s in each second of receipt, as simulated time does"
-    ) as told:
+    ) as caught:
         channels, _ = Rosbag().read(tmp_path / "run", sources)
         alone, _ = Rosbag().read(tmp_path / "run", {"surge": sources["command_left"]})  # another topic tells the time
     for each in (channels["command_left"], channels["surge"], alone["surge"]):
@@ -107,6 +107,6 @@ def test_a_bag_of_a_slow_simulation_is_in_its_time(tmp_path, plugin, with_clock)
     with warnings.catch_warnings(action="ignore"):
         series = {each.name: each.time for each in Rosbag().survey(tmp_path / "run")}
     np.testing.assert_array_equal(series["/thrust"], channels["command_left"].time)
-    assert ("/clock" if with_clock else "/twist") in str(told[0].message)
+    assert ("/clock" if with_clock else "/twist") in str(caught[0].message)
     channels, _ = Rosbag(clock="receive").read(tmp_path / "run", sources)
     np.testing.assert_allclose(channels["surge"].time, 0.2 * np.arange(40), atol=3e-3)

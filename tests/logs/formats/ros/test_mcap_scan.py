@@ -34,11 +34,11 @@ def write(folder: Path, plugin: str = "MCAP", compression: str = "", own: bool =
         bag.set_compression(rosbag2.CompressionMode[mode], rosbag2.CompressionFormat[compression])
     with bag:
         topics = {"left": number, "right": number} | ({"/thrust": THRUST} if own else {})
-        made = {topic: bag.add_connection(topic, kind, typestore=store) for topic, kind in topics.items()}
+        connections = {topic: bag.add_connection(topic, kind, typestore=store) for topic, kind in topics.items()}
         for k in range(COUNT):
             messages = {"left": store.types[number](data=k), "right": store.types[number](data=2.0 * k)}
             messages["/thrust"] = store.types[THRUST](port=0.1)
-            for topic, connection in made.items():
+            for topic, connection in connections.items():
                 late = 3 * NS // 10 if k % 7 == 3 and topic == "right" else 0
                 data = store.serialize_cdr(messages[topic], topics[topic])
                 bag.write(connection, START + k * NS // 10 + late, data)
@@ -51,8 +51,8 @@ def noted(path: Path, sources=SOURCES):
     """The channels of a bag, or its series, and the notes about it."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        found = Rosbag().read(path, sources)[0] if sources else Rosbag().survey(path)
-    return found, [str(each.message) for each in caught]
+        read = Rosbag().read(path, sources)[0] if sources else Rosbag().survey(path)
+    return read, [str(each.message) for each in caught]
 
 
 @pytest.mark.parametrize("compression", ["", "ZSTD"])
@@ -64,8 +64,8 @@ def test_an_mcap_is_read_as_far_as_it_is_whole(tmp_path, compression):
         path.write_bytes(whole[:cut])
         channels, (note,) = noted(path)
         counts.append(len(channels["surge"].value))
-        kept = int(re.search(r"recovered (\d+) messages of [\d.]+ s from its records", note)[1])
-        assert abs(kept - 2 * counts[-1]) <= 1 and (f"of {cut}" in note or "all are whole" in note)
+        count = int(re.search(r"recovered (\d+) messages of [\d.]+ s from its records", note)[1])
+        assert abs(count - 2 * counts[-1]) <= 1 and (f"of {cut}" in note or "all are whole" in note)
         np.testing.assert_array_equal(np.sort(channels["surge"].value), 2.0 * np.arange(counts[-1]))
     np.testing.assert_array_equal(noted(rewrite(path, whole[:-1]))[0]["surge"].time, expected["surge"].time)
     assert counts == sorted(counts, reverse=True) and len(set(counts)) > 5 and counts[0] == COUNT

@@ -74,7 +74,7 @@ def test_whatever_is_left_of_a_cut_bag_is_read(tmp_path, compression, count):
     ends = {len(MAGIC) + end: op for op, _, _, end in records(whole[len(MAGIC) :])}
     chunks = [end for end, op in ends.items() if op == CHUNK]
     assert len(chunks) > 5
-    found = 0
+    total = 0
     for cut in (0, 5, 13, 50, *range(4000, len(whole), len(whole) // count), *chunks, len(whole) - 1):
         channels, warning = recovered(tmp_path / "a.bag", whole[:cut])
         if channels is None:
@@ -85,8 +85,8 @@ def test_whatever_is_left_of_a_cut_bag_is_read(tmp_path, compression, count):
             steps = np.sort(channels[name].value / factor)  # some were received out of order
             np.testing.assert_allclose(steps, np.arange(first, first + len(steps)), rtol=1e-14)
             assert (np.diff(channels[name].time) >= 0).all() and (np.diff(channels[name].order) > 0).all()
-        found = int(warning.split("recovered ")[1].split()[0])
-    assert found == 4 * STEPS - STEPS // 4
+        total = int(warning.split("recovered ")[1].split()[0])
+    assert total == 4 * STEPS - STEPS // 4
 
 
 def test_messages_of_a_chunk_that_was_never_closed_are_read(tmp_path):
