@@ -82,7 +82,7 @@ def composed_once() -> Iterator[None]:
 
     from tests.support import ROOT
 
-    load, compose, files, kept = OmegaConf.load, ConfigLoaderImpl.load_configuration, {}, {}
+    load, compose, files, composed = OmegaConf.load, ConfigLoaderImpl.load_configuration, {}, {}
     ours = f"{ROOT}/configs", f"file://{ROOT}/configs", "pkg://", "structured://"
 
     def once(among, key, make):
@@ -100,10 +100,10 @@ def composed_once() -> Iterator[None]:
 
         if not all(str(each.path).startswith(ours) for each in self.config_search_path.get_path()):
             return make()
-        if len(kept) > 50:
-            kept.clear()
+        if len(composed) > 50:
+            composed.clear()
         key = os.getcwd(), config_name, *overrides, str(self.config_search_path), options, *named.items()
-        return once(kept, key, make)
+        return once(composed, key, make)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(OmegaConf, "load", staticmethod(load_once))
@@ -130,12 +130,12 @@ def drawn_once(monkeypatch: pytest.MonkeyPatch) -> None:
     from usvlearn.report import page
 
     draw: Callable[[str, Any], tuple[str, bytes]] = page._drawing
-    made: list[tuple[str, bytes]] = []
+    drawings: list[tuple[str, bytes]] = []
 
     def first(name: str, figure: Any) -> tuple[str, bytes]:
-        if not made:
-            made.append(draw(name, figure))
-        return made[0]
+        if not drawings:
+            drawings.append(draw(name, figure))
+        return drawings[0]
 
     monkeypatch.setattr(page, "_drawing", first)
 

@@ -57,8 +57,8 @@ def test_it_finds_what_the_command_finds(logs, learned, tmp_path):
         newest = checkpoint.checkpoints(tmp_path / "run" / "checkpoints" / boat)[-1]
         leaves, facts = checkpoint.load(newest)
         path = learned.save(tmp_path / f"{boat}.safetensors", boat)
-        own, said = checkpoint.load(path)
-        assert all(np.array_equal(own[name], leaf, equal_nan=True) for name, leaf in leaves.items())
+        arrays, said = checkpoint.load(path)
+        assert all(np.array_equal(arrays[name], leaf, equal_nan=True) for name, leaf in leaves.items())
         assert facts["configuration"] == logs.settings | {"resume": None}
         assert said == {key: value for key, value in facts.items() if key != "configuration"}
 
@@ -93,14 +93,14 @@ def test_predictions_are_time_series_with_intervals(learned):
 
 def test_a_simulation_is_told_the_speed_where_a_segment_starts_and_no_other(logs, learned):
     deaf = AlignedLogs(logs.fleet._replace(runs=tuple(map(_without_speeds, logs.fleet.runs))), logs.settings)
-    free, told = learned.simulate(deaf), learned.simulate(logs)
-    for one, other in zip(free.predictions, told.predictions, strict=True):
+    free, driven = learned.simulate(deaf), learned.simulate(logs)
+    for one, other in zip(free.predictions, driven.predictions, strict=True):
         for name in learned.ensemble.names:
             np.testing.assert_array_equal(one.predicted[name], other.predicted[name])
         assert not other.halfwidth and np.nanmax(abs(other.predicted["joint"])) < 5
     for boat in logs.boats:
-        assert told.scores[boat]["persistence"]["mae"] > 2 * told.scores[boat]["joint"]["mae"]
-    assert "Simulation" in str(told) and "joint" in str(told)
+        assert driven.scores[boat]["persistence"]["mae"] > 2 * driven.scores[boat]["joint"]["mae"]
+    assert "Simulation" in str(driven) and "joint" in str(driven)
 
 
 def _without_speeds(run):
@@ -143,11 +143,11 @@ def test_a_saved_set_goes_on_by_learn_and_by_online(tmp_path):
 
 def test_boats_are_named_by_a_mapping(tmp_path):
     folder = written(tmp_path / "logs")
-    found = usvlearn.read({"anna": folder / "run_1.csv", "bert": folder / "run_2.csv"}, channels=CHANNELS, mass=20.0)
-    assert found.boats == ("anna", "bert") and found.settings["estimators"]["aid"]["mass"] == 20.0
-    learned = usvlearn.learn(found, AID(mass=20.0))
+    read = usvlearn.read({"anna": folder / "run_1.csv", "bert": folder / "run_2.csv"}, channels=CHANNELS, mass=20.0)
+    assert read.boats == ("anna", "bert") and read.settings["estimators"]["aid"]["mass"] == 20.0
+    learned = usvlearn.learn(read, AID(mass=20.0))
     assert learned.ensemble.names == ("aid", "persistence", "ensemble")
-    for boat in found.boats:
+    for boat in read.boats:
         assert learned.scores[boat]["ensemble"] == learned.scores[boat]["aid"]
         assert learned.scores[boat]["aid"]["skill"] > 0.4
     alone = usvlearn.learn(usvlearn.read(folder / "run_2.csv", channels=CHANNELS), AID(mass=20.0))

@@ -31,13 +31,13 @@ def test_an_unknown_command_is_told_in_one_sentence(capsys):
 
 
 def test_every_command_gets_its_arguments(tmp_path):
-    for arguments, found in (
+    for arguments, words in (
         (["train", "data=csv", "data.path=none.csv"], "data.path: found 'none.csv'"),
         (["evaluate", "runs=none"], "runs: found no run below 'none'"),
         (["certify", "none"], "none"),
     ):
         done = run(*arguments, folder=tmp_path, script="usvlearn/__main__.py")
-        assert done.returncode == 2 and found in done.stderr, done.stderr
+        assert done.returncode == 2 and words in done.stderr, done.stderr
 
 
 @pytest.mark.parametrize(
@@ -46,6 +46,6 @@ def test_every_command_gets_its_arguments(tmp_path):
 def test_the_command_that_goes_on_is_the_one_that_was_given(program, said, tmp_path, monkeypatch):
     (tmp_path / "runs.json").write_text("{}")
     monkeypatch.setattr(sys, "argv", [program, "--config-dir", "mine", "data=my_boat"])
-    told = again(None, tmp_path)
-    assert told.startswith(f"{said} --config-dir mine data=my_boat hydra.run.dir=")
-    assert shlex.split(told)[-1] == "resume=latest"
+    command = again(None, tmp_path)
+    assert command.startswith(f"{said} --config-dir mine data=my_boat hydra.run.dir=")
+    assert shlex.split(command)[-1] == "resume=latest"

@@ -151,8 +151,8 @@ def test_a_class_that_breaks_them_is_told_which():
         def start(self, state, surge):
             return state
 
-    with pytest.raises(AssertionError) as told:
+    with pytest.raises(AssertionError) as failure:
         check_estimator(Knowing)
-    named = {line.partition(":")[0] for line in str(told.value).splitlines()[1:]}
+    named = {line.partition(":")[0] for line in str(failure.value).splitlines()[1:]}
     assert named >= {"steps_are_pure", "a_start_is_the_speed_to_depart_from", "vehicles_of_a_batch_are_independent"}
-    assert "a step changes the estimator: what is learned is state" in str(told.value)
+    assert "a step changes the estimator: what is learned is state" in str(failure.value)

@@ -38,9 +38,9 @@ def test_the_first_example_of_a_page_runs(page, tmp_path, monkeypatch):
 
 def insert(path: Path, after: str, line: str) -> None:
     """Put a line behind the first that begins so."""
-    head, found, tail = path.read_text().partition(after)
-    assert found, f"{path}: has no {after!r}"
-    path.write_text(f"{head}{found}\n{line}{tail}")
+    head, place, tail = path.read_text().partition(after)
+    assert place, f"{path}: has no {after!r}"
+    path.write_text(f"{head}{place}\n{line}{tail}")
 
 
 @pytest.fixture
@@ -90,9 +90,9 @@ def test_a_hyperparameter_is_in_the_files_that_contributing_names():
         for path in (ROOT / folder).rglob("*")
         if path.suffix in SOURCES
     ]
-    found = {path.relative_to(ROOT).as_posix() for path in sources if "dead_zone" in path.read_text().lower()}
-    assert len(named) == 4 and named <= found
-    assert found - named == {"usvlearn/estimators/axis/turning_quantities.py"}  # the quantity that a fit identifies
+    files = {path.relative_to(ROOT).as_posix() for path in sources if "dead_zone" in path.read_text().lower()}
+    assert len(named) == 4 and named <= files
+    assert files - named == {"usvlearn/estimators/axis/turning_quantities.py"}  # the quantity that a fit identifies
 
 
 @pytest.mark.thorough

@@ -30,13 +30,13 @@ def cached(value: object) -> list:
 def failures(value: object, name: str) -> str:
     """What the examples of a module, class or function print in place of what they show."""
     printed: list[str] = []
-    found = [
+    examples = [
         test
         for each in (value, *cached(value))
         for test in DocTestFinder(exclude_empty=True).find(each, name, module=inspect.getmodule(value))
     ]
-    assert any(test.examples for test in found), f"{name} has no example"
-    for test in found:
+    assert any(test.examples for test in examples), f"{name} has no example"
+    for test in examples:
         DocTestRunner().run(test, out=printed.append)
     return "".join(printed)
 

@@ -49,13 +49,13 @@ def blocks(text: str) -> list[Block]:
     >>> blocks("a\\n\\n```sh\\nls\\n```\\n")
     [Block(line=3, language='sh', text='ls\\n', reason=None)]
     """
-    found = []
+    fenced = []
     for block in BLOCK.finditer(text):
         before = text[: block.start()]
         reason = REASON.search(before)
         body = re.sub(rf"^{block['indent']}", "", block["text"], flags=re.M)
-        found.append(Block(before.count("\n") + 1, block["language"], body, reason and reason["reason"]))
-    return found
+        fenced.append(Block(before.count("\n") + 1, block["language"], body, reason and reason["reason"]))
+    return fenced
 
 
 @over("name", NAMES)

@@ -51,13 +51,13 @@ def name_of(path: Path) -> str:
 @functools.cache
 def imports(path: Path, top_level: bool = False) -> set[str]:
     tree = ast.parse(path.read_text())
-    found = set()
+    names = set()
     for node in tree.body if top_level else ast.walk(tree):
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
+            names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            found |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
-    return found
+            names |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+    return names
 
 
 def within(name: str, allowed) -> bool:
@@ -67,26 +67,26 @@ def within(name: str, allowed) -> bool:
 def refused(path: Path) -> Iterator[str]:
     """What a module imports from a layer above its own, or from a package that its layer may not."""
     name = name_of(path)
-    own = next((place for place, layer in enumerate(LAYERS) if within(name, [layer])), -1)
-    for found in imports(path) - ROOTS if name not in ROOTS else ():
-        if within(found, ROOTS) and not within(found, LAYERS[: own + 1]):
-            yield found
-        elif within(found, ["hydra", "omegaconf"]) and not within(name, ["usvlearn.composition", "usvlearn.cli"]):
-            yield found
+    level = next((place for place, layer in enumerate(LAYERS) if within(name, [layer])), -1)
+    for target in imports(path) - ROOTS if name not in ROOTS else ():
+        if within(target, ROOTS) and not within(target, LAYERS[: level + 1]):
+            yield target
+        elif within(target, ["hydra", "omegaconf"]) and not within(name, ["usvlearn.composition", "usvlearn.cli"]):
+            yield target
     if within(name, NO_TORCH) and not within(name, TORCH):
-        yield from (found for found in imports(path, top_level=True) if within(found, ["torch"]))
+        yield from (target for target in imports(path, top_level=True) if within(target, ["torch"]))
 
 
 def refused_in_certify(path: Path) -> Iterator[str]:
     """What a module of certify imports that is no package of its own, or imports before it is used."""
-    for found in {name.split(".")[0] for name in imports(path)} - set(sys.stdlib_module_names) - {"certify"}:
-        if found not in THIRD_PARTY or not within(name_of(path), CERTIFY.get(found, {name_of(path)})):
-            yield found
+    for target in {name.split(".")[0] for name in imports(path)} - set(sys.stdlib_module_names) - {"certify"}:
+        if target not in THIRD_PARTY or not within(name_of(path), CERTIFY.get(target, {name_of(path)})):
+            yield target
     yield from {name.split(".")[0] for name in imports(path, top_level=True)} & (HEAVY - {"torch"})
 
 
 def test_packages_import_only_from_layers_below():
-    assert [f"{name_of(path)} imports {found}" for path in MODULES for found in refused(path)] == []
+    assert [f"{name_of(path)} imports {target}" for path in MODULES for target in refused(path)] == []
 
 
 def test_no_circle_among_modules():
@@ -98,7 +98,7 @@ def test_no_circle_among_modules():
 
 def test_certify_is_a_leaf_of_few_packages():
     modules = [path for path in MODULES if within(name_of(path), ["certify"])]
-    assert [f"{name_of(path)} imports {found}" for path in modules for found in refused_in_certify(path)] == []
+    assert [f"{name_of(path)} imports {target}" for path in modules for target in refused_in_certify(path)] == []
 
 
 @pytest.mark.thorough
@@ -106,7 +106,7 @@ def test_no_test_module_imports_another():
     """What two of them need lies in tests/support. The gates compare what the estimators and logs there give."""
     files = [path for folder in ("tests", "benchmarks") for path in (ROOT / folder).rglob("*.py")]
     shared = {"tests", "tests.support"}
-    found = [
+    wrong = [
         f"{path.relative_to(ROOT)} imports {name}"
         for path in files
         for name in imports(path)
@@ -114,7 +114,7 @@ def test_no_test_module_imports_another():
         or any(part.startswith(("test_", "conftest")) for part in name.split("."))
         or (path.is_relative_to(BENCHMARKS) and within(name, ["tests"]) and path != BENCHMARKS / "gate_cases.py")
     ]
-    assert found == []
+    assert wrong == []
 
 
 SAME_EVERYWHERE = {"__init__", "__main__", "state", "layer", "kernel"}
@@ -133,8 +133,8 @@ def test_no_two_modules_of_one_name_mean_different_things_in_a_room():
 
 def test_tests_lie_where_the_package_has_their_module():
     folders = {path.parent.relative_to(ROOT / "tests").as_posix() for path in (ROOT / "tests").rglob("test_*.py")}
-    own = {".", "fuzz", "benchmarks"}
-    assert [folder for folder in folders - own
+    apart = {".", "fuzz", "benchmarks"}
+    assert [folder for folder in folders - apart
             if not ((ROOT / "usvlearn" / folder).is_dir() or (ROOT / folder).is_dir())] == []  # fmt: skip
 
 
@@ -181,14 +181,14 @@ def test_kernels_run_without_torch():
     assert not loaded(code) & {*HEAVY, "hydra", "rich"} - {"numba", "scipy"}  # which numba imports where it is there
     for path in MODULES:
         if within(name_of(path), ["usvlearn.engine"]) and name_of(path) not in TORCH:
-            packages = {found.partition(".")[0] for found in imports(path)}
+            packages = {name.partition(".")[0] for name in imports(path)}
             assert packages <= {"numpy", "numba", "usvlearn", *sys.stdlib_module_names}, path
 
 
 def test_the_command_waits_for_nothing():
     for arguments in (["--version"], ["--help"]):
-        found = loaded(f"import usvlearn.__main__\nusvlearn.__main__.main({arguments})")
-        assert not found & {*HEAVY, "numpy", "hydra", "rich"}
+        packages = loaded(f"import usvlearn.__main__\nusvlearn.__main__.main({arguments})")
+        assert not packages & {*HEAVY, "numpy", "hydra", "rich"}
 
 
 @pytest.mark.thorough
@@ -196,9 +196,9 @@ def test_the_command_waits_for_nothing():
 def test_help_waits_for_nothing_heavy(script):
     for flag, needed in (("--help", set()), ("--help=all", {"hydra"})):
         code = f"import runpy, sys\nsys.argv = [{script!r}, {flag!r}]\nrunpy.run_path({script!r}, run_name='__main__')"
-        found = loaded(code)
-        assert not found & HEAVY and found & {"hydra", "numpy", "rich"} >= needed
-        assert needed or "hydra" not in found
+        packages = loaded(code)
+        assert not packages & HEAVY and packages & {"hydra", "numpy", "rich"} >= needed
+        assert needed or "hydra" not in packages
 
 
 def test_help_of_certify_waits_for_nothing_heavy():

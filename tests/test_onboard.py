@@ -95,8 +95,8 @@ def test_a_boat_without_a_set_starts_from_a_prior_whose_network_is_certified():
     boat = Online.of(*prior(mass=28.0, surge_max=2.7))
     errors = [abs(boat.step(sample) - sample.surge) for sample in voyage(300)]
     assert np.nanmean(errors[-100:]) < 0.1
-    (found,) = networks(boat).values()
-    assert found["contracting"] and 0 < found["rate"] < 1 and np.isfinite(found["equilibrium"])
+    (network,) = networks(boat).values()
+    assert network["contracting"] and 0 < network["rate"] < 1 and np.isfinite(network["equilibrium"])
 
 
 def test_bad_samples_are_data(sets):
@@ -151,10 +151,10 @@ def test_a_state_read_while_another_thread_steps_is_one_between_two_steps(sets):
     try:
         thread = threading.Thread(target=sail)
         thread.start()
-        found = []
+        states = []
         while not done.is_set():
-            found.append(online.state)
+            states.append(online.state)
         thread.join()
     finally:
         sys.setswitchinterval(before)
-    assert set(map(sum_of, found)) <= legal
+    assert set(map(sum_of, states)) <= legal

@@ -53,22 +53,22 @@ def sections(docstring: str) -> dict[str, dict[str, str]]:
     >>> sections("Sum.\\n\\nArgs:\\n    x: a number\\n        of N.\\n\\nReturns:\\n    m/s.\\n")
     {'Args': {'x': 'a number of N.'}, 'Returns': {'': 'm/s.'}}
     """
-    found: dict[str, dict[str, str]] = {}
+    parts: dict[str, dict[str, str]] = {}
     title = name = ""
     for line in docstring.splitlines():
         if heading := re.fullmatch(r"(Args|Attributes|Returns|Yields|Raises):", line):
             title, name = heading[1], ""
-            found[title] = {}
+            parts[title] = {}
         elif line and not line.startswith(" "):
             title = ""
         elif title and line:
             item = re.match(r"    (\*{0,2}[\w., ]+?)(?: \([^)]*\))?: (.*)", line)
             if item and title not in ("Returns", "Yields"):
                 name = item[1].lstrip("*")
-                found[title][name] = item[2]
+                parts[title][name] = item[2]
             else:
-                found[title][name] = f"{found[title].get(name, '')} {line.strip()}".strip()
-    return found
+                parts[title][name] = f"{parts[title].get(name, '')} {line.strip()}".strip()
+    return parts
 
 
 def fields(cls: type) -> tuple[str, ...]:
@@ -112,15 +112,15 @@ def raised(function: Any) -> set[str]:
     guarded = {
         id(below) for node in ast.walk(tree) if isinstance(node, ast.Try) for x in node.body for below in ast.walk(x)
     }
-    found = set()
+    names = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call) and id(node) not in guarded:
             name = ast.unparse(node.exc.func).rsplit(".", 1)[-1]
-            found.add(name if name[:1].isupper() else "checks")
+            names.add(name if name[:1].isupper() else "checks")
         elif isinstance(node, ast.Call) and id(node) not in guarded:
             if CHECKS.fullmatch(ast.unparse(node.func).rsplit(".", 1)[-1]):
-                found.add("checks")
-    return found
+                names.add("checks")
+    return names
 
 
 def parameters_lack(name: str, parameters: dict[str, str], said: dict[str, str]) -> Iterator[Lack]:
@@ -233,19 +233,19 @@ def inherits(cls: type, key: str) -> bool:
 
 
 def lacking() -> list[Lack]:
-    found: list[Lack] = []
+    lacks: list[Lack] = []
     for name, (value, page, members) in listed().items():
         if inspect.isclass(value):
-            found += class_lacks(name, value, page, members)
+            lacks += class_lacks(name, value, page, members)
         else:
-            found += function_lacks(name, value)
-    return found
+            lacks += function_lacks(name, value)
+    return lacks
 
 
 def test_everything_public_is_described():
-    found = lacking()
-    print(*(f"{lack.kind:10} {lack.name}: {lack.what}" for lack in sorted(found)), sep="\n")
-    assert Counter(lack.kind for lack in found) == {}
+    lacks = lacking()
+    print(*(f"{lack.kind:10} {lack.name}: {lack.what}" for lack in sorted(lacks)), sep="\n")
+    assert Counter(lack.kind for lack in lacks) == {}
 
 
 def test_the_pages_list_all_that_they_did():
@@ -269,8 +269,8 @@ class Unit(NamedTuple):
 
 
 def test_what_is_missing_is_counted():
-    found = Counter(lack.kind for lack in function_lacks("bare", bare))
-    assert found == {"args": 2, "units": 1, "returns": 1, "raises": 1, "examples": 1}
+    kinds = Counter(lack.kind for lack in function_lacks("bare", bare))
+    assert kinds == {"args": 2, "units": 1, "returns": 1, "raises": 1, "examples": 1}
     assert [lack.what for lack in class_lacks("Unit", Unit, "model", True)] == ["unknown: float"]
 
 

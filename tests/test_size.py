@@ -57,13 +57,13 @@ IGNORED = {line.strip("/") for line in (ROOT / ".gitignore").read_text().splitli
 
 def files() -> list[str]:
     """The sources and pages of a checkout, without what git ignores and virtual environments."""
-    found = []
+    paths = []
     for folder, folders, names in os.walk(ROOT):
         place = Path(folder)
-        kept = [each for each in folders if (each not in IGNORED and not each.startswith(".")) or each == ".ci"]
-        folders[:] = [each for each in kept if not (place / each / "pyvenv.cfg").exists()]
-        found += [(place / name).relative_to(ROOT).as_posix() for name in names if name.endswith((".py", ".md"))]
-    return [path for path in found if not path.startswith(NOT_COUNTED)]
+        walked = [each for each in folders if (each not in IGNORED and not each.startswith(".")) or each == ".ci"]
+        folders[:] = [each for each in walked if not (place / each / "pyvenv.cfg").exists()]
+        paths += [(place / name).relative_to(ROOT).as_posix() for name in names if name.endswith((".py", ".md"))]
+    return [path for path in paths if not path.startswith(NOT_COUNTED)]
 
 
 def room_of(path: str) -> str | None:
@@ -75,10 +75,10 @@ def room_of(path: str) -> str | None:
 @cache
 def counts() -> Counter:
     """The lines of each room; those of files in no room count for None."""
-    found: Counter = Counter()
+    lines: Counter = Counter()
     for path in files():
-        found[room_of(path)] += (ROOT / path).read_bytes().count(b"\n")
-    return found
+        lines[room_of(path)] += (ROOT / path).read_bytes().count(b"\n")
+    return lines
 
 
 @pytest.mark.parametrize("name", ROOMS)
@@ -98,8 +98,8 @@ def test_each_file_is_in_a_room():
 def lowered(source: str, lines: Counter) -> str:
     """The source of this file with ceilings that are at most the present lines."""
 
-    def lower(found: re.Match) -> str:
-        return f"{found[1]}{min(int(found[3].replace('_', '')), lines[found[2]]):_}"
+    def lower(match: re.Match) -> str:
+        return f"{match[1]}{min(int(match[3].replace('_', '')), lines[match[2]]):_}"
 
     return re.sub(r'(?m)^(    "(.+)": Room\()([\d_]+)', lower, source)
 

@@ -14,7 +14,7 @@ HEADING = re.compile(r"^#+ .*?(?:\{#([\w-]+)\})?[ \t]*$")
 
 def sections(text: str) -> dict[str, list[str]]:
     """The numbers of a page's formulas by section."""
-    found: dict[str, list[str]] = {}
+    numbers: dict[str, list[str]] = {}
     here, formula, fenced = "", False, False
     for line in text.splitlines():
         if line.lstrip().startswith("```"):
@@ -26,13 +26,13 @@ def sections(text: str) -> dict[str, list[str]]:
         elif formula:
             for number in re.findall(r"\\tag\{(\d+)\}", line):
                 assert here, f"({number}) stands in no section with an id"
-                found[here].append(number)
+                numbers[here].append(number)
         elif (heading := HEADING.match(line)) and heading[1]:
             here = heading[1]
-            assert here not in found, f"#{here} occurs twice"
-            found[here] = []
+            assert here not in numbers, f"#{here} occurs twice"
+            numbers[here] = []
     assert not formula, "a formula has no end"
-    return found
+    return numbers
 
 
 PAGES = {path.name: sections(path.read_text()) for path in sorted(THEORY.glob("*.md"))}

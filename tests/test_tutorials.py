@@ -34,7 +34,7 @@ OUTPUTS = [output for cell in CODE for output in cell["outputs"]]
 
 def test_a_path_is_recognised():
     assert [
-        found.group() for found in PLACE.finditer("files /home/anna/run: 2 m/s, left/right, outputs/run, a //x")
+        match.group() for match in PLACE.finditer("files /home/anna/run: 2 m/s, left/right, outputs/run, a //x")
     ] == ["/home/anna/run"]
     assert PLACE.search(r"in C:\Users\anna") and not PLACE.search("http://localhost:6006/x/y 1/s 90 %/min ./a/b")
 

@@ -38,10 +38,10 @@ def changed(**values: np.ndarray) -> dict:
 
 
 def test_every_value_is_a_named_leaf():
-    found = leaves(case())
+    named = leaves(case())
     parts = ["replay by step: state.surge", "replay by step: state.theta", "replay by step: none"]
-    assert list(found) == [*parts, "text", "score: 0", "score: 1", "score: 2"]
-    assert found["text"].tolist() == ["one", "two"] and found["score: 2"].tolist() == ["None"]
+    assert list(named) == [*parts, "text", "score: 0", "score: 1", "score: 2"]
+    assert named["text"].tolist() == ["one", "two"] and named["score: 2"].tolist() == ["None"]
     with pytest.raises(TypeError, match="object"):
         leaves({"part": {"leaf": object()}})
 
@@ -50,12 +50,12 @@ def test_the_first_step_that_differs_is_named_then_the_first_leaf():
     surge, theta = (leaves(case())[f"replay by step: state.{name}"].copy() for name in State._fields)
     surge[3] += 1.0
     theta[2, 1] = np.nextafter(theta[2, 1], 9.0)
-    found = first_difference(leaves(case()), changed(replay__state_of_surge=surge, replay__state_of_theta=theta))
-    assert (found.leaf, found.place) == ("replay by step: state.theta", "step 2 (1)")
-    assert found.recorded != found.present and float(found.present) == theta[2, 1]
+    first = first_difference(leaves(case()), changed(replay__state_of_surge=surge, replay__state_of_theta=theta))
+    assert (first.leaf, first.place) == ("replay by step: state.theta", "step 2 (1)")
+    assert first.recorded != first.present and float(first.present) == theta[2, 1]
     surge[2] += 1.0
-    found = first_difference(leaves(case()), changed(replay__state_of_surge=surge, replay__state_of_theta=theta))
-    assert (found.leaf, found.place) == ("replay by step: state.surge", "step 2")
+    first = first_difference(leaves(case()), changed(replay__state_of_surge=surge, replay__state_of_theta=theta))
+    assert (first.leaf, first.place) == ("replay by step: state.surge", "step 2")
 
 
 @pytest.mark.parametrize(
@@ -112,8 +112,8 @@ def test_the_command_records_compares_and_names_what_a_change_changed(tmp_path):
     environment = {name: x for name, x in os.environ.items() if not name.startswith(("GIT_", "PYTHONPATH"))}
 
     def done(*command: str | Path, cache: str = "one") -> subprocess.CompletedProcess:
-        own = environment | {"XDG_CACHE_HOME": str(tmp_path / cache), "PYTHONDONTWRITEBYTECODE": "1"}
-        return subprocess.run(command, cwd=repository, env=own, capture_output=True, text=True)
+        variables = environment | {"XDG_CACHE_HOME": str(tmp_path / cache), "PYTHONDONTWRITEBYTECODE": "1"}
+        return subprocess.run(command, cwd=repository, env=variables, capture_output=True, text=True)
 
     def gates(*arguments: str, cache: str = "one") -> subprocess.CompletedProcess:
         return done(sys.executable, "benchmarks/gates.py", *arguments, cache=cache)

@@ -29,6 +29,6 @@ def test_a_change_is_seen_by_the_test_that_fails(tmp_path):
     text = changed(source, *changes["x >= most"])
     assert text == SOURCE.replace("x > most", "(x >= most)")
     group = mutations.Group(("*.py",), 1, ("test_clip.py",))
-    found = mutations.tried(tmp_path, source, text, group, 60)
-    assert (found["killed_by"], found["tier"]) == ("test_clip.py::test_clipped", "default")
+    row = mutations.tried(tmp_path, source, text, group, 60)
+    assert (row["killed_by"], row["tier"]) == ("test_clip.py::test_clipped", "default")
     assert source.read_text() == SOURCE

@@ -44,8 +44,8 @@ def test_every_mention_of_a_page_is_of_one_that_exists():
     cited = 0
     for path in files:
         text = path.read_text()
-        for found in re.findall(r"docs/benchmarks/(\w+\.\w+)", text):
-            assert (pages.FOLDER / found).exists(), f"{path}: {found}"
+        for name in re.findall(r"docs/benchmarks/(\w+\.\w+)", text):
+            assert (pages.FOLDER / name).exists(), f"{path}: {name}"
             cited += 1
         assert not re.search(r"(?<!docs/)(?<!\]\()(?<!\.\./)benchmarks/\w+\.(md|svg)", text), f"{path}: the old folder"
     assert cited > 5

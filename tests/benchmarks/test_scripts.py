@@ -79,8 +79,8 @@ def test_the_reference_in_c_is_the_estimator(name, without_gradients):
     from usvlearn import rollout
 
     predictions = rollout(estimator, estimator.init(), samples, backend="torch")[1]
-    made = torch.from_numpy(reference.reference(estimator, samples)())
-    assert float((made - predictions).abs().max()) <= 1e-9 * float(predictions.abs().max())
+    in_c = torch.from_numpy(reference.reference(estimator, samples)())
+    assert float((in_c - predictions).abs().max()) <= 1e-9 * float(predictions.abs().max())
 
 
 @pytest.mark.thorough
@@ -89,10 +89,10 @@ def test_accuracy_and_forecasts_are_of_the_second_half():
     import forecast
 
     log = accuracy.simulated(("heron",), "data.hours=0.5")[0]
-    found = accuracy.second_half(log)
-    assert found.ensemble < found.persistence and found.free_ensemble < found.free_squares
-    found = forecast.by_horizon(log)
-    assert found[2]["skill"] > 0.3 and 0.7 < found[2]["covers"] <= 1 and found[0]["steps"] > 100
+    scores = accuracy.second_half(log)
+    assert scores.ensemble < scores.persistence and scores.free_ensemble < scores.free_squares
+    scores = forecast.by_horizon(log)
+    assert scores[2]["skill"] > 0.3 and 0.7 < scores[2]["covers"] <= 1 and scores[0]["steps"] > 100
 
 
 @pytest.mark.thorough
@@ -121,9 +121,9 @@ def test_a_loss_of_thrust_is_answered():
     import faults
 
     given = {"plants": ("heron",), "peers": {"RLS": faults.plain_rls}, "drives": ("random",)}
-    ((_, _, event, found),) = faults.answers(5, 2, ("left 0%",), **given)
-    assert np.isfinite(found.delay).all() and faults.cells(event, found)["side right"] == "100%"
-    assert faults.ratio(found, "RLS") > faults.ratio(found, "joint") > 0.8
+    ((_, _, event, reply),) = faults.answers(5, 2, ("left 0%",), **given)
+    assert np.isfinite(reply.delay).all() and faults.cells(event, reply)["side right"] == "100%"
+    assert faults.ratio(reply, "RLS") > faults.ratio(reply, "joint") > 0.8
 
 
 @pytest.mark.thorough
@@ -170,12 +170,12 @@ def test_a_batch_peer_learns_a_linear_boat(name):
         }[name]()  # fmt: skip
     except ModuleNotFoundError:
         pytest.skip("needs the extra bench")
-    found, held = free_run_errors(model, [linear_boat(2)])
-    assert found < (12 if name == "gru" else 4) * NOISE < held
+    error, held = free_run_errors(model, [linear_boat(2)])
+    assert error < (12 if name == "gru" else 4) * NOISE < held
     before, after = linear_boat(2), linear_boat(2)
     after.surge[201:] += 0.5  # no forecast is told a speed after its origin
-    told = model.forecast(before) != model.forecast(after)
-    assert not told[targets(before).origins <= 200].any()
+    differs = model.forecast(before) != model.forecast(after)
+    assert not differs[targets(before).origins <= 200].any()
 
 
 @pytest.mark.slow

@@ -35,6 +35,6 @@ def test_without_arguments_its_usage_is_an_error(name, monkeypatch, capsys):
 
 
 def test_the_keys_of_a_section_are_listed(monkeypatch, capsys):
-    told = sentence(train.main, ["estimators.rnn.lr=0.1"], monkeypatch, capsys)
-    assert "did you mean estimators.rnn.rate? estimators.rnn has neurons, surge_max," in told
-    assert "momentum" in told and "_target_" not in told
+    said = sentence(train.main, ["estimators.rnn.lr=0.1"], monkeypatch, capsys)
+    assert "did you mean estimators.rnn.rate? estimators.rnn has neurons, surge_max," in said
+    assert "momentum" in said and "_target_" not in said

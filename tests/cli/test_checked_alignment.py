@@ -37,33 +37,33 @@ def knots(tmp_path_factory):
 
 @pytest.mark.thorough
 def test_a_warning_is_shown_and_saved_and_survives_a_resume(knots, tmp_path):
-    own = [*TABLE, *QUICK[1:], f"data.path={knots}", f"hydra.run.dir={tmp_path}/run"]
-    done = ran(*own, folder=tmp_path, COLUMNS="80")
+    given = [*TABLE, *QUICK[1:], f"data.path={knots}", f"hydra.run.dir={tmp_path}/run"]
+    done = ran(*given, folder=tmp_path, COLUMNS="80")
     shown = done.stdout[: done.stdout.index("learning from the start")]
     assert "Data check" in shown and "set data.channels.surge.unit=knots" in shown
     assert all(len(line) <= 80 for line in shown.splitlines())
     (finding,) = results(tmp_path / "run")["data_check"]
     assert finding["about"] == "surge" and finding["severity"] == "warning" and "knots" in finding["key"]
     assert set(finding) == {"boat", "about", "kind", "found", "expected", "key", "severity"}
-    ran(*own, "resume=latest", folder=tmp_path)
+    ran(*given, "resume=latest", folder=tmp_path)
     assert results(tmp_path / "run")["data_check"] == [finding]
 
 
 @pytest.mark.thorough
 def test_strict_refuses_and_writes_nothing(knots, tmp_path, monkeypatch, capsys):
-    own = [*TABLE, f"data.path={knots}", f"hydra.run.dir={tmp_path}/run", "check=strict"]
-    error = sentence(train.main, own, monkeypatch, capsys)
+    given = [*TABLE, f"data.path={knots}", f"hydra.run.dir={tmp_path}/run", "check=strict"]
+    error = sentence(train.main, given, monkeypatch, capsys)
     assert "check=strict: found 1 warning" in error and "set data.channels.surge.unit=knots" in error
     left = [path.name for path in (tmp_path / "run").rglob("*") if ".hydra" not in path.parts]
     assert left == [] or left == [".hydra"]
-    tuned = sentence(train.main, [*own, "grid=aid"], monkeypatch, capsys)
+    tuned = sentence(train.main, [*given, "grid=aid"], monkeypatch, capsys)
     assert "check=strict: found 1 warning" in tuned
 
 
 @pytest.mark.thorough
 def test_the_jobs_of_a_sweep_are_quiet_and_keep_their_findings(knots, tmp_path):
-    own = [*TABLE, *QUICK[1:], f"data.path={knots}", "estimators.aid.gain=1,2", f"hydra.sweep.dir={tmp_path}/sweep"]
-    done = ran("-m", *own, folder=tmp_path)
+    given = [*TABLE, *QUICK[1:], f"data.path={knots}", "estimators.aid.gain=1,2", f"hydra.sweep.dir={tmp_path}/sweep"]
+    done = ran("-m", *given, folder=tmp_path)
     assert "Data check" not in done.stdout and "data check" not in done.stdout
     for job in ("0", "1"):
         assert [each["kind"] for each in results(tmp_path / "sweep" / job)["data_check"]] == ["speed scale"]

@@ -167,8 +167,8 @@ def test_a_file_that_is_no_yaml_is_told(tmp_path, monkeypatch, capsys):
 
 
 def test_flags_are_hydras_own():
-    found = parse(["-m", "align.dt=0.3,0.4", "--config-name", "train"])
-    assert found.multirun and found.overrides == ["align.dt=0.3,0.4"]
+    parsed = parse(["-m", "align.dt=0.3,0.4", "--config-name", "train"])
+    assert parsed.multirun and parsed.overrides == ["align.dt=0.3,0.4"]
     with pytest.raises(ConfigError, match="see the flags by --hydra-help"):
         parse(["-x"])
 

@@ -75,5 +75,5 @@ def test_a_bad_file_is_told_in_one_sentence(tmp_path, monkeypatch, capsys, text,
     (tmp_path / "here").mkdir()
     if text is not None:
         (tmp_path / "here" / "other.yaml").write_text(text, encoding="latin-1")
-    told = sentence(train.main, ["data=here/other.yaml"], monkeypatch, capsys)
-    assert all(word in told for word in words), told
+    said = sentence(train.main, ["data=here/other.yaml"], monkeypatch, capsys)
+    assert all(word in said for word in words), said

@@ -55,14 +55,14 @@ def test_it_is_nearer_to_the_truth_than_online_learning_and_says_how_sure_it_is(
     inside, nearer = [], []
     for boat in ("heron1", "heron2"):
         assert f"Written to run/fit/{boat}.fit.json" in done.stdout
-        found = json.loads((folder / "run" / "fit" / f"{boat}.fit.json").read_text())
-        assert found["missions"] == 3 and set(SETS) <= set(found["sets"]) and found["terms"] in found["sets"]
+        fit = json.loads((folder / "run" / "fit" / f"{boat}.fit.json").read_text())
+        assert fit["missions"] == 3 and set(SETS) <= set(fit["sets"]) and fit["terms"] in fit["sets"]
         for name in ("steady_speed_full", "steady_speed_half", "drag_half_speed", "thrust_full_left", "time_constant"):
-            true, own = truth[boat][name]["truth"], found["quantities"][name]
-            nearer.append(abs(own["value"] - true) <= abs(truth[boat][name]["value"] - true))
-        known = found["quantities"].keys() & truth[boat].keys()  # those of turning have no truth here
+            true, value = truth[boat][name]["truth"], fit["quantities"][name]
+            nearer.append(abs(value["value"] - true) <= abs(truth[boat][name]["value"] - true))
+        known = fit["quantities"].keys() & truth[boat].keys()  # those of turning have no truth here
         inside += [
-            found["quantities"][k]["low"] <= truth[boat][k]["truth"] <= found["quantities"][k]["high"] for k in known
+            fit["quantities"][k]["low"] <= truth[boat][k]["truth"] <= fit["quantities"][k]["high"] for k in known
         ]
     assert np.mean(inside) >= 0.8 and np.mean(nearer) > 0.5
 
@@ -79,12 +79,12 @@ def test_a_fit_of_the_missions_so_far_forecasts_too_and_a_resumed_run_is_the_sam
         tables.append(np.array(Online.open(path).description["forecasts"]["fit"]["table"]))
     assert not tables[0].any() and tables[1].any() and (tables[2] != tables[1]).any()
     whole = predictions(folder / "run")
-    made = [each["forecasts"].reshape(*each["forecasts"].shape[:2], 6, -1)[..., -3] for each in whole]
-    assert not np.isfinite(made[0]).any() and np.isfinite(made[-1]).any()
+    forecasts = [each["forecasts"].reshape(*each["forecasts"].shape[:2], 6, -1)[..., -3] for each in whole]
+    assert not np.isfinite(forecasts[0]).any() and np.isfinite(forecasts[-1]).any()
     shutil.copytree(folder / "run", tmp_path / "run")
-    kept = max((tmp_path / "run" / "predictions").glob(f"{last}.npz"))
+    newest = max((tmp_path / "run" / "predictions").glob(f"{last}.npz"))
     for path in (tmp_path / "run" / "predictions").glob("*.npz"):
-        if path.name > kept.name:
+        if path.name > newest.name:
             path.unlink()
     monkeypatch.setattr("usvlearn.cli.train.fit_on_the_way", lambda *_: {})  # the last fit is that of the others
     done = run(*MISSIONS, "resume=latest", folder=tmp_path)
@@ -100,10 +100,10 @@ def test_a_run_is_fitted_on_the_way_of_another_command_which_goes_on_without_a_f
     assert "warning: no fit was made" in capsys.readouterr().err
     fit_on_the_way(tmp_path / "run", terminal.console(quiet=True))
     assert capsys.readouterr().out == ""
-    for boat, found in json.loads((tmp_path / "run" / "results.json").read_text())["fit"].items():
+    for boat, fit in json.loads((tmp_path / "run" / "results.json").read_text())["fit"].items():
         saved = json.loads((tmp_path / "run" / "fit" / f"{boat}.fit.json").read_text())
-        assert found["quantities"] == saved["quantities"] and found["doubts"] == saved["doubts"]
-        assert found["use"] == (not found["doubts"]) and found["terms"] == saved["terms"]
+        assert fit["quantities"] == saved["quantities"] and fit["doubts"] == saved["doubts"]
+        assert fit["use"] == (not fit["doubts"]) and fit["terms"] == saved["terms"]
 
 
 def test_one_boat_and_one_set_may_be_named(folder, tmp_path, capsys, monkeypatch):
@@ -111,8 +111,8 @@ def test_one_boat_and_one_set_may_be_named(folder, tmp_path, capsys, monkeypatch
     work(["run", "--boat", "heron2", "--terms", "nine", "--all", "--out", str(tmp_path)])
     assert [line.startswith("nine") for line in capsys.readouterr().out.splitlines() if "(used)" in line] == [True]
     (path,) = tmp_path.glob("*.json")
-    found = json.loads(path.read_text())
-    assert path.name == "heron2.fit.json" and found["terms"].startswith("nine") and len(found["parameters"]) == 10
+    content = json.loads(path.read_text())
+    assert path.name == "heron2.fit.json" and content["terms"].startswith("nine") and len(content["parameters"]) == 10
 
 
 @pytest.mark.parametrize(

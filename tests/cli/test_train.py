@@ -22,9 +22,9 @@ NAMES = {
 
 
 def test_results(finished):
-    found = results(finished)
-    assert list(found["boats"]) == ["heron1", "heron2"]
-    for rows in found["boats"].values():
+    saved = results(finished)
+    assert list(saved["boats"]) == ["heron1", "heron2"]
+    for rows in saved["boats"].values():
         assert set(rows) == NAMES
         for row in rows.values():
             assert {"mae", "median", "rmse", "skill", "steps"} <= row.keys()
@@ -32,16 +32,16 @@ def test_results(finished):
         assert rows["persistence"]["skill"] == 0
         assert 0.85 < rows["ensemble"]["coverage"] < 0.95 and 0.01 < rows["ensemble"]["halfwidth"] < 0.5
         assert rows["aid"]["skill"] == pytest.approx(1 - rows["aid"]["mae"] / rows["persistence"]["mae"])
-    assert found["rejected"]["heron1"]["surge"]["lost"] > 0
-    assert found["seconds"] > 0
-    maes = [rows["ensemble"]["mae"] for rows in found["boats"].values()]
-    assert found["objective"] == pytest.approx(np.mean(maes))
+    assert saved["rejected"]["heron1"]["surge"]["lost"] > 0
+    assert saved["seconds"] > 0
+    maes = [rows["ensemble"]["mae"] for rows in saved["boats"].values()]
+    assert saved["objective"] == pytest.approx(np.mean(maes))
 
 
 def test_results_have_what_was_identified(finished):
-    found = results(finished)
-    assert list(found["identified"]) == list(found["lacks"]) == ["heron1", "heron2"]
-    for quantities in found["identified"].values():
+    saved = results(finished)
+    assert list(saved["identified"]) == list(saved["lacks"]) == ["heron1", "heron2"]
+    for quantities in saved["identified"].values():
         assert {"thrust_full_left", "drag_linear", "steady_speed_quarter", "time_constant"} <= quantities.keys()
         for name, row in quantities.items():
             known = set() if name in TURNING else {"truth"}  # the boat of this simulator has no yaw dynamics

@@ -48,8 +48,8 @@ def test_the_setup_of_a_boat_has_them_with_their_file_and_old_ones_have_none(her
 
 
 def test_no_question_is_taken_for_a_setting(here, monkeypatch, capsys):
-    told = sentence(train.main, ["data=my_boat.yaml", "surge.unit=knots"], monkeypatch, capsys)
-    assert told.endswith("did you mean data.channels.surge.unit?\n")
+    said = sentence(train.main, ["data=my_boat.yaml", "surge.unit=knots"], monkeypatch, capsys)
+    assert said.endswith("did you mean data.channels.surge.unit?\n")
 
 
 @pytest.mark.thorough
@@ -75,14 +75,14 @@ def test_it_is_said_everywhere_until_it_is_confirmed(tmp_path, monkeypatch, caps
         export.work([f"{name}/fit", "--to", "json", "--out", f"{name}/export/fit", "--force"])
         controller.work([f"{name}/fit", "--boats", "5", "--out", f"{name}/gains"])
         printed = capsys.readouterr()
-        told = [(SENTENCE in each) for each in (printed.out, printed.err)]
-        assert told == [bool(left)] * 2
+        shows = [(SENTENCE in each) for each in (printed.out, printed.err)]
+        assert shows == [bool(left)] * 2
         judged = run(f"runs={name}", folder=tmp_path, script="evaluate.py")
         page = (tmp_path / name / "report" / "index.html").read_text()
         assert (SENTENCE in judged.stdout) == (SENTENCE in page) == bool(left), judged.stderr
         assert (GREEN in page) == (not left and "found in the log.</p>" in page)
         files = [*(tmp_path / name / "export").rglob("*.[jh]*"), *(tmp_path / name / "gains").glob("*.[pmj]*")]
-        own = [each for each in files if each.suffix != ".png"]
-        assert len(own) >= 8 and all((SENTENCE in each.read_text()) == bool(left) for each in own)
+        texts = [each for each in files if each.suffix != ".png"]
+        assert len(texts) >= 8 and all((SENTENCE in each.read_text()) == bool(left) for each in texts)
     facts = json.loads((tmp_path / "open" / "results.json").read_text())[SECTION]
     assert all(each["why"] and each["written"] and each["file"].endswith("my_boat.yaml") for each in facts)

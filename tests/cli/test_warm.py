@@ -26,25 +26,25 @@ with Session(options, made) as session:
 
 @pytest.mark.slow
 def test_a_run_and_a_node_after_it_compile_nothing(tmp_path):
-    kept = {"NUMBA_CACHE_DIR": str(tmp_path / "kept"), "PYTHONPATH": str(ROOT)}
-    first = run("warm", folder=tmp_path, script="usvlearn/__main__.py", **kept)
+    cache = {"NUMBA_CACHE_DIR": str(tmp_path / "kept"), "PYTHONPATH": str(ROOT)}
+    first = run("warm", folder=tmp_path, script="usvlearn/__main__.py", **cache)
     assert first.returncode == 0 and first.stderr.count("usvlearn: compiling") == 9, first.stderr
     assert f"kept in {tmp_path / 'kept'}" in first.stdout
     files = sorted((tmp_path / "kept").rglob("*.nb*"))
-    node = python(NODE.format(folder=str(tmp_path / "node")), **kept)
+    node = python(NODE.format(folder=str(tmp_path / "node")), **cache)
     assert node.stderr == "" and sorted((tmp_path / "kept").rglob("*.nb*")) == files
-    second = run("data.hours=0.01", "hydra.run.dir=run", folder=tmp_path, **kept)
+    second = run("data.hours=0.01", "hydra.run.dir=run", folder=tmp_path, **cache)
     assert second.returncode == 0 and "usvlearn: compiling" not in second.stderr, second.stderr
     assert sorted((tmp_path / "kept").rglob("*.nb*")) == files
 
 
 def test_it_tells_where_the_code_is_kept(capsys, monkeypatch, tmp_path):
-    found, kept = [], [tmp_path / "kept", tmp_path / "kept", tmp_path / "temporary" / "usvlearn-0"]
-    monkeypatch.setattr(warm, "warm", lambda live: found.append(live) or kept[len(found) - 1])
+    calls, folders = [], [tmp_path / "kept", tmp_path / "kept", tmp_path / "temporary" / "usvlearn-0"]
+    monkeypatch.setattr(warm, "warm", lambda live: calls.append(live) or folders[len(calls) - 1])
     monkeypatch.setattr(warm.tempfile, "gettempdir", lambda: str(tmp_path / "temporary"))
     monkeypatch.setattr(sys, "argv", ["usvlearn warm"])
-    assert (warm.main(), warm.warm_live([])) == (0, 0) and found == [False, True]
-    assert capsys.readouterr() == (f"usvlearn: everything is compiled; it is kept in {kept[0]}\n" * 2, "")
+    assert (warm.main(), warm.warm_live([])) == (0, 0) and calls == [False, True]
+    assert capsys.readouterr() == (f"usvlearn: everything is compiled; it is kept in {folders[0]}\n" * 2, "")
     assert warm.main() == 0
     assert capsys.readouterr().err.startswith("warning: a restart of the computer empties this folder")
 

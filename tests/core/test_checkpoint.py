@@ -25,10 +25,10 @@ def ensemble():
 def test_roundtrip_is_exact_and_complete(tmp_path):
     state = ensemble().init((2,))
     path = store.save(tmp_path / "deep" / "a.safetensors", state, estimator="Ensemble", boat="heron", time=12.5)
-    found, facts = store.restore(path, state, "Ensemble")
+    restored, facts = store.restore(path, state, "Ensemble")
     expected = dict(named_leaves(state))
-    assert dict(named_leaves(found)).keys() == expected.keys()
-    for name, leaf in named_leaves(found):
+    assert dict(named_leaves(restored)).keys() == expected.keys()
+    for name, leaf in named_leaves(restored):
         assert torch.equal(leaf, expected[name]) and leaf.dtype == expected[name].dtype, name
     assert facts == {"schema": 3, "estimator": "Ensemble", "boat": "heron", "time": 12.5}
     assert list(path.parent.iterdir()) == [path]  # no temporary file is left
@@ -160,8 +160,8 @@ class Recorded:
         return getattr(os, name)
 
     def fsync(self, file):
-        found = os.fstat(file)
-        self.done.append(("folder" if stat.S_ISDIR(found.st_mode) else f"{found.st_size} bytes", found.st_ino))
+        info = os.fstat(file)
+        self.done.append(("folder" if stat.S_ISDIR(info.st_mode) else f"{info.st_size} bytes", info.st_ino))
         os.fsync(file)
 
     def replace(self, old, new):

@@ -52,8 +52,8 @@ def test_the_number_of_the_format_decides(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("name", former_names.TARGETS.values())
 def test_every_name_of_today_is_a_class(name):
-    module, _, own = name.rpartition(".")
-    assert getattr(import_module(module), own).__name__ == own
+    module, _, attribute = name.rpartition(".")
+    assert getattr(import_module(module), attribute).__name__ == attribute
 
 
 def test_a_checkpoint_with_former_names_goes_on(tmp_path, monkeypatch):

@@ -34,8 +34,8 @@ print(rows[0, 0, -1])
 @pytest.fixture(scope="module")
 def once(tmp_path_factory) -> tuple[Path, subprocess.CompletedProcess]:
     """A folder of machine code, which nobody changes, and the program that filled it."""
-    kept = tmp_path_factory.mktemp("kept")
-    return kept, python(PREPARE, NUMBA_CACHE_DIR=str(kept))
+    cache = tmp_path_factory.mktemp("kept")
+    return cache, python(PREPARE, NUMBA_CACHE_DIR=str(cache))
 
 
 @pytest.mark.thorough
@@ -44,17 +44,17 @@ def test_machine_code_is_kept_and_announced_once(once):
     (folder,) = (cache / "usvlearn").glob("kernels-*")
     assert first.stdout == "3.0\n" and f"kept in {folder}" in first.stderr
     assert first.stderr.startswith("usvlearn: compiling the trial, only once …")
-    kept = {path: path.stat().st_mtime_ns for path in folder.rglob("*.nb*")}
-    assert kept
+    before = {path: path.stat().st_mtime_ns for path in folder.rglob("*.nb*")}
+    assert before
     again = python(PREPARE, NUMBA_CACHE_DIR=str(cache))
     assert again.stdout == "3.0\n" and again.stderr == ""
-    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*.nb*")} == kept
+    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*.nb*")} == before
 
 
 @pytest.mark.thorough
 def test_another_checkout_with_the_same_sources_uses_the_machine_code(once, tmp_path):
     cache, _ = once
-    kept = {path: path.stat().st_mtime_ns for path in cache.rglob("*.nb*")}
+    stamps = {path: path.stat().st_mtime_ns for path in cache.rglob("*.nb*")}
     shutil.copytree(ROOT / "usvlearn", tmp_path / "copy" / "usvlearn", ignore=shutil.ignore_patterns("__pycache__"))
     for path in (tmp_path / "copy").rglob("*.py"):
         os.utime(path, (1, 1))
@@ -64,7 +64,7 @@ def test_another_checkout_with_the_same_sources_uses_the_machine_code(once, tmp_
         done.stdout.split() == ["3.0", str(tmp_path / "copy/usvlearn/core/prepared_samples.py"), "1"]
         and done.stderr == ""
     )
-    assert {path: path.stat().st_mtime_ns for path in cache.rglob("*.nb*")} == kept
+    assert {path: path.stat().st_mtime_ns for path in cache.rglob("*.nb*")} == stamps
 
 
 def twice(x):
@@ -117,16 +117,16 @@ tempfile.TemporaryFile = refuse
 @pytest.mark.thorough
 def test_machine_code_that_can_only_be_read_is_used(once, tmp_path):
     """As on a disk that is mounted read-only, or where another user has made it."""
-    kept, other = once[0], tmp_path / "other"
+    cache, other = once[0], tmp_path / "other"
     other.mkdir()
-    before = sorted(kept.rglob("*"))
+    before = sorted(cache.rglob("*"))
     for _ in range(2):  # the second time it is copied already
         done = python(
-            READ_ONLY.format(kept=str(kept)) + PREPARE + "print(*samples.prepare_all.stats.cache_hits.values())",
-            NUMBA_CACHE_DIR=str(kept), TMPDIR=str(other),
+            READ_ONLY.format(kept=str(cache)) + PREPARE + "print(*samples.prepare_all.stats.cache_hits.values())",
+            NUMBA_CACHE_DIR=str(cache), TMPDIR=str(other),
         )  # fmt: skip
         assert done.stdout == "3.0\n1\n" and done.stderr == ""
-    assert sorted(kept.rglob("*")) == before and len(list(other.glob("usvlearn-*/*"))) == 1
+    assert sorted(cache.rglob("*")) == before and len(list(other.glob("usvlearn-*/*"))) == 1
 
 
 @pytest.fixture
@@ -233,19 +233,19 @@ def test_files_that_are_not_in_machine_code_change_no_folder(copied):
 ])  # fmt: skip
 def test_a_file_from_which_a_kernel_takes_a_constant_is_in_the_folder(form, copied):
     root, folder = copied
-    kernel, found = root / "estimators" / "aid" / "kernel.py", []
+    kernel, folders = root / "estimators" / "aid" / "kernel.py", []
     kernel.write_text(f"{kernel.read_text()}\n{form}\n")
     for value in (1, 2):
         kernel.with_name("trial.py").write_text(f"A = {value}\n")
-        found.append(folder())
-    assert found[0] != found[1]
+        folders.append(folder())
+    assert folders[0] != folders[1]
 
 
 def test_the_kernels_know_all_families_and_no_layer():
-    found = {path.relative_to(compiled.HERE).as_posix() for path in compiled.sources(Path(dispatch.__file__))}
+    files = {path.relative_to(compiled.HERE).as_posix() for path in compiled.sources(Path(dispatch.__file__))}
     kernels = {path.relative_to(compiled.HERE).as_posix() for path in compiled.HERE.glob("estimators/**/*kernel.py")}
-    assert kernels | {f"core/{name}.py" for name in ("samples", "family", "prepared_samples", "arrays", "jit")} <= found
-    assert not any("layer" in name for name in found)
+    assert kernels | {f"core/{name}.py" for name in ("samples", "family", "prepared_samples", "arrays", "jit")} <= files
+    assert not any("layer" in name for name in files)
 
 
 def test_machine_code_that_a_full_disk_cannot_keep_runs(tmp_path, monkeypatch, capsys):
@@ -309,8 +309,8 @@ def test_who_waits_goes_on_once_the_machine_code_is_there(tmp_path):
 def test_one_process_at_a_time_compiles(tmp_path):
     lock = Lock(tmp_path, "x")
     threading.Timer(0.2, lock.release).start()
-    with compiled._alone_in(tmp_path / "kernels of runs") as own:
-        assert isinstance(own, Lock)
+    with compiled._alone_in(tmp_path / "kernels of runs") as alone:
+        assert isinstance(alone, Lock)
     (tmp_path / ".lock").mkdir()
     with compiled._alone_in(tmp_path / "kernels of runs") as none:
         assert none is None

@@ -148,8 +148,8 @@ def test_a_report_a_study_and_a_job_of_a_sweep_are_locked(tmp_path, capsys):
         evaluate([tmp_path], tmp_path / "report", tools())
     with pytest.raises(ConfigError, match=rf"study: process {study.pid} is writing there: .*another folder$"):
         made(tmp_path / "study", Recorder())
-    found = run_job(tmp_path / "job", {"a": 1}, [], lambda resume: 1.0)
-    assert found != found and f"process {job.pid} is writing there" in capsys.readouterr().err
+    objective = run_job(tmp_path / "job", {"a": 1}, [], lambda resume: 1.0)
+    assert objective != objective and f"process {job.pid} is writing there" in capsys.readouterr().err
     for each, folder in ((report, "report"), (study, "study"), (job, "job")):
         assert [path.name for path in (tmp_path / folder).iterdir()] == [NAME]
         ended(each)

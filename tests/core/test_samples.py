@@ -35,9 +35,9 @@ def test_compiled_code_and_torch_decide_as_numpy(dtype):
     sample = edges(dtype)
     expected = masks(sample, LIMIT)
     assert all(mask.any() and not mask.all() for mask in expected)
-    found = masks(tree_map(torch.from_numpy, sample), LIMIT)
+    use = masks(tree_map(torch.from_numpy, sample), LIMIT)
     for name, mask in expected._asdict().items():
-        np.testing.assert_array_equal(getattr(found, name), mask, err_msg=name)
+        np.testing.assert_array_equal(getattr(use, name), mask, err_msg=name)
     rows = np.empty((1, len(sample.surge), ROW), dtype)
     prepare_all(*sample.inputs, *sample[1:], True, LIMIT, rows)
     modes = np.select([expected.learns, expected.steps, expected.starts], [LEARN, PREDICT, START], HOLD)
@@ -52,10 +52,10 @@ def test_masks_by_hand():
     surge = np.array([1.0, np.nan, 1.0, LIMIT, 1.0, 1.0, 1.0])
     left = np.array([0.5, 0.5, 0.5, 0.5, np.nan, np.nan, 0.5])
     measured = np.array([1, 1, 0, 1, 1, 0, 1]) > 0
-    found = masks(Sample(Inputs(left, one, one, one, dt), surge, one > 0, measured), LIMIT)
-    assert found.learns.tolist() == [True, False, False, False, False, False, False]
-    assert found.steps.tolist() == [True, True, True, True, False, False, False]
-    assert found.starts.tolist() == [False, False, False, False, False, True, False]
+    use = masks(Sample(Inputs(left, one, one, one, dt), surge, one > 0, measured), LIMIT)
+    assert use.learns.tolist() == [True, False, False, False, False, False, False]
+    assert use.steps.tolist() == [True, True, True, True, False, False, False]
+    assert use.starts.tolist() == [False, False, False, False, False, True, False]
 
 
 def test_a_clean_sample_has_no_number_that_could_do_harm():

@@ -53,8 +53,8 @@ def test_a_value_is_as_expected(found, expected):
 def test_a_thruster_that_loses_thrust_is_an_event_at_its_first_row():
     watch = EventWatch(["joint"])
     assert watch.see(0.0, [1, 1, 0.3, 0.3, 0, 0, 0, 0, 0]) == []
-    (found,) = watch.see(0.4, [0.4, 1, 0.1, 0.3, 1, 0, 0, 0, 0])
-    assert found.is_alarm and found.sentence == "the left thruster gives 40 % of its thrust (24 ... 56 %)"
+    (event,) = watch.see(0.4, [0.4, 1, 0.1, 0.3, 1, 0, 0, 0, 0])
+    assert event.is_alarm and event.sentence == "the left thruster gives 40 % of its thrust (24 ... 56 %)"
 
 
 def test_fields_that_are_no_numbers_or_flags_are_refused():

@@ -34,15 +34,15 @@ def test_points_and_checksums_are_those_that_tensorboard_reads(tmp_path):
         for step in (0, 750, 2**40):
             board.scalars(values, step, "heron/aid")
     (path,) = (tmp_path / "heron" / "aid").glob("events*")
-    found = {}
+    points = {}
     for event in EventFileLoader(str(path)).Load():
         for point in event.summary.value:
-            (found[point.tag, event.step],) = point.tensor.float_val
+            (points[point.tag, event.step],) = point.tensor.float_val
     with np.errstate(over="ignore"):
         expected = {(name, step): np.float32(value)
                     for name, value in values.items() for step in (0, 750, 2**40)}  # fmt: skip
-    assert found.keys() == expected.keys()
-    np.testing.assert_array_equal(list(found.values()), [expected[key] for key in found])
+    assert points.keys() == expected.keys()
+    np.testing.assert_array_equal(list(points.values()), [expected[key] for key in points])
 
 
 @pytest.mark.thorough

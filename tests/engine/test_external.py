@@ -42,10 +42,10 @@ class Mine(Estimator):
         return {**state, "mean": surge}
 
     def predict(self, state, inputs):
-        found = state["mean"] + 0.01 * inputs.command_left
+        predicted = state["mean"] + 0.01 * inputs.command_left
         if self.bad is not None and bool((state["count"] >= self.step).any()):
-            found = self.bad(found)
-        return state, found
+            predicted = self.bad(predicted)
+        return state, predicted
 
     def update(self, state, inputs, surge):
         return {"mean": 0.7 * state["mean"] + 0.3 * surge, "count": state["count"] + 1}
@@ -69,24 +69,24 @@ def mission(*batch):
 @pytest.mark.parametrize("batch", [(), (3,)])
 @torch.no_grad()
 def test_two_passes_equal_stepping_together(batch):
-    made, samples = ensemble(), mission(*batch)
+    model, samples = ensemble(), mission(*batch)
     record = ["predictions", "members.mine.mean"]
-    end, surge, kept = rollout(made, made.init(batch), samples, record, backend="kernel")
-    online, state = Online(made, batch), made.init(batch)
+    end, surge, recorded = rollout(model, model.init(batch), samples, record, backend="kernel")
+    online, state = Online(model, batch), model.init(batch)
     for k in range(6):
-        state, by_torch = made(state, at(samples, k))
+        state, by_torch = model(state, at(samples, k))
         torch.testing.assert_close(by_torch, surge[k], rtol=1e-12, atol=1e-12)
     for k in range(60):
         live = online.step(at(samples, k))
         np.testing.assert_array_equal(live, surge[k])
-        np.testing.assert_array_equal(online.leaf("predictions"), kept["predictions"][k])
-        np.testing.assert_array_equal(online.leaf("members.mine.mean"), kept["members.mine.mean"][k])
+        np.testing.assert_array_equal(online.leaf("predictions"), recorded["predictions"][k])
+        np.testing.assert_array_equal(online.leaf("members.mine.mean"), recorded["members.mine.mean"][k])
     for name, leaf in leaves(online.state).items():
         np.testing.assert_array_equal(leaf, leaves(end)[name], name)
-    assert (kept["predictions"][..., 0].isfinite().sum(0) >= 58).all()
+    assert (recorded["predictions"][..., 0].isfinite().sum(0) >= 58).all()
 
 
-def refuse(found):
+def refuse(state):
     raise RuntimeError("no \x1b[1m\n  licence")
 
 
@@ -100,27 +100,27 @@ BAD = {  # what goes wrong from the ninth step on, and what is said
 @pytest.mark.parametrize("name", BAD)
 @torch.no_grad()
 def test_a_class_that_fails_is_named_with_the_step_and_the_run_goes_on(name):
-    bad, told = BAD[name]
-    made, samples = ensemble(bad=bad), random_samples(30, 2)
-    with pytest.warns(UserWarning, match=told):
-        end, surge, kept = rollout(made, made.init((2,)), samples, ["predictions"])
-    predicted = kept["predictions"][..., 0]
+    bad, words = BAD[name]
+    model, samples = ensemble(bad=bad), random_samples(30, 2)
+    with pytest.warns(UserWarning, match=words):
+        end, surge, recorded = rollout(model, model.init((2,)), samples, ["predictions"])
+    predicted = recorded["predictions"][..., 0]
     assert predicted[:8].isfinite().all() and predicted[8:].isnan().all() and surge.isfinite().all()
     if name == "raises":  # it stays away, also from a checkpoint on
-        again, online = random_samples(5, 2, seed=1), Online(made, (2,))
-        assert rollout(made, end, again, ["predictions"])[2]["predictions"][..., 0].isnan().all()
+        again, online = random_samples(5, 2, seed=1), Online(model, (2,))
+        assert rollout(model, end, again, ["predictions"])[2]["predictions"][..., 0].isnan().all()
         online.state = end
         online.step(at(again, 0))
         assert np.isnan(online.leaf("predictions")[..., 0]).all()
 
 
 def test_an_open_loop_simulation_knows_the_inputs_alone():
-    made, samples = ensemble(), random_samples(20, 2)
+    model, samples = ensemble(), random_samples(20, 2)
     with torch.no_grad():
-        state, _, _ = rollout(made, made.init((2,)), samples)
-        end, _, kept = simulate(made, state, samples, ["predictions"])
+        state, _, _ = rollout(model, model.init((2,)), samples)
+        end, _, recorded = simulate(model, state, samples, ["predictions"])
     expected = state.members["mine"]["mean"] + 0.01 * samples.inputs.command_left
-    assert torch.equal(kept["predictions"][..., 0], expected)
+    assert torch.equal(recorded["predictions"][..., 0], expected)
     assert torch.equal(end.members["mine"]["count"], state.members["mine"]["count"])
 
 
@@ -157,8 +157,8 @@ def test_a_boat_in_the_plane_has_such_members():
 
 
 def test_a_file_cannot_send_a_kernel_beyond_its_row():
-    made = ensemble()
-    description, state = made.description(), {name: leaf.numpy() for name, leaf in leaves(made.init()).items()}
+    model = ensemble()
+    description, state = model.description(), {name: leaf.numpy() for name, leaf in leaves(model.init()).items()}
     check(description, state)
     description["members"]["mine"]["column"] = 3
     with pytest.raises(CheckpointError, match=r"kernel\.members: found \[3\], expected the kind external"):

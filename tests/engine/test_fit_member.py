@@ -42,24 +42,24 @@ def table(theta: np.ndarray, late: float = 0.0) -> list[float]:
 
 def online(**settings) -> Online:
     members = {"joint": JointEKF(surge_max=TOP, mass=MASS), "persistence": Persistence()}
-    made = Ensemble(members, forecasts=FittedForecasts(**settings) if settings else ForecastSettings())
-    return Online.of({k: np.asarray(x) for k, x in Online(made)._live.leaves.items()},
-                     {"estimator": "Ensemble", "kernel": made.description()})  # fmt: skip
+    model = Ensemble(members, forecasts=FittedForecasts(**settings) if settings else ForecastSettings())
+    return Online.of({k: np.asarray(x) for k, x in Online(model)._live.leaves.items()},
+                     {"estimator": "Ensemble", "kernel": model.description()})  # fmt: skip
 
 
 def sail(boats: list[Online], steps: int, theta: np.ndarray, seed: int = 0) -> list[np.ndarray]:
     """Estimators learn from the same boat; what each has forecast, `(steps, horizons, columns)`, less the truth."""
-    model, rng, v, made = SurgeModel.fitted(theta, TOP, MASS), np.random.default_rng(seed), 0.0, [[] for _ in boats]
+    model, rng, v, due = SurgeModel.fitted(theta, TOP, MASS), np.random.default_rng(seed), 0.0, [[] for _ in boats]
     left, right = np.repeat(rng.uniform(-0.3, 1.0, (2, steps // 8 + 1)), 8, 1)
     for k in range(steps):
         v = float(model.step(v, left[k], right[k], 0.1, DT)) if k or seed else 0.0
         sample = Sample(
             Inputs(left[k], right[k], 0.0, 0.1, DT if k or seed else 0.0), v + 0.01 * rng.normal(), True, True
         )
-        for each, found in zip(boats, made, strict=True):
+        for each, taken in zip(boats, due, strict=True):
             each.step(sample)
-            found.append(each.leaf("forecasts.predictions") - v)
-    return [np.array(each) for each in made]
+            taken.append(each.leaf("forecasts.predictions") - v)
+    return [np.array(each) for each in due]
 
 
 def test_its_copies_move_as_the_fit_does():
@@ -76,7 +76,7 @@ def test_its_copies_move_as_the_fit_does():
 
 
 def test_thrust_follows_a_command_late():
-    found = []
+    changes = []
     for late in (0.0, 0.2, 9.0):
         one = online()
         one.take_fit(table(theta_of(), late))
@@ -84,8 +84,8 @@ def test_thrust_follows_a_command_late():
         slot = int(np.argmax(one.leaf("forecasts.elapsed") == 0.0))
         before = one.leaf("forecasts.frozen.fit.mean")[slot, 0]
         one.step(Sample(Inputs(1.2, 1.2, 0.0, 0.0, DT), 1.0, True, True))
-        found.append(one.leaf("forecasts.frozen.fit.mean")[slot, 0] - before)
-    assert found[0] > found[1] > found[2] and np.isfinite(found[2])
+        changes.append(one.leaf("forecasts.frozen.fit.mean")[slot, 0] - before)
+    assert changes[0] > changes[1] > changes[2] and np.isfinite(changes[2])
 
 
 def test_its_thrust_is_late_by_all_that_the_fit_has_found():
@@ -100,9 +100,9 @@ def test_the_next_steps_and_what_is_under_way_stay_as_they_are():
     other.take_fit(table(theta_of(thrust=2.0)))
     assert "fit" not in one.description["forecasts"]
     np.testing.assert_array_equal(other.leaf("forecasts.rule.weights")[:, -1], FIT_WEIGHT)
-    made, same = sail([one, other], 20, theta, seed=1)
-    np.testing.assert_array_equal(same[:20, 4:, -1], made[:20, 4:, -1])  # 10 and 30 s, from before
-    assert not np.array_equal(same[:, 2, -1], made[:, 2, -1], equal_nan=True)
+    first, same = sail([one, other], 20, theta, seed=1)
+    np.testing.assert_array_equal(same[:20, 4:, -1], first[:20, 4:, -1])  # 10 and 30 s, from before
+    assert not np.array_equal(same[:, 2, -1], first[:, 2, -1], equal_nan=True)
     for name in ("members.joint.mean", "predictions", "halfwidths"):
         np.testing.assert_array_equal(one.leaf(name), other.leaf(name))
 
@@ -124,8 +124,8 @@ def test_it_goes_on_where_it_was_saved_and_a_new_fit_takes_its_place(tmp_path):
     one.take_fit(table(theta))
     sail([one], 40, theta)
     other = Online.open(one.save(tmp_path / "one.safetensors"))
-    made, again = sail([one, other], 60, theta, seed=1)
-    np.testing.assert_array_equal(made, again)
+    first, again = sail([one, other], 60, theta, seed=1)
+    np.testing.assert_array_equal(first, again)
     weights, new = one.leaf("forecasts.rule.weights"), table(theta_of(thrust=0.9))
     one.take_fit(new)
     assert one.description["forecasts"]["fit"] == {"column": 0, "table": new}
@@ -137,9 +137,9 @@ def test_a_fit_that_is_doubted_is_inactive_and_the_next_one_begins_anew():
     theta, none, one = theta_of(), online(), online()
     sail([none, one], 60, theta)
     one.take_fit([0.0] * TABLE)
-    made, same = sail([none, one], 60, theta, seed=1)
+    first, same = sail([none, one], 60, theta, seed=1)
     assert np.isnan(same[..., -3]).all()
-    np.testing.assert_allclose(same[..., -1], made[..., -1], atol=0.05)
+    np.testing.assert_allclose(same[..., -1], first[..., -1], atol=0.05)
     one.take_fit(table(theta))
     np.testing.assert_allclose(one.leaf("forecasts.rule.weights")[:, -1], FIT_WEIGHT)
     np.testing.assert_allclose(one.leaf("forecasts.rule.weights").sum(-1), 1.0)
@@ -147,14 +147,14 @@ def test_a_fit_that_is_doubted_is_inactive_and_the_next_one_begins_anew():
 
 
 def test_a_replay_with_the_fit_in_its_settings_makes_the_same_forecasts():
-    own = table(theta_of())
-    one, other = online(), online(fit=own)
-    one.take_fit(own)
+    fit = table(theta_of())
+    one, other = online(), online(fit=fit)
+    one.take_fit(fit)
     assert json.dumps(one.description) == json.dumps(other.description)
     sail([one], 30, theta_of())
     other.state = one.state
-    made, again = sail([one, other], 60, theta_of(), seed=1)
-    np.testing.assert_array_equal(made, again)
+    first, again = sail([one, other], 60, theta_of(), seed=1)
+    np.testing.assert_array_equal(first, again)
 
 
 @pytest.mark.parametrize("wrong, message", [
@@ -172,8 +172,8 @@ def test_a_damaged_fit_is_refused(wrong, message, tmp_path):
 
 
 def test_without_a_joint_ekf_there_is_no_such_member():
-    made = Ensemble({"persistence": Persistence()}, forecasts=ForecastSettings())
-    assert with_fit({}, made.description(), table(theta_of()))[1] == made.description()
+    model = Ensemble({"persistence": Persistence()}, forecasts=ForecastSettings())
+    assert with_fit({}, model.description(), table(theta_of()))[1] == model.description()
     with pytest.raises(ConfigError, match="expected a joint EKF"):
         Ensemble({"persistence": Persistence()}, forecasts=FittedForecasts(fit=table(theta_of())))
     with pytest.raises(ConfigError, match=f"found 2 numbers, expected {TABLE}"):

@@ -69,8 +69,8 @@ def test_thousands_of_steps(name, steps):
         assert_windows_equal(estimator, samples, 50, 1e-9)
         return
     found, expected = (rollout(estimator, estimator.init((4,)), samples, backend=b) for b in ("kernel", "torch"))
-    made = expected[1][expected[1].isfinite()]
-    assert len(made) > 3.6 * steps and made.std() > 0.1
+    finite = expected[1][expected[1].isfinite()]
+    assert len(finite) > 3.6 * steps and finite.std() > 0.1
     assert_equal(found, expected, 1e-9)
 
 
@@ -151,22 +151,22 @@ def test_what_was_given_stays_and_results_are_new(name):
     estimator, samples = EVERY[name](), mission(30, 2)
     state = rollout(estimator, estimator.init((2,)), samples, backend="kernel")[0]
     given, names = {"state": state, "samples": samples}, [name for name, _ in named_leaves(state)]
-    kept = tree_map(torch.clone, given)
+    before = tree_map(torch.clone, given)
     results = [dict(zip("abc", rollout(estimator, state, samples, names, backend="kernel"), strict=True)) for _ in "12"]
-    assert difference(given, kept) == 0.0 and difference(*results) == 0.0
+    assert difference(given, before) == 0.0 and difference(*results) == 0.0
     memory = [{leaf.untyped_storage().data_ptr() for _, leaf in named_leaves(tree)} for tree in (given, *results)]
     assert not (memory[0] & memory[1] or memory[0] & memory[2] or memory[1] & memory[2])
 
 
 def test_shared_samples_equal_their_copies():
     """Batch elements along an axis of stride 0 share what is prepared of a sample."""
-    estimator, own = ESTIMATORS["boa"](), mission(60, 2)
+    estimator, single = ESTIMATORS["boa"](), mission(60, 2)
     for shared in (
-        tree_map(lambda x: x[:, None].expand(60, 3, 2), own),
-        tree_map(lambda x: x[:, :1, None].expand(60, 3, 2), own),
-        tree_map(lambda x: x[:, :, None].expand(60, 2, 3), own),
-        tree_map(lambda x: x.T.contiguous().T, own),
-        own._replace(surge=own.surge[:, :1].expand(60, 2)),
+        tree_map(lambda x: x[:, None].expand(60, 3, 2), single),
+        tree_map(lambda x: x[:, :1, None].expand(60, 3, 2), single),
+        tree_map(lambda x: x[:, :, None].expand(60, 2, 3), single),
+        tree_map(lambda x: x.T.contiguous().T, single),
+        single._replace(surge=single.surge[:, :1].expand(60, 2)),
     ):
         batch = shared.surge.shape[1:]
         copied = tree_map(torch.Tensor.contiguous, shared)

@@ -54,8 +54,8 @@ def test_any_samples(run, name, after, rows):
     assert torch.equal(found[1].isnan(), expected[1].isnan())
     for x, y in zip(found, expected, strict=True):
         assert difference(x, y) <= 1e-9
-    made = clean(samples, estimator.surge_limit)
-    for k in np.flatnonzero(~(made.steps | made.starts).numpy()):
+    use = clean(samples, estimator.surge_limit)
+    for k in np.flatnonzero(~(use.steps | use.starts).numpy()):
         before = dict(named_leaves(state)) if k == 0 else {key: leaf[k - 1] for key, leaf in found[2].items()}
         assert found[1][k].isnan()
         assert difference({key: leaf[k] for key, leaf in found[2].items()}, before) == 0.0

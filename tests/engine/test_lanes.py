@@ -40,8 +40,8 @@ def test_every_setting(name):
 def test_functions_that_mean_the_same_there():
     pairs = [(1.0, 2.0), (np.nan, 1.0), (1.0, np.nan), (0.0, -0.0)]
     for x, y in pairs:
-        found = [on_device.FUNCTIONS[name](x, y) for name in ("min", "max")]
-        np.testing.assert_array_equal([*found, on_device.FUNCTIONS["sign"](x)], [min(x, y), max(x, y), np.sign(x)])
+        values = [on_device.FUNCTIONS[name](x, y) for name in ("min", "max")]
+        np.testing.assert_array_equal([*values, on_device.FUNCTIONS["sign"](x)], [min(x, y), max(x, y), np.sign(x)])
 
 
 def test_without_a_gpu_it_is_said_what_to_do(monkeypatch):

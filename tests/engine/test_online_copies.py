@@ -76,8 +76,8 @@ def test_a_boat_that_is_asked_while_it_learns():
     thread = threading.Thread(target=ask)
     thread.start()
     try:
-        found = [asked.step(row) for row in rows]
+        predicted = [asked.step(row) for row in rows]
     finally:
         done.set()
         thread.join()
-    np.testing.assert_array_equal(found, [alone.step(row) for row in rows])
+    np.testing.assert_array_equal(predicted, [alone.step(row) for row in rows])

@@ -50,10 +50,10 @@ def boats():
 @pytest.fixture(scope="module")
 def learned(boats):
     """The `Planar`, its state at the end, and what became due, (time, boats, horizons, columns)."""
-    own = planar()
+    model = planar()
     with torch.no_grad():
-        *_, (state, _) = found = list(chunked_rollout(own, own.init((2,)), boats, ["track.due"]))
-    return own, state, np.concatenate([kept["track.due"] for _, kept in found])
+        *_, (state, _) = chunks = list(chunked_rollout(model, model.init((2,)), boats, ["track.due"]))
+    return model, state, np.concatenate([record["track.due"] for _, record in chunks])
 
 
 def element(samples: PlanarSample, boat: int, k: slice | int = slice(None)) -> PlanarSample:
@@ -73,10 +73,10 @@ def parameters(online: Online) -> np.ndarray:
 
 def test_live_is_replay_and_goes_on_from_a_file(boats, tmp_path):
     samples = element(boats[0], 0, slice(300))
-    own = planar()
+    model = planar()
     with torch.no_grad():
-        ((state, _),) = chunked_rollout(own, own.init(), [samples], [])
-    online = followed(Online(own), element(boats[0], 0, slice(200)))
+        ((state, _),) = chunked_rollout(model, model.init(), [samples], [])
+    online = followed(Online(model), element(boats[0], 0, slice(200)))
     online.save(tmp_path / "boat.safetensors")
     online = followed(Online.open(tmp_path / "boat.safetensors"), element(boats[0], 0, slice(200, 300)))
     for name, leaf in arrays_of(state).items():
@@ -84,9 +84,9 @@ def test_live_is_replay_and_goes_on_from_a_file(boats, tmp_path):
 
 
 def test_the_surge_is_that_without_tracks(boats, learned):
-    own, state, _ = learned
+    model, state, _ = learned
     with torch.no_grad():
-        *_, (alone, _) = chunked_rollout(own.surge, own.surge.init((2,)), [each.sample for each in boats], [])
+        *_, (alone, _) = chunked_rollout(model.surge, model.surge.init((2,)), [each.sample for each in boats], [])
     for name, leaf in arrays_of(alone).items():
         assert np.array_equal(leaf, arrays_of(state)[f"surge.{name}"], equal_nan=True), name
 
@@ -98,8 +98,8 @@ def test_tracks_are_nearer_than_those_that_learn_nothing_and_ellipses_hold(learn
             rows = due[:, boat, k]
             rows = rows[np.isfinite(rows[:, RADIUS])]
             assert len(rows) > 300
-            own = rows[:, ERROR].mean()
-            assert own < min(most, 0.5 * rows[:, CONSTANT].mean(), 0.5 * rows[:, HELD_RATE].mean())
+            error = rows[:, ERROR].mean()
+            assert error < min(most, 0.5 * rows[:, CONSTANT].mean(), 0.5 * rows[:, HELD_RATE].mean())
             inside = rows[:, RHO] <= rows[:, RADIUS]
             assert 0.85 < inside.mean() < 0.95
             for group in range(3):
@@ -107,14 +107,14 @@ def test_tracks_are_nearer_than_those_that_learn_nothing_and_ellipses_hold(learn
                     assert 0.8 < inside[rows[:, GROUP] == group].mean() < 0.97
 
 
-def plain_track(own: Planar, state, commands: np.ndarray, dt: float) -> np.ndarray:
+def plain_track(model: Planar, state, commands: np.ndarray, dt: float) -> np.ndarray:
     """A track by the members in torch, step for step as (2) of `estimators.planar.state`; north, east, heading."""
-    axes = {name: getattr(own, name) for name in ("surge", "sway", "yaw")}
+    axes = {name: getattr(model, name) for name in ("surge", "sway", "yaw")}
     members = {name: dict(getattr(state, name).members) for name in axes}
     mean = state.surge.members["joint"].mean
     north, east = mean[2], mean[3]
     w, v, r, _, _, psi = state.track.before
-    u, place, elapsed, found = w + north * psi.cos() + east * psi.sin(), torch.zeros(2, dtype=w.dtype), 0.0, []
+    u, place, elapsed, track = w + north * psi.cos() + east * psi.sin(), torch.zeros(2, dtype=w.dtype), 0.0, []
 
     def predicted(name: str, inputs: Inputs) -> torch.Tensor:
         forecasts, xs = axes[name].forecasts, []
@@ -142,15 +142,15 @@ def plain_track(own: Planar, state, commands: np.ndarray, dt: float) -> np.ndarr
         along = predicted("surge", Inputs(left, right, (psi + turned) / 2, (r + ahead) / 2, h))
         place = place + h / 2 * (ground(u, v, psi) + ground(along, aside, turned))
         u, v, r, psi, w = along, aside, ahead, turned, along - north * turned.cos() - east * turned.sin()
-        found.append([*place.tolist(), float(psi)])
-    return np.array(found)
+        track.append([*place.tolist(), float(psi)])
+    return np.array(track)
 
 
 def test_a_track_is_the_plain_one(boats, learned):
-    own, whole, _ = learned
+    model, whole, _ = learned
     state = tree_map(lambda x: x[1], whole)
     assert state.sway.members["sway"].updates > USED
-    online = Online(own)
+    online = Online(model)
     online.state = arrays_of(state)
     online = followed(online, element(boats[0], 1, slice(1)))  # a start changes `before` alone
     rng = np.random.default_rng(0)
@@ -158,7 +158,7 @@ def test_a_track_is_the_plain_one(boats, learned):
     now = rebuild(state, {name: torch.as_tensor(leaf) for name, leaf in online.state.items()})
     track = online.forecast(commands, dt=0.4)
     with torch.no_grad():
-        expected = plain_track(own, now, commands, 0.4)
+        expected = plain_track(model, now, commands, 0.4)
     assert np.abs(np.column_stack([track.north, track.east, track.heading]) - expected).max() < 1e-9
 
 
@@ -179,20 +179,20 @@ def test_covariance_and_ellipse_are_those_of_the_radius(boats, learned):
 
 
 def test_batches_are_forecast_as_single_boats(boats, learned):
-    own, state, _ = learned
+    model, state, _ = learned
     plan = torch.rand(20, 2, 2, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     inputs = Inputs(plan[..., 0], plan[..., 1], None, None, torch.full((20, 2), 0.4, dtype=torch.float64))
-    track = usvlearn.forecast(own, state, inputs)
+    track = usvlearn.forecast(model, state, inputs)
     for boat in range(2):
-        online = Online(own)
+        online = Online(model)
         online.state = arrays_of(tree_map(lambda x, boat=boat: x[boat], state))
         alone = online.forecast(plan[:, boat].numpy())
         for name in ("north", "heading", "covariance"):
             assert np.array_equal(getattr(track, name)[:, boat], getattr(alone, name)), name
     with pytest.raises(ConfigError, match=r"inputs\.heading: found None with Ensemble"):
-        usvlearn.forecast(own.surge, state.surge, inputs)
+        usvlearn.forecast(model.surge, state.surge, inputs)
     with pytest.raises(ConfigError, match=r"inputs\.dt: found 40 lengths that differ"):
-        usvlearn.forecast(own, state, inputs._replace(dt=inputs.dt * plan[..., 0]))
+        usvlearn.forecast(model, state, inputs._replace(dt=inputs.dt * plan[..., 0]))
 
 
 def test_before_the_first_tracks_nothing_is_known_of_their_errors(boats):
@@ -225,9 +225,9 @@ def test_bad_poses_are_survived(name, boats, learned):
         online.state = arrays_of(tree_map(lambda x: x[0], learned[1]))
         ends.append(followed(online, samples))
     spoilt = ends[1]
-    for leaf, found in spoilt.state.items():
+    for leaf, values in spoilt.state.items():
         if not leaf.endswith((".due", "predictions", "halfwidths", "slots")):
-            assert np.isfinite(found).all() or found.dtype == bool, leaf
+            assert np.isfinite(values).all() or values.dtype == bool, leaf
     track, other = (each.forecast([[0.5, 0.3]] * 20) for each in (spoilt, ends[0]))
     assert np.isfinite(track.north).all()
     if steps <= 10:
@@ -237,9 +237,9 @@ def test_bad_poses_are_survived(name, boats, learned):
 
 
 def test_a_lost_thruster_widens_the_ellipses_within_five_seconds(boats, learned):
-    own, state, _ = learned
+    model, state, _ = learned
     clean = element(boats[2], 0, slice(400))
-    online = Online(own)
+    online = Online(model)
     online.state = arrays_of(tree_map(lambda x: x[0], state))
     turning = next(k for k in range(100, 380) if clean.sample.inputs.command_left[k : k + 12].min() > 0.4)
     followed(online, element(boats[2], 0, slice(turning)))
@@ -254,24 +254,24 @@ def test_a_lost_thruster_widens_the_ellipses_within_five_seconds(boats, learned)
 
 @pytest.mark.thorough
 def test_numbers_of_single_precision_stay_finite_for_long(boats):
-    own = planar().to(torch.float32)
+    model = planar().to(torch.float32)
     parts = [tree_map(lambda x: x if x.dtype == bool else x.astype(np.float32), each) for each in boats]
     with torch.no_grad():
-        *_, (state, kept) = chunked_rollout(own, own.init((2,)), parts, ["track.due"])
+        *_, (state, recorded) = chunked_rollout(model, model.init((2,)), parts, ["track.due"])
     assert all(torch.isfinite(x).all() for x in (state.yaw.members["yaw"].mean, state.track.covariance))
-    errors = kept["track.due"][:, :, 0, ERROR]
+    errors = recorded["track.due"][:, :, 0, ERROR]
     assert np.nanmean(errors) < 0.2
 
 
 @pytest.mark.slow
 def test_a_million_steps_of_single_precision(boats):
-    own = planar().to(torch.float32)
+    model = planar().to(torch.float32)
     one = tree_map(lambda x: x[:, :1] if x.dtype == bool else x[:, :1].astype(np.float32), boats[0])
-    state, rounds = own.init((1,)), -(-1_000_000 // len(one.heading))
+    state, rounds = model.init((1,)), -(-1_000_000 // len(one.heading))
     with torch.no_grad():
-        for after, kept in chunked_rollout(own, state, [one] * rounds, ["track.due"]):
+        for after, recorded in chunked_rollout(model, state, [one] * rounds, ["track.due"]):
             assert all(torch.isfinite(x).all() for x in (after.yaw.members["yaw"].mean, after.track.covariance))
-            errors = kept["track.due"][:, :, 0, ERROR]
+            errors = recorded["track.due"][:, :, 0, ERROR]
             assert np.nanmean(errors) < 0.5
 
 

@@ -105,10 +105,10 @@ def test_beside_a_member_without_a_kernel_the_others_step_by_theirs():
     samples, start = mission(120, 2), make(AID(28.0)).init((2,))
     with torch.no_grad():
         expected = rollout(make(AID(28.0)), start, samples, backend="kernel")
-        found = rollout(make(OwnAID(28.0)), start, samples)
-        assert difference(found[0], expected[0]) < 1e-9 and difference(found[1], expected[1]) < 1e-9
+        mixed = rollout(make(OwnAID(28.0)), start, samples)
+        assert difference(mixed[0], expected[0]) < 1e-9 and difference(mixed[1], expected[1]) < 1e-9
         plan = tree_map(lambda x: x.nan_to_num(0.0).clamp(-1, 1), mission(5, 2, faults=False)).inputs
-        ahead = [forecast(make(aid), found[0], plan) for aid in (AID(28.0), OwnAID(28.0))]
+        ahead = [forecast(make(aid), mixed[0], plan) for aid in (AID(28.0), OwnAID(28.0))]
     assert torch.equal(ahead[0].surge, ahead[1].surge) and torch.equal(ahead[0].high, ahead[1].high)
     with pytest.raises(ConfigError, match=r"combiners.own: found OwnRule, which has no kernel, expected watched"):
         Ensemble({"a": AID()}, {"own": OwnRule()})
@@ -226,10 +226,10 @@ def test_checkpoints_are_the_same_from_either(name, batch, tmp_path):
     assert difference(*loaded) <= 1e-9
     boats["kernel"].restore(paths["torch"])
     boats["torch"].restore(paths["kernel"])
-    found = [torch.tensor([online.step(sample) for sample in at[30:40]]) if batch == () else
+    surges = [torch.tensor([online.step(sample) for sample in at[30:40]]) if batch == () else
              torch.stack([torch.from_numpy(online.step(sample)) for sample in at[30:40]])
              for online in boats.values()]  # fmt: skip
-    assert difference(*found) <= 1e-9 and difference(*(online.state for online in boats.values())) <= 1e-9
+    assert difference(*surges) <= 1e-9 and difference(*(online.state for online in boats.values())) <= 1e-9
 
 
 PLAIN = """
@@ -313,11 +313,11 @@ def test_results_and_samples_are_tensors_like_any():
 def test_one_number_fits_every_batch_by_either(name):
     one = Sample(Inputs(0.5, 0.4, 0.1, 0.0, 0.4), 1.0, True, True)
     elements = Sample(Inputs(*(np.full(3, x) for x in one.inputs)), np.ones(3), np.ones(3, bool), np.ones(3, bool))
-    found, expected = Online(ESTIMATORS[name](), (3,), "torch"), Online(ESTIMATORS[name](), (3,), "kernel")
+    by_torch, expected = Online(ESTIMATORS[name](), (3,), "torch"), Online(ESTIMATORS[name](), (3,), "kernel")
     for _ in range(3):
-        assert difference(torch.from_numpy(found.step(one)), torch.from_numpy(expected.step(elements))) < 1e-9
+        assert difference(torch.from_numpy(by_torch.step(one)), torch.from_numpy(expected.step(elements))) < 1e-9
     assert (
-        difference(torch.from_numpy(found.predict(one.inputs)), torch.from_numpy(expected.predict(elements.inputs)))
+        difference(torch.from_numpy(by_torch.predict(one.inputs)), torch.from_numpy(expected.predict(elements.inputs)))
         < 1e-9
     )
 
@@ -333,14 +333,14 @@ def test_a_member_that_is_not_finite_begins_again_and_the_others_go_on(monkeypat
     broken = tree_map(torch.clone, ensemble.init((2,)))
     broken.members["aid"].theta[1, 0] = math.nan
     with pytest.warns(UserWarning, match=r"^the state of aid is not finite in 1 of 2 vehicles: it begins again there$"):
-        found = [state for state, _ in chunked_rollout(ensemble, broken, parts, [])]
+        states = [state for state, _ in chunked_rollout(ensemble, broken, parts, [])]
     first = dict(named_leaves(ensemble.init((2,)).members["aid"]))
-    assert all(torch.equal(leaf[1], first[name][1]) for name, leaf in named_leaves(found[0].members["aid"]))
-    for after, wanted in zip(found, sound, strict=True):
+    assert all(torch.equal(leaf[1], first[name][1]) for name, leaf in named_leaves(states[0].members["aid"]))
+    for after, wanted in zip(states, sound, strict=True):
         for name, leaf in named_leaves(after.members):
             same = dict(named_leaves(wanted.members))[name]
             assert leaf.isfinite().all() and torch.equal(leaf[0], same[0]), name
             assert name.startswith("aid") or torch.equal(leaf, same), name
-    again = [state for state, _ in chunked_rollout(ensemble, found[0], parts[1:], [])]
-    ends = (dict(named_leaves(each[-1].members)) for each in (again, found))
+    again = [state for state, _ in chunked_rollout(ensemble, states[0], parts[1:], [])]
+    ends = (dict(named_leaves(each[-1].members)) for each in (again, states))
     assert all(torch.equal(x, y) for x, y in zip(*(end.values() for end in ends), strict=True))

@@ -52,22 +52,22 @@ def part(samples: Sample, first: int, last: int) -> Sample:
 @pytest.fixture(scope="module")
 def course():
     one, samples = ensemble(), sail()
-    state, _, kept = rollout(one, one.init((BOATS,)), samples, LEAVES)
-    return one, samples, state, kept
+    state, _, record = rollout(one, one.init((BOATS,)), samples, LEAVES)
+    return one, samples, state, record
 
 
 def test_the_filters_get_the_effectiveness_ten_seconds_after_the_alarm(course):
-    _, _, _, kept = course
+    _, _, _, record = course
     for boat in range(BOATS):
         alarm, given = (
-            int(kept[name][:, boat, 0].argmax()) for name in ("monitors.thrusters.raised", "accommodation.handed")
+            int(record[name][:, boat, 0].argmax()) for name in ("monitors.thrusters.raised", "accommodation.handed")
         )
         assert FAILS < alarm < FAILS + 60
         assert given - alarm == round(AFTER / DT)
-        assert (kept["accommodation.handed"][:, boat, 1] == 0).all()
+        assert (record["accommodation.handed"][:, boat, 1] == 0).all()
         past, before, now = (
-            kept["members.joint.trial.past_mean"][given, boat, 0],
-            *kept["members.joint.mean"][given - 1 : given + 1, boat],
+            record["members.joint.trial.past_mean"][given, boat, 0],
+            *record["members.joint.mean"][given - 1 : given + 1, boat],
         )
         at, other = THETA + 3, THETA + 6  # α, β, γ of the left and of the right side
         torch.testing.assert_close(now[other : other + 3], past[other : other + 3], rtol=0, atol=0)
@@ -79,21 +79,21 @@ def test_the_filters_get_the_effectiveness_ten_seconds_after_the_alarm(course):
 
 
 def test_a_minute_later_the_effectiveness_is_right_and_its_interval_holds(course):
-    _, _, _, kept = course
+    _, _, _, record = course
     at = FAILS + 200
-    share, deviation = (kept[f"accommodation.{name}"][at, :, 0] for name in ("share", "deviation"))
+    share, deviation = (record[f"accommodation.{name}"][at, :, 0] for name in ("share", "deviation"))
     assert ((share - SHARE).abs() < 0.1).all()
     assert ((share - SHARE).abs() <= 2.6 * deviation).all() and (deviation < 0.15).all()
 
 
 def test_a_thruster_that_recovers_gets_its_parameters_back(course):
-    _, _, state, kept = course
-    handed = kept["accommodation.handed"][:, :, 0]
+    _, _, state, record = course
+    handed = record["accommodation.handed"][:, :, 0]
     assert (handed[HEALS - 1] == 1).all() and (handed[-1] == 0).all()
-    assert (kept["accommodation.share"][-1] == 1).all() and (kept["accommodation.deviation"][-1] == 0).all()
+    assert (record["accommodation.share"][-1] == 1).all() and (record["accommodation.deviation"][-1] == 0).all()
     for boat in range(BOATS):
         end = HEALS + int((handed[HEALS:, boat] == 0).int().argmax())
-        past, now = (kept[f"members.joint.{name}"][end, boat] for name in ("trial.past_mean", "mean"))
+        past, now = (record[f"members.joint.{name}"][end, boat] for name in ("trial.past_mean", "mean"))
         assert end < HEALS + 100
         torch.testing.assert_close(now[THETA + 3 : THETA + 6], past[0, THETA + 3 : THETA + 6])
     full = state.members["joint"].mean[:, THETA + 3 : THETA + 5].sum(-1) + state.members["joint"].mean[:, KAPPA]
@@ -101,8 +101,8 @@ def test_a_thruster_that_recovers_gets_its_parameters_back(course):
 
 
 def test_no_copy_is_made_while_a_fault_is_seen(course):
-    _, _, _, kept = course
-    calm, raised = kept["accommodation.calm"], kept["monitors.thrusters.raised"].amax(-1) > 0
+    _, _, _, record = course
+    calm, raised = record["accommodation.calm"], record["monitors.thrusters.raised"].amax(-1) > 0
     assert (calm < WAIT + DT).all()
     assert (calm.diff(dim=0)[raised[1:]] == 0).all()
     assert (calm.diff(dim=0) < -WAIT / 2).sum() > 20 * BOATS
@@ -133,16 +133,16 @@ def test_one_command_for_both_sides_raises_no_alarm():
     """Nothing tells the sides apart, and a loss of one would be blamed on both."""
     one, samples = ensemble(), sail(5)
     inputs = samples.inputs._replace(command_right=samples.inputs.command_left)
-    _, _, kept = rollout(one, one.init((BOATS,)), samples._replace(inputs=inputs), LEAVES)
-    assert (kept["monitors.thrusters.raised"] == 0).all() and (kept["accommodation.handed"] == 0).all()
+    _, _, record = rollout(one, one.init((BOATS,)), samples._replace(inputs=inputs), LEAVES)
+    assert (record["monitors.thrusters.raised"] == 0).all() and (record["accommodation.handed"] == 0).all()
 
 
 @pytest.mark.thorough
 def test_single_precision_finds_the_same():
     one, samples = ensemble().to(torch.float32), sail(1)
     narrow = tree_map(lambda x: x if x.dtype == torch.bool else x.float(), samples)
-    _, _, kept = rollout(one, one.init((BOATS,)), narrow, LEAVES)
-    share = kept["accommodation.share"][FAILS + 200, :, 0]
+    _, _, record = rollout(one, one.init((BOATS,)), narrow, LEAVES)
+    share = record["accommodation.share"][FAILS + 200, :, 0]
     assert share.dtype == torch.float32 and ((share - SHARE).abs() < 0.1).all()
 
 

@@ -56,12 +56,12 @@ def stepped():
 
 def test_filters_get_the_effectiveness_ten_seconds_after_an_alarm_until_they_reach_one(stepped):
     before, after = stepped
-    found, joint, old = after.accommodation, after.members["joint"], before.members["joint"]
+    now, joint, old = after.accommodation, after.members["joint"], before.members["joint"]
     for k, (name, (given, handed, share)) in enumerate(CASES.items()):
-        assert found.handed[k].tolist() == [handed, 0], name
-        assert found.share[k, 1] == 1 and found.deviation[k, 1] == 0, name
-        assert float(found.share[k, 0]) == pytest.approx(share, abs=0.05), name
-        assert (found.deviation[k, 0] > 0) == (share != 1), name
+        assert now.handed[k].tolist() == [handed, 0], name
+        assert now.share[k, 1] == 1 and now.deviation[k, 1] == 0, name
+        assert float(now.share[k, 0]) == pytest.approx(share, abs=0.05), name
+        assert (now.deviation[k, 0] > 0) == (share != 1), name
         new = handed > given.get("handed", 0)
         thrust = joint.mean[k, LEFT] / old.trial.past_mean[k, 0, LEFT]
         assert float(thrust) == pytest.approx(share if new or "past" in given else 1.0, abs=0.05), name

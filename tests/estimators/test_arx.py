@@ -53,9 +53,9 @@ class History:
 
 
 def prior_deviations(arx: ARX) -> np.ndarray:
-    found = [1, 10, 10, 10, *(30 / (1 + j) for j in range(arx.lags)), *[10] * (4 * arx.lags + 4)]
-    found += [1] * 4 * arx.even + [10] * 2 * arx.turning + [10] * 2 * arx.thrust_speed
-    return np.array(found) * float(arx.scale())
+    scales = [1, 10, 10, 10, *(30 / (1 + j) for j in range(arx.lags)), *[10] * (4 * arx.lags + 4)]
+    scales += [1] * 4 * arx.even + [10] * 2 * arx.turning + [10] * 2 * arx.thrust_speed
+    return np.array(scales) * float(arx.scale())
 
 
 def slowed(arx: ARX, theta, P):
@@ -71,22 +71,22 @@ def slowed(arx: ARX, theta, P):
 
 def textbook(arx: ARX, samples: Sample):
     """Predictions, θ, P and σ² of a Kalman filter whose covariance is one dense matrix; one boat."""
-    made, inputs = masks(samples, PLAUSIBLE), tree_map(lambda x: x.numpy(), samples.inputs)
+    use, inputs = masks(samples, PLAUSIBLE), tree_map(lambda x: x.numpy(), samples.inputs)
     prior = prior_deviations(arx) ** 2
     P, theta, noise, turn, rest = np.diag(prior), np.zeros(len(prior)), 0.05**2, 0, 0.0
     history, walk = History(arx), float(arx.walk())
     nu = math.inf if arx.degrees is None else float(arx.degrees())
     predictions = np.full(len(samples.surge), np.nan)
     for k, surge in enumerate(samples.surge.numpy()):
-        if made.starts[k]:
+        if use.starts[k]:
             history.start(surge)
-        if not made.steps[k]:
+        if not use.steps[k]:
             continue
         left, right, yaw_rate = inputs.command_left[k], inputs.command_right[k], inputs.yaw_rate[k]
         h, f = min(inputs.dt[k] / 0.4, 25.0), history.features(left, right, yaw_rate)
         estimate = history.speeds[-1] + h * f @ theta
         predictions[k] = np.clip(estimate, -arx.surge_max, arx.surge_max)
-        if made.learns[k]:
+        if use.learns[k]:
             rest = rest + inputs.dt[k] if left**2 + right**2 + f[1] ** 2 < 0.01 else 0.0
             if rest <= 60:
                 phi, e = h * f, surge - estimate
@@ -99,7 +99,7 @@ def textbook(arx: ARX, samples: Sample):
                 P[turn, turn] += max(0.0, min(len(f) * h * walk * prior[turn], prior[turn] - P[turn, turn]))
                 noise = max(noise + 0.02 * (w * e * e / S - noise), 1e-6)
                 turn = (turn + 1) % len(f)
-        history.speeds.append(surge if made.learns[k] else predictions[k])
+        history.speeds.append(surge if use.learns[k] else predictions[k])
         history.steps.append(h)
     return predictions, theta, P, noise
 
@@ -125,9 +125,9 @@ def test_equals_a_dense_kalman_filter(options):
     """Over missing, stale and outlying samples, new segments, rest, and steps of different lengths."""
     arx, samples = ARX(**OPTIONS[options]), mission(600, seed=2)
     assert masks(samples).starts.sum() > 2 and (masks(samples).steps & ~masks(samples).learns).sum() > 10
-    state, found, _ = rollout(arx, arx.init(), samples)
+    state, surge, _ = rollout(arx, arx.init(), samples)
     predictions, theta, P, variance = textbook(arx, samples)
-    np.testing.assert_allclose(found, predictions, atol=1e-7, rtol=1e-7)
+    np.testing.assert_allclose(surge, predictions, atol=1e-7, rtol=1e-7)
     np.testing.assert_allclose(state.theta, theta, atol=1e-6 * abs(theta).max())
     np.testing.assert_allclose(covariance(state), P, atol=1e-6 * P.max())
     np.testing.assert_allclose(state.noise, variance, rtol=1e-6)
@@ -154,15 +154,15 @@ def test_student_weight():
     """The first correction of the bias, P = s², is e s²/(1/w + s²): it grows with e, then falls; Gaussian, it grows."""
     still = tree_map(lambda x: x[0], constant(1, 0.0, 0.0, 0.0).inputs)
     errors = torch.tensor([0.05, 0.5, 5.0, 50.0], dtype=torch.float64)
-    found = {}
+    thetas = {}
     assert ARX(degrees=math.inf).degrees is None
     for degrees in (3.0, None):
         arx = ARX(degrees=degrees, scale=2.0)
         inputs = tree_map(lambda x: x.expand(4), still)
-        found[degrees] = arx.update(arx.init((4,)), inputs, errors).theta[:, 0]
+        thetas[degrees] = arx.update(arx.init((4,)), inputs, errors).theta[:, 0]
         weight = 1.0 if degrees is None else (degrees + 1) / (degrees + errors**2 / (5 * 0.05**2))
-        torch.testing.assert_close(found[degrees], errors * 4 / (1 / torch.as_tensor(weight) + 4))
-    assert found[3.0][1] > found[3.0][0] and (found[3.0].diff() < 0)[1:].all() and (found[None].diff() > 0).all()
+        torch.testing.assert_close(thetas[degrees], errors * 4 / (1 / torch.as_tensor(weight) + 4))
+    assert thetas[3.0][1] > thetas[3.0][0] and (thetas[3.0].diff() < 0)[1:].all() and (thetas[None].diff() > 0).all()
 
 
 def test_a_segment_starts_without_memory():
@@ -172,13 +172,13 @@ def test_a_segment_starts_without_memory():
     opening = tree_map(torch.clone, random_samples(6, seed=5))
     opening.inputs.dt[0] = 0.0
     other = state._replace(past=state.past + 1.0, surge=state.surge - 0.5)
-    found = [rollout(arx, each, opening)[1][1:] for each in (state, other)]
-    assert torch.equal(*found)
+    pairs = [rollout(arx, each, opening)[1][1:] for each in (state, other)]
+    assert torch.equal(*pairs)
     history = History(arx)
     history.start(float(opening.surge[0]))
     f = history.features(*(float(x[1]) for x in (*opening.inputs[:2], opening.inputs.yaw_rate)))
     assert f[4] == f[5] == 0 and f[6] == f[10] == f[14] and f[-1] == 0
-    torch.testing.assert_close(found[0][0], opening.surge[0] + torch.from_numpy(f) @ state.theta)
+    torch.testing.assert_close(pairs[0][0], opening.surge[0] + torch.from_numpy(f) @ state.theta)
 
 
 def test_free_runs_are_bounded():
@@ -288,5 +288,5 @@ def test_a_turn_that_is_no_place_reads_no_other_memory():
     state, expected, _ = rollout(arx, arx.init(), samples)
     for turn in (math.nan, math.inf, 1e12, -5.0):
         begin = arx.init()._replace(turn=torch.tensor(turn, dtype=torch.float64))
-        end, found, _ = rollout(arx, begin, samples)
-        assert torch.equal(found, expected) and torch.equal(end.factor, state.factor)
+        end, surge, _ = rollout(arx, begin, samples)
+        assert torch.equal(surge, expected) and torch.equal(end.factor, state.factor)

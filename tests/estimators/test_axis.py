@@ -19,9 +19,9 @@ def samples(steps: int, moves: bool, seed: int = 0, dt: float = 0.4) -> Sample:
     rng = np.random.default_rng(seed)
     left, right, other, along = moves * rng.uniform(-0.5, 0.9, (4, steps))
     measured = 0.3 * (left - right) + 0.1 * other + 0.01 * rng.standard_normal(steps)
-    told = [torch.from_numpy(x) for x in (left, right, other, along, np.full(steps, dt))]
+    columns = [torch.from_numpy(x) for x in (left, right, other, along, np.full(steps, dt))]
     yes = torch.ones(steps, dtype=torch.bool)
-    return Sample(Inputs(*told), torch.from_numpy(measured), yes, yes.clone())
+    return Sample(Inputs(*columns), torch.from_numpy(measured), yes, yes.clone())
 
 
 def run(axis, state, some):
@@ -34,9 +34,9 @@ def force(kind, theta, y, b, xi, other, along):
     slope = linear + 2 * quadratic * abs(y) + cross * abs(along)
     f = b + bias + (linear + quadratic * abs(y) + cross * abs(along)) * y
     f += coupling * along * other + other_ * other + surge * along
-    for x, own in zip(xi, np.split(theta[7:-1], 2), strict=True):
+    for x, part in zip(xi, np.split(theta[7:-1], 2), strict=True):
         terms = [x, x * abs(x), x * abs(along), x**3, abs(x), x**2] if kind == "yaw" else [x, x * abs(x)]
-        f += own @ terms
+        f += part @ terms
     return f, slope
 
 
@@ -50,9 +50,9 @@ def dense(axis, some: Sample):
     for left, right, other, along, h, y in zip(*(each.tolist() for each in (*some.inputs, some.surge)), strict=True):
         u = np.array([left, right])
         if start is not None:
-            x[0], x[1], own = start, 0.0, P[1, 1]
+            x[0], x[1], variance = start, 0.0, P[1, 1]
             P[:2], P[:, :2] = 0, 0
-            P[0, 0], P[1, 1], before, start = noise, own, u, None
+            P[0, 0], P[1, 1], before, start = noise, variance, u, None
 
         def move(x, u=u, before=before, other=other, along=along, h=h):
             f, slope = force(axis.kind, x[2:], x[0], x[1], (1 - x[-1]) * u + x[-1] * before, other, along)
@@ -156,12 +156,12 @@ def test_turning_of_linear_drag_is_a_closed_form():
     yaw[[1, 3, 7, 13]] = -2.0, -0.5, 1.0, -1.0
     surge[[1, 3, 6]] = -0.5, 0.5, 0.5
     sway[[1, 5]] = -1.0, -0.4  # v = −0.4 r
-    found = quantities(Theta(surge, yaw, sway))
+    values = quantities(Theta(surge, yaw, sway))
     expected = {"yaw_rate_full_difference": 1.0, "yaw_time_constant": 1 / 2.5, "yaw_time_constant_rest": 1 / 2}
     for name, command in (("full", 1.0), ("half", 0.5), ("quarter", 0.25)):
         u = 1.5 * command
         rate = 0.5 * command / (2 + 0.5 * u)
         expected |= {f"yaw_rate_{name}": rate, f"turning_radius_{name}": np.hypot(u, 0.4 * rate) / rate}
-    assert found.keys() == expected.keys()
+    assert values.keys() == expected.keys()
     for name, value in expected.items():
-        assert float(found[name]) == pytest.approx(value, rel=1e-9), name
+        assert float(values[name]) == pytest.approx(value, rel=1e-9), name

@@ -132,10 +132,10 @@ def test_memory_follows_the_best_of_the_day():
 
 def test_exponential_weights_have_their_closed_form():
     x, y = series(50)
-    prior, kept = np.array([3, 1, 1, 1]) / 6, math.exp(-0.4 / 5.0)
+    prior, kappa = np.array([3, 1, 1, 1]) / 6, math.exp(-0.4 / 5.0)
     rule = bound(ExponentialWeights(rate=7.0, memory=5.0, loss="square", prior={"a": 3.0}))
     _, _, state = run(rule, x, y)
-    losses = (kept ** np.arange(49, -1, -1)[:, None] * (x - y[:, None]) ** 2).sum(0)
+    losses = (kappa ** np.arange(49, -1, -1)[:, None] * (x - y[:, None]) ** 2).sum(0)
     raw = prior * np.exp(-7.0 * losses)
     np.testing.assert_allclose(state.weights, raw / raw.sum(), rtol=1e-10)
     _, _, state = run(bound(ExponentialWeights(rate=7.0, memory=None)), x, y)

@@ -10,18 +10,18 @@ from usvlearn.estimators.ensemble.manoeuvre_intervals.state import FAR, HIGH, LO
 
 def test_predictions_are_the_same_and_old_states_go_on(tmp_path):
     """Without the choice the leaves and the half-widths are those of before; with it the predictions are the same."""
-    samples, found = plain(300, 2), {}
+    samples, runs = plain(300, 2), {}
     for knows in (True, False):
         model = ensemble(conditional=knows)
         state, surge, _ = rollout(model, model.init((2,)), samples)
-        found[knows] = dict(named_leaves(state)) | {"surge": surge}
-    own = {name for name in found[True] if ".conditional." in name}
-    assert own and found[False].keys() == found[True].keys() - own
-    for name, leaf in found[False].items():
+        runs[knows] = dict(named_leaves(state)) | {"surge": surge}
+    more = {name for name in runs[True] if ".conditional." in name}
+    assert more and runs[False].keys() == runs[True].keys() - more
+    for name, leaf in runs[False].items():
         if not name.endswith("halfwidths"):
-            torch.testing.assert_close(found[True][name], leaf, rtol=0, atol=0, equal_nan=True)
+            torch.testing.assert_close(runs[True][name], leaf, rtol=0, atol=0, equal_nan=True)
     assert "conditional" not in ensemble(conditional=False).description()
-    torch.testing.assert_close(found[False]["conformal.halfwidth"], found[True]["conformal.halfwidth"], rtol=0, atol=0)
+    torch.testing.assert_close(runs[False]["conformal.halfwidth"], runs[True]["conformal.halfwidth"], rtol=0, atol=0)
     boat = Online.open(Online(ensemble(conditional=False)).save(tmp_path / "a.safetensors"))
     assert "conditional" not in boat.description and not any(".conditional." in name for name in boat.state)
 

@@ -53,13 +53,13 @@ def learned(state, k, e, width, spread, far, group):
 
 def samples(steps: int = 310) -> list[tuple[float, float, float, float, int]]:
     """Errors, their width, spread, far and group: with jumps of 40 times the usual size."""
-    rng, found = np.random.default_rng(5), []
+    rng, rows = np.random.default_rng(5), []
     for k in range(steps):
         group = int(rng.choice(3, p=[0.7, 0.2, 0.1]))
         spread, far = float(rng.uniform(0, 0.1)), (0.0, 0.3, 1.0)[group] * float(rng.uniform(0.5, 1.0))
         e = abs(float(rng.standard_normal())) * (0.02 + 0.3 * spread + 0.2 * far) * (40 if k % 50 == 49 else 1)
-        found.append((e, 0.1 + 0.05 * float(rng.random()), spread, far, group))
-    return found
+        rows.append((e, 0.1 + 0.05 * float(rng.random()), spread, far, group))
+    return rows
 
 
 def same(found: dict, expected: dict, k: int) -> None:
@@ -85,8 +85,8 @@ def test_the_kernel_learns_by_the_equations():
         now = kernel.halfwidth_now(s, at, 0, k - 1.0, width, *map(float, facts[:2]), facts[2])
         held = np.zeros(HELD)
         kernel.hold(s, at, 0, k - 1.0, held)
-        kept = kernel.halfwidth_held(held, width, *map(float, facts[:2]), facts[2])
-        assert now == pytest.approx(width ** (1 - sure) * v**sure, rel=1e-8) == kept
+        stored = kernel.halfwidth_held(held, width, *map(float, facts[:2]), facts[2])
+        assert now == pytest.approx(width ** (1 - sure) * v**sure, rel=1e-8) == stored
         kernel.learn_error(s, at, 0, float(k), e, width, *map(float, facts[:2]), facts[2], moves, ALPHA)
         expected = learned(expected, k, e, width, *facts)
         same(dict(zip(expected, np.split(s, at[1:]), strict=True)) | {"gram": s[3:12].reshape(3, 3)}, expected, k)
@@ -113,9 +113,9 @@ def test_a_path_remembers_the_farthest_command_after_it_has_come_back():
 
 def test_leaves_have_the_shapes_that_the_state_declares():
     like = torch.zeros((), dtype=torch.float64)
-    for found, declared in (
+    for state, declared in (
         (layer.init((), 4, like), learned_leaves(4)), (layer.init_horizons((), 2, 4, like), _horizons((2, 4))),
     ):  # fmt: skip
-        for name, leaf in found._asdict().items():
+        for name, leaf in state._asdict().items():
             if name != "learned":
                 assert tuple(leaf.shape) == getattr(declared, name).shape, name

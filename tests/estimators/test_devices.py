@@ -59,8 +59,8 @@ def test_every_step_stays_on_the_device_of_the_state(name):
     for call in CALLS.values():
         expected = call(here, state, run)
         with on_device():
-            found = call(there, state_there, away(run))
-        assert_away(found, expected)
+            result = call(there, state_there, away(run))
+        assert_away(result, expected)
 
 
 @some_cases
@@ -86,9 +86,9 @@ def test_gradients_are_on_the_device_of_the_hyperparameters(name):
         return
     with on_device():
         loss = rollout(estimator, estimator.init((2,)), run)[1].square().mean()
-        found = torch.autograd.grad(loss, parameters, allow_unused=True)
-    assert any(x is not None for x in found)
-    assert all(x is None or (x.is_meta and x.shape == p.shape) for x, p in zip(found, parameters, strict=True))
+        gradients = torch.autograd.grad(loss, parameters, allow_unused=True)
+    assert any(x is not None for x in gradients)
+    assert all(x is None or (x.is_meta and x.shape == p.shape) for x, p in zip(gradients, parameters, strict=True))
 
 
 def test_samples_on_another_device_than_the_state_are_refused():
@@ -119,8 +119,8 @@ def test_stretches_of_arrays_are_sent_to_the_device_of_the_state():
     ensemble = Ensemble({"aid": AID(28.0)}, watched=False, conditional=False).to("meta")
     parts = [tree_map(lambda x: x.numpy(), random_samples(STEPS, 2))] * 2
     with read_as_ones():
-        for state, kept in chunked_rollout(ensemble, ensemble.init((2,)), parts, ["predictions"]):
-            assert state.predictions.is_meta and isinstance(kept["predictions"], np.ndarray)
+        for state, arrays in chunked_rollout(ensemble, ensemble.init((2,)), parts, ["predictions"]):
+            assert state.predictions.is_meta and isinstance(arrays["predictions"], np.ndarray)
 
 
 def test_a_step_of_sift_alone_takes_every_sample_as_informative():

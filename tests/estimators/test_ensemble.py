@@ -77,8 +77,8 @@ def test_rules_name_members_in_any_order():
     ensemble, samples = Ensemble(members(), rules, "fixed"), random_samples(12, 2)
     assert ensemble.names == ("aid", "rls", "persistence", "all", "fixed", "mixed")
     assert ensemble.combiners["mixed"].names == ("persistence", "aid")
-    end, surge, found = rollout(ensemble, ensemble.init((2,)), samples, record=published)
-    aid, rls, persistence, everybody, fixed, mixed = found.unbind(-1)
+    end, surge, record = rollout(ensemble, ensemble.init((2,)), samples, record=published)
+    aid, rls, persistence, everybody, fixed, mixed = record.unbind(-1)
     torch.testing.assert_close(everybody, (aid + rls + persistence) / 3)
     torch.testing.assert_close(fixed, 0.5 * rls + 0.3 * aid + 0.2 * persistence)
     assert torch.equal(surge, fixed)
@@ -96,13 +96,13 @@ def test_intervals_belong_to_the_predictions_beside_them():
     samples = samples._replace(measured=measured)
     ensemble = Ensemble(members(), coverage=0.8, conditional=False)
     record = lambda s: {"predictions": s.predictions, "halfwidths": s.halfwidths}  # noqa: E731
-    _, surge, found = rollout(ensemble, ensemble.init((2,)), samples, record=record)
-    torch.testing.assert_close(found["predictions"][..., -1], surge)
+    _, surge, arrays = rollout(ensemble, ensemble.init((2,)), samples, record=record)
+    torch.testing.assert_close(arrays["predictions"][..., -1], surge)
     conformal = conformal_start((2,), 4, samples.surge)
     for k in range(40):
-        torch.testing.assert_close(found["halfwidths"][k], published_widths(conformal), rtol=1e-12, atol=0.0)
+        torch.testing.assert_close(arrays["halfwidths"][k], published_widths(conformal), rtol=1e-12, atol=0.0)
         if not 10 <= k < 13:
-            conformal = conformal_step(conformal, samples.surge[k, :, None] - found["predictions"][k], 0.8)
+            conformal = conformal_step(conformal, samples.surge[k, :, None] - arrays["predictions"][k], 0.8)
 
 
 @pytest.mark.parametrize("backend", ["torch", "kernel"])
@@ -159,21 +159,21 @@ def test_a_member_that_says_nonsense_does_not_spoil_the_rest(rule):
     wrong = torch.tensor([math.nan, math.inf, -math.inf, 1e30, -11.0], dtype=torch.float64)  # a batch element each
     samples = random_samples(200, 5)
     ensemble = Ensemble({"aid": AID(28.0), "wild": Wild(wrong)}, {"rule": rule()})
-    end, surge, found = rollout(ensemble, ensemble.init((5,)), samples, record=published)
+    end, surge, columns = rollout(ensemble, ensemble.init((5,)), samples, record=published)
     assert surge.isfinite().all() and surge.abs().max() < 10
     away = samples.inputs.heading > 4.8
     assert (away.sum(0) > 20).all()
     if not isinstance(ensemble.combiners["rule"], RecursiveWeights):  # who alone is active is what is said
-        torch.testing.assert_close(surge[away], found[..., 0][away])
+        torch.testing.assert_close(surge[away], columns[..., 0][away])
     for name in ("combiners", "conformal"):
         assert all(leaf.isfinite().all() for leaf in tree_leaves(getattr(end, name)))
     assert (end.halfwidths[:, -1] < 5).all()
 
 
 def tree_leaves(tree):
-    found = []
-    tree_map(found.append, tree)
-    return found
+    leaves = []
+    tree_map(leaves.append, tree)
+    return leaves
 
 
 def test_an_ensemble_of_which_all_sleep_says_nothing_and_recovers():

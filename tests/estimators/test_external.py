@@ -85,11 +85,11 @@ def test_a_module_learns_as_torch_does_and_contracts():
 
 
 def test_a_contracting_network_is_proved_to_contract(own):
-    made, samples = own["contracting"], random_samples(20)
+    module, samples = own["contracting"], random_samples(20)
     with torch.no_grad():
-        state, _, _ = rollout(made, made.init(), samples)
-    assert not torch.equal(state.weights, made.init().weights)
-    assert certify.certify(made.trained(state)).contracting
+        state, _, _ = rollout(module, module.init(), samples)
+    assert not torch.equal(state.weights, module.init().weights)
+    assert certify.certify(module.trained(state)).contracting
 
 
 class Closed(Plain):
@@ -109,8 +109,8 @@ class Told(Closed):
     def get_state(self):
         return {"a": self.held["a", 1]}
 
-    def set_state(self, found):
-        self.held["a", 1] = found["a"]
+    def set_state(self, state):
+        self.held["a", 1] = state["a"]
 
 
 def test_an_object_that_cannot_be_saved_is_said_to_be_one_and_runs_on(tmp_path):
@@ -118,10 +118,10 @@ def test_an_object_that_cannot_be_saved_is_said_to_be_one_and_runs_on(tmp_path):
         UserWarning, match=r"Closed cannot be resumed \(builtins.memoryview is not plain\): give it get_state"
     ):
         closed = external(Closed())
-    made = Ensemble({"mine": closed, "still": Persistence()}, {"boa": BOA()})
+    model = Ensemble({"mine": closed, "still": Persistence()}, {"boa": BOA()})
     samples = random_samples(8)
     with pytest.warns(UserWarning, match="estimators.mine: Closed cannot be resumed"):
-        online = Online(made)
+        online = Online(model)
     for k in range(6):
         online.step(at(samples, k))
     assert np.isfinite(online.leaf("predictions")).all()
@@ -142,7 +142,7 @@ def test_a_state_is_plain_and_of_the_same_object():
     model.turned = np.arange(6.0).reshape(3, 2).T  # a library may change it in place by its order
     turned = unpacked(packed(model, 4096), Plain()).turned
     assert turned.flags.f_contiguous and not turned.flags.c_contiguous and (turned == model.turned).all()
-    for value, told in (
+    for value, words in (
         ([x, x], "held twice"),
         ([x, x[:2]], "share memory"),
         (np.ones((4, 4))[::2], "not plain"),
@@ -150,8 +150,8 @@ def test_a_state_is_plain_and_of_the_same_object():
         (lambda: 0, None),
     ):
         model.shared = value
-        if told is not None:
-            with pytest.raises(TypeError, match=told):
+        if words is not None:
+            with pytest.raises(TypeError, match=words):
                 packed(model, 4096)
     with pytest.raises(ValueError, match="larger state_size"):
         packed(np.random.default_rng(0).random(100), 64)

@@ -41,7 +41,7 @@ def log(steps: int, left, right, heading=None, current: float = 0.0, noise: floa
     """A boat of THETA_ODD without cubic thrust under some commands, `(steps,)`, measured over ground."""
     rng = np.random.default_rng(0)
     quadratic, linear, _, *sides = THETA_ODD[:9]
-    v, found = 0.0, np.empty(steps)
+    v, speed = 0.0, np.empty(steps)
     for k in range(steps):
         for _ in range(8):
             push = sum(
@@ -49,9 +49,9 @@ def log(steps: int, left, right, heading=None, current: float = 0.0, noise: floa
                 for x, (a, b, c) in zip((left[k], right[k]), (sides[:3], sides[3:]), strict=True)
             )
             v += STEP / 8 * (quadratic * abs(v) * v + linear * v + push)
-        found[k] = v
+        speed[k] = v
     heading = 2 * np.pi * np.arange(steps) / 150 if heading is None else np.full(steps, heading)
-    surge = found + current * np.cos(heading) + noise * rng.standard_normal(steps)
+    surge = speed + current * np.cos(heading) + noise * rng.standard_normal(steps)
     dt, yes = np.full(steps, STEP), np.ones(steps, dtype=bool)
     turn = np.gradient(np.unwrap(heading), STEP)
     columns = (torch.from_numpy(np.asarray(x, dtype=np.float64)) for x in (left, right, heading, turn, dt, surge))
@@ -77,9 +77,9 @@ def test_an_undefined_steady_speed_leaves_the_other_quantities():
     theta = THETA_ODD.copy()
     theta[:2] = 0.1, 0.5
     mean = np.concatenate([np.zeros(THETA), theta])
-    found = read(averaged(even=None), mean=mean, updates=1e9)
-    assert math.isnan(found["steady_speed_full"].value) and curves(found) == {}
-    assert found["thrust_full_left"].low < MASS < found["thrust_full_left"].high
+    known = read(averaged(even=None), mean=mean, updates=1e9)
+    assert math.isnan(known["steady_speed_full"].value) and curves(known) == {}
+    assert known["thrust_full_left"].low < MASS < known["thrust_full_left"].high
 
 
 def test_many_readings_leave_their_own_covariance_and_the_filters():
@@ -91,10 +91,10 @@ def test_many_readings_leave_their_own_covariance_and_the_filters():
     mean = np.concatenate([leaves["mean"][:THETA], THETA_ODD])
     D = np.full(16, 1e-4)
     changed = {"mean": mean, "reading": THETA_ODD, "spread": root @ root.T, "readings": 1e12, "factor": np.diag(D)}
-    found = read(joint, **changed, updates=1e9)
+    known = read(joint, **changed, updates=1e9)
     row = sums(False)["thrust_full_left"]
     half = NINETY * MASS * math.sqrt(row @ (root @ root.T + 1e-4 * np.eye(12)) @ row + 0.1**2)
-    value, low, high, unit = found["thrust_full_left"]
+    value, low, high, unit = known["thrust_full_left"]
     assert (value, unit) == (pytest.approx(MASS * 1.0), "N")
     assert high - value == pytest.approx(half, rel=1e-6) and value - low == pytest.approx(half, rel=1e-6)
     few = read(joint, **changed | {"readings": 4.0}, updates=1e9)["thrust_full_left"]
@@ -118,7 +118,7 @@ def test_an_interval_contains_the_present_estimate():
     joint = averaged(even=None)
     now = THETA_ODD.copy()
     now[3] += 1.0  # a propeller was cleaned
-    found = read(
+    known = read(
         joint,
         mean=np.concatenate([np.zeros(THETA), now]),
         reading=THETA_ODD,
@@ -126,7 +126,7 @@ def test_an_interval_contains_the_present_estimate():
         factor=np.diag(np.full(16, 1e-6)),
         updates=1e9,
     )
-    pull = found["thrust_full_left"]
+    pull = known["thrust_full_left"]
     assert pull.high == pytest.approx(MASS * 2.0) and pull.value == pytest.approx(MASS)
 
 
@@ -150,8 +150,8 @@ def test_a_known_force_fixes_the_mass_and_scales_all_forces():
 
 
 def test_a_known_force_of_the_wrong_sign_is_said():
-    found = read(averaged(known={"thrust_linear_left": -50.0}))
-    assert math.isnan(found["mass"].value) and found.lacks[-1].startswith("known: the forces have the opposite sign")
+    known = read(averaged(known={"thrust_linear_left": -50.0}))
+    assert math.isnan(known["mass"].value) and known.lacks[-1].startswith("known: the forces have the opposite sign")
     right = read(averaged(known={"drag_linear": -10.0}))
     with pytest.raises(ConfigError, match=r"known.thrust_full_left: found -50.0, expected a number that is positive"):
         averaged(known={"thrust_full_right": 30.0, "thrust_full_left": -50.0})
@@ -188,43 +188,43 @@ LACKING = {
 @pytest.mark.parametrize("sentence", LACKING)
 def test_what_a_log_lacks_is_said_and_no_interval_is_false(sentence):
     left, right, boat, settings = LACKING[sentence]
-    found = learned(log(3000, left(3000), right(3000), **boat), **settings)
-    assert any(said.startswith(sentence) for said in found.lacks), found.lacks
-    assert not found.unphysical  # what is not known is not negative
+    known = learned(log(3000, left(3000), right(3000), **boat), **settings)
+    assert any(said.startswith(sentence) for said in known.lacks), known.lacks
+    assert not known.unphysical  # what is not known is not negative
     truth = quantities(np.concatenate([THETA_ODD[:9], np.zeros(3)]), MASS, np.zeros(12))
     for name in ("thrust_full_left", "thrust_full_right", "drag_half_speed", "steady_speed_full", "time_constant"):
-        assert found[name].low <= truth[name] <= found[name].high, (name, found[name])
-    drawn = curves(found)
+        assert known[name].low <= truth[name] <= known[name].high, (name, known[name])
+    drawn = curves(known)
     ends = {f"thrust_{side}": f"thrust_full_{side}" for side in SIDES} | {"steady_speed": "steady_speed_full"}
     for curve, name in ends.items():
-        _, low, high, _ = found[name]
+        _, low, high, _ = known[name]
         assert (drawn[curve].low[-1], drawn[curve].high[-1]) == pytest.approx((low, high), rel=1e-6), curve
 
 
 @pytest.mark.parametrize("speed", [0.0, 1.2])
 def test_a_speed_channel_that_is_stuck_is_not_blamed_on_commands_that_vary(speed):
     sample = log(3000, varied(3000), varied(3000, seed=2))
-    found = learned(sample._replace(surge=0 * sample.surge + speed))
-    assert "check the speed channel" in found.lacks[0]
+    known = learned(sample._replace(surge=0 * sample.surge + speed))
+    assert "check the speed channel" in known.lacks[0]
 
 
 @pytest.mark.parametrize("low", [0.0, -1.0])
 def test_a_reversed_sign_is_named_and_no_interval_is_false(low):
     sample = log(3000, varied(3000, low), varied(3000, low, seed=2))
-    found = learned(sample._replace(surge=-sample.surge))
-    (said,) = found.lacks
+    known = learned(sample._replace(surge=-sample.surge))
+    (said,) = known.lacks
     assert "data.channels.surge.span" in said and "surge_max" not in said
-    assert said == found.unphysical and "it has a steady speed at full command of -" in said
+    assert said == known.unphysical and "it has a steady speed at full command of -" in said
     truth = quantities(np.concatenate([THETA_ODD[:9], np.zeros(3)]), MASS, np.zeros(12))
     for name in ("thrust_full_left", "thrust_full_right", "drag_half_speed", "steady_speed_full", "time_constant"):
-        assert found[name].low <= truth[name] <= found[name].high, (name, found[name])
+        assert known[name].low <= truth[name] <= known[name].high, (name, known[name])
 
 
 @pytest.mark.parametrize("never", SIDES)
 def test_a_thruster_that_was_never_used_widens_its_own_interval_alone(ordinary, never):
     commands = (np.zeros(4500), varied(4500)) if never == "left" else (varied(4500), np.zeros(4500))
-    found = learned(log(4500, *commands))
-    ratio = {name: (found[name].high - found[name].low) / (each.high - each.low) for name, each in ordinary.items()}
+    known = learned(log(4500, *commands))
+    ratio = {name: (known[name].high - known[name].low) / (each.high - each.low) for name, each in ordinary.items()}
     (other,) = set(SIDES) - {never}
     assert ratio[f"thrust_full_{never}"] > 5
     assert ratio[f"thrust_full_{other}"] < 3 and ratio["drag_linear"] < 3
@@ -232,11 +232,11 @@ def test_a_thruster_that_was_never_used_widens_its_own_interval_alone(ordinary, 
 
 def test_intervals_that_a_log_does_not_settle_are_named():
     """Full thrust is an extrapolation by a factor of three."""
-    found = learned(log(3000, varied(3000, 0.0, 0.3), varied(3000, 0.0, 0.3, seed=2)))
-    (said,) = found.lacks
+    known = learned(log(3000, varied(3000, 0.0, 0.3), varied(3000, 0.0, 0.3, seed=2)))
+    (said,) = known.lacks
     named = said.partition("determined: ")[2].partition(", whose")[0].split(", ")
-    for name in set(found) - set(SURGE):
-        value, low, high, _ = found[name]
+    for name in set(known) - set(SURGE):
+        value, low, high, _ = known[name]
         assert (high - low > abs(value)) == (name in named)
     assert "thrust_full_left" in named
 
@@ -246,10 +246,10 @@ def test_one_step_is_said_in_the_singular():
 
 
 def test_twenty_samples_say_so_and_are_wider_than_the_prior():
-    found = learned(log(20, varied(20), varied(20, seed=2)))
-    assert found.lacks[0].startswith("Only 19 steps were learned")
+    known = learned(log(20, varied(20), varied(20, seed=2)))
+    assert known.lacks[0].startswith("Only 19 steps were learned")
     prior = averaged().variance.sqrt().detach()
-    single = found["drag_linear"]
+    single = known["drag_linear"]
     assert single.high - single.low > MASS * NINETY * float(prior[1])
 
 
@@ -257,9 +257,9 @@ def test_a_filter_that_diverged_identifies_nothing_and_writes_null(tmp_path):
     from usvlearn.runs.files import save_results
 
     joint = averaged()
-    found = read(joint, mean=np.full(23, np.nan))
-    assert found.lacks == ("The filter has diverged.",) and curves(found) == {}
-    save_results(tmp_path, as_results({"heron": found}, {}))
+    known = read(joint, mean=np.full(23, np.nan))
+    assert known.lacks == ("The filter has diverged.",) and curves(known) == {}
+    save_results(tmp_path, as_results({"heron": known}, {}))
     text = (tmp_path / "results.json").read_text()
     assert "NaN" not in text and json.loads(text)["identified"]["heron"]["time_constant"]["value"] is None
 
@@ -270,19 +270,19 @@ def test_no_state_raises_or_gives_an_interval_without_its_value():
     for scale in (0.0, 1e-6, 1.0, 1e3, 1e9):
         mean = scale * rng.standard_normal(23)
         factor = np.tril(rng.standard_normal((23, 23)), -1) + np.diag(rng.random(23) * scale + 1e-30)
-        found = read(joint, mean=mean, factor=factor, readings=float(rng.integers(0, 9)), updates=1e3)
-        for value, low, high, _ in found.values():
+        known = read(joint, mean=mean, factor=factor, readings=float(rng.integers(0, 9)), updates=1e3)
+        for value, low, high, _ in known.values():
             assert math.isnan(value) or low <= value <= high
-        assert repr(found)
+        assert repr(known)
 
 
 def test_curves_agree_with_the_quantities(ordinary):
-    found = curves(ordinary)
-    assert found["thrust_left"].value[-1] == pytest.approx(ordinary["thrust_full_left"].value)
-    assert found["steady_speed"].value[-1] == pytest.approx(ordinary["steady_speed_full"].value)
-    middle = len(found["drag"].at) // 2
-    assert found["drag"].value[middle] == pytest.approx(ordinary["drag_half_speed"].value)
-    assert (found["drag"].high >= found["drag"].value).all() and found["drag"].low[0] == found["drag"].high[0] == 0
+    drawn = curves(ordinary)
+    assert drawn["thrust_left"].value[-1] == pytest.approx(ordinary["thrust_full_left"].value)
+    assert drawn["steady_speed"].value[-1] == pytest.approx(ordinary["steady_speed_full"].value)
+    middle = len(drawn["drag"].at) // 2
+    assert drawn["drag"].value[middle] == pytest.approx(ordinary["drag_half_speed"].value)
+    assert (drawn["drag"].high >= drawn["drag"].value).all() and drawn["drag"].low[0] == drawn["drag"].high[0] == 0
 
 
 def test_online_identifies_with_and_without_torch_and_says_where_it_cannot(tmp_path):
@@ -313,5 +313,5 @@ def test_an_ensemble_with_a_member_of_other_code_identifies_too():
 
 def test_each_boat_has_its_own_mass():
     ensemble = Ensemble({"joint_averaged": averaged(mass=torch.tensor([14.0, 28.0], dtype=torch.float64))})
-    found = identified_boats(ensemble, ensemble.init((2,)), ["a", "b"])
-    assert found["b"]["thrust_full_left"].value == pytest.approx(2 * found["a"]["thrust_full_left"].value)
+    boats = identified_boats(ensemble, ensemble.init((2,)), ["a", "b"])
+    assert boats["b"]["thrust_full_left"].value == pytest.approx(2 * boats["a"]["thrust_full_left"].value)

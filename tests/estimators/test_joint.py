@@ -100,9 +100,9 @@ def dense(joint: JointEKF, samples: Sample):
                 [torch.stack([torch.ones_like(heading), heading * 0, heading.cos(), heading.sin()]), 0 * prior]
             )
             if start is not None:
-                own = float(P[1, 1])
+                variance = float(P[1, 1])
                 P[:2], P[:, :2] = 0, 0
-                P[0, 0], P[1, 1] = 4, own
+                P[0, 0], P[1, 1] = 4, variance
                 P[2, 2] += 0.05**2
                 P[3, 3] += 0.05**2
                 x[0], x[1] = start - H[2:4] @ x[2:4], 0
@@ -156,19 +156,19 @@ def test_the_factored_filter_is_the_dense_one(name):
     joint, samples = JointEKF(2.0, 28.0, **SETTINGS[name]), mission(350, seed=5)
     states = ["mean", "factor", "noise"]
     _, predictions, record = rollout(joint, joint.init(), samples, states)
-    made, limited = 0, 0
+    steps, limited = 0, 0
     for i, (x, P, noise, predicted) in enumerate(dense(joint, samples)):
         factor = record["factor"][i]
         U = torch.tril(factor, -1).T + torch.eye(len(x), dtype=torch.float64)
-        found = (U * factor.diagonal()) @ U.T
+        full = (U * factor.diagonal()) @ U.T
         scale = P.diagonal().sqrt()
         assert ((record["mean"][i] - x).abs() <= 1e-7 * (x.abs() + scale)).all(), i
-        assert ((found - P).abs() <= 1e-7 * torch.outer(scale, scale)).all(), i
+        assert ((full - P).abs() <= 1e-7 * torch.outer(scale, scale)).all(), i
         assert abs(record["noise"][i] - noise) <= 1e-8 * noise
         assert (math.isnan(predicted) and predictions[i].isnan()) or abs(predictions[i] - predicted) <= 1e-8
-        made += not math.isnan(predicted)
+        steps += not math.isnan(predicted)
         limited += bool((x[4:7].abs() < 1e-12).any())
-    assert made > 300 and (samples.inputs.dt > 10).any() and (name == "loose" or limited > 0)
+    assert steps > 300 and (samples.inputs.dt > 10).any() and (name == "loose" or limited > 0)
 
 
 @each_setting
@@ -299,8 +299,8 @@ def test_the_mass_only_gives_units():
 def test_a_prior_in_newtons():
     theta0 = [-3.0, -6.0, 0.0, 20.0, 15.0, -3.0, 16.0, 18.0, -2.0]
     joint = JointEKF(2.0, 28.0, theta0=theta0)
-    found = joint.monitor(joint.init())
-    assert [round(float(found[name]), 9) for name in joint.names[:9]] == theta0
+    values = joint.monitor(joint.init())
+    assert [round(float(values[name]), 9) for name in joint.names[:9]] == theta0
 
 
 @pytest.mark.thorough
@@ -330,11 +330,11 @@ def test_the_covariance_of_a_batch_is_that_of_each_element():
     joint = JointEKF(2.0, 28.0)
     state = joint.init((2, 3))
     factor = torch.rand(state.factor.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    found = state._replace(factor=factor).covariance
-    assert found.shape == factor.shape
+    covariance = state._replace(factor=factor).covariance
+    assert covariance.shape == factor.shape
     for i, j in itertools.product(range(2), range(3)):
         L = factor[i, j].tril(-1) + torch.eye(factor.shape[-1], dtype=torch.float64)  # Uᵀ
-        torch.testing.assert_close(found[i, j], L.mT @ torch.diag(factor[i, j].diagonal()) @ L)
+        torch.testing.assert_close(covariance[i, j], L.mT @ torch.diag(factor[i, j].diagonal()) @ L)
 
 
 def test_the_kernels_that_both_filters_share_find_their_leaves():

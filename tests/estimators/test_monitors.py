@@ -127,11 +127,11 @@ def run(inputs):
     """The states of all boats after each step."""
     one, (steps, boats) = monitors.init((), 1, ONE).thrusters, inputs.dt.shape
     node, first = row_of(one, AT.thrusters)
-    rows, told = np.empty((steps, boats, len(first))), torch.stack(tuple(inputs), -1).numpy()
+    rows, columns = np.empty((steps, boats, len(first))), torch.stack(tuple(inputs), -1).numpy()
     for boat in range(boats):
         row = first.copy()
         for k in range(steps):
-            observe(node, row, told[k, boat])
+            observe(node, row, columns[k, boat])
             rows[k, boat] = row
     parts = np.split(rows, np.cumsum([leaf.numel() for leaf in one])[:-1], -1)
     shaped = (x.reshape(steps, boats, *leaf.shape) for x, leaf in zip(parts, one, strict=True))
@@ -170,8 +170,8 @@ def test_each_step_is_that_of_the_equations():
         M = keep * M + calm * math.sqrt(light) * np.outer(z, z)
         moved = variance + calm * at.YAW_RATE * (e * e * light * at.YAW_SPREAD - variance)
         variance, before = max(moved, at.YAW_FLOOR**2), [rate, before[0]]
-        for found, expected in zip(state[:6], (M, variance, before, g, sums, raised), strict=True):
-            np.testing.assert_allclose(found[0], expected, rtol=1e-7, atol=1e-9, err_msg=f"step {k}")
+        for leaf, expected in zip(state[:6], (M, variance, before, g, sums, raised), strict=True):
+            np.testing.assert_allclose(leaf[0], expected, rtol=1e-7, atol=1e-9, err_msg=f"step {k}")
     assert raised.tolist() == [1.0, 0.0]
 
 

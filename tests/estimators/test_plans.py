@@ -17,25 +17,25 @@ def test_online_forecasts_are_those_of_elements():
     online, rng = Online(model, (3,)), np.random.default_rng(0)
     online.state = state
     commands, headings = rng.uniform(-1, 1, (12, 3, 2)), rng.uniform(-3, 3, (12, 3))
-    found = online.forecast(commands, headings, 0.1, dt=0.4)
+    ahead = online.forecast(commands, headings, 0.1, dt=0.4)
     left, right = (torch.from_numpy(np.ascontiguousarray(commands[..., k])) for k in (0, 1))
     psi = torch.from_numpy(headings)
     inputs = Inputs(left, right, psi, torch.full_like(psi, 0.1), torch.full_like(psi, 0.4))
     expected = forecast(model, state, inputs)
-    np.testing.assert_allclose(found.surge, expected.surge, rtol=1e-12)
-    np.testing.assert_allclose(found.high, expected.high, rtol=1e-12)
-    assert found.time.tolist() == pytest.approx([0.4 * k for k in range(1, 13)])
-    assert np.isfinite(found.low[:10]).all() and np.isinf(found.low[10:]).all()  # beyond the longest horizon of 4 s
+    np.testing.assert_allclose(ahead.surge, expected.surge, rtol=1e-12)
+    np.testing.assert_allclose(ahead.high, expected.high, rtol=1e-12)
+    assert ahead.time.tolist() == pytest.approx([0.4 * k for k in range(1, 13)])
+    assert np.isfinite(ahead.low[:10]).all() and np.isinf(ahead.low[10:]).all()  # beyond the longest horizon of 4 s
     plain_torch = Online(model, (3,), backend="torch")
     plain_torch.state = state
-    np.testing.assert_allclose(plain_torch.forecast(commands, headings, 0.1).surge, found.surge, rtol=1e-12)
+    np.testing.assert_allclose(plain_torch.forecast(commands, headings, 0.1).surge, ahead.surge, rtol=1e-12)
     again = online.forecast(commands, headings, 0.1)
-    np.testing.assert_array_equal(again.surge, found.surge)  # nothing was learned, and the state stays
+    np.testing.assert_array_equal(again.surge, ahead.surge)  # nothing was learned, and the state stays
 
 
 def test_a_forecast_before_the_first_sample_has_no_interval(tmp_path):
-    found = Online(ensemble()).forecast([[0.5, 0.5]] * 10, 0.0)
-    assert np.isfinite(found.surge).all() and np.isinf(found.high).all() and np.isinf(found.low).all()
+    ahead = Online(ensemble()).forecast([[0.5, 0.5]] * 10, 0.0)
+    assert np.isfinite(ahead.surge).all() and np.isinf(ahead.high).all() and np.isinf(ahead.low).all()
     boat, samples = Online(ensemble()), plain(60)
     calls = [
         Sample(Inputs(*(float(x[k]) for x in samples.inputs)), float(samples.surge[k]), True, True) for k in range(60)
@@ -58,12 +58,12 @@ def test_a_plan_after_steps_without_speed_is_less_sure(backend):
     sure = online.forecast([[0.5, 0.5]] * 10, 0.0)
     for _ in range(5):
         online.step(Sample(Inputs(0.5, 0.5, 0.0, 0.0, 0.4), math.nan, True, False))
-    found = online.forecast([[0.5, 0.5]] * 10, 0.0)
-    np.testing.assert_allclose((found.high - found.low)[:5], (sure.high - sure.low)[5:], rtol=1e-9)
-    assert np.isinf(found.high[5:]).all()
+    ahead = online.forecast([[0.5, 0.5]] * 10, 0.0)
+    np.testing.assert_allclose((ahead.high - ahead.low)[:5], (sure.high - sure.low)[5:], rtol=1e-9)
+    assert np.isinf(ahead.high[5:]).all()
     inputs = Inputs(*(torch.full((10,), x, dtype=torch.float64) for x in (0.5, 0.5, 0.0, 0.0, 0.4)))
     state = online.state
-    np.testing.assert_allclose(forecast(model, state, inputs).high, found.high, rtol=1e-9)
+    np.testing.assert_allclose(forecast(model, state, inputs).high, ahead.high, rtol=1e-9)
 
 
 def test_elements_of_another_number_are_refused():
@@ -102,8 +102,8 @@ def test_yaw_rates_are_those_of_the_headings():
     online.state = rollout(ensemble(), ensemble().init(), plain(40))[0]
     headings = [3.0, 3.1, -3.08, -2.98]  # through south
     rates = [0.25, (2 * math.pi - 6.18) / 0.4, 0.25, 0.25]
-    found = [online.forecast([[0.5, 0.2]] * 4, headings, each).surge for each in (None, rates)]
-    np.testing.assert_allclose(found[0], found[1], rtol=1e-9)
+    surges = [online.forecast([[0.5, 0.2]] * 4, headings, each).surge for each in (None, rates)]
+    np.testing.assert_allclose(surges[0], surges[1], rtol=1e-9)
 
 
 def test_an_estimator_without_forecasts_says_what_to_add():

@@ -48,8 +48,8 @@ def test_stopping_distance_is_that_of_a_boat_that_coasts():
 
 def test_stopping_distance_of_linear_drag_alone():
     theta = np.array([0.0, -0.5, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    found = quantities(theta, 1.0, np.zeros(12))
-    assert found["stopping_distance"] == pytest.approx((1 - COAST) * found["steady_speed_full"] / 0.5, rel=1e-6)
+    values = quantities(theta, 1.0, np.zeros(12))
+    assert values["stopping_distance"] == pytest.approx((1 - COAST) * values["steady_speed_full"] / 0.5, rel=1e-6)
 
 
 def test_thrust_of_two_terms_is_the_best_fit_of_three():
@@ -66,9 +66,9 @@ def test_drag_that_falls_with_speed_has_the_slower_steady_speed_or_none():
     assert Ahead(theta).steady_speed(1.0) == pytest.approx(2.0)  # 0.1 v² − v + 1.6 = 0 has the roots 2 and 8
     assert np.isnan(Ahead(theta * [4, 1, *[1] * 10]).steady_speed(1.0))  # no real root
     assert np.isnan(Ahead(theta * [1, -1, *[1] * 10]).steady_speed(1.0))  # both roots astern
-    found = quantities(theta, 1.0, np.zeros(12))
+    values = quantities(theta, 1.0, np.zeros(12))
     v = np.linspace(2.0 * COAST, 2.0, 100_001)
-    assert found["stopping_distance"] == pytest.approx(np.trapezoid(1 / (1.0 - 0.1 * v), v), rel=1e-6)
+    assert values["stopping_distance"] == pytest.approx(np.trapezoid(1 / (1.0 - 0.1 * v), v), rel=1e-6)
 
 
 def test_even_terms_add_ahead():
@@ -84,9 +84,9 @@ def test_quantities_agree_with_a_simulated_boat_of_the_same_equations():
     known = true_parameters(180.0, **season)
     truth = true_quantities(180.0, known, **season)["wamv"]
     theta = np.array([known["wamv"][name][-1] for name in sums(False) if name in known["wamv"]] + [0.0] * 3) / 180.0
-    found = quantities(theta, 180.0, np.zeros(12))
+    values = quantities(theta, 180.0, np.zeros(12))
     for name, value in truth.items():
-        assert found[name] == pytest.approx(value, rel=2e-4, abs=1e-3), name
+        assert values[name] == pytest.approx(value, rel=2e-4, abs=1e-3), name
     assert set(truth) == set(QUANTITIES) - {"mass"}
 
 

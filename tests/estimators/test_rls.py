@@ -79,8 +79,8 @@ def test_forgetting_pauses_at_the_limit_of_the_trace():
 def test_excitation_is_the_share_of_the_first_variance_that_the_data_removed():
     rls = RLS(SurgeDynamics(28.0), covariance=10.0)
     state = rls.init()
-    told = rls.monitor(state._replace(factor=state.factor / 2))
-    assert [told[f"excitation_{name}"].item() for name in rls.model.names] == pytest.approx([0.75] * 9)
+    values = rls.monitor(state._replace(factor=state.factor / 2))
+    assert [values[f"excitation_{name}"].item() for name in rls.model.names] == pytest.approx([0.75] * 9)
 
 
 def test_elements_with_their_own_mass_scale_the_parameters_alone():
@@ -120,9 +120,9 @@ def test_noise_and_deviation_are_those_of_the_innovations(kind):
     sigma = torch.tensor([0.01, 0.1, 0.5], dtype=torch.float64).repeat_interleave(4)
     samples, rls = linear(1500, 12, sigma=sigma), kind()
     record = lambda s: {"noise": s.noise, "deviation": s.deviation}  # noqa: E731
-    _, surge, found = rollout(rls, rls.init((12,)), samples, record=record)
-    assert (found["noise"][1000:].mean(0).sqrt() / sigma - 1).abs().max() < 0.12
-    standard = ((samples.surge - surge) / found["deviation"]).square().reshape(1500, 3, 4)
+    _, surge, arrays = rollout(rls, rls.init((12,)), samples, record=record)
+    assert (arrays["noise"][1000:].mean(0).sqrt() / sigma - 1).abs().max() < 0.12
+    standard = ((samples.surge - surge) / arrays["deviation"]).square().reshape(1500, 3, 4)
     assert (standard[500:].mean((0, 2)).sqrt() - 1).abs().max() < 0.08
     assert standard[5:50].mean() < 4  # few samples, large P: foretold too
 

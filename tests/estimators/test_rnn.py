@@ -39,9 +39,9 @@ def flatten(w: ShallowWeights) -> torch.Tensor:
 def test_gradient_equals_autograd_and_differences(n, unbroken):
     weights, x, u, target, x_before, u_before = case(n)
     penalty, flag = torch.tensor(0.3, dtype=torch.float64), torch.tensor(unbroken)
-    found = gradient(weights, x, u, target, penalty, (x_before, u_before, flag))
+    slopes = gradient(weights, x, u, target, penalty, (x_before, u_before, flag))
     arguments = (x, u, target, penalty, x_before, u_before, unbroken)
-    torch.testing.assert_close(found, flatten(grad(loss)(weights, *arguments)), rtol=1e-12, atol=1e-12)
+    torch.testing.assert_close(slopes, flatten(grad(loss)(weights, *arguments)), rtol=1e-12, atol=1e-12)
     h, flat = 1e-6, flatten(weights)
     for k in range(7 * n):
         costs = []
@@ -50,7 +50,7 @@ def test_gradient_equals_autograd_and_differences(n, unbroken):
             moved[k] += sign * h
             a, w1, W2, b = moved.split((n, n, 4 * n, n))
             costs.append(loss(ShallowWeights(a, w1, W2.reshape(n, 4), b), *arguments))
-        torch.testing.assert_close(found[k], (costs[0] - costs[1]) / (2 * h), rtol=1e-5, atol=1e-7)
+        torch.testing.assert_close(slopes[k], (costs[0] - costs[1]) / (2 * h), rtol=1e-5, atol=1e-7)
 
 
 @pytest.mark.parametrize("decay", [None, 7])
@@ -78,8 +78,8 @@ def test_adam_equals_torch(momentum, ratio, decay):
         optimizer.step()
         v = samples.surge[k]
     weights = ShallowWeights(parts[0], parts[1], torch.cat(parts[2:4], -1), parts[4])
-    for found, expected in zip(end.weights, weights, strict=True):
-        torch.testing.assert_close(found, expected.detach(), rtol=1e-10, atol=1e-12)
+    for weight, expected in zip(end.weights, weights, strict=True):
+        torch.testing.assert_close(weight, expected.detach(), rtol=1e-10, atol=1e-12)
 
 
 def test_it_is_persistence_at_first_and_better_later():
@@ -111,9 +111,9 @@ def test_the_initial_network_is_persistence(options, expected):
 def test_the_initial_network_is_certified_exactly(condition, gauge):
     rnn = RNN(condition=condition, gauge=gauge, contraction_rate=0.9)
     weights = element_weights(rnn.init(), ())
-    found = exact.conditions(weights.a, weights.w1)
+    rates = exact.conditions(weights.a, weights.w1)
     name = condition if gauge == "literal" else "exact"
-    assert 0 < found[name].rate <= Fraction(0.9)
+    assert 0 < rates[name].rate <= Fraction(0.9)
 
 
 def test_clipping_shortens_each_element_alone():
@@ -159,8 +159,8 @@ def test_warm_start_from_every_kind_of_file(tmp_path):
     save(tmp_path / "set.safetensors", {"members": {"aid": AID().init(), "rnn": state}})
     for name in ("set.npz", "set.pt", "set.safetensors"):
         warm = RNN(surge_max=2.0, pretrained=tmp_path / name).init((3,))
-        for found, expected in zip(warm.weights, state.weights, strict=True):  # on the edge `project` moves an ulp
-            torch.testing.assert_close(found, expected.expand(3, *expected.shape), rtol=1e-12, atol=1e-12)
+        for weight, expected in zip(warm.weights, state.weights, strict=True):  # on the edge `project` moves an ulp
+            torch.testing.assert_close(weight, expected.expand(3, *expected.shape), rtol=1e-12, atol=1e-12)
         assert (warm.moment2 == 0).all() and (warm.updates == 0).all()
 
 
@@ -234,22 +234,22 @@ def test_two_networks_that_learn_alike_forget_how_they_started():
 def test_monitor_tells_margins_rate_time_constant_and_rest():
     rnn, samples = RNN(surge_max=2.0), random_samples(50, 3)
     state, _, _ = rollout(rnn, rnn.init((3,)), samples)
-    told = rnn.monitor(state)
-    K = told["contraction_rate"]
-    torch.testing.assert_close(told["margin_exact"], 1 - K)
-    torch.testing.assert_close(told["time_constant"], -state.dt / K.log())
+    values = rnn.monitor(state)
+    K = values["contraction_rate"]
+    torch.testing.assert_close(values["margin_exact"], 1 - K)
+    torch.testing.assert_close(values["time_constant"], -state.dt / K.log())
     rest = torch.cat([state.inputs_before[:, :2], torch.zeros(3, 2).double()], -1)
-    x = rnn.scale * told["equilibrium"].double()
+    x = rnn.scale * values["equilibrium"].double()
     torch.testing.assert_close(network(state.weights, x, rest)[0], x)
-    assert (told["equilibria"] == 1).all()  # a contraction has one
+    assert (values["equilibria"] == 1).all()  # a contraction has one
     broken = state._replace(weights=tree_map(lambda w: w * torch.nan, state.weights))
     assert rnn.monitor(broken)["equilibrium"].isnan().all()
     zero, one = torch.zeros(20).double(), torch.eye(20)[0].double()  # x⁺ = 2 relu(x − ¼): at rest at 0 and ½
     tooth = tree_map(
         lambda w: w.expand(3, *w.shape), ShallowWeights(2 * one, one, zero[:, None].expand(20, 4), -one / 4)
     )
-    told = rnn.monitor(state._replace(weights=tooth, surge=torch.tensor([-0.2, 0.1, 0.4]) / rnn.scale))
-    assert (told["equilibria"] == 2).all() and (rnn.scale * told["equilibrium"]).tolist() == [0.0, 0.0, 0.5]
+    values = rnn.monitor(state._replace(weights=tooth, surge=torch.tensor([-0.2, 0.1, 0.4]) / rnn.scale))
+    assert (values["equilibria"] == 2).all() and (rnn.scale * values["equilibrium"]).tolist() == [0.0, 0.0, 0.5]
 
 
 def test_a_rate_just_below_one_is_not_told_as_one():

@@ -26,7 +26,7 @@ def plain_samples(samples, predictions, surge_max: float) -> list[list[float]]:
 
     `predictions` are those of a network that learned from these samples, which a step without a speed departs from.
     """
-    use, found, surge, unbroken = masks(samples), [], 0.0, False
+    use, rows, surge, unbroken = masks(samples), [], 0.0, False
     for k in range(len(samples.surge)):
         x = at(samples.inputs, k)
         if use.starts[k]:
@@ -39,11 +39,11 @@ def plain_samples(samples, predictions, surge_max: float) -> list[list[float]]:
                 float(x.command_left),
                 float(x.command_right),
             ]
-            found.append([*u, surge, target, float(unbroken)])
+            rows.append([*u, surge, target, float(unbroken)])
             surge, unbroken = target, True
         elif use.steps[k]:
             surge, unbroken = min(max(float(predictions[k]), -2 * surge_max), 2 * surge_max), False
-    return found
+    return rows
 
 
 @pytest.mark.parametrize("backend", ["kernel", "torch"])
@@ -59,8 +59,8 @@ def test_the_last_samples_are_kept_in_a_ring(steps, backend):
     assert end.replay.learned == (count if count < 2 * size else size + count % size)
     assert end.replay.turn == 3 * count * STRIDE % TURN
     first = count % size if count > size else 0  # the place of the oldest
-    found = end.replay.samples.roll(-first, 0)[: len(last)]
-    torch.testing.assert_close(found, torch.tensor(list(last), dtype=torch.float64), rtol=1e-12, atol=1e-12)
+    ring = end.replay.samples.roll(-first, 0)[: len(last)]
+    torch.testing.assert_close(ring, torch.tensor(list(last), dtype=torch.float64), rtol=1e-12, atol=1e-12)
     assert (end.replay.samples[count:] == 0).all()
 
 
@@ -77,20 +77,20 @@ def test_a_step_learns_the_new_sample_and_then_the_mean_of_some_kept_ones(unroll
     new = [*network_inputs(inputs).tolist(), float(state.surge), float(target), 1.0]
     speeds = [0.0, *samples.surge.tolist()]
     u = network_inputs(samples.inputs)
-    kept = [[*u[k].tolist(), speeds[k], speeds[k + 1], float(k > 0)] for k in range(steps)] + [new]
+    memory = [[*u[k].tolist(), speeds[k], speeds[k + 1], float(k > 0)] for k in range(steps)] + [new]
     places = {k % size: k for k in range(max(0, steps + 1 - size), steps + 1)}  # place -> the sample that lies there
     theta = torch.cat([state.weights.a, state.weights.w1, state.weights.W2.flatten(), state.weights.b]).detach()
     v, updates = state.moment2.detach(), int(state.updates)
 
     def gradient(k: int) -> torch.Tensor:
-        row = torch.tensor(kept[k], dtype=torch.float64)
-        known = unroll == 2 and kept[k][6] > 0 and (k - 1 in places.values() or k == steps)
-        before = torch.tensor(kept[max(k - 1, 0)], dtype=torch.float64)
+        row = torch.tensor(memory[k], dtype=torch.float64)
+        known = unroll == 2 and memory[k][6] > 0 and (k - 1 in places.values() or k == steps)
+        before = torch.tensor(memory[max(k - 1, 0)], dtype=torch.float64)
         a, w1, W2, b = theta.split((5, 5, 20, 5))
         weights = ShallowWeights(a, w1, W2.reshape(5, 4), b)
         h = rnn.scale
-        found = grad(loss)(weights, h * row[4], row[:4], h * row[5], zero, h * before[4], before[:4], known)
-        return clipped(torch.cat([found.a, found.w1, found.W2.flatten(), found.b]), c)
+        slopes = grad(loss)(weights, h * row[4], row[:4], h * row[5], zero, h * before[4], before[:4], known)
+        return clipped(torch.cat([slopes.a, slopes.w1, slopes.W2.flatten(), slopes.b]), c)
 
     turn = Fraction(again * steps * STRIDE % TURN, TURN)
     chosen = []
@@ -103,8 +103,8 @@ def test_a_step_learns_the_new_sample_and_then_the_mean_of_some_kept_ones(unroll
         v, updates = 0.999 * v + 0.001 * g * g, updates + 1
         theta = theta - rate * g / ((v / (1 - 0.999**updates)).sqrt() + 1e-8)
     end = rnn.update(state, inputs, target)
-    found = torch.cat([end.weights.a, end.weights.w1, end.weights.W2.flatten(), end.weights.b])
-    torch.testing.assert_close(found, theta, rtol=1e-10, atol=1e-12)
+    result = torch.cat([end.weights.a, end.weights.w1, end.weights.W2.flatten(), end.weights.b])
+    torch.testing.assert_close(result, theta, rtol=1e-10, atol=1e-12)
     assert end.updates == updates and end.surge == target
 
 
@@ -145,8 +145,8 @@ def test_projection_holds_exactly_after_every_step(condition, replay):
     a, w1, W2, b = (w.flatten(0, 1).numpy() for w in weights)
     if condition == "interval":
         box = Box(*rnn.bounds.numpy())
-        found = [interval_rate(ShallowWeights(*each), box) for each in zip(a, w1, W2, b, strict=True)]
+        largest = [interval_rate(ShallowWeights(*each), box) for each in zip(a, w1, W2, b, strict=True)]
     else:
-        found = [exact.conditions(*pair)[condition].rate for pair in zip(a, w1, strict=True)]
-    assert len(found) == 1200 and all(rate is not None and rate <= Fraction(0.999) for rate in found)
-    assert max(found) > 0.9
+        largest = [exact.conditions(*pair)[condition].rate for pair in zip(a, w1, strict=True)]
+    assert len(largest) == 1200 and all(rate is not None and rate <= Fraction(0.999) for rate in largest)
+    assert max(largest) > 0.9

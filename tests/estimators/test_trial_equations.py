@@ -58,13 +58,13 @@ def state_before(estimator):
              for name in (*QUIET, "statistic")}  # fmt: skip
     updates = torch.tensor([float(before.get("updates", WARM + 9)) for before, _ in VERDICTS.values()]).double()
     m = state.mean.shape[-1] - THETA
-    kept, past = (torch.from_numpy(rng.standard_normal((COUNT, m))) for _ in range(2))
-    trial = state.trial._replace(**given, since=updates, kept=kept, before=past, updates=updates + 1)
+    second, past = (torch.from_numpy(rng.standard_normal((COUNT, m))) for _ in range(2))
+    trial = state.trial._replace(**given, since=updates, kept=second, before=past, updates=updates + 1)
     trial = trial._replace(mean=trial.mean.clone())
     trial.mean[:, CROSS] = SECOND
     readings = {"readings": 7.0, "weight": 3.0, "learned": 2.0}
     given = {name: torch.full((COUNT,), x).double() for name, x in readings.items()}
-    given |= {"reading": kept + 1, "spread": torch.ones_like(state.spread)}
+    given |= {"reading": second + 1, "spread": torch.ones_like(state.spread)}
     return state._replace(trial=trial, updates=updates, **given)
 
 
@@ -86,8 +86,8 @@ def test_every_verdict(judged):
     before, state = judged
     for k, (name, (_, expected)) in enumerate(VERDICTS.items()):
         for leaf, value in expected.items():
-            found = getattr(state.trial if leaf in state.trial._fields else state, leaf)[k]
-            assert float(found) == pytest.approx(value, abs=1e-6), (name, leaf)
+            number = getattr(state.trial if leaf in state.trial._fields else state, leaf)[k]
+            assert float(number) == pytest.approx(value, abs=1e-6), (name, leaf)
         second = expected.get("leads", 0) == 1 or expected.get("changes") == 1  # predicts the next speed
         swapped = second != (VERDICTS[name][0].get("leads", 0) == 1)
         assert float(state.mean[k, CROSS]) == pytest.approx(SECOND if swapped else FIRST, abs=1e-9), name
@@ -124,13 +124,13 @@ def test_the_sum_of_innovations_is_that_of_page():
 @pytest.mark.parametrize("even", [False, True])
 @pytest.mark.parametrize("side", [0, 1])
 def test_the_parameters_of_a_side_are_those_of_its_name(even, side):
-    own = names(even)
-    expected = [0.0] * THETA + [1.0 if name.endswith(("_left", "_right")[side]) else 0.0 for name in own]
+    named = names(even)
+    expected = [0.0] * THETA + [1.0 if name.endswith(("_left", "_right")[side]) else 0.0 for name in named]
     assert sum(expected) == (7 if even else 4)
-    found = np.full(len(expected), 9.0)
+    direction = np.full(len(expected), 9.0)
     node = np.full(64, 1 if even else 0)
-    plain(change_detection_kernel.side_of)(node, np.ones(len(expected)), side, found)
-    assert found.tolist() == expected
+    plain(change_detection_kernel.side_of)(node, np.ones(len(expected)), side, direction)
+    assert direction.tolist() == expected
 
 
 def test_the_second_filter_begins_with_a_larger_covariance():
@@ -141,7 +141,7 @@ def test_the_second_filter_begins_with_a_larger_covariance():
     plan = program_for(estimator.description(), (), np.dtype(np.float64))
     row, n = plan.pack(arrays_of(state._replace(trial=trial))), len(state.mean)
     change_detection_kernel.loosen_sides(plan.program[1], row[0], plan.numbers[0], np.empty(n))
-    found = plan.unpack(row)
+    leaves = plan.unpack(row)
     mean, P, prior = state.mean.numpy(), state.covariance.numpy().copy(), estimator.variance.numpy()
     for ending in ("_left", "_right"):
         d = np.array(
@@ -151,9 +151,9 @@ def test_the_second_filter_begins_with_a_larger_covariance():
         P += 0.6**2 * np.outer(d, d)
     for i in range(THETA, n - 1):
         P[i, i] += min((0.3 * mean[i]) ** 2, max(ROOM * prior[i - THETA] - P[i, i], 0.0))
-    U = np.tril(found["trial.factor"], -1).T + np.eye(n)
-    np.testing.assert_allclose((U * found["trial.factor"].diagonal()) @ U.T, P, rtol=1e-8, atol=1e-12)
-    np.testing.assert_array_equal(found["trial.kept"], mean[THETA:])
+    U = np.tril(leaves["trial.factor"], -1).T + np.eye(n)
+    np.testing.assert_allclose((U * leaves["trial.factor"].diagonal()) @ U.T, P, rtol=1e-8, atol=1e-12)
+    np.testing.assert_array_equal(leaves["trial.kept"], mean[THETA:])
 
 
 def test_a_new_segment_forgets_the_sum_but_not_the_trial():

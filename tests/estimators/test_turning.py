@@ -54,11 +54,11 @@ def heron() -> Theta:
 def test_the_truth_of_a_simulated_boat_follows_from_its_parameters():
     """The surge of these equations has no v r; that changes the speed of a turn by some percent."""
     boat = HERON._replace(thrust=(HERON.thrust[0],) * 2)
-    known, found = simulated.true_turning(boat), quantities(heron())
-    assert list(known) == list(found) == list(QUANTITIES)
+    known, values = simulated.true_turning(boat), quantities(heron())
+    assert list(known) == list(values) == list(QUANTITIES)
     for name, value in known.items():
         exact = "time_constant" in name or "difference" in name  # but for the step of a finite difference
-        assert found[name] == pytest.approx(value, rel=1e-4 if exact else 0.06), name
+        assert values[name] == pytest.approx(value, rel=1e-4 if exact else 0.06), name
     assert simulated.INNER == INNER
 
 
@@ -106,13 +106,13 @@ def run() -> Run:
 
 def learned(samples: Sample, poses: np.ndarray) -> tuple[Planar, Any]:
     """The estimators, and their state after a mission of one boat."""
-    own = planar()
-    ((state, _),) = chunked_rollout(own, own.init((1,)), [PlanarSample(samples, *np.moveaxis(poses, -1, 0))], [])
-    return own, state
+    model = planar()
+    ((state, _),) = chunked_rollout(model, model.init((1,)), [PlanarSample(samples, *np.moveaxis(poses, -1, 0))], [])
+    return model, state
 
 
-def sentences(found: Identified) -> str:
-    return " ".join(found.lacks)
+def sentences(boat: Identified) -> str:
+    return " ".join(boat.lacks)
 
 
 @pytest.fixture(scope="module")
@@ -122,57 +122,57 @@ def mission():
 
 @pytest.mark.thorough
 def test_a_mission_tells_the_quantities(mission):
-    found = identified_boats(*mission, ["planar"])["planar"]
+    whole = identified_boats(*mission, ["planar"])["planar"]
     (boat,) = planar_boats(1, seed=3)
     known = simulated.true_turning(boat)
-    assert set(QUANTITIES) < set(found) and "steady_speed_full" in found
-    assert found.unknown >= QUANTITIES.keys() and FIRST in found.lacks
+    assert set(QUANTITIES) < set(whole) and "steady_speed_full" in whole
+    assert whole.unknown >= QUANTITIES.keys() and FIRST in whole.lacks
     for name in ("yaw_rate_half", "turning_radius_half", "yaw_rate_full_difference"):
-        assert found[name].value == pytest.approx(known[name], rel=0.2), name
-        assert found[name].low < known[name] < found[name].high, name
-    assert "hardly turned" not in sentences(found)
+        assert whole[name].value == pytest.approx(known[name], rel=0.2), name
+        assert whole[name].low < known[name] < whole[name].high, name
+    assert "hardly turned" not in sentences(whole)
 
 
 def test_a_boat_that_went_straight_tells_nothing_of_turning():
     poses, inputs = run().poses.copy(), run().samples.inputs
     poses[..., HEADING], poses[..., TURN] = 1.0, 0.0
     samples = run().samples._replace(inputs=inputs._replace(command_left=inputs.command_right))
-    found = identified_boats(*learned(samples, poses), ["planar"])["planar"]
-    assert "hardly turned by its thrusters" in sentences(found)
+    boat = identified_boats(*learned(samples, poses), ["planar"])["planar"]
+    assert "hardly turned by its thrusters" in sentences(boat)
     for name in ("yaw_rate_half", "turning_radius_half", "yaw_rate_full_difference"):
-        assert found[name].high > 3 * found[name].low, name
+        assert boat[name].high > 3 * boat[name].low, name
 
 
 def test_without_heading_and_yaw_rate_nothing_is_known():
     poses = run().poses.copy()
     poses[..., [HEADING, TURN]] = np.nan
-    found = identified_boats(*learned(run().samples, poses), ["planar"])["planar"]
-    assert "Neither heading nor yaw rate was measured" in sentences(found)
-    assert all(math.isnan(found[name].value) and name in found.unknown for name in QUANTITIES)
-    assert math.isfinite(found["steady_speed_full"].value)
+    boat = identified_boats(*learned(run().samples, poses), ["planar"])["planar"]
+    assert "Neither heading nor yaw rate was measured" in sentences(boat)
+    assert all(math.isnan(boat[name].value) and name in boat.unknown for name in QUANTITIES)
+    assert math.isfinite(boat["steady_speed_full"].value)
 
 
 def test_an_interval_is_that_of_draws_from_the_filters(mission):
     """(1) against the spread of the quantity over the filters' normal distributions; ε is taken out."""
-    own, state = mission
+    model, state = mission
     leaves = leaves_of(state)
-    found = identified(own.description(), leaves)[0]
+    boat = identified(model.description(), leaves)[0]
     yaw = leaves["yaw.members.yaw.mean"][0, THETA:]
     sway = leaves["sway.members.sway.mean"][0, THETA:]
     P = turning_intervals.covariance_of(leaves["yaw.members.yaw.factor"][0])[THETA:, THETA:]
     rng = np.random.default_rng(0)
     draws = yaw + rng.multivariate_normal(np.zeros(len(P)), 1e-2 * P, 500)
-    some = quantities(Theta(np.tile(found.theta, (500, 1)), draws, np.tile(sway, (500, 1))))
+    some = quantities(Theta(np.tile(boat.theta, (500, 1)), draws, np.tile(sway, (500, 1))))
     name = "yaw_rate_full_difference"  # neither surge nor sway enter it
-    ratio = math.log(found[name].high / found[name].value) / NINETY
-    spread = math.sqrt(ratio**2 - turning_intervals.OWN_ERROR[name] ** 2) * found[name].value
+    ratio = math.log(boat[name].high / boat[name].value) / NINETY
+    spread = math.sqrt(ratio**2 - turning_intervals.OWN_ERROR[name] ** 2) * boat[name].value
     assert 10 * some[name].std() == pytest.approx(spread, rel=0.1)
 
 
 def test_results_have_the_truth(mission):
-    found = identified_boats(*mission, ["planar"])
+    boats = identified_boats(*mission, ["planar"])
     truth = simulated.turning_of([{"_target_": "usvlearn.simulate.planar_fleet.planar_fleet", "seed": 3}])
-    results = as_results(found, truth)["identified"]["planar"]
+    results = as_results(boats, truth)["identified"]["planar"]
     assert results["turning_radius_half"]["truth"] == truth["planar"]["turning_radius_half"]
     assert results["turning_radius_half"]["unit"] == "m"
 

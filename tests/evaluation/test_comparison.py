@@ -9,8 +9,8 @@ from usvlearn.evaluation.objective import Measure, measure_of
 RNN = Measure("rnn")
 
 
-def errors(made: dict[tuple[str, str], float], ahead: str = "step", base: float = 0.2) -> list[RunError]:
-    return [RunError(boat, run, ahead, 100, {"rnn": e, "persistence": base}) for (boat, run), e in made.items()]
+def errors(maes: dict[tuple[str, str], float], ahead: str = "step", base: float = 0.2) -> list[RunError]:
+    return [RunError(boat, run, ahead, 100, {"rnn": e, "persistence": base}) for (boat, run), e in maes.items()]
 
 
 def season(rng, boats: int, runs: int, shift: float, spread: float = 0.02):
@@ -25,22 +25,22 @@ def test_the_difference_is_that_of_the_objective():
     one = [RunError("a", "1", "step", 10, {"rnn": 0.1}), RunError("a", "2", "step", 30, {"rnn": 0.3}),
            RunError("b", "1", "step", 5, {"rnn": 0.5})]  # fmt: skip
     other = [each._replace(mae={"rnn": 0.2}) for each in one]
-    found = compare(cells({"": one}, RNN), cells({"": other}, RNN), RNN)
-    assert found.mean == pytest.approx(((10 * 0.1 + 30 * 0.3) / 40 + 0.5) / 2 - 0.2)
-    assert found.share == pytest.approx(found.mean / 0.2) and found.runs == 3
+    result = compare(cells({"": one}, RNN), cells({"": other}, RNN), RNN)
+    assert result.mean == pytest.approx(((10 * 0.1 + 30 * 0.3) / 40 + 0.5) / 2 - 0.2)
+    assert result.share == pytest.approx(result.mean / 0.2) and result.runs == 3
 
 
 def test_other_samples_are_not_compared():
     """Runs of the same names may be others: of other hours, of another step, of other logs."""
-    made = {("a", "1"): 0.1, ("a", "2"): 0.1}
-    one = cells({"": errors(made)}, RNN)
-    others = [errors(made, base=0.21), errors({**made, ("a", "3"): 0.1}), errors({("a", "1"): 0.1}), []]
-    others.append([each._replace(steps=95) for each in errors(made)])
+    maes = {("a", "1"): 0.1, ("a", "2"): 0.1}
+    one = cells({"": errors(maes)}, RNN)
+    others = [errors(maes, base=0.21), errors({**maes, ("a", "3"): 0.1}), errors({("a", "1"): 0.1}), []]
+    others.append([each._replace(steps=95) for each in errors(maes)])
     for other in others:
         assert compare(one, cells({"": other}, RNN), RNN) is None
-    assert compare(one, cells({"0": errors(made)}, RNN), RNN) is None  # no seed in common
-    fewer = {"0": errors(made), "1": errors(made, base=0.3)}
-    assert compare(cells(fewer, RNN), cells({"1": errors(made, base=0.3)}, RNN), RNN).runs == 2
+    assert compare(one, cells({"0": errors(maes)}, RNN), RNN) is None  # no seed in common
+    fewer = {"0": errors(maes), "1": errors(maes, base=0.3)}
+    assert compare(cells(fewer, RNN), cells({"1": errors(maes, base=0.3)}, RNN), RNN).runs == 2
 
 
 @pytest.mark.parametrize(("boats", "runs"), [(1, 2), (1, 3), (1, 6), (1, 20), (2, 4)])
@@ -48,8 +48,8 @@ def test_the_interval_contains_the_truth_about_as_often_as_it_says(boats, runs):
     """95 % of 200 seasons: mean 190, deviation 3."""
     held = 0
     for seed in range(200):
-        found = compare(*season(np.random.default_rng([seed, runs]), boats, runs, 0.01), RNN)
-        held += found.low <= -0.01 <= found.high
+        result = compare(*season(np.random.default_rng([seed, runs]), boats, runs, 0.01), RNN)
+        held += result.low <= -0.01 <= result.high
     assert 178 <= held <= 199
 
 
@@ -77,14 +77,14 @@ def test_one_run_has_no_interval_also_if_seeds_repeat_it():
     one, other = ({f"{k}": errors({("a", "1"): e + 0.001 * k}) for k in range(3)} for e in (0.1, 0.2))
     for count in (1, 3):
         few = [{seed: each[seed] for seed in list(each)[:count]} for each in (one, other)]
-        found = compare(*(cells(each, RNN) for each in few), RNN)
-        assert found.mean == pytest.approx(-0.1) and found.low is None and found.tie is None and found.runs == 1
+        result = compare(*(cells(each, RNN) for each in few), RNN)
+        assert result.mean == pytest.approx(-0.1) and result.low is None and result.tie is None and result.runs == 1
 
 
 def test_seeds_of_other_samples_are_other_runs():
     seeds = [{f"{k}": errors({("a", "1"): e + 1e-4 * k * k * e}, base=0.2 + k) for k in range(4)} for e in (0.1, 0.2)]
-    found = compare(*(cells(each, RNN) for each in seeds), RNN)
-    assert found.tie is False and found.runs == 4 and found.low < -0.1 < found.high
+    result = compare(*(cells(each, RNN) for each in seeds), RNN)
+    assert result.tie is False and result.runs == 4 and result.low < -0.1 < result.high
 
 
 @pytest.mark.parametrize(
@@ -95,8 +95,8 @@ def test_each_objective_has_its_own_errors(objective, ahead):
     some = {("a", f"{k}"): 0.1 for k in range(3)}
     noise = errors({("a", "0"): 9.0}, "other")
     one, other = ({"": [*errors(some, ahead), *noise]}, {"": errors(dict.fromkeys(some, 0.15), ahead)})
-    found = compare(cells(one, measure), cells(other, measure), measure)
-    assert found.mean == pytest.approx(0.25 if objective == "rnn.skill" else -0.05)  # persistence errs by 0.2
+    result = compare(cells(one, measure), cells(other, measure), measure)
+    assert result.mean == pytest.approx(0.25 if objective == "rnn.skill" else -0.05)  # persistence errs by 0.2
 
 
 def test_coverage_has_no_errors_by_run():

@@ -82,18 +82,18 @@ def plain(ensemble: Ensemble, state, samples: Sample) -> dict[str, tuple[float, 
 @pytest.mark.parametrize("elements", few([1, 7, 2048], [7]))
 def test_elements_equal_single_simulations(ensemble, sets, elements):
     runs = [spoilt(steps, seed) for seed, steps in enumerate((30, 17, 120, 30))]
-    told = []
-    found = cross_validate(ensemble, sets, [numpied(run) for run in runs], elements, told.append)
-    assert found.methods == methods(ensemble) and found.methods[-2:] == ("weighted+", "boa+")
-    assert sum(told) == 3 * found.steps.sum()
+    advanced = []
+    errors = cross_validate(ensemble, sets, [numpied(run) for run in runs], elements, advanced.append)
+    assert errors.methods == methods(ensemble) and errors.methods[-2:] == ("weighted+", "boa+")
+    assert sum(advanced) == 3 * errors.steps.sum()
     for k in range(3):
         for j, run in enumerate(runs):
             expected = plain(ensemble, tree_map(lambda x, k=k: x[k], sets), run)
-            for m, name in enumerate(found.methods):
+            for m, name in enumerate(errors.methods):
                 mae, mse, diverged = expected[name]
-                assert found.mae[k, j, m] == pytest.approx(mae, rel=1e-10), (k, j, name)
-                assert found.mse[k, j, m] == pytest.approx(mse, rel=1e-10), (k, j, name)
-                assert found.diverged[k, j, m] == diverged, (k, j, name)
+                assert errors.mae[k, j, m] == pytest.approx(mae, rel=1e-10), (k, j, name)
+                assert errors.mse[k, j, m] == pytest.approx(mse, rel=1e-10), (k, j, name)
+                assert errors.diverged[k, j, m] == diverged, (k, j, name)
 
 
 @pytest.mark.thorough
@@ -104,12 +104,12 @@ def test_a_simulation_that_leaves_the_limit_backwards_or_is_no_number_counts_as_
     theta[:, 3] = thrust  # and no drag
     sets = sets._replace(members=sets.members | {"rls": rls._replace(theta=theta)})
     run = spoilt(30, 0)
-    found, m = cross_validate(ensemble, sets, [numpied(run)]), methods(ensemble).index("rls")
+    errors, m = cross_validate(ensemble, sets, [numpied(run)]), methods(ensemble).index("rls")
     for k in range(3):
         expected = plain(ensemble, tree_map(lambda x, k=k: x[k], sets), run)["rls"]
         assert expected[2] and (expected[0] > ensemble.surge_max) == (thrust < 0)
-        assert (found.mae[k, 0, m], found.mse[k, 0, m]) == pytest.approx(expected[:2], rel=1e-10)
-        assert found.diverged[k, 0, m]
+        assert (errors.mae[k, 0, m], errors.mse[k, 0, m]) == pytest.approx(expected[:2], rel=1e-10)
+        assert errors.diverged[k, 0, m]
 
 
 def test_simulate_equals_rollout_without_measurements(ensemble, sets):
@@ -133,17 +133,17 @@ def test_a_simulation_that_leaves_the_limit_is_counted_and_kept():
     state = state._replace(members={**state.members, "aid": state.members["aid"]._replace(theta=theta)})
     t = torch.ones(20, dtype=torch.float64)
     dt = torch.cat([torch.zeros(1), torch.full((19,), 0.4)]).double()
-    found = cross_validate(ensemble, state, [Sample(Inputs(0 * t, 0 * t, 0 * t, 0 * t, dt), t, t > 0, t > 0)])
-    assert found.diverged[:, 0, 0].tolist() == [False, True] and not found.diverged[:, 0, 1].any()
-    assert found.mae[0, 0, 0] == 0 and 2.5 < found.mae[1, 0, 0] <= 3.0  # 3: at the limit of 4 m/s all the time
+    errors = cross_validate(ensemble, state, [Sample(Inputs(0 * t, 0 * t, 0 * t, 0 * t, dt), t, t > 0, t > 0)])
+    assert errors.diverged[:, 0, 0].tolist() == [False, True] and not errors.diverged[:, 0, 1].any()
+    assert errors.mae[0, 0, 0] == 0 and 2.5 < errors.mae[1, 0, 0] <= 3.0  # 3: at the limit of 4 m/s all the time
 
 
 def test_pooled_weighs_steps_and_leaves_out():
     mse = np.array([[[1.0], [4.0]], [[2.0], [np.nan]]])
-    found = FreeErrors(("aid",), mse, mse, mse > 9, np.array([30.0, 10.0]))
-    assert found.pooled(mse)[0, 0] == pytest.approx((30 * 1 + 10 * 4) / 40)
+    errors = FreeErrors(("aid",), mse, mse, mse > 9, np.array([30.0, 10.0]))
+    assert errors.pooled(mse)[0, 0] == pytest.approx((30 * 1 + 10 * 4) / 40)
     others = np.array([[False, True], [True, False]])
-    assert found.pooled(mse, others)[:, 0].tolist() == [4.0, 2.0]
+    assert errors.pooled(mse, others)[:, 0].tolist() == [4.0, 2.0]
 
 
 def matrix_of(ensemble: Ensemble, seasons: list[Season]) -> np.ndarray:

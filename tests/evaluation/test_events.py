@@ -35,8 +35,8 @@ def told(*stretches, names=("one",)) -> list[dict]:
 
 def test_a_loss_is_one_event_with_the_effectiveness_of_two_minutes_later():
     share = {(100, 200): 0.6, (200, 400): 0.45, (400, 700): 0.4, (700, 900): 0.2}
-    found = told((0, 0, published(share, {(100, 900): 1.0}, {(125, 900): 1.0})))
-    loss, recovery = found
+    happened = told((0, 0, published(share, {(100, 900): 1.0}, {(125, 900): 1.0})))
+    loss, recovery = happened
     assert (loss["kind"], loss["run"], loss["side"], loss["time"]) == (LOSS, "one", "left", pytest.approx(40.0))
     assert loss["effectiveness"] == 0.4 and loss["given"] == pytest.approx(10.0) and loss["filters"] == list(FILTERS)
     assert (loss["low"], loss["high"]) == (pytest.approx(0.4 - 0.1645), pytest.approx(0.4 + 0.1645))
@@ -49,17 +49,17 @@ def test_stretches_and_runs_do_not_repeat_what_goes_on():
     parts = [(0, k, {name: x[k : k + 250] for name, x in whole.items()}) for k in range(0, STEPS, 250)]
     assert told(*parts) == told((0, 0, whole))
     on = published({(0, STEPS): 0.5}, {(0, STEPS): 1.0}, {(0, STEPS): 1.0})
-    found = told((0, 0, published({(100, STEPS): 0.5}, {(100, STEPS): 1.0})), (1, 0, on), names=("one", "two"))
-    assert [each["run"] for each in found] == ["one"]
+    happened = told((0, 0, published({(100, STEPS): 0.5}, {(100, STEPS): 1.0})), (1, 0, on), names=("one", "two"))
+    assert [each["run"] for each in happened] == ["one"]
 
 
 def test_a_loss_goes_on_in_the_next_run_on_one_clock():
     """Times of a run begin at 0 again: the two minutes, and the half minute of a change, go on."""
     first = published({(900, STEPS): 0.5}, {(900, STEPS): 1.0})
     after = published({(0, 100): 0.4, (100, 600): 0.1}, {(0, 600): 1.0}, {(0, 600): 1.0}, changes=(500,))
-    found = told((0, 0, first), (1, 0, after), names=("one", "two"))
-    assert [(each["kind"], each["run"]) for each in found] == [(LOSS, "one"), (CHANGE, "two"), (RECOVERY, "two")]
-    loss, change, recovery = found
+    happened = told((0, 0, first), (1, 0, after), names=("one", "two"))
+    assert [(each["kind"], each["run"]) for each in happened] == [(LOSS, "one"), (CHANGE, "two"), (RECOVERY, "two")]
+    loss, change, recovery = happened
     assert loss["time"] == pytest.approx(360.0) and loss["given"] == pytest.approx(40.6, abs=0.5)
     assert loss["effectiveness"] == 0.1  # of 120 s after the alarm, in the second run
     assert change["time"] == pytest.approx(200.0) and recovery["time"] == pytest.approx(240.0)
@@ -89,13 +89,13 @@ def test_steps_that_were_not_made_are_passed_over():
 
 def test_changes_within_half_a_minute_are_one_event():
     assert [each["filters"] for each in told((0, 0, published(changes=(100, 150))))] == [list(FILTERS)]
-    found = told((0, 0, published(changes=(100, 300))))
-    assert [(each["kind"], each["filters"]) for each in found] == [(CHANGE, [name]) for name in FILTERS]
+    happened = told((0, 0, published(changes=(100, 300))))
+    assert [(each["kind"], each["filters"]) for each in happened] == [(CHANGE, [name]) for name in FILTERS]
 
 
 def test_a_loss_explains_the_changes_that_follow_at_once():
-    found = told((0, 0, published({(100, 900): 0.5}, {(100, 900): 1.0}, changes=(110, 600))))
-    assert [each["kind"] for each in found] == [LOSS, CHANGE, RECOVERY]
+    happened = told((0, 0, published({(100, 900): 0.5}, {(100, 900): 1.0}, changes=(110, 600))))
+    assert [each["kind"] for each in happened] == [LOSS, CHANGE, RECOVERY]
 
 
 def test_a_watch_on_board_says_a_loss_again_when_the_filters_have_it():

@@ -88,29 +88,29 @@ def test_what_is_measured_must_be_made(fleet):
 
 def test_elements_measure_forecasts_as_an_ensemble_makes_them(fleet):
     build = request("grid=aid").build
-    found = Objective(build, fleet, measure=Measure("", "forecast", 2.0))([{"gain": 0.1}, {"gain": 3.0}])
-    for each in found:
+    evaluated = Objective(build, fleet, measure=Measure("", "forecast", 2.0))([{"gain": 0.1}, {"gain": 3.0}])
+    for each in evaluated:
         ensemble = Ensemble({"aid": build(each.setting)}, {"own": Average()}, forecasts=ForecastSettings((2.0,)))
         total, count, state = np.zeros(2), np.zeros(2), ensemble.init((2,))
         for run in fleet.runs:
             with torch.no_grad():
-                state, _, kept = rollout(
+                state, _, record = rollout(
                     ensemble, state, tensors(run.samples, torch.float64), ["forecasts.predictions"]
                 )
-            own = kept["forecasts.predictions"][..., 0, 0].numpy()
-            due = np.isfinite(own) & masks(run.samples).learns
-            total += np.where(due, np.abs(own - run.samples.surge), 0.0).sum(0)
+            forecast = record["forecasts.predictions"][..., 0, 0].numpy()
+            due = np.isfinite(forecast) & masks(run.samples).learns
+            total += np.where(due, np.abs(forecast - run.samples.surge), 0.0).sum(0)
             count += due.sum(0)
         np.testing.assert_allclose(each.maes, total / count, rtol=1e-9)
 
 
 def test_free_runs_are_of_later_runs_with_what_was_learned_before(fleet):
     aid, half = AID(28.0), middle(fleet.runs)
-    found = element_errors(aid, fleet, measure=Measure("", "free")).mae
+    maes = element_errors(aid, fleet, measure=Measure("", "free")).mae
     ensemble = Ensemble({"aid": AID(28.0), "persistence": Persistence()}, {"own": Average(["aid"])})
     state, lone = ensemble.init((2,)), aid.init((2,))
     total, count = np.zeros(2), np.zeros(2)
-    made: list[list[np.ndarray]] = [[], []]
+    by_boat: list[list[np.ndarray]] = [[], []]
     with torch.no_grad():
         for run in fleet.runs[:half]:
             samples = tensors(run.samples, torch.float64)
@@ -120,13 +120,13 @@ def test_free_runs_are_of_later_runs_with_what_was_learned_before(fleet):
             learns = masks(run.samples).learns
             total += np.where(learns, np.abs(free - run.samples.surge), 0.0).sum(0)
             count += learns.sum(0)
-            for element, pairs in enumerate(made):
+            for element, pairs in enumerate(by_boat):
                 pairs.append(np.stack([free[:, element], run.samples.surge[:, element]])[:, learns[:, element]])
-    np.testing.assert_allclose(found, total / count, rtol=1e-9)
+    np.testing.assert_allclose(maes, total / count, rtol=1e-9)
     free = free_errors(ensemble, state, fleet, half)
     whole, fits = free.mae(fleet.boats, ensemble.names), free.fit(fleet.boats, ensemble.names)
     assert [row["aid"] for row in whole.values()] == pytest.approx((total / count).tolist())
-    for row, pairs in zip(fits.values(), made, strict=True):
+    for row, pairs in zip(fits.values(), by_boat, strict=True):
         simulated, y = np.concatenate(pairs, 1)
         expected = 100 * (1 - np.linalg.norm(y - simulated) / np.linalg.norm(y - y.mean()))
         assert row["aid"] == pytest.approx(expected, rel=1e-7)
@@ -150,18 +150,18 @@ def test_a_run_ends_with_what_it_measures(objective, tmp_path):
     arguments = [*QUICK, "data.mission_minutes=1", f"objective={objective}", "hydra.run.dir=run"]
     done = run_command(*arguments, folder=tmp_path)
     assert done.returncode == 0, done.stderr
-    found = results(tmp_path / "run")
-    assert found["output"] == "ensemble" and found["measure"] == objective
+    saved = results(tmp_path / "run")
+    assert saved["output"] == "ensemble" and saved["measure"] == objective
     measure = measure_of(objective, "")
-    assert f"{measure.title()} {found['objective']:.4f} m/s; " in done.stdout
-    rows = found["forecast"]["heron"]["aid"]
-    expected = rows["2"]["mae"] if "forecast" in objective else found["free"]["heron"]["ensemble"]
-    assert found["objective"] == pytest.approx(expected)
-    assert set(rows) == {"0.4", "1.2", "2", "5.2", "10", "30"} and json.dumps(found)
+    assert f"{measure.title()} {saved['objective']:.4f} m/s; " in done.stdout
+    rows = saved["forecast"]["heron"]["aid"]
+    expected = rows["2"]["mae"] if "forecast" in objective else saved["free"]["heron"]["ensemble"]
+    assert saved["objective"] == pytest.approx(expected)
+    assert set(rows) == {"0.4", "1.2", "2", "5.2", "10", "30"} and json.dumps(saved)
     assert "Forecasts: skill by horizon, s" in done.stdout
     errors = from_csv((tmp_path / "run" / "errors.csv").read_text())
-    for ahead, mae in {"step": found["boats"]["heron"]["aid"]["mae"], "2": rows["2"]["mae"],
-                       "free": found["free"]["heron"]["aid"]}.items():  # fmt: skip
+    for ahead, mae in {"step": saved["boats"]["heron"]["aid"]["mae"], "2": rows["2"]["mae"],
+                       "free": saved["free"]["heron"]["aid"]}.items():  # fmt: skip
         some = [each for each in errors if each.ahead == ahead]
         total = sum(each.steps * each.mae["aid"] for each in some) / sum(each.steps for each in some)
         assert total == pytest.approx(mae) and {each.boat for each in some} == {"heron"}

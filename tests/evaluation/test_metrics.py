@@ -37,19 +37,19 @@ def test_scores_by_hand():
 def test_a_hundredth_of_the_steps_may_be_missing(missing, known):
     """And is told; more than that would let an estimator win by the steps that it made."""
     surge = np.linspace(0.0, 2.0, 200)
-    made = np.stack([surge + 0.5, surge + 1.0], -1)
-    made[40 : 40 + missing, 0] = np.nan
-    table = scores(made, surge, ["aid", "persistence"])
+    ours = np.stack([surge + 0.5, surge + 1.0], -1)
+    ours[40 : 40 + missing, 0] = np.nan
+    table = scores(ours, surge, ["aid", "persistence"])
     row = table["aid"]
     assert (row["steps"], row["diverged"]) == (200 - missing, missing)
     assert (row["mae"], row["skill"]) == (pytest.approx((0.5, 0.5)) if known else (None, None))
     one, dt = np.ones((200, 1)), np.full((200, 1), 0.4)
     samples = Sample(Inputs(one, one, 0 * one, 0 * one, dt), surge[:, None], one > 0, one > 0)
     fleet = Fleet(("heron",), (Run(np.cumsum(dt, 0), samples, ("1",), (200,)),), {})
-    arrays = {"forecasts": made[:, None, [0, 1, 1]].reshape(200, 1, 3), "forecast_halfwidths": np.ones((200, 1, 1))}
+    arrays = {"forecasts": ours[:, None, [0, 1, 1]].reshape(200, 1, 3), "forecast_halfwidths": np.ones((200, 1, 1))}
     sums = horizon_sums(fleet, [(0, 0, arrays)], [0.4], ["aid", "persistence", "ensemble"])
-    found = horizon_scores(sums, fleet.boats)["heron"]["aid"]["0.4"]
-    assert (found["mae"], found["steps"]) == (pytest.approx(0.5) if known else None, 200 - missing)
+    cell = horizon_scores(sums, fleet.boats)["heron"]["aid"]["0.4"]
+    assert (cell["mae"], cell["steps"]) == (pytest.approx(0.5) if known else None, 200 - missing)
 
 
 def test_forecasts_are_grouped_by_how_far_the_commands_moved():
@@ -68,12 +68,12 @@ def test_fit_is_that_of_compare():
     """100 (1 − ‖y − ŷ‖ / ‖y − mean(y)‖), over the steps that count; worse than the mean speed is below 0."""
     rng = np.random.default_rng(3)
     y = rng.normal(1.0, 0.5, 200)
-    made = np.stack([y + rng.normal(0, 0.1, 200), np.full(200, y[:150].mean()), -y], -1)
+    predicted = np.stack([y + rng.normal(0, 0.1, 200), np.full(200, y[:150].mean()), -y], -1)
     known = np.where(np.arange(200) < 150, y, np.nan)
-    table = scores(made, known, ["good", "mean", "bad"])
+    table = scores(predicted, known, ["good", "mean", "bad"])
     norm = np.linalg.norm
     for k, name in enumerate(table):
-        expected = 100 * (1 - norm(y[:150] - made[:150, k]) / norm(y[:150] - y[:150].mean()))
+        expected = 100 * (1 - norm(y[:150] - predicted[:150, k]) / norm(y[:150] - y[:150].mean()))
         assert table[name]["fit"] == pytest.approx(expected, abs=1e-9)
     assert 70 < table["good"]["fit"] < 90 and table["bad"]["fit"] < 0
     assert scores(np.ones((3, 1)), np.ones(3), ["still"])["still"]["fit"] is None
@@ -154,8 +154,8 @@ def test_tables_are_in_the_order_of_the_errors_and_say_what_stands_in_them():
 def test_white_errors_are_within_the_bounds_in_99_percent():
     rng, inside = np.random.default_rng(5), []
     for _ in range(200):
-        found = autocorrelation([rng.normal(0.3, 2.0, 600)], [np.zeros(600)], 20)
-        inside.append(np.abs(found.values) <= found.bounds)
+        result = autocorrelation([rng.normal(0.3, 2.0, 600)], [np.zeros(600)], 20)
+        inside.append(np.abs(result.values) <= result.bounds)
     assert abs(np.mean(inside) - 0.99) < 3 * np.sqrt(0.01 * 0.99 / 4000)
 
 
@@ -168,9 +168,9 @@ def test_that_of_an_autoregression_is_a_power():
         for i, w in enumerate(rng.normal(size=n - 1)):
             e[i + 1] = phi * e[i] + w
         errors.append(e)
-    found = autocorrelation(errors, [np.zeros(len(e)) for e in errors], 8)
-    np.testing.assert_allclose(found.values, phi ** np.arange(1, 9), atol=0.02)  # four deviations
-    assert found.pairs.tolist() == [100_000 - 2 * k for k in range(1, 9)]
+    result = autocorrelation(errors, [np.zeros(len(e)) for e in errors], 8)
+    np.testing.assert_allclose(result.values, phi ** np.arange(1, 9), atol=0.02)  # four deviations
+    assert result.pairs.tolist() == [100_000 - 2 * k for k in range(1, 9)]
 
 
 def test_segments_runs_and_steps_that_do_not_count_are_no_neighbours():
@@ -189,5 +189,5 @@ def test_segments_runs_and_steps_that_do_not_count_are_no_neighbours():
 
 @pytest.mark.parametrize("errors", [[], [np.empty(0)], [np.full(4, np.nan)], [np.ones(4)], [np.ones(1)]])
 def test_without_errors_that_differ_there_is_none(errors):
-    found = autocorrelation(errors, [np.zeros(len(e)) for e in errors], 5)
-    assert np.isnan(found.values).all() and np.isfinite(found.bounds).all()
+    result = autocorrelation(errors, [np.zeros(len(e)) for e in errors], 5)
+    assert np.isnan(result.values).all() and np.isfinite(result.bounds).all()

@@ -34,8 +34,8 @@ def write_sweep(folder: Path, key: str, more: dict[str, str]) -> None:
         task = [f"{key}={value}", *(f"{name}={other}" for name, other in more.items())]
         (notes / "overrides.yaml").write_text(json.dumps(task))
         worst = None if mae is None else 0.2 - mae
-        found = found_by(rnn=mae, weighted=worst, ensemble=0.02)
-        (folder / f"{k}" / "results.json").write_text(json.dumps(found))
+        content = found_by(rnn=mae, weighted=worst, ensemble=0.02)
+        (folder / f"{k}" / "results.json").write_text(json.dumps(content))
 
 
 @pytest.mark.parametrize(
@@ -64,9 +64,9 @@ def test_a_sweep_is_ranked_by_the_member_that_its_keys_name(tmp_path, capsys, ke
     np.testing.assert_allclose(shown, np.sort(known), rtol=1e-6)
     for row in rows:  # what a job hands to Hydra is what ranks it
         folder = tmp_path / row["job"]
-        made, task = (folder / "results.json").read_text(), load(folder / ".hydra" / "overrides.yaml")
+        saved, task = (folder / "results.json").read_text(), load(folder / ".hydra" / "overrides.yaml")
         (folder / "results.json").unlink()
-        for work in (lambda _, folder=folder, made=made: (folder / "results.json").write_text(made), never):
+        for work in (lambda _, folder=folder, saved=saved: (folder / "results.json").write_text(saved), never):
             handed = run_job(folder, {"all": row["job"]}, task, work, SweepNote(swept=(key,)))
             assert handed == pytest.approx(float(row["objective"] or "nan"), nan_ok=True)
 
@@ -95,10 +95,10 @@ def test_the_swept_keys_are_those_with_several_values():
     task = ["estimators.rnn.unroll=1", "data.hours=0.3", "+estimator@estimators.x=aid,rls", "align.dt=range(1,3)",
             "~estimators.aid", "data.path={a: x, b: y}", "combiners.average.members=[aid,rnn]"]  # fmt: skip
     hydra = OmegaConf.create({"sweeper": {"params": params}, "overrides": {"task": task}})
-    swept, made = jobs_of(hydra)
+    swept, sets = jobs_of(hydra)
     assert swept == ["estimators.rnn.neurons", "+estimator@estimators.x", "align.dt"]
-    assert len(made) == 8 and made[0]["estimators.rnn.neurons"] == "4" and made[-1]["align.dt"] == "2"
-    assert {job["data.hours"] for job in made} == {"0.3"} and {job["estimators.rnn.unroll"] for job in made} == {"1"}
+    assert len(sets) == 8 and sets[0]["estimators.rnn.neurons"] == "4" and sets[-1]["align.dt"] == "2"
+    assert {job["data.hours"] for job in sets} == {"0.3"} and {job["estimators.rnn.unroll"] for job in sets} == {"1"}
 
 
 def test_the_default_of_a_swept_group_is_its_choice():
@@ -123,7 +123,7 @@ def test_single_runs_are_ranked_by_their_own_objective(tmp_path, capsys):
     """As a sweep whose note is gone."""
     write_sweep(tmp_path, "estimators.rnn.neurons", {})
     for path in tmp_path.glob("*/results.json"):
-        found = json.loads(path.read_text())
-        path.write_text(json.dumps(found | {"measure": "weighted.mae"}))
+        content = json.loads(path.read_text())
+        path.write_text(json.dumps(content | {"measure": "weighted.mae"}))
     assert leaderboard(tmp_path, load)
     assert capsys.readouterr().out.startswith("MAE of weighted, m/s")

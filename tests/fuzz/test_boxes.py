@@ -48,12 +48,12 @@ def decided(rng: np.random.Generator, cases: int) -> int:
         weights = draw(rng, FAMILIES[k % len(FAMILIES)])
         box = operating_box(weights.W2.shape[1])
         truth = exact_rate(weights, box)
-        found = rate(weights, box, seconds=SECONDS)
-        assert found.lower <= truth <= found.upper, (k, weights)
-        if found.lower:
-            slope = abs(slope_at(weights, np.r_[found.witness.x, found.witness.u]))
-            assert float_below(slope) == found.lower == abs(found.witness.slope), (k, weights)
-        if not (truth and found.closed):
+        bracket = rate(weights, box, seconds=SECONDS)
+        assert bracket.lower <= truth <= bracket.upper, (k, weights)
+        if bracket.lower:
+            slope = abs(slope_at(weights, np.r_[bracket.witness.x, bracket.witness.u]))
+            assert float_below(slope) == bracket.lower == abs(bracket.witness.slope), (k, weights)
+        if not (truth and bracket.closed):
             continue
         above = float(truth) * (1 + 1e-9)
         verdict = certify(weights, box, above, SECONDS)

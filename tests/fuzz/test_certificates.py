@@ -41,10 +41,10 @@ def made_of(weights: ShallowWeights, rng: np.random.Generator) -> dict | None:
     if condition == "box":
         if not 0 < rate <= 1:
             return None
-        found = certify(weights, box, rate, 20.0)
-        if found.tree is None:  # planes that meet in a point
+        result = certify(weights, box, rate, 20.0)
+        if result.tree is None:  # planes that meet in a point
             return None
-        box, tree, invariance_tree = box, found.tree, found.invariance_tree
+        box, tree, invariance_tree = box, result.tree, result.invariance_tree
         return certificate.make(weights, condition, rate, box, tree, invariance_tree, "net.npz")
     return certificate.make(weights, condition, box=box, path="net.npz")
 
@@ -80,9 +80,9 @@ def changed(value, rng: np.random.Generator):
     return VALUES[rng.integers(len(VALUES))]
 
 
-def forge(made: dict, rng: np.random.Generator) -> dict:
+def forge(cert: dict, rng: np.random.Generator) -> dict:
     """A certificate with one to three changes, mostly resigned, its claim often rewritten to fit."""
-    forged = json.loads(json.dumps(made))
+    forged = json.loads(json.dumps(cert))
     for _ in range(int(rng.integers(1, 4))):
         path = places(forged)[1:][rng.integers(len(places(forged)) - 1)]
         parent = forged
@@ -130,20 +130,20 @@ def test_a_forged_certificate_is_accepted_only_where_it_is_true(rng, cases, tmp_
     accepted = refused = 0
     while accepted + refused < cases:
         weights = draw(rng)
-        made = made_of(weights, rng)
-        if made is None:
+        cert = made_of(weights, rng)
+        if cert is None:
             continue
-        assert certificate.verify(made, weights).valid and is_true(made, weights)
+        assert certificate.verify(cert, weights).valid and is_true(cert, weights)
         for _ in range(10):
-            forged = forge(made, rng)
+            forged = forge(cert, rng)
             if rng.random() < 0.9:
                 forged = completed(forged, weights)
             started = time.process_time()
-            found = certificate.verify(forged, weights)
-            assert time.process_time() - started < 2 and len(found.reason) < 2000
-            if found.valid:
+            check = certificate.verify(forged, weights)
+            assert time.process_time() - started < 2 and len(check.reason) < 2000
+            if check.valid:
                 assert is_true(forged, weights), (forged, weights)
-            accepted, refused = accepted + found.valid, refused + (not found.valid)
+            accepted, refused = accepted + check.valid, refused + (not check.valid)
     assert accepted > cases / 100 and refused > cases / 2
 
 

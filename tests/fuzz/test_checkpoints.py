@@ -53,13 +53,13 @@ def test_damage_is_noticed(rng, cases, whole, tmp_path):
     for _ in range(cases):
         path.write_bytes(damaged(rng, whole))
         try:
-            found, told = checkpoint.load(path)
+            arrays, about = checkpoint.load(path)
         except CheckpointError as error:
             assert str(error).startswith(f"{path}: ") and len(str(error)) < 2000
             noticed += 1
             continue
-        assert told == facts and found.keys() == leaves.keys()
-        assert all(np.array_equal(found[name], leaf, equal_nan=True) for name, leaf in leaves.items())
+        assert about == facts and arrays.keys() == leaves.keys()
+        assert all(np.array_equal(arrays[name], leaf, equal_nan=True) for name, leaf in leaves.items())
     print(f"{noticed} of {cases} were noticed")
     assert noticed > 0.9 * cases
 

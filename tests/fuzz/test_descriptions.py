@@ -34,14 +34,14 @@ OPEN = (
 @pytest.fixture(scope="module")
 def sets(tmp_path_factory) -> list[tuple[dict, dict]]:
     """The leaves and the facts of a checkpoint of every estimator, and of the default ensemble, after some steps."""
-    path, found = tmp_path_factory.mktemp("sets") / "a.safetensors", []
+    path, loaded = tmp_path_factory.mktemp("sets") / "a.safetensors", []
     for make in [*ESTIMATORS.values(), lambda: accuracy.ensemble(())]:
         boat = Online(make(), backend="torch")
         for sample in samples(8, seed=1):
             boat.step(sample)
-        found.append(checkpoint.load(boat.save(path)))
+        loaded.append(checkpoint.load(boat.save(path)))
     Online.open(path)  # compiles, which is no stall
-    return found
+    return loaded
 
 
 def samples(steps: int, seed: int = 0) -> list[Sample]:

@@ -72,19 +72,19 @@ def unpacked(kind, raw: bytes):
 
 def mutated(frame: bytes, rng: random.Random) -> bytes:
     """A frame with a few bytes changed, cut, or doubled."""
-    found = bytearray(frame)
+    damaged = bytearray(frame)
     for _ in range(rng.randrange(1, 4)):
-        place = rng.randrange(len(found)) if found else 0
+        place = rng.randrange(len(damaged)) if damaged else 0
         what = rng.randrange(4)
-        if what == 0 and found:
-            found[place] = rng.randrange(256)
+        if what == 0 and damaged:
+            damaged[place] = rng.randrange(256)
         elif what == 1:
-            del found[place:]
+            del damaged[place:]
         elif what == 2:
-            found[place:place] = rng.randbytes(rng.randrange(20))
+            damaged[place:place] = rng.randbytes(rng.randrange(20))
         else:
-            found += found[place:]
-    return bytes(found[:2000])
+            damaged += damaged[place:]
+    return bytes(damaged[:2000])
 
 
 @pytest.mark.fuzz(cases=3000, slow=100_000)

@@ -246,7 +246,7 @@ def test_a_log_is_read_or_refused(tmp_path, rng, cases, name):
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     for _ in range(cases):
         path.write_bytes(mutated(rng, whole))
-        with warnings.catch_warnings(record=True) as told:
+        with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             try:
                 with in_time(SECONDS):
@@ -257,7 +257,7 @@ def test_a_log_is_read_or_refused(tmp_path, rng, cases, name):
             else:
                 read += 1
                 assert all(np.isfinite(run.samples.surge[run.samples.measured]).all() for run in fleet.runs)
-        for warning in told:
+        for warning in caught:
             assert warning.category is UserWarning, str(warning)  # what was recovered, or left out
             assert_one_sentence(str(warning.message))
     grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before

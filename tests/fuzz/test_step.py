@@ -81,7 +81,7 @@ def test_step_takes_numbers_and_bools_alone(rng, cases, kind):
 )
 def test_no_samples_make_the_default_ensemble_remember_what_is_not_finite(rng, cases, dtype, single):
     """Stretches of constant and of random samples, each field at times at its bounds, beyond them, or absent."""
-    ensemble, made = default_ensemble(dtype), 0
+    ensemble, finite = default_ensemble(dtype), 0
     state, boat = ensemble.init(), Online(ensemble) if single else None
     for first in range(0, cases, 100):
         samples = tree_map(lambda x: x.to(dtype) if x.is_floating_point() else x, stretch(rng, 100))
@@ -90,10 +90,10 @@ def test_no_samples_make_the_default_ensemble_remember_what_is_not_finite(rng, c
         else:
             with torch.no_grad():
                 state, predictions, _ = rollout(ensemble, state, samples)
-        made += int(np.isfinite(np.asarray(predictions)).sum())
+        finite += int(np.isfinite(np.asarray(predictions)).sum())
         for name, leaf in named_leaves(state):
             assert name == "predictions" or np.isfinite(np.asarray(leaf)).all(), (first, name)
-    assert made > 0.5 * cases
+    assert finite > 0.5 * cases
 
 
 def stretch(rng, steps) -> Sample:

@@ -89,5 +89,5 @@ def test_systemd_finds_nothing_wrong_with_the_unit(tmp_path):
     for text, known in ((unit, True), (unit.replace("ProtectSystem=strict", "NoSuchKey=1"), False)):
         path.write_text(text)
         done = subprocess.run(["systemd-analyze", "verify", str(path)], capture_output=True, text=True, timeout=60)
-        own = [line for line in (done.stdout + done.stderr).splitlines() if "usvlearn.service" in line]
-        assert (own == []) == known, own
+        lines = [line for line in (done.stdout + done.stderr).splitlines() if "usvlearn.service" in line]
+        assert (lines == []) == known, lines

@@ -26,16 +26,16 @@ def slowed(part: str, every: float, begin: float = 0.0, end: float = math.inf):
 
 def told(session: Session, posts, ages: bool = False) -> list[tuple[float, str, str, tuple[str, ...]]]:
     """Time, state, sentence and warnings, once a second of the stamps; with ages, by which channels are silent, too."""
-    found, heard, begin = [], {}, time.monotonic()
+    rows, heard, begin = [], {}, time.monotonic()
     for name, stamp, value in posts:
         session.push(name, stamp, value)
         heard[name] = begin + stamp - 1.7e9
-        if stamp - 1.7e9 >= len(found) + 1:
-            clock = begin + len(found) + ages
+        if stamp - 1.7e9 >= len(rows) + 1:
+            clock = begin + len(rows) + ages
             session._listening.heard = dict(heard) if ages else dict.fromkeys(session._listening.heard, clock)
             health = session.tick(clock=clock)
-            found.append((stamp - 1.7e9, health.state, health.sentence, health.warnings))
-    return found
+            rows.append((stamp - 1.7e9, health.state, health.sentence, health.warnings))
+    return rows
 
 
 @pytest.mark.thorough
@@ -44,37 +44,37 @@ def test_a_node_that_loses_many_steps_says_so_within_a_minute(tmp_path, start, p
     """A fixed window of 0.01 s; the automatic one learns from the same messages."""
     changes = channel_options({f"{part}.window": "0.01"})
     with ready(tmp_path / "fixed", start, channels=changes) as session:
-        found = told(session, slowed(part, every))
+        rows = told(session, slowed(part, every))
         learned = session._node.learned
         session._background.wait()
-    late, _, sentence, warnings = next(row for row in found if row[1] == "sparse")
+    late, _, sentence, warnings = next(row for row in rows if row[1] == "sparse")
     assert late < 60 and sentence.startswith(f"many steps are lost, because of {part} ({part.upper()})")
     (warning,) = warnings
     assert "of the last 75 steps had" in warning and warning.endswith(f"its window is 0.01 s: set {part}.window=auto")
     assert every <= float(re.search(r"comes every ([\d.]+) s", warning)[1]) < every + 0.3
-    assert {row[2].partition(";")[0] for row in found if row[0] > late} == {sentence.partition(";")[0]}, "said once"
+    assert {row[2].partition(";")[0] for row in rows if row[0] > late} == {sentence.partition(";")[0]}, "said once"
     with ready(tmp_path / "auto", start) as session:
-        found = told(session, slowed(part, every))
+        rows = told(session, slowed(part, every))
         assert session._node.learned > (3 if part != "surge" else 1.5) * learned
-    assert {row[1] for row in found} <= {"waiting", "ok"}
+    assert {row[1] for row in rows} <= {"waiting", "ok"}
 
 
 @pytest.mark.thorough
 def test_a_channel_that_comes_too_seldom_is_never_ok(tmp_path, start):
     """It was ok after each heading, and stale before the next one."""
     with ready(tmp_path, start) as session:
-        found = told(session, slowed("heading", 6.7))
+        rows = told(session, slowed("heading", 6.7))
         assert session._node.learned == 0 and session.warnings == ()
     wanted = "waiting for a second message within 5 s of heading (HEADING)"
-    assert {(state, sentence.partition(";")[0]) for at, state, sentence, _ in found if at > 2} == {("waiting", wanted)}
+    assert {(state, sentence.partition(";")[0]) for at, state, sentence, _ in rows if at > 2} == {("waiting", wanted)}
 
 
 def test_a_channel_that_becomes_too_seldom_stays_so_between_its_messages(tmp_path, start):
     """It was ok after each heading, and stale before the next one, because two of them had once come quickly."""
     with ready(tmp_path, start) as session:
-        found = told(session, slowed("heading", 6.7, begin=40.0), ages=True)
-    assert {state for at, state, *_ in found if 5 < at < 40} == {"ok"}
-    late = [row for row in found if row[0] > 80]
+        rows = told(session, slowed("heading", 6.7, begin=40.0), ages=True)
+    assert {state for at, state, *_ in rows if 5 < at < 40} == {"ok"}
+    late = [row for row in rows if row[0] > 80]
     assert {row[1] for row in late} == {"stale", "sparse"}
     assert all("heading (HEADING) fell silent 3 times within a minute" in str(row[3]) for row in late)
     assert {s.partition(";")[0] for _, state, s, _ in late if state == "sparse"} == {

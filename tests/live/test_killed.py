@@ -57,8 +57,8 @@ def test_checkpoints_survive_kills(tmp_path):
     rng, before = np.random.default_rng(0), 0
     for _ in range(2):
         said = killed(folder, start, float(rng.uniform(0.8, 2.0)))
-        _, facts, path, told = newest(folder)
-        assert path == checkpoint.checkpoints(folder)[-1] and told == []
+        _, facts, path, damaged = newest(folder)
+        assert path == checkpoint.checkpoints(folder)[-1] and damaged == []
         number = int(path.stem.removeprefix("live_"))
         long_ago = [steps for clock, steps in said if clock < said[-1][0] - LOST]
         assert (facts["step"] if number > before else 0) >= max(long_ago, default=0)

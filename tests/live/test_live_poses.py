@@ -22,19 +22,19 @@ def both(channels, **options):
     ]
     aligned = {name: channel for name, channel in channels.items() if name in CHANNELS}
     aligner, live = Aligner(aligned, dt=0.4, **options), LivePoses(channels)
-    found, came = [], []
+    stepwise, came = [], []
     for place, name, time, value in sorted(rows, key=lambda row: row[0]):
         live.take(name, time, value)
         if name in CHANNELS:
             for at, sample in aligner.push(name, time, value):
-                found.append(live.at(at, sample))
+                stepwise.append(live.at(at, sample))
                 came.append(place)
     for at, sample in aligner.flush():
-        found.append(live.at(at, sample))
+        stepwise.append(live.at(at, sample))
         came.append(math.inf)
     whole = align(aligned, dt=0.4, **options)
     np.testing.assert_array_equal(whole.came, came)
-    return np.array(found), poses(channels, whole.time, whole.samples, whole.came)
+    return np.array(stepwise), poses(channels, whole.time, whole.samples, whole.came)
 
 
 def delayed(channels, names, by, rng):
@@ -45,12 +45,12 @@ def delayed(channels, names, by, rng):
         for k, place in enumerate(channel.order.tolist())
     ]
     order = {(name, k): place for place, (_, name, k) in enumerate(sorted(rows))}
-    found = {}
+    changed = {}
     for name, channel in channels.items():
-        own = np.array([order[name, k] for k in range(len(channel.order))])
-        sort = np.argsort(own)
-        found[name] = channel._replace(time=channel.time[sort], value=channel.value[sort], order=own[sort])
-    return found
+        orders = np.array([order[name, k] for k in range(len(channel.order))])
+        sort = np.argsort(orders)
+        changed[name] = channel._replace(time=channel.time[sort], value=channel.value[sort], order=orders[sort])
+    return changed
 
 
 def changed(channels, names, change):

@@ -76,34 +76,34 @@ def told(folder, setup, **changes) -> None:
 
 def test_states_and_predictions_are_the_same_with_and_without_a_fit(tmp_path, start, process):
     """Also those of a node that goes on from its folder."""
-    found = []
+    runs = []
     for on in (False, True):
         for part in range(2):
             with ready(tmp_path / str(on), start, refit=on) as session:
                 steps = sail(session, shift=100.0 * part)
                 silence(session)
                 silence(session, 61.0)
-                found.append((session._node.online.state, [tuple(step)[:8] for step in steps]))
-    for (state, steps), (other, others) in zip(found[:2], found[2:], strict=True):
+                runs.append((session._node.online.state, [tuple(step)[:8] for step in steps]))
+    for (state, steps), (other, others) in zip(runs[:2], runs[2:], strict=True):
         assert np.array_equal(steps, others, equal_nan=True)
         assert all(np.array_equal(leaf, other[name], equal_nan=True) for name, leaf in state.items())
     assert process.count == 2 and not (tmp_path / "False" / "missions").exists()
 
 
 def test_a_mission_is_kept_where_all_channels_fall_silent_or_the_clock_begins_anew(tmp_path, start, process):
-    kept = tmp_path / "missions"
+    missions = tmp_path / "missions"
     with ready(tmp_path, start, refit=True, save_period=10.0) as session:
         sail(session)
         session.tick(clock=time.monotonic() + 0.5)
-        assert not kept.exists()
+        assert not missions.exists()
         silence(session)
         silence(session, 61.0)
-        assert [path.name for path in checkpoint.checkpoints(kept)] == ["00000001.safetensors"]
+        assert [path.name for path in checkpoint.checkpoints(missions)] == ["00000001.safetensors"]
         sail(session, shift=200.0)
         session.restart()
         sail(session, shift=-1e9)
-    leaves, facts = checkpoint.load(checkpoint.checkpoints(kept)[-1])
-    assert len(checkpoint.checkpoints(kept)) == 3 and facts["boat"] == "boat"
+    leaves, facts = checkpoint.load(checkpoint.checkpoints(missions)[-1])
+    assert len(checkpoint.checkpoints(missions)) == 3 and facts["boat"] == "boat"
     assert len(leaves["surge"][0]) == sum(part == "surge" for part, *_ in MINUTE)
 
 
@@ -172,15 +172,15 @@ def test_a_restarted_node_tells_the_last_fit_and_which_values_to_use(tmp_path, s
 
 def tables(folder, start, tables, **options) -> list[tuple[float, ...]]:
     """Of the fit that forecasts after each mission, for each table that a fit then gives; [] is one that is doubted."""
-    found = []
+    fits = []
     with ready(folder, start, refit=True, **options) as session:
         for k, table in enumerate(tables):
             sail(session, shift=200.0 * k)
             silence(session)
             told(folder, session.setup, use=bool(table), table=table)
             silence(session, 61.0)
-            found.append(fit_of(session._node.online.description))
-    return found
+            fits.append(fit_of(session._node.online.description))
+    return fits
 
 
 def test_a_fit_that_comes_back_forecasts_too_unless_it_is_doubted(tmp_path, start, process):
@@ -210,8 +210,8 @@ def test_the_record_of_a_node_with_a_fit_replays_its_predictions(tmp_path, start
 def test_a_result_that_is_damaged_ends_nothing(tmp_path, text):
     (tmp_path / "fit").mkdir()
     (tmp_path / "fit" / "refit.json").write_text(text)
-    found = read_refit(tmp_path)
-    assert not found.use and not found.quantities and found.sentence
+    refit = read_refit(tmp_path)
+    assert not refit.use and not refit.quantities and refit.sentence
 
 
 def test_a_fit_that_is_killed_or_runs_already_leaves_the_result_before_it(tmp_path, start, process, monkeypatch):
@@ -317,9 +317,9 @@ def test_a_node_fits_its_missions_beside_its_steps(tmp_path, start, capfd):
         health = wait(session)
         assert health.refit.missions == 2 and not any("signal" in each for each in health.warnings)
     assert read_refit(tmp_path, session.setup) == session._missions.told and len(session._missions.told.table) == TABLE
-    (found,) = read_boats(tmp_path / "fit")
-    assert isinstance(found.identified, FittedBoat) and found.setup == session.setup
-    assert health.refit.quantities["time_constant"][0] == pytest.approx(found.identified["time_constant"].value)
+    (refitted,) = read_boats(tmp_path / "fit")
+    assert isinstance(refitted.identified, FittedBoat) and refitted.setup == session.setup
+    assert health.refit.quantities["time_constant"][0] == pytest.approx(refitted.identified["time_constant"].value)
     before = (tmp_path / "fit" / "refit.json").read_bytes()
     (tmp_path / "fit" / "refit.json").unlink()
     with Session(Options(tmp_path), PLAIN) as session:

@@ -64,19 +64,19 @@ def test_a_plan_is_answered_by_the_forecast_of_its_commands(start):
     sail(one, messages(boat(0.1), 0.0))
     ahead = one._aligner.ahead(75)
     plan = {"t": [0, 4], "left": [0.5, 0.8], "right": [0.5, 0.6], "heading": [1.0, 1.5]}
-    found = json.loads(one.answer(json.dumps({"id": "A", **plan})))
+    reply = json.loads(one.answer(json.dumps({"id": "A", **plan})))
     commands = np.where(np.arange(75)[:, None] < 10, [0.5, 0.5], [0.8, 0.6])
     headings = np.interp(0.4 * np.arange(75), [0.0, 4.0], [1.0, 1.5])
     turns = np.where(np.arange(75) < 10, 0.125, 0.0)
     expected = one.online.forecast(commands, headings, turns, 0.4)
-    np.testing.assert_allclose(found["surge"], expected.surge, atol=6e-4)
-    np.testing.assert_allclose([math.inf if x is None else x for x in found["high"]], expected.high, atol=6e-4)
-    assert found["id"] == "A" and found["time"] == pytest.approx(one.last, abs=1e-3) and found["t"][-1] == 30.0
+    np.testing.assert_allclose(reply["surge"], expected.surge, atol=6e-4)
+    np.testing.assert_allclose([math.inf if x is None else x for x in reply["high"]], expected.high, atol=6e-4)
+    assert reply["id"] == "A" and reply["time"] == pytest.approx(one.last, abs=1e-3) and reply["t"][-1] == 30.0
     rows = dict(each.split("=") for each in one.answer("t,left,right\n2,0.5,0.5\n4,0.8,0.6").split(","))
     commands[:5, 0], commands[:5, 1] = ahead.command_left[:5], ahead.command_right[:5]
     expected = one.online.forecast(commands, ahead.heading, ahead.yaw_rate, 0.4)
-    told = [[float(x) for x in (each if ":" in each else f"{each}:-inf:inf").split(":")] for each in rows.values()]
-    np.testing.assert_allclose(told, np.stack(expected[1:], -1), atol=6e-4)
+    numbers = [[float(x) for x in (each if ":" in each else f"{each}:-inf:inf").split(":")] for each in rows.values()]
+    np.testing.assert_allclose(numbers, np.stack(expected[1:], -1), atol=6e-4)
     late = Setup.of({**one.setup.json(), "channels": {
         name: {**each, "delay": 0.8 if name.startswith("command") else 0.0}
         for name, each in one.setup.json()["channels"].items()}})  # fmt: skip
@@ -108,9 +108,9 @@ def test_a_plan_is_answered_by_the_forecast_of_its_commands(start):
 def test_a_bad_plan_is_answered_by_a_sentence_and_counted(start, text, sentence):
     one = node(start)
     sail(one, messages(boat(0.02), 0.0))
-    found = one.answer(text)
-    found = json.loads(found)["error"] if text[:1] in ("{", "[") else found.removeprefix("error: ")
-    assert sentence in found and len(found) < 300 and "\n" not in found
+    reply = one.answer(text)
+    reply = json.loads(reply)["error"] if text[:1] in ("{", "[") else reply.removeprefix("error: ")
+    assert sentence in reply and len(reply) < 300 and "\n" not in reply
     assert one.counts["plan"] == {"refused": 1}
 
 
@@ -120,8 +120,8 @@ def test_a_plan_is_answered_where_the_longest_forecast_has_more_steps_than_an_an
     setup = Setup.of({**one.setup.json(), "align": {**one.setup.align, "dt": 0.04}})
     one = Node(setup, one.online)
     sail(one, messages(boat(0.02), 0.0))
-    found = json.loads(one.answer('{"t": [0], "left": [1], "right": [1]}'))
-    assert len(found["surge"]) == 250 and found["t"][-1] == 10.0  # 30 s have more steps than a forecast
+    reply = json.loads(one.answer('{"t": [0], "left": [1], "right": [1]}'))
+    assert len(reply["surge"]) == 250 and reply["t"][-1] == 10.0  # 30 s have more steps than a forecast
 
 
 def test_a_plan_without_inputs_is_answered_so(start):
@@ -148,14 +148,14 @@ def test_one_command_for_both_sides_makes_the_steps_of_two_equal_ones(start):
     channels = Setup.of(checkpoint.load(start)[1]["setup"]).channels
     given = {**channels, "command_right": channels["command_left"]}
     both, two = node(start, given), node(start)
-    found: tuple[list, list] = [], []
+    taken: tuple[list, list] = [], []
     for name, stamp, value in messages(boat(0.05), 0.0):
         if name != "command_right":
             parts = ("command_left", "command_right") if name == "command_left" else (name,)
-            for one, steps in zip((both, two), found, strict=True):
+            for one, steps in zip((both, two), taken, strict=True):
                 steps += [step for part in parts for step in one.push(part, stamp, value)]
-    assert both.one_command and not two.one_command and len(found[0]) > 400
-    np.testing.assert_array_equal(*([step.speed for step in steps[1:]] for steps in found))
+    assert both.one_command and not two.one_command and len(taken[0]) > 400
+    np.testing.assert_array_equal(*([step.speed for step in steps[1:]] for steps in taken))
 
 
 def test_throttle_and_steering_make_the_sides(start):
@@ -209,8 +209,8 @@ def test_one_throttle_is_not_read_in_two_ways(tmp_path):
     checkpoint.save(tmp_path / "start.safetensors", leaves, **known, setup=facts)
     with pytest.raises(ConfigError, match=r"found span -1.0 of command_left and 1.0 of .*: give throttle.span"):
         begin(NodeFolder(tmp_path), Options(tmp_path, channels={"throttle": {"name": "T"}}), MIDDLEWARE)
-    own = {"throttle": {"name": "T", "span": 1.0}}
-    assert begin(NodeFolder(tmp_path), Options(tmp_path, channels=own), MIDDLEWARE).setup.one_command
+    channels = {"throttle": {"name": "T", "span": 1.0}}
+    assert begin(NodeFolder(tmp_path), Options(tmp_path, channels=channels), MIDDLEWARE).setup.one_command
 
 
 @pytest.mark.thorough
@@ -218,10 +218,10 @@ def test_what_an_interval_does_not_tell_is_no_number(start):
     """The top speed of a prior is 3 m/s, and its interval reaches from -61 to 67 m/s."""
     before = Online.of(*prior(36.0, 3.0))
     assert before.identified()["steady_speed_full"].high > 60
-    found, wrong = diagnostics.identified(before)
+    quantities, wrong = diagnostics.identified(before)
     assert wrong == ""
-    assert all(math.isnan(value) for value, *_ in found.values()) and len(found) == 18
-    health = COMPILING._replace(state="ok", identified=found)
+    assert all(math.isnan(value) for value, *_ in quantities.values()) and len(quantities) == 18
+    health = COMPILING._replace(state="ok", identified=quantities)
     lines = page(health)
     assert "steady speed full     not known yet" in lines and not any("(" in line for line in lines if "steady" in line)
     assert "PARAMS" not in [post.name for post in of_health(health)]
@@ -275,8 +275,8 @@ def test_posts_are_those_of_the_table(start):
     one = node(start)
     steps = sail(one, messages(boat(0.02)))
     network = {"contracting": True, "condition": "exact", "rate": 0.9, "time_constant": None, "equilibrium": 0.1}
-    found = {"drag_linear": (-1.0, -2.0, 0.0, "kg/s")}
-    health = COMPILING._replace(state="ok", identified=found, contraction={"rnn": network}, refit=Refit())
+    quantities = {"drag_linear": (-1.0, -2.0, 0.0, "kg/s")}
+    health = COMPILING._replace(state="ok", identified=quantities, contraction={"rnn": network}, refit=Refit())
     posts = of_step(steps[-1]._replace(events=(Event(1.0, LOSS, "left", 0.4),)), members=True) + of_health(health)
     kinds = {each.name: each.kind for each in TABLE}
     assert {post.name for post in posts} == set(kinds) - {PLANNED, TRACK}

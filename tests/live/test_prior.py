@@ -76,8 +76,8 @@ def test_what_is_no_positive_number_is_refused(value):
 
 @pytest.mark.thorough
 def test_the_file_is_made_again(tmp_path):
-    found, before = checkpoint.load(build_prior.make(tmp_path / "prior.safetensors")), checkpoint.load(FILE)
-    assert_equal(list(found), list(before))
+    remade, before = checkpoint.load(build_prior.make(tmp_path / "prior.safetensors")), checkpoint.load(FILE)
+    assert_equal(list(remade), list(before))
 
 
 @pytest.mark.parametrize("law, sentence", [

@@ -48,9 +48,9 @@ def test_without_a_set_a_node_starts_from_the_prior_of_a_mass_and_a_top_speed(tm
 @pytest.mark.parametrize("top, limit", [(2.74, 10.0), (14.0, 17.5)])
 def test_the_limit_of_a_fast_boat_holds_aboard(tmp_path, top, limit):
     with ready(tmp_path, None, mass=300.0, surge_max=top) as session:
-        found = session._begin
-    assert found.setup.align.get("surge_max", 10.0) == limit
-    kernel = found.facts["kernel"]
+        start = session._begin
+    assert start.setup.align.get("surge_max", 10.0) == limit
+    kernel = start.facts["kernel"]
     kernel = kernel.get("surge", kernel)
     members = {name: each["numbers"].get("surge_max") for name, each in kernel["members"].items()}
     assert kernel["numbers"]["surge_max"] == members["aid"] == members["arx"] == limit and members["rnn"] == top
@@ -64,9 +64,9 @@ def test_what_is_saved_is_bounded_and_the_last_is_of_the_end(tmp_path, start):
                 session.tick()
                 session._background.wait()  # what the thread had to write is written
         steps = session._node.steps
-    found = checkpoint.checkpoints(tmp_path)
-    assert 2 <= len(found) <= 3
-    assert checkpoint.load(found[-1])[1]["step"] >= steps
+    saved = checkpoint.checkpoints(tmp_path)
+    assert 2 <= len(saved) <= 3
+    assert checkpoint.load(saved[-1])[1]["step"] >= steps
     assert not list(tmp_path.glob(".*.tmp"))
 
 
@@ -120,8 +120,8 @@ def test_the_end_waits_for_a_save_that_is_being_made(tmp_path, start, monkeypatc
         monkeypatch.setattr(checkpoint, "write_atomically", slow)
         session.tick(clock=time.monotonic() + 400.0)
         sail(session, MINUTE[300:])
-    found = [checkpoint.load(path)[1]["step"] for path in checkpoint.checkpoints(tmp_path)]
-    assert len(found) == 2 and found[0] < found[1] and found[1] >= session._node.learned
+    saved = [checkpoint.load(path)[1]["step"] for path in checkpoint.checkpoints(tmp_path)]
+    assert len(saved) == 2 and saved[0] < saved[1] and saved[1] >= session._node.learned
     assert not list(tmp_path.glob(".*.tmp"))
 
 
@@ -286,13 +286,13 @@ def test_names_of_another_kind_of_log_are_not_taken_from_a_set(tmp_path, start):
     facts["setup"]["reader"] = "usvlearn.logs.formats.csv.table.Table"
     path = checkpoint.save(tmp_path / "csv.safetensors", leaves, **facts)
     names = {name: {"name": name.upper(), "held": True} for name in REQUIRED} | {"surge": {"name": "NAV_SPEED"}}
-    own = Middleware("test", "usvlearn.logs.formats.moos.alog.Alog", names)
+    middleware = Middleware("test", "usvlearn.logs.formats.moos.alog.Alog", names)
     changes = channel_options({"command_left.span": "-100", "surge.unit": "knots"})
-    with Session(Options(tmp_path / "node", path, channels=changes), own) as session:
+    with Session(Options(tmp_path / "node", path, channels=changes), middleware) as session:
         left, surge = session.sources["command_left"], session.sources["surge"]
     assert (left.name, left.span, left.delay, left.held) == ("COMMAND_LEFT", -100.0, 0.3, True)
     assert (surge.name, surge.unit) == ("NAV_SPEED", "knots")
-    same = Middleware("test", "usvlearn.logs.formats.csv.table.Table", own.channels)
+    same = Middleware("test", "usvlearn.logs.formats.csv.table.Table", middleware.channels)
     with Session(Options(tmp_path / "node2", path), same) as session:
         assert session.sources["command_left"].name == "pwm" and session.sources["command_left"].span == 400.0
 
@@ -303,8 +303,8 @@ def test_what_was_guessed_is_a_warning_until_a_file_of_channels_confirms_it(tmp_
     facts["setup"]["unconfirmed"] = {"surge.unit": {"certainty": "unsure", "written": written}}
     path = checkpoint.save(tmp_path / "guessed.safetensors", leaves, **facts)
     with ready(tmp_path / "node", path) as session:
-        (told,) = session.tick().warnings
-        assert told.startswith("1 guess unconfirmed: surge.unit (unsure).")
+        (warning,) = session.tick().warnings
+        assert warning.startswith("1 guess unconfirmed: surge.unit (unsure).")
         saved = session.save()
     assert Setup.of_set(checkpoint.load(saved)[1]).unconfirmed.keys() == {"surge.unit"}
     file = tmp_path / "my boat.yaml"

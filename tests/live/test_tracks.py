@@ -54,10 +54,10 @@ def test_live_is_replay(sailed):
     one, steps, due = sailed
     (replayed,) = align_fleet([turning()], dt=0.4).runs
     samples = tree_map(lambda x: x[:, 0], replayed.planar)
-    own = planar()
+    model = planar()
     with torch.no_grad():
-        ((state, kept),) = chunked_rollout(own, own.init(), [samples], ["track.due"])
-    np.testing.assert_array_equal(due, kept["track.due"])
+        ((state, record),) = chunked_rollout(model, model.init(), [samples], ["track.due"])
+    np.testing.assert_array_equal(due, record["track.due"])
     assert len(steps) == len(due) == 901 and np.isfinite(due[:, 0, 0]).sum() > 100
     for name, leaf in arrays_of(state).items():
         np.testing.assert_array_equal(one.online.leaf(name), leaf, err_msg=name)
@@ -73,8 +73,8 @@ def test_it_publishes_places_under_the_commands_in_force(sailed):
     ten, major = last.places[10.0], track.ellipse()[0][24]
     assert ten[:2] == (track.north[24], track.east[24]) and ten.major == major < math.inf
     assert ten.heading == pytest.approx(math.degrees(track.heading[24]) % 360) and 0 <= ten.bearing < 180
-    (told,) = [post.value for post in of_step(last) if post.name == "TRACK"]
-    rows = dict(row.split("=") for row in told.split(","))
+    (post,) = [post.value for post in of_step(last) if post.name == "TRACK"]
+    rows = dict(row.split("=") for row in post.split(","))
     assert list(rows) == ["2", "5.2", "10", "30"]
     np.testing.assert_allclose([float(x) for x in rows["10"].split(":")], ten, atol=0.051)
     (first,) = [post.value for post in of_step(steps[3]) if post.name == "TRACK"]
@@ -85,12 +85,12 @@ def test_it_publishes_places_under_the_commands_in_force(sailed):
 
 def test_a_plan_of_commands_is_answered_by_a_track(sailed):
     one, _, _ = sailed
-    found = json.loads(one.answer('{"id": 3, "t": [0, 4], "left": [0.5, 0.8], "right": [0.5, 0.6]}'))
+    reply = json.loads(one.answer('{"id": 3, "t": [0, 4], "left": [0.5, 0.8], "right": [0.5, 0.6]}'))
     commands = np.where(np.arange(75)[:, None] < 10, [0.5, 0.5], [0.8, 0.6])
     track = one.online.forecast(commands, dt=0.4)
     for name in ("north", "east", "surge", "sway"):
-        np.testing.assert_allclose(found[name], getattr(track, name), atol=6e-4)
-    assert found["id"] == 3 and found["t"][-1] == 30.0 and len(found["major"]) == len(found["heading"]) == 75
+        np.testing.assert_allclose(reply[name], getattr(track, name), atol=6e-4)
+    assert reply["id"] == 3 and reply["t"][-1] == 30.0 and len(reply["major"]) == len(reply["heading"]) == 75
     rows = dict(row.split("=") for row in one.answer("0,0.5,0.5; 4,0.8,0.6").split(","))
     np.testing.assert_allclose(
         [float(x) for x in rows["10"].split(":")][:2], [track.north[24], track.east[24]], atol=6e-3
@@ -116,17 +116,17 @@ def test_bad_input_is_survived(name):
     for part, stamp, value in messages(turning(), 0.0):
         if stamp < 100 and (given := spoil(part, stamp, value)) is not None:
             steps += one.push(part, stamp, given)
-    for leaf, found in one.online.state.items():
+    for leaf, values in one.online.state.items():
         if ".members." in leaf or leaf in ("track.before", "track.covariance", "track.error", "track.quantile"):
-            assert np.isfinite(found).all() or found.dtype == bool, leaf
+            assert np.isfinite(values).all() or values.dtype == bool, leaf
     assert np.isfinite(steps[-1].speed) and np.isfinite([point[:3] for point in steps[-1].places.values()]).all()
     assert not any("nan" in str(post.value) or "inf" in str(post.value) for step in steps for post in of_step(step))
 
 
 def test_of_a_run_the_checkpoint_that_makes_tracks_comes_first(tmp_path, run):
-    found = begin(NodeFolder(tmp_path), Options(tmp_path, run), PLAIN)
-    assert found.facts["kernel"]["kind"] == "planar" and "planar/checkpoints" in found.sentence
-    assert {"latitude", "velocity_east"} <= set(found.setup.channels) and files.PLANAR == "planar"
+    start = begin(NodeFolder(tmp_path), Options(tmp_path, run), PLAIN)
+    assert start.facts["kernel"]["kind"] == "planar" and "planar/checkpoints" in start.sentence
+    assert {"latitude", "velocity_east"} <= set(start.setup.channels) and files.PLANAR == "planar"
     plain = begin(NodeFolder(tmp_path), Options(tmp_path, run / "checkpoints" / "planar"), PLAIN)
     assert plain.facts["kernel"]["kind"] != "planar" and not set(AUXILIARY) & set(plain.setup.channels)
     moos = begin(NodeFolder(tmp_path), Options(tmp_path, run), MIDDLEWARE._replace(reader="another"))
@@ -137,8 +137,8 @@ def test_damaged_checkpoints_of_tracks_leave_those_of_the_speed(tmp_path):
     run = planar_set(tmp_path / "run")
     (path,) = (run / "planar").glob("*/*/*.safetensors")
     path.write_bytes(path.read_bytes()[:-9])
-    found = begin(NodeFolder(tmp_path), Options(tmp_path, run), PLAIN)
-    assert found.facts["kernel"]["kind"] == "ensemble" and found.warnings[0].startswith("no tracks: ")
+    start = begin(NodeFolder(tmp_path), Options(tmp_path, run), PLAIN)
+    assert start.facts["kernel"]["kind"] == "ensemble" and start.warnings[0].startswith("no tracks: ")
 
 
 def test_a_session_saves_tracks_and_waits_for_no_position(tmp_path, run):
@@ -168,6 +168,6 @@ def test_a_record_is_replayed_with_its_tracks(tmp_path):
     records = tmp_path / "node" / "records"
     overrides = ("data=record_0001.yaml", "resume=record_0001", "hydra.run.dir=again", *quick)
     commands.ran(*overrides, folder=records)
-    found, _ = checkpoint.load(checkpoint.checkpoints(records / "again" / "planar" / "checkpoints" / "boat")[-1])
+    leaves, _ = checkpoint.load(checkpoint.checkpoints(records / "again" / "planar" / "checkpoints" / "boat")[-1])
     for name, leaf in learned.items():
-        np.testing.assert_array_equal(found[name], leaf, err_msg=name)
+        np.testing.assert_array_equal(leaves[name], leaf, err_msg=name)

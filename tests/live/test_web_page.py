@@ -26,9 +26,9 @@ def asked(page, path="/status", method="GET", host=None):
 
 @pytest.fixture
 def page():
-    made = WebPage("0")
-    yield made
-    made.close()
+    web = WebPage("0")
+    yield web
+    web.close()
 
 
 def test_it_is_read_only_and_for_this_computer(page):
@@ -54,11 +54,11 @@ def test_an_address_that_is_none_is_told(text):
 
 
 def test_another_address_is_warned_about():
-    made = WebPage("0.0.0.0:0")
+    web = WebPage("0.0.0.0:0")
     try:
-        assert "can be read by everyone" in made.warning and asked(made, host="boat.local")[0].status == 200
+        assert "can be read by everyone" in web.warning and asked(web, host="boat.local")[0].status == 200
     finally:
-        made.close()
+        web.close()
 
 
 def test_it_shows_what_the_node_knows(tmp_path, start):
@@ -66,9 +66,9 @@ def test_it_shows_what_the_node_knows(tmp_path, start):
         assert session._page.url in session.sentence
         sail(session, list(messages(boat(0.02))))
         session.tick()
-        found = json.loads(asked(session._page)[1])
-        assert found["now"][1:3] == [session.last.measured, session.last.speed] and len(found["history"]) > 50
-        assert [each[0] for each in found["forecasts"]] == list(session.last.forecasts)
+        content = json.loads(asked(session._page)[1])
+        assert content["now"][1:3] == [session.last.measured, session.last.speed] and len(content["history"]) > 50
+        assert [each[0] for each in content["forecasts"]] == list(session.last.forecasts)
         url = session._page.url
         if CHROMIUM is not None:
             command = [

@@ -33,7 +33,7 @@ def test_a_step_is_that_of_the_filters(sways):
     before = moving(rng, 300)
     u, v, r, psi = before[:4]
     v = v if sways else 0 * v
-    found = model.step(before, left, right, dt, (north, east))
+    moved = model.step(before, left, right, dt, (north, east))
     turned = by_filters(model, "yaw", r, v, u, left, right, dt)
     aside = by_filters(model, "sway", v, r, u, left, right, dt) if sways else 0 * v
     along = by_filter(model.surge, torch.tensor(np.stack([u, left, right, (r + turned) / 2, dt], -1))).detach().numpy()
@@ -43,7 +43,7 @@ def test_a_step_is_that_of_the_filters(sways):
     inside = np.abs(along) < 20  # the filter limits its speed there
     assert inside.mean() > 0.9
     for name, expected in zip(Motion._fields, (along, aside, turned, after, place.real, place.imag), strict=True):
-        np.testing.assert_allclose(getattr(found, name)[inside], expected[inside], 1e-12, 1e-12, err_msg=name)
+        np.testing.assert_allclose(getattr(moved, name)[inside], expected[inside], 1e-12, 1e-12, err_msg=name)
 
 
 def gentle() -> SurgeModel:
@@ -78,19 +78,19 @@ def test_short_steps_solve_the_differential_equations():
     exact = solve_ivp(rates, (0, end), start, rtol=1e-11, atol=1e-11).y[:, -1]
     errors = []
     for count in (150, 300):
-        found = model.simulate(start, left, right, np.full(count, end / count), current)
-        errors.append(np.abs(np.array([each[-1] for each in found]) - exact).max())
+        ahead = model.simulate(start, left, right, np.full(count, end / count), current)
+        errors.append(np.abs(np.array([each[-1] for each in ahead]) - exact).max())
     assert errors[0] < 2e-3 and 1.8 < errors[0] / errors[1] < 2.3, errors
 
 
 def test_a_simulation_is_a_chain_of_steps_of_one_boat_or_of_several():
     rng = np.random.default_rng(3)
     model, given, motion = drawn_planar(rng), commanded(rng, 20), moving(rng, 4)
-    found = model.simulate(motion, *given[:3, :, None], given[3:, :, None])
+    motions = model.simulate(motion, *given[:3, :, None], given[3:, :, None])
     for k, (left, right, dt, *current) in enumerate(given.T):
         motion = model.step(motion, left, right, dt, tuple(current))
-        np.testing.assert_array_equal([each[k] for each in found], motion)
-    assert found.surge.shape == (20, 4)
+        np.testing.assert_array_equal([each[k] for each in motions], motion)
+    assert motions.surge.shape == (20, 4)
 
 
 def test_a_track_of_lone_filters_is_the_simulation_of_their_model():
@@ -114,11 +114,11 @@ def test_a_track_of_lone_filters_is_the_simulation_of_their_model():
 
 def test_more_command_on_the_left_turns_to_starboard_and_the_current_carries():
     yaw = {**dict.fromkeys(COEFFICIENTS["yaw"], 0.0), "linear": -1.0, "linear_left": 0.3, "linear_right": -0.3}
-    found = PlanarModel(gentle(), yaw).simulate(STILL, 0.8, 0.6, np.full(20, 0.2))
-    assert found.yaw_rate[-1] > 0 and found.heading[-1] > 0 and found.north[-1] > 0 and found.east[-1] > 0
+    sailed = PlanarModel(gentle(), yaw).simulate(STILL, 0.8, 0.6, np.full(20, 0.2))
+    assert sailed.yaw_rate[-1] > 0 and sailed.heading[-1] > 0 and sailed.north[-1] > 0 and sailed.east[-1] > 0
     carried = PlanarModel(gentle(), yaw).simulate(STILL, 0.8, 0.6, np.full(20, 0.2), (0.0, -0.5))
-    np.testing.assert_allclose(carried.east, found.east - 0.1 * np.arange(1, 21), rtol=1e-12, atol=1e-12)
-    np.testing.assert_array_equal(carried.north, found.north)
+    np.testing.assert_allclose(carried.east, sailed.east - 0.1 * np.arange(1, 21), rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(carried.north, sailed.north)
 
 
 def test_every_coefficient_has_a_unit():

@@ -56,23 +56,23 @@ def test_every_file_is_there_and_replaced(saved):
 
 def test_online_errors_are_those_of_the_run(saved):
     boats_ = json.loads((saved / "results.json").read_text())["boats"]
-    found = rows(saved / "report" / "tables" / "online.csv")
-    assert len(found) == sum(map(len, boats_.values()))
-    for row in found:
+    lines = rows(saved / "report" / "tables" / "online.csv")
+    assert len(lines) == sum(map(len, boats_.values()))
+    for row in lines:
         expected = boats_[row["boat"]][row["method"]]
         assert float(row["MAE, m/s"]) == expected["mae"] and int(row["steps"]) == expected["steps"]
 
 
 def test_methods_are_in_the_order_of_their_errors_and_the_map_is_said(saved):
     for name, column in (("online", "MAE, m/s"), ("crossval", "mean, m/s")):
-        found = rows(saved / "report" / "tables" / f"{name}.csv")
+        lines = rows(saved / "report" / "tables" / f"{name}.csv")
         for boat in ("heron1", "heron2"):
-            errors = [float(row[column]) for row in found if row["boat"] == boat]
+            errors = [float(row[column]) for row in lines if row["boat"] == boat]
             assert errors == sorted(errors)
         fleet = rows(saved / "report" / "tables" / f"{name}_fleet.csv")
         means = [float(value) for row in fleet for key, value in row.items() if "mean over boats" in key]
         assert means == sorted(means) and len(means) == len(fleet)
-        for table in (found, fleet):
+        for table in (lines, fleet):
             remarks = {row["method"]: row["remark"] for row in table}
             assert (remarks["sift_map"], remarks["average"], remarks["aid"]) == (
                 "quasi-static map",
@@ -90,12 +90,12 @@ def test_methods_are_in_the_order_of_their_errors_and_the_map_is_said(saved):
 
 
 def test_cross_validation_counts_every_other_run(saved):
-    found = rows(saved / "report" / "tables" / "crossval.csv")
-    methods = {row["method"] for row in found}
+    lines = rows(saved / "report" / "tables" / "crossval.csv")
+    methods = {row["method"] for row in lines}
     assert {"aid", "average", "weighted", "weighted+", "ensemble", "ensemble+"} <= methods
     for boat in ("heron1", "heron2"):
         sets = len(checkpoints(saved / "checkpoints" / boat))
-        counts = {int(row["simulations"]) for row in found if row["boat"] == boat}
+        counts = {int(row["simulations"]) for row in lines if row["boat"] == boat}
         assert counts == {sets}  # two runs: each checkpoint has one other
     arrays = np.load(saved / "report" / "crossval.npz")
     assert arrays["heron1_mae"].shape[1:] == (2, len(methods))
@@ -106,9 +106,9 @@ def test_sets_know_their_run_and_their_hours(saved):
     lengths = json.loads((saved / "runs.json").read_text())["boats"]["heron2"]
     season = seasons[1]
     assert season.boat == "heron2" and not is_sweep(saved)
-    for path, own, hours in zip(season.paths, season.saved_in, season.hours, strict=True):
+    for path, index, hours in zip(season.paths, season.saved_in, season.hours, strict=True):
         run_, step = map(int, path.stem.split("_"))
-        assert own == run_ and path.parent.name == "heron2"
+        assert index == run_ and path.parent.name == "heron2"
         assert hours == pytest.approx((sum(length for _, length, _ in lengths[:run_]) + step) * 0.4 / 3600)
     theta = load(season.paths[1])[0]["members.aid.theta"]
     assert np.array_equal(season.state.members["aid"].theta[1].numpy(), theta)

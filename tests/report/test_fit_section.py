@@ -29,10 +29,10 @@ def folder(tmp_path) -> Path:
     return tmp_path
 
 
-def write(folder: Path, found, boat: str = "heron1") -> Path:
+def write(folder: Path, content, boat: str = "heron1") -> Path:
     (folder / "fit").mkdir(exist_ok=True)
     path = folder / "fit" / f"{boat}.fit.json"
-    path.write_text(found if isinstance(found, str) else json.dumps(found))
+    path.write_text(content if isinstance(content, str) else json.dumps(content))
     return path
 
 
@@ -53,8 +53,8 @@ def page_of(section: Section, folder: Path) -> tuple[str, Page]:
 
 
 def table(section: Section, name: str) -> list[dict]:
-    (found,) = (each for each in section.sheets if each.name == name)
-    return [dict(zip(found.columns, row, strict=True)) for row in found.rows]
+    (sheet,) = (each for each in section.sheets if each.name == name)
+    return [dict(zip(sheet.columns, row, strict=True)) for row in sheet.rows]
 
 
 def test_a_run_without_a_fit_has_no_section(season, tmp_path):
@@ -81,11 +81,11 @@ def test_the_numbers_are_those_of_the_file_beside_those_learned_online(season, f
 
 
 def test_what_the_log_does_not_determine_is_marked(season, folder):
-    found = deepcopy(facts())
-    found["quantities"]["drag_linear"] = {"value": -3.0, "low": -6.0, "high": 1.0, "unit": "kg/s"}
-    found["quantities"]["thrust_ratio"] = {"value": None, "low": None, "high": None, "unit": ""}
-    found["quantities"]["compass_offset"] = {"value": 0.1, "low": -0.1, "high": 0.3, "unit": "deg"}  # known, and near 0
-    write(folder, found)
+    saved = deepcopy(facts())
+    saved["quantities"]["drag_linear"] = {"value": -3.0, "low": -6.0, "high": 1.0, "unit": "kg/s"}
+    saved["quantities"]["thrust_ratio"] = {"value": None, "low": None, "high": None, "unit": ""}
+    saved["quantities"]["compass_offset"] = {"value": 0.1, "low": -0.1, "high": 0.3, "unit": "deg"}  # known, and near 0
+    write(folder, saved)
     uses = {row["quantity"]: row["use the fit"] for row in table(section_of(season, folder), "fit")}
     assert {name for name, use in uses.items() if use == UNKNOWN} == {"drag_linear", "thrust_ratio"}
 
@@ -100,8 +100,8 @@ def test_values_with_a_doubt_are_not_recommended(season, folder):
 
 
 def test_sentences_say_what_the_figures_show(season, folder):
-    found = deepcopy(facts())
-    diagnosed = found["diagnostics"]
+    saved = deepcopy(facts())
+    diagnosed = saved["diagnostics"]
     for side, edge in (("left", -0.01), ("right", 2.0)):
         each = diagnosed["sailed"][side]
         each["seconds"] = [30.0 if start > edge or edge > 1 else 0.0 for start in each["edges"][:-1]]
@@ -109,8 +109,8 @@ def test_sentences_say_what_the_figures_show(season, folder):
     cross["mean"]["values"] = [0.5 if lag == 4 else 0.0 for lag in cross["mean"]["lags"]]
     cross["difference"]["values"] = [None for _ in cross["difference"]["lags"]]
     diagnosed["missions"][0]["current"] = [0.6, -0.6]
-    found["terms"], found["sets"] = "cubic, wear", {"cubic, wear": found["sets"]["cubic"]}
-    write(folder, found)
+    saved["terms"], saved["sets"] = "cubic, wear", {"cubic, wear": saved["sets"]["cubic"]}
+    write(folder, saved)
     here = section_of(season, folder).here
     assert any("its simulation of these missions errs by 0.040 m/s." in each for each in here)
     assert any("the parameters are those of its last mission" in each for each in here)
@@ -140,11 +140,11 @@ def changed(*path, value) -> Callable[[], str]:
     """Makes the file with one value changed."""
 
     def text() -> str:
-        place = found = deepcopy(facts())
+        place = saved = deepcopy(facts())
         for key in path[:-1]:
             place = place[key]
         place[path[-1]] = value
-        return json.dumps(found)
+        return json.dumps(saved)
 
     return text
 
@@ -189,7 +189,7 @@ def test_a_damaged_file_is_a_sentence(season, folder, text):
 
 @pytest.mark.parametrize("unknown", few([True, False], [True], "thorough"))
 def test_extreme_numbers_are_drawn(season, folder, unknown):
-    found = deepcopy(facts())
+    saved = deepcopy(facts())
     rng = np.random.default_rng(0)
 
     def spoil(x):
@@ -201,13 +201,13 @@ def test_extreme_numbers_are_drawn(season, folder, unknown):
             return [spoil(each) for each in x]
         return (None if unknown else float(rng.choice([-9e8, 0.0, 9e8]))) if isinstance(x, float | int) else x
 
-    curves, sailed = (deepcopy(found["diagnostics"][key]) for key in ("curves", "sailed"))
-    found["diagnostics"] = spoil(found["diagnostics"]) | {"sailed": sailed}
+    curves, sailed = (deepcopy(saved["diagnostics"][key]) for key in ("curves", "sailed"))
+    saved["diagnostics"] = spoil(saved["diagnostics"]) | {"sailed": sailed}
     if unknown:
-        found["diagnostics"]["curves"] = curves
-        for each in found["diagnostics"]["missions"]:
+        saved["diagnostics"]["curves"] = curves
+        for each in saved["diagnostics"]["missions"]:
             each["current"] = None
-    write(folder, found)
+    write(folder, saved)
     section = section_of(season, folder)
     assert len(section.figures) == 3
     text, _ = page_of(section, folder)
@@ -215,13 +215,13 @@ def test_extreme_numbers_are_drawn(season, folder, unknown):
 
 
 def test_names_of_a_forged_file_do_nothing(season, folder):
-    found, name = deepcopy(facts()), BAD + r"$\frac{$ & \x1b[2J"
-    found |= {"boat": name, "terms": name, "lacks": [name], "sets": {name: found["sets"]["nine"]}}
-    found["quantities"][name] = found["quantities"]["drag_linear"]
+    saved, name = deepcopy(facts()), BAD + r"$\frac{$ & \x1b[2J"
+    saved |= {"boat": name, "terms": name, "lacks": [name], "sets": {name: saved["sets"]["nine"]}}
+    saved["quantities"][name] = saved["quantities"]["drag_linear"]
     for part in ("missions", "worst"):
-        for each in found["diagnostics"][part]:
+        for each in saved["diagnostics"][part]:
             each["name"] = name
-    write(folder, found)
+    write(folder, saved)
     section = section_of(season, folder)
     assert name not in [row["quantity"] for row in table(section, "fit")]
     text, page = page_of(section, folder)

@@ -13,8 +13,8 @@ WRONG = "The identified boat is not physical: <it> goes astern."
 
 def boat(name: str, wrong: str, findings=()) -> Overview:
     lacks = (wrong,) if wrong else ()
-    found = dataclasses.replace(known_boat(lacks=lacks).identified, unphysical=wrong)
-    return Overview(name, 0.1, (), found, (), None, None, None, None, findings)
+    identified = dataclasses.replace(known_boat(lacks=lacks).identified, unphysical=wrong)
+    return Overview(name, 0.1, (), identified, (), None, None, None, None, findings)
 
 
 def page(*boats: Overview) -> str:

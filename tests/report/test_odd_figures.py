@@ -25,17 +25,17 @@ STEPS = 700
 
 def series(kind: str, count: int = STEPS) -> np.ndarray:
     """A speed that is odd in one way."""
-    found = 1 + np.sin(np.arange(float(count)) / 9)
+    speed = 1 + np.sin(np.arange(float(count)) / 9)
     match kind:
         case "nan":
-            found[:] = np.nan
+            speed[:] = np.nan
         case "gaps":
-            found[::3] = np.nan
+            speed[::3] = np.nan
         case "infinite":
-            found[5::7], found[6::7] = np.inf, -np.inf
+            speed[5::7], speed[6::7] = np.inf, -np.inf
         case "huge":
-            found *= 1e300
-    return found
+            speed *= 1e300
+    return speed
 
 
 def drawn(kind: str, name: str) -> dict:
@@ -56,12 +56,12 @@ def drawn(kind: str, name: str) -> dict:
     last = float(v[-1]) if count and np.isfinite(v[-1]) else None
     skill = {name: {"persistence": {"2": {"skill": 0.0}}, "ensemble": {"2": {"skill": last}}}}
     errors = {name: {"2": dict.fromkeys(tracks.LINES, last)}}
-    found = {"steady_speed_full": SimpleNamespace(value=float(v[-1]) if count else np.nan)}
+    quantities = {"steady_speed_full": SimpleNamespace(value=float(v[-1]) if count else np.nan)}
     course = Course(time, two, v, {name: v}, v, two, two, two)
     pairs = Autocorrelation(series(kind, 9), np.ones(9))
     return {
         "runs": lambda: runs_figure([Traces(name, time, v, v)] * 2, name, name),
-        "identified": lambda: identified_figure([curves, curves], found, {}, name),
+        "identified": lambda: identified_figure([curves, curves], quantities, {}, name),
         "event": lambda: event_figure(course, 20.0, [(70.0, name)], None, name),
         "residual": lambda: residual_figure({name: pairs}, name),
         "boxes": lambda: boxes_figure({name: {name: box(v)}}, {name: name}, name),

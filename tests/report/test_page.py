@@ -63,9 +63,9 @@ def test_the_script_is_legal(tmp_path):
 def test_numbers_on_the_first_page_are_those_of_the_results(saved):
     results, rows = json.loads((saved / "results.json").read_text()), page_of(saved / "report").rows
     for boat in ("heron1", "heron2"):
-        own = results["boats"][boat][results["output"]]
+        out = results["boats"][boat][results["output"]]
         ahead = results["forecast"][boat][results["output"]]
-        said = [["the next step", own["mae"], own["skill"], own["coverage"]]]
+        said = [["the next step", out["mae"], out["skill"], out["coverage"]]]
         said += [[f"{h} s", row["mae"], row["skill"], row["covers"]] for h, row in ahead.items()]
         for what, mae, skill, covers in said:
             numbers = [("–" if x is None else f"{x:.{n}f}") for x, n in ((mae, 3), (skill, 2))]
@@ -75,10 +75,10 @@ def test_numbers_on_the_first_page_are_those_of_the_results(saved):
                 numbers = f"{shown(found['value'])} {found['unit']}", f"{shown(found['low'])} to {shown(found['high'])}"
                 assert [words, *numbers] in rows
         row = next(row for row in rows if row[0] == boat and len(row) == 10)  # of the fleet, before the fit's
-        assert (row[1], row[3], row[8]) == ("2", f"{own['mae']:.3f}", str(len(results["events"][boat])))
+        assert (row[1], row[3], row[8]) == ("2", f"{out['mae']:.3f}", str(len(results["events"][boat])))
         found = sum(finding["boat"] == boat for finding in results["data_check"])
         assert row[9] == f"{found or 'no'} finding{'s' * (found != 1)}"
-        fits = f"{own['fit']:.1f} % one step ahead, {results['free_fit'][boat][results['output']]:.1f} % for whole runs"
+        fits = f"{out['fit']:.1f} % one step ahead, {results['free_fit'][boat][results['output']]:.1f} % for whole runs"
         assert f"Fit, 100 (1 − NRMSE): {fits}." in (saved / "report" / "index.html").read_text()
     assert sum(row[0].startswith("00") for row in rows) == 4  # the runs
 
@@ -88,11 +88,11 @@ def test_the_viewers_numbers_are_the_predictions(saved):
     ensemble, seasons = read([saved], tools())
     runs = [(season.boat, run) for season in seasons for run in season.runs]
     assert [(each["boat"], each["name"]) for each in data["runs"]] == [(boat, run.name) for boat, run in runs]
-    own = ["joint", "joint_quick", "arx", "joint_averaged"]  # what the ensemble weighs; the paper's wait to be chosen
-    assert data["hidden"] == ["aid", "sift_map", "rnn"] and data["shown"] == [*data["hidden"], *own, "ensemble"]
+    weighed = ["joint", "joint_quick", "arx", "joint_averaged"]  # the paper's members wait to be chosen
+    assert data["hidden"] == ["aid", "sift_map", "rnn"] and data["shown"] == [*data["hidden"], *weighed, "ensemble"]
     assert len(set(data["colours"].values())) == 8
     boxes = [attrs for tag, attrs in page_of(saved / "report").tags if attrs.get("type") == "checkbox"]
-    assert [each["value"] for each in boxes if "checked" in each] == [*own, "ensemble"]
+    assert [each["value"] for each in boxes if "checked" in each] == [*weighed, "ensemble"]
     for each, (_, run) in zip(data["runs"], runs, strict=True):
         expected = {
             f"next {name}": run.published["predictions"][:, ensemble.names.index(name)] for name in data["shown"]

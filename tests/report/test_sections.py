@@ -20,9 +20,9 @@ from usvlearn.simulate.vessel import static_thrust
 def test_boxes_by_hand():
     values = np.concatenate([np.arange(100.0), np.full(20, 1000.0)])
     assert box(values).outliers == 20 and box(np.arange(100.0)).outliers == 0  # also beyond 5 % of them
-    found = box(np.array([np.nan, 3.0, 1.0, 2.0, 4.0, 100.0]), 2)
-    assert (found.median, found.lower, found.upper, found.number, found.diverged) == (3.0, 2.0, 4.0, 5, 2)
-    assert found.mean == 22.0 and found.beyond.tolist() == [1.0, 100.0]
+    result = box(np.array([np.nan, 3.0, 1.0, 2.0, 4.0, 100.0]), 2)
+    assert (result.median, result.lower, result.upper, result.number, result.diverged) == (3.0, 2.0, 4.0, 5, 2)
+    assert result.mean == 22.0 and result.beyond.tolist() == [1.0, 100.0]
     assert box(np.array([np.nan])) is None
 
 
@@ -32,8 +32,8 @@ def test_online_section_by_hand():
     for season, offset in zip(seasons, (0.1, 0.3), strict=True):
         runs = []
         for each in season.runs:
-            made = np.where(each.samples.inputs.dt > 0, each.samples.surge, np.nan)
-            predictions = np.stack([made + offset, made + 0.2], -1)
+            speed = np.where(each.samples.inputs.dt > 0, each.samples.surge, np.nan)
+            predictions = np.stack([speed + offset, speed + 0.2], -1)
             runs.append(each._replace(published={"predictions": predictions}))
         published.append(season._replace(runs=tuple(runs)))
     section = online_section(published, ["aid", "persistence"])
@@ -80,10 +80,10 @@ def test_intervals_are_those_of_the_covariance():
     generator = torch.Generator().manual_seed(0)
     factor = torch.randn(2, 9, 9, generator=generator, dtype=torch.float64)
     state = rls.init((2,))._replace(factor=factor, noise=torch.tensor([0.04, 0.09], dtype=torch.float64))
-    found = course(np.zeros(2), state, 4).deviation
+    deviation = course(np.zeros(2), state, 4).deviation
     for k, noise in enumerate((0.04, 0.09)):
         P = factor[k].numpy() @ factor[k].numpy().T
-        assert found[k] == pytest.approx(math.sqrt(noise * P[4, 4]), rel=1e-12)
+        assert deviation[k] == pytest.approx(math.sqrt(noise * P[4, 4]), rel=1e-12)
     ensemble = Ensemble(
         {
             "map": RLS(),
@@ -99,9 +99,9 @@ def test_intervals_are_those_of_the_covariance():
 @pytest.mark.parametrize("plant", ["heron", "otter", "vtec"])
 def test_the_truth_is_the_plants(plant):
     """On its own grid the fitted force is near the plant's; scaled by declared over true mass."""
-    found = true_parameters(30.0, 2, plant, hours=1.0, mission_minutes=20.0, seed=3)
+    values = true_parameters(30.0, 2, plant, hours=1.0, mission_minutes=20.0, seed=3)
     vessel = fleet_vessels(2, 1.0, plant, 3, missions=3)
-    for k, theta in enumerate(found.values()):
+    for k, theta in enumerate(values.values()):
         scale = 30.0 / float(vessel.mass[2, k])
         for x in (0.4, 0.8, 1.0):
             thrust = static_thrust(vessel, torch.tensor([x, x]).double())[2, k] * scale

@@ -18,9 +18,9 @@ def run(folder, speed, error, boats=("heron",), **facts):
     """A finished run, as far as a comparison reads it."""
     folder.mkdir(parents=True)
     (folder / "runs.json").write_text("{}")
-    own = {"value": speed, "low": speed - 0.1, "high": speed + 0.1, "unit": "m/s"}
-    found = {"steady_speed_full": own, "time_constant": own | {"low": -9.0, "high": 9.0}, "drag_linear": own}
-    whole = {"boats": {boat: {} for boat in boats}, "identified": dict.fromkeys(boats, found), "output": "ensemble"}
+    top = {"value": speed, "low": speed - 0.1, "high": speed + 0.1, "unit": "m/s"}
+    known = {"steady_speed_full": top, "time_constant": top | {"low": -9.0, "high": 9.0}, "drag_linear": top}
+    whole = {"boats": {boat: {} for boat in boats}, "identified": dict.fromkeys(boats, known), "output": "ensemble"}
     (folder / "results.json").write_text(json.dumps(whole | facts))
     rows = [f"{boat},{k},step,{100 + k},0.5,{error * (1 + k / 10)}" for boat in boats for k in range(4)]
     (folder / "errors.csv").write_text("\n".join([HEAD, *rows, ""]))
@@ -30,8 +30,8 @@ def run(folder, speed, error, boats=("heron",), **facts):
 def test_the_interval_of_a_difference_holds_as_often_as_it_says():
     rng, inside = np.random.default_rng(1), 0
     for one, other in rng.normal(0.0, [1.0, 2.0], (4000, 2)):
-        found = change(*(Quantity(x, x - 1.645 * s, x + 1.645 * s, "m") for x, s in ((one, 1.0), (other, 2.0))))
-        inside += found.low <= 0 <= found.high
+        result = change(*(Quantity(x, x - 1.645 * s, x + 1.645 * s, "m") for x, s in ((one, 1.0), (other, 2.0))))
+        inside += result.low <= 0 <= result.high
     assert 0.88 < inside / 4000 < 0.92
 
 

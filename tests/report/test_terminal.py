@@ -222,8 +222,8 @@ def test_what_eight_boats_are_fits_the_terminal(width):
     one = "\n".join(printed(identified_table({"heron1": boats["heron1"]}, {"heron1": {"time_constant": 1.5}}), width))
     assert "truth" in one and "1.50" in one
     vague = replace(boats["heron1"], unknown=frozenset(["drag_linear"]))
-    told = "\n".join(printed(identified_table({"heron1": vague}), width))
-    assert "-12.3" in one and "-12.3" not in told and "–: not known yet" in told and "not known yet" not in one
+    plain = "\n".join(printed(identified_table({"heron1": vague}), width))
+    assert "-12.3" in one and "-12.3" not in plain and "–: not known yet" in plain and "not known yet" not in one
     assert "".join(printed(identified_table({}), width)) == ""
 
 

@@ -113,16 +113,16 @@ def test_a_checkpoint_that_has_learned_from_the_mission_is_used_where_there_is_n
     assert "that had not learned from it" in tracks_section(made.tracks()).figures[1].caption
     folder = shutil.copytree(made.folder, tmp_path / "run")
     (folder / "planar" / "checkpoints" / BOAT / "00000_0000601.safetensors").unlink()
-    found = made.tracks(folder)
-    assert found[BOAT].mission.learned and found[BOAT].mission.ahead
-    assert "That checkpoint has learned from this mission" in tracks_section(found).figures[1].caption
+    tracks = made.tracks(folder)
+    assert tracks[BOAT].mission.learned and tracks[BOAT].mission.ahead
+    assert "That checkpoint has learned from this mission" in tracks_section(tracks).figures[1].caption
 
 
 @pytest.mark.thorough
 def test_the_page_shows_table_figures_and_map_and_every_name_is_escaped(made, tmp_path):
-    found, name = made.tracks()[BOAT], BAD.replace("/", "_") + r"$\frac{$"
-    mission = found.mission._replace(run=found.mission.run._replace(name=name))
-    section = tracks_section({name: found._replace(mission=mission)})
+    track, name = made.tracks()[BOAT], BAD.replace("/", "_") + r"$\frac{$"
+    mission = track.mission._replace(run=track.mission.run._replace(name=name))
+    section = tracks_section({name: track._replace(mission=mission)})
     text = write_report(tmp_path / "report", [], [section]).read_text()
     page = Page(text)
     assert {path.stem for path in (tmp_path / "report" / "figures").glob("*.svg")} == {"tracks", f"tracks_{name}"}
@@ -134,8 +134,8 @@ def test_the_page_shows_table_figures_and_map_and_every_name_is_escaped(made, tm
 def test_positions_that_were_not_logged_are_said_to_be_reckoned(made):
     runs = tuple(run._replace(position=None) for run in made.fleet.runs)
     seasons = [s._replace(runs=tuple(run._replace(position=None) for run in s.runs)) for s in made.seasons]
-    found = saved_tracks([made.folder], [results(made.folder)], seasons, [made.fleet._replace(runs=runs)])
-    assert RECKONED in tracks_section(found).figures[1].caption
+    tracks = saved_tracks([made.folder], [results(made.folder)], seasons, [made.fleet._replace(runs=runs)])
+    assert RECKONED in tracks_section(tracks).figures[1].caption
 
 
 def test_runs_without_tracks_have_no_section(made, tmp_path):
@@ -185,12 +185,12 @@ def ahead(step: int, turn: float, known: int = 1) -> Ahead:
 
 def test_the_tracks_of_a_map_are_spread_and_turn():
     turns = np.random.default_rng(0).permutation(60) / 60
-    made = [ahead(k, turns[k]) for k in range(60)]
-    found = chosen(made, 6)
-    assert [each.step // 10 for each in found] == list(range(6))
-    assert [each.turn for each in found[::2]] == [max(turns[a : a + 10]) for a in (0, 20, 40)]
+    every = [ahead(k, turns[k]) for k in range(60)]
+    some = chosen(every, 6)
+    assert [each.step // 10 for each in some] == list(range(6))
+    assert [each.turn for each in some[::2]] == [max(turns[a : a + 10]) for a in (0, 20, 40)]
     assert all(each.step >= 30 for each in chosen([ahead(k, 0.0, k >= 30) for k in range(60)], 6))
-    assert len(chosen(made[:2], 6)) == 2
+    assert len(chosen(every[:2], 6)) == 2
 
 
 def test_an_outline_is_that_of_its_ellipse():
@@ -205,7 +205,7 @@ def test_an_outline_is_that_of_its_ellipse():
 
 
 def test_a_run_that_is_not_finished_has_a_map_without_scores(made):
-    found = saved_tracks([made.folder], [{}], made.seasons, [made.fleet])
-    section = tracks_section(found)
+    tracks = saved_tracks([made.folder], [{}], made.seasons, [made.fleet])
+    section = tracks_section(tracks)
     assert [drawn.name for drawn in section.figures] == [f"tracks_{BOAT}"] and section.sheets == []
     assert f"{BOAT}: its run is not finished, so that its tracks have no scores yet." in section.here

@@ -55,9 +55,9 @@ def test_a_set_that_is_no_file_or_larger_than_the_memory_is_unreadable(tmp_path,
 
 def change(path: Path, edit) -> None:
     with np.load(path) as archive:
-        found = dict(archive)
-    edit(found)
-    np.savez(path, **found)
+        arrays = dict(archive)
+    edit(arrays)
+    np.savez(path, **arrays)
 
 
 @pytest.mark.parametrize(
@@ -121,26 +121,26 @@ def sweep(saved, tmp_path) -> Path:
 
 @pytest.mark.parametrize("row", [False, True])
 def test_a_leaderboard_removes_nothing_behind_a_link(sweep, tmp_path, row):
-    kept = tmp_path / "other" / "run" / "events.out.tfevents.1"
-    kept.parent.mkdir(parents=True)
-    kept.touch()
+    file = tmp_path / "other" / "run" / "events.out.tfevents.1"
+    file.parent.mkdir(parents=True)
+    file.touch()
     if row:
         (sweep / "leaderboard").mkdir()
-        (sweep / "leaderboard" / "row").symlink_to(kept.parent)
+        (sweep / "leaderboard" / "row").symlink_to(file.parent)
         assert leaderboard(sweep, load)
     else:
         (sweep / "leaderboard").symlink_to(tmp_path / "other")
         with pytest.raises(ConfigError, match="is a link to another folder"):
             leaderboard(sweep, load)
-    assert kept.exists()
+    assert file.exists()
 
 
 def test_a_leaderboard_prints_nothing_that_acts_on_a_terminal(sweep, capsys):
     (sweep / "0" / ".hydra" / "overrides.yaml").write_text('- "estimators.aid.gain=\\e[2J"\n')
     (sweep / "1" / "results.json").write_text('{"error": "\\u001b]0;x\\u0007"}')
     leaderboard(sweep, load)
-    found = capsys.readouterr().out
-    assert "\x1b" not in found and "\x07" not in found and "\\x1b" in found
+    printed = capsys.readouterr().out
+    assert "\x1b" not in printed and "\x07" not in printed and "\\x1b" in printed
 
 
 @pytest.mark.parametrize(

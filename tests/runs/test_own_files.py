@@ -63,14 +63,14 @@ def test_a_resumed_run_removes_only_what_its_index_names(tmp_path, fleet):
     mine = [predictions / name for name in ("mine.npz", "7_3.npz", "00099_0000010.npz", "00000_9999999.npz", "b.txt")]
     for path in mine:
         path.write_bytes(b"mine")
-    own = set(predictions.glob("*.npz")) - {*mine}
+    written = set(predictions.glob("*.npz")) - {*mine}
     for boat in "ab":
         for path in (folder.path / "checkpoints" / boat).iterdir():
             path.unlink()  # so that all predictions are made anew
     with pytest.warns(UserWarning, match="resuming from before it"):
         again = session(folder.path, fleet, "latest")
     assert_same(again, whole)
-    assert all(path.read_bytes() == b"mine" for path in mine) and own <= set(predictions.glob("*.npz"))
+    assert all(path.read_bytes() == b"mine" for path in mine) and written <= set(predictions.glob("*.npz"))
 
 
 def test_predictions_that_only_a_new_index_would_name_are_refused(tmp_path, fleet):

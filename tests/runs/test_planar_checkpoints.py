@@ -27,9 +27,9 @@ def newest(folder, name="run"):
 
 
 def test_without_tracks_nothing_else_differs(made):
-    own, without = (results(made / name) for name in ("run", "without"))
-    assert "tracks" in own and "tracks" not in without and not (made / "without" / "planar").exists()
-    assert own["boats"] == without["boats"] and own["forecast"] == without["forecast"]
+    tracked, without = (results(made / name) for name in ("run", "without"))
+    assert "tracks" in tracked and "tracks" not in without and not (made / "without" / "planar").exists()
+    assert tracked["boats"] == without["boats"] and tracked["forecast"] == without["forecast"]
 
 
 def test_a_run_without_tracks_is_resumed_with_them(made, tmp_path):

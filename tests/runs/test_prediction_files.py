@@ -24,7 +24,7 @@ def session(path, fleet, resume=None) -> tuple[RunFolder, dict]:
 
 
 def test_a_run_is_scored_from_its_predictions_alone(tmp_path, fleet):
-    _, found = session(tmp_path, fleet)
+    _, saved = session(tmp_path, fleet)
     files = [dict(np.load(path)) for path in sorted((tmp_path / "predictions").glob("*.npz"))]  # without pickle
     names, units = files[0]["estimators"].tolist(), dict(files[0]["units"])
     assert units["measured_surge"] == units["predictions"] == "m/s" and units["time"] == "s"
@@ -38,12 +38,12 @@ def test_a_run_is_scored_from_its_predictions_alone(tmp_path, fleet):
         )
         assert measured[np.isfinite(surge)].all() and np.isfinite(surge).sum() > 10
         scored = metrics.scores(predictions, surge, names, widths)
-        assert json.loads(json.dumps(scored)) == json.loads(json.dumps(found["boats"][boat]))
+        assert json.loads(json.dumps(scored)) == json.loads(json.dumps(saved["boats"][boat]))
         assert np.allclose(np.diff(time)[fresh[1:] & (dt[1:] > 0)], dt[1:][fresh[1:] & (dt[1:] > 0)])
 
 
 def test_a_folder_of_an_older_version_is_gone_on_from(tmp_path, fleet):
-    _, found = session(tmp_path / "whole", fleet)
+    _, saved = session(tmp_path / "whole", fleet)
     session(tmp_path / "run", fleet)
     for path in sorted((tmp_path / "run" / "predictions").glob("*.npz"))[:3]:
         with np.load(path) as archive:
@@ -52,16 +52,16 @@ def test_a_folder_of_an_older_version_is_gone_on_from(tmp_path, fleet):
     for path in sorted((tmp_path / "run" / "predictions").glob("*.npz"))[3:]:
         path.unlink()
     _, again = session(tmp_path / "run", fleet, "latest")
-    assert again | {"seconds": 0.0} == found | {"seconds": 0.0}
+    assert again | {"seconds": 0.0} == saved | {"seconds": 0.0}
 
 
 def test_scores_do_not_depend_on_how_many_boats_are_judged_at_a_time(tmp_path, fleet, monkeypatch):
-    folder, found = session(tmp_path, fleet)
+    folder, saved = session(tmp_path, fleet)
     monkeypatch.setattr(metrics, "AT_ONCE", 1)
     read, published = [], folder.published
     read_one = published.read
     monkeypatch.setattr(published, "read", lambda *place: read.append(place) or read_one(*place))
-    assert metrics.fleet_scores(fleet, published, folder.ensemble.names) == found["boats"]
+    assert metrics.fleet_scores(fleet, published, folder.ensemble.names) == saved["boats"]
     assert len(read) == len(fleet.boats) * len(published.places())
 
 

@@ -104,8 +104,8 @@ def test_damaged_predictions_are_made_anew(tmp_path, fleet, damage):
         again = session(folder.path, fleet, "latest")
         (folder.path / "checkpoints" / "a" / "best.safetensors").unlink()
     else:
-        told = "unpacks to 80 MB, expected 0" if damage == "bomb" else "resuming from before it"
-        with pytest.warns(UserWarning, match=told):
+        words = "unpacks to 80 MB, expected 0" if damage == "bomb" else "resuming from before it"
+        with pytest.warns(UserWarning, match=words):
             again = session(folder.path, fleet, "latest")
     assert_same(again, whole)
 

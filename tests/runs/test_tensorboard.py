@@ -40,9 +40,9 @@ def log(folder, fleet, ensemble, stop=None, resume=None, **more):
                 return None
             run.save(chunk)
             logger.show(chunk)
-        found = run.finish(time.perf_counter() - 60.0)
-        logger.finish(short_season(), found, run.published, ["rnn: fine"])
-    return found
+        saved = run.finish(time.perf_counter() - 60.0)
+        logger.finish(short_season(), saved, run.published, ["rnn: fine"])
+    return saved
 
 
 @pytest.fixture(scope="module")
@@ -56,19 +56,19 @@ def whole(tmp_path_factory, fleet):
     folder = tmp_path_factory.mktemp("whole")
     truth = quantities_of([short_season()["data"]], short_season()["vehicle"]["mass"])
     differs = {"estimators.rnn.neurons": "4"}
-    found = log(
+    saved = log(
         folder, fleet, ensemble_of(short_season()), truth=truth, differs=differs, texts={"command": "python train.py"}
     )
-    return boards(folder / "tensorboard" / "rnn.neurons=4"), found, folder
+    return boards(folder / "tensorboard" / "rnn.neurons=4"), saved, folder
 
 
 @pytest.mark.thorough
 def test_every_boat_has_a_run_per_estimator_and_the_seven_have_the_seven_colours(whole, fleet):
-    read, found, _ = whole
-    estimators = set(found["boats"]["heron1"])
+    read, saved, _ = whole
+    estimators = set(saved["boats"]["heron1"])
     for boat in fleet.boats:
-        own = {run.partition("/")[2] for run in read if run.startswith(f"{boat}/")}
-        assert own == estimators | {"identified", "identified low", "identified high", "truth"}
+        names = {run.partition("/")[2] for run in read if run.startswith(f"{boat}/")}
+        assert names == estimators | {"identified", "identified low", "identified high", "truth"}
     order = list(read)
     colours = list(SEVEN.values())
     for place, run in enumerate(order):
@@ -82,14 +82,14 @@ def test_every_boat_has_a_run_per_estimator_and_the_seven_have_the_seven_colours
 def test_a_boat_has_few_tags_with_units_and_descriptions(whole, fleet):
     read, _, _ = whole
     for boat in fleet.boats:
-        own = {tag for run, events in read.items() if run.startswith(f"{boat}/") for tag in tags(events)}
-        assert len(own | tags(read["results"])) <= MOST_TAGS
+        seen = {tag for run, events in read.items() if run.startswith(f"{boat}/") for tag in tags(events)}
+        assert len(seen | tags(read["results"])) <= MOST_TAGS
         skills = {f"1 overview/skill, {ahead}" for ahead in ("next step", "2 s ahead", "10 s ahead", "30 s ahead")}
-        assert own - {tag for tag in own if tag.startswith(("2 identified/", "7 figures/"))} == skills | {
+        assert seen - {tag for tag in seen if tag.startswith(("2 identified/", "7 figures/"))} == skills | {
             f"1 overview/{MAE}", "1 overview/coverage of 90 %, next step", "1 overview/thruster alarms so far",
             "3 weights/weight", "4 contraction/rate K (a step)",
         }  # fmt: skip
-        assert "2 identified/thrust_full_left (N)" in own and "2 identified/thrust_ratio (left/right)" not in own
+        assert "2 identified/thrust_full_left (N)" in seen and "2 identified/thrust_ratio (left/right)" not in seen
     about = read["heron1/aid"].SummaryMetadata(f"1 overview/{MAE}").summary_description
     assert "750 steps" in about
 
@@ -111,35 +111,35 @@ def test_the_last_points_are_the_errors_of_the_last_steps(fleet, tmp_path):
     """Of fewer steps than the window: the rolling errors are those of the whole log."""
     short = fleet._replace(runs=fleet.runs[:2])
     ensemble = ensemble_of(short_season())
-    found = log(tmp_path, short, ensemble)
+    saved = log(tmp_path, short, ensemble)
     read = boards(tmp_path / "tensorboard")
     for boat in fleet.boats:
-        for name, row in found["boats"][boat].items():
+        for name, row in saved["boats"][boat].items():
             events = read[f"{boat}/{name}"]
             assert values(events, f"1 overview/{MAE}")[-1] == pytest.approx(row["mae"], rel=1e-5)
             assert values(events, "1 overview/skill, next step")[-1] == pytest.approx(row["skill"], rel=1e-4, abs=1e-6)
-        for name, rows in found["forecast"][boat].items():
+        for name, rows in saved["forecast"][boat].items():
             if rows["10"]["mae"] is not None:
                 last = values(read[f"{boat}/{name}"], "1 overview/skill, 10 s ahead")[-1]
                 assert last == pytest.approx(rows["10"]["skill"], rel=1e-4, abs=1e-6)
-        own = values(read[f"{boat}/ensemble"], "1 overview/coverage of 90 %, next step")
-        assert own[-1] == pytest.approx(found["boats"][boat]["ensemble"]["coverage"])
+        coverage = values(read[f"{boat}/ensemble"], "1 overview/coverage of 90 %, next step")
+        assert coverage[-1] == pytest.approx(saved["boats"][boat]["ensemble"]["coverage"])
     means = [values(read[f"{boat}/aid"], f"1 overview/{MAE}")[-1] for boat in fleet.boats]
     assert values(read["fleet/aid"], f"1 overview/{MAE}")[-1] == pytest.approx(np.mean(means))
 
 
 def test_data_and_rejected_messages_are_told(whole, fleet):
-    told = texts(whole[0]["results"])["run/data"]
+    text = texts(whole[0]["results"])["run/data"]
     for element, boat in enumerate(fleet.boats):
         steps_ = sum(run.lengths[element] for run in fleet.runs)
         measured = sum(run.samples.measured[: run.lengths[element], element].sum() for run in fleet.runs)
-        assert f"| {steps_} | {measured / steps_:.1%} |" in told
-        assert f"lost {fleet.rejected[boat]['surge']['lost']}" in told
+        assert f"| {steps_} | {measured / steps_:.1%} |" in text
+        assert f"lost {fleet.rejected[boat]['surge']['lost']}" in text
 
 
 def test_identified_quantities_have_bands_and_truth_beside_them(whole):
-    read, found, _ = whole
-    row = found["identified"]["heron2"]["steady_speed_full"]
+    read, saved, _ = whole
+    row = saved["identified"]["heron2"]["steady_speed_full"]
     assert max(abs(row[end] - row["value"]) for end in ("low", "high")) <= FAR * row["value"]
     for run, key in {"identified": "value", "identified low": "low", "identified high": "high"}.items():
         assert values(read[f"heron2/{run}"], "2 identified/steady_speed_full (m/s)")[-1] == pytest.approx(row[key])
@@ -156,12 +156,12 @@ def test_figures_and_text(whole, fleet):
 
 
 def test_a_run_has_one_row_on_the_hparams_page_and_a_job_of_a_sweep_none(whole, tmp_path, fleet):
-    _, found, folder = whole
+    _, saved, folder = whole
     rows = hparams(folder / "tensorboard" / "rnn.neurons=4")
     assert list(rows) == ["results"]
     settings, numbers = rows["results"]
     assert settings["estimators.rnn.neurons"] == 4.0 and settings["boats"] == 2.0
-    mae = np.mean([row["ensemble"]["mae"] for row in found["boats"].values()])
+    mae = np.mean([row["ensemble"]["mae"] for row in saved["boats"].values()])
     assert (
         numbers["8 results/1 MAE (m/s)"] == pytest.approx(mae)
         and next(x for tag, x in numbers.items() if tag.endswith(" seconds")) >= 60
@@ -177,9 +177,9 @@ def test_log_all_writes_every_number_and_figure(tmp_path, fleet):
     read = boards(tmp_path / "tensorboard")
     assert "9 all/drag_quadratic" in tags(read["heron1/aid"]) and "9 all/covariance_trace" in tags(read["heron1/arx"])
     assert "9 all/drag_linear (kg/s)" in tags(read["heron1/identified"])
-    own = tags(read["heron1/ensemble"])
+    every = tags(read["heron1/ensemble"])
     assert {"9 all/weight_joint_at_30", "9 all/whiteness_aid", "9 all/MAE, 10 s ahead (m/s)",
-            "9 all/coverage of 90 %, 30 s ahead"} < own  # fmt: skip
+            "9 all/coverage of 90 %, 30 s ahead"} < every  # fmt: skip
     assert {"runs", "forecasts", "identified curves"} <= {
         tag.partition("/")[2] for tag in read["heron2/ensemble"].Tags()["images"]
     }
@@ -258,9 +258,9 @@ def test_figures_rise_in_steps_and_every_boat_has_one(whole):
     read, _, _ = whole
     for run, events in read.items():
         for tag in events.Tags()["images"]:
-            found = [image.step for image in events.Images(tag)]
+            places = [image.step for image in events.Images(tag)]
             points = [point.step for each in events.Tags()["scalars"] for point in events.Scalars(each)]
-            assert found == sorted(set(found)) and found[0] > max(points), (run, tag)
+            assert places == sorted(set(places)) and places[0] > max(points), (run, tag)
 
 
 def test_results_of_several_runs_have_one_column_each():

@@ -38,26 +38,26 @@ def chunks(ensemble, some: Fleet, count: int | None = None):
 
 
 def test_a_curve_shows_the_errors_of_the_last_steps_and_keeps_no_others(tmp_path):
-    some, ensemble, made = fleet(2400), model(), []
+    some, ensemble, predicted = fleet(2400), model(), []
     with TensorBoardLogger(tmp_path, some, ensemble) as logger:
         for chunk in chunks(ensemble, some):
             logger.show(chunk)
-            made.append(chunk.published["predictions"])
-            kept = sum(number for number, _ in logger._window)
-            assert min(LAST, EVERY * len(made)) <= kept < LAST + EVERY and len(logger._points) < BATCH
+            predicted.append(chunk.published["predictions"])
+            count = sum(number for number, _ in logger._window)
+            assert min(LAST, EVERY * len(predicted)) <= count < LAST + EVERY and len(logger._points) < BATCH
     samples = some.runs[0].samples
-    errors = np.abs(np.concatenate(made) - samples.surge[..., None])
+    errors = np.abs(np.concatenate(predicted) - samples.surge[..., None])
     errors[~samples.measured] = np.nan
     read = boards(tmp_path)
     for element, boat in enumerate(some.boats):
         for column, name in enumerate(ensemble.names):
             events = read[f"{boat}/{name}"]
-            at, found = (each(events, f"1 overview/{MAE}") for each in (steps, values))
+            at, points = (each(events, f"1 overview/{MAE}") for each in (steps, values))
             assert len(at) >= 2400 / (STEPS_PER_POINT * len(some.boats))
-            for second, value in zip(at, found, strict=True):
+            for second, value in zip(at, points, strict=True):
                 end = round(second / DT)
-                own = errors[max(end - LAST, 0) : end, element, column]
-                assert value == pytest.approx(np.nanmean(own), rel=1e-5), (name, second)
+                part = errors[max(end - LAST, 0) : end, element, column]
+                assert value == pytest.approx(np.nanmean(part), rel=1e-5), (name, second)
 
 
 @pytest.mark.parametrize("boats", [1, 2])
@@ -70,9 +70,9 @@ def test_a_long_log_has_no_more_points_than_a_chart_needs(tmp_path, boats):
         for chunk in chunks(ensemble, some, 30):
             logger.show(chunk)
     events = boards(tmp_path)["heron/aid"]
-    found = np.diff([0, *steps(events, f"1 overview/{MAE}")]) / DT
-    assert len(found) >= 30 * EVERY / apart - 1
-    assert (found >= apart / 2 - 2).all() and (found <= apart + 2).all()
+    gaps = np.diff([0, *steps(events, f"1 overview/{MAE}")]) / DT
+    assert len(gaps) >= 30 * EVERY / apart - 1
+    assert (gaps >= apart / 2 - 2).all() and (gaps <= apart + 2).all()
 
 
 def test_a_short_log_has_a_point_for_each_hundred_steps_of_a_boat(tmp_path):
@@ -80,5 +80,5 @@ def test_a_short_log_has_a_point_for_each_hundred_steps_of_a_boat(tmp_path):
     with TensorBoardLogger(tmp_path, some, ensemble) as logger:
         for chunk in chunks(ensemble, some):
             logger.show(chunk)
-    found = steps(boards(tmp_path)["heron/aid"], f"1 overview/{MAE}")
-    assert len(found) == 2 * 1000 // STEPS_PER_POINT and found[-1] == 1000 * DT
+    points = steps(boards(tmp_path)["heron/aid"], f"1 overview/{MAE}")
+    assert len(points) == 2 * 1000 // STEPS_PER_POINT and points[-1] == 1000 * DT

@@ -185,8 +185,8 @@ def test_everything_that_the_shipped_configuration_names_is_allowed():
 def _nodes(config) -> list[str]:
     config = OmegaConf.to_container(config) if OmegaConf.is_config(config) else config
     if isinstance(config, dict):
-        found = [config["_target_"]] if "_target_" in config else []
-        return found + [each for value in config.values() for each in _nodes(value)]
+        targets = [config["_target_"]] if "_target_" in config else []
+        return targets + [each for value in config.values() for each in _nodes(value)]
     return [each for value in config for each in _nodes(value)] if isinstance(config, list) else []
 
 

@@ -43,5 +43,5 @@ def test_inspect_finds_every_channel_of_the_example(tmp_path, monkeypatch, capsy
     assert main(["example", "logs", "--minutes", "4"]) == 0
     assert main(["inspect", "logs"]) == 0
     written = (tmp_path / "my_boat.yaml").read_text()
-    for found in ("name: DESIRED_THRUST_L", "name: DESIRED_THRUST_R", "name: NAV_HEADING", "unit: deg", "span: 100.0"):
-        assert found in written
+    for line in ("name: DESIRED_THRUST_L", "name: DESIRED_THRUST_R", "name: NAV_HEADING", "unit: deg", "span: 100.0"):
+        assert line in written

@@ -113,8 +113,8 @@ def blown(gusts, direction, ticks=480, heading=0.0):
     share = np.sin(math.pi * (np.arange(ticks) / 4 / 20).clip(0, 1)) ** 2  # 20 s
     wind = share[:, None] * [math.cos(direction), math.sin(direction)]
     course = Mission(none, zero, none, np.ones(ticks), zero)
-    _, surge, found, _ = sail(plant("otter"), [[course]], ZERO, ZERO, Autopilot(), None, gusts, wind[:, None, None])
-    return surge[:, 0, 0].numpy(), found[:, 0, 0].numpy()
+    _, surge, turned, _ = sail(plant("otter"), [[course]], ZERO, ZERO, Autopilot(), None, gusts, wind[:, None, None])
+    return surge[:, 0, 0].numpy(), turned[:, 0, 0].numpy()
 
 
 def test_a_gust_from_astern_carries_the_boat_as_far_as_its_impulse_over_the_drag():

@@ -172,11 +172,11 @@ def test_compiled_sailing_is_steering_and_stepping_one_after_the_other(name):
     dt, surge, heading, commands = sail(before, courses, current, direction, pilot, {120: after})
 
     reference = torch.from_numpy(np.stack([[np.stack(course) for course in row] for row in courses]))
-    told = reference.permute(2, 3, 0, 1)  # leaves, ticks, missions, boats
-    state, integral = at_rest((2, 2), heading=told[2, 0]), torch.zeros(2, 2, dtype=torch.float64)
+    leaves = reference.permute(2, 3, 0, 1)  # leaves, ticks, missions, boats
+    state, integral = at_rest((2, 2), heading=leaves[2, 0]), torch.zeros(2, 2, dtype=torch.float64)
     top = steady_surge(before, tensor([1.0, 1.0]))
     for k in range(200):
-        wanted, throttle, course, power, _ = told[:, k]
+        wanted, throttle, course, power, _ = leaves[:, k]
         over = over_ground(state.surge, state.heading, current, direction)
         error = torch.where(wanted.isnan(), 0.0, wanted - over / top)
         charged = (integral + pilot.integral / pilot.hz * error).clamp(-1, 1)

@@ -10,9 +10,9 @@ from usvlearn.simulate.planar import HERON, courses, planar_runs, rates, simulat
 def test_a_trajectory_is_that_of_an_ode_solver():
     rng = np.random.default_rng(0)
     commands = rng.uniform(-1, 1, (20, 2))
-    found = simulate_planar(HERON, commands, 0.5, np.array([1.0, 0.1, -0.3]))
+    path = simulate_planar(HERON, commands, 0.5, np.array([1.0, 0.1, -0.3]))
     y = np.array([1.0, 0.1, -0.3, 0.0, 0.0])
-    for command, state in zip(commands, found, strict=True):
+    for command, state in zip(commands, path, strict=True):
 
         def slope(_, y, command=command):
             return np.concatenate([rates(HERON, y[:3], y[3:]), (command - y[3:]) / HERON.lag])
@@ -23,19 +23,19 @@ def test_a_trajectory_is_that_of_an_ode_solver():
 
 def test_port_and_starboard_are_mirror_images():
     commands = courses(np.random.default_rng(1), 300, 0.2)
-    found, mirrored = (simulate_planar(HERON, each, 0.2) for each in (commands, commands[:, ::-1]))
-    np.testing.assert_allclose(found, mirrored * [1, -1, -1], atol=1e-12)
-    assert abs(found[:, 1:]).max() > 0.05
+    path, mirrored = (simulate_planar(HERON, each, 0.2) for each in (commands, commands[:, ::-1]))
+    np.testing.assert_allclose(path, mirrored * [1, -1, -1], atol=1e-12)
+    assert abs(path[:, 1:]).max() > 0.05
 
 
 def test_the_coriolis_forces_do_no_work():
     """Without drag and thrust the kinetic energy stays."""
     zero = (0.0, 0.0, 0.0)
     boat = HERON._replace(linear=zero, quadratic=zero, lift=zero)
-    found = simulate_planar(boat, np.zeros((50, 2)), 0.05, np.array([1.0, 0.3, 0.5]))
-    energy = (found**2 * boat.mass).sum(-1)
+    path = simulate_planar(boat, np.zeros((50, 2)), 0.05, np.array([1.0, 0.3, 0.5]))
+    energy = (path**2 * boat.mass).sum(-1)
     np.testing.assert_allclose(energy, energy[0], rtol=1e-6)
-    assert abs(found[-1] - found[0]).max() > 0.1
+    assert abs(path[-1] - path[0]).max() > 0.1
 
 
 def test_without_lift_it_does_not_keep_its_course():

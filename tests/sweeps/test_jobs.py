@@ -71,11 +71,11 @@ def test_leaderboard_of_a_sweep(swept):
     ]
     assert "data.hours" not in rows[0] and float(rows[0]["objective"]) <= float(rows[1]["objective"])
     for row in rows[:2]:
-        found = results(swept / "sweep" / row["job"])
-        for name, each in found["boats"]["heron"].items():
+        saved = results(swept / "sweep" / row["job"])
+        for name, each in saved["boats"]["heron"].items():
             assert float(row[f"mae/{name}"]) == each["mae"]
         assert row["measure"] == "sift_map.mae" and row["objective"] == row["mae/sift_map"] != row["mae/ensemble"]
-        assert float(row["seconds"]) == found["seconds"] and row["error"] == ""
+        assert float(row["seconds"]) == saved["seconds"] and row["error"] == ""
     assert all(row["error"] == "estimators.sift_map.memory: found -1.0, expected a positive number" for row in rows[2:])
     again = run("runs=sweep", folder=swept, script="evaluate.py")
     assert again.returncode == 0 and table(swept / "sweep") == rows
@@ -119,13 +119,13 @@ class Probe(Callback):
     """Notes in a job's folder with how many threads its worker computes, and what it hands to Hydra."""
 
     def on_job_end(self, config, job_return, **_) -> None:
-        told = {
+        facts = {
             "returned": job_return.return_value,
             "torch": torch.get_num_threads(),
             "openblas": os.environ.get("OPENBLAS_NUM_THREADS"),
             "pid": os.getpid(),
         }
-        (Path(config.hydra.runtime.output_dir) / "probe.json").write_text(json.dumps(told))
+        (Path(config.hydra.runtime.output_dir) / "probe.json").write_text(json.dumps(facts))
 
 
 @pytest.mark.parametrize("launcher", few(["joblib", "submitit_local"], []))
@@ -206,8 +206,8 @@ def test_a_finished_tuning_is_not_taken_for_a_job_of_other_settings(tmp_path, ca
     """A tuning leaves results, and no file of runs."""
 
     def tune(resume) -> float:
-        found = {"boats": {"heron": {"aid": {"mae": 0.03}}}, "objective": 0.03, "output": "aid"}
-        (tmp_path / "results.json").write_text(json.dumps(found))
+        content = {"boats": {"heron": {"aid": {"mae": 0.03}}}, "objective": 0.03, "output": "aid"}
+        (tmp_path / "results.json").write_text(json.dumps(content))
         return 0.03
 
     assert attempt(tmp_path, tune) == 0.03 and not (tmp_path / "runs.json").exists()
@@ -249,9 +249,9 @@ def test_a_folder_with_another_job_is_left_as_it_is(tmp_path, capsys):
         (notes / "overrides.yaml").write_text(f"[dt={dt}]")
         (notes / "config.yaml").write_text(f"{{dt: {dt}, resume: null}}")
         finish(job)(None)
-        (found,) = jobs(tmp_path, load)
-        assert found.settings == {"dt": str(dt)} and ("boats" in found.results) == known
-        assert known or "holds another job, dt=0.4" in found.results["error"]
+        (only,) = jobs(tmp_path, load)
+        assert only.settings == {"dt": str(dt)} and ("boats" in only.results) == known
+        assert known or "holds another job, dt=0.4" in only.results["error"]
 
 
 def test_settings_are_known_by_value_and_order():
@@ -265,10 +265,10 @@ def test_damaged_and_missing_results_are_told(tmp_path):
         (tmp_path / name / ".hydra" / "overrides.yaml").write_text("[]")
         if text is not None:
             (tmp_path / name / "results.json").write_text(text)
-    found = jobs(tmp_path, load)
-    assert [job.folder.name for job in found] == ["0", "2", "9", "10"]
-    assert all(f"{name}/results.json is damaged" in found[k].results["error"] for k, name in ((0, 0), (2, 9), (3, 10)))
-    write_leaderboard(tmp_path, found)
+    listed = jobs(tmp_path, load)
+    assert [job.folder.name for job in listed] == ["0", "2", "9", "10"]
+    assert all(f"{name}/results.json is damaged" in listed[k].results["error"] for k, name in ((0, 0), (2, 9), (3, 10)))
+    write_leaderboard(tmp_path, listed)
     assert ["damaged" in row["error"] for row in table(tmp_path)] == [True, False, True, True]
     assert table(tmp_path)[1]["error"] == "did not finish"
     with pytest.raises(ConfigError, match="found no run"):
@@ -288,10 +288,10 @@ MALFORMED = [
 def test_results_of_others_may_be_of_any_form(k, tmp_path, capsys):
     """A job with results of another form is named; the other one is ranked."""
     good = {"boats": {"a": {"rnn": {"mae": 0.1}}}, "output": "rnn", "objective": 0.1, "seconds": 1.0}
-    for name, found in (("0", MALFORMED[k]), ("1", good)):
+    for name, content in (("0", MALFORMED[k]), ("1", good)):
         (tmp_path / name / ".hydra").mkdir(parents=True)
         (tmp_path / name / ".hydra" / "overrides.yaml").write_text(f"[estimators.rnn.neurons={name}]")
-        (tmp_path / name / "results.json").write_text(json.dumps(found))
+        (tmp_path / name / "results.json").write_text(json.dumps(content))
     (tmp_path / "sweep.json").write_text('{"jobs": "x", "swept": 3, "defaults": [], "objective": {}}')
     (tmp_path / "1" / "errors.csv").write_text("boat,run\n\0")
     (tmp_path / "1" / "job.json").write_text('{"settings": "x"}')
@@ -308,14 +308,14 @@ def test_rows_of_the_hparams_page_have_short_safe_names_and_are_replaced(tmp_pat
     long = "data.path=/a/very/long" + "/path" * 40
     settings = [{"estimators.aid.gain": "0.3", "data.path": "../../x y*"}, {"estimators.aid.gain": "3"},
                 {"estimators.aid.gain": "3", "~m": ""}, dict([long.split("=")])]  # fmt: skip
-    found = [Job(tmp_path / f"{k}", each, good if k else {"error": "bad"}) for k, each in enumerate(settings)]
+    listed = [Job(tmp_path / f"{k}", each, good if k else {"error": "bad"}) for k, each in enumerate(settings)]
     board = tmp_path / "leaderboard"
-    write_leaderboard(tmp_path, found)
+    write_leaderboard(tmp_path, listed)
     (board / "notes.txt").write_text("mine")
-    write_leaderboard(tmp_path, found[:3])
+    write_leaderboard(tmp_path, listed[:3])
     assert (board / "notes.txt").read_text() == "mine"
     assert set(hparams(board)) == {"1 aid.gain=3", "2 aid.gain=3 _m", "3 aid.gain=0.3 data.path=.._.._x y_"}
-    write_leaderboard(tmp_path, found)
+    write_leaderboard(tmp_path, listed)
     read = hparams(board)
     assert len(read) == 4 and all(len(name) <= LONGEST and "/" not in name for name in read)
     values, numbers = read["1 aid.gain=3"]

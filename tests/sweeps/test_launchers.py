@@ -55,10 +55,10 @@ def test_a_killed_worker_loses_no_job(launcher, tmp_path):
     assert failed["0"] == "did not finish"
     if launcher == "submitit_local":
         assert "error: job 0:" in error and failed["1"] == ""
-    kept = [sets[0], *sweep.glob("1/results.json")]
-    stamps = [path.stat().st_mtime_ns for path in kept]
+    files = [sets[0], *sweep.glob("1/results.json")]
+    stamps = [path.stat().st_mtime_ns for path in files]
     done = subprocess.run(arguments, cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
-    assert [path.stat().st_mtime_ns for path in kept] == stamps  # what was saved is not made again
+    assert [path.stat().st_mtime_ns for path in files] == stamps  # what was saved is not made again
     for job in "01":
         assert_equal_runs(sweep / job, whole / "sweep" / job)

@@ -54,10 +54,10 @@ DEFAULT = {"estimators.rnn.neurons": "20"}
 
 
 def test_settings_are_compared_with_the_default():
-    found = standings(SIZES, RNN, DEFAULT)
-    assert [each.settings["estimators.rnn.neurons"] for each in found] == ["9", "20", "40", "4"]
-    assert [each.reference for each in found] == [False, True, False, False]
-    best, default, close, worst = found
+    ranks = standings(SIZES, RNN, DEFAULT)
+    assert [each.settings["estimators.rnn.neurons"] for each in ranks] == ["9", "20", "40", "4"]
+    assert [each.reference for each in ranks] == [False, True, False, False]
+    best, default, close, worst = ranks
     assert default.difference is None and close.difference.tie is True
     assert best.difference.high < 0 < worst.difference.low
     assert best.difference.mean == pytest.approx(best.value - default.value)
@@ -72,8 +72,8 @@ def test_settings_are_compared_with_the_default():
 
 @pytest.mark.parametrize("defaults", [{}, {"estimators.rnn.neurons": "8"}])
 def test_without_the_default_they_are_compared_with_the_best(defaults):
-    found = standings(SIZES, RNN, defaults)
-    assert [each.reference for each in found] == [True, False, False, False]
+    ranks = standings(SIZES, RNN, defaults)
+    assert [each.reference for each in ranks] == [True, False, False, False]
     assert "Reference: the best, rnn.neurons=9." in "\n".join(lines(SIZES, defaults))
     best = {"estimators.rnn.neurons": "9"}
     assert "Reference: the default, rnn.neurons=9." in "\n".join(lines(SIZES, best))
@@ -81,17 +81,17 @@ def test_without_the_default_they_are_compared_with_the_best(defaults):
 
 def test_a_default_that_diverged_is_no_reference():
     diverged = SIZES[1]._replace(results=SIZES[1].results | {"objective": None})
-    found = standings([SIZES[0], diverged, SIZES[3]], RNN, DEFAULT)
-    assert found[0].reference and found[-1].value is None
+    ranks = standings([SIZES[0], diverged, SIZES[3]], RNN, DEFAULT)
+    assert ranks[0].reference and ranks[-1].value is None
     assert any("no value" in line for line in lines([SIZES[0], diverged, SIZES[3]], DEFAULT))
 
 
 def test_seeds_are_pooled():
     jobs = [job(k, 0.1 + 0.01 * (k % 3) + 0.1 * (k // 3), neurons=f"{4 + k // 3}", seed=f"{k % 3}") for k in range(6)]
-    found = standings(jobs, RNN, {})
-    assert [len(each.jobs) for each in found] == [3, 3]
+    ranks = standings(jobs, RNN, {})
+    assert [len(each.jobs) for each in ranks] == [3, 3]
     values = [each.results["objective"] for each in jobs[:3]]
-    assert found[0].value == pytest.approx(np.mean(values)) and found[0].deviation == pytest.approx(
+    assert ranks[0].value == pytest.approx(np.mean(values)) and ranks[0].deviation == pytest.approx(
         np.std(values, ddof=1)
     )
     text = "\n".join(lines(jobs))
@@ -106,26 +106,26 @@ def test_the_interval_over_seeds_holds_the_truth(seeds):
     """The logs of a seed are as hard for both settings; what its weights add is drawn for each. Truth: a difference."""
     rng, truth, repeated = np.random.default_rng(11), 0.002, 4000
     hard = rng.normal(0.1, 0.02, (repeated, 1, seeds))
-    made = hard + rng.normal(0, 0.001, (repeated, 2, seeds)) + np.array([truth, 0.0])[:, None]
-    found = [over_seeds(*({str(k): x for k, x in enumerate(row)} for row in each)) for each in made]
-    held = np.mean([each.low <= truth <= each.high for each in found])
+    drawn = hard + rng.normal(0, 0.001, (repeated, 2, seeds)) + np.array([truth, 0.0])[:, None]
+    intervals = [over_seeds(*({str(k): x for k, x in enumerate(row)} for row in each)) for each in drawn]
+    held = np.mean([each.low <= truth <= each.high for each in intervals])
     assert abs(held - 0.95) < 3 * np.sqrt(0.95 * 0.05 / repeated)
-    own = stats.ttest_rel(*made[0]).confidence_interval()
-    assert (found[0].low, found[0].high) == pytest.approx((own.low, own.high), rel=1e-9)
-    unpaired = stats.ttest_ind(*made[0]).confidence_interval()
-    assert seeds == 2 or own.high - own.low < 0.3 * (unpaired.high - unpaired.low)
+    paired = stats.ttest_rel(*drawn[0]).confidence_interval()
+    assert (intervals[0].low, intervals[0].high) == pytest.approx((paired.low, paired.high), rel=1e-9)
+    unpaired = stats.ttest_ind(*drawn[0]).confidence_interval()
+    assert seeds == 2 or paired.high - paired.low < 0.3 * (unpaired.high - unpaired.low)
 
 
 def of_seeds(mae: float, first: int, scatter: float, count: int = 5, **settings: str) -> list[Job]:
     """Jobs that differ in the seed, over one run, the same for all seeds."""
-    found = []
+    several = []
     for seed, add in enumerate(scatter * np.random.default_rng(first).normal(size=count)):
         errors = (RunError("heron", "r", "step", 100, {"rnn": mae + add, "persistence": 0.2}),)
         each = job(first + seed, mae + add, seed=f"{seed}", **settings)
         rows = {"heron": {"rnn": {"mae": mae + add}}}
         results = scored(each.results | {"boats": rows}, RNN) | {"by run": errors}
-        found.append(each._replace(results=results))
-    return found
+        several.append(each._replace(results=results))
+    return several
 
 
 def test_seeds_on_one_log_have_an_interval_and_one_seed_has_none():
@@ -170,9 +170,9 @@ def test_large_differences_are_short_and_skill_is_better_where_it_is_greater(tmp
     jobs = [each._replace(results=scored(each.results, skill)) for each in jobs]
     for each, value in zip(jobs, (0.9, 0.0, 0.85), strict=True):
         each.results["objective"] = value
-    found = standings(jobs, skill, {"estimators.rnn.neurons": "20"})
-    assert [each.settings["estimators.rnn.neurons"] for each in found] == ["4", "20", "9"]
-    best, _, worst = found
+    ranks = standings(jobs, skill, {"estimators.rnn.neurons": "20"})
+    assert [each.settings["estimators.rnn.neurons"] for each in ranks] == ["4", "20", "9"]
+    best, _, worst = ranks
     assert best.difference.low > 0 > worst.difference.high  # as the objective
     assert "+" in next(
         line for line in lines(jobs, {"estimators.rnn.neurons": "20"}, measure=skill) if line[:2] == "0 "
@@ -200,9 +200,9 @@ def test_the_table_fits(width):
             seed=f"{s}")
         for k in range(4) for s in range(3)
     ]  # fmt: skip
-    made = lines(jobs, width=width)
-    assert max(map(len, made)) <= width and "…" not in "".join(made[:2])
-    assert sum(line.startswith("job ") for line in made) == 1 or width < 80  # one block
+    printed = lines(jobs, width=width)
+    assert max(map(len, printed)) <= width and "…" not in "".join(printed[:2])
+    assert sum(line.startswith("job ") for line in printed) == 1 or width < 80  # one block
 
 
 def test_the_files_say_what_the_terminal_says(tmp_path):
@@ -221,8 +221,8 @@ def test_the_files_say_what_the_terminal_says(tmp_path):
 def test_values_of_a_command_are_the_same_as_numbers_or_as_words():
     rates = [job(0, 0.1, rate="1e-3"), job(1, 0.2, rate="0.01")]
     assert standings(rates, RNN, {"estimators.rnn.rate": "0.001"})[0].reference
-    found = standings([job(0, 0.10, rule="mean"), job(1, 0.08, rule="last")], RNN, {"estimators.rnn.rule": "mean"})
-    assert [each.reference for each in found] == [each.default for each in found] == [False, True]
+    ranks = standings([job(0, 0.10, rule="mean"), job(1, 0.08, rule="last")], RNN, {"estimators.rnn.rule": "mean"})
+    assert [each.reference for each in ranks] == [each.default for each in ranks] == [False, True]
     for one, other in (("1e-3", "0.001"), ("mean", "mean"), ("null", "null"), ("20", "20.0")):
         assert same(one, other) and same(other, one)
     for one, other in (("1e-3", "0.002"), ("mean", "last"), ("mean", None), (None, "1"), (None, None), ("mean", "1")):

@@ -108,10 +108,10 @@ def test_a_sweep_is_one_array_with_the_resources_that_were_asked_for(slurm, expe
                  "+hydra.launcher.additional_parameters.nice=5"]  # fmt: skip
     sweep = Sweeping(slurm, tmp_path, *resources)
     numbers = sweep.queued()
-    told = [slurm.job(number) for number in numbers]
+    facts = [slurm.job(number) for number in numbers]
     assert [number.partition("_")[2] for number in numbers] == ["0", "1", "2"]
-    assert len({each["ArrayJobId"] for each in told}) == 1
-    for each in told:
+    assert len({each["ArrayJobId"] for each in facts}) == 1
+    for each in facts:
         assert (each["Partition"], each["TimeLimit"], each["Nice"]) == ("night", "00:07:00", "5")
         assert (each["NumCPUs"], each["CPUs/Task"], each["MinMemoryNode"]) == ("1", "1", "1G")
         assert (each["JobName"], each["ArrayTaskThrottle"], each["Requeue"]) == ("boats", "1", "1")
@@ -129,11 +129,11 @@ def test_a_killed_job_is_named_and_the_same_command_continues_it(slurm, expected
     error = sweep.ends(2)
     assert "error: job 0:" in error and "jobs [0] were killed; continue with: python" in error, error
     assert [row["job"] for row in table(sweep.sweep) if row["error"] == "did not finish"] == ["0"]
-    kept = {job: (sweep.sweep / job / "results.json").stat().st_mtime_ns for job in "12"}  # they were waited for
+    stamps = {job: (sweep.sweep / job / "results.json").stat().st_mtime_ns for job in "12"}  # they were waited for
     again = Sweeping(slurm, tmp_path)
     again.ends(0)
     assert first.stat().st_mtime_ns == written  # what was saved is not made again
-    assert kept == {job: (sweep.sweep / job / "results.json").stat().st_mtime_ns for job in kept}
+    assert stamps == {job: (sweep.sweep / job / "results.json").stat().st_mtime_ns for job in stamps}
     assert_complete(sweep.sweep, expected)
 
 
@@ -146,8 +146,8 @@ def test_a_job_that_reaches_its_time_limit_is_queued_again_and_finishes(slurm, t
     (number,) = sweep.queued()
     first, written = sweep.saves(0, 3)
     sweep.ends(0)
-    told = slurm.job(number)
-    assert int(told["Restarts"]) >= 1 and told["TimeLimit"] == "00:01:00" and told["JobState"] == "COMPLETED"
+    facts = slurm.job(number)
+    assert int(facts["Restarts"]) >= 1 and facts["TimeLimit"] == "00:01:00" and facts["JobState"] == "COMPLETED"
     assert first.stat().st_mtime_ns == written
     assert uninterrupted.wait(120) == 0
     assert_complete(sweep.sweep, whole / "sweep")

@@ -29,11 +29,11 @@ def job(folder, number, settings, mae=None, by="rnn", **more) -> Job:
 def columns(board):
     """Titles of the settings and of the results, and the domain of each setting."""
     content = boards(board)["."].SummaryMetadata("_hparams_/experiment").plugin_data.content
-    found = HParamsPluginData.FromString(content).experiment
-    domains = {each.name: list(each.domain_discrete.values) for each in found.hparam_infos}
-    assert all(each.differs for each in found.hparam_infos)
+    experiment = HParamsPluginData.FromString(content).experiment
+    domains = {each.name: list(each.domain_discrete.values) for each in experiment.hparam_infos}
+    assert all(each.differs for each in experiment.hparam_infos)
     return {key: [getattr(value, value.WhichOneof("kind")) for value in domain] for key, domain in domains.items()}, {
-        each.display_name: each.name.tag for each in found.metric_infos
+        each.display_name: each.name.tag for each in experiment.metric_infos
     }
 
 

@@ -31,10 +31,10 @@ WARP = 40.0
 
 def sailing(seed: int = 0):
     """The motion of a simulated boat on patrol."""
-    made = voyage(seed=seed, minutes=6.0, lowest=0.0)
+    course = voyage(seed=seed, minutes=6.0, lowest=0.0)
     names = "command_left", "command_right", "heading", "yaw_rate", "surge"
     time = np.arange(0.0, 360.0, 0.02)
-    columns = [made.at(name, time) for name in names]
+    columns = [course.at(name, time) for name in names]
 
     def motion(at: float) -> Motion:
         k = min(round(at / 0.02), len(time) - 1)
@@ -46,7 +46,7 @@ def sailing(seed: int = 0):
 def sailed(session: Session, boat: MavBoat, seconds: float) -> list:
     """The steps of a session that listens in a thread of its own, in warped time, beside a boat."""
     port, steps, took, stopped = free_port(), [], session._took, threading.Event()
-    session._took = lambda found: (steps.extend(found), took(found))
+    session._took = lambda more: (steps.extend(more), took(more))
     given = argparse.Namespace(connection=f"udpin:{HERE}:{port}", system=None, rate=None, peer=None)
     air, line = OnTheAir(boat, port, seconds, WARP), StatusLine("node", io.StringIO())
     with session, ThreadPoolExecutor(1) as pool:
@@ -76,8 +76,8 @@ def test_a_boat_in_the_loop_is_learned_as_in_a_replay(tmp_path, start):
     errors = np.array([abs(step.measured - step.speed) for step in steps[len(steps) // 2 :]])
     assert np.nanmean(errors) < 0.1 and np.isfinite(errors).mean() > 0.9
     assert len(steps) > 0.9 * 300 / 0.4  # nothing was lost on the way
-    told = {name for _, name, _ in boat.values}
-    assert {"USV_PRED", "USV_NEXT", "USV_ERR", "USV_LOW", "USV_HIGH"} <= told and all(len(name) <= 10 for name in told)
+    sent = {name for _, name, _ in boat.values}
+    assert {"USV_PRED", "USV_NEXT", "USV_ERR", "USV_LOW", "USV_HIGH"} <= sent and all(len(name) <= 10 for name in sent)
     assert [text for _, text in boat.texts if "listening to system 1" in text]
 
 

@@ -133,10 +133,10 @@ def test_a_port_that_is_in_use_is_tried_again_ever_less_often():
 @pytest.fixture
 def wire():
     """A serial line: the file of its other end, and the name of its device."""
-    other, own = pty.openpty()
+    other, device = pty.openpty()
     os.set_blocking(other, False)
-    yield other, os.ttyname(own)
-    os.close(own)
+    yield other, os.ttyname(device)
+    os.close(device)
     os.close(other)
 
 
@@ -192,25 +192,25 @@ def test_a_serial_line_that_is_unplugged_or_mute_is_opened_again(tmp_path):
     link, said = opened(Place("serial", str(path), 57600))
     assert "No such file" in said[-1]
     for now in (10.0, 100.0):  # it is plugged in, and out again
-        other, own = pty.openpty()
+        other, device = pty.openpty()
         path.unlink(missing_ok=True)
-        path.symlink_to(os.ttyname(own))
+        path.symlink_to(os.ttyname(device))
         assert link.open(now)
         os.write(other, b"alive")
         assert arrived(link, now) == b"alive"
-        os.close(own)
+        os.close(device)
         os.close(other)
         assert link.read(now + 1) == b"" and link.open(now + 2.5) is False
         assert "trying again" in said[-1]
-    other, own = pty.openpty()
+    other, device = pty.openpty()
     path.unlink()
-    path.symlink_to(os.ttyname(own))
+    path.symlink_to(os.ttyname(device))
     assert link.open(200.0)
     link.read(200.0 + MUTE + 1)
     assert said[-1] == f"{path}: silent for {MUTE:g} s: trying again"
     assert link.open(300.0)
     link.close()
-    os.close(own)
+    os.close(device)
     os.close(other)
 
 
@@ -232,8 +232,8 @@ def test_frames_are_found_however_they_are_cut(version):
     assert len(expected) == 100
     for size in (1, 2, 3, 7, 64, 300):
         frames = Frames(mavlink)
-        found = [m for k in range(0, len(content), size) for m in frames.take(content[k : k + size])]
-        assert [m.get_msgbuf() for m in found] == [m.get_msgbuf() for m in expected] and frames.skipped == 0
+        taken = [m for k in range(0, len(content), size) for m in frames.take(content[k : k + size])]
+        assert [m.get_msgbuf() for m in taken] == [m.get_msgbuf() for m in expected] and frames.skipped == 0
 
 
 def test_a_datagram_that_is_cut_anywhere_spoils_no_other():
@@ -248,14 +248,14 @@ def test_a_datagram_that_is_cut_anywhere_spoils_no_other():
 def test_garbage_costs_no_frame_behind_it():
     boat, rng = MavBoat(), random.Random(0)
     good = [boat.packed(boat.message(number, 0.1 * k)) for k in range(100) for number in (30, 36)]
-    frames, found = Frames(mavlink), []
+    frames, taken = Frames(mavlink), []
     for frame in good:
         noise = bytes(rng.choice(b"\xfd\xfe\x00\x1e") for _ in range(rng.randrange(40)))
         wrong = bytearray(frame)
         wrong[rng.randrange(len(wrong) - 2) + 2] ^= 1 << rng.randrange(8)
-        found += frames.take(noise + bytes(wrong) + frame)
-    found += frames.take(bytes(600))
-    seen = [bytes(m.get_msgbuf()) for m in found]
+        taken += frames.take(noise + bytes(wrong) + frame)
+    taken += frames.take(bytes(600))
+    seen = [bytes(m.get_msgbuf()) for m in taken]
     assert [frame for frame in good if frame not in seen] == []
 
 
@@ -266,8 +266,8 @@ def test_signed_frames_are_taken_and_unknown_ones_passed_over():
     signed = boat.packed(boat.message(30, 2.0))
     assert signed[2] == 1 and len(signed) > len(plain)
     unknown = bytes([0xFD, 3, 0, 0, 7, 1, 1]) + struct.pack("<I", 65_000)[:3] + b"abc" + b"zz"
-    found = Frames(mavlink).take(plain + unknown + signed + plain)
-    assert [m.time_boot_ms for m in found] == [6000, 7000, 6000]
+    taken = Frames(mavlink).take(plain + unknown + signed + plain)
+    assert [m.time_boot_ms for m in taken] == [6000, 7000, 6000]
 
 
 def test_what_waits_for_its_end_is_bounded():

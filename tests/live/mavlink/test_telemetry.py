@@ -43,12 +43,12 @@ def test_a_step_and_a_health_are_sent_as_numbers():
         telemetry.values(step.time, of_step(step))
     network = {"contracting": True, "condition": "l2", "rate": 0.75, "time_constant": 1.0, "equilibrium": -0.5}
     telemetry.values(10.5, of_health(COMPILING._replace(contraction={"rnn": network})))
-    found = [(m.time_boot_ms, m.name, m.value) for m in sent(telemetry)]
-    assert found[:7] == [
+    values = [(m.time_boot_ms, m.name, m.value) for m in sent(telemetry)]
+    assert values[:7] == [
         (10_000, "USV_PRED", 1.25), (10_000, "USV_LOW", 1.0), (10_000, "USV_HIGH", 1.5), (10_000, "USV_ERR", 0.25),
         (10_000, "USV_NEXT", 1.375), (10_000, "USV_NLOW", 1.0), (10_000, "USV_NHIGH", 1.75),
     ]  # fmt: skip
-    assert found[7:] == [(10_400, "USV_NEXT", 1.5), (10_500, "USV_K", 0.75), (10_500, "USV_EQ", -0.5)]
+    assert values[7:] == [(10_400, "USV_NEXT", 1.5), (10_500, "USV_K", 0.75), (10_500, "USV_EQ", -0.5)]
 
 
 @pytest.mark.parametrize("length", [1, 49, 50, 51, 99, 100, 149, 200, 500])
@@ -87,6 +87,6 @@ def test_what_nobody_takes_gives_way_to_what_is_new():
     telemetry = Telemetry(mavlink)
     for k in range(ROOM + 10):
         telemetry.values(float(k), [Post("SPEED_PRED", float(k))])
-    found = sent(telemetry)
-    assert [m.value for m in found] == [float(k) for k in range(10, ROOM + 10)]
-    assert [m.get_seq() for m in found[:3]] == [10, 11, 12]  # so a receiver sees that some were lost
+    values = sent(telemetry)
+    assert [m.value for m in values] == [float(k) for k in range(10, ROOM + 10)]
+    assert [m.get_seq() for m in values[:3]] == [10, 11, 12]  # so a receiver sees that some were lost

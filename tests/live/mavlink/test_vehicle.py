@@ -189,8 +189,8 @@ def test_a_second_sender_of_the_same_id_is_left_out_and_told():
     for part in SOURCES:
         for one, other in zip(alone.session.channel(part), both.session.channel(part), strict=True):
             np.testing.assert_allclose(one, other)
-    told = [line for line in both.said if "second sender" in line]
-    assert len(told) == 1 and "127.0.0.1:5002" in told[0] and "--peer 127.0.0.1:5002" in told[0]
+    lines = [line for line in both.said if "second sender" in line]
+    assert len(lines) == 1 and "127.0.0.1:5002" in lines[0] and "--peer 127.0.0.1:5002" in lines[0]
     assert both.session.dropped.count(("vehicle", "second_sender")) > 500
 
 
@@ -210,9 +210,9 @@ def test_a_sender_that_changes_is_followed_after_a_silence_and_told():
 @pytest.mark.parametrize("name", ["MIN", "TRIM", "MAX", "REVERSED"])
 def test_a_servo_parameter_that_is_no_number_is_told(name, bad):
     """No warning of NumPy, which pytest makes an error; no command that is not a number."""
-    lab, told = Lab(), {f"SERVO1_{name}": bad} | ({"SERVO1_MIN": bad} if name == "TRIM" and bad < 0 else {})
+    lab, parameters = Lab(), {f"SERVO1_{name}": bad} | ({"SERVO1_MIN": bad} if name == "TRIM" and bad < 0 else {})
     lab.sail(6)
-    for parameter, value in told.items():
+    for parameter, value in parameters.items():
         message = mavlink.MAVLink_param_value_message(parameter.encode(), value, 9, 24, 1)
         lab.give(lab.boat.packed(message))
     before = len(lab.session.channel("command_left")[0])

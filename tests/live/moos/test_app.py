@@ -35,10 +35,10 @@ async def test_it_publishes_what_the_node_says(tmp_path):
         await sea.steps(60)
         await until(lambda: sea.posted("USV_PARAMS") and sea.posted("PUSVLEARN_STATUS"))
     kinds = {"USV_" + each.name: each.kind for each in TABLE}
-    own = [each for each in sea.database.posted if each.source == "pUSVLearn"]
+    mine = [each for each in sea.database.posted if each.source == "pUSVLearn"]
     assert not sea.database.refused
-    assert all(each.data == kinds[each.key] for each in own if each.key in kinds)
-    assert all(before - 60 < each.time < time.time() for each in own)
+    assert all(each.data == kinds[each.key] for each in mine if each.key in kinds)
+    assert all(before - 60 < each.time < time.time() for each in mine)
     expected = []  # the same messages through a session alone
     with Session(prior(tmp_path / "alone"), MIDDLEWARE) as session:
         session.start()
@@ -238,8 +238,8 @@ async def test_a_node_that_makes_tracks_posts_them_and_answers_a_plan_by_one(tmp
     assert len(rows) > 20 and all(list(row) == ["2", "5.2", "10", "30"] for row in rows)
     north, east = map(float, rows[-1]["10"].split(":")[:2])
     assert 1.0 < math.hypot(north, east) < 30.0
-    found = json.loads(sea.posted("USV_PLAN_FORECAST")[0].text)
-    assert found["id"] == 5 and len(found["north"]) == 75 and found["t"][-1] == 30.0
+    answer = json.loads(sea.posted("USV_PLAN_FORECAST")[0].text)
+    assert answer["id"] == 5 and len(answer["north"]) == 75 and answer["t"][-1] == 30.0
 
 
 def taken_apart(text: str) -> dict[str, list[str]]:
@@ -254,8 +254,8 @@ def test_a_viewer_finds_each_field():
     casts.warn("the disk is full, now=1")
     casts.warn("the disk is full, now=1")
     casts.config_warnings = ["set 3 is damaged"]
-    found = taken_apart(casts.compose(7, "usv", ["State  ok", "", "a!@b", "=x"]))
-    assert found == {
+    fields = taken_apart(casts.compose(7, "usv", ["State  ok", "", "a!@b", "=x"]))
+    assert fields == {
         "proc": ["pUSVLearn"],
         "iter": ["7"],
         "node": ["usv"],

@@ -39,10 +39,10 @@ async def voyage(database, folder, start, kills: int, seconds: float) -> dict[st
     options = Options(folder, start, record=True, warp=WARP)
     settings = Settings("pUSVLearn", "127.0.0.1", database.port, WARP, "usv", 4.0, "USV_", False, options)
     app = App(Session(options, MIDDLEWARE), settings)
-    found: dict[str, list[float]] = {"USV_SPEED_PRED": [], "USV_SPEED_ERROR": []}
+    values: dict[str, list[float]] = {"USV_SPEED_PRED": [], "USV_SPEED_ERROR": []}
     sailor = Client("boat", "127.0.0.1", database.port, print, WARP)
-    viewer = Client("viewer", "127.0.0.1", database.port, lambda each: found[each.key].append(each.value), WARP)
-    for name in found:
+    viewer = Client("viewer", "127.0.0.1", database.port, lambda each: values[each.key].append(each.value), WARP)
+    for name in values:
         viewer.register(name)
     others = [asyncio.create_task(each.run()) for each in (sailor, viewer)]
     task = asyncio.create_task(app.main())
@@ -70,20 +70,20 @@ async def voyage(database, folder, start, kills: int, seconds: float) -> dict[st
             await asyncio.gather(*others)
         database.kill()
         await asyncio.sleep(0.05)
-    return found
+    return values
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(("kills", "seconds"), [(0, 60.0), pytest.param(1, 40.0, marks=pytest.mark.slow)])
 def test_what_is_published_is_what_a_replay_gives(database, tmp_path, start, kills, seconds):
-    found = asyncio.run(voyage(database, tmp_path, start, kills, seconds))
+    values = asyncio.run(voyage(database, tmp_path, start, kills, seconds))
     again = replayed(tmp_path / "records")[:, -1]
     again = again[np.isfinite(again)]
-    published = np.array(found["USV_SPEED_PRED"])
+    published = np.array(values["USV_SPEED_PRED"])
     assert len(published) > 0.6 * (kills + 1) * seconds / 0.4
     if not kills:
         np.testing.assert_array_equal(published, again[: len(published)])
         assert len(again) - len(published) <= 2  # the last steps, which are made at the end, are not published
     else:  # a post that was in flight is lost; all others are the same
         assert len(published) > 0.9 * len(again) and set(published) <= set(again)
-    assert np.abs(found["USV_SPEED_ERROR"]).mean() < 0.2
+    assert np.abs(values["USV_SPEED_ERROR"]).mean() < 0.2

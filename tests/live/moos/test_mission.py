@@ -55,10 +55,10 @@ def block(*lines: str) -> str:
 
 def test_a_mission_says_all(tmp_path, monkeypatch):
     monkeypatch.setenv("START", "/home")
-    found = settings(TEXT, "--keep=7", tmp_path=tmp_path)
-    assert (found.name, found.host, found.port, found.warp) == ("pUSVLearn", "10.0.0.7", 9100, 5.0)
-    assert (found.community, found.tick, found.prefix, found.members) == ("heron", 8.0, "A//B", True)
-    options = found.options
+    given = settings(TEXT, "--keep=7", tmp_path=tmp_path)
+    assert (given.name, given.host, given.port, given.warp) == ("pUSVLearn", "10.0.0.7", 9100, 5.0)
+    assert (given.community, given.tick, given.prefix, given.members) == ("heron", 8.0, "A//B", True)
+    options = given.options
     assert (str(options.folder), str(options.start)) == ("/data/boat/a b", "/home/set")
     assert (options.mass, options.save_period, options.record, options.keep, options.warp) == (36, 60, True, 7, 5)
     assert not options.refit and Options(tmp_path).refit
@@ -81,14 +81,14 @@ def test_the_command_line_overrides_the_mission(tmp_path):
     text = "ServerPort = 9100\n" + TEXT.replace("${START}", "x").replace("=pUSVLearn\n{", "=learner\n{")
     arguments = ["--moos_port=9300", "--moos_time_warp=2", "--moos_host=localhost", "--mass=20", "--channel=surge=V"]
     for name in (["learner"], ["--alias=learner"], ["--moos_name=learner"], ["other", "--moos_name=learner"]):
-        found = settings(text, *name, *arguments, tmp_path=tmp_path)
-        assert (found.name, found.host, found.port, found.warp) == ("learner", "localhost", 9300, 2.0)
-        assert found.options.mass == 20 and found.options.channels["surge"] == {"name": "V", "unit": "knots"}
+        given = settings(text, *name, *arguments, tmp_path=tmp_path)
+        assert (given.name, given.host, given.port, given.warp) == ("learner", "localhost", 9300, 2.0)
+        assert given.options.mass == 20 and given.options.channels["surge"] == {"name": "V", "unit": "knots"}
 
 
 def test_what_pantler_gives_is_enough(tmp_path):
-    found = settings(block(), "pUSVLearn", tmp_path=tmp_path)
-    assert (found.host, found.port, found.warp, found.tick, found.prefix) == ("localhost", 9000, 1.0, 4.0, "USV_")
+    given = settings(block(), "pUSVLearn", tmp_path=tmp_path)
+    assert (given.host, given.port, given.warp, given.tick, given.prefix) == ("localhost", 9000, 1.0, 4.0, "USV_")
 
 
 @pytest.mark.parametrize(
@@ -158,8 +158,8 @@ def test_lines_end_as_anywhere(tmp_path):
 
 
 def test_the_example_is_a_legal_block(tmp_path):
-    found = settings(EXAMPLE, tmp_path=tmp_path)
-    assert str(found.options.folder) == "/home/boat/usvlearn" and found.options.mass is None
+    given = settings(EXAMPLE, tmp_path=tmp_path)
+    assert str(given.options.folder) == "/home/boat/usvlearn" and given.options.mass is None
     for line in EXAMPLE.splitlines():  # what it has as a comment is legal, too
         key, equals, value = line.strip().removeprefix("//").partition("=")
         if line.strip().startswith("// ") and equals and "." not in value.split("//")[0].strip()[-1:]:

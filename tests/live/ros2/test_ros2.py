@@ -92,14 +92,14 @@ def test_a_topic_is_chosen_by_name_pattern_namespace_and_remapping():
     }
     graph = {"/a/odom": [ODOMETRY], "/b/odom": [ODOMETRY], "/a/left": [NUMBER], "/other": [NUMBER],
              "/x/right": ["std_msgs/msg/Float64MultiArray"]}  # fmt: skip
-    found = chosen(sources, graph, namespace="/a")
-    assert found.topics == {"/a/odom": ODOMETRY, "/a/left": NUMBER, "/x/right": "std_msgs/msg/Float64MultiArray"}
-    assert found.fields == {"/a/odom": {"surge": "twist.twist.linear.x"}, "/a/left": {"command_left": "data"},
+    choice = chosen(sources, graph, namespace="/a")
+    assert choice.topics == {"/a/odom": ODOMETRY, "/a/left": NUMBER, "/x/right": "std_msgs/msg/Float64MultiArray"}
+    assert choice.fields == {"/a/odom": {"surge": "twist.twist.linear.x"}, "/a/left": {"command_left": "data"},
                             "/x/right": {"command_right": "data.1"}}  # fmt: skip
-    assert found.problems == {}
-    found = chosen(sources, graph, remap={"left": "/other"})
-    assert found.topics == {"/other": NUMBER, "/x/right": "std_msgs/msg/Float64MultiArray"}
-    assert found.problems == {"surge": "/a/odom, /b/odom match *odom: set channels.surge.name to one of them"}
+    assert choice.problems == {}
+    choice = chosen(sources, graph, remap={"left": "/other"})
+    assert choice.topics == {"/other": NUMBER, "/x/right": "std_msgs/msg/Float64MultiArray"}
+    assert choice.problems == {"surge": "/a/odom, /b/odom match *odom: set channels.surge.name to one of them"}
 
 
 def test_a_topic_that_is_subscribed_to_stays_until_its_type_changes():
@@ -237,12 +237,12 @@ def test_a_bag_gives_what_its_messages_would_have_given_live(tmp_path):
     messages = Messages(session)
     with AnyReader([path.parent]) as bag:
         graph = {each.topic: [each.msgtype] for each in bag.connections}
-        found = chosen(sources, graph)
-        assert not found.problems
+        choice = chosen(sources, graph)
+        assert not choice.problems
         start = bag.start_time
         for connection, received, data in bag.messages():
             message = like_rclpy(bag.deserialize(data, connection.msgtype))
-            messages.take(connection.topic, found.fields[connection.topic], message, received)
+            messages.take(connection.topic, choice.fields[connection.topic], message, received)
     assert session.restarts == 0
     for part, channel in expected.items():
         stamps, raw = np.array([(stamp, raw) for name, stamp, raw in session.pushed if name == part]).T
@@ -294,12 +294,12 @@ def test_the_health_is_a_diagnostic_of_the_model_and_one_of_the_inputs(out):
         message = out.diagnostics(START, "usvlearn", health(state=state), {}, [])
         levels[state] = [each.level for each in message.status]
     assert levels == {"ok": [b"\0"] * 2, "waiting": [b"\1"] * 2, "compiling": [b"\1"] * 2, "stale": [b"\2"] * 2}
-    told = health(
+    report = health(
         ages={"surge": 0.25, "heading": math.inf}, counts={"surge": {"stale": 3}}, warnings=("the disk is full",),
         identified={"steady_speed_full": (2.5, 2.0, 3.0, "m/s")},
         contraction={"rnn": {"contracting": True, "condition": "exact", "rate": 0.5, "equilibrium": None}},
     )  # fmt: skip
-    message = out.diagnostics(START, "usvlearn", told, {"heading": "nobody publishes /imu yet"}, ["a note"])
+    message = out.diagnostics(START, "usvlearn", report, {"heading": "nobody publishes /imu yet"}, ["a note"])
     model, inputs = message.status
     assert (model.name, inputs.name) == ("usvlearn: model", "usvlearn: inputs") and message.header.stamp.sec == START
     assert model.level == b"\0" and inputs.level == b"\1"
@@ -311,11 +311,11 @@ def test_the_health_is_a_diagnostic_of_the_model_and_one_of_the_inputs(out):
 
 
 def test_parameters_are_json_without_nan(out):
-    told = health(
+    report = health(
         identified={"lag": (1.0, -math.inf, math.nan, "s")},
         contraction={"rnn": {"contracting": False, "rate": math.inf}},
     )
-    content = json.loads(out.parameters(START, told).data, parse_constant=pytest.fail)
+    content = json.loads(out.parameters(START, report).data, parse_constant=pytest.fail)
     assert content["identified"] == {"lag": {"value": 1.0, "low": None, "high": None, "unit": "s"}}
     assert content["contraction"] == {"rnn": {"contracting": False, "rate": None}}
 
@@ -330,8 +330,8 @@ class Noted:
         self.published: dict[str, list] = {}
 
     def create_publisher(self, kind, topic, depth):
-        kept = self.published.setdefault(topic, [])
-        return SimpleNamespace(publish=lambda message: kept.append((kind.__name__, message)))
+        messages = self.published.setdefault(topic, [])
+        return SimpleNamespace(publish=lambda message: messages.append((kind.__name__, message)))
 
 
 def track():
@@ -370,5 +370,5 @@ def test_a_track_points_east_and_north(monkeypatch):
 def test_the_position_that_tracks_need_is_that_of_an_odometry():
     message = odometry(0.0)
     message.pose.pose.position.x, message.pose.pose.position.y = 5.0, 7.0
-    found = {part: read_field(message, given["field"], part) for part, given in AUXILIARY.items()}
-    assert found == {"north": 7.0, "east": 5.0}
+    place = {part: read_field(message, given["field"], part) for part, given in AUXILIARY.items()}
+    assert place == {"north": 7.0, "east": 5.0}

@@ -134,9 +134,9 @@ def test_a_boat_in_the_loop_is_learned_as_in_a_replay(tmp_path, number):
         boat.wait("stale")
     finally:
         process.send_signal(number)
-        told, _ = process.communicate(timeout=60)
+        output, _ = process.communicate(timeout=60)
         boat.close()
-    assert process.returncode == 0, told
+    assert process.returncode == 0, output
     (path,) = checkpoint.checkpoints(tmp_path / "node")
     assert json.loads((tmp_path / "node" / "status.json").read_text())["state"] == "ended"
     records = tmp_path / "node" / "records"
@@ -152,11 +152,11 @@ def test_a_boat_in_the_loop_is_learned_as_in_a_replay(tmp_path, number):
     )
     stamps = np.array([each.header.stamp.sec - START + each.header.stamp.nanosec / NS for each in boat.predicted])
     published = np.array([each.twist.twist.linear.x for each in boat.predicted])
-    made = np.isfinite(replayed)
-    stamps += time_of[made][0] - stamps[0]  # a replay counts from its first sample
+    finite = np.isfinite(replayed)
+    stamps += time_of[finite][0] - stamps[0]  # a replay counts from its first sample
     place = np.searchsorted(time_of, stamps - 1e-6)
     assert np.abs(time_of[place] - stamps).max() < 1e-6 and np.unique(place).size == len(place)
-    assert len(place) > 0.8 * made.sum() > 0.5 * sea.surge[0].max() / 0.4  # a busy computer makes messages late
+    assert len(place) > 0.8 * finite.sum() > 0.5 * sea.surge[0].max() / 0.4  # a busy computer makes messages late
     np.testing.assert_array_equal(published, replayed[place])  # to the last bit
     if number == signal.SIGTERM:
         errors, persistence = (np.abs(x - measured[place])[len(place) // 2 :] for x in (published, measured[place - 1]))
@@ -190,7 +190,7 @@ def test_the_silence_of_each_topic_and_of_all_is_told_and_ends(tmp_path):
         until("ok", "")
     finally:
         process.terminate()
-        told, _ = process.communicate(timeout=60)
+        output, _ = process.communicate(timeout=60)
         boat.close()
-    assert process.returncode == 0, told
-    assert "DDS listens on all addresses of this computer" in told
+    assert process.returncode == 0, output
+    assert "DDS listens on all addresses of this computer" in output

@@ -79,14 +79,14 @@ class Sea(Peer):
 
 @pytest.fixture
 def sea() -> Iterator[Callable[..., Sea]]:
-    made: list[Sea] = []
+    seas: list[Sea] = []
 
     def make(**options: Any) -> Sea:
-        made.append(Sea(**options))
-        return made[-1]
+        seas.append(Sea(**options))
+        return seas[-1]
 
     yield make
-    for each in made:
+    for each in seas:
         each.close()
 
 
@@ -120,9 +120,9 @@ def test_parts_come_from_one_message_with_its_stamp(sea):
     assert pushed["heading"] == pytest.approx((stamp, 0.5))
     now = at_sea.boat.node.get_clock().now().nanoseconds * 1e-9
     assert at_sea.until(lambda: at_sea.session.numbers("command_left"), lambda: left.publish(number(0.75)))
-    (found,) = {raw for part, _, raw in at_sea.session.pushed if part == "command_left"}
+    (value,) = {raw for part, _, raw in at_sea.session.pushed if part == "command_left"}
     stamp = next(stamp for part, stamp, _ in at_sea.session.pushed if part == "command_left")
-    assert found == 0.75 and now <= stamp < now + PATIENCE
+    assert value == 0.75 and now <= stamp < now + PATIENCE
 
 
 @pytest.mark.parametrize("reliable", [True, False])
@@ -274,12 +274,12 @@ def test_parameters_and_the_last_alarm_reach_a_late_subscriber(sea):
 
 def test_the_health_is_published_each_second_as_a_diagnostic(sea):
     at_sea = sea()
-    own, all_of_them = at_sea.listen("/usvlearn/health", DIAGNOSTICS), at_sea.listen("/diagnostics", DIAGNOSTICS)
-    assert at_sea.until(lambda: len(own) > 1 and len(all_of_them) > 1)
-    assert [status.name for status in own[-1].status] == ["usvlearn: model", "usvlearn: inputs"]
-    assert "surge: no topic below / matches *odom yet" in told(own[-1], "inputs")
+    ours, all_of_them = at_sea.listen("/usvlearn/health", DIAGNOSTICS), at_sea.listen("/diagnostics", DIAGNOSTICS)
+    assert at_sea.until(lambda: len(ours) > 1 and len(all_of_them) > 1)
+    assert [status.name for status in ours[-1].status] == ["usvlearn: model", "usvlearn: inputs"]
+    assert "surge: no topic below / matches *odom yet" in told(ours[-1], "inputs")
     at_sea.session.health = health(state="stale", ages={"surge": 12.0})
-    assert at_sea.until(lambda: own[-1].status[0].level == b"\2")
+    assert at_sea.until(lambda: ours[-1].status[0].level == b"\2")
 
 
 def test_launch_reads_the_launch_file():

@@ -76,9 +76,9 @@ def test_parameters_come_before_the_options_of_the_command_line():
     line = ["boat", "--mass", "28", "--keep", "7", "--channel", "surge=/v", "--channel", "surge.unit=knots"]
     options = options_of(shell.parser().parse_args(line))
     given = given_by({"mass": 36.0, "folder": "other", "channels.surge.name": "/odom", "channels.heading.unit": "rad"})
-    found = with_parameters(options, given)
-    assert (found.mass, found.keep, found.folder) == (36.0, 7, Path("other"))
-    assert found.channels == {"surge": {"name": "/odom", "unit": "knots"}, "heading": {"unit": "rad"}}
+    merged = with_parameters(options, given)
+    assert (merged.mass, merged.keep, merged.folder) == (36.0, 7, Path("other"))
+    assert merged.channels == {"surge": {"name": "/odom", "unit": "knots"}, "heading": {"unit": "rad"}}
 
 
 def test_the_command_prints_its_launch_file_and_its_example(capsys):

@@ -22,8 +22,8 @@ def test_a_step_is_that_of_the_model():
 
 def test_a_late_command_acts_later_by_its_delay():
     theta = np.stack([known_boat().identified.theta] * 2)
-    found = simulate(Ahead(theta), np.array([0.0, 0.6]), RoverLaw(ROVER, 0.2), [1.0], 4.0)
-    first = [float(found.time[np.flatnonzero(found.speed[:, k] > 0)[0]]) for k in range(2)]
+    result = simulate(Ahead(theta), np.array([0.0, 0.6]), RoverLaw(ROVER, 0.2), [1.0], 4.0)
+    first = [float(result.time[np.flatnonzero(result.speed[:, k] > 0)[0]]) for k in range(2)]
     assert first[1] - first[0] == pytest.approx(0.6)
 
 
@@ -54,24 +54,24 @@ def test_the_moos_block_sums_up_to_the_gains():
 
 @pytest.mark.thorough
 def test_two_hundred_boats_settle_and_none_is_unstable():
-    found = controller(known_boat())
-    for steps in found.loops.values():
+    design = controller(known_boat())
+    for steps in design.loops.values():
         for step in steps:
             assert len(step.settled) == 200
             assert not step.sways.any() and np.isfinite(step.settled).all()
             assert np.quantile(step.overshoot, 0.95) < 0.4
-    assert max(np.quantile(step.overshoot, 0.95) for step in found.loops["MOOS-IvP"]) < 0.15
+    assert max(np.quantile(step.overshoot, 0.95) for step in design.loops["MOOS-IvP"]) < 0.15
 
 
 @pytest.mark.thorough
 def test_gains_beyond_the_margins_are_seen_to_be_unstable():
-    found = controller(known_boat(), Wanted(boats=50))
-    times = 1.5 * 10 ** (found.margins.gain / 20)
-    loud = found.rover._replace(proportional=times * found.rover.proportional, integral=times * found.rover.integral)
-    theta = draws(found.boat.identified, 50)
-    course = [found.speeds[0], found.speeds[4], found.speeds[-1]]
+    design = controller(known_boat(), Wanted(boats=50))
+    times = 1.5 * 10 ** (design.margins.gain / 20)
+    loud = design.rover._replace(proportional=times * design.rover.proportional, integral=times * design.rover.integral)
+    theta = draws(design.boat.identified, 50)
+    course = [design.speeds[0], design.speeds[4], design.speeds[-1]]
     responses = simulate(
-        Ahead(theta), np.full(50, found.late + found.period), RoverLaw(loud, found.period), course, 30.0
+        Ahead(theta), np.full(50, design.late + design.period), RoverLaw(loud, design.period), course, 30.0
     )
     assert any(step.sways.any() for step in steps_of(responses))
 
@@ -110,8 +110,8 @@ def test_a_wrong_option_is_named(wanted, said):
 def test_a_range_that_slow_boats_do_not_reach_is_told():
     boat = known_boat()
     top = float(boat.model.ahead.steady_speed(1.0))
-    told = [list(parts(controller(boat, Wanted(boats=20, range=(0.8, high))))) for high in (0.6 * top, 0.99 * top)]
-    assert ["slowest boats" in "".join(map(str, each)) for each in told] == [False, True]
+    texts = [list(parts(controller(boat, Wanted(boats=20, range=(0.8, high))))) for high in (0.6 * top, 0.99 * top)]
+    assert ["slowest boats" in "".join(map(str, each)) for each in texts] == [False, True]
 
 
 @pytest.mark.thorough

@@ -57,8 +57,8 @@ def test_bad_input_takes_one_sentence(learned, arguments, said, monkeypatch, cap
     monkeypatch.setattr(sys, "argv", [])
     with pytest.raises(SystemExit) as stopped:
         main(["controller", str(learned), *arguments])
-    told = capsys.readouterr()
-    assert stopped.value.code == 2 and said in told.err and told.err.count("\n") == 1 and not told.out
+    printed = capsys.readouterr()
+    assert stopped.value.code == 2 and said in printed.err and printed.err.count("\n") == 1 and not printed.out
 
 
 def test_a_log_without_excitation_is_told_what_to_sail(tmp_path, monkeypatch, capsys):
@@ -86,9 +86,9 @@ def test_a_fit_gives_the_values_and_the_steering_and_its_doubts_are_told(tmp_pat
     for doubts, basis in (([], "fit"), (["It drifts."], "1")):
         (tmp_path / "fit" / "planar.fit.json").write_text(json.dumps({"doubts": doubts}))
         main(["controller", str(tmp_path), "--boats", "5", "--out", str(tmp_path / "out")])
-        told = capsys.readouterr()
-        assert f"from {basis}.safetensors" in told.out and ("has doubts: It drifts." in told.err) == bool(doubts)
-        assert all(x in told.out for x in ("ATC_STR_RAT_FF,", "yaw_pid_kp = ", "RO_YAW_P"))
+        printed = capsys.readouterr()
+        assert f"from {basis}.safetensors" in printed.out and ("has doubts: It drifts." in printed.err) == bool(doubts)
+        assert all(x in printed.out for x in ("ATC_STR_RAT_FF,", "yaw_pid_kp = ", "RO_YAW_P"))
     lines = (tmp_path / "out" / "planar_px4.params").read_text().splitlines()
     values = {name: float(value) for *_, name, value, _ in (x.split("\t") for x in lines if x[0] != "#")}
     facts = json.loads((tmp_path / "out" / "planar.controller.json").read_text())

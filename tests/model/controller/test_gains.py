@@ -28,17 +28,17 @@ def test_the_linearised_boat_is_the_derivative_of_the_simulated_one():
 def test_the_closed_loop_has_the_wanted_poles():
     gains = placed(a=-0.6, b=2.4, bandwidth=1.3, damping=0.7)
     loop = np.array([[-0.6 - 2.4 * gains.proportional, 2.4 * gains.integral], [-1.0, 0.0]])  # v and ∫e dt
-    found = np.linalg.eigvals(loop)
-    np.testing.assert_allclose(found.real, -0.7 * 1.3)
-    np.testing.assert_allclose(np.abs(found), 1.3)
+    poles = np.linalg.eigvals(loop)
+    np.testing.assert_allclose(poles.real, -0.7 * 1.3)
+    np.testing.assert_allclose(np.abs(poles), 1.3)
 
 
 def test_gains_without_a_proportional_part_state_the_poles_that_they_have():
     gains = placed(a=-2.0, b=3.0, bandwidth=0.5, damping=0.7)
     assert gains.proportional == 0.0
-    found = np.roots([1.0, 3.0 * gains.proportional + 2.0, 3.0 * gains.integral])
+    poles = np.roots([1.0, 3.0 * gains.proportional + 2.0, 3.0 * gains.integral])
     expected = np.roots([1.0, 2 * gains.damping * gains.bandwidth, gains.bandwidth**2])
-    np.testing.assert_allclose(np.sort(found), np.sort(expected))
+    np.testing.assert_allclose(np.sort(poles), np.sort(expected))
 
 
 def test_the_default_poles_take_out_the_own_pole_of_a_quick_boat():

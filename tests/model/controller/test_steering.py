@@ -53,12 +53,12 @@ def test_gain_and_time_constant_are_those_of_the_plant():
 
 
 def test_all_corners_keep_their_margins():
-    found = designed()
-    own = found.cascade
-    gains = SimpleNamespace(proportional=own.proportional, integral=own.integral)
-    assert margins(gains, *found.yaw.corners, found.delay).gain >= GAIN - 1e-6
-    assert found.margins.phase >= PHASE - 1e-6 and found.heading.phase >= 60 and found.heading.gain >= 6
-    assert designed(period=0.5).cascade.angle < own.angle
+    steer = designed()
+    cascade = steer.cascade
+    gains = SimpleNamespace(proportional=cascade.proportional, integral=cascade.integral)
+    assert margins(gains, *steer.yaw.corners, steer.delay).gain >= GAIN - 1e-6
+    assert steer.margins.phase >= PHASE - 1e-6 and steer.heading.phase >= 60 and steer.heading.gain >= 6
+    assert designed(period=0.5).cascade.angle < cascade.angle
 
 
 @pytest.mark.parametrize(
@@ -72,8 +72,8 @@ def test_all_corners_keep_their_margins():
     ],
 )
 def test_an_unknown_turning_gets_a_sentence(boat, said):
-    found = designed(boat)
-    assert said in found and list(parts(found, [])) == [f"Steering: no gains. {found}"]
+    steer = designed(boat)
+    assert said in steer and list(parts(steer, [])) == [f"Steering: no gains. {steer}"]
 
 
 def test_the_commands_explain_the_turns_that_they_make_and_no_others():
@@ -118,8 +118,8 @@ def test_a_lawn_mower_comes_back():
 
 @pytest.mark.thorough
 def test_designed_gains_beat_the_defaults_on_drawn_boats():
-    found = designed()
-    tried = {(each.autopilot, each.gains): each for each in trials(found, 0.05, 0.1, 50, 0)}
+    steer = designed()
+    tried = {(each.autopilot, each.gains): each for each in trials(steer, 0.05, 0.1, 50, 0)}
     rover, defaults = (tried["ArduRover", name] for name in ("designed", "defaults"))
     assert (rover.rms < 0.7 * defaults.rms).all() and not any(each.step.sways.any() for each in tried.values())
-    assert "QuickTune" in "".join(map(str, parts(found, [*tried.values()])))
+    assert "QuickTune" in "".join(map(str, parts(steer, [*tried.values()])))

@@ -46,8 +46,8 @@ def test_all_leaves_out_what_is_not_there(run, tmp_path, capsys):
         assert main(["export", str(alone), "--to", "all"]) == 0
     said = [str(each.message) for each in caught]
     assert any("csv of heron1 is left out: " in each and "found no predictions" in each for each in said), said
-    made = capsys.readouterr().out.split()
-    assert str(tmp_path / "export" / "heron1.json") in made and not any(each.endswith(".csv") for each in made)
+    printed = capsys.readouterr().out.split()
+    assert str(tmp_path / "export" / "heron1.json") in printed and not any(each.endswith(".csv") for each in printed)
 
 
 def test_boats_whose_files_would_have_one_name_are_not_mixed(run, tmp_path, told):
@@ -93,8 +93,8 @@ def test_a_foreign_name_of_a_boat_leads_nowhere_else(run, tmp_path, capsys):
     leaves, facts = checkpoint.load(checkpoints(run / "checkpoints" / "heron1")[-1])
     path = checkpoint.save(tmp_path / "a.safetensors", leaves, **{**facts, "boat": "../../evil */ int x;"})
     assert main(["export", str(path), "--to", "c,json,mat,casadi", "--out", str(tmp_path / "out")]) == 0
-    made = [each for each in tmp_path.rglob("*") if each.is_file() and each != path]
-    assert len(made) == 4 and all(each.parent == tmp_path / "out" for each in made)
+    files = [each for each in tmp_path.rglob("*") if each.is_file() and each != path]
+    assert len(files) == 4 and all(each.parent == tmp_path / "out" for each in files)
 
 
 def test_a_filter_that_diverged_is_no_boat(run, tmp_path, told):

@@ -88,13 +88,13 @@ def test_casadi_has_the_step_and_its_jacobian(boat, even):
     rows[:40, 4] *= 1e-6  # φ₁ near 0
     expected = boat.model.step(*rows.T)
     np.testing.assert_allclose([float(step(*row)) for row in rows], expected, rtol=1e-12, atol=1e-12)
-    found = np.array([[float(each) for each in slopes(*row)] for row in rows])
+    jacobian = np.array([[float(each) for each in slopes(*row)] for row in rows])
     ends = [boat.model.step(*(rows + sign * h * np.eye(5)[:, None]).transpose(2, 0, 1)) for sign in (1, -1)]
     smooth = (np.abs(rows) > 1e-3).all(1)  # at 0 an absolute value has no derivative
     if even == "tables":
         away = np.abs(rows[:, :3] / [boat.model.tables.speeds[0], 0.125, 0.125])  # no node between the ends
         smooth &= (np.abs(away - away.round()) > 1e-3).all(1)
-    np.testing.assert_allclose(found[smooth], ((ends[0] - ends[1]) / (2 * h)).T[smooth], rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(jacobian[smooth], ((ends[0] - ends[1]) / (2 * h)).T[smooth], rtol=1e-6, atol=1e-6)
     assert smooth.sum() > 200
 
 
@@ -116,27 +116,27 @@ def test_the_network_is_the_same_in_onnx(boat):
 
 def test_json_is_read_again_as_the_model(boat, run):
     (content,) = FORMATS["json"].files(boat, run).values()
-    found = json.loads(content, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
-    again = SurgeModel(found["mass"]["value"], {name: each["value"] for name, each in found["model"].items()})
+    read = json.loads(content, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+    again = SurgeModel(read["mass"]["value"], {name: each["value"] for name, each in read["model"].items()})
     assert again == boat.model
-    top = found["identified"]["quantities"]["steady_speed_full"]
+    top = read["identified"]["quantities"]["steady_speed_full"]
     assert top["low"] < top["value"] < top["high"] and top["unit"] == "m/s"
-    curve = found["curves"]["steady_speed"]
+    curve = read["curves"]["steady_speed"]
     assert curve["value"][-1] == pytest.approx(top["value"]) and curve["unit"] == "m/s"
-    assert found["commands"]["command_left"]["span"] == 1.0
-    assert "coefficients of drag are negative" in found["signs"] and found["mass"]["unit"] == "kg"
+    assert read["commands"]["command_left"]["span"] == 1.0
+    assert "coefficients of drag are negative" in read["signs"] and read["mass"]["unit"] == "kg"
 
 
 def test_mat_is_read_again_by_scipy(boat):
     from scipy.io import loadmat
 
-    found = loadmat(io.BytesIO(mat_file(boat)), simplify_cells=True)["boat"]
-    assert found["model"]["drag_linear"]["value"] == boat.model.coefficients["drag_linear"]
-    assert found["identified"]["quantities"]["thrust_full_left"]["low"] == boat.identified["thrust_full_left"].low
-    np.testing.assert_array_equal(found["covariance"]["matrix"], boat.identified.covariance)
-    assert list(found["covariance"]["parameters"])[:1] == ["drag_quadratic"]
-    assert found["covariance"]["matrix"].dtype == np.float64  # a matrix in MATLAB, not a cell of numbers
-    assert isinstance(found["model"]["drag_linear"]["value"], float)
+    read = loadmat(io.BytesIO(mat_file(boat)), simplify_cells=True)["boat"]
+    assert read["model"]["drag_linear"]["value"] == boat.model.coefficients["drag_linear"]
+    assert read["identified"]["quantities"]["thrust_full_left"]["low"] == boat.identified["thrust_full_left"].low
+    np.testing.assert_array_equal(read["covariance"]["matrix"], boat.identified.covariance)
+    assert list(read["covariance"]["parameters"])[:1] == ["drag_quadratic"]
+    assert read["covariance"]["matrix"].dtype == np.float64  # a matrix in MATLAB, not a cell of numbers
+    assert isinstance(read["model"]["drag_linear"]["value"], float)
 
 
 @pytest.mark.parametrize("element", [0, 1])
@@ -145,13 +145,13 @@ def test_csv_has_what_the_run_published(boat, run, element):
     rows = list(csv.DictReader(csv_table(stretches(run, name)).decode().splitlines()))
     arrays = [np.load(path) for path in sorted((run / "predictions").glob("*.npz"))]
     for key, column in (("time", "time"), ("measured_surge", "measured_surge"), ("command_left", "command_left")):
-        found = np.array([float(row[column] or "nan") for row in rows])
-        np.testing.assert_array_equal(found, np.concatenate([each[key][:, element] for each in arrays]))
+        array = np.array([float(row[column] or "nan") for row in rows])
+        np.testing.assert_array_equal(array, np.concatenate([each[key][:, element] for each in arrays]))
     place = arrays[0]["estimators"].tolist().index("ensemble")
     for column, key in (("ensemble", "predictions"), ("ensemble_halfwidth", "halfwidths")):
-        found = np.array([float(row[column] or "nan") for row in rows])
+        array = np.array([float(row[column] or "nan") for row in rows])
         expected = np.concatenate([each[key][:, element, place] for each in arrays])
-        np.testing.assert_array_equal(found, np.where(np.isinf(expected), np.nan, expected))  # the first ten intervals
+        np.testing.assert_array_equal(array, np.where(np.isinf(expected), np.nan, expected))  # the first ten intervals
     assert len({row["run"] for row in rows}) == 2
 
 
@@ -188,13 +188,13 @@ def test_every_simulator_has_the_same_boat(boat):
         return speed
 
     mss, gz, vrx = names["mss"], names["gz_sim"], names["vrx"]
-    found = [
+    speeds = [
         settled(lambda u: (mss["Xu"] * u + mss["Xuu"] * abs(u) * u + force) / (mss["m"] - mss["Xudot"])),
         settled(lambda u: ((gz["xU"] + gz["xUabsU"] * abs(u)) * u + force) / (gz["mass"] - gz["xDotU"])),
         settled(lambda u: (-(vrx["xU"] + vrx["xUU"] * abs(u)) * u + force) / (vrx["mass"] + vrx["xDotU"])),
     ]
     expected = float(without_thrust_loss(boat.model).ahead.steady_speed(1.0))
-    np.testing.assert_allclose(found, expected, rtol=1e-6)
+    np.testing.assert_allclose(speeds, expected, rtol=1e-6)
     assert gz["xU"] < 0 < vrx["xU"]
 
 

@@ -48,9 +48,9 @@ def planar(request, folder):
     """A boat of a run that learned a yaw rate, and perhaps a sway."""
     model = drawn_planar(np.random.default_rng(5), request.param)
     save_planar(folder, "heron1", learned(model))
-    found = read_planar(*read_boats(folder), folder)
-    assert found is not None and found.model == dataclasses.replace(model, surge=found.boat.model)
-    return found
+    boat = read_planar(*read_boats(folder), folder)
+    assert boat is not None and boat.model == dataclasses.replace(model, surge=boat.boat.model)
+    return boat
 
 
 def simulated(model: PlanarModel) -> tuple[Motion, np.ndarray, np.ndarray]:
@@ -86,11 +86,11 @@ def test_casadi_makes_the_simulation_and_has_its_jacobian(planar):
     exec(compile(content, "boat_planar_casadi", "exec"), module)  # our own text
     step = module["planar_step"]()
     start, given, expected = simulated(planar.model)
-    state, found = np.array(start), []
+    state, states = np.array(start), []
     for left, right, dt, *current in given.T:
         state = np.array(step(state, [left, right], current, dt)).ravel()
-        found.append(state)
-    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
+        states.append(state)
+    np.testing.assert_allclose(states, expected, rtol=1e-12, atol=1e-12)
     slopes = step.factory("slopes", step.name_in(), ["jac:state_next:state", "jac:state_next:command"])
     h, smooth = 1e-6, 0
     for state, (left, right, dt, *current) in zip(expected[:60], given.T, strict=False):
@@ -106,16 +106,16 @@ def test_casadi_makes_the_simulation_and_has_its_jacobian(planar):
 
 def test_json_is_read_again_as_the_model(planar):
     (content,) = FORMATS["json"].planar(planar).values()
-    found = json.loads(content, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+    read = json.loads(content, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
 
     def numbers(part: str) -> dict | None:
-        return found[part] and {name: each["value"] for name, each in found[part]["model"].items()}
+        return read[part] and {name: each["value"] for name, each in read[part]["model"].items()}
 
-    surge = SurgeModel(found["surge"]["mass"]["value"], numbers("surge"))
+    surge = SurgeModel(read["surge"]["mass"]["value"], numbers("surge"))
     assert PlanarModel(surge, numbers("yaw"), numbers("sway")) == planar.model
-    assert found["yaw"]["model"]["linear"]["unit"] == "1/s" and found["yaw"]["learned"]["updates"] == 100
-    assert (found["sway"] is None) == (found["lacks"] != []) == (planar.model.sway is None)
-    assert found["set"]["planar"]["file"] == planar.path.name and "to starboard" in found["signs"]
+    assert read["yaw"]["model"]["linear"]["unit"] == "1/s" and read["yaw"]["learned"]["updates"] == 100
+    assert (read["sway"] is None) == (read["lacks"] != []) == (planar.model.sway is None)
+    assert read["set"]["planar"]["file"] == planar.path.name and "to starboard" in read["signs"]
 
 
 def exported(folder, capsys, formats="json,c,casadi") -> tuple[list[str], str]:
@@ -138,8 +138,8 @@ def test_a_run_without_a_planar_model_exports_what_it_did(folder, capsys):
 
 def test_a_sway_that_was_never_measured_is_told(planar, folder, capsys):
     _, said = exported(folder, capsys)
-    told = "heron1: The sway was measured 0 times, expected 20: v is 0 in the planar model."
-    assert (told in " ".join(said.split())) == (planar.model.sway is None)
+    sentence = "heron1: The sway was measured 0 times, expected 20: v is 0 in the planar model."
+    assert (sentence in " ".join(said.split())) == (planar.model.sway is None)
     assert ("The sway was measured 0 times" in (folder / "export" / "heron1_planar.h").read_text()) == (
         planar.model.sway is None
     )

@@ -37,24 +37,24 @@ def fitted():
 
 
 def test_a_checkpoint_has_the_whole_boat(fitted):
-    found = FittedBoat.read(json.loads(json.dumps(fitted.identified.facts(), allow_nan=False)))
-    assert found.json() == fitted.identified.json() and found.lacks == fitted.identified.lacks
-    assert found.lag(0.4) == fitted.identified.lag(0.4) and found.beside.common == fitted.identified.beside.common
-    np.testing.assert_array_equal(found.covariance, fitted.identified.covariance)
-    np.testing.assert_array_equal(found.every(found.theta), fitted.fit.theta)
-    assert repr(found).splitlines()[1].split()[0] == "drag_quadratic" and "Fitted to 3 missions" in repr(found)
+    read = FittedBoat.read(json.loads(json.dumps(fitted.identified.facts(), allow_nan=False)))
+    assert read.json() == fitted.identified.json() and read.lacks == fitted.identified.lacks
+    assert read.lag(0.4) == fitted.identified.lag(0.4) and read.beside.common == fitted.identified.beside.common
+    np.testing.assert_array_equal(read.covariance, fitted.identified.covariance)
+    np.testing.assert_array_equal(read.every(read.theta), fitted.fit.theta)
+    assert repr(read).splitlines()[1].split()[0] == "drag_quadratic" and "Fitted to 3 missions" in repr(read)
 
 
 @pytest.mark.parametrize("turns", [True, False])
 def test_that_a_boat_hardly_turned_is_said(turns):
     rows = rows_of_boat()
     rows[:, YAW_RATE] *= turns
-    made = Missions([rows], TOP)
-    fits = {"nine": made.fit("nine")}
-    found = FittedBoat.of(made, fits, choose(made, fits)[1], "nine", MASS, (), 0.3)
-    assert any("the boat hardly turns" in each for each in found.lacks) != turns
+    sailed = Missions([rows], TOP)
+    fits = {"nine": sailed.fit("nine")}
+    boat = FittedBoat.of(sailed, fits, choose(sailed, fits)[1], "nine", MASS, (), 0.3)
+    assert any("the boat hardly turns" in each for each in boat.lacks) != turns
     lag = fits["nine"].theta[PLACE_TIME]
-    assert found.lag(0.4)[0] == pytest.approx(0.3 + lag) and FittedBoat.read(found.facts()).late == 0.3
+    assert boat.lag(0.4)[0] == pytest.approx(0.3 + lag) and FittedBoat.read(boat.facts()).late == 0.3
 
 
 def test_a_fit_of_a_version_whose_sets_had_no_lag_is_read(fitted):
@@ -117,21 +117,21 @@ def test_what_the_commands_do_not_show_is_said():
 def test_joint_filters_go_on_from_the_fit(fitted):
     joint = JointEKF(surge_max=TOP, mass=MASS, estimate_every=600.0, even=None)
     leaves = {name: leaf.detach().numpy() for name, leaf in named_leaves(joint.init())}
-    found, facts = handed_over(leaves, joint.description(), fitted, dt=0.4)
-    assert facts == {FITTED: fitted.identified.facts()} and set(found) == set(leaves)
-    assert all(found[name].shape == leaf.shape and found[name].dtype == leaf.dtype for name, leaf in leaves.items())
+    handed, facts = handed_over(leaves, joint.description(), fitted, dt=0.4)
+    assert facts == {FITTED: fitted.identified.facts()} and set(handed) == set(leaves)
+    assert all(handed[name].shape == leaf.shape and handed[name].dtype == leaf.dtype for name, leaf in leaves.items())
     cubic = fitted.fits["cubic"]
-    own = names(even=False)
-    expected = np.array([cubic.theta[AT[name]] for name in own])
+    named = names(even=False)
+    expected = np.array([cubic.theta[AT[name]] for name in named])
     expected[-1] = min((expected[-1] * DT + cubic.theta[PLACE_TIME]) / 0.4, LAG_MOST)
-    np.testing.assert_allclose(found["mean"][THETA:], expected, rtol=1e-12)
-    np.testing.assert_array_equal(found["mean"][:THETA], leaves["mean"][:THETA])
-    P, before = covariance_of(found["factor"]), covariance_of(leaves["factor"])
+    np.testing.assert_allclose(handed["mean"][THETA:], expected, rtol=1e-12)
+    np.testing.assert_array_equal(handed["mean"][:THETA], leaves["mean"][:THETA])
+    P, before = covariance_of(handed["factor"]), covariance_of(leaves["factor"])
     np.testing.assert_allclose(P[:THETA, :THETA], before[:THETA, :THETA], rtol=1e-9, atol=1e-12)
     assert not P[:THETA, THETA:].any()
-    places = [list(cubic.known.active).index(AT[name]) for name in own[:-1]]
+    places = [list(cubic.known.active).index(AT[name]) for name in named[:-1]]
     np.testing.assert_allclose(P[THETA:-1, THETA:-1], spread(cubic)[np.ix_(places, places)], rtol=1e-6, atol=1e-12)
-    online = identify(joint.description(), found)
+    online = identify(joint.description(), handed)
     for name in ("steady_speed_full", "drag_half_speed", "thrust_full_left"):
         each = online[name]
         assert each.low <= fitted.quantities[name].value <= each.high, name
@@ -141,12 +141,12 @@ def test_a_filter_that_goes_on_from_a_fit_makes_no_trial(fitted):
     joint = JointEKF(surge_max=TOP, mass=MASS, trial=Trial())
     leaves = {name: leaf.detach().numpy() for name, leaf in named_leaves(joint.init())}
     begun = {name: leaf + 3.0 for name, leaf in leaves.items() if name.startswith("trial.")}
-    found, _ = handed_over(leaves | begun, joint.description(), fitted, dt=0.4)
+    handed, _ = handed_over(leaves | begun, joint.description(), fitted, dt=0.4)
     for name in ("statistic", "last", "usual", "evidence", "best", "run", "tried", "leads", "early"):
-        assert found[f"trial.{name}"] == 0.0
-    for name, own in (("mean", "mean"), ("factor", "factor"), ("kept", "reading"), ("before", "reading")):
-        np.testing.assert_array_equal(found[f"trial.{name}"], found[own])
-    assert (found["trial.past_mean"] == found["mean"]).all()
+        assert handed[f"trial.{name}"] == 0.0
+    for name, source in (("mean", "mean"), ("factor", "factor"), ("kept", "reading"), ("before", "reading")):
+        np.testing.assert_array_equal(handed[f"trial.{name}"], handed[source])
+    assert (handed["trial.past_mean"] == handed["mean"]).all()
 
 
 def test_a_covariance_is_factored_and_back():

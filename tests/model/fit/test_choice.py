@@ -21,21 +21,21 @@ def missions(terms: str, count: int, noise: float = 0.05) -> tuple[Missions, np.
     theta, known, rng = boat(5), prior(terms, TOP), np.random.default_rng(1)
     theta[np.setdiff1d(np.arange(len(NAMES)), known.active)] = 0.0
     theta[PLACE_LAG], theta[PLACE_TIME] = 0.2 * (PLACE_LAG in known.active), 0.2 * (PLACE_TIME in known.active)
-    found = []
+    all_rows = []
     for seed in range(count):
         rows = mission(2000, seed)
         rows[1:, SURGE] = simulated(rows, theta, terms)[1:] + noise * rng.standard_normal(len(rows) - 1)
         rows[1:, MODE] = LEARN
-        found.append(rows)
-    return Missions(found, TOP), theta
+        all_rows.append(rows)
+    return Missions(all_rows, TOP), theta
 
 
 @pytest.mark.parametrize("terms", ["nine", "thrust curves"])
 @pytest.mark.parametrize("count", [1, 8])
 def test_the_terms_that_made_the_data_are_used(terms, count):
-    made, _ = missions(terms, count, 0.01)
-    fits = {name: made.fit(name) for name in ("nine", "cubic", "thrust curves")}
-    chosen, scores = choose(made, fits)
+    sailed, _ = missions(terms, count, 0.01)
+    fits = {name: sailed.fit(name) for name in ("nine", "cubic", "thrust curves")}
+    chosen, scores = choose(sailed, fits)
     assert chosen == terms
     assert scores[terms].gain == 0 if count > 1 else np.isnan(scores[terms].gain)
     assert np.isfinite(scores["cubic"].error) == (count >= FEWEST)
@@ -45,49 +45,49 @@ def test_the_terms_that_made_the_data_are_used(terms, count):
 def test_a_mission_is_left_out_as_by_a_fit_without_it(few, tolerance, monkeypatch):
     """By one step, and where there are few by more."""
     monkeypatch.setattr(choice, "FEW", few)
-    made, _ = missions("cubic", 5)
-    fit = made.fit("cubic")
-    quick = left_out(made, fit, fit.deviation)
+    sailed, _ = missions("cubic", 5)
+    fit = sailed.fit("cubic")
+    quick = left_out(sailed, fit, fit.deviation)
     for k in range(5):
-        others = Missions([rows for j, rows in enumerate(made.rows) if j != k], TOP).fit("cubic")
-        assert quick[k] == pytest.approx(made.loss(others.theta, fit.deviation, k) / made.steps[k], abs=tolerance)
+        others = Missions([rows for j, rows in enumerate(sailed.rows) if j != k], TOP).fit("cubic")
+        assert quick[k] == pytest.approx(sailed.loss(others.theta, fit.deviation, k) / sailed.steps[k], abs=tolerance)
 
 
 def test_a_boat_at_rest_counts_nowhere_and_absurd_parameters_end_in_an_infinite_loss():
-    made, _ = missions("nine", 1)
+    sailed, _ = missions("nine", 1)
     still = mission(500)
     still[1:, MODE] = LEARN
     still[:, :SURGE] *= 0
     still[:, SURGE] = 0.0
     assert not scored(still).any() and Missions([still], TOP).steps == [0]
-    theta = made.fit("nine").theta * np.nan
-    assert made.evaluate("nine", theta, 0.1).loss[0] == np.inf
+    theta = sailed.fit("nine").theta * np.nan
+    assert sailed.evaluate("nine", theta, 0.1).loss[0] == np.inf
 
 
 def test_intervals_hold_and_shrink_with_the_missions():
     widths = []
     for count in (4, 16):
-        made, theta = missions("cubic", count)
-        fits = {"cubic": made.fit("cubic")}
-        chosen, scores = choose(made, fits)
-        found, truth = intervals(fits, scores, chosen, MASS), quantities(theta, TOP, MASS)
-        inside = [found[name].low <= truth[name] <= found[name].high for name in truth]
+        sailed, theta = missions("cubic", count)
+        fits = {"cubic": sailed.fit("cubic")}
+        chosen, scores = choose(sailed, fits)
+        known, truth = intervals(fits, scores, chosen, MASS), quantities(theta, TOP, MASS)
+        inside = [known[name].low <= truth[name] <= known[name].high for name in truth]
         assert np.mean(inside) >= 0.8
         widths.append(np.sqrt(np.diag(spread(fits["cubic"]))))
     assert np.median(widths[1] / widths[0]) < 0.7  # a half, by the square root of four times the missions
 
 
 def test_what_is_compared_is_the_set_that_is_used():
-    made, _ = missions("cubic", 4)
-    fits = {name: made.fit(name) for name in ("nine", "cubic")}
-    chosen, scores = choose(made, fits, "nine")
+    sailed, _ = missions("cubic", 4)
+    fits = {name: sailed.fit(name) for name in ("nine", "cubic")}
+    chosen, scores = choose(sailed, fits, "nine")
     assert chosen == "nine" and scores["nine"].gain == 0 < scores["cubic"].gain
 
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_a_fit_is_saved_as_json_without_nan(count):
-    made, _ = missions("nine", count)
-    short = {name: rows[:800] for name, rows in zip(made.names, made.rows, strict=True)}  # not cut
+    sailed, _ = missions("nine", count)
+    short = {name: rows[:800] for name, rows in zip(sailed.names, sailed.rows, strict=True)}  # not cut
     facts = fit_boat("a", short, MASS, TOP, "nine").json()
     json.dumps(facts, allow_nan=False)
     assert facts["terms"] == "nine" and all(each["error"] is None for each in facts["sets"].values())

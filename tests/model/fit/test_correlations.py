@@ -17,10 +17,10 @@ def held(rng: np.random.Generator, count: int) -> np.ndarray:
 
 def slow(rng: np.random.Generator, count: int) -> np.ndarray:
     """Errors that are alike for some seconds, and noise."""
-    found, driven = np.zeros(count), rng.standard_normal(count)
+    errors, driven = np.zeros(count), rng.standard_normal(count)
     for k in range(1, count):
-        found[k] = 0.98 * found[k - 1] + driven[k]
-    return found + 3 * rng.standard_normal(count)
+        errors[k] = 0.98 * errors[k - 1] + driven[k]
+    return errors + 3 * rng.standard_normal(count)
 
 
 def test_pairs_are_those_of_one_mission_on_its_clock():
@@ -49,8 +49,8 @@ def test_white_errors_are_within_the_bounds_as_often_as_these_say():
         errors = [rng.standard_normal(3000) for _ in range(3)]
         for each in errors:
             each[rng.random(3000) < 0.3] = np.nan
-        found = autocorrelation(errors, DT)
-        inside.append(np.mean(np.abs(found.values) <= found.bounds))
+        result = autocorrelation(errors, DT)
+        inside.append(np.mean(np.abs(result.values) <= result.bounds))
     assert np.mean(inside) == pytest.approx(0.99, abs=0.006)  # 3600 lags: three deviations are 0.005
 
 
@@ -59,10 +59,10 @@ def test_bounds_know_that_errors_and_commands_depend_on_themselves():
     for _ in range(30):
         errors, commands = [slow(rng, 3000) for _ in range(3)], [held(rng, 3000) for _ in range(3)]
         errors[0][500:900] = np.nan
-        found = cross_correlation(errors, commands, DT)
-        assert found.lags[0] == -BEFORE and found.lags[-1] == REACH
-        inside.append(np.mean(np.abs(found.values) <= found.bounds))
-        narrow.append(np.mean(np.abs(found.values) <= 2.58 / np.sqrt(9000)))
+        result = cross_correlation(errors, commands, DT)
+        assert result.lags[0] == -BEFORE and result.lags[-1] == REACH
+        inside.append(np.mean(np.abs(result.values) <= result.bounds))
+        narrow.append(np.mean(np.abs(result.values) <= 2.58 / np.sqrt(9000)))
     assert np.mean(inside) == pytest.approx(0.99, abs=0.02)  # neighbouring lags are alike
     assert np.mean(narrow) < 0.6
 
@@ -72,25 +72,25 @@ def test_an_error_that_lags_a_command_shows_at_its_lag(late):
     rng = np.random.default_rng(4)
     commands = [held(rng, 4000) for _ in range(3)]
     errors = [0.3 * np.roll(u, round(late / DT)) + 0.1 * rng.standard_normal(4000) for u in commands]
-    found = cross_correlation(errors, commands, DT)
-    most = np.nanargmax(np.abs(found.values))
-    assert found.lags[most] == late and found.values[most] > 3 * found.bounds[most]
+    result = cross_correlation(errors, commands, DT)
+    most = np.nanargmax(np.abs(result.values))
+    assert result.lags[most] == late and result.values[most] > 3 * result.bounds[most]
 
 
 def test_a_slow_sensor_has_lags_where_it_measures():
     errors = [np.full(6000, np.nan)]
     errors[0][::10] = np.random.default_rng(5).standard_normal(600)  # once a second
-    found = autocorrelation(errors, DT)
-    assert (np.isfinite(found.values) == (found.lags % 1.0 == 0)).all()
+    result = autocorrelation(errors, DT)
+    assert (np.isfinite(result.values) == (result.lags % 1.0 == 0)).all()
 
 
 def test_lags_near_the_length_of_missions_are_unknown_and_so_is_what_never_varies():
     rng = np.random.default_rng(6)
     short = [rng.standard_normal(310) for _ in range(5)]
-    found = autocorrelation(short, DT)
-    assert np.isfinite(found.values[found.lags < 23]).all() and np.isnan(found.values[found.lags > 24]).all()
+    lags = autocorrelation(short, DT)
+    assert np.isfinite(lags.values[lags.lags < 23]).all() and np.isnan(lags.values[lags.lags > 24]).all()
     still = [np.full(310, 0.1) for _ in short]
-    for found in (cross_correlation(short, still, DT), cross_correlation(still, short, DT)):
-        assert np.isnan(found.values).all() and np.isnan(found.bounds).all()
-    for found in (autocorrelation([np.full(9, np.nan)], DT), cross_correlation([np.full(9, np.nan)], [np.ones(9)], DT)):
-        assert np.isnan(found.values).all()
+    for lags in (cross_correlation(short, still, DT), cross_correlation(still, short, DT)):
+        assert np.isnan(lags.values).all() and np.isnan(lags.bounds).all()
+    for lags in (autocorrelation([np.full(9, np.nan)], DT), cross_correlation([np.full(9, np.nan)], [np.ones(9)], DT)):
+        assert np.isnan(lags.values).all()

@@ -96,8 +96,8 @@ def fit_of(terms: str = "cubic", count: int = 3) -> Fit:
 def test_gradients_are_those_of_closed_forms():
     """Thrust is linear in its parameters; of a steady speed it is that of an implicit function."""
     fit = fit_of()
-    found, own = gradients(fit, MASS), [NAMES[place] for place in fit.known.active]
-    for name, value in zip(own, found["thrust_full_left"], strict=True):
+    slopes, named = gradients(fit, MASS), [NAMES[place] for place in fit.known.active]
+    for name, value in zip(named, slopes["thrust_full_left"], strict=True):
         assert value == pytest.approx(MASS * (name in [f"thrust_{x}_left" for x in ("linear", "quadratic", "cubic")]))
     slope = 1 / 2.5 - CurvedAhead(fit.theta, TOP).lift
     acts = {
@@ -107,7 +107,7 @@ def test_gradients_are_those_of_closed_forms():
         "command_lag": 0.0,
         "thruster_time_constant": 0.0,
     }
-    for name, value in zip(own, found["steady_speed_full"], strict=True):
+    for name, value in zip(named, slopes["steady_speed_full"], strict=True):
         force = acts.get(name, TOP if "speed" in name else 1.0)
         assert value == pytest.approx(force / slope, rel=0.02, abs=1e-9), name
 
@@ -120,18 +120,18 @@ def test_an_interval_adds_the_spread_the_disagreement_and_the_own_error():
     fits = {"cubic": fit, "even": other, "nine": far}
     scores = {name: Score(np.zeros(3), gain, 0.01) for name, gain in (("cubic", 0), ("even", -0.02), ("nine", -0.021))}
     assert alike(scores, "cubic") == ["even"]
-    found = intervals(fits, scores, "cubic", MASS)["thrust_full_left"]
+    thrust = intervals(fits, scores, "cubic", MASS)["thrust_full_left"]
     A = np.linalg.inv(fit.information.sum(0) + fit.known.information)
     away = fit.score - fit.score.mean(0)
     S = A + (1.0 + 9.0 / 3) * A @ (3 / 2 * away.T @ away) @ A
     np.testing.assert_allclose(spread(fit), S, rtol=1e-9)
-    own = [NAMES[place] for place in fit.known.active]
-    slope = MASS * np.array([name in [f"thrust_{x}_left" for x in ("linear", "quadratic", "cubic")] for name in own])
+    named = [NAMES[place] for place in fit.known.active]
+    slope = MASS * np.array([name in [f"thrust_{x}_left" for x in ("linear", "quadratic", "cubic")] for name in named])
     value = MASS * TOP * (0.5 / 2.5 + 0.25 / 2.5) / 2
     deviation = math.sqrt(slope @ S @ slope + (MASS * 0.05) ** 2 + (0.015 * value) ** 2)
-    assert found.value == pytest.approx(value) and found.unit == "N"
-    assert found.high == pytest.approx(value + 1.645 * deviation, rel=1e-3)
-    assert found.low == pytest.approx(value - 1.645 * deviation, rel=1e-3)
+    assert thrust.value == pytest.approx(value) and thrust.unit == "N"
+    assert thrust.high == pytest.approx(value + 1.645 * deviation, rel=1e-3)
+    assert thrust.low == pytest.approx(value - 1.645 * deviation, rel=1e-3)
     one = fit_of(count=1)
     np.testing.assert_allclose(spread(one), one.covariance)
 
@@ -179,8 +179,8 @@ def test_limits_leave_what_is_legal_and_move_what_is_not():
             theta[PLACE_TIME] = time
             assert legal(theta.copy(), known, covariance)[PLACE_TIME] == limit
         theta[AT["drag_quadratic"]], theta[AT["drag_even"]] = 0.1, 0.2 * (AT["drag_even"] in known.active)
-        found = legal(theta.copy(), known, covariance)
-        assert found[AT["drag_quadratic"]] + abs(found[AT["drag_even"]]) <= 1e-9
+        moved = legal(theta.copy(), known, covariance)
+        assert moved[AT["drag_quadratic"]] + abs(moved[AT["drag_even"]]) <= 1e-9
 
 
 def test_a_current_that_differs_more_than_its_mean_is_not_expected():
@@ -197,9 +197,9 @@ def test_measured_steps_of_a_boat_that_moves_are_counted():
     rows[30:40, MODE] = PREDICT
     resting = rows.copy()
     resting[:, [LEFT, RIGHT, SURGE]] = 0.0
-    made = Missions([rows, rows[:1], resting], TOP, ["a", "b", "c"])
-    assert made.steps == [50, 0, 0]
-    fit = made.evaluate("nine", prior("nine", TOP).mean, 0.1)
+    sailed = Missions([rows, rows[:1], resting], TOP, ["a", "b", "c"])
+    assert sailed.steps == [50, 0, 0]
+    fit = sailed.evaluate("nine", prior("nine", TOP).mean, 0.1)
     assert fit.count.tolist() == [50, 0, 0] and fit.loss[0] != 0 and fit.loss[1:].tolist() == [0, 0]
     assert not fit.score[1:].any() and not fit.information[1:].any()
     assert (fit.information[0] == fit.information[0].T).all() and np.linalg.eigvalsh(fit.information[0])[0] > -1e-9
@@ -207,13 +207,13 @@ def test_measured_steps_of_a_boat_that_moves_are_counted():
 
 def found_boat(quantities_: dict[str, Quantity], doubts: tuple[str, ...] = ()) -> SimpleNamespace:
     """What `tables` reads of a fitted boat."""
-    own = SimpleNamespace(
+    boat = SimpleNamespace(
         displayed=quantities_.__getitem__, scale="By a mass of 28 kg.", late=0.3, lacks=("It never turned.",)
     )
     fits = {"nine": fit_of("nine", 2), "cubic": fit_of("cubic", 2)}
     return SimpleNamespace(
         boat="heron", missions=SimpleNamespace(number=2), doubts=doubts, quantities=quantities_,
-        identified=own, fits=fits, fit=fits["cubic"], chosen="cubic", simulation=None,
+        identified=boat, fits=fits, fit=fits["cubic"], chosen="cubic", simulation=None,
         scores={"nine": Score(np.zeros(2), -0.5, math.inf), "cubic": Score(np.zeros(2), 0.0, 0.0)},
         errors={"nine": 0.0512, "cubic": 0.0341},
     )  # fmt: skip
@@ -247,7 +247,7 @@ def test_the_tables_of_a_fit_have_a_cell_for_each_head():
 
 def test_quantities_of_the_prior_are_closed_forms():
     """Drag l v + q v² and thrust full (ξ + ξ²)/2 of each side, without curves."""
-    found, full = quantities(prior("nine", TOP).mean, TOP, MASS), MASS * TOP * 0.3 / 2
+    values, full = quantities(prior("nine", TOP).mean, TOP, MASS), MASS * TOP * 0.3 / 2
     linear, quadratic = MASS * 0.2, MASS * 0.1 / TOP
     half = linear * TOP / 2 + quadratic * TOP**2 / 4
     expected = {
@@ -257,4 +257,4 @@ def test_quantities_of_the_prior_are_closed_forms():
         "steady_speed_half": (-linear + math.sqrt(linear**2 + 4 * quadratic * 2 * full * 0.375)) / (2 * quadratic),
     }  # fmt: skip
     for name, value in expected.items():
-        assert float(found[name]) == pytest.approx(value, rel=1e-6), name
+        assert float(values[name]) == pytest.approx(value, rel=1e-6), name

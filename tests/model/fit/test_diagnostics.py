@@ -20,9 +20,9 @@ def array(x) -> np.ndarray:
 
 
 def test_a_mission_in_numbers():
-    made, fit = missions(2)
-    found = diagnostics(Missions(made.rows, TOP, ["a", "b"]), fit, MASS)
-    for row, rows, (speed, current) in zip(found["missions"], made.rows, made.simulate(fit), strict=True):
+    sailed, fit = missions(2)
+    numbers = diagnostics(Missions(sailed.rows, TOP, ["a", "b"]), fit, MASS)
+    for row, rows, (speed, current) in zip(numbers["missions"], sailed.rows, sailed.simulate(fit), strict=True):
         error, measured = (speed - rows[:, SURGE])[1:], rows[1:, SURGE]
         assert row["steps"] == 2000 and row["minutes"] == pytest.approx(2000 * 0.2 / 60, rel=0.01)
         assert row["mae"] == pytest.approx(np.abs(error).mean(), rel=1e-4) == pytest.approx(0.04, rel=0.05)
@@ -31,36 +31,36 @@ def test_a_mission_in_numbers():
             100 * (1 - np.linalg.norm(error) / np.linalg.norm(measured - measured.mean())), rel=1e-4
         )
         np.testing.assert_allclose(row["current"], current, rtol=1e-4)
-    assert [row["name"] for row in found["missions"]] == ["a", "b"]
+    assert [row["name"] for row in numbers["missions"]] == ["a", "b"]
 
 
 def test_errors_of_the_boat_that_made_the_data_are_white_and_those_of_another_are_not():
-    made, fit = missions()
-    found = diagnostics(made, fit, MASS)
+    sailed, fit = missions()
+    numbers = diagnostics(sailed, fit, MASS)
     wrong = fit.theta.copy()
     wrong[fit.known.active] *= 1.4
-    other = diagnostics(made, made.evaluate(fit.terms, wrong, fit.deviation), MASS)
+    other = diagnostics(sailed, sailed.evaluate(fit.terms, wrong, fit.deviation), MASS)
 
     def beyond(some) -> float:
         return float(np.nanmean(np.abs(array(some["values"])) > array(some["bounds"])))
 
-    parts = [[each["autocorrelation"], each["cross_correlation"]["mean"]] for each in (found, other)]
+    parts = [[each["autocorrelation"], each["cross_correlation"]["mean"]] for each in (numbers, other)]
     assert max(map(beyond, parts[0])) < 0.05 and min(map(beyond, parts[1])) > 0.05
 
 
 def test_the_worst_minute_is_found_and_shown_with_what_is_around_it():
-    made, fit = missions(SHOWN + 2)
-    made.rows[2][1001:1301, SURGE] += 0.3  # a minute from 200 s on
-    found = diagnostics(made, fit, MASS)
-    assert found["missions"][2]["worst"]["start"] == pytest.approx(200, abs=3)
-    assert len(found["worst"]) == SHOWN
-    course = found["worst"][0]
+    sailed, fit = missions(SHOWN + 2)
+    sailed.rows[2][1001:1301, SURGE] += 0.3  # a minute from 200 s on
+    numbers = diagnostics(sailed, fit, MASS)
+    assert numbers["missions"][2]["worst"]["start"] == pytest.approx(200, abs=3)
+    assert len(numbers["worst"]) == SHOWN
+    course = numbers["worst"][0]
     time, error = array(course["time"]), array(course["simulated"]) - array(course["measured"])
     assert course["name"] == "3" and time[0] == pytest.approx(170, abs=4) and time[-1] == pytest.approx(290, abs=4)
     inside = (time > 204) & (time < 256)
     assert error[inside].mean() < -0.1 and abs(np.nanmean(error[time < 195])) < 0.1  # a current takes in a part
     places = np.round(time / 0.2).astype(int)
-    np.testing.assert_allclose(array(course["left"]), made.rows[2][places, LEFT], atol=0.2)
+    np.testing.assert_allclose(array(course["left"]), sailed.rows[2][places, LEFT], atol=0.2)
 
 
 def test_a_minute_with_few_measurements_is_not_the_worst():
@@ -77,38 +77,38 @@ def test_a_minute_with_few_measurements_is_not_the_worst():
 
 
 def test_bands_are_the_intervals_of_the_quantities():
-    made, fit = missions()
-    curves = diagnostics(made, fit, MASS)["curves"]
-    found = intervals({"cubic": fit}, {"cubic": Score(np.zeros(3), 0.0, 0.0)}, "cubic", MASS)
+    sailed, fit = missions()
+    curves = diagnostics(sailed, fit, MASS)["curves"]
+    known = intervals({"cubic": fit}, {"cubic": Score(np.zeros(3), 0.0, 0.0)}, "cubic", MASS)
     for side in ("left", "right"):
         curve = curves[f"thrust_{side}"]
         assert curve["at"][-1] == 1.0
         ends = [curve[key][-1] for key in ("value", "low", "high")]
-        assert ends == pytest.approx(found[f"thrust_full_{side}"][:3], rel=1e-3)
+        assert ends == pytest.approx(known[f"thrust_full_{side}"][:3], rel=1e-3)
     assert curves["drag"]["value"][0] == 0 == curves["drag"]["high"][0]
 
 
 def test_another_fit_widens_the_band():
-    made, fit = missions()
+    sailed, fit = missions()
     theta = fit.theta.copy()
     theta[fit.known.active] *= 1.5
-    other = made.evaluate(fit.terms, theta, fit.deviation)
-    alone, beside = (diagnostics(made, fit, MASS, others)["curves"]["drag"] for others in ((), (other,)))
+    other = sailed.evaluate(fit.terms, theta, fit.deviation)
+    alone, beside = (diagnostics(sailed, fit, MASS, others)["curves"]["drag"] for others in ((), (other,)))
     assert beside["value"] == alone["value"] and (array(beside["high"])[1:] > array(alone["high"])[1:]).all()
 
 
 def test_seconds_are_those_in_which_the_boat_sailed():
-    made, fit = missions(2)
-    for rows in made.rows:
+    sailed, fit = missions(2)
+    for rows in sailed.rows:
         rows[:, LEFT] = np.abs(rows[:, LEFT])
-    found = diagnostics(made, fit, MASS)
-    minutes = sum(row["minutes"] for row in found["missions"])
-    for each in found["sailed"].values():
+    numbers = diagnostics(sailed, fit, MASS)
+    minutes = sum(row["minutes"] for row in numbers["missions"])
+    for each in numbers["sailed"].values():
         assert len(each["edges"]) == len(each["seconds"]) + 1
         assert sum(each["seconds"]) == pytest.approx(60 * minutes, rel=1e-3)
-    left = found["sailed"]["left"]
+    left = numbers["sailed"]["left"]
     assert not any(s for edge, s in zip(left["edges"], left["seconds"], strict=False) if edge < -0.01)
-    assert found["sailed"]["speed"]["edges"][-1] == found["curves"]["drag"]["at"][-1]
+    assert numbers["sailed"]["speed"]["edges"][-1] == numbers["curves"]["drag"]["at"][-1]
 
 
 def hold(rows: np.ndarray) -> None:
@@ -139,16 +139,16 @@ def test_logs_of_all_kinds_are_json(change, steps):
     rows = mission(steps)
     rows[1:, MODE], rows[1:, SURGE] = LEARN, 1 + 0.1 * np.random.default_rng(0).standard_normal(steps)
     change(rows)
-    found = diagnostics(Missions([rows], TOP), fit, MASS)
-    json.dumps(found, allow_nan=False)
-    (row,) = found["missions"]
+    numbers = diagnostics(Missions([rows], TOP), fit, MASS)
+    json.dumps(numbers, allow_nan=False)
+    (row,) = numbers["missions"]
     assert (row["mae"] is None) == (change in (unmeasured, still)) and (row["fit"] is None) == (
         change in (unmeasured, still, constant)
     )
     if change is same:
-        assert set(found["cross_correlation"]["difference"]["values"]) == {None}
+        assert set(numbers["cross_correlation"]["difference"]["values"]) == {None}
 
 
 def test_what_is_saved_is_small():
-    made, fit = missions(SHOWN)
-    assert len(json.dumps(diagnostics(made, fit, MASS))) < 110_000  # six courses are most of it
+    sailed, fit = missions(SHOWN)
+    assert len(json.dumps(diagnostics(sailed, fit, MASS))) < 110_000  # six courses are most of it

@@ -18,11 +18,11 @@ def said(theta=(), cross=None, online=None, lag=0.0, **changed: float) -> tuple[
     fit = Missions([], TOP).evaluate("curves", prior("curves", TOP).mean.copy(), 0.1)
     for place, value in theta:
         fit.theta[place] = value
-    found = {name: Quantity(*each.values()) for name, each in facts()["quantities"].items()}
-    found |= {name: Quantity(value, value - 1, value + 1, "") for name, value in changed.items()}
+    values = {name: Quantity(*each.values()) for name, each in facts()["quantities"].items()}
+    values |= {name: Quantity(value, value - 1, value + 1, "") for name, value in changed.items()}
     lags = [-1.0, 0.0, 0.5, 1.0]
     white = {"lags": lags, "values": [0.9, 0.1, 0.1, None], "bounds": [0.1, 0.1, 0.1, None]}
-    return doubts(fit, found, {"mean": white, "difference": white} | (cross or {}), online, lag)
+    return doubts(fit, values, {"mean": white, "difference": white} | (cross or {}), online, lag)
 
 
 def test_nothing_speaks_against_a_good_fit():

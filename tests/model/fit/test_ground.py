@@ -39,19 +39,19 @@ def drifting(seed: int, course: float | None = None, offset: float = OFFSET) -> 
 
 def test_offset_and_current_are_found_with_intervals_that_hold(plain):
     missions = {f"{k}": drifting(k) for k in range(3)}
-    found = with_ground(plain, missions)
-    offset, current = found["compass_offset"], found["current"]
+    boat = with_ground(plain, missions)
+    offset, current = boat["compass_offset"], boat["current"]
     assert offset.low < 5.0 < offset.high and offset.value == pytest.approx(5.0, abs=0.3) and offset.unit == "deg"
     assert current.low < 0.25 < current.high and current.value == pytest.approx(0.25, abs=0.01)
     for name in ("compass_offset", "current", "dead_zone", "thrust_lag"):
-        assert found[name] == FittedBoat.read(found.facts())[name]
+        assert boat[name] == FittedBoat.read(boat.facts())[name]
 
 
 def test_without_ground_or_on_one_course_nothing_is_told(plain):
     for rows, said in ((sailed(), NO_GROUND), (sailed()[:, :ROW], NO_GROUND), (drifting(0, 0.4), FEW_COURSES),
                        (drifting(0)[:3000], FEW_COURSES)):  # fmt: skip
-        found = with_ground(plain, {"1": rows})
-        assert np.isnan([found[name].value for name in ("compass_offset", "current")]).all() and found.lacks[-1] == said
+        boat = with_ground(plain, {"1": rows})
+        assert np.isnan([boat[name].value for name in ("compass_offset", "current")]).all() and boat.lacks[-1] == said
     straight = drifting(1)
     straight[:, [SIN, COS]] = 0.0, 1.0  # its own current is not known; that of another mission is
     assert with_ground(plain, {"1": drifting(0), "2": straight})["current"].value == pytest.approx(0.25, abs=0.01)
@@ -70,21 +70,21 @@ def test_circles_of_one_speed_tell_the_current_alone(plain):
     noise = 0.04 * rng.standard_normal((2, 6000))
     rows[:, ALONG] = 2.0 + CURRENT @ [rows[:, COS], rows[:, SIN]] + noise[0]
     rows[:, ACROSS] = -0.1 + CURRENT @ [-rows[:, SIN], rows[:, COS]] + noise[1]
-    found = with_ground(plain, {"1": rows})
-    assert np.isnan(found["compass_offset"].value) and found.lacks[-1] == CIRCLES
-    assert found["current"].low < 0.25 < found["current"].high
+    boat = with_ground(plain, {"1": rows})
+    assert np.isnan(boat["compass_offset"].value) and boat.lacks[-1] == CIRCLES
+    assert boat["current"].low < 0.25 < boat["current"].high
 
 
 def test_dead_zone_and_lag_are_those_of_the_commands_or_unknown(plain):
-    found = fit_boat("a", {f"{k}": sailed(k) for k in range(2)}, MASS, TOP, "nine").quantities
-    zone = found["dead_zone"]
+    known = fit_boat("a", {f"{k}": sailed(k) for k in range(2)}, MASS, TOP, "nine").quantities
+    zone = known["dead_zone"]
     assert zone.low < 0.06 < zone.high and zone.high - zone.low < 0.04
-    lag = found["thrust_lag"]
+    lag = known["thrust_lag"]
     assert lag.low < TRUE[LAG] < lag.high and lag.unit == "s"
     rows = sailed(steps=900)
     rows[:, RIGHT] = rows[:, LEFT]
-    found = fit_boat("a", {"1": rows}, MASS, TOP, "nine").identified
-    assert np.isnan(found["dead_zone"].value) and NO_DEAD in found.lacks
+    known = fit_boat("a", {"1": rows}, MASS, TOP, "nine").identified
+    assert np.isnan(known["dead_zone"].value) and NO_DEAD in known.lacks
 
 
 @pytest.mark.parametrize("known", ["sway", "fixes", "nothing"])
@@ -100,8 +100,8 @@ def test_the_velocity_over_ground_comes_from_sway_or_fixes_not_from_added_speeds
     if known == "fixes":
         way = np.cumsum(2 * np.cos(heading) - 0.3 * np.sin(heading)) * 0.1, np.cumsum(east) * 0.1
         channels |= {k: Channel(time, x, order, window=0.5) for k, x in zip(("north", "east"), way, strict=True)}
-    found = over_ground(samples, poses(channels, time, samples), time, 0.1)[100:-100]
+    velocity = over_ground(samples, poses(channels, time, samples), time, 0.1)[100:-100]
     if known == "nothing":
-        assert np.isnan(found[:, 1]).all()
+        assert np.isnan(velocity[:, 1]).all()
     else:
-        np.testing.assert_allclose(found, [[2.0, 0.3]] * len(found), atol=0.03)
+        np.testing.assert_allclose(velocity, [[2.0, 0.3]] * len(velocity), atol=0.03)

@@ -45,15 +45,15 @@ def test_the_gradient_is_that_of_finite_differences(terms):
         return kernel.mission(rows, at, *arguments, *memory, np.zeros((4, 3)), np.zeros((3, m)))[0]
 
     rows[1:, SURGE], rows[-1, MODE] = simulated(rows, theta, terms)[1:] + 1.0, LEARN
-    found, step = np.zeros(m), 1e-5
-    loss(theta, found)
+    gradient, step = np.zeros(m), 1e-5
+    loss(theta, gradient)
     for k, place in enumerate(known.active):
         up, down = theta.copy(), theta.copy()
         up[place] += step
         down[place] -= step
         speeds = [simulated(rows, each, terms)[-1] for each in (up, down)]
         slope = (speeds[0] - speeds[1]) / (2 * step)
-        assert -1e8 * found[k] == pytest.approx(slope, rel=1e-3, abs=1e-6), NAMES[place]
+        assert -1e8 * gradient[k] == pytest.approx(slope, rel=1e-3, abs=1e-6), NAMES[place]
 
 
 @pytest.mark.parametrize("terms", [*SETS])
@@ -97,10 +97,10 @@ def test_a_fit_ends_at_the_same_place_wherever_it_starts():
     rows[1:, SURGE] = simulated(rows, theta)[1:] + 0.02 * np.random.default_rng(0).standard_normal(3000)
     rows[1:, MODE] = LEARN
     missions = Missions([rows], TOP)
-    found = missions.fit("cubic")
-    for start in (theta, found.theta, 30 * theta, theta * np.nan):
+    fit = missions.fit("cubic")
+    for start in (theta, fit.theta, 30 * theta, theta * np.nan):
         again = missions.fit("cubic", start)
-        assert again.evidence == pytest.approx(found.evidence, abs=0.5)
+        assert again.evidence == pytest.approx(fit.evidence, abs=0.5)
         for name in ("steady_speed_full", "time_constant"):
-            one, other = (quantities(each.theta, TOP, MASS)[name] for each in (again, found))
+            one, other = (quantities(each.theta, TOP, MASS)[name] for each in (again, fit))
             assert one == pytest.approx(other, rel=5e-3), name

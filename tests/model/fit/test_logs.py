@@ -16,9 +16,9 @@ from usvlearn.model.fit.logs import fine, missions_of, without_losses
 
 def missions(speed: str):
     boat = sail(6)
-    own = {"command_left": boat["l"], "command_right": boat["r"], "heading": boat["psi"], "surge": boat[speed]}
+    named = {"command_left": boat["l"], "command_right": boat["r"], "heading": boat["psi"], "surge": boat[speed]}
     order = np.arange(len(boat["time"]))
-    channels = {name: Channel(boat["time"], value, order, window=1.0) for name, value in own.items()}
+    channels = {name: Channel(boat["time"], value, order, window=1.0) for name, value in named.items()}
     with warnings.catch_warnings(action="ignore"):
         return missions_of(align_fleet([Recording("a", "1", channels, {})], **fine({})), "a")
 
@@ -34,13 +34,13 @@ def event(kind: str, time: float, run: str, side: str = "left") -> dict:
 
 
 def test_what_a_run_has_found_of_lost_thrust_is_left_out(capsys):
-    made = {name: log(3000, k) for k, name in enumerate("abc")}
-    found = without_losses("heron", made, [event("loss", 100.0, "a"), event("recovery", 200.0, "b")])
-    assert (found["b"][:2000, MODE] == HOLD).all() and (found["b"][2000:] == made["b"][2000:]).all()
-    assert (found["a"][:400] == made["a"][:400]).all() and (found["a"][400:, MODE] == HOLD).all()
-    assert (found["c"] == made["c"]).all() and (made["a"][2000:, MODE] == LEARN).all()
+    logs = {name: log(3000, k) for k, name in enumerate("abc")}
+    cut = without_losses("heron", logs, [event("loss", 100.0, "a"), event("recovery", 200.0, "b")])
+    assert (cut["b"][:2000, MODE] == HOLD).all() and (cut["b"][2000:] == logs["b"][2000:]).all()
+    assert (cut["a"][:400] == logs["a"][:400]).all() and (cut["a"][400:, MODE] == HOLD).all()
+    assert (cut["c"] == logs["c"]).all() and (logs["a"][2000:, MODE] == LEARN).all()
     assert "heron: the left thruster lost thrust at 100 s of a" in " ".join(capsys.readouterr().err.split())
-    same = without_losses("heron", made, [event("change", 5.0, "a", ""), event("recovery", 5.0, "a")])
-    assert capsys.readouterr().err == "" and all((same[name] == made[name]).all() for name in made)
+    same = without_losses("heron", logs, [event("change", 5.0, "a", ""), event("recovery", 5.0, "a")])
+    assert capsys.readouterr().err == "" and all((same[name] == logs[name]).all() for name in logs)
     with pytest.raises(ConfigError, match=r"found 389 measured steps with both thrusters whole, expected at least 600"):
-        without_losses("heron", {"a": made["a"]}, [event("loss", 99.0, "a")])
+        without_losses("heron", {"a": logs["a"]}, [event("loss", 99.0, "a")])

@@ -22,9 +22,9 @@ def test_it_is_the_simulation_of_the_model_carried_by_the_current():
     expected = SurgeModel.fitted(theta, TOP, MASS).simulate(
         0.4, steps[:, LEFT], steps[:, RIGHT], steps[:, YAW_RATE], steps[:, DT]
     )
-    found = open_loop(fit, rows, current)
-    np.testing.assert_allclose(found[1:], expected + along[1:], rtol=1e-6, atol=1e-6)
-    assert found[0] == pytest.approx(0.4 + along[1])
+    speed = open_loop(fit, rows, current)
+    np.testing.assert_allclose(speed[1:], expected + along[1:], rtol=1e-6, atol=1e-6)
+    assert speed[0] == pytest.approx(0.4 + along[1])
     rows[100:120, MODE] = HOLD
     held = open_loop(fit, rows, current)
     assert np.isfinite(held).all() and np.ptp(held[100:120]) == 0

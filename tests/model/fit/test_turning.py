@@ -21,14 +21,14 @@ def test_the_gradient_is_that_of_finite_differences():
     """With headings that are missing or wrong, a gyro, a gap, and any parameters."""
     rows, theta = prepared(sailed(steps=400, gyro=True), TOP), MEAN + 0.23
     rows[50:70, at.HEADING], rows[100, at.HEADING], rows[200, MODE], rows[::3, at.RATE] = np.nan, 2.0, HOLD, np.nan
-    found, step = evaluate(theta, [rows[:150], rows[150:]]), 1e-5
+    fit, step = evaluate(theta, [rows[:150], rows[150:]]), 1e-5
     for j in range(at.PARAMETERS):
         up, down = (
             evaluate(theta + step * sign * np.eye(at.PARAMETERS)[j], [rows[:150], rows[150:]]) for sign in (1, -1)
         )
         expected = (up.loss - down.loss) / (2 * step)
-        np.testing.assert_allclose(found.score[:, j], expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max() + 1e-4)
-    assert np.isfinite(found.loss).all() and np.allclose(found.information, found.information.transpose(0, 2, 1))
+        np.testing.assert_allclose(fit.score[:, j], expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max() + 1e-4)
+    assert np.isfinite(fit.loss).all() and np.allclose(fit.information, fit.information.transpose(0, 2, 1))
 
 
 @pytest.mark.parametrize("gyro", [False, True])
@@ -44,8 +44,8 @@ def test_the_parameters_of_a_boat_are_found_again(gyro):
 
 def test_where_there_is_no_gyro_the_surge_gets_the_yaw_rate_of_all_headings():
     rows, true = sailed(), sailed(gyro=True)[:, at.RATE]
-    found, _ = first_fit({"a": rows}, TOP)
-    error = np.abs(found["a"][1:, YAW_RATE] - true[1:])
+    filled, _ = first_fit({"a": rows}, TOP)
+    error = np.abs(filled["a"][1:, YAW_RATE] - true[1:])
     assert np.median(error) < 0.01 < 0.3 * np.median(np.abs(rows[1:, YAW_RATE] - true[1:]))
     rows[:, at.RATE] = true
     np.testing.assert_array_equal(first_fit({"a": rows}, TOP)[0]["a"], rows)
@@ -67,8 +67,8 @@ def test_quantities_have_intervals_that_hold_and_a_checkpoint_has_them():
     again = FittedBoat.read(boat.facts())
     assert again.json() == boat.json() and set(QUANTITIES) <= set(again)
     assert again.turning.explained > 0.9
-    for kept, made in zip(again.turning, boat.turning, strict=True):
-        np.testing.assert_array_equal(kept, made)
+    for x, y in zip(again.turning, boat.turning, strict=True):
+        np.testing.assert_array_equal(x, y)
 
 
 def test_a_boat_that_hardly_turns_is_told_so():
@@ -89,6 +89,6 @@ def test_repeated_headings_and_slopes_of_headings_are_no_measurements():
 @pytest.mark.thorough
 def test_the_fit_of_a_boat_has_quantities_of_turning_where_its_missions_have_headings():
     rows = sailed(2)
-    found = fit_boat("a", {"1": rows}, MASS, TOP, "nine").quantities
-    assert np.isfinite(found["turning_radius_half"].value)
+    values = fit_boat("a", {"1": rows}, MASS, TOP, "nine").quantities
+    assert np.isfinite(values["turning_radius_half"].value)
     assert not set(QUANTITIES) & set(fit_boat("a", {"1": rows[:, :ROW]}, MASS, TOP, "nine").quantities)

@@ -71,8 +71,8 @@ def test_the_loss_of_a_mission_left_out_is_that_of_all_others_solved_again():
     K[-3:, -3:] += 1e12 * np.eye(3)
     theta = fit.theta.copy()
     theta[fit.known.active] += maps[k] @ np.linalg.solve(K, right)
-    found, losses = worn(missions, fit, fit.deviation)
-    theta = legal(theta, fit.known, found.covariance)
+    last, losses = worn(missions, fit, fit.deviation)
+    theta = legal(theta, fit.known, last.covariance)
     assert losses[k] == pytest.approx(missions.loss(theta, fit.deviation, k) / missions.steps[k], rel=1e-6)
 
 

@@ -24,5 +24,5 @@ def saved(tmp_path_factory, reader) -> Path:
 
 @pytest.fixture(scope="session")
 def boat(saved) -> IdentifiedBoat:
-    (found,) = read_boats(saved)
-    return found
+    (read,) = read_boats(saved)
+    return read

@@ -108,8 +108,8 @@ def test_a_boats_name_leads_into_no_other_folder(saved, tmp_path, monkeypatch, c
     leaves, facts = checkpoint.load(saved)
     path = checkpoint.save(tmp_path / "a.safetensors", leaves, **{**facts, "boat": "../../evil\n"})
     assert run(monkeypatch, path, "--minutes", 1, "--out", tmp_path / "in" / "out") == 0
-    made = [each for each in tmp_path.rglob("*") if each.is_file() and each != path]
-    assert len(made) == 1 and all(each.parent == tmp_path / "in" / "out" for each in made)
+    files = [each for each in tmp_path.rglob("*") if each.is_file() and each != path]
+    assert len(files) == 1 and all(each.parent == tmp_path / "in" / "out" for each in files)
 
 
 def test_a_boat_whose_thrust_points_astern_is_not_sent_to_sea(saved, tmp_path, monkeypatch, capsys):

@@ -29,8 +29,8 @@ def plan(rehearsal):
 @pytest.mark.thorough
 def test_a_rehearsal_is_the_recursion_of_the_torch_filter_on_its_own_predictions(rehearsal, boat, reader):
     rows = planned(np.array([1.0, 0.0, 0.5, 0.25]), np.array([0, 1, 3, 2]), Limits(minutes=1.0), STEP).rows
-    own = {key.partition(".")[2].partition(".")[2]: leaf for key, leaf in boat.leaves.items() if ".jointekf." in key}
-    state = type(reader.init())(**{name: torch.as_tensor(leaf) for name, leaf in own.items()})
+    leaves = {key.partition(".")[2].partition(".")[2]: leaf for key, leaf in boat.leaves.items() if ".jointekf." in key}
+    state = type(reader.init())(**{name: torch.as_tensor(leaf) for name, leaf in leaves.items()})
     noise, speeds = state.noise, []
     with torch.no_grad():
         state = reader.start(state, torch.zeros((), dtype=torch.float64))
@@ -39,11 +39,11 @@ def test_a_rehearsal_is_the_recursion_of_the_torch_filter_on_its_own_predictions
             inputs = Inputs(*(torch.tensor(value, dtype=torch.float64) for value in given))
             state = reader.learn(state, inputs, reader.predict(state, inputs)[1])[0]._replace(noise=noise)
             speeds.append(float(state.mean[0]))
-    found = rehearsal(rows)
-    assert found.speed == pytest.approx(speeds, abs=1e-9)
+    ahead = rehearsal(rows)
+    assert ahead.speed == pytest.approx(speeds, abs=1e-9)
     parameters = state.covariance[4:, 4:].numpy()
     assert not np.allclose(parameters, boat.identified.covariance, rtol=0.1)
-    assert (ratio := found.identified.covariance / parameters) == pytest.approx(ratio[0, 0], rel=1e-6)
+    assert (ratio := ahead.identified.covariance / parameters) == pytest.approx(ratio[0, 0], rel=1e-6)
 
 
 def test_a_rehearsal_leaves_the_state_as_it_was(rehearsal, boat):
@@ -75,12 +75,12 @@ def test_a_plan_is_better_than_a_lawn_mower_and_keeps_its_bounds(rehearsal, plan
 def test_no_change_of_one_segment_is_better(rehearsal, plan):
     aims, best = wide(rehearsal.identified), log_width(plan.expected.identified, wide(rehearsal.identified))
     first = np.searchsorted(steps_of(SHORT, STEP), np.arange(SHORT.segments))
-    own, headings = plan.course.throttle[first], np.round((plan.course.wanted[first] - SHORT.heading) / QUARTER)
+    shares, headings = plan.course.throttle[first], np.round((plan.course.wanted[first] - SHORT.heading) / QUARTER)
     worse = 0
     for k in range(SHORT.segments):
         for throttles, quarters in [
-            *((np.where(np.arange(SHORT.segments) == k, share, own), headings) for share in SHARES),
-            *((own, np.where(np.arange(SHORT.segments) == k, q, headings)) for q in range(4)),
+            *((np.where(np.arange(SHORT.segments) == k, share, shares), headings) for share in SHARES),
+            *((shares, np.where(np.arange(SHORT.segments) == k, q, headings)) for q in range(4)),
         ]:
             course = planned(throttles, quarters, SHORT, STEP)
             other = rehearsal(course.rows)
@@ -92,8 +92,8 @@ def test_no_change_of_one_segment_is_better(rehearsal, plan):
 
 def test_a_boat_that_may_go_astern_is_planned_within_its_bounds(rehearsal):
     limits = Limits(minutes=1.0, least=-0.5, most=0.5)
-    found = search(rehearsal, limits, STEP, wide(rehearsal.identified))
-    sides = np.concatenate([found.course.left, found.course.right])
+    best = search(rehearsal, limits, STEP, wide(rehearsal.identified))
+    sides = np.concatenate([best.course.left, best.course.right])
     assert -0.5 <= sides.min() < 0 < sides.max() <= 0.5
 
 
@@ -102,8 +102,8 @@ def test_a_boat_stays_in_a_small_area_in_a_current_that_would_carry_it_out(boat)
     carried = Rehearsal(boat.members, boat.leaves)
     carried.current = np.array([0.2, -0.15])
     limits = Limits(minutes=2.0, area=20.0)  # the current alone goes 30 m
-    found = search(carried, limits, STEP, derived(carried.identified))
-    assert beyond(found.path, limits).max() <= 0.01 and found.course.throttle.max() > 0
+    best = search(carried, limits, STEP, derived(carried.identified))
+    assert beyond(best.path, limits).max() <= 0.01 and best.course.throttle.max() > 0
 
 
 @pytest.mark.thorough

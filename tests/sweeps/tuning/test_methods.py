@@ -55,32 +55,32 @@ def test_the_gradient_is_that_of_autograd(short, member):
     asked = request(f"learn={member}", *added(member), f"++tuning.ranges.{member}={ranges}")
     parameters = [each for each in asked.parameters if each.path in setting]
     objective = Objective(asked.build, short, work.append)
-    found, slope, kink = gradient(objective, parameters, setting)
+    evaluation, slope, kink = gradient(objective, parameters, setting)
     estimator = asked.build(setting)
     expected = by_autograd(short, estimator, setting)
     np.testing.assert_allclose(slope, expected, rtol=1e-7)
-    np.testing.assert_allclose(found.maes, replayed(short, estimator), rtol=1e-12)
+    np.testing.assert_allclose(evaluation.maes, replayed(short, estimator), rtol=1e-12)
     assert not kink and sum(work) == pytest.approx(4 * len(setting) + 1) and min(abs(expected)) > 1e-7
 
 
 @pytest.mark.thorough
 def test_learning_lowers_the_error_and_stays_legal(short):
     asked = request("learn=sift_map", "tuning.ranges.sift_map.memory=[3,1000]")
-    found, used, curve = descend(Objective(asked.build, short), asked.parameters, 40)
-    assert found[0].setting == {"memory": 30.0, "covariance": 10.0}
-    assert used == 9 * len(found) <= 40 and len(curve) == len(found)
-    assert min(each.mae for each in found) < 0.9 * found[0].mae
-    for each in found:
+    evaluated, used, curve = descend(Objective(asked.build, short), asked.parameters, 40)
+    assert evaluated[0].setting == {"memory": 30.0, "covariance": 10.0}
+    assert used == 9 * len(evaluated) <= 40 and len(curve) == len(evaluated)
+    assert min(each.mae for each in evaluated) < 0.9 * evaluated[0].mae
+    for each in evaluated:
         assert 3 <= each.setting["memory"] <= 1000 and 0.01 <= each.setting["covariance"] <= 10000
         np.testing.assert_allclose(each.maes, replayed(short, asked.build(each.setting)), rtol=1e-10)
 
 
 def test_a_default_outside_the_range_is_judged_and_left(short):
     asked = request("learn=aid", "estimators.aid.gain=0.001")
-    found, used, curve = descend(Objective(asked.build, short), asked.parameters, 10)
-    assert [each.setting["gain"] for each in found[:2]] == [0.001, 0.01]
-    assert used == 5 * len(curve) == 5 * (len(found) - 1)
-    np.testing.assert_allclose(found[0].maes, replayed(short, asked.build({})), rtol=1e-10)
+    evaluated, used, curve = descend(Objective(asked.build, short), asked.parameters, 10)
+    assert [each.setting["gain"] for each in evaluated[:2]] == [0.001, 0.01]
+    assert used == 5 * len(curve) == 5 * (len(evaluated) - 1)
+    np.testing.assert_allclose(evaluated[0].maes, replayed(short, asked.build({})), rtol=1e-10)
     middle, _, _ = descend(Objective(asked.build, short), asked.parameters, 10, "middle")
     assert middle[1].setting["gain"] == pytest.approx(1.0)
 
@@ -102,11 +102,11 @@ class Curved:
 @pytest.mark.parametrize("best, least", [((1.0, -2.0), (1.0, -2.0)), ((9.0, -2.0), (math.log(100), 4.592))])
 def test_the_descent_finds_the_minimum_in_the_range(best, least):
     curved = Curved(best)
-    found, used, _ = descend(curved, [Hyperparameter(name, Positive, 1.0, 0.01, 100.0) for name in "ab"], 150)
-    reached = min(found, key=lambda each: each.mae)
+    evaluated, used, _ = descend(curved, [Hyperparameter(name, Positive, 1.0, 0.01, 100.0) for name in "ab"], 150)
+    reached = min(evaluated, key=lambda each: each.mae)
     assert reached.mae == pytest.approx(curved.at(np.array(least)), rel=1e-3)
     np.testing.assert_allclose(np.log(list(reached.setting.values())), least, atol=0.02)
-    assert used <= 150 and all(0.01 <= x <= 100 for each in found for x in each.setting.values())
+    assert used <= 150 and all(0.01 <= x <= 100 for each in evaluated for x in each.setting.values())
 
 
 def test_at_a_kink_a_grid_decides():
@@ -116,25 +116,25 @@ def test_at_a_kink_a_grid_decides():
 
     parameters = [Hyperparameter("a", Positive, 1.0, 0.01, 100.0)]
     with pytest.warns(UserWarning, match="has a kink here: a grid takes"):
-        found, used, curve = descend(Kinked([0.0]), parameters, 20)
-    assert len(curve) == 1 and found[0].setting == {"a": 1.0} and len(found) == 1 + used - 5 <= 16
+        evaluated, used, curve = descend(Kinked([0.0]), parameters, 20)
+    assert len(curve) == 1 and evaluated[0].setting == {"a": 1.0} and len(evaluated) == 1 + used - 5 <= 16
 
 
 def test_curvature_stays_positive():
     curvature, step = np.array([[2.0, 0.5], [0.5, 1.0]]), np.array([0.3, -0.7])
     for change in ([-1.0, 1.0], [0.0, 0.0], [5.0, -1.0]):
-        found = updated(curvature, step, np.array(change))
-        assert (np.linalg.eigvalsh(found) > 0).all()
-    np.testing.assert_allclose(found @ step, change)  # the secant equation
+        matrix = updated(curvature, step, np.array(change))
+        assert (np.linalg.eigvalsh(matrix) > 0).all()
+    np.testing.assert_allclose(matrix @ step, change)  # the secant equation
 
 
 @pytest.mark.thorough
 def test_it_is_the_way_of_learn_and_draws_its_curves(tmp_path):
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-    made = tuning.tune(configured("learn=aid", "tuning.evaluations=15"), tmp_path, instantiate, align_fleet)
-    found = json.loads((tmp_path / "tuning.json").read_text())
-    assert made == results(tmp_path)["objective"] == found["best"]["mae"] and found["evaluations"] <= 15
+    value = tuning.tune(configured("learn=aid", "tuning.evaluations=15"), tmp_path, instantiate, align_fleet)
+    content = json.loads((tmp_path / "tuning.json").read_text())
+    assert value == results(tmp_path)["objective"] == content["best"]["mae"] and content["evaluations"] <= 15
     events = EventAccumulator(str(tmp_path / "tensorboard"))
     events.Reload()
     assert len(events.Scalars("learn/gain")) == len(events.Scalars("learn/loss")) >= 2

@@ -29,12 +29,12 @@ def test_a_search_that_broke_off_goes_on_to_the_count(fleet, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         search.search(Objective(asked.build, fleet, breaks), asked.parameters, 10, tmp_path,
                       {"ranges": asked.ranges}, batch=4)  # fmt: skip
-    found, used, _ = searched(fleet, tmp_path, 10, batch=4)
-    assert used == 10 and len(found) == 11 and found[0].setting == {"gain": 1.0}
+    evaluated, used, _ = searched(fleet, tmp_path, 10, batch=4)
+    assert used == 10 and len(evaluated) == 11 and evaluated[0].setting == {"gain": 1.0}
     again, used, _ = searched(fleet, tmp_path, 10)
-    assert again == found and used == 10
+    assert again == evaluated and used == 10
     more, used, _ = searched(fleet, tmp_path, 13)
-    assert more[:11] == found and used == 13
+    assert more[:11] == evaluated and used == 13
     assert all(0.01 <= each.setting["gain"] <= 100 for each in more)
     np.testing.assert_allclose(more[-1].maes, replayed(fleet, asked.build(more[-1].setting)), rtol=1e-12)
     with pytest.raises(ConfigError, match="another hydra"):
@@ -59,8 +59,8 @@ def test_without_optuna_the_extra_is_named(fleet, tmp_path, monkeypatch):
 
 
 def test_a_line_that_a_full_disk_left_unfinished_is_cut_off(fleet, tmp_path):
-    found = searched(fleet, tmp_path, 2, batch=2).evaluations
+    evaluated = searched(fleet, tmp_path, 2, batch=2).evaluations
     journal = tmp_path / "optuna.log"
     journal.write_bytes(journal.read_bytes() + b'{"op_code":8,"worker_id":"')
     more, used, _ = searched(fleet, tmp_path, 4, batch=2)
-    assert used == 4 and more[:3] == found
+    assert used == 4 and more[:3] == evaluated

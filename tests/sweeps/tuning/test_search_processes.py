@@ -31,16 +31,16 @@ class StandIn:
         self.notes, self.advance = notes, lambda work: None
 
     def __call__(self, settings):
-        found = [Evaluation(setting, (random.SystemRandom().random(),)) for setting in settings]
+        evaluated = [Evaluation(setting, (random.SystemRandom().random(),)) for setting in settings]
         time.sleep(0.09)
         with self.notes.open("a") as file:
-            file.write("".join(f"{each.setting['gain']!r} {each.mae!r}\n" for each in found))
-        return found
+            file.write("".join(f"{each.setting['gain']!r} {each.mae!r}\n" for each in evaluated))
+        return evaluated
 
 
 def one_process(folder: Path, budget: int) -> None:
-    found, used, _ = search.search(StandIn(folder / "notes.txt"), [GAIN], budget, folder / "run", {}, batch=3)
-    (folder / f"found{multiprocessing.current_process().pid}.json").write_text(json.dumps([found[1:], used]))
+    evaluated, used, _ = search.search(StandIn(folder / "notes.txt"), [GAIN], budget, folder / "run", {}, batch=3)
+    (folder / f"found{multiprocessing.current_process().pid}.json").write_text(json.dumps([evaluated[1:], used]))
 
 
 def trials(folder: Path) -> list[optuna.trial.FrozenTrial]:
@@ -81,12 +81,12 @@ def test_processes_that_are_killed_lose_no_trial_and_complete_none_twice(seed, t
     assert budget <= len(complete) <= budget + 3 * 3 and kills > 5  # by what the others had in hand
     assert set(completions(tmp_path / "run").values()) == {1}
     evaluated = {tuple(map(float, line.split())) for line in (tmp_path / "notes.txt").read_text().splitlines()}
-    own = [(each.user_attrs["setting"]["gain"], each.value) for each in complete]
-    assert set(own) <= evaluated and len(set(own)) == len(own)
-    told = [json.loads(path.read_text()) for path in tmp_path.glob("found*.json")]
-    assert max(used for _, used in told) == len(own)
-    for found, used in told:
-        assert used == len(found) and {(setting["gain"], maes[0]) for setting, maes, _ in found} <= set(own)
+    pairs = [(each.user_attrs["setting"]["gain"], each.value) for each in complete]
+    assert set(pairs) <= evaluated and len(set(pairs)) == len(pairs)
+    noted = [json.loads(path.read_text()) for path in tmp_path.glob("found*.json")]
+    assert max(used for _, used in noted) == len(pairs)
+    for listed, used in noted:
+        assert used == len(listed) and {(setting["gain"], maes[0]) for setting, maes, _ in listed} <= set(pairs)
 
 
 def test_a_line_that_a_killed_process_left_unfinished_is_removed_before_another_follows(tmp_path):

@@ -39,9 +39,9 @@ def test_elements_are_single_replays(fleet, member, monkeypatch):
     expected = [replayed(fleet, build(setting)) for setting in settings]
     for element_limit, chunk in ((4096, 500), (4, 500), (4096, 37)):
         monkeypatch.setattr(batches, "CHUNK_STEPS", chunk)
-        found = Objective(build, fleet, elements=element_limit)(settings)
-        np.testing.assert_allclose([each.maes for each in found], expected, rtol=1e-12)
-        assert [each.setting for each in found] == settings
+        evaluated = Objective(build, fleet, elements=element_limit)(settings)
+        np.testing.assert_allclose([each.maes for each in evaluated], expected, rtol=1e-12)
+        assert [each.setting for each in evaluated] == settings
 
 
 def test_the_default_is_the_members_own_and_work_is_told(fleet):
@@ -72,12 +72,12 @@ class Explodes(Estimator):
 
 
 def test_a_element_that_diverges_is_infinite_and_shown(fleet):
-    found = Objective(lambda values: Explodes(**values), fleet)([{"gain": 1.0}, {"gain": 2.0}])
-    assert [math.isfinite(each.mae) for each in found] == [True, False]
-    np.testing.assert_allclose(found[0].maes, replayed(fleet, Persistence()), rtol=1e-12)
-    made = tuning.record({"member": "x", "command": "", "evaluations": 1}, fleet.boats, found, found[0])
-    assert made["diverged"] == 1 and made["evaluated"][1]["mae"] is None
-    assert tuning.ranked(made)[-1]["mae"] is None
+    evaluated = Objective(lambda values: Explodes(**values), fleet)([{"gain": 1.0}, {"gain": 2.0}])
+    assert [math.isfinite(each.mae) for each in evaluated] == [True, False]
+    np.testing.assert_allclose(evaluated[0].maes, replayed(fleet, Persistence()), rtol=1e-12)
+    content = tuning.record({"member": "x", "command": "", "evaluations": 1}, fleet.boats, evaluated, evaluated[0])
+    assert content["diverged"] == 1 and content["evaluated"][1]["mae"] is None
+    assert tuning.ranked(content)[-1]["mae"] is None
 
 
 @pytest.mark.parametrize("kind, low, high", [(Positive, 1e-3, 1e3), (UnitInterval, 0.01, 0.9999)])
@@ -106,11 +106,11 @@ class Bowl:
 @over("best", [{"a": 2.3}, {"a": 0.013, "b": 7.0}, {"a": 99.0, "b": 0.5, "c": 1.0}])
 def test_refinement_contains_the_best_and_never_loses_it(evaluations, rounds, best):
     bowl = Bowl(**best)
-    found, used, _ = grid(bowl, [Hyperparameter(k, Positive, 1.0, 0.01, 100.0) for k in best], evaluations, rounds)
-    assert found[0].setting == dict.fromkeys(best, 1.0)
-    assert used == len(found) - 1 <= evaluations
-    assert all(0.01 <= value <= 100 for each in found for value in each.setting.values())
-    assert len({tuple(each.setting.items()) for each in found}) == len(found)  # nothing twice
+    evaluated, used, _ = grid(bowl, [Hyperparameter(k, Positive, 1.0, 0.01, 100.0) for k in best], evaluations, rounds)
+    assert evaluated[0].setting == dict.fromkeys(best, 1.0)
+    assert used == len(evaluated) - 1 <= evaluations
+    assert all(0.01 <= value <= 100 for each in evaluated for value in each.setting.values())
+    assert len({tuple(each.setting.items()) for each in evaluated}) == len(evaluated)  # nothing twice
     judged = [Bowl(**best)(settings) for settings in bowl.rounds]
     for k in range(1, len(judged)):  # each round lies about the best before it
         centre = min(itertools.chain(*judged[:k]), key=lambda each: each.mae).setting
@@ -118,16 +118,16 @@ def test_refinement_contains_the_best_and_never_loses_it(evaluations, rounds, be
             values = sorted(each.setting[name] for each in judged[k])
             edge = centre[name] in (0.01, 100.0)
             assert len(set(values)) < 2 or edge or values[0] <= centre[name] <= values[-1]
-    assert min(each.mae for each in found) == min(each.mae for each in itertools.chain(*judged))
+    assert min(each.mae for each in evaluated) == min(each.mae for each in itertools.chain(*judged))
     if (evaluations, rounds) == (64, 2) and len(best) == 1:
-        coarse = min(each.mae for each in found[:33])
-        assert min(each.mae for each in found) < coarse / 4
+        coarse = min(each.mae for each in evaluated[:33])
+        assert min(each.mae for each in evaluated) < coarse / 4
 
 
 def test_counts():
     for points, dimensions in itertools.product(range(1, 70), (1, 2, 3)):
-        found = counts(points, dimensions)
-        assert len(found) == dimensions and min(found) >= 1 and points / 2 < math.prod(found) <= points
+        sizes = counts(points, dimensions)
+        assert len(sizes) == dimensions and min(sizes) >= 1 and points / 2 < math.prod(sizes) <= points
 
 
 @pytest.mark.thorough
@@ -138,16 +138,16 @@ def test_every_file(tmp_path):
     done = ran("-m", *arguments, folder=tmp_path)
     for k, member in enumerate(("aid", "arx")):
         folder = tmp_path / "sweep" / str(k)
-        found = json.loads((folder / "tuning.json").read_text())
-        assert found["member"] == member and found["way"] == "grid" and found["seconds"] > 0
-        assert f"grid={member}" in found["command"]
-        assert found["best"]["mae"] == min(each["mae"] for each in found["evaluated"])
-        assert found["best"]["gain"] == pytest.approx(100 * (1 - found["best"]["mae"] / found["default"]["mae"]))
-        assert results(folder)["objective"] == found["best"]["mae"] == np.mean(list(found["best"]["boats"].values()))
-        for boat, mae in found["persistence"]["boats"].items():
+        saved = json.loads((folder / "tuning.json").read_text())
+        assert saved["member"] == member and saved["way"] == "grid" and saved["seconds"] > 0
+        assert f"grid={member}" in saved["command"]
+        assert saved["best"]["mae"] == min(each["mae"] for each in saved["evaluated"])
+        assert saved["best"]["gain"] == pytest.approx(100 * (1 - saved["best"]["mae"] / saved["default"]["mae"]))
+        assert results(folder)["objective"] == saved["best"]["mae"] == np.mean(list(saved["best"]["boats"].values()))
+        for boat, mae in saved["persistence"]["boats"].items():
             assert results(folder)["boats"][boat]["persistence"] == {"mae": mae, "skill": 0}
-        assert f"{found['best']['mae']:.5f}" in done.stdout
-        best = tuning.label(found["best"]["setting"])
+        assert f"{saved['best']['mae']:.5f}" in done.stdout
+        best = tuning.label(saved["best"]["setting"])
         assert list((folder / "tensorboard" / best).glob("events*")) and f"best {best}: " in done.stdout
         added = tmp_path / "configs" / "experiment"
         added.mkdir(parents=True, exist_ok=True)
@@ -157,7 +157,7 @@ def test_every_file(tmp_path):
     search_path = f"hydra.searchpath=[file://{tmp_path}/configs]"
     with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
         cfg = compose("train", [search_path, "experiment=tuned_arx"])
-    assert cfg.estimators.arx.walk == found["best"]["setting"]["walk"]
+    assert cfg.estimators.arx.walk == saved["best"]["setting"]["walk"]
     assert cfg.estimators.arx.scale == 0.3  # all else as it was
     assert isinstance(instantiate(cfg.estimators.arx), Estimator)
 

@@ -42,10 +42,10 @@ def meta():
 )
 def test_errors_of_elements_are_on_the_device_of_the_estimator(short, measure):
     with read_as_ones():
-        found = element_errors(AID(28.0, gain=[[0.1], [1.0], [10.0]]).to("meta"), short, (3,), measure=measure)
-    assert found.errors.is_meta and found.errors.shape == found.steps.shape == (2, 3, 2)
-    assert found.steps.is_meta and found.mae.is_meta
-    assert {leaf.device.type for _, leaf in named_leaves(found.state)} == {"meta"}
+        errors = element_errors(AID(28.0, gain=[[0.1], [1.0], [10.0]]).to("meta"), short, (3,), measure=measure)
+    assert errors.errors.is_meta and errors.errors.shape == errors.steps.shape == (2, 3, 2)
+    assert errors.steps.is_meta and errors.mae.is_meta
+    assert {leaf.device.type for _, leaf in named_leaves(errors.state)} == {"meta"}
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of the simulated GPU, whose numbers are Python's
