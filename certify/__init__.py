@@ -25,8 +25,8 @@ def certify(module: Any, nonlinearity: str | None = None, seconds: float = 10.0,
 
     >>> import torch
     >>> _ = torch.manual_seed(0)
-    >>> found = certify(torch.nn.RNN(input_size=4, hidden_size=8, nonlinearity="relu"))
-    >>> found.contracting, round(found.rate, 2)
+    >>> rnn = certify(torch.nn.RNN(input_size=4, hidden_size=8, nonlinearity="relu"))
+    >>> rnn.contracting, round(rnn.rate, 2)
     (True, 0.98)
     """
     from certify.analysis.modules import judge

@@ -292,8 +292,8 @@ class Learned(_Tables):
                 measured while a boat moved; or its commands never changed.
 
         >>> from usvlearn import AID, learn, read
-        >>> found = learn(read(data="simulated", hours=0.2), AID(mass=28.0)).fit(terms="cubic")
-        >>> print(round(found["heron"].quantities["steady_speed_full"].value, 1))
+        >>> fits = learn(read(data="simulated", hours=0.2), AID(mass=28.0)).fit(terms="cubic")
+        >>> print(round(fits["heron"].quantities["steady_speed_full"].value, 1))
         2.6
         """
         from usvlearn.evaluation.diagnostics import identified_boats

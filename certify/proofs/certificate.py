@@ -86,8 +86,8 @@ def make(
     Raises:
         CertifyError: weights that are no network, an unknown condition, a rate that is not in (0, 1], or no box.
 
-    >>> made = make(ShallowWeights([0.5], [1.0], [[0.0]], [0.0]))
-    >>> made["condition"], made["rate"], verify(made, ShallowWeights([0.5], [1.0], [[0.0]], [0.0])).valid
+    >>> proved = make(ShallowWeights([0.5], [1.0], [[0.0]], [0.0]))
+    >>> proved["condition"], proved["rate"], verify(proved, ShallowWeights([0.5], [1.0], [[0.0]], [0.0])).valid
     ('exact', '500001/1000000', True)
     """
     weights = check(weights, path or "weights")
@@ -128,8 +128,8 @@ def verify(certificate: Mapping[str, Any], weights: ShallowWeights) -> Verificat
     Returns:
         Whether it is valid; and the claim that is proved, or the reason why it is not.
 
-    >>> made = make(ShallowWeights([0.5], [1.0], [[0.0]], [0.0]))
-    >>> verify(made, ShallowWeights([0.75], [1.0], [[0.0]], [0.0])).reason
+    >>> proved = make(ShallowWeights([0.5], [1.0], [[0.0]], [0.0]))
+    >>> verify(proved, ShallowWeights([0.75], [1.0], [[0.0]], [0.0])).reason
     'it is about other weights: their sha256 differs'
     """
     try:
@@ -312,9 +312,9 @@ def write(path: str | Path, certificate: Mapping[str, Any]) -> Path:
         CertifyError: it cannot be written.
 
     >>> import tempfile
-    >>> made = make(ShallowWeights([0.5], [1.0], [[0.0]], [0.0]))
+    >>> proved = make(ShallowWeights([0.5], [1.0], [[0.0]], [0.0]))
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     read(write(f"{folder}/half.json", made)) == made
+    ...     read(write(f"{folder}/half.json", proved)) == proved
     True
     """
     path = Path(path)

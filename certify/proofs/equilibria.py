@@ -56,8 +56,8 @@ ATTRACTING = ("deadbeat", "stable", "stable oscillatory")
 class Equilibrium(NamedTuple):
     """An isolated equilibrium, or an interval of them.
 
-    >>> (found,) = equilibria(ShallowWeights([0.5], [1.0], [[0.0]], [0.25]), [0.0])
-    >>> found.x, found.slope_left, found.attracts
+    >>> (point,) = equilibria(ShallowWeights([0.5], [1.0], [[0.0]], [0.25]), [0.0])
+    >>> point.x, point.slope_left, point.attracts
     (0.25, 0.5, True)
     """
 
@@ -118,7 +118,7 @@ def equilibria(weights: ShallowWeights, u: ArrayLike, lo: float = 0.0, hi: float
         CertifyError: shapes that do not fit, values that are not finite, lo > hi.
 
     >>> tooth = ShallowWeights([2.0], [1.0], [[0.0]], [-0.25])
-    >>> [(found.x, found.kind) for found in equilibria(tooth, [0.0])]
+    >>> [(point.x, point.kind) for point in equilibria(tooth, [0.0])]
     [(0.0, 'deadbeat'), (0.5, 'unstable')]
     """
     return sweep(weights, [u], lo, hi)[0]

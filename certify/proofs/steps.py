@@ -60,8 +60,8 @@ def steps(weights: VectorWeights, slopes: Sequence[Slopes], norm: str = "inf", s
     >>> from certify.networks.vector import RELU, ShallowWeights, of_shallow
     >>> from certify.proofs.vector_exact import everywhere
     >>> net = of_shallow(ShallowWeights([0.5, -0.25], [1.0, 1.0], [[], []], [0.0, 1.0]))
-    >>> found = steps(net, everywhere(net, RELU))  # P = ½, N = ¼
-    >>> found.measure, found.reach, found.largest
+    >>> limits = steps(net, everywhere(net, RELU))  # P = ½, N = ¼
+    >>> limits.measure, limits.reach, limits.largest
     (Fraction(-1, 2), Fraction(1, 4), Fraction(8, 5))
     """
     sums = row_sums(weights, slopes, norm, scaling)

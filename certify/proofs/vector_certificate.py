@@ -81,8 +81,8 @@ def make(
     >>> import numpy as np
     >>> from certify.networks.vector import RELU
     >>> net = VectorNetwork("", check(VectorWeights(None, [[0.5]], [[1.0]], np.zeros((1, 0)), [0.0])), RELU)
-    >>> made = make(net, "exact")
-    >>> made["rate"], verify(made, net).valid
+    >>> proved = make(net, "exact")
+    >>> proved["rate"], verify(proved, net).valid
     ('500001/1000000', True)
     """
     weights = check(network.weights, network.path or "weights")

@@ -45,8 +45,8 @@ class BoxRate(NamedTuple):
     """A bracket of K_box.
 
     >>> fold = ShallowWeights(np.array([0.5, 0.5]), np.array([1.0, -1.0]), np.zeros((2, 0)), np.array([-0.5, 0.5]))
-    >>> found = rate(fold, operating_box(0))
-    >>> found.closed, found.lower <= 0.5 <= found.upper
+    >>> bracket = rate(fold, operating_box(0))
+    >>> bracket.closed, bracket.lower <= 0.5 <= bracket.upper
     (True, True)
     """
 
@@ -62,8 +62,8 @@ class BoxVerdict(NamedTuple):
     """Whether |slope| < rate on the box, and whether f maps the box into its interval of x.
 
     >>> half = ShallowWeights(np.array([0.5]), np.array([1.0]), np.zeros((1, 0)), np.zeros(1))
-    >>> found = certify(half, operating_box(0), rate=0.75)
-    >>> found.verdict, found.invariant, found.lower
+    >>> result = certify(half, operating_box(0), rate=0.75)
+    >>> result.verdict, result.invariant, result.lower
     ('certified', 'yes', 0.5)
     """
 

@@ -70,8 +70,8 @@ def smallest_rate(weights: VectorWeights, phi: Activation, most: int = 1, solver
 
     >>> from certify.networks.vector import RELU
     >>> net = VectorWeights(None, [[0.5, -1.0]], [[1.0], [0.75]], np.zeros((2, 0)), [0.0, 0.0])
-    >>> found = smallest_rate(net, RELU)
-    >>> round(found.rate, 5), 0.75 < found.kappa < 0.7501
+    >>> answer = smallest_rate(net, RELU)
+    >>> round(answer.rate, 5), 0.75 < answer.kappa < 0.7501
     (0.75, True)
     """
     start, weights = time.perf_counter(), _one(weights, most)

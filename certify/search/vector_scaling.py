@@ -174,8 +174,8 @@ def best_scaling(
 
     >>> from certify.networks.vector import RELU, check
     >>> net = check(VectorWeights([[0.5, 8.0], [0.0, 0.5]], np.zeros((2, 1)), np.zeros((1, 2)), [[0.0]], [0.0]))
-    >>> found = best_scaling(net, RELU, full=False)
-    >>> found.kind, found.rate < Fraction(51, 100)
+    >>> scaling = best_scaling(net, RELU, full=False)
+    >>> scaling.kind, scaling.rate < Fraction(51, 100)
     ('diagonal', True)
     """
     start, q = time.perf_counter(), len(weights.R)

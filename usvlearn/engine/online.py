@@ -304,8 +304,8 @@ class Online:
 
         >>> from usvlearn import AID, Ensemble, ForecastSettings, Online
         >>> online = Online(Ensemble({"aid": AID(mass=28.0)}, forecasts=ForecastSettings()))
-        >>> found = online.forecast([[0.5, 0.5]] * 75, headings=0.0)
-        >>> found.surge.shape, float(found.high[-1])  # no interval before the first measurements
+        >>> ahead = online.forecast([[0.5, 0.5]] * 75, headings=0.0)
+        >>> ahead.surge.shape, float(ahead.high[-1])  # no interval before the first measurements
         ((75,), inf)
         """
         if headings is None:

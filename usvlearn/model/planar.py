@@ -147,8 +147,8 @@ class PlanarModel:
         >>> from usvlearn.model.surge import WITHOUT_EVEN
         >>> surge = SurgeModel(28.0, dict.fromkeys(WITHOUT_EVEN, 0.0) | {"drag_linear": -14.0})
         >>> model = PlanarModel(surge, {**dict.fromkeys(COEFFICIENTS["yaw"], 0.0), "linear": -1.0})
-        >>> found = model.simulate(Motion(1.0, 0.0, 0.0, 0.0, 0.0, 0.0), left=np.zeros(3), right=0.0, dt=0.1)
-        >>> found.north.round(2).tolist()
+        >>> motion = model.simulate(Motion(1.0, 0.0, 0.0, 0.0, 0.0, 0.0), left=np.zeros(3), right=0.0, dt=0.1)
+        >>> motion.north.round(2).tolist()
         [0.1, 0.19, 0.28]
         """
         given = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, np.float64)) for x in (left, right, dt, *current)))

@@ -61,8 +61,8 @@ class IdentifiedBoat(NamedTuple):
             ConfigError: no boat can have what was identified.
 
         >>> from types import SimpleNamespace
-        >>> found = SimpleNamespace(unphysical="drag pushes the boat.")
-        >>> boat = IdentifiedBoat("heron", None, found, None, None, {}, {})
+        >>> wrong = SimpleNamespace(unphysical="drag pushes the boat.")
+        >>> boat = IdentifiedBoat("heron", None, wrong, None, None, {}, {})
         >>> boat.check_physical()
         Traceback (most recent call last):
         usvlearn.errors.ConfigError: heron: drag pushes the boat.

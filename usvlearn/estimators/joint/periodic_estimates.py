@@ -89,10 +89,10 @@ class Identified(Mapping[str, Quantity]):
         unphysical: a sentence if no boat can have these quantities, as its signs or sides are wrong; else "".
 
     >>> from usvlearn import JointEKF, Online
-    >>> found = Online(JointEKF(surge_max=2.7, mass=28.0, estimate_every=600.0)).identified()
-    >>> found["steady_speed_full"].unit, found.json()["steady_speed_full"]["unit"]
+    >>> boat = Online(JointEKF(surge_max=2.7, mass=28.0, estimate_every=600.0)).identified()
+    >>> boat["steady_speed_full"].unit, boat.json()["steady_speed_full"]["unit"]
     ('m/s', 'm/s')
-    >>> found.lag(dt=0.4)[1] > 0
+    >>> boat.lag(dt=0.4)[1] > 0
     True
     """
 
@@ -118,8 +118,8 @@ class Identified(Mapping[str, Quantity]):
             Forces per mass and steady speeds, for each row of θ.
 
         >>> from usvlearn import JointEKF, Online
-        >>> found = Online(JointEKF(surge_max=2.7, mass=28.0, estimate_every=600.0)).identified()
-        >>> round(float(found.ahead(found.theta).steady_speed(1.0)), 2)
+        >>> boat = Online(JointEKF(surge_max=2.7, mass=28.0, estimate_every=600.0)).identified()
+        >>> round(float(boat.ahead(boat.theta).steady_speed(1.0)), 2)
         2.7
         """
         return Ahead(theta)
@@ -150,8 +150,8 @@ class Identified(Mapping[str, Quantity]):
             Its value and interval, NaN where the interval is wider than what such a boat can have.
 
         >>> from usvlearn import JointEKF, Online
-        >>> found = Online(JointEKF(surge_max=2.7, mass=28.0, estimate_every=600.0)).identified()
-        >>> found.displayed("steady_speed_full").unit
+        >>> boat = Online(JointEKF(surge_max=2.7, mass=28.0, estimate_every=600.0)).identified()
+        >>> boat.displayed("steady_speed_full").unit
         'm/s'
         """
         quantity = self.quantities[name]
