@@ -235,8 +235,8 @@ def _quadratic(network: VectorNetwork, seconds: float, full: bool) -> tuple[Frac
     if network.states <= MOST_QUADRATIC:
         best = by_spectral_norm(W)
     if network.states <= MOST_FULL and (full or best is None or best.kappa > 1):
-        other = by_full_metric(W, seconds)
-        best = min((each for each in (best, other) if each), key=lambda each: each.kappa, default=None)
+        full_metric = by_full_metric(W, seconds)
+        best = min((each for each in (best, full_metric) if each), key=lambda each: each.kappa, default=None)
     if best is None:
         return None, None
     kappa = max(best.kappa, vector_certificate.SMALLEST_RATE)

@@ -39,8 +39,8 @@ def simple(a: Tensor, w1: Tensor) -> Condition:
     """(1): the paper's theorem with p = 1, λ = 1/(n+1). It proves no rate K above ¼."""
     size, w = (a.shape[-1] + 1) * a.abs(), w1.abs()
     room = 1 - w
-    each = torch.where(room > 0, size / torch.where(room > 0, room, 1.0), torch.inf)
-    return Condition(1 - (size + w).amax(-1), each.amax(-1))
+    rate = torch.where(room > 0, size / torch.where(room > 0, room, 1.0), torch.inf)
+    return Condition(1 - (size + w).amax(-1), rate.amax(-1))
 
 
 def gershgorin(a: Tensor, w1: Tensor) -> Condition:

@@ -89,8 +89,8 @@ class FirstPass:
             return *self.run(leaves, samples, free), {}
         after, given, records = dict(leaves), list[np.ndarray](), list[dict[str, np.ndarray]]()
         for k in range(len(samples.surge)):
-            after, one = self.run(after, tree_map(lambda x, k=k: x[k : k + 1], samples), free)
-            given.append(one)
+            after, predicted = self.run(after, tree_map(lambda x, k=k: x[k : k + 1], samples), free)
+            given.append(predicted)
             records.append({name: after[name] for name in names})
         return after, np.concatenate(given), {name: np.stack([each[name] for each in records]) for name in names}
 

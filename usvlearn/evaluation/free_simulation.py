@@ -55,8 +55,8 @@ def free_errors(ensemble: Ensemble, state: Any, fleet: Fleet, first: int) -> Fre
     from usvlearn.engine.rollouts import simulate, tensors
 
     limit, shape = ensemble.surge_max, (len(fleet.runs), len(fleet.boats))
-    each = (*shape, len(ensemble.names))
-    sums = FreeErrors(np.zeros(each), np.zeros(shape, int), np.zeros(each), np.zeros((*shape, 2)))
+    by_estimator = (*shape, len(ensemble.names))
+    sums = FreeErrors(np.zeros(by_estimator), np.zeros(shape, int), np.zeros(by_estimator), np.zeros((*shape, 2)))
     dtype = state.predictions.dtype
     with torch.no_grad():
         for index, run in enumerate(fleet.runs[first:], first):

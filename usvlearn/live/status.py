@@ -167,10 +167,10 @@ def _speeds(step: Step) -> list[str]:
     if math.isfinite(step.next):
         lines.append(_line("Next", f"{_interval(step.next, step.next_low, step.next_high)} m/s under these commands"))
     if step.forecasts:
-        horizon, each = list(step.forecasts.items())[-1]
+        horizon, interval = list(step.forecasts.items())[-1]
         _, low, high = step.if_held[horizon]
         stays = f", ({low:.2f} ... {high:.2f}) if commands stay" if math.isfinite(low) else ""
-        lines.append(_line(f"In {horizon:g} s", f"{_interval(*each)} m/s{stays}"))
+        lines.append(_line(f"In {horizon:g} s", f"{_interval(*interval)} m/s{stays}"))
     if step.places:
         horizon, place = next((item for item in step.places.items() if item[0] >= FAR), [*step.places.items()][-1])
         size = f", within {place.major:.1f} x {place.minor:.1f} m" if math.isfinite(place.major) else ""

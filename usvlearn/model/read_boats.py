@@ -119,10 +119,10 @@ def read_boats(path: str | Path, boat: str | None = None) -> list[IdentifiedBoat
                 f"--boat: found {boat!r}, expected one of {', '.join(folders)}{did_you_mean(boat, folders)}"
             )
         return _apart({name: _read(each) for name, each in folders.items() if boat in (None, name)})
-    one = _read(path)
-    if boat not in (None, one.name):
-        raise ConfigError(f"--boat: found {boat!r}, expected {one.name}, the only boat of {path}")
-    return [one]
+    single = _read(path)
+    if boat not in (None, single.name):
+        raise ConfigError(f"--boat: found {boat!r}, expected {single.name}, the only boat of {path}")
+    return [single]
 
 
 def _apart(boats: Mapping[str, IdentifiedBoat]) -> list[IdentifiedBoat]:

@@ -29,15 +29,15 @@ def write_animation(path: Path, mission: Mission, title: str) -> Path:
         (boat,) = whole.plot([], [], color=INK, marker="o", markersize=4)
 
         def draw(k: int) -> None:
-            each = shown[k]
-            north, east = mission.position[each.step]
-            track.set_data(east + each.east, north + each.north)
+            moment = shown[k]
+            north, east = mission.position[moment.step]
+            track.set_data(east + moment.east, north + moment.north)
             boat.set_data([east], [north])
             near.clear()
-            draw_track(near, mission, each)
+            draw_track(near, mission, moment)
             near.set_xlabel("m from the boat, 90 % ellipses")
             near.legend(loc="upper right")
-            minutes, seconds = divmod(math.floor(mission.run.time[each.step]), 60)
+            minutes, seconds = divmod(math.floor(mission.run.time[moment.step]), 60)
             near.set_title(f"{printable(title)}, {printable(mission.run.name)}, at {minutes}:{seconds:02d}")
 
         animation = FuncAnimation(figure, draw, frames=len(shown), cache_frame_data=False)

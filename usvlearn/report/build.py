@@ -124,8 +124,8 @@ def evaluate(
             sections, errors = assemble(ensemble, seasons, activity.advance, known, fits, tracks)
             front = front_of(ensemble, seasons, checks, activity.advance, fits, tracks)
             activity.begin("drawing the report")
-            other = "Judged on other logs than those of the runs from which the boats learned."
-            notes = [*unfinished, *([] if data is None else [other])]
+            elsewhere = "Judged on other logs than those of the runs from which the boats learned."
+            notes = [*unfinished, *([] if data is None else [elsewhere])]
             parts = [section if paper else section._replace(paper="") for section in sections]
             said = [*facts(seasons, folders), *lines, *notes]
             front = front._replace(notes=notes, unconfirmed=lines)

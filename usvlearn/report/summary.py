@@ -45,8 +45,8 @@ def summary(results: Mapping[str, Any], asked: Questions, boats: Mapping[str, Qu
     data += f"; {lost} values rejected" if lost else ""
     measure = measure_of(results["measure"], "")
     errors = [f"{measure.title()} {measure.shown(results['objective'])}"] if str(measure) != f"{name}.mae" else []
-    one = mean(rows[name]["mae"] for rows in results["boats"].values())
-    errors += [] if one is None else [f"{one:.3f} m/s a step ahead"]
+    error = mean(rows[name]["mae"] for rows in results["boats"].values())
+    errors += [] if error is None else [f"{error:.3f} m/s a step ahead"]
     ahead = [rows[name] for rows in (results.get("forecast") or {}).values() if name in rows]
     for horizon in [NEAR if NEAR in ahead[0] else list(ahead[0])[-1]] if ahead and ahead[0] else []:
         near = mean(row[horizon]["mae"] for row in ahead)

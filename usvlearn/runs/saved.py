@@ -127,8 +127,8 @@ def read_seasons(folders: Sequence[Path], ensemble: Ensemble, fleets: Sequence[F
                     samples = tree_map(lambda x, n=length, k=element: x[:n, k], run.samples)
                     track = None if run.position is None else run.position[:length, element]
                     key, time = digest(run, element), run.time[:length, element]
-                    one = SeasonRun(run.names[element], key, samples, {}, time, track, ensemble.surge_limit)
-                    runs.setdefault(boat, {}).setdefault(key, one)
+                    season_run = SeasonRun(run.names[element], key, samples, {}, time, track, ensemble.surge_limit)
+                    runs.setdefault(boat, {}).setdefault(key, season_run)
     known = sorted({path.name for folder in folders for path in (folder / CHECKPOINTS).glob("*")})
     if missing := [boat for boat in runs if boat not in known]:
         raise ConfigError(

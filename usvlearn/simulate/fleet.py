@@ -238,8 +238,8 @@ def fleet(
     for key, options, expected in (("autopilot", autopilot, Autopilot), ("sensors", sensors, Sensors)):
         if not isinstance(options, expected):
             raise ConfigError(f"{key}: found {options!r}, expected options under it: leave out {key}=…")
-    whole, each = round(3600 * hours * autopilot.hz), round(60 * mission_minutes * autopilot.hz)
-    ticks = [min(each, whole - start) for start in range(0, whole, each)]
+    whole, mission_ticks = round(3600 * hours * autopilot.hz), round(60 * mission_minutes * autopilot.hz)
+    ticks = [min(mission_ticks, whole - start) for start in range(0, whole, mission_ticks)]
 
     vessel = fleet_vessels(n, spread, plant, seed if fleet_seed is None else fleet_seed, len(ticks), drift)
     names, courses = fleet_missions(n, ticks, autopilot.hz, seed, missions, aborted_share, paused_share)

@@ -75,10 +75,10 @@ def voyage(rng: np.random.Generator, boat: PlanarBoat, minutes: float, current: 
 
 def logged(rng: np.random.Generator, truth: Voyage) -> dict[str, Channel]:
     """The channels of a log of it: commands, compass, gyro, and a GPS with position and velocity."""
-    n, each = len(truth.time), round(HZ / GPS_HZ)
+    n, every = len(truth.time), round(HZ / GPS_HZ)
     c, s, (u, v, r) = np.cos(truth.heading), np.sin(truth.heading), truth.velocity.T
     ground = np.column_stack([c * u - s * v, s * u + c * v]) + truth.current
-    fixes = slice(0, n, each)
+    fixes = slice(0, n, every)
     at = truth.time[fixes]
     decay = math.exp(-1 / (GPS_HZ * GPS_TIME))
     drift = np.zeros((len(at), 2))

@@ -204,8 +204,8 @@ def _foreign(folder: Path, held: Mapping, overrides: Sequence[str]) -> str:
     """The message that a folder holds another job, and the settings that differ."""
     old, new = by_key(held["overrides"]), by_key(overrides)
     keys = differing([old, new])
-    other = short_settings(old, keys) if keys else "of configuration files that were another then"
-    return f"{folder} holds another job, {other}: repeat the command that made it, or choose another hydra.sweep.dir"
+    changes = short_settings(old, keys) if keys else "of configuration files that were another then"
+    return f"{folder} holds another job, {changes}: repeat the command that made it, or choose another hydra.sweep.dir"
 
 
 def check_results(results: Mapping[str, Any]) -> None:
@@ -220,8 +220,8 @@ def check_results(results: Mapping[str, Any]) -> None:
     if "measure" in results:
         measure_of(str(results["measure"]), "")
     networks = results.get("network", {})
-    each = [x for members in networks.values() for x in members.values()]
-    if not all(isinstance(x["contracting"], bool) and _is_number(x["rate"]) for x in each):
+    verdicts = [x for members in networks.values() for x in members.values()]
+    if not all(isinstance(x["contracting"], bool) and _is_number(x["rate"]) for x in verdicts):
         raise ValueError("network: expected a verdict and a rate by boat and network")
 
 

@@ -39,8 +39,8 @@ class External(Stretched):
         self._packed([model])
 
     def init(self, batch: Sequence[int] = ()) -> ExternalState:
-        one = torch.from_numpy(self._packed([self.model])[0])
-        return ExternalState(self.rest.expand(tuple(batch)).clone(), one.expand(*batch, self.size).clone())
+        packed = torch.from_numpy(self._packed([self.model])[0])
+        return ExternalState(self.rest.expand(tuple(batch)).clone(), packed.expand(*batch, self.size).clone())
 
     def stretch(self, state: ExternalState, steps: Step) -> tuple[ExternalState, Tensor]:
         models, speeds = self._models(state.model), state.surge.reshape(-1).tolist()

@@ -247,9 +247,9 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
     present, (first, first_slopes) = of(now), gradients(of, prior, steps_of(variance))
 
     def interval(name: str) -> tuple[float, float]:
-        each = values[name], float(present[name]), first[name]
+        estimate = values[name], float(present[name]), first[name]
         covariance = single if name in COEFFICIENTS else total
-        return beside.interval(name, each, slopes[name], first_slopes[name], covariance)
+        return beside.interval(name, estimate, slopes[name], first_slopes[name], covariance)
 
     said = misstated(top, *interval("steady_speed_full"), variance)
     signed = {name: Quantity(values[name], *interval(name), QUANTITIES[name]) for name in POSITIVE_OF_BOATS}

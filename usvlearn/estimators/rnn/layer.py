@@ -255,9 +255,9 @@ class RNN(Estimator):
             others = torch.stack([state.surge, surge, state.unbroken.to(surge.dtype)], -1)
             replay, again, earlier, unbroken = due(added(replay, torch.cat([u, others], -1)), self.replay_steps)
             before = earlier[..., SURGE], earlier[..., :INPUTS], unbroken
-            each = ShallowWeights(*(w.unsqueeze(surge.ndim) for w in learned.weights))  # for (*batch, samples)
+            weights = ShallowWeights(*(w.unsqueeze(surge.ndim) for w in learned.weights))  # for (*batch, samples)
             penalty = None if penalty is None else penalty[..., None]
-            grad = self._gradient(each, again[..., SURGE], again[..., :INPUTS], again[..., TARGET], before, penalty)
+            grad = self._gradient(weights, again[..., SURGE], again[..., :INPUTS], again[..., TARGET], before, penalty)
             learned = self._descend(learned, grad.mean(-2))
         if self.feedback == "estimate":
             estimate = network(state.weights, self.scale * state.surge, u)[0] / self.scale

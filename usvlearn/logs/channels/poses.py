@@ -75,11 +75,11 @@ def _rising(channels: Mapping[str, Channel], time: np.ndarray, came: np.ndarray,
     """`poses` of steps whose ends rise, from messages after a place of the log; positions from fixes alone."""
 
     def last(name: str) -> np.ndarray:
-        one = messages(channels[name], since)
-        k = _latest(one.time, one.order, time, came)
-        if not len(one.time):
+        recent = messages(channels[name], since)
+        k = _latest(recent.time, recent.order, time, came)
+        if not len(recent.time):
             return np.full(len(time), np.nan)
-        return np.where((k >= 0) & (time - one.time[k] <= one.window[k]), one.value[k], np.nan)
+        return np.where((k >= 0) & (time - recent.time[k] <= recent.window[k]), recent.value[k], np.nan)
 
     heading = last("heading")
     turn = slope(np.diff(heading, prepend=np.nan), np.diff(time, prepend=np.nan))

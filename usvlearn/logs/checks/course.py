@@ -64,8 +64,8 @@ def compass(e: Evidence) -> Iterator[Finding]:
 
 def compass_of_runs(e: Evidence) -> Iterator[Finding]:
     """A heading whose error is not the same in all logs, or in all thirds of one of them."""
-    each = {log.recordings[0].run: _legs(log)[1] for log in e.alone or [e] if log.sense != -1}
-    offsets = {run: off for run, legs in each.items() if (off := offset(legs, WHOLE))}
+    legs_of = {log.recordings[0].run: _legs(log)[1] for log in e.alone or [e] if log.sense != -1}
+    offsets = {run: off for run, legs in legs_of.items() if (off := offset(legs, WHOLE))}
     far = {off: sum(_apart(off, other) for other in offsets.values()) for off in offsets.values()}
     usual = min(far, key=lambda off: (far[off], abs(off[0])), default=(0.0, 0.0))
     odd = [f"{round(math.degrees(-off[0])):+d}° off in {run}" for run, off in offsets.items() if _differ(off, usual)]
@@ -73,7 +73,7 @@ def compass_of_runs(e: Evidence) -> Iterator[Finding]:
         text = f"a heading that is {', '.join(odd)}, and {round(math.degrees(-usual[0])):+d}° off in other logs"
         expected = "one error in all logs: read those by a configuration with a heading.zero of their own"
         yield Finding(e.boat, "heading", "compass of runs", text, expected)
-    for run, legs in each.items():
+    for run, legs in legs_of.items():
         thirds = [Legs(*parts) for parts in zip(*(np.array_split(each, 3) for each in legs), strict=True)]
         offs = [off for third in thirds if (off := offset(third, PART))]
         if any(_differ(one, other) for one in offs for other in offs):

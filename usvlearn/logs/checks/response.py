@@ -147,13 +147,13 @@ def implausible_lag(e: Evidence) -> float | None:
 
 def delays(e: Evidence) -> Iterator[Finding]:
     """Delays of all logs together, of the thirds of the longest one, and of one log that has another."""
-    whole, each = responses(e), [responses(log) for log in e.alone]
+    whole, by_run = responses(e), [responses(log) for log in e.alone]
     yield from _delay(e, whole)
     if whole:
         yield from _apart(e, whole[1])
-    longest = max(zip(e.alone, each, strict=True), key=lambda pair: len(pair[0].values[SURGE]), default=(e, whole))
+    longest = max(zip(e.alone, by_run, strict=True), key=lambda pair: len(pair[0].values[SURGE]), default=(e, whole))
     yield from _drift(e.boat, longest[1])
-    yield from _of_runs(e, each)
+    yield from _of_runs(e, by_run)
 
 
 def _delay(e: Evidence, whole: Sequence[Response]) -> Iterator[Finding]:

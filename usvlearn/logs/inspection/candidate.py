@@ -202,8 +202,8 @@ def candidates(series: list[Series]) -> list[Candidate]:
             kinds = [kind[2:] for kind in PLAIN if any(fit(role, label) >= kind[1] for role in kind[0])]
             missing = missing_values(each.value[known], *(kinds or [(0.0, ANYWHERE)])[0])
             known &= ~np.isin(each.value, missing)
-            one = Candidate(each.name, each.field, unit, each.kind, each.time[known], each.value[known])
-            pool.append(one.named(missing=missing))
+            measured = Candidate(each.name, each.field, unit, each.kind, each.time[known], each.value[known])
+            pool.append(measured.named(missing=missing))
     return of_loops(pool)
 
 

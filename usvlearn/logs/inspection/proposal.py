@@ -231,8 +231,8 @@ def _doubted(decision: Decision, why: str) -> Decision:
     """The sense of a heading that neither a course over ground nor the thrusters confirm."""
     if decision[:2] not in (("heading", "unit"), ("yaw_rate", "unit")):
         return decision
-    other = decision.value.removeprefix("enu_") if decision.value.startswith("enu_") else f"enu_{decision.value}"
-    others = tuple(dict.fromkeys((*decision.alternatives, other)))
+    opposite = decision.value.removeprefix("enu_") if decision.value.startswith("enu_") else f"enu_{decision.value}"
+    others = tuple(dict.fromkeys((*decision.alternatives, opposite)))
     return decision._replace(certainty=UNSURE, reason=f"{decision.reason}; {why}", alternatives=others)
 
 

@@ -91,8 +91,8 @@ def find_speeds(
 
 def _follows_setpoint(candidate: Candidate, setpoint: Candidate) -> bool:
     """Whether a series whose name tells nothing follows a setpoint of the speed, in a unit of speeds."""
-    other = max(fit(role, candidate.label) for role in ("command", "rudder", "heading", "course", "yaw_rate"))
-    if other >= 1 or names_side_alone(candidate.label) or fit("surge", candidate.label) < 0 or candidate.is_set:
+    likelihood = max(fit(role, candidate.label) for role in ("command", "rudder", "heading", "course", "yaw_rate"))
+    if likelihood >= 1 or names_side_alone(candidate.label) or fit("surge", candidate.label) < 0 or candidate.is_set:
         return False
     found = speed_on_thrust(setpoint.evidence, setpoint.evidence, candidate.evidence, LATER)
     return found.correlation > FOLLOWS and bool(unit_of(found.slope)) and candidate.unit not in OTHER_UNITS
@@ -127,16 +127,16 @@ def interchanged(places: Places, speeds: Sequence[Candidate]) -> tuple[Places, b
 
     Else it is as it is named; the second value says whether it is doubtful which of the two it is.
     """
-    other = crossed(places)
-    if other is None or not speeds:
+    crossing = crossed(places)
+    if crossing is None or not speeds:
         return places, False
-    pairs = [[speed_on_positions(at.north, at.east, each.evidence) for at in (places, other)] for each in speeds]
+    pairs = [[speed_on_positions(at.north, at.east, each.evidence) for at in (places, crossing)] for each in speeds]
     own, swapped = max(pairs, key=lambda pair: max(np.nan_to_num(each.correlation, nan=-1.0) for each in pair))
     shrunk = (1 - own.correlation) / max(1 - swapped.correlation, 1e-9)
     if not (swapped.correlation > FOLLOWED and shrunk > DOUBT):
         return places, False
     if (shrunk > BETTER and unit_of(swapped.slope)) or (unit_of(swapped.slope, FITS) and not unit_of(own.slope)):
-        return other, False
+        return crossing, False
     return places, swapped.correlation - own.correlation > MORE
 
 
@@ -217,9 +217,9 @@ def by_other(speed: Speed, known: Speed) -> Speed:
         return speed
     time, value = cleaned(known.metres)
     own_time, own = speed.candidate.evidence
-    other = np.interp(own_time, time, value)
-    fast = np.abs(other) > 0.3 * np.quantile(np.abs(other), 0.99)
-    unit = unit_of(float(np.median(np.abs(own[fast]) / np.abs(other[fast])))) if fast.sum() > 30 else ""
+    expected = np.interp(own_time, time, value)
+    fast = np.abs(expected) > 0.3 * np.quantile(np.abs(expected), 0.99)
+    unit = unit_of(float(np.median(np.abs(own[fast]) / np.abs(expected[fast])))) if fast.sum() > 30 else ""
     if not unit:
         return speed
     sentence = f"by its ratio to {known.candidate.label}"

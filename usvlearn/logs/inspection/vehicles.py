@@ -77,17 +77,17 @@ def told_apart(logs: Sequence[Sequence[Series]]) -> dict[str, str]:
 def check_boat(files: Sequence[Path], series: Sequence[Candidate], convention: str) -> list[Decision]:
     """Refuse the log of an aeroplane, a multicopter or a submarine; ask where a log is of a ground vehicle."""
     kinds = {round(float(each.value[-1])) for each in series if TYPE.fullmatch(each.label)}
-    other = next((OTHERS[kind] for kind in kinds if kind in OTHERS and not kinds & {GROUND, BOAT}), "")
+    foreign = next((OTHERS[kind] for kind in kinds if kind in OTHERS and not kinds & {GROUND, BOAT}), "")
     log = DataFlash()._log(files[0]) if convention == "ArduPilot DataFlash" else None
     parameters = log.vehicles[""].parameters if log else {}
     servos = {value for name, value in parameters.items() if FUNCTION.fullmatch(name)}
     if servos & WINGS or (servos & MOTORS and not servos & OF_BOATS):
-        other = "an aeroplane" if servos & WINGS else "a multicopter or a submarine"
+        foreign = "an aeroplane" if servos & WINGS else "a multicopter or a submarine"
     if log and (text := FIRMWARE.search(log.data.data)):
-        other = FIRMWARES[text[1]]
-    if other:
+        foreign = FIRMWARES[text[1]]
+    if foreign:
         raise LogFormatError(
-            f"{files[0]}: found a log of {other}, expected one of a boat: give one, or add --any-vehicle if it is one"
+            f"{files[0]}: found a log of {foreign}, expected one of a boat: give one, or add --any-vehicle if it is one"
         )
     if GROUND in kinds or (servos & OF_BOATS and parameters.get("FRAME_CLASS") == 1):
         why = "the log says that it is a ground vehicle, as boats do that keep the settings of one: is it a boat?"

@@ -134,9 +134,9 @@ def commands_of(boat: IdentifiedBoat) -> dict[str, Any]:
     """How a logged value becomes a command: (value − zero)/span, from the checkpoint's setup; {} if that is unknown."""
     commands: dict[str, Any] = {}
     for side in COMMANDS:
-        each = None if boat.setup is None else boat.setup.channels.get(side)
-        if each is not None:
-            commands[side] = each.json() if isinstance(each, Mix) else asdict(each)
+        channel = None if boat.setup is None else boat.setup.channels.get(side)
+        if channel is not None:
+            commands[side] = channel.json() if isinstance(channel, Mix) else asdict(channel)
     return commands
 
 

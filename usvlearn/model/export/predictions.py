@@ -38,14 +38,14 @@ def stretches(folder: Path, boat: str) -> Iterator[Stretch]:
     exists = False
     for path in paths:
         try:
-            one = _read(path, boat)
+            stretch = _read(path, boat)
         except (*DAMAGE, TypeError) as error:
             raise CheckpointError(
                 f"{path}: is damaged ({error}): export the other formats, or make the run anew"
             ) from error
-        if one is not None and len(one.predicted):
+        if stretch is not None and len(stretch.predicted):
             exists = True
-            yield one
+            yield stretch
     if not exists:
         raise ConfigError(
             f"{folder}: found no predictions of {boat} ({PREDICTIONS}/*.npz), expected the folder of a run "

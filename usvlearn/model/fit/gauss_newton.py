@@ -161,10 +161,10 @@ class Missions:
         known, rounds = prior(terms, self.top), ROUNDS if deviation is None else ROUNDS - 1
         theta, deviation = known.mean.copy(), NOISE if deviation is None else deviation
         if start is not None and np.isfinite(start).all():
-            other = theta.copy()
-            other[known.active] = start[known.active]
-            other[PLACE_TIME] = start[PLACE_TIME] or known.mean[PLACE_TIME]
-            theta = min(theta, _bounded(other), key=lambda each: self.loss(each, deviation))
+            started = theta.copy()
+            started[known.active] = start[known.active]
+            started[PLACE_TIME] = start[PLACE_TIME] or known.mean[PLACE_TIME]
+            theta = min(theta, _bounded(started), key=lambda each: self.loss(each, deviation))
         now = self.evaluate(terms, _bounded(theta), deviation)
         for _ in range(rounds):
             now, before = self._steps(now), now

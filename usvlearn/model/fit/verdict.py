@@ -101,9 +101,9 @@ class Expected:
         sigma2 = variances(self._values, self._slopes, self._differ, beyond, C)
         widths = {name: NINETY * math.sqrt(x) / max(abs(float(self._values[name])), 1e-9) for name, x in sigma2.items()}
         for name in PURPOSES[TURNING]:  # on the log scale
-            each = self.fitted.quantities.get(name)
-            known = each is not None and each.low > 0
-            widths[name] = math.log(each.high / each.low) / 2 * math.sqrt(share) if each and known else math.inf
+            value = self.fitted.quantities.get(name)
+            known = value is not None and value.low > 0
+            widths[name] = math.log(value.high / value.low) / 2 * math.sqrt(share) if value and known else math.inf
         return widths
 
 

@@ -41,7 +41,7 @@ def worn(missions: Missions, fit: Fit, deviation: float) -> tuple[Fit, np.ndarra
         right[part] -= B.T @ g[k]
     C = np.linalg.inv(K)
     z, covariance = C @ right, C[:m, :m]
-    losses, score, each = np.zeros(pieces), fit.score.copy(), np.tile(fit.theta, (pieces, 1))
+    losses, score, by_mission = np.zeros(pieces), fit.score.copy(), np.tile(fit.theta, (pieces, 1))
     for k in range(count):
         away, spread = z[:m].copy(), covariance.copy()  # e_k of (1), and its covariance
         if k < count - 1:
@@ -54,8 +54,8 @@ def worn(missions: Missions, fit: Fit, deviation: float) -> tuple[Fit, np.ndarra
         theta = legal(theta, known, covariance)
         for j in np.flatnonzero(of == k).tolist():
             score[j] += fit.information[j] @ away
-            each[j, known.active] += away
-            each[j] = legal(each[j], known, covariance)
+            by_mission[j, known.active] += away
+            by_mission[j] = legal(by_mission[j], known, covariance)
             losses[j] = missions.loss(theta, deviation, j)
     theta = fit.theta.copy()
     theta[known.active] += z[:m]
@@ -65,7 +65,7 @@ def worn(missions: Missions, fit: Fit, deviation: float) -> tuple[Fit, np.ndarra
         theta=legal(theta, known, covariance),
         score=score,
         information=np.tile(said, (pieces, 1, 1)),
-        by_mission=each,
+        by_mission=by_mission,
     )
     return adapted, losses / np.maximum(missions.steps, 1)
 

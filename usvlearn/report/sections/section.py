@@ -56,5 +56,5 @@ def tally(what: str, names: Sequence[str], winners: Sequence[str]) -> str:
     """A sentence that says which name wins on how many boats."""
     if len(winners) == 1:
         return f"Of {', '.join(names)} the {what}: {winners[0]}."
-    each = ", ".join(f"{name} on {winners.count(name)}" for name in names)
-    return f"Of {', '.join(names)} the {what}: {each} of {len(winners)} boats."
+    counts = ", ".join(f"{name} on {winners.count(name)}" for name in names)
+    return f"Of {', '.join(names)} the {what}: {counts} of {len(winners)} boats."

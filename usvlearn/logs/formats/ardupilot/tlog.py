@@ -94,28 +94,28 @@ def _timed(data: np.ndarray, sent: dict[int, Messages]) -> dict[int, Messages]:
     The clock starts anew at each boot. Between two boots its offset from the receipt is the least that was seen: that
     of the message that came fastest.
     """
-    clocked = [one for number, one in sent.items() if MESSAGES[number].stamp == "time_boot_ms"]
+    clocked = [messages for number, messages in sent.items() if MESSAGES[number].stamp == "time_boot_ms"]
     if not clocked:
         return sent
-    order = np.concatenate([one.order for one in clocked])
-    delay = np.concatenate([one.time - 1e-3 * one.numbers(data, "time_boot_ms") for one in clocked])
+    order = np.concatenate([messages.order for messages in clocked])
+    delay = np.concatenate([messages.time - 1e-3 * messages.numbers(data, "time_boot_ms") for messages in clocked])
     place = np.argsort(order)
     order, delay = order[place], delay[place]
     boots = _boots(delay)
     offsets = np.minimum.reduceat(delay, boots)
     timed = {}
-    for number, one in sent.items():
+    for number, messages in sent.items():
         if (stamp := MESSAGES[number].stamp) is not None:
-            offset = offsets[np.maximum(np.searchsorted(order[boots], one.order, side="right") - 1, 0)]
-            time = one.numbers(data, stamp) * (1e-3 if stamp == "time_boot_ms" else 1e-6) + offset
-            kind = one.fields[stamp].dtype
+            offset = offsets[np.maximum(np.searchsorted(order[boots], messages.order, side="right") - 1, 0)]
+            time = messages.numbers(data, stamp) * (1e-3 if stamp == "time_boot_ms" else 1e-6) + offset
+            kind = messages.fields[stamp].dtype
             if stamp == "time_usec" and kind == "<u4":
-                time += WRAP * np.round((one.time - time) / WRAP)
-            age = np.abs(time - one.time)
+                time += WRAP * np.round((messages.time - time) / WRAP)
+            age = np.abs(time - messages.time)
             if kind == "<u8":  # since boot or since 1970; of a measurement, which may be old
                 age = np.full_like(age, np.median(age))
-            one = one._replace(time=np.where(age <= CLOCK_LIMIT, time, one.time))
-        timed[number] = one
+            messages = messages._replace(time=np.where(age <= CLOCK_LIMIT, time, messages.time))
+        timed[number] = messages
     return timed
 
 
