@@ -85,7 +85,7 @@ def work(arguments: Sequence[str], console: Console | None = None, trust: Any = 
     events = results(folder).get("events", {})
     for boat in [each for each in missions if each not in changed]:
         missions[boat] = without_losses(boat, missions[boat], events.get(boat, []))
-    found: Fitted | None = None
+    fitted: Fitted | None = None
     done: list[tuple[Fitted, Last | None, list[Path]]] = []
     stopped: Stopped | None = None
     with Activity(console) as activity:
@@ -99,28 +99,28 @@ def work(arguments: Sequence[str], console: Console | None = None, trust: Any = 
             try:
                 last = last_of(folder / CHECKPOINTS / boat)
                 online = None if last is None else last.online
-                found = fit_boat(boat, rows, mass, top, given.terms, advance, Stopped, online)
-                stopped = None if set(SETS) <= set(found.fits) else was_stopped() or Stopped(signal.SIGINT)
+                fitted = fit_boat(boat, rows, mass, top, given.terms, advance, Stopped, online)
+                stopped = None if set(SETS) <= set(fitted.fits) else was_stopped() or Stopped(signal.SIGINT)
                 if stopped is None and boat not in changed:
                     advance("on half of the missions")
-                    found = replace(found, simulation=_simulation(folder, found, fine, coarse))
+                    fitted = replace(fitted, simulation=_simulation(folder, fitted, fine, coarse))
             except Stopped as received:
                 stopped = received
-                if found is None or found.boat != boat:
+                if fitted is None or fitted.boat != boat:
                     break
-            done.append((found, last, write(out, found, last, float(settings["align"]["dt"]))))
+            done.append((fitted, last, write(out, fitted, last, float(settings["align"]["dt"]))))
             if stopped is not None:
                 break
     if stopped is not None and not done:
         raise stopped
     whole = given.all if alone else terminal.ALL in terminal.asked
     use: dict[str, Quantities] = {x.boat: displayed(x.identified) for x, *_ in done if not x.doubts}
-    for found, last, files in done:
+    for fitted, last, files in done:
         if whole or (alone and len(done) == 1):
-            console.print(*tables(found, None if last is None else last.online, whole), sep="\n")
+            console.print(*tables(fitted, None if last is None else last.online, whole), sep="\n")
             terminal.show(f"Written to {', '.join(map(str, files))}", to=console)
         else:
-            terminal.show(*(f"{found.boat}: its fit is not to be used: {each}" for each in found.doubts), to=console)
+            terminal.show(*(f"{fitted.boat}: its fit is not to be used: {each}" for each in fitted.doubts), to=console)
     asked = open_questions({**settings, "data": data})
     if alone:
         terminal.show(*unconfirmed(asked), "", to=console)

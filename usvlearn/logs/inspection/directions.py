@@ -117,8 +117,8 @@ def read_heading(candidate: Candidate, course: Pair | None, convention: str = ""
     if agree[worst := ranked[-1]] <= -ALONG and (not by_size or worst.endswith(by_size)):
         sentence = f"the course over ground is half a turn from it (mean cosine {agree[worst]:.2f})"
         why, half = f"{sentence}: the compass points astern, or both axes of the track do", math.pi / UNITS[worst][0]
-        found = Heading(candidate, worst, UNSURE, sentence, (), -agree[worst], name - agree[worst])
-        return found._replace(zero=abs(half), why_zero=why)
+        astern = Heading(candidate, worst, UNSURE, sentence, (), -agree[worst], name - agree[worst])
+        return astern._replace(zero=abs(half), why_zero=why)
     radians = np.ptp(candidate.extent) > 1.5 and (candidate.size < FULL_TURN or turning(candidate) > SLOW_TURN)
     base = by_size or declared.removeprefix("enu_") or ("rad" if radians else "deg")
     unit = f"enu_{base}" if enu else base
@@ -182,20 +182,20 @@ def read_any_turn(candidate: Candidate, course: Pair | None, convention: str = "
     """As `read_heading`, also of tenths or hundredths of degrees, and of gradians, which are read with a span."""
     turn = full_turn(candidate)
     if convention == "MOOS" and "yaw" in words(candidate.label):
-        found = read_any_turn(candidate.named(value=-candidate.value, unit=candidate.unit or "rad"), course)
-        why = f"the yaw of MOOS counts counter-clockwise from north; {found.reason}"
-        sure = found.certainty if found.certainty == CERTAIN else PROBABLE
-        return found._replace(candidate=candidate, span=-found.span, reason=why, certainty=sure, by_format=True)
+        heading = read_any_turn(candidate.named(value=-candidate.value, unit=candidate.unit or "rad"), course)
+        why = f"the yaw of MOOS counts counter-clockwise from north; {heading.reason}"
+        sure = heading.certainty if heading.certainty == CERTAIN else PROBABLE
+        return heading._replace(candidate=candidate, span=-heading.span, reason=why, certainty=sure, by_format=True)
     if turn == 360:
-        found = read_heading(candidate, course, convention)
-        beyond = candidate.size > BEYOND and found.unit.endswith("deg") and found.certainty != CERTAIN
-        return found._replace(certainty=UNSURE, reason=f"{found.reason}; beyond one turn") if beyond else found
+        heading = read_heading(candidate, course, convention)
+        beyond = candidate.size > BEYOND and heading.unit.endswith("deg") and heading.certainty != CERTAIN
+        return heading._replace(certainty=UNSURE, reason=f"{heading.reason}; beyond one turn") if beyond else heading
     span = float(f"{turn / 360:.6g}")
     scaled = candidate.named(value=candidate.value / span, unit="deg")
-    found = read_heading(scaled, course, convention)
-    sure = found.certainty if found.certainty == CERTAIN else UNSURE
-    sentence = f"values reach {candidate.size:.0f}, as {FINE_TURNS[turn]} do; {found.reason}"
-    return found._replace(candidate=candidate, span=span, zero=span * found.zero, certainty=sure, reason=sentence)
+    heading = read_heading(scaled, course, convention)
+    sure = heading.certainty if heading.certainty == CERTAIN else UNSURE
+    sentence = f"values reach {candidate.size:.0f}, as {FINE_TURNS[turn]} do; {heading.reason}"
+    return heading._replace(candidate=candidate, span=span, zero=span * heading.zero, certainty=sure, reason=sentence)
 
 
 def without_error(heading: Heading, track: tuple[Pair, Pair], course: Pair, speed: Pair, convention: str) -> Heading:

@@ -94,8 +94,8 @@ def _follows_setpoint(candidate: Candidate, setpoint: Candidate) -> bool:
     likelihood = max(fit(role, candidate.label) for role in ("command", "rudder", "heading", "course", "yaw_rate"))
     if likelihood >= 1 or names_side_alone(candidate.label) or fit("surge", candidate.label) < 0 or candidate.is_set:
         return False
-    found = speed_on_thrust(setpoint.evidence, setpoint.evidence, candidate.evidence, LATER)
-    return found.correlation > FOLLOWS and bool(unit_of(found.slope)) and candidate.unit not in OTHER_UNITS
+    relation = speed_on_thrust(setpoint.evidence, setpoint.evidence, candidate.evidence, LATER)
+    return relation.correlation > FOLLOWS and bool(unit_of(relation.slope)) and candidate.unit not in OTHER_UNITS
 
 
 def by_reaction(speeds: list[Speed], commands: Sequence[Candidate]) -> list[Speed]:
@@ -150,10 +150,10 @@ def read_speed(
     if relation is not None and relation.correlation >= FOLLOWS and relation.is_sure(LONG):
         unit = unit_of(relation.slope, first=declared)
         if unit and (unit == "m/s" or not _is_twist(candidate)):
-            found = _near(candidate, unit, relation, declared, declared or usual, score)
-            if length or declared or usual or found.certainty != CERTAIN:
-                return found
-            return found._replace(certainty=PROBABLE, reason=f"{found.reason}, if this is in m: no name tells its unit")
+            speed = _near(candidate, unit, relation, declared, declared or usual, score)
+            if length or declared or usual or speed.certainty != CERTAIN:
+                return speed
+            return speed._replace(certainty=PROBABLE, reason=f"{speed.reason}, if this is in m: no name tells its unit")
         if _is_twist(candidate):
             sentence = f"m/s by definition, but {relation.slope:.3g} × the rate of position: check stamps and position"
             others = (*filter(None, [unit]), _by_span(relation))
@@ -239,12 +239,12 @@ def quality(candidate: Candidate) -> float:
 
 def vectors(pool: Sequence[Candidate]) -> list[tuple[Candidate, Candidate]]:
     """The parts x and y of velocities that are logged as vectors: fields of a message, or two columns."""
-    found = []
+    pairs = []
     for x in pool:
         if _is_part(x):
             twin = x.label[:-1] + ("y" if x.label[-1] == "x" else "Y")
-            found += [(x, y) for y in pool if y.label == twin]
-    return found
+            pairs += [(x, y) for y in pool if y.label == twin]
+    return pairs
 
 
 def _is_part(candidate: Candidate) -> bool:

@@ -123,8 +123,8 @@ def names_force(name: str) -> bool:
 
 def names_moment(name: str) -> bool:
     """Whether a name tells the moment of all thrusters about the vertical axis."""
-    found = set(words(name))
-    return bool(MOMENTS & found and ABOUT & found) and not {"force", "kraft"} & found
+    tokens = set(words(name))
+    return bool(MOMENTS & tokens and ABOUT & tokens) and not {"force", "kraft"} & tokens
 
 
 def fit(role: str, name: str) -> float:
