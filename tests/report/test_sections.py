@@ -1,17 +1,15 @@
 """The sections of a report, their tables and the truth, by hand."""
 
-import math
-
 import numpy as np
 import pytest
 import torch
 
 from tests.support.seasons import boats
-from usvlearn import AID, ARX, RLS, RNN, Ensemble, JointEKF, Persistence, Robust, SIFtRLS, SurgeDynamics, external
+from usvlearn import AID, ARX, RLS, RNN, Ensemble, JointEKF, Robust, SIFtRLS, SurgeDynamics
 from usvlearn.display.terminal import ResultTable
 from usvlearn.report.page import html_of
 from usvlearn.report.sections.errors import box, online_section
-from usvlearn.report.sections.parameters import cost_section, course
+from usvlearn.report.sections.parameters import cost_section
 from usvlearn.simulate.fleet import fleet_vessels
 from usvlearn.simulate.truth import true_parameters, truth_of
 from usvlearn.simulate.vessel import static_thrust
@@ -20,9 +18,9 @@ from usvlearn.simulate.vessel import static_thrust
 def test_boxes_by_hand():
     values = np.concatenate([np.arange(100.0), np.full(20, 1000.0)])
     assert box(values).outliers == 20 and box(np.arange(100.0)).outliers == 0  # also beyond 5 % of them
-    result = box(np.array([np.nan, 3.0, 1.0, 2.0, 4.0, 100.0]), 2)
-    assert (result.median, result.lower, result.upper, result.number, result.diverged) == (3.0, 2.0, 4.0, 5, 2)
-    assert result.mean == 22.0 and result.beyond.tolist() == [1.0, 100.0]
+    found = box(np.array([np.nan, 3.0, 1.0, 2.0, 4.0, 100.0]), 2)
+    assert (found.median, found.lower, found.upper, found.number, found.diverged) == (3.0, 2.0, 4.0, 5, 2)
+    assert found.mean == 22.0 and found.beyond.tolist() == [1.0, 100.0]
     assert box(np.array([np.nan])) is None
 
 
@@ -32,8 +30,8 @@ def test_online_section_by_hand():
     for season, offset in zip(seasons, (0.1, 0.3), strict=True):
         runs = []
         for each in season.runs:
-            speed = np.where(each.samples.inputs.dt > 0, each.samples.surge, np.nan)
-            predictions = np.stack([speed + offset, speed + 0.2], -1)
+            made = np.where(each.samples.inputs.dt > 0, each.samples.surge, np.nan)
+            predictions = np.stack([made + offset, made + 0.2], -1)
             runs.append(each._replace(published={"predictions": predictions}))
         published.append(season._replace(runs=tuple(runs)))
     section = online_section(published, ["aid", "persistence"])
@@ -62,46 +60,12 @@ def test_cost_counts_the_papers_parameters():
     assert all(row[5] > 0 and row[6] > 0 for row in result_table.rows)
 
 
-class Broken:
-    def predict(self, x):
-        raise RuntimeError("no licence")
-
-    learn = None
-
-
-def test_the_cost_of_a_member_that_raises_is_not_known():
-    with pytest.warns(UserWarning, match="estimators.broken: step 1: RuntimeError: no licence"):
-        table = cost_section(Ensemble({"broken": external(Broken()), "still": Persistence()})).sheets[0]
-    assert [bool(row[5] > 0) for row in table.rows] == [False, True, True]
-
-
-def test_intervals_are_those_of_the_covariance():
-    rls = RLS(SurgeDynamics(1.0))
-    generator = torch.Generator().manual_seed(0)
-    factor = torch.randn(2, 9, 9, generator=generator, dtype=torch.float64)
-    state = rls.init((2,))._replace(factor=factor, noise=torch.tensor([0.04, 0.09], dtype=torch.float64))
-    deviation = course(np.zeros(2), state, 4).deviation
-    for k, noise in enumerate((0.04, 0.09)):
-        P = factor[k].numpy() @ factor[k].numpy().T
-        assert deviation[k] == pytest.approx(math.sqrt(noise * P[4, 4]), rel=1e-12)
-    ensemble = Ensemble(
-        {
-            "map": RLS(),
-            "dynamic": Robust(rls),
-            "cubic": RLS(SurgeDynamics(cubic=True)),
-            "joint": JointEKF(3.0),
-            "arx": ARX(),
-        }
-    )
-    assert physical_members(ensemble) == ["dynamic"]
-
-
 @pytest.mark.parametrize("plant", ["heron", "otter", "vtec"])
 def test_the_truth_is_the_plants(plant):
     """On its own grid the fitted force is near the plant's; scaled by declared over true mass."""
-    values = true_parameters(30.0, 2, plant, hours=1.0, mission_minutes=20.0, seed=3)
+    found = true_parameters(30.0, 2, plant, hours=1.0, mission_minutes=20.0, seed=3)
     vessel = fleet_vessels(2, 1.0, plant, 3, missions=3)
-    for k, theta in enumerate(values.values()):
+    for k, theta in enumerate(found.values()):
         scale = 30.0 / float(vessel.mass[2, k])
         for x in (0.4, 0.8, 1.0):
             thrust = static_thrust(vessel, torch.tensor([x, x]).double())[2, k] * scale

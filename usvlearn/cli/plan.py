@@ -112,9 +112,9 @@ def _planned(boat: IdentifiedBoat, limits: Limits, seed: int) -> Planned:
     aims, quantities = wide(rehearsal.identified, one_command), derived(rehearsal.identified, one_command)
     plan = search(rehearsal, limits, dt, aims or quantities, seed)
     mower = lawn_mower(limits, rehearsal.top_speed(limits.most), dt)
-    expected: list[Mapping[str, Quantity]] = [plan.expected.found, rehearsal(mower.rows).found]
-    if isinstance(boat.found, FittedBoat) and math.isfinite(boat.found.noise):
-        expected = [refitted(boat.found, each.rows, dt) for each in (plan.course, mower)]
+    expected: list[Mapping[str, Quantity]] = [plan.expected.identified, rehearsal(mower.rows).identified]
+    if isinstance(boat.identified, FittedBoat) and math.isfinite(boat.identified.noise):
+        expected = [refitted(boat.identified, each.rows, dt) for each in (plan.course, mower)]
     return Planned(boat, rehearsal, quantities, aims, plan, *expected)
 
 
@@ -131,8 +131,8 @@ def _show(planned: Planned, limits: Limits, folder: Path) -> None:
         console.print(table)
         console.print()
     if not aims:
-        terminal.show(*_determined(boat.found, after, quantities))
-    terminal.show(*boat.lacks, WALK if after is plan.expected.found else REFIT, "", *written)
+        terminal.show(*_determined(boat.identified, after, quantities))
+    terminal.show(*boat.lacks, WALK if after is plan.expected.identified else REFIT, "", *written)
 
 
 def _width(identified: Mapping[str, Quantity], name: str) -> float:
@@ -178,9 +178,9 @@ def _intervals(
         ["value", "now", "lawn mower", "this plan", "unit"],
     )  # fmt: skip
     for name in quantities:
-        widths = [_width(each, name) / 2 for each in (boat.found, mower, after)]
+        widths = [_width(each, name) / 2 for each in (boat.identified, mower, after)]
         table.add(
-            name, shown(boat.found.displayed(name).value), *(shown(each) for each in widths), boat.found[name].unit
+            name, shown(boat.identified.displayed(name).value), *(shown(each) for each in widths), boat.identified[name].unit
         )
     return table
 

@@ -46,10 +46,10 @@ def identified(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray])
     """What the averaged joint EKF has identified of each boat, from leaves `(boats, …)`; a ConfigError without one."""
     if description["kind"] == "planar":
         return _with_turning(description, leaves)
-    found, own = reader_leaves(members_of(description), leaves)
-    boats = len(own["mean"])
+    joint, selected = reader_leaves(members_of(description), leaves)
+    boats = len(selected["mean"])
     return [
-        identify(select_element(found, boats, element), {key: leaf[element] for key, leaf in own.items()})
+        identify(select_element(joint, boats, element), {key: leaf[element] for key, leaf in selected.items()})
         for element in range(boats)
     ]
 
@@ -57,8 +57,8 @@ def identified(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray])
 def _with_turning(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -> list[Identified]:
     """As `identified`, of a `Planar`: the quantities of turning follow those of the surge."""
     surge = {name.removeprefix("surge."): leaf for name, leaf in leaves.items() if name.startswith("surge.")}
-    own, _ = reader_leaves(members_of(description["surge"]), surge)
-    found, boats = [], identified(description["surge"], surge)
+    joint, _ = reader_leaves(members_of(description["surge"]), surge)
+    results, boats = [], identified(description["surge"], surge)
     for element, each in enumerate(boats):
         yaw, sway = (_filter(axis, description[axis], leaves, len(boats), element) for axis in ("yaw", "sway"))
         variance = np.asarray(select_element(joint, len(boats), element)["vectors"]["variance"], dtype=np.float64)

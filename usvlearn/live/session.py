@@ -350,8 +350,8 @@ class Session:
             "step": node.steps, "time": 0.0 if self.last is None else self.last.time, "version": usvlearn.__version__,
             "configuration": begun.get("configuration") if external_in(begun["kernel"]) else None,  # how they are made
         }  # fmt: skip
-        leaves, told = afresh(node.online.state, lambda: self._begin.leaves, node.online.ended)
-        if told:
+        leaves, sentence = afresh(node.online.state, lambda: self._begin.leaves, node.online.ended)
+        if sentence:
             node.online.state = leaves
             node.drop("members", "not_finite")
             self.advise("afresh", sentence)

@@ -302,10 +302,10 @@ def _online(boat: Overview) -> str:
 def _rows(quantities: Mapping[str, Quantity]) -> str:
     """A table of the quantities of MAIN."""
     rows = "".join(
-        f'<tr><th scope="row">{words}</th><td class="n"><b>{shown(known.value)}</b> {escape(known.unit)}</td>'
-        f'<td class="n">{shown(known.low)} to {shown(known.high)}</td></tr>'
+        f'<tr><th scope="row">{words}</th><td class="n"><b>{shown(quantity.value)}</b> {escape(quantity.unit)}</td>'
+        f'<td class="n">{shown(quantity.low)} to {shown(quantity.high)}</td></tr>'
         for name, words in (MAIN | TURNS).items()
-        if (known := quantities.get(name)) and (name in MAIN or known(found))
+        if (quantity := quantities.get(name)) and (name in MAIN or known(quantity))
     )
     head = '<thead><tr><th></th><th class="n">value</th><th class="n">90 % interval</th></tr></thead>'
     return f"<table>{head}<tbody>{rows}</tbody></table>"
@@ -320,8 +320,8 @@ def in_words(sentence: str) -> str:
 
 def _near(boat: Overview) -> Ahead | None:
     """The errors at NEAR, or else at the longest horizon that is judged."""
-    known = {each.what: each for each in boat.ahead if each.mae is not None}
-    return known.get(NEAR) or next(iter(reversed(known.values())), None)
+    errors = {each.what: each for each in boat.ahead if each.mae is not None}
+    return errors.get(NEAR) or next(iter(reversed(errors.values())), None)
 
 
 def _accuracy(boat: Overview) -> str:
@@ -340,8 +340,8 @@ def _accuracy(boat: Overview) -> str:
         f'<td class="n">{number(each.skill, 2)}</td><td class="n">{_share(each.coverage)}</td></tr>'
         for each in boat.ahead
     )
-    known = f'<td class="n">{number(boat.free)}</td><td></td><td></td>'
-    free = f'<tr><th scope="row">a whole run</th>{UNSEEN if boat.free is None else known}</tr>'
+    value = f'<td class="n">{number(boat.free)}</td><td></td><td></td>'
+    free = f'<tr><th scope="row">a whole run</th>{UNSEEN if boat.free is None else value}</tr>'
     fits = ((boat.fit, "one step ahead"), (boat.free_fit, "for whole runs"))
     shown = ", ".join(f"{x:.1f} % {how}" for x, how in fits if x is not None)
     fit = f" Fit, 100 (1 − NRMSE): {shown}." if shown else ""

@@ -26,7 +26,7 @@ def known(quantity: Quantity | None) -> bool:
 
 def displayed(identified: Identified) -> dict[str, Quantity]:
     """The quantities as people are told them."""
-    return of_one_command({name: identified.displayed(name) for name in identified}, found.lacks)
+    return of_one_command({name: identified.displayed(name) for name in identified}, identified.lacks)
 
 
 def of_one_command(found: Quantities, lacks: Sequence[str]) -> dict[str, Quantity]:

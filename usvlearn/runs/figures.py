@@ -154,10 +154,10 @@ def identified_figure(
 @guarded
 def forecast_figure(scores: Scores):
     """Skill against horizon, of `evaluation.horizons.horizon_scores`; a panel per boat, a line per estimator."""
-    names = list(next(iter(found.values())))
+    names = list(next(iter(scores.values())))
     palette = colours(names)
-    figure, panels = panels_of(len(found), ACROSS, (2.4, 2.3), (0.0, 0.8), least=4.6)
-    for panel, (boat, table) in zip(panels, found.items(), strict=False):
+    figure, panels = panels_of(len(scores), ACROSS, (2.4, 2.3), (0.0, 0.8), least=4.6)
+    for panel, (boat, table) in zip(panels, scores.items(), strict=False):
         panel.axhline(0.0, color=palette[PERSISTENCE], linewidth=1.0, linestyle=":")
         for name in (each for each in names if each != PERSISTENCE):
             at = [float(h) for h in table[name]]
@@ -168,7 +168,7 @@ def forecast_figure(scores: Scores):
         ticks = [float(h) for h in table[names[0]]]
         panel.set_xticks(ticks, [f"{h:g}" for h in ticks])
         panel.minorticks_off()
-    least = min((row["skill"] for t in found.values() for r in t.values() for row in r.values()
+    least = min((row["skill"] for t in scores.values() for r in t.values() for row in r.values()
                  if row["skill"] is not None), default=0.0)  # fmt: skip
     panels[0].set_ylim(max(-0.5, min(least, 0.0)) - 0.05, 1.0)
     figure.supylabel("skill")

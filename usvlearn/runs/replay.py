@@ -109,7 +109,7 @@ def _published(state: EnsembleState, recorded: dict[str, np.ndarray], filters: S
     if not state.monitors:
         return published
     evidence, _, raised = (recorded[name] for name in THRUSTERS)
-    told = {name.rpartition(".")[2]: torch.from_numpy(kept[name]) for name in THRUSTERS}
+    told = {name.rpartition(".")[2]: torch.from_numpy(recorded[name]) for name in THRUSTERS}
     health = state.monitors.thrusters._replace(**told)
     handed, given = np.zeros_like(evidence), state.accommodation
     if filters:

@@ -50,7 +50,7 @@ def test_as_much_more_is_as_it_was_expected(short):
 
 @pytest.mark.thorough
 def test_a_refit_is_as_it_was_expected(short):
-    found, more = short.fitted.found, log(6000, 7, 0.3)
+    found, more = short.fitted.identified, log(6000, 7, 0.3)
     told = refitted(FittedBoat.read(found.facts()), more, 0.1)
     done = fit_boat("heron", {"1": log(3000, 1, 0.3), "7": more}, MASS, TOP, "nine").quantities
     now, expected, then = ([x[name].high - x[name].low for name in NAMES] for x in (found, told, done))
@@ -65,8 +65,8 @@ def test_the_advice_is_an_amount_and_nothing_that_was_done(short):
     assert any(each.startswith("found     left reversed, compass +7.5°") for each in rest)
     assert ("min of the test manoeuvre" in rest[-1]) == any(each.startswith("not for") for each in rest)
     alike = expected(3000, same=True)
-    assert "thrust_ratio" not in displayed(alike.fitted.found) and "drag_half_speed" in displayed(alike.fitted.found)
-    assert math.isnan(alike.fitted.found.displayed("thrust_full_left").value)
+    assert "thrust_ratio" not in displayed(alike.fitted.identified) and "drag_half_speed" in displayed(alike.fitted.identified)
+    assert math.isnan(alike.fitted.identified.displayed("thrust_full_left").value)
     one = list(at._told(alike, {}))
     assert "one command for both sides" in "".join(one) and not any("each side" in each for each in one)
     good = list(at._told(expected(6000, 0.01, range(4)), {}))

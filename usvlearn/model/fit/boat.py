@@ -87,15 +87,15 @@ class FittedBoat(Identified):
     @classmethod
     def _made(
         cls, terms: str, top: float, mass: float, theta: np.ndarray, covariance: np.ndarray,
-        found: Mapping[str, Quantity], common: float, lacks: tuple[str, ...], basis: str, late: float, noise: float,
+        values: Mapping[str, Quantity], common: float, lacks: tuple[str, ...], basis: str, late: float, noise: float,
     ) -> FittedBoat:  # fmt: skip
         known = prior(terms, top)
         start = known.mean[known.active]
         first = {name: float(each) for name, each in quantities(known.mean, top, mass).items()}
-        impossible = unphysical({name: found[name] for name in POSITIVE_OF_BOATS})
+        impossible = unphysical({name: values[name] for name in POSITIVE_OF_BOATS})
         unknown = frozenset(
             name
-            for name, each in found.items()
+            for name, each in values.items()
             if says_nothing(name, each, first, mass) or (ONE_COMMAND in lacks and tells_sides(name))
         )
         return cls(
@@ -186,5 +186,5 @@ class FittedBoat(Identified):
         impossible = unphysical({name: known[name] for name in POSITIVE_OF_BOATS})
         turns, own = ({name: known.pop(name) for name in names if name in known} for names in (TURNING, OF_FIT))
         lacks = tuple(x for x in lacks if x != impossible)
-        made = cls._made(terms, top, mass, theta, covariance, found, common, lacks, basis, late, noise)
-        return replace(joined(made, turns, ()), quantities=made.quantities | turns | own, turning=turning)
+        boat = cls._made(terms, top, mass, theta, covariance, known, common, lacks, basis, late, noise)
+        return replace(joined(boat, turns, ()), quantities=boat.quantities | turns | own, turning=turning)

@@ -129,9 +129,9 @@ def _caption(boat: str, mission: Mission) -> str:
 @guarded
 def errors_figure(scores: Mapping[str, Scores]):
     """Mean position error against the horizon, a panel for each boat."""
-    known = any(row[key] for table in found.values() for row in table.values() for key in LINES)
-    figure, panels = panels_of(len(found), ACROSS, (2.4, 2.3), (0.0, 0.8), least=4.6)
-    for panel, (boat, table) in zip(panels, found.items(), strict=False):
+    known = any(row[key] for table in scores.values() for row in table.values() for key in LINES)
+    figure, panels = panels_of(len(scores), ACROSS, (2.4, 2.3), (0.0, 0.8), least=4.6)
+    for panel, (boat, table) in zip(panels, scores.items(), strict=False):
         at = [float(h) for h in table]
         for key, (name, colour, style) in LINES.items():
             errors = [np.nan if row[key] is None else max(row[key], 1e-3) for row in table.values()]
