@@ -22,7 +22,7 @@ from usvlearn.live.node_folder import NodeFolder
 from usvlearn.live.plan_requests import parse_plan, sampled
 from usvlearn.live.prior import prior
 from usvlearn.live.start import Options, begin
-from usvlearn.live.status import PLANNED, TABLE, TRACK, WIDTH, StatusLine, of_health, of_step, page, told
+from usvlearn.live.status import PLANNED, TABLE, TRACK, WIDTH, StatusLine, of_health, of_step, page, summary_of
 from usvlearn.logs.alignment.align import Aligner
 from usvlearn.logs.alignment.mixing import Mix, sides_of
 from usvlearn.logs.channels.channel import REQUIRED, Source
@@ -284,7 +284,7 @@ def test_posts_are_those_of_the_table(start):
     assert all(len(each.short) <= 10 for each in TABLE)
     first = of_step(steps[0])
     assert not any(isinstance(post.value, float) and not math.isfinite(post.value) for post in first)
-    assert "state=ok" in told(health)
+    assert "state=ok" in summary_of(health)
     lines = page(health._replace(warnings=("ü" * 200,), sentence="x " * 100), steps[-1])
     assert all(len(line) <= WIDTH and line.isascii() for line in lines)
     text = "\n".join(page(health, steps[0]._replace(measured=math.nan, speed=math.nan, next=math.nan)))
