@@ -62,9 +62,23 @@ def rls_step(
 
 
 class LeastSquares(Estimator):
-    """The common part of `RLS` and `SIFtRLS`, which have its arguments; in `_step` a subclass defines how it forgets.
+    """The common part of all recursive least squares; a subclass defines in `_step` how it forgets.
 
     The estimate of the noise, and its part in a prediction, are derived in `docs/theory/estimators.md`, RLS.
+
+    Args:
+        model: `QuasiStatic()` predicts the speed itself (the paper's RLS); `SurgeDynamics(mass)` its increment.
+        covariance: P₀ = covariance·scale²·I, where scale is the model's (1, or the mass); in units of σ², no unit;
+            broadcasts against the batch.
+        feedback: "measured" predicts from the last measured speed, "estimate" from the estimator's own.
+        surge_max: physical limit of the prediction, m/s.
+
+    Raises:
+        ConfigError: a number outside its range, or another feedback.
+
+    >>> from usvlearn import RLS, SIFtRLS
+    >>> issubclass(RLS, LeastSquares), issubclass(SIFtRLS, LeastSquares)
+    (True, True)
     """
 
     model: LinearModel
