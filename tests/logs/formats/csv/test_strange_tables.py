@@ -118,7 +118,7 @@ def test_rows_in_no_order_of_time_are_to_be_sorted(tmp_path, header, cell, order
     time = {"reverse": TIME[::-1], "no": rng.permutation(TIME), "some": TIME - 0.4 * (rng.random(600) < 0.1)}[order]
     path = write(tmp_path / "a.csv", header, [[cell(t)] for t in time])
     sort = r"reverse .*\.iloc\[::-1\]" if order == "reverse" else r"no .*\.sort_values\("
-    for read in (Table.found, lambda each: Table("+".join(header.split(","))).read(each, {"surge": Source("speed")})):
+    for read in (Table.of_file, lambda each: Table("+".join(header.split(","))).read(each, {"surge": Source("speed")})):
         with pytest.raises(LogFormatError, match=rf"a\.csv: expected the stamps .* in {sort}"):
             read(path)
 
@@ -170,7 +170,7 @@ CHANNELS = {name: {"name": "left"} for name in ("command_left", "command_right")
 )
 def test_a_table_of_several_boats_asks_which(tmp_path, column, labels, stacked):
     path = fleet_table(tmp_path / "a.csv", column, *labels, stacked=stacked)
-    for read in (Table.found, lambda each: read_recordings(each, Table("time"), CHANNELS)):
+    for read in (Table.of_file, lambda each: read_recordings(each, Table("time"), CHANNELS)):
         with pytest.raises(
             LogFormatError, match=f"several boats.*{column}'.*--name {labels[0]};.*boat_column={column}"
         ):
