@@ -179,7 +179,7 @@ def test_one_damaged_set_is_passed_over(copy):
     with pytest.warns(UserWarning, match="damaged"):
         _, seasons = read([copy], tools())
     sets = checkpoints(copy / "checkpoints" / "heron1")
-    assert list(seasons[0].paths) == sets[1:] and len(seasons[0].own) == len(sets) - 1
+    assert list(seasons[0].paths) == sets[1:] and len(seasons[0].saved_in) == len(sets) - 1
 
 
 def test_other_logs_of_a_boat_are_all_other_runs(saved):
@@ -203,8 +203,8 @@ def test_two_folders_of_one_season_are_pooled(copy, saved):
     (copy / "results.json").unlink()
     _, seasons = read([saved, copy], tools())
     assert len(seasons[0].runs) == 2  # the same runs count once
-    assert len(seasons[0].own) == 2 * len(checkpoints(saved / "checkpoints" / "heron1"))
-    assert seasons[0].hours.max() == pytest.approx(2 * seasons[0].hours[: len(seasons[0].own) // 2].max())
+    assert len(seasons[0].saved_in) == 2 * len(checkpoints(saved / "checkpoints" / "heron1"))
+    assert seasons[0].hours.max() == pytest.approx(2 * seasons[0].hours[: len(seasons[0].saved_in) // 2].max())
 
 
 def test_run_folders_are_found_below_and_must_be_there(saved, tmp_path):
