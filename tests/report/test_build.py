@@ -42,7 +42,6 @@ def test_every_file_is_there_and_replaced(saved):
     figures = {path.name for path in (report / "figures").iterdir()}
     names = {"online", "forecast", "crossval", "fleet", "certificates", "equilibria", "residuals",
              "best_minutes_1", "best_minutes_2",
-             "parameters_heron1", "parameters_heron2",
              "identified_heron1", "identified_heron2", "tracks", "tracks_heron1", "tracks_heron2",
              *(f"fit_{kind}_heron{k}" for kind in ("curves", "residuals", "worst") for k in (1, 2))}  # fmt: skip
     assert figures == {f"{name}.svg" for name in names}
