@@ -7,9 +7,10 @@ import pytest
 from tensorboard.backend.event_processing.event_file_loader import EventFileLoader
 
 from tests.support.boards import boards, texts, values
-from usvlearn.display.figures import colours, worst_minute
+from usvlearn.display.figures import colours
 from usvlearn.display.json_values import finite
 from usvlearn.display.tensorboard import TensorBoardWriter, folder_names
+from usvlearn.evaluation.metrics import worst_minute
 
 
 def test_texts_are_names_of_different_folders():

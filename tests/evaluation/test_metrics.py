@@ -1,4 +1,4 @@
-"""Scores and autocorrelations by hand, and how the tables show them."""
+"""Scores by hand, and how the tables show them."""
 
 import io
 
@@ -10,7 +10,7 @@ from usvlearn import Inputs, Sample
 from usvlearn.core.samples import Fleet, Run
 from usvlearn.evaluation.comparison import short_keys
 from usvlearn.evaluation.horizons import groups_of, horizon_scores, horizon_sums
-from usvlearn.evaluation.metrics import autocorrelation, fleet_scores, scores
+from usvlearn.evaluation.metrics import fleet_scores, scores
 from usvlearn.report.tables import averaged, rejection_table, score_table
 
 SURGE = np.array([1.0, 2.0, np.nan, 4.0, np.nan])

@@ -9,11 +9,10 @@ import pytest
 from tests.support import few
 from usvlearn.display.figures import attempted, rendered
 from usvlearn.estimators.joint.curves import Curve
-from usvlearn.evaluation.metrics import Autocorrelation
 from usvlearn.report.page import _drawing
 from usvlearn.report.sections import cross, network, tracks
 from usvlearn.report.sections import fit as fit_section
-from usvlearn.report.sections.errors import box, boxes_figure, residual_figure
+from usvlearn.report.sections.errors import Autocorrelation, box, boxes_figure, residual_figure
 from usvlearn.report.sections.fit_file import Course as Minute
 from usvlearn.report.sections.fit_file import Curve as FitCurve
 from usvlearn.report.sections.fit_file import Lags, Sailed

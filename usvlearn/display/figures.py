@@ -19,7 +19,6 @@ from usvlearn.errors import MissingExtraError, cause_of, printable
 P = ParamSpec("P")
 T = TypeVar("T")
 
-MINUTE, HALF = 60.0, 0.5  # s, what is enlarged; of the known steps of the fullest minute: fewer are not compared
 INK, LINE = "#1f2430", "#c8ccd4"  # text and axes; grids. A report replaces them by the colours of its theme
 SEVEN = {  # the colours of TensorBoard's runs, in its order, and who has them: estimators that are never compared share
     ("persistence",): "#425066", ("aid",): "#12b5cb", ("ensemble",): "#e52592", ("sift_map", "rls"): "#f9ab00",
@@ -138,23 +137,3 @@ def set_reach(panel: Any, low: float, high: float) -> None:
     """Set the ends of a vertical axis if both are known; else those of what is drawn hold."""
     if np.isfinite(low) and np.isfinite(high):
         panel.set_ylim(low, high)
-
-
-def worst_minute(time: np.ndarray, error: np.ndarray) -> tuple[int, int] | None:
-    """The first step and the end of the minute with the largest mean |error|; all of a mission that is shorter.
-
-    Minutes with less than `HALF` of the known steps of the fullest one are left out; None without a known step.
-    """
-    known = np.isfinite(error)
-    if not known.any():
-        return None
-    sums, counts = (np.append(0.0, np.cumsum(x)) for x in (np.abs(np.nan_to_num(error)), known))
-    begins, ends = np.arange(len(time)), np.searchsorted(time, time + MINUTE - 1e-6)
-    whole = begins == 0 if time[-1] - time[0] < MINUTE else time + MINUTE <= time[-1] + 1e-6
-    number = np.where(whole, counts[ends] - counts[begins], 0)
-    enough = number >= max(HALF * number.max(), 1)
-    if not enough.any():
-        return None
-    mean = np.where(enough, (sums[ends] - sums[begins]) / np.maximum(number, 1), -1.0)
-    k = int(mean.argmax())
-    return k, int(ends[k])

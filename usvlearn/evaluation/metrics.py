@@ -11,12 +11,11 @@ errors: `docs/theory/ensemble.md#scores`.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from usvlearn.core.samples import PLAUSIBLE, Fleet, tree_map
-from usvlearn.evaluation.season import SeasonRun, measured
+from usvlearn.evaluation.season import measured
 
 PERSISTENCE = "persistence"  # the estimator that skill refers to
 MISSING = 0.01  # share of the steps, the most without a prediction of an estimator that has errors
@@ -113,36 +112,24 @@ def mean_mae(boats: Mapping[str, Mapping[str, Mapping]]) -> dict[str, float]:
 
 
 NORMAL_99 = 2.58  # half-width of 99 % of a standard normal distribution
+MINUTE, HALF = 60.0, 0.5  # s, what is enlarged; of the known steps of the fullest minute: fewer are not compared
 
 
-class Autocorrelation(NamedTuple):
-    """Of errors at lags of 1, 2, … steps."""
+def worst_minute(time: np.ndarray, error: np.ndarray) -> tuple[int, int] | None:
+    """The first step and the end of the minute with the largest mean |error|; all of a mission that is shorter.
 
-    values: np.ndarray  # (lags,); NaN where there is no pair
-    pairs: np.ndarray  # (lags,)
-
-    @property
-    def bounds(self) -> np.ndarray:
-        """The half-width of the 99 % bounds for errors that do not depend on each other, `(lags,)`."""
-        return NORMAL_99 / np.sqrt(np.maximum(self.pairs, 1))
-
-
-def autocorrelation(errors: Sequence[np.ndarray], segments: Sequence[np.ndarray], lags: int) -> Autocorrelation:
-    """Equation (2) within segments of equal numbers, `(time,)`; errors are NaN where a step does not count."""
-    every = np.concatenate([e[np.isfinite(e)] for e in errors]) if errors else np.empty(0)
-    mean, variance = (float(every.mean()), float(every.var())) if len(every) else (0.0, 0.0)
-    sums, pairs = np.zeros(lags), np.zeros(lags, int)
-    for e, segment in zip(errors, segments, strict=True):
-        for k in range(1, min(lags, len(e) - 1) + 1):
-            product = (e[:-k] - mean) * (e[k:] - mean)
-            both = np.isfinite(product) & (segment[:-k] == segment[k:])
-            sums[k - 1] += product[both].sum()
-            pairs[k - 1] += both.sum()
-    known = (pairs > 0) & (variance > 0)
-    return Autocorrelation(np.where(known, sums / np.maximum(pairs, 1) / (variance or 1.0), np.nan), pairs)
-
-
-def autocorrelation_of_runs(runs: Sequence[SeasonRun], column: int, lags: int) -> Autocorrelation:
-    """That of the published errors one step ahead of one estimator."""
-    errors = [run.published["predictions"][:, column] - run.measured for run in runs]
-    return autocorrelation(errors, [np.cumsum(run.masks.starts) for run in runs], lags)
+    Minutes with less than `HALF` of the known steps of the fullest one are left out; None without a known step.
+    """
+    known = np.isfinite(error)
+    if not known.any():
+        return None
+    sums, counts = (np.append(0.0, np.cumsum(x)) for x in (np.abs(np.nan_to_num(error)), known))
+    begins, ends = np.arange(len(time)), np.searchsorted(time, time + MINUTE - 1e-6)
+    whole = begins == 0 if time[-1] - time[0] < MINUTE else time + MINUTE <= time[-1] + 1e-6
+    number = np.where(whole, counts[ends] - counts[begins], 0)
+    enough = number >= max(HALF * number.max(), 1)
+    if not enough.any():
+        return None
+    mean = np.where(enough, (sums[ends] - sums[begins]) / np.maximum(number, 1), -1.0)
+    k = int(mean.argmax())
+    return k, int(ends[k])

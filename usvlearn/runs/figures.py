@@ -13,14 +13,12 @@ from usvlearn.core.samples import Fleet, Inputs, tree_map
 from usvlearn.display.figures import (
     INK,
     KNOWN,
-    MINUTE,
     SIDES,
     colours,
     figure_of,
     guarded,
     panels_of,
     set_reach,
-    worst_minute,
 )
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.monitors.state import THRESHOLD
@@ -29,7 +27,7 @@ from usvlearn.estimators.joint.periodic_estimates import Identified
 from usvlearn.estimators.joint.quantities import COMMANDS
 from usvlearn.evaluation.diagnostics import Truth
 from usvlearn.evaluation.horizons import Scores
-from usvlearn.evaluation.metrics import PERSISTENCE
+from usvlearn.evaluation.metrics import MINUTE, PERSISTENCE, worst_minute
 from usvlearn.evaluation.season import measured
 from usvlearn.runs.prediction_files import Published, joined
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from usvlearn.evaluation.metrics import autocorrelation as of_steps
-from usvlearn.model.fit.correlations import BEFORE, EVERY, REACH, _sums, autocorrelation, cross_correlation
+from usvlearn.model.fit.correlations import BEFORE, REACH, autocorrelation, cross_correlation, lagged_sums
 
 DT = 0.1
 
@@ -28,19 +27,10 @@ def test_pairs_are_those_of_one_mission_on_its_clock():
     some = [rng.standard_normal(count) for count in (40, 3, 25)]
     some[0][10:30] = np.nan  # a gap
     other = [rng.standard_normal(len(x)) for x in some]
-    sums, pairs = _sums(some, other, 30)
+    sums, pairs = lagged_sums(some, other, 30)
     for k in range(31):
         products = np.concatenate([x[: len(x) - k] * y[k:] for x, y in zip(some, other, strict=True) if len(x) > k])
         assert sums[k] == pytest.approx(np.nansum(products), abs=1e-12) and pairs[k] == np.isfinite(products).sum()
-
-
-def test_the_autocorrelation_is_that_of_an_evaluation():
-    rng = np.random.default_rng(1)
-    errors = [np.cumsum(rng.standard_normal(400)) for _ in range(2)]
-    errors = [x - x.mean() for x in errors]
-    found, expected = autocorrelation(errors, EVERY), of_steps(errors, [np.zeros(400)] * 2, round(REACH / EVERY))
-    np.testing.assert_allclose(found.values, expected.values, rtol=1e-9)
-    np.testing.assert_allclose(found.bounds, expected.bounds, rtol=1e-12)
 
 
 def test_white_errors_are_within_the_bounds_as_often_as_these_say():

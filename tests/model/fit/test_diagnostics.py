@@ -8,7 +8,7 @@ import pytest
 from tests.support.fitted_boats import MASS, TOP, mission
 from tests.support.saved_fits import missions
 from usvlearn.core.prepared_samples import HOLD, LEARN, LEFT, MODE, PREDICT, RIGHT, START, SURGE
-from usvlearn.display.figures import worst_minute
+from usvlearn.evaluation.metrics import worst_minute
 from usvlearn.model.fit.choice import Score
 from usvlearn.model.fit.diagnostics import SHOWN, diagnostics
 from usvlearn.model.fit.gauss_newton import Missions

@@ -33,7 +33,7 @@ def autocorrelation(errors: Sequence[np.ndarray], dt: float) -> Correlation:
     """r_e of (1) of missions, `(time,)` each, NaN where a step does not count, in means over `EVERY` s of lags."""
     reach = round(REACH / dt)
     centred = [_centred(each) for each in errors]
-    sums, pairs = _sums(centred, centred, reach)
+    sums, pairs = lagged_sums(centred, centred, reach)
     places = np.round(np.arange(reach + 1) * dt / EVERY).astype(int)
     count = round(REACH / EVERY) + 1
     binned, number = (np.bincount(places, x, count)[1:count] for x in (sums, pairs))
@@ -48,9 +48,9 @@ def cross_correlation(errors: Sequence[np.ndarray], commands: Sequence[np.ndarra
     """r_eu of (1), and bounds by (2), at lags from −`BEFORE` to `REACH`, of missions, `(time,)`; NaN where unknown."""
     reach, before = round(REACH / dt), round(BEFORE / dt)
     e, u = [_centred(each) for each in errors], [_centred(each) for each in commands]
-    (own, n), (driven, m) = _sums(e, e, reach), _sums(u, u, reach)
-    after, later = _sums(u, e, reach)
-    ahead, sooner = _sums(e, u, before)
+    (own, n), (driven, m) = lagged_sums(e, e, reach), lagged_sums(u, u, reach)
+    after, later = lagged_sums(u, e, reach)
+    ahead, sooner = lagged_sums(e, u, before)
     lags = np.arange(-round(BEFORE / EVERY), round(REACH / EVERY) + 1) * EVERY
     steps = np.round(lags / dt).astype(int)
     size = np.abs(steps)
@@ -80,7 +80,7 @@ def _centred(x: np.ndarray) -> np.ndarray:
     return x - x[known].mean() if known.any() else x
 
 
-def _sums(first: Sequence[np.ndarray], second: Sequence[np.ndarray], reach: int) -> tuple[np.ndarray, np.ndarray]:
+def lagged_sums(first: Sequence[np.ndarray], second: Sequence[np.ndarray], reach: int) -> tuple[np.ndarray, np.ndarray]:
     """Σ first[t] second[t + k] over the missions, and the number of pairs, of k = 0 … reach: `(reach + 1,)` each."""
     sums, pairs = np.zeros(reach + 1), np.zeros(reach + 1)
     for x, y in zip(first, second, strict=True):

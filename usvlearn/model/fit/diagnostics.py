@@ -16,11 +16,11 @@ import numpy as np
 
 from usvlearn.core.events import NINETY
 from usvlearn.core.prepared_samples import DT, LEFT, MODE, PREDICT, RIGHT, SURGE
-from usvlearn.display.figures import MINUTE, worst_minute
 from usvlearn.display.json_values import finite
 from usvlearn.estimators.joint.excitation_warnings import Quantity
 from usvlearn.estimators.joint.quantities import SIDES
 from usvlearn.estimators.regressors.terms import SURGE as COEFFICIENTS
+from usvlearn.evaluation.metrics import MINUTE, worst_minute
 from usvlearn.evaluation.metrics import fit as per_cent
 from usvlearn.model.fit.correlations import autocorrelation, cross_correlation
 from usvlearn.model.fit.gauss_newton import LAGS, NEGATIVE, ROBUST, TIMES, Fit, Missions, scored

@@ -11,8 +11,9 @@ from usvlearn.display.figures import INK, PAPER, colours, guarded, panels_of
 from usvlearn.display.terminal import ResultTable
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.horizons import GROUPS, Scores, ensemble_scores
-from usvlearn.evaluation.metrics import PERSISTENCE, Autocorrelation, autocorrelation_of_runs, by_error, scores
+from usvlearn.evaluation.metrics import NORMAL_99, PERSISTENCE, by_error, scores
 from usvlearn.evaluation.season import Season
+from usvlearn.model.fit.correlations import lagged_sums
 from usvlearn.report.sections.section import WORSE, Drawn, Section, mean_errors, on, summary, tally
 from usvlearn.runs.figures import forecast_figure
 
@@ -104,12 +105,37 @@ def _findings(maes: dict[str, dict[str, float]]) -> list[str]:
     return here
 
 
+class Autocorrelation(NamedTuple):
+    """Of errors at lags of 1, 2, … steps."""
+
+    values: np.ndarray  # (lags,); NaN where there is no pair
+    pairs: np.ndarray  # (lags,)
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """The half-width of the 99 % bounds for errors that do not depend on each other, `(lags,)`."""
+        return NORMAL_99 / np.sqrt(np.maximum(self.pairs, 1))
+
+
+def autocorrelation(errors: Sequence[np.ndarray], lags: int) -> Autocorrelation:
+    """(1) of `usvlearn.model.fit.correlations` of segments, `(time,)`, NaN where a step does not count."""
+    every = np.concatenate([*errors, np.empty(0)])
+    mean = float(every[np.isfinite(every)].mean()) if np.isfinite(every).any() else 0.0
+    centred = [np.where(np.isfinite(x), x - mean, np.nan) for x in errors if len(x)]
+    sums, pairs = lagged_sums(centred, centred, lags)
+    known = (pairs[1:] > 0) & (sums[0] > 0)
+    values = sums[1:] / np.maximum(pairs[1:], 1) * (max(pairs[0], 1) / (sums[0] or 1.0))
+    return Autocorrelation(np.where(known, values, np.nan), pairs[1:])
+
+
 def residual_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | None:
     """The autocorrelation of the errors of the combiner that predicts; None if no run was replayed."""
     column, correlations, here, uneven = ensemble.names.index(ensemble.output), {}, [], False
     for season in seasons:
         runs = [run for run in season.runs if run.published]
-        if not runs or np.isnan((each := autocorrelation_of_runs(runs, column, LAGS)).values[0]):
+        errors = ((run.published["predictions"][:, column] - run.measured, run.masks.starts) for run in runs)
+        each = autocorrelation([part for x, starts in errors for part in np.split(x, np.flatnonzero(starts))], LAGS)
+        if np.isnan(each.values[0]):
             continue
         correlations[season.boat] = each
         beyond = np.abs(each.values) > each.bounds

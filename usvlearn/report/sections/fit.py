@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from usvlearn.core.samples import tree_map
-from usvlearn.display.figures import INK, MINUTE, SIDES, figure_of, guarded, set_reach
+from usvlearn.display.figures import INK, SIDES, figure_of, guarded, set_reach
 from usvlearn.display.terminal import ResultTable
 from usvlearn.estimators.axis.turning_quantities import MEANING_OF_FIT, OF_FIT
 from usvlearn.estimators.ensemble.layer import Ensemble
@@ -17,6 +17,7 @@ from usvlearn.estimators.joint.curves import Curve
 from usvlearn.estimators.joint.excitation_warnings import WIDE, Quantity
 from usvlearn.estimators.joint.quantities import MEANING
 from usvlearn.evaluation.diagnostics import Truth, identified_boats
+from usvlearn.evaluation.metrics import MINUTE
 from usvlearn.evaluation.season import Season
 from usvlearn.report.sections.fit_file import Course, Diagnostics, Lags, Sailed, SavedFit
 from usvlearn.report.sections.section import Drawn, Section
