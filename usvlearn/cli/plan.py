@@ -180,7 +180,10 @@ def _intervals(
     for name in quantities:
         widths = [_width(each, name) / 2 for each in (boat.identified, mower, after)]
         table.add(
-            name, shown(boat.identified.displayed(name).value), *(shown(each) for each in widths), boat.identified[name].unit
+            name,
+            shown(boat.identified.displayed(name).value),
+            *(shown(each) for each in widths),
+            boat.identified[name].unit,
         )
     return table
 

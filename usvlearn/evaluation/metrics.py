@@ -1,11 +1,6 @@
-"""Errors of predictions: MAE, median, RMSE, fit, skill against persistence, coverage of the intervals, autocorrelation.
+"""Errors of predictions: MAE, median, RMSE, fit, skill against persistence, coverage of intervals, worst minutes.
 
-With the errors e of the steps that count and their mean m, the autocorrelation within segments is
-
-    r(k) = (Σ (e_i − m) (e_(i+k) − m) / n_k) / (Σ (e_i − m)² / n)                                      (2)
-
-over the n_k pairs of steps i and i + k of one segment of one run that both count. (1) and the bounds of independent
-errors: `docs/theory/ensemble.md#scores`.
+(1) and its bounds: `docs/theory/ensemble.md#scores`.
 """
 
 from __future__ import annotations

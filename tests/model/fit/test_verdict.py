@@ -65,8 +65,9 @@ def test_the_advice_is_an_amount_and_nothing_that_was_done(short):
     assert any(each.startswith("found     left reversed, compass +7.5°") for each in rest)
     assert ("min of the test manoeuvre" in rest[-1]) == any(each.startswith("not for") for each in rest)
     alike = expected(3000, same=True)
-    assert "thrust_ratio" not in displayed(alike.fitted.identified) and "drag_half_speed" in displayed(alike.fitted.identified)
-    assert math.isnan(alike.fitted.identified.displayed("thrust_full_left").value)
+    boat = alike.fitted.identified
+    assert "thrust_ratio" not in displayed(boat) and "drag_half_speed" in displayed(boat)
+    assert math.isnan(boat.displayed("thrust_full_left").value)
     one = list(at._told(alike, {}))
     assert "one command for both sides" in "".join(one) and not any("each side" in each for each in one)
     good = list(at._told(expected(6000, 0.01, range(4)), {}))
