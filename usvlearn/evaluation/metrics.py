@@ -1,6 +1,6 @@
 """Errors of predictions: MAE, median, RMSE, fit, skill against persistence, coverage of intervals, worst minutes.
 
-(1) and its bounds: `docs/theory/ensemble.md#scores`.
+The fit is equation (1) of `docs/theory/ensemble.md#scores`.
 """
 
 from __future__ import annotations
