@@ -25,10 +25,7 @@ ONE_HEADING = 0.9  # share of the current's variance across the heading, after s
 WIDE = 0.5  # half-width over value, beyond which a quantity is not well determined
 FAR = 1.5  # ratio of the steady speed to vehicle.surge_max, or its inverse
 ASTERN_ONLY = 4.0, 0.1  # ratio of (3) ahead to (3) astern, and least (3) ahead, where the boat went astern only
-ONE_COMMAND = (
-    "Both thrusters always had the same command: the thrust of the left side cannot be separated from that of the "
-    "right side."
-)
+ONE_COMMAND = "Both thrusters always had the same command: their thrusts cannot be told apart."
 WRONG_SIGN = (
     "known: the forces have the opposite sign of those found, so that neither mass nor forces can be told; thrust "
     "ahead is positive, drag negative: correct the signs, and learn anew."

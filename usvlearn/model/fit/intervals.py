@@ -99,13 +99,13 @@ def alike(scores: Mapping[str, Score], chosen: str) -> list[str]:
     return [name for name, score in scores.items() if name != chosen and -score.gain <= ALIKE]
 
 
-def spread(fit: Fit) -> np.ndarray:
-    """A + (SCATTER + FEW/M) · A B A of (1), `(m, m)`; A alone where there is one piece."""
+def spread(fit: Fit, share: float = 1.0) -> np.ndarray:
+    """A + (SCATTER + FEW/M) · A B A of (1), `(m, m)`; A alone of one piece. M is a `share` of those to come."""
     A, count = fit.covariance, len(fit.score)
     if count < 2:
         return A
     away = fit.score - fit.score.mean(0)
-    total: np.ndarray = A + (SCATTER + FEW / count) * count / (count - 1) * A @ (away.T @ away) @ A
+    total: np.ndarray = A + (SCATTER + share * FEW / count) * count / (count - 1) * A @ (away.T @ away) @ A
     return total
 
 

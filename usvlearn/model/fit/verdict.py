@@ -28,17 +28,7 @@ from usvlearn.logs.channels.channel import Recording
 from usvlearn.logs.checks.finding import WARNING, Finding
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.model.fit.fitted import Fitted, fit_boat
-from usvlearn.model.fit.intervals import (
-    FEW,
-    SCATTER,
-    disagreement,
-    gradients,
-    rehearsed,
-    spread,
-    unreached,
-    variances,
-    worth,
-)  # fmt: skip
+from usvlearn.model.fit.intervals import disagreement, gradients, rehearsed, spread, unreached, variances, worth
 from usvlearn.model.fit.logs import APART, fine, missions_of
 from usvlearn.model.fit.logs import DT as GRID
 from usvlearn.model.fit.quantities import quantities
@@ -77,17 +67,12 @@ class Expected:
     def after(self, hours: float) -> Widths:
         """(1)."""
         share = self.hours / (self.hours + hours)
-        return self._widths(self._spread(share) * share, self.beyond, share)
-
-    def _spread(self, share: float) -> np.ndarray:
-        """C, whose scatter is known better from more pieces, of which the logs are a share."""
-        A, few = self.fitted.fit.covariance, FEW / len(self.fitted.fit.score)
-        return A + (SCATTER + few * share) / (SCATTER + few) * (spread(self.fitted.fit) - A)
+        return self._widths(spread(self.fitted.fit, share) * share, self.beyond, share)
 
     def after_manoeuvres(self, times: int) -> Widths:
         """(2); all commands are reached then."""
         fit, share = self.fitted.fit, self.hours / (self.hours + times * MINUTES / 60)
-        C = self._spread(share)
+        C = spread(fit, share)
         rows = np.zeros((sum(s for s, *_ in MANOEUVRE) * round(1 / GRID), ROW))
         both = np.repeat([each[1:] for each in MANOEUVRE], [s * round(1 / GRID) for s, *_ in MANOEUVRE], axis=0)
         rows[:, [LEFT, RIGHT]] = both.mean(1, keepdims=True) if self.one_command else both
