@@ -283,7 +283,7 @@ def report_commands(commands: Sequence[Commands], channels: dict, series: dict) 
         ahead = "reversed" if min((one.sign, *one.weights[:1])) < 0 else "positive ahead"
         held = channels[channel].get("held", False)
         how = "sent on change, then held" if held else f"sent every {best.left.parts[0].interval:.2g} s"
-        rate = f"{one.parts[0].repeats:.0%} repeat the one before"
+        rate = f"{one.parts[0].repeats:.0%} repeat the one before; every {one.parts[0].interval:.2g} s"
         span, span_reason = f"{one.sign * level.span:g}", f"{level.kind}: {level.span_reason}"
         decisions += [
             Decision(channel, "series", label, best.certainty, best.reason, others),
