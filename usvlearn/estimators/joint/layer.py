@@ -44,8 +44,8 @@ class JointEKF(KernelEstimator):
             changes, 1e5 for one that does not.
         lag: prior standard deviation of μ, share of a step.
         cubic: that of κ, in units of the force per mass of one side at full, no unit.
-        even: ρ, that of the fore-aft asymmetry terms, in units of the drag's and that force; None: no such terms.
-        outlier: k, standard deviations beyond which a measurement is an outlier; None: none is. Broadcasts, too.
+        even: ρ, that of the fore-aft asymmetry terms, in units of the drag's and that force, no unit; None: no terms.
+        outlier: k, number of standard deviations beyond which a measurement is one; None: none is. Broadcasts, too.
         estimate_every: s of update steps under way between two periodic estimates of the parameters; None: none.
         known: forces by name, or by a sum of names, in N, as `{"thrust_full_left": 33.6}`: the mass is identified too
             (`usvlearn.estimators.mass`); the names are those of `quantities.sums`.
