@@ -40,7 +40,7 @@ def test_the_page_is_one_file_without_links(saved):
     }
     assert len(ids) == len(set(ids)) and links <= set(ids)
     assert "currentColor" in text and "prefers-color-scheme: dark" in text
-    assert text.count("<svg") == 22
+    assert text.count("<svg") == 20
 
 
 def test_only_the_viewer_may_run_and_nothing_may_be_loaded(saved):
@@ -207,7 +207,7 @@ def test_a_run_that_is_not_finished_has_a_page_and_a_study_states_the_papers_res
     text = page.read_text()
     assert "is not finished: the report covers the finished part." in text
     assert (
-        text.count("<h3>The paper found</h3>") == 6
+        text.count("<h3>The paper found</h3>") == 5
         and "The paper found" not in (saved / "report/index.html").read_text()
     )
     assert Page(text).data()["runs"] == page_of(saved / "report").data()["runs"]
