@@ -33,7 +33,7 @@ def test_the_first_example_of_a_page_runs(page, tmp_path, monkeypatch):
     elif "reference" in page:
         assert names["surge"].shape == (50, 3, 8) and names["aid"].gain.log.grad.abs().min() > 0
     else:
-        assert names["made"]["condition"] == "exact" and (tmp_path / "two.npz").exists()
+        assert names["proved"]["condition"] == "exact" and (tmp_path / "two.npz").exists()
 
 
 def insert(path: Path, after: str, line: str) -> None:

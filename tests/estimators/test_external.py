@@ -21,7 +21,7 @@ from usvlearn.testing import CONTRACTS, at, check_estimator, random_samples
 
 PAGE = (ROOT / "docs/estimators.md").read_text().partition("{#own}")[2].partition("\n## ")[0]
 BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.S)
-SWEEPS = re.findall(r"^usvlearn sweep my_boat.yaml ((?:.*\\\n)*.*)", PAGE.replace("$MINE", "+estimators.mine"), re.M)
+SWEEPS = re.findall(r"^usvlearn train -m my_boat.yaml ((?:.*\\\n)*.*)", PAGE.replace("$MINE", "+estimators.mine"), re.M)
 LIBRARIES = all(map(importlib.util.find_spec, ("river", "sklearn")))
 needs_libraries = pytest.mark.skipif(not LIBRARIES, reason="river and scikit-learn are not installed")
 
