@@ -33,7 +33,7 @@ FIRST, WINDOW, BACK = 100, 50, 1.1  # predictions judged; steps of the running m
 DRIVES = {"random": "random", "speed controller": "convoy", "lawn mowing": "lawn_mower"}  # kinds of mission
 EXACT = Sensors(surge_noise=0.0, surge_quantum=1e-9, surge_filtered=0.0, outlier_share=0.0, heading_noise=0.0)
 PEERS = {"NLMS": plain_nlms, "RLS": plain_rls}
-HEALTH = tuple(f"monitors.thrusters.{name}" for name in ("evidence", "sums", "raised", "moments", "variance"))
+HEALTH = tuple(f"monitors.thrusters.{name}" for name in ("evidence", "share", "deviation", "raised"))
 GIVEN = tuple(f"accommodation.{name}" for name in ("handed", "share", "deviation"))
 LONGEST = 500  # steps after the event within which a predictor recovers, or never
 

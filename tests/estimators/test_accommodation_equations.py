@@ -12,7 +12,7 @@ from usvlearn.estimators.ensemble.accommodation import kernel
 from usvlearn.estimators.joint.state import THETA
 
 LEFT, RIGHT = THETA + 3, THETA + 6  # the linear thrust of each side
-ALARM = {"raised": 1.0, "evidence": 30.0, "sums": (-60.0, 90.0)}  # 1 − 60/(90 + 10) of the thrust remains
+ALARM = {"raised": 1.0, "evidence": 30.0, "sums": (-24.0, 37.0, 0.0, 0.0)}  # 1 − 24/(37 + 3) remains
 # of the left side before a step, and what it has after it: handed, share (None: see the test)
 CASES = {
     "healthy": ({}, 0, 1.0),
@@ -34,13 +34,14 @@ def stepped():
     sure = torch.diag(torch.full((joint.mean.shape[-1],), 1e-8, dtype=torch.float64)).expand(joint.factor.shape).clone()
     past = joint.mean[:, None].repeat(1, 2, 1)
     thrusters = {
-        name: getattr(state.monitors.thrusters, name).clone() for name in ("raised", "evidence", "sums", "since")
+        name: getattr(state.monitors.thrusters, name).clone()
+        for name in ("raised", "evidence", "sums", "held", "since")
     }
     handed = state.accommodation.handed.clone()
     for k, (given, *_) in enumerate(CASES.values()):
         thrusters["since"][k] = given.get("since", 0.0)
         thrusters["raised"][k, 0], thrusters["evidence"][k, 0] = given.get("raised", 0.0), given.get("evidence", 0.0)
-        thrusters["sums"][k, 0] = torch.tensor(given.get("sums", (0.0, 0.0)), dtype=torch.float64)
+        thrusters["sums"][k, 0] = torch.tensor(given.get("sums", (0.0,) * 4), dtype=torch.float64)
         handed[k, 0] = given.get("handed", 0.0)
         past[k, :, LEFT : LEFT + 3] *= given.get("past", 1.0)
     trial = joint.trial._replace(past_mean=past, past_factor=sure[:, None].repeat(1, 2, 1, 1))

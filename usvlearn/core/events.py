@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-SIDES = ("left", "right")
+SIDES, BOTH = ("left", "right"), "both"
 FIXED = 8  # columns of a row without those of the changes
 SHARE, DEVIATION, RAISED, HANDED = range(0, FIXED, 2)
 SETTLES = 120.0  # s after an alarm, up to which its effectiveness is updated
@@ -31,7 +31,7 @@ class Event(NamedTuple):
 
     time: float  # s
     kind: str  # LOSS, RECOVERY, CHANGE
-    side: str = ""  # of the thruster; "" of a change
+    side: str = ""  # of the thruster, or both: the engine, or one that nothing tells from the other; "" of a change
     effectiveness: float = math.nan
     low: float = math.nan  # ends of its 90 % interval
     high: float = math.nan
@@ -49,13 +49,17 @@ class Event(NamedTuple):
         who = " and ".join(self.filters)
         if self.kind == CHANGE:
             return f"the boat has changed: {who} ha{'s' if len(self.filters) == 1 else 've'} learned other parameters"
+        both = self.side == BOTH
+        name = "the boat" if both else f"the {self.side} thruster"
         if self.kind == RECOVERY:
-            return f"the {self.side} thruster gives its full thrust again"
+            return f"{name} gives its full thrust again"
         if math.isnan(self.effectiveness):
-            return f"the {self.side} thruster has lost thrust"
+            return f"{name} has lost thrust"
         ends = f" ({100 * self.low:.0f} ... {100 * self.high:.0f} %)" if math.isfinite(self.low) else ""
         handed = f"; {who} got this after {self.given:.0f} s" if math.isfinite(self.given) and who else ""
-        return f"the {self.side} thruster gives {100 * self.effectiveness:.0f} % of its thrust{ends}{handed}"
+        of = "the thrust of both sides" if both else "its thrust"
+        untold = "; speed and turns do not tell which side" if both else ""
+        return f"{name} gives {100 * self.effectiveness:.0f} % of {of}{ends}{untold}{handed}"
 
 
 class EventWatch:
@@ -81,7 +85,7 @@ class EventWatch:
         What is on already at the first step is an alarm, and counts begin there: the model may be that of a checkpoint.
         Where the time, s, goes back, because a clock began anew, losses count from there.
         """
-        row, events = np.asarray(row, float), []
+        row, events = np.asarray(row, float), list[Event]()
         before = self._row
         if before is None:
             before = row.copy()
@@ -90,16 +94,18 @@ class EventWatch:
         if time < self._time:
             self.losses = {side: event._replace(time=time) for side, event in self.losses.items()}
         self._row, self._time = row, time
+        on = [bool(row[RAISED + side] > 0 or row[HANDED + side] > 0) for side in range(2)]
+        both = all(on) and all(event.side == BOTH for event in self.losses.values())
         for side, name in enumerate(SIDES):
-            if not (row[RAISED + side] > 0 or row[HANDED + side] > 0):
-                if side in self.losses:
-                    del self.losses[side]
-                    events.append(Event(time, RECOVERY, name))
+            if not on[side]:
+                if (ended := self.losses.pop(side, None)) is not None:
+                    events.append(Event(time, RECOVERY, name if any(on) else ended.side))
                 continue
             first, new = side not in self.losses, row[HANDED + side] > before[HANDED + side]
-            event = self.losses.get(side, Event(time, LOSS, name))
+            event = self.losses.get(side, Event(time, LOSS))._replace(side=BOTH if both else name)
             late = time - event.time
             if not (first or new or late <= SETTLES):
+                self.losses[side] = event
                 continue
             share, spread = max(row[SHARE + side], 0.0), NINETY * row[DEVIATION + side]
             known = 0 < spread < math.inf
@@ -110,6 +116,8 @@ class EventWatch:
             if first or new:
                 events.append(event)
             self.losses[side] = event
+        if [event.side for event in events] == [BOTH, BOTH]:
+            del events[1]
         changed = tuple(name for name, x, y in zip(self.filters, row[FIXED:], before[FIXED:], strict=True) if x > y)
         if changed and not any(time - event.time <= TOGETHER for event in self.losses.values()):
             events.append(Event(time, CHANGE, filters=changed))

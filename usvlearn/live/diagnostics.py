@@ -11,7 +11,7 @@ import numpy as np
 from usvlearn.core.events import EventWatch
 from usvlearn.engine.online import Online
 from usvlearn.estimators.ensemble.forecasts.state import FIT
-from usvlearn.estimators.ensemble.monitors.state import DOUBT
+from usvlearn.estimators.ensemble.monitors.state import EXPLAINED
 
 PLANAR = "planar"  # kind of the description of a `Planar`, and the folder of a run that holds its checkpoints
 
@@ -45,17 +45,31 @@ def event_watch(description: Mapping[str, Any]) -> EventWatch | None:
 
 
 def event_row(online: Online, filters: Sequence[str]) -> np.ndarray:
-    """The numbers that `EventWatch` reads, now. Without filters that get an effectiveness, its interval is unknown."""
+    """The numbers that `EventWatch` reads, now."""
     begin = surge_of(online)[1]
-    raised, sums = (online.leaf(f"{begin}monitors.thrusters.{name}") for name in ("raised", "sums"))
-    share = np.where(raised > 0, 1 + sums[:, 0] / (sums[:, 1] + DOUBT), 1.0)
-    deviation = handed = np.zeros(2)
+    names = "raised", "share", "deviation"
+    raised, share, deviation = (online.leaf(f"{begin}monitors.thrusters.{name}") for name in names)
+    share, handed = np.where(raised > 0, share, 1.0), np.zeros(2)
     if filters:
         share, deviation, handed = (
             online.leaf(f"{begin}accommodation.{name}") for name in ("share", "deviation", "handed")
         )
     changes = [np.atleast_1d(online.leaf(f"{begin}members.{name}.trial.changes")) for name in filters]
     return np.concatenate([share, deviation, raised, handed, *changes])
+
+
+def unexplained(online: Online) -> str:
+    """Why the yaw rate tells nothing of the thrusters; "" if it does, or if nobody watches them."""
+    own, begin = surge_of(online)
+    if own.get("monitors") is None:
+        return ""
+    error, made = online.leaf(f"{begin}monitors.thrusters.explained")
+    if made == 0 or 1 - error / made >= EXPLAINED:
+        return ""
+    return (
+        f"commands explain {max(100 * (1 - error / made), 0):.0f} % of the turns in the last minutes: a loss of thrust "
+        "is sought by the speed alone"
+    )
 
 
 def identified(online: Online, one_command: bool = False) -> tuple[dict[str, tuple[float, float, float, str]], str]:

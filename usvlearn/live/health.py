@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 ONE_COMMAND = (
     "one command drives both sides: nothing tells left from right, so that neither the thrust of a side nor "
-    "thrust_ratio can be identified, nor a failed thruster be noticed; what a rudder does is not learned"
+    "thrust_ratio can be identified; a loss of thrust is sought by the speed; what a rudder does is not learned"
 )
 
 
@@ -162,6 +162,39 @@ class Cause(NamedTuple):
 
     sentence: str  # of the state
     warning: str  # with the key to change
+
+
+PACE, IDLE = 0.5, 20.0  # share of the steps that a second should bring, below which time stands still; s of a look
+
+
+class Pace:
+    """Counts steps and learned speeds in real seconds: stamps that stand still bring none. It is asked each second."""
+
+    def __init__(self, warp: float):
+        self._warp = warp
+        self._counts: deque[tuple[float, int, int]] = deque()  # s of the clock, steps, learned
+
+    def judged(self, node: Node, clock: float) -> Cause | None:
+        """Why hardly a step was made, or nothing learned, in the last 45 s; None if that is not so."""
+        if self._counts and (node.grid < self._counts[-1][1] or clock - self._counts[-1][0] > IDLE):
+            self._counts.clear()
+        self._counts.append((clock, node.grid, node.learned))
+        while self._counts[0][0] < clock - 1.5 * SPAN:
+            self._counts.popleft()
+        begin, steps, learned = self._counts[0]
+        elapsed, made, new = clock - begin, node.grid - steps, node.learned - learned
+        wanted = elapsed * self._warp / node.dt
+        if elapsed < IDLE or wanted < LEAST or (made >= PACE * wanted and new):
+            return None
+        if made >= PACE * wanted:
+            if elapsed < 1.4 * SPAN:  # a channel that is to blame is named first
+                return None
+            return Cause("nothing is learned", f"none of the last {made} steps had all inputs and a measured speed")
+        share = f"{made} of {wanted:.0f} steps were made in the last {elapsed:.0f} s"
+        return Cause(
+            "hardly a step is made, because the stamps of the messages stand still or run slowly",
+            f"{share}: the stamps of the messages stand still or run slowly: restart what sends them",
+        )
 
 
 class _Count(NamedTuple):

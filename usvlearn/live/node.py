@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.core.events import Event
+from usvlearn.core.events import CHANGE, Event
 from usvlearn.core.forecasts import YAW_RATE, Forecast, Track
 from usvlearn.core.samples import Inputs, PlanarSample, Sample
 from usvlearn.engine.online import Online
@@ -27,6 +27,7 @@ from usvlearn.live import diagnostics
 from usvlearn.live.held_command_intervals import HeldIntervals
 from usvlearn.live.live_poses import LivePoses
 from usvlearn.live.plan_requests import PlannedCommands, Point, answer, parse_plan, points, sampled
+from usvlearn.live.track_ellipses import TrackEllipses
 from usvlearn.logs.alignment.mixing import LiveMix, Mix
 from usvlearn.logs.channels.channel import CHANNELS, SURGE
 from usvlearn.logs.channels.derived_surge import LiveSurge, pair_of
@@ -53,8 +54,9 @@ class Step(NamedTuple):
     if_held: Ends  # the same, with intervals that hold where the commands stay
     members: dict[str, float]  # the prediction of each member and combiner, m/s
     events: tuple[Event, ...]  # of this step
-    track: Track | None = None  # under the commands in force, with ellipses that hold where these stay
-    places: Mapping[float, Point] = {}  # of it at its horizons, s
+    track: Track | None = None  # under the commands in force
+    places: Mapping[float, Point] = {}  # of it at its horizons, s, with ellipses that hold whatever is commanded
+    places_if_held: Mapping[float, Point] = {}  # the same, with ellipses that hold where the commands stay
 
 
 class Node:
@@ -68,6 +70,8 @@ class Node:
         self.grid = self.fresh = self.measured = 0  # steps of the grid, those with all inputs, those with a speed, too
         self.alarm: str | None = None  # the side whose thruster seems to have failed
         self.loss: Event | None = None  # what is known of it now
+        self.changed = ""  # what the last change of the boat has changed
+        self._full = self._before_change = math.nan  # m/s, at full command: the last known, and before a change
         self._shell: dict[str, Counter[str]] = {}
         self._before: dict[str, Counter[str]] = {}  # counts of earlier aligners
         description = online.description
@@ -87,6 +91,7 @@ class Node:
         )
         # The intervals of forecasts, whatever is commanded.
         self.held = HeldIntervals(self.horizons, self.dt)
+        self._tracks = TrackEllipses(self.track_horizons, self.dt), TrackEllipses(self.track_horizons, self.dt, True)
         self.last = math.nan  # the end of the last step, s, as the messages are stamped
         self._begin()
 
@@ -94,7 +99,8 @@ class Node:
         """A new grid of time."""
         setup = self.setup
         self._aligner = setup.aligner(patience=self.patience)
-        self.held.clear()
+        for each in (self.held, *self._tracks):
+            each.clear()
         self._mixes = {name: LiveMix(each) for name, each in setup.channels.items() if isinstance(each, Mix)}
         pair = None if SURGE in setup.channels else pair_of(setup.channels)
         self._derived = None if pair is None else LiveSurge(pair, setup.channels["heading"].held)  # type: ignore[union-attr]
@@ -195,13 +201,14 @@ class Node:
         self.held.compare(time, sample.surge if sample.measured else math.nan)
         after, after_width, forecasts, if_held, track = self._outlook()
         self.held.expect(time, {horizon: surge for horizon, (surge, _, _) in if_held.items()})
+        places, places_if_held = self._places(time, learnt, track)
         self.last = time + self.origin
         return Step(
             self.last,
             sample.surge if sample.measured or sample.inputs.dt == 0 else math.nan,
             predicted, predicted - width, predicted + width,
             after, after - after_width, after + after_width,
-            forecasts, if_held, members, events, track, self._places(track),
+            forecasts, if_held, members, events, track, places, places_if_held,
         )  # fmt: skip
 
     def _outlook(self) -> tuple[float, float, Ends, Ends, Track | None]:
@@ -228,11 +235,24 @@ class Node:
         track = self._track(ahead.command_left, ahead.command_right) if self.track_horizons else None
         return float(surge), float(width), forecasts, if_held, track
 
-    def _places(self, track: Track | None) -> dict[float, Point]:
+    def _places(
+        self, time: float, sample: Sample | PlanarSample, track: Track | None
+    ) -> tuple[dict[float, Point], dict[float, Point]]:
+        """Places of a track with ellipses of both kinds, which learn from where the boat is now."""
+        if not isinstance(sample, PlanarSample):
+            return {}, {}
+        inputs = sample.sample.inputs
+        now, commands = np.array([sample.north, sample.east]), np.array([inputs.command_left, inputs.command_right])
+        for each in self._tracks:
+            each.take(time, now, commands)
         if track is None:
-            return {}
+            return {}, {}
         steps = [max(round(horizon / self.dt), 1) for horizon in self.track_horizons]
-        return dict(zip(self.track_horizons, points(track, steps), strict=True))
+        ahead = dict(zip(self.track_horizons, points(track, steps), strict=True))
+        for each in self._tracks:
+            each.expect(time, now, float(inputs.heading), ahead, commands)
+        whatever, held = (each.put(ahead, float(inputs.heading)) for each in self._tracks)
+        return whatever, {h: point if math.isfinite(point.major) else ahead[h] for h, point in held.items()}
 
     def _track(self, left: Any, right: Any) -> Track:
         """Where the boat will be under commands within full scale."""
@@ -242,6 +262,26 @@ class Node:
         """A forecast of commands within full scale."""
         commands = np.clip(np.stack([left, right], -1), -1.0, 1.0)
         return self.online.forecast(commands, headings, np.clip(yaw_rates, -YAW_RATE, YAW_RATE), self.dt)
+
+    def compare_full_speed(self, speed: float) -> None:
+        """Take the identified speed at full command, m/s, and say what the last change has made of it."""
+        if not math.isfinite(speed):
+            return
+        self._full, more = speed, speed / self._before_change - 1
+        if math.isfinite(more):
+            way = "slower" if more < 0 else "faster"
+            self.changed = f"since it has changed, the boat is {way} at the same command by {100 * abs(more):.0f} %"
+
+    def reset_alarm(self, everything: bool = False) -> None:
+        """Forget an alarm and its evidence; or everything: also evidence below, and what the filters have got."""
+        begin = diagnostics.surge_of(self.online)[1]
+        names = [f"{begin}monitors.thrusters.{name}" for name in ("evidence", "sums", "held", "raised")]
+        if everything:
+            names.append(f"{begin}accommodation.handed")
+        leaves = self.online.state
+        if not (everything or np.any(leaves.get(f"{begin}monitors.thrusters.raised", 0.0))):
+            return
+        self.online.state = leaves | {name: np.zeros_like(leaves[name]) for name in names if name in leaves}
 
     def answer(self, text: str) -> str:
         """The answer to a plan that was posted (`usvlearn.live.plan_requests`): a forecast, or why there is none.
@@ -290,4 +330,6 @@ class Node:
         self.loss = losses[0] if losses else None
         self.alarm = self.loss and self.loss.side
         self.alarms += sum(event.is_alarm for event in events)
+        if any(event.kind == CHANGE for event in events):
+            self._before_change, self.changed = self._full, ""
         return tuple(events)

@@ -21,14 +21,16 @@ from usvlearn.engine.parts import external_in
 from usvlearn.engine.validate import afresh
 from usvlearn.errors import ConfigError
 from usvlearn.live import diagnostics
+from usvlearn.live.alarms import Alarms
 from usvlearn.live.background import Background
-from usvlearn.live.health import COMPILING, ONE_COMMAND, Health, Listening, Usable
+from usvlearn.live.health import COMPILING, ONE_COMMAND, Health, Listening, Pace, Usable
 from usvlearn.live.message_buffer import Recent
 from usvlearn.live.missions import Missions
 from usvlearn.live.node_folder import NodeFolder, unsaved
 from usvlearn.live.plan_requests import answer
 from usvlearn.live.recorder import Recorder
 from usvlearn.live.start import Begin, Middleware, Options, begin
+from usvlearn.live.status import of_last
 from usvlearn.logs.channels.channel import SURGE, Source
 from usvlearn.logs.setup import KEY
 
@@ -70,7 +72,7 @@ class Session:
         self.sources: dict[str, Source] = self.setup.parts  # part -> what is received
         needed = self.setup.live().parts  # what tracks alone need is not waited for
         self._listening = Listening(needed, options.warp)
-        self._usable = Usable(needed)
+        self._usable, self._pace = Usable(needed), Pace(options.warp)
         self.sentence = self._begin.sentence
         self.one_command = self.setup.one_command  # a middleware may find it out later
         self.state = "compiling"
@@ -82,6 +84,7 @@ class Session:
         self._board: Board | None = None
         self._recent = Recent(self.setup)
         self._background = Background()
+        self._alarms = Alarms(options.folder)
         self._missions = Missions(options, self.setup, self._recent, self._background)
         self._began = time.monotonic()
         self._early: Counter[tuple[str, str]] = Counter()  # part and cause of messages that came before it was ready
@@ -90,6 +93,7 @@ class Session:
         self._closed = self._checked = False  # whether the data were checked once
         self._learned = self._hoped = 0  # at the last save, and at the one that is being made
         self._warnings: dict[str, str] = {f"set {k}": each for k, each in enumerate(self._begin.warnings)}
+        self._unexplained = ""  # why turns tell nothing of the thrusters
         if self._page is not None:
             self.sentence += f"; page: {self._page.url}"
             self.advise("page", self._page.warning)
@@ -164,6 +168,7 @@ class Session:
         node = self._node
         assert node is not None
         self._finished()
+        self._alarms.obey(node)
         if self._recorder is not None:
             self._recorder.flush(clock)
             self.advise("record", self._recorder.problem or "")
@@ -272,6 +277,7 @@ class Session:
             self.advise("members", without(facts, members))
             node.warm()
             node.held.load(self._begin.facts.get(HELD))
+            node.reset_alarm()  # that of an earlier session may be over, or false
             node.took = self._recent.add
             self._node = node
         except BaseException as error:  # told by the thread that owns the session
@@ -329,7 +335,8 @@ class Session:
         node = self._node
         assert node is not None
         state, sentence = self._listening.judged(ages, node.dt, node.windows)
-        lost = self._usable.judged(node, ages)
+        pace = self._pace.judged(node, clock) if state == "ok" else None
+        lost = self._usable.judged(node, ages) or pace
         self.advise("usable", lost.warning if lost else "")
         if lost and state == "ok":
             state, sentence = "sparse", lost.sentence
@@ -337,8 +344,13 @@ class Session:
         return Health(
             state, f"{sentence}; {counts}", node.counts, dict(ages), node.steps, node.learned, node.alarms, node.alarm,
             clock - self._began, clock - self._saved, self._contraction, self._identified, self.warnings,
-            (ONE_COMMAND,) if self.one_command else (), node.loss.sentence if node.loss else "", self._missions.told,
+            self._notes(node), self._alarms.sentence(node), self._missions.told,
         )  # fmt: skip
+
+    def _notes(self, node: Node) -> tuple[str, ...]:
+        """What cannot be known, and what a change of the boat has changed."""
+        told = (ONE_COMMAND if self.one_command else "", self._unexplained, node.changed)
+        return tuple(each for each in told if each)
 
     def _checkpoint(self) -> tuple[dict[str, Any], dict[str, Any]]:
         """A checkpoint of now: copies of the leaves, and the metadata."""
@@ -380,6 +392,8 @@ class Session:
         self._identified, wrong = diagnostics.identified(node.online, self.one_command)
         self._identified |= self._missions.turning(self._identified)
         self.advise("boat", wrong)
+        self._unexplained = "" if self.one_command else diagnostics.unexplained(node.online)
+        node.compare_full_speed(self._identified.get("steady_speed_full", (math.nan,))[0])
         self._listening.look(node.counts)
 
     def _finished(self) -> None:
@@ -398,7 +412,7 @@ class Session:
                 self._warnings[name] = f"{what.get(name, 'the missions cannot be kept')}: {error}"
 
     def _tell(self, health: Mapping[str, Any]) -> None:
-        last = None if self.last is None else {"time": self.last.time, "speed": self.last.speed, "next": self.last.next}
+        last = None if self.last is None else of_last(self.last)
         facts = {
             "middleware": self.middleware.name, "boat": self.options.boat, "began_from": self.sentence,
             "written": time.time(), "last": last,

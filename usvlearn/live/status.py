@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TextIO
 
 from usvlearn.core import checkpoint
+from usvlearn.core.events import BOTH
 from usvlearn.core.lock import Lock
 from usvlearn.errors import CheckpointError, ConfigError, printable
 from usvlearn.live.health import Health, quantity, seconds
@@ -55,7 +56,9 @@ TABLE = (
               "speeds under the commands in force, intervals whatever is commanded: 10=1.23:1.10:1.36,…"),
     Published("FORECAST_IF_HELD", TEXT, "s: m/s", STEP, "the same, intervals where the commands stay"),
     Published(TRACK, TEXT, "s: m, deg", STEP,
-              "places if the commands stay: north, east, heading and ellipse, 10=9.80:1.20:8.5:1.10:0.60:95.0,…"),
+              "places under the commands in force, ellipses whatever is commanded: north, east, heading and ellipse, "
+              "10=9.80:1.20:8.5:1.10:0.60:95.0,…"),
+    Published("TRACK_IF_HELD", TEXT, "s: m, deg", STEP, "the same, ellipses where the commands stay"),
     Published(PLANNED, TEXT, "s: m/s", ASKED,
               "speeds, or places as above, under a plan that was posted, or why there are none"),
     Published("MEMBERS", TEXT, "m/s", STEP, "prediction of each member and combiner, where members are asked for"),
@@ -83,13 +86,20 @@ def of_step(step: Step, members: bool = False) -> list[Post]:
     for name, forecasts in (("FORECAST", step.forecasts), ("FORECAST_IF_HELD", step.if_held)):
         if forecasts:
             posts.append(Post(name, ",".join(f"{horizon:g}={_ends(each)}" for horizon, each in forecasts.items())))
-    places = {horizon: point for horizon, point in step.places.items() if all(map(math.isfinite, point[:3]))}
-    if places:
-        posts.append(Post(TRACK, ",".join(f"{horizon:g}={point.text}" for horizon, point in places.items())))
+    for name, every in ((TRACK, step.places), ("TRACK_IF_HELD", step.places_if_held)):
+        places = {horizon: point for horizon, point in every.items() if all(map(math.isfinite, point[:3]))}
+        if places:
+            posts.append(Post(name, ",".join(f"{horizon:g}={point.text}" for horizon, point in places.items())))
     if members and step.members:
         posts.append(Post("MEMBERS", ",".join(f"{name}={value:.3f}" for name, value in step.members.items())))
     posts += [Post("ALARM", event.sentence) for event in step.events if event.is_alarm]
     return posts + [Post("EVENT", event.sentence) for event in step.events]
+
+
+def of_last(step: Step) -> dict[str, Any]:
+    """What a status file tells of the last step."""
+    posts = {post.name: post.value for post in of_step(step) if post.name.startswith(("FORECAST", TRACK))}
+    return {"time": step.time, "speed": step.speed, "next": step.next, "posts": posts}
 
 
 def _ends(forecast: tuple[float, float, float]) -> str:
@@ -206,6 +216,11 @@ DURATION = re.compile(r" for \d[\d.]* \w+")
 NAMES = re.compile(r" \([^()]*\)")  # of channels, in the middleware
 
 
+def alike(sentence: str) -> str:
+    """A sentence without its numbers: a warning whose figures change is the same."""
+    return re.sub(r"\d[\d.,:]*", "#", sentence)
+
+
 class StatusLine:
     """Writes sentences, and below them one line that is replaced each second."""
 
@@ -222,13 +237,11 @@ class StatusLine:
 
     def show(self, health: Health, step: Step | None = None, link: str = "", warn: bool = True) -> None:
         """Replace the line, or without a terminal write a changed state; say warnings and notes once."""
-        for warning in health.warnings if warn else ():
-            if warning not in self._warned:
-                self.say(f"warning: {warning}")
-        for note in health.notes:
-            if note not in self._warned:
-                self.say(f"note: {note}")
-        self._warned = {*health.warnings, *health.notes}
+        for kind, sentences in (("warning", health.warnings if warn else ()), ("note", health.notes)):
+            for sentence in sentences:
+                if alike(sentence) not in self._warned:
+                    self.say(f"{kind}: {sentence}")
+        self._warned = {alike(each) for each in (*health.warnings, *health.notes)}
         if self._terminal:
             columns = shutil.get_terminal_size().columns - 1
             text = printable(line(health, step, link))[:columns]
@@ -265,7 +278,7 @@ def line(health: Health, step: Step | None = None, link: str = "") -> str:
     if step is not None and health.state == "ok":
         parts.append(_brief(step))
     if health.alarm:
-        parts.append(f"ALARM {health.alarm} thruster")
+        parts.append(f"ALARM {health.alarm} thruster{'s' * (health.alarm == BOTH)}")
     if health.rejected:
         parts.append(f"{health.rejected} not used")
     if health.warnings:
@@ -297,6 +310,9 @@ def status_lines(folder: Path) -> list[str]:
     last: Any = status.get("last")
     if isinstance(last, dict) and _number(last.get("speed")):
         lines.append(f"Predicted   {last['speed']:.2f} m/s at its last step")
+        posts: Any = last.get("posts")
+        for name, text in posts.items() if isinstance(posts, dict) else ():
+            lines.append(printable(f"{name.replace('_', ' ').capitalize():<11} {text}"))
     lines += _networks(status) + _identified("Identified", status.get("identified"))
     if (folder / FIT / RESULT).exists():
         refit = read_refit(folder)

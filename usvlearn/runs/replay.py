@@ -16,7 +16,9 @@ from usvlearn.estimators.ensemble.state import EnsembleState
 from usvlearn.estimators.planar.layer import Planar, PlanarState
 from usvlearn.runs.prediction_files import BEGIN, Position
 
-THRUSTERS = tuple(f"monitors.thrusters.{name}" for name in ("evidence", "sums", "raised"))  # leaves of a state
+THRUSTERS = tuple(
+    f"monitors.thrusters.{name}" for name in ("evidence", "share", "deviation", "raised")
+)  # leaves of a state
 GIVEN = tuple(f"accommodation.{name}" for name in ("handed", "share", "deviation"))
 FORECASTS = {"forecasts": "predictions", "forecast_halfwidths": "halfwidths"}  # published, and its leaf
 
@@ -108,10 +110,10 @@ def _published(state: EnsembleState, recorded: dict[str, np.ndarray], filters: S
         published |= {name: flat(recorded[f"forecasts.{leaf}"]) for name, leaf in FORECASTS.items()}
     if not state.monitors:
         return published
-    evidence, _, raised = (recorded[name] for name in THRUSTERS)
-    told = {name.rpartition(".")[2]: torch.from_numpy(recorded[name]) for name in THRUSTERS}
-    health = state.monitors.thrusters._replace(**told)
-    handed, given = np.zeros_like(evidence), state.accommodation
+    thrusters = {name.rpartition(".")[2]: recorded[name] for name in THRUSTERS}
+    evidence, raised = thrusters["evidence"][..., :2], thrusters["raised"]
+    health = state.monitors.thrusters._replace(**{name: torch.from_numpy(x) for name, x in thrusters.items()})
+    handed, given = np.zeros_like(raised), state.accommodation
     if filters:
         handed = recorded[GIVEN[0]]
         given = given._replace(**{name.rpartition(".")[2]: torch.from_numpy(recorded[name]) for name in GIVEN})

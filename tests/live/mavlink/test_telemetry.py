@@ -57,7 +57,7 @@ def test_a_long_text_is_sent_in_parts_that_end(length):
     text = ("0123456789" * 50)[:length]
     assert telemetry.say(text, INFO, 0.0)
     parts = sent(telemetry)
-    assert "".join(part.text for part in parts) == text[:200]
+    assert "".join(part.text for part in parts) == (text if length <= 200 else text[:196] + " ...")
     if length <= 50:
         assert [part.id for part in parts] == [0]
     else:
@@ -72,7 +72,15 @@ def test_a_text_in_mavlink_1_is_cut_and_what_is_not_ascii_replaced():
     telemetry.say("é" + 60 * "x", INFO, 0.0)
     assert telemetry.queue[0][0] == 0xFE
     (only,) = sent(telemetry)
-    assert only.text == "?" + 49 * "x"
+    assert only.text == "?" + 45 * "x" + " ..."
+
+
+def test_no_word_of_a_text_is_cut():
+    telemetry = Telemetry(mavlink)
+    telemetry.say("usvlearn: the left thruster gives 40 % of its thrust (20 ... 60 %), since 12 s", INFO, 0.0)
+    assert [part.text.strip() for part in sent(telemetry)] == [
+        "usvlearn: the left thruster gives 40 % of its", "thrust (20 ... 60 %), since 12 s",
+    ]  # fmt: skip
 
 
 def test_texts_are_sent_seldom_and_the_same_one_not_again():

@@ -168,8 +168,8 @@ def test_changes_of_health_and_alarms_are_told_in_texts():
     lab.session.steps = [step(lab, events=(Event(0.0, "loss", "left", 0.4), Event(1.0, "recovery", "left")))]
     lab.sail(2)
     first, second, third, *_ = lab.boat.texts[-4:]
-    assert first == (4, "usvlearn: the left thruster gives 40 % of its thru")
-    assert second == (4, "st")
+    assert first == (4, "usvlearn: the left thruster gives 40 % of its     ")
+    assert second == (4, "thrust")
     assert third == (6, "usvlearn: the left thruster gives its full thrust ")
     values = {name: value for _, name, value in lab.boat.values}
     assert values["USV_PRED"] == 1.25 and values["USV_ERR"] == 0.25
@@ -204,6 +204,7 @@ def test_a_sender_that_changes_is_followed_after_a_silence_and_told():
     lab.sail(10)
     assert len(lab.session.channel("heading")[0]) > before + 60
     assert lab.said[-1] == "system 1 is heard from 127.0.0.1:6001 now, no longer 127.0.0.1:5001"
+    assert not [line for line in lab.said if "second sender" in line]  # it is one, that has booted
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])

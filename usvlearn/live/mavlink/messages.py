@@ -21,6 +21,7 @@ from __future__ import annotations
 import importlib
 import math
 import re
+import textwrap
 from collections import deque
 from collections.abc import Iterable, Mapping
 from fnmatch import fnmatchcase
@@ -227,6 +228,17 @@ def instance_of(message: Any) -> int | None:
 
 COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
 ROOM = 256  # frames in the queue; the oldest gives way
+
+
+def in_parts(text: str, most: int) -> list[bytes]:
+    """A text in parts that end with a word, as far as words allow; all but the last are full, as MAVLink wants it."""
+    lines = textwrap.wrap(text.encode("ascii", "replace").decode(), TEXT, drop_whitespace=True) or [""]
+    if len(lines) > most:
+        kept = textwrap.wrap(lines[most - 1], TEXT - 4)[0]
+        lines = [*lines[: most - 1], f"{kept} ..."]
+    return [*(line.ljust(TEXT).encode() for line in lines[:-1]), lines[-1].encode()]
+
+
 TEXT, PARTS = 50, 4  # characters of one STATUSTEXT, and how many may make one text
 BURST, PACE, AGAIN = 5, 2.0, 60.0  # texts at once; s for one more; s before the same text
 LARGEST = 3.4e38  # of a 32-bit float
@@ -285,8 +297,7 @@ class Telemetry:
             return False
         self._tokens -= 1
         self._said[text] = now
-        plain = text.encode("ascii", "replace")[: TEXT * (1 if self.old else PARTS)]
-        pieces = [plain[k : k + TEXT] for k in range(0, len(plain), TEXT)]
+        pieces = in_parts(text, 1 if self.old else PARTS)
         self._text = self._text % 0xFFFF + 1
         for k, piece in enumerate(pieces):
             number = self._text if len(pieces) > 1 else 0

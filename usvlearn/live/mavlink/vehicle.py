@@ -33,7 +33,7 @@ from usvlearn.live.mavlink.messages import (
     velocity_of,
 )
 from usvlearn.live.mavlink.requests import BootClock, Intervals, ServoParameters
-from usvlearn.live.status import of_health, of_step
+from usvlearn.live.status import alike, of_health, of_step
 from usvlearn.logs.formats.ardupilot.mavlink_messages import MESSAGES
 from usvlearn.logs.formats.ardupilot.tlog import ARMED, GROUND_STATION, HEARTBEAT, NO_AUTOPILOT, PARAM_VALUE
 
@@ -68,6 +68,7 @@ class Vehicle:
             self._intervals.wish(number)
         self.address: tuple[int, int] | None = None  # of the vehicle: system and component
         self._sender, self._sent = "", -math.inf  # where its messages come from, and when the last one came
+        self._heard_first: dict[str, float] = {}  # another place that sends as this vehicle -> when it did first
         self._others: set[int | str] = set()  # other vehicles, and others that send as this one
         self._clock, self._armed = BootClock(), False
         self._beat = -math.inf  # when the last heart-beat of the vehicle was received
@@ -121,6 +122,9 @@ class Vehicle:
         if place == self._sender:
             return True
         system, other = self.address or (0, 0), now - self._sent < SILENT
+        waited = self._heard_first.setdefault(place, now) if len(self._heard_first) < MOST_OTHERS else now
+        if other and self._sent <= waited:  # it may have booted, and send from another port now
+            return False
         if other and place not in self._others and len(self._others) < MOST_OTHERS:
             self._others.add(place)
             self._announce(
@@ -129,6 +133,7 @@ class Vehicle:
             )  # fmt: skip
         elif not other:
             self._others.discard(place)
+            self._heard_first.clear()
             self._announce(f"system {system[0]} is heard from {place} now, no longer {self._sender}", WARNING, now)
             self._sender = place
         return not other
@@ -264,9 +269,9 @@ class Vehicle:
             self.telemetry.values(self._clock.now(now), of_health(health))
         problems = [self._servos.problem] if self._servos.problem else self._servos.remarks
         for sentence in dict.fromkeys((*problems, *health.warnings)):
-            if sentence not in self._told:
+            if alike(sentence) not in self._told:
                 self._announce(sentence, WARNING, now)
-        self._told = {*problems, *health.warnings}
+        self._told = {alike(each) for each in (*problems, *health.warnings)}
         if health.state != self._state and (self._armed or self.address is None):  # disarmed, no command comes
             self._state = health.state
             self._text(health.sentence, WARNING if health.state in ("stale", "sparse") else INFO, now)

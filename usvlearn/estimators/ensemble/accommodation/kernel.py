@@ -7,7 +7,6 @@ from usvlearn.core.family import WIDTH, Row
 from usvlearn.core.jit import jit
 from usvlearn.core.prepared_samples import DT, SURGE
 from usvlearn.estimators.ensemble.accommodation.state import AT, Number
-from usvlearn.estimators.ensemble.monitors.kernel import effectiveness
 from usvlearn.estimators.ensemble.monitors.state import AT as MONITOR
 from usvlearn.estimators.ensemble.monitors.state import SIGNIFICANT
 from usvlearn.estimators.joint.accommodation_kernel import give_back, hand_over, keep_past, thrust_left
@@ -25,7 +24,7 @@ def accommodate(program, node, monitors, s, q, row, work):
         on = raised[side] > 0
         if on and not handed[side] > 0 and late:
             handed[side], new = 1.0, True
-            share[side] = max(effectiveness(monitors, s, q, side, work)[0], 0.0)
+            share[side] = max(s[monitors[thrusters.share] + side], 0.0)
         elif handed[side] > 0 and not on:
             value, spread = fuse(program, joints, monitors, s, q, side, numbers, False, work)
             if value + NINETY * spread >= 1:
@@ -47,7 +46,8 @@ def accommodate(program, node, monitors, s, q, row, work):
         if handed[side] > 0:
             share[side], deviation[side] = fuse(program, joints, monitors, s, q, side, numbers, on, work)
         else:
-            share[side], deviation[side] = effectiveness(monitors, s, q, side, work) if on else (1.0, 0.0)
+            told = s[monitors[thrusters.share] + side], s[monitors[thrusters.deviation] + side]
+            share[side], deviation[side] = told if on else (1.0, 0.0)
 
 
 @jit
@@ -55,7 +55,8 @@ def fuse(program, joints, monitors, s, q, side, numbers, alarmed, work):
     """(3): η and s of a side, with the monitor's while its alarm is on."""
     total, moment = 0.0, 0.0
     if alarmed:
-        value, spread = effectiveness(monitors, s, q, side, work)
+        thrusters = MONITOR.thrusters
+        value, spread = s[monitors[thrusters.share] + side], s[monitors[thrusters.deviation] + side]
         total, moment = weigh(value, numbers[Number.MONITOR] * spread, total, moment)
     for i in joints:
         value, spread = thrust_left(program[i], s, side, numbers[Number.SCALE], numbers[Number.FLOOR], work)

@@ -8,39 +8,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from usvlearn.estimators.ensemble.monitors.state import (
-    BACKWARDS,
-    CALM,
-    CLEARED,
-    CLIP,
-    DOUBT,
-    DOUBTFUL,
-    EFFECT,
-    FIRST_SCALE,
-    HORIZON,
-    HUBER,
-    HUBER_MEAN,
-    HUBER_RATE,
-    KNEE,
-    LEAST_SCALE,
-    LOSS,
-    MISFIT,
-    ROUNDING,
-    SIGNIFICANT,
-    THRESHOLD,
-    THRUST,
-    WHITE,
-    YAW_FLOOR,
-    YAW_MEMORY,
-    YAW_RATE,
-    YAW_RIDGE,
-    YAW_SCALE,
-    YAW_SPREAD,
-    InnovationState,
-    MonitorState,
-    ThrusterState,
-    Z,
-)
+from usvlearn.estimators.ensemble.monitors import state as at
+from usvlearn.estimators.ensemble.monitors.state import InnovationState, MonitorState, Number, ThrusterState
 
 
 class Whiteness(NamedTuple):
@@ -78,24 +47,24 @@ def excitation_report(names: Sequence[str], factor: Tensor, prior: Tensor | floa
     return informed | {f"least_informed_{name}": x for name, x in zip(names, direction, strict=True)}
 
 
-def description(threshold: float = THRESHOLD, memory: float = 500.0) -> dict[str, float]:
-    """The numbers of the kernel."""
-    innovations = {"huber": HUBER, "huber_mean": HUBER_MEAN, "huber_rate": HUBER_RATE, "least_scale": LEAST_SCALE**2}
-    return innovations | {
-        "innovation_memory": memory, "yaw_memory": YAW_MEMORY, "yaw_ridge": YAW_RIDGE, "yaw_floor": YAW_FLOOR**2,
-        "yaw_rate": YAW_RATE, "knee": KNEE, "yaw_spread": YAW_SPREAD, "loss": LOSS, "horizon": HORIZON,
-        "misfit": MISFIT, "clip": CLIP, "effect": EFFECT, "calm": CALM, "threshold": threshold, "backwards": BACKWARDS,
-        "doubt": DOUBT, "cleared": CLEARED,
-    }  # fmt: skip
+def description(threshold: float = at.THRESHOLD, memory: float = 500.0) -> dict[str, float]:
+    """The numbers of the kernel: the constants of those names, and variances for standard deviations."""
+    found = {number.key: getattr(at, number.name) for number in Number if number is not Number.INNOVATION_MEMORY}
+    squares = {name: found[name] ** 2 for name in ("least_scale", "yaw_floor", "surge_floor")}
+    return found | squares | {"innovation_memory": memory, "threshold": threshold}
 
 
 def init(batch: Sequence[int], columns: int, like: Tensor) -> MonitorState:
     """The monitors before the first sample, of the dtype and device of `like`; `columns` innovation sequences."""
     b, k, zero = tuple(batch), columns, like.new_zeros
-    innovations = InnovationState(zero((*b, k, 4)), zero((*b, k)) + FIRST_SCALE**2, zero((*b, k)))
-    two = zero((*b, 2))
-    yaw = zero((*b, Z, Z)), zero(b) + YAW_SCALE**2, two, two, zero((*b, 2, 2)), two, zero(b), zero(b)
-    return MonitorState(innovations, ThrusterState(*yaw))
+    innovations = InnovationState(zero((*b, k, 4)), zero((*b, k)) + at.FIRST_SCALE**2, zero((*b, k)))
+    errors, two, none = zero((*b, 2, 6)), zero((*b, 2)), zero(b)
+    errors[..., at.VARIANCE], errors[..., at.LEVELS] = at.YAW_SCALE**2, at.SLOW_SCALE**2
+    models = zero((*b, 1 + at.YAW, 1 + at.YAW)), zero((*b, 1 + at.SURGES, 1 + at.SURGES)), errors
+    models += zero((*b, at.YAW)), zero((*b, at.YAW, at.YAW)), zero((*b, 3))
+    seen = zero((*b, at.SURGES - 2)), two, zero((*b, 3)), zero((*b, 3, 4)), zero((*b, 3)), none
+    thrusters = ThrusterState(*models, *seen, two, two + 1, two + at.DOUBT**-0.5, none, none)
+    return MonitorState(innovations, thrusters)
 
 
 def whiteness(state: InnovationState, memory: float = 500.0) -> Whiteness:
@@ -105,17 +74,7 @@ def whiteness(state: InnovationState, memory: float = 500.0) -> Whiteness:
     variance = square - mean * mean
     correlation = torch.where(variance > 0, (lagged - mean * mean) / torch.where(variance > 0, variance, 1.0), 0.0)
     samples = weight * (2 * memory - 1) / (2 - weight)  # (1)
-    return Whiteness(correlation, WHITE / samples.clamp(min=1).sqrt(), samples)
-
-
-def solve_model(moments: Tensor, columns: Tensor) -> Tensor:
-    """ϑ of (4), and (Σ w x xᵀ + R)⁻¹ times columns, `(*batch, 9, 1 + n)`; 0 where there is no solution."""
-    information = moments[..., 1:, 1:]
-    share = ROUNDING * torch.finfo(moments.dtype).eps * information[..., :1, 0]
-    ridge = (share * information.diagonal(dim1=-2, dim2=-1)).clamp(min=YAW_RIDGE)  # (7)
-    root, broken = torch.linalg.cholesky_ex(information + ridge.diag_embed())
-    right = torch.cat([moments[..., 1:, :1], columns.expand(*moments.shape[:-2], *columns.shape[-2:])], -1)
-    return torch.cholesky_solve(right, root).masked_fill((broken > 0)[..., None, None], 0.0)
+    return Whiteness(correlation, at.WHITE / samples.clamp(min=1).sqrt(), samples)
 
 
 def effectiveness(state: ThrusterState) -> tuple[Tensor, Tensor]:
@@ -123,17 +82,17 @@ def effectiveness(state: ThrusterState) -> tuple[Tensor, Tensor]:
 
     It is 1 without an alarm where the evidence is below SIGNIFICANT: healthy thrusters show some evidence, too.
     """
-    moment, weight = state.sums.unbind(-1)
-    weight = weight + DOUBT
-    lost = torch.where((state.evidence > SIGNIFICANT) | (state.raised > 0), -moment / weight, 0.0)
-    full = torch.eye(2, dtype=weight.dtype, device=weight.device).repeat(3, 1)  # h of both sides
-    full = torch.cat([full.new_zeros(THRUST, 2), full])
-    solved = solve_model(state.moments, full)
-    effect = (full * solved[..., :1]).sum(-2)  # F
-    square = state.variance[..., None] * (full * solved[..., 1:]).sum(-2)
-    unsure = DOUBTFUL**2 * square / (effect * effect).clamp(min=torch.finfo(weight.dtype).tiny)
-    doubtful = torch.where(lost == 0, 0.0, lost * lost * unsure)
-    return 1 - lost, (1 / weight + doubtful).sqrt()
+    return state.share, state.deviation
+
+
+def yaw_explained(state: ThrusterState) -> Tensor:
+    """The share of the yaw rate's variance, without its own past, that the commands explain, `(*batch,)`.
+
+    It is 0 before the first turn, and where the errors of the model are not white.
+    """
+    (error, made), errors = state.explained.unbind(-1), state.errors[..., 0, :]
+    white = errors[..., at.LAGGED] <= at.COLOURED * errors[..., at.SQUARE]
+    return torch.where((made > 0) & white, 1 - error / made, 0.0)
 
 
 def monitor_report(state: MonitorState, members: Sequence[str], memory: float = 500.0) -> dict[str, Tensor]:
@@ -143,11 +102,12 @@ def monitor_report(state: MonitorState, members: Sequence[str], memory: float = 
         "alarm": thrusters.raised.amax(-1),
         "alarms": thrusters.alarms,
         "since_alarm": thrusters.since,
+        "yaw_explained": yaw_explained(thrusters),
         "whiteness_band": white.band.amax(-1),
     }
     columns = {
         "effectiveness": (("left", "right"), effectiveness(thrusters)[0]),
-        "evidence": (("left", "right"), thrusters.evidence),
+        "evidence": (("left", "right", "both"), thrusters.evidence),
         "whiteness": (members, white.correlation),
         "scale": (members, state.innovations.scale.sqrt()),
     }
