@@ -15,12 +15,12 @@ from usvlearn.engine.online import Online
 from usvlearn.errors import ConfigError
 from usvlearn.live import diagnostics
 from usvlearn.live.health import COMPILING, Refit
-from usvlearn.live.held_command_intervals import HeldIntervals
 from usvlearn.live.moos.block import MIDDLEWARE
 from usvlearn.live.node import Node
 from usvlearn.live.node_folder import NodeFolder
 from usvlearn.live.plan_requests import parse_plan, sampled
 from usvlearn.live.prior import prior
+from usvlearn.live.service_intervals import ServiceIntervals
 from usvlearn.live.start import Options, begin
 from usvlearn.live.status import PLANNED, TABLE, TRACK, WIDTH, StatusLine, of_health, of_step, page, summary_of
 from usvlearn.logs.alignment.align import Aligner
@@ -329,7 +329,7 @@ def test_forecasts_of_held_commands_have_intervals_that_hold_whatever_is_command
             narrow.append(step.if_held[10.0][1] <= later <= step.if_held[10.0][2])
             assert step.forecasts[10.0][0] == step.if_held[10.0][0]
     assert len(inside) > 1500 and 0.8 < np.mean(inside) < 0.97 and np.mean(narrow) < 0.7
-    again = HeldIntervals(one.horizons, one.dt)
+    again = ServiceIntervals(one.horizons, one.dt)
     again.load(json.loads(json.dumps(one.held.json())))
     assert all(again.halfwidth(h) == pytest.approx(one.held.halfwidth(h), abs=1e-3) for h in one.horizons)
 
@@ -337,6 +337,6 @@ def test_forecasts_of_held_commands_have_intervals_that_hold_whatever_is_command
 @pytest.mark.parametrize("given", [None, 3, {"2": [0.9, -1.0]}, {"2": ["a"]}, {"2": [math.nan] * 20}, {"2": [0.1] * 20},
                                    {"2": []}, {"2": [0.9] * 1000}, {"2": [True] * 20}])  # fmt: skip
 def test_intervals_of_a_foreign_set_begin_anew(given):
-    held = HeldIntervals([2.0], 0.4)
+    held = ServiceIntervals([2.0], 0.4)
     held.load(given)
     assert held.halfwidth(2.0) == math.inf

@@ -63,13 +63,13 @@ def test_another_address_is_warned_about():
 
 def test_it_shows_what_the_node_knows(tmp_path, start):
     with ready(tmp_path, start, page="0") as session:
-        assert session._page.url in session.sentence
+        assert session._displays._page.url in session.sentence
         sail(session, list(messages(boat(0.02))))
         session.tick()
-        content = json.loads(asked(session._page)[1])
+        content = json.loads(asked(session._displays._page)[1])
         assert content["now"][1:3] == [session.last.measured, session.last.speed] and len(content["history"]) > 50
         assert [each[0] for each in content["forecasts"]] == list(session.last.forecasts)
-        url = session._page.url
+        url = session._displays._page.url
         if CHROMIUM is not None:
             command = [
                 CHROMIUM,
@@ -83,4 +83,4 @@ def test_it_shows_what_the_node_knows(tmp_path, start):
             seen = subprocess.run(command, capture_output=True, text=True, timeout=120).stdout
             assert "steps" in seen and "no alarm (0 so far)" in seen and "connecting" not in seen
     with pytest.raises(OSError):
-        asked(session._page)
+        asked(session._displays._page)

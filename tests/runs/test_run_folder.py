@@ -17,8 +17,10 @@ from tests.support.runs import SETTINGS, assert_same, model, published, session
 from usvlearn.core import checkpoint
 from usvlearn.core.samples import named_leaves
 from usvlearn.errors import CheckpointError, ConfigError
+from usvlearn.live.recorder import RECORDED
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.runs import run_folder
+from usvlearn.runs.resuming import other_numbers
 from usvlearn.runs.run_folder import RunFolder
 from usvlearn.runs.saved import configuration, run_folders
 
@@ -168,6 +170,19 @@ def test_a_set_that_tells_nothing_of_its_boat_is_a_start(tmp_path, fleet):
     path = checkpoint.save(tmp_path / "a.safetensors", model().init(), estimator="Ensemble")
     folder = RunFolder(tmp_path / "next", fleet, model(), SETTINGS["configuration"])
     assert folder.begin(model().init((2,)), str(path)).note == f"starting from a checkpoint, {path}"
+
+
+def test_a_record_keeps_its_monitors_and_names_the_numbers_that_differ(tmp_path, fleet):
+    """Else its replay would give other predictions, without a word."""
+    one = model()
+    facts = {"estimator": "Ensemble", "run": RECORDED, "kernel": one.description()}
+    path = checkpoint.save(tmp_path / "a.safetensors", one.init(), **facts)
+    folder = RunFolder(tmp_path / "next", fleet, model(), SETTINGS["configuration"])
+    assert folder.begin(model().init((2,)), str(path)).note == f"starting from record, {path}"
+    assert other_numbers({**facts, "run": "live", "kernel": {}}, one.description()) == ""
+    kernel = {**one.description(), "output": "another", "members": {}}
+    told = other_numbers({**facts, "kernel": kernel}, one.description())
+    assert told.startswith("; its predictions were made with other numbers (") and "there, " in told
 
 
 @pytest.mark.parametrize("foreign", [{"configuration": []}, {}], ids=str)

@@ -120,11 +120,16 @@ class NotedSession:
         self.last, self.closed = None, 0
         self.health = health()
         self.steps: list[Any] = []  # what the next push returns
+        self.answers: list[str] = []  # to alarms
 
     def start(self) -> None: ...
 
     def answer(self, text: str) -> str:
         return f"answer to {text}"
+
+    def answer_alarm(self, answer: str) -> bool:
+        self.answers.append(answer)
+        return bool(answer)
 
     def push(self, part: str, stamp: float, raw: float) -> list[Any]:
         self.pushed.append((part, stamp, raw))

@@ -179,7 +179,7 @@ class RecordingSession(NotedSession):
     def __init__(self, sources, dt: float = 0.4):
         super().__init__(sources)
         self.setup, self.state = SimpleNamespace(align={"dt": dt}), "ok"
-        self.restarts, self.ticks = [], 0
+        self.restarts, self.ticks, self.identified = [], 0, {}
 
     def push(self, part: str, stamp: float, raw: float) -> list:
         assert part in self.sources and isinstance(stamp, float) and isinstance(raw, float)
@@ -187,7 +187,8 @@ class RecordingSession(NotedSession):
 
     def tick(self):
         self.ticks += 1
-        return COMPILING._replace(state=self.state, sentence=f"the session is {self.state}")
+        sentence = f"the session is {self.state}"
+        return COMPILING._replace(state=self.state, sentence=sentence, identified=self.identified)
 
     def restart(self) -> list:
         self.restarts.append(len(self.pushed))

@@ -59,6 +59,11 @@ class Health(NamedTuple):
         """Messages that were not used."""
         return sum(count for causes in self.counts.values() for count in causes.values())
 
+    @property
+    def known(self) -> Mapping[str, tuple[float, float, float, str]]:
+        """The quantities to use: fitted, or learned online."""
+        return self.refit.quantities if self.refit is not None and self.refit.use else self.identified
+
     def json(self) -> dict[str, Any]:
         """As JSON values: a number that is not finite becomes null."""
         content: dict[str, Any] = finite({**self._asdict(), "refit": self.refit and self.refit._asdict()})
@@ -86,7 +91,8 @@ def seconds(value: float) -> str:
 
 
 SILENT = 1.0  # s without a message, from which on a channel is reported, at least
-USELESS = ("not_a_number", "no_time", "out_of_range", "backwards", "ahead", "alone", "wrong_type", "empty", "text")
+USELESS = ("not_a_number", "no_time", "out_of_range", "backwards", "ahead", "alone", "wrong_type", "empty", "text",
+           "frozen")  # fmt: skip
 
 
 class Listening:
@@ -164,19 +170,20 @@ class Cause(NamedTuple):
     warning: str  # with the key to change
 
 
-PACE, IDLE = 0.5, 20.0  # share of the steps that a second should bring, below which time stands still; s of a look
+PACE, LOST = 0.5, 0.6  # share of the steps that a second should bring; of the speeds that were learned in the best one
+IDLE, GAP = 20.0, 5.0  # s of a look, at least; s without a look, after which it begins anew
 
 
 class Pace:
     """Counts steps and learned speeds in real seconds: stamps that stand still bring none. It is asked each second."""
 
     def __init__(self, warp: float):
-        self._warp = warp
+        self._warp, self._best = warp, 0.0  # the most speeds that were learned in a second
         self._counts: deque[tuple[float, int, int]] = deque()  # s of the clock, steps, learned
 
     def judged(self, node: Node, clock: float) -> Cause | None:
-        """Why hardly a step was made, or nothing learned, in the last 45 s; None if that is not so."""
-        if self._counts and (node.grid < self._counts[-1][1] or clock - self._counts[-1][0] > IDLE):
+        """Why hardly a step was made, or little learned, in the last 45 s; None if that is not so."""
+        if self._counts and (node.grid < self._counts[-1][1] or clock - self._counts[-1][0] > GAP):
             self._counts.clear()
         self._counts.append((clock, node.grid, node.learned))
         while self._counts[0][0] < clock - 1.5 * SPAN:
@@ -184,12 +191,18 @@ class Pace:
         begin, steps, learned = self._counts[0]
         elapsed, made, new = clock - begin, node.grid - steps, node.learned - learned
         wanted = elapsed * self._warp / node.dt
-        if elapsed < IDLE or wanted < LEAST or (made >= PACE * wanted and new):
+        if elapsed < IDLE or wanted < LEAST:
             return None
         if made >= PACE * wanted:
             if elapsed < 1.4 * SPAN:  # a channel that is to blame is named first
                 return None
-            return Cause("nothing is learned", f"none of the last {made} steps had all inputs and a measured speed")
+            self._best = max(self._best, new / elapsed)
+            if not new:
+                return Cause("nothing is learned", f"none of the last {made} steps had all inputs and a measured speed")
+            if new < LOST * self._best * elapsed:
+                why = f"{new} speeds were learned in the last {elapsed:.0f} s, and {self._best * elapsed:.0f} before"
+                return Cause("many messages are lost", f"{why}: messages are lost: check their senders and the link")
+            return None
         share = f"{made} of {wanted:.0f} steps were made in the last {elapsed:.0f} s"
         return Cause(
             "hardly a step is made, because the stamps of the messages stand still or run slowly",

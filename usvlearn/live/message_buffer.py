@@ -14,6 +14,15 @@ from usvlearn.logs.setup import Setup
 
 MOST = 20_000  # messages of a channel, at most: half an hour at 10 Hz
 LIVE_KNOWS = ("stale",)  # kinds of findings that the health of a node tells itself
+PASSING = ("rejected", "jumps", "frozen", "clock drift")  # kinds that are told only while the last messages have them
+LAST = 6  # part of the messages that counts as the last
+ABOARD = {  # what helps ashore -> what helps aboard
+    "sort the rows of the log by their stamps": "stamps that rise: set patience to the longest delay of a message",
+    "leave out rows whose stamps lie in the future": "stamps that do not lie in the future: set the sender's clock",
+    "write those of two boats or sensors to a log of each": "send those of two boats or sensors under two names",
+    "; or leave out the log": "", ", or leave out the log": "", "data.channels.": "", "vehicle.surge_max": "surge_max",
+    "set align.": "start from a run with align.",
+}  # fmt: skip
 Columns = dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]  # channel -> time, value and place of its messages
 LEAST = 300  # of each channel; with fewer nothing is checked
 
@@ -54,15 +63,28 @@ class Recent:
 
     def findings(self, columns: Columns, boat: str, horizons: Sequence[float] = ()) -> list[str]:
         """What the data check says of `copy`: sentences, warnings only."""
+        sources = self._setup.aligned
+        few = [k for k, x in sources.items() if k not in columns or (len(columns[k][0]) < LEAST and not x.held)]
+        if few:
+            return []
+        found = self._check(columns, boat, horizons)
+        if any(kind in PASSING for kind, _ in found):
+            end = max(order[-1] for _, _, order in columns.values())
+            begin = end - sum(len(order) for _, _, order in columns.values()) // LAST
+            last = {k: (time[x > begin], value[x > begin], x[x > begin]) for k, (time, value, x) in columns.items()}
+            lasts = {kind for kind, _ in self._check(last, boat, horizons)}
+            found = [each for each in found if each[0] in lasts or each[0] not in PASSING]
+        for ashore, aboard in ABOARD.items():
+            found = [(kind, sentence.replace(ashore, aboard)) for kind, sentence in found]
+        return [sentence for _, sentence in found]
+
+    def _check(self, columns: Columns, boat: str, horizons: Sequence[float]) -> list[tuple[str, str]]:
+        """Kinds and sentences of the warnings."""
         from usvlearn.logs.checks.data_check import check_data
         from usvlearn.logs.checks.finding import WARNING
         from usvlearn.logs.recordings import align_fleet
 
         recording = recording_of(self._setup, columns, boat, "live")
-        if not all(name in columns for name in self._setup.aligned):
-            return []
-        if any(len(each.time) < LEAST and not each.held for each in recording.channels.values()):
-            return []
         declared = self._setup.json()["channels"]
         top = math.inf if self._setup.surge_max is None else self._setup.surge_max
         try:
@@ -70,8 +92,7 @@ class Recent:
         except LogFormatError:  # the check says why
             fleet = None
         findings = check_data([recording], fleet, self._setup.align, top, declared, horizons)
-        sentences = [each.sentence() for each in findings if each.severity == WARNING and each.kind not in LIVE_KNOWS]
-        return [each.replace("data.channels.", "").replace("vehicle.surge_max", "surge_max") for each in sentences]
+        return [(x.kind, x.sentence()) for x in findings if x.severity == WARNING and x.kind not in LIVE_KNOWS]
 
 
 def recording_of(setup: Setup, columns: Mapping[str, Sequence[np.ndarray]], boat: str, run: str) -> Recording:

@@ -24,10 +24,9 @@ from usvlearn.core.samples import Inputs, PlanarSample, Sample
 from usvlearn.engine.online import Online
 from usvlearn.errors import ConfigError, ShapeError
 from usvlearn.live import diagnostics
-from usvlearn.live.held_command_intervals import HeldIntervals
 from usvlearn.live.live_poses import LivePoses
 from usvlearn.live.plan_requests import PlannedCommands, Point, answer, parse_plan, points, sampled
-from usvlearn.live.track_ellipses import TrackEllipses
+from usvlearn.live.service_intervals import ServiceIntervals
 from usvlearn.logs.alignment.mixing import LiveMix, Mix
 from usvlearn.logs.channels.channel import CHANNELS, SURGE
 from usvlearn.logs.channels.derived_surge import LiveSurge, pair_of
@@ -90,8 +89,8 @@ class Node:
             for horizons in (diagnostics.horizons(surge), diagnostics.track_horizons(description))
         )
         # The intervals of forecasts, whatever is commanded.
-        self.held = HeldIntervals(self.horizons, self.dt)
-        self._tracks = TrackEllipses(self.track_horizons, self.dt), TrackEllipses(self.track_horizons, self.dt, True)
+        self.held = ServiceIntervals(self.horizons, self.dt)
+        self.tracks = [ServiceIntervals(self.track_horizons, self.dt, 2, held) for held in (False, True)]
         self.last = math.nan  # the end of the last step, s, as the messages are stamped
         self._begin()
 
@@ -99,7 +98,7 @@ class Node:
         """A new grid of time."""
         setup = self.setup
         self._aligner = setup.aligner(patience=self.patience)
-        for each in (self.held, *self._tracks):
+        for each in (self.held, *self.tracks):
             each.clear()
         self._mixes = {name: LiveMix(each) for name, each in setup.channels.items() if isinstance(each, Mix)}
         pair = None if SURGE in setup.channels else pair_of(setup.channels)
@@ -198,7 +197,7 @@ class Node:
         members = {name: surge for name, (surge, _) in every.items()}
         width = every[self._output][1] if every else math.nan
         events = self._events(time + self.origin) if stepped else ()
-        self.held.compare(time, sample.surge if sample.measured else math.nan)
+        self.held.take(time, np.array([sample.surge if sample.measured else math.nan]))
         after, after_width, forecasts, if_held, track = self._outlook()
         self.held.expect(time, {horizon: surge for horizon, (surge, _, _) in if_held.items()})
         places, places_if_held = self._places(time, learnt, track)
@@ -243,15 +242,16 @@ class Node:
             return {}, {}
         inputs = sample.sample.inputs
         now, commands = np.array([sample.north, sample.east]), np.array([inputs.command_left, inputs.command_right])
-        for each in self._tracks:
+        for each in self.tracks:
             each.take(time, now, commands)
         if track is None:
             return {}, {}
         steps = [max(round(horizon / self.dt), 1) for horizon in self.track_horizons]
         ahead = dict(zip(self.track_horizons, points(track, steps), strict=True))
-        for each in self._tracks:
-            each.expect(time, now, float(inputs.heading), ahead, commands)
-        whatever, held = (each.put(ahead, float(inputs.heading)) for each in self._tracks)
+        expected = {horizon: np.add(now, point[:2]) for horizon, point in ahead.items()}
+        for each in self.tracks:
+            each.expect(time, expected, float(inputs.heading), commands)
+        whatever, held = (each.put(ahead, float(inputs.heading)) for each in self.tracks)
         return whatever, {h: point if math.isfinite(point.major) else ahead[h] for h, point in held.items()}
 
     def _track(self, left: Any, right: Any) -> Track:
@@ -272,16 +272,13 @@ class Node:
             way = "slower" if more < 0 else "faster"
             self.changed = f"since it has changed, the boat is {way} at the same command by {100 * abs(more):.0f} %"
 
-    def reset_alarm(self, everything: bool = False) -> None:
-        """Forget an alarm and its evidence; or everything: also evidence below, and what the filters have got."""
-        begin = diagnostics.surge_of(self.online)[1]
+    def reset_alarm(self, below: bool = True) -> None:
+        """Forget alarms and their evidence, by default also that below; the filters keep what they have learned."""
+        begin, leaves = diagnostics.surge_of(self.online)[1], self.online.state
         names = [f"{begin}monitors.thrusters.{name}" for name in ("evidence", "sums", "held", "raised")]
-        if everything:
-            names.append(f"{begin}accommodation.handed")
-        leaves = self.online.state
-        if not (everything or np.any(leaves.get(f"{begin}monitors.thrusters.raised", 0.0))):
-            return
-        self.online.state = leaves | {name: np.zeros_like(leaves[name]) for name in names if name in leaves}
+        names.append(f"{begin}accommodation.handed")
+        if below or any(np.any(leaves.get(name, 0.0)) for name in names[-2:]):
+            self.online.state = leaves | {name: np.zeros_like(leaves[name]) for name in names if name in leaves}
 
     def answer(self, text: str) -> str:
         """The answer to a plan that was posted (`usvlearn.live.plan_requests`): a forecast, or why there is none.

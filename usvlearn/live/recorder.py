@@ -30,6 +30,7 @@ from usvlearn.logs.setup import Setup
 NAME = re.compile(r"record_(\d{4,9})\.alog")
 FLUSH = 1.0  # s, after which what is buffered is written
 APP = "usvlearn"
+RECORDED = "record"  # "run" of the checkpoints with which records begin
 FITTED = "usvlearn.estimators.ensemble.forecasts.fit_layer.FittedForecasts"
 
 
@@ -94,6 +95,7 @@ class Recorder:
 
 def _begin(path: Path, boat: str, leaves: dict[str, Any], facts: dict[str, Any]) -> Path:
     """Write the checkpoint with which a record begins; returns what train.py resumes from."""
+    facts = {**facts, "run": RECORDED}
     if facts["kernel"]["kind"] != PLANAR:
         return checkpoint.save(path.with_suffix(SUFFIX), leaves, **facts)
     folder = path.with_suffix("")

@@ -5,12 +5,11 @@ What the middlewares share. It is called from one thread.
 
 from __future__ import annotations
 
-import importlib.util
 import math
 import threading
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,10 +18,11 @@ import usvlearn
 from usvlearn.core.lock import Lock
 from usvlearn.engine.parts import external_in
 from usvlearn.engine.validate import afresh
-from usvlearn.errors import ConfigError
 from usvlearn.live import diagnostics
 from usvlearn.live.alarms import Alarms
 from usvlearn.live.background import Background
+from usvlearn.live.displays import Displays
+from usvlearn.live.frozen_sensors import FrozenSensors
 from usvlearn.live.health import COMPILING, ONE_COMMAND, Health, Listening, Pace, Usable
 from usvlearn.live.message_buffer import Recent
 from usvlearn.live.missions import Missions
@@ -35,15 +35,13 @@ from usvlearn.logs.channels.channel import SURGE, Source
 from usvlearn.logs.setup import KEY
 
 if TYPE_CHECKING:
-    from usvlearn.live.live_board import Board
     from usvlearn.live.node import Node, Step
-    from usvlearn.live.web_page import WebPage
 
-HELD = "held"  # of a checkpoint's metadata: what the node knows of forecasts under held commands
+HELD, TRACKS = "held", ("tracks", "tracks_if_held")  # of a checkpoint's metadata: errors of forecasts and of tracks
 REPORT = 5.0  # s between two reports of what is identified and of the networks
 TELL = 10.0  # s between two status files
 RETRY = 60.0  # s after a save that failed, at most
-FIRST_CHECK = 60.0  # s after the start, of the data; later at each save
+FIRST_CHECK = 60.0  # s after the start, of the data, and after one that found something; else at each save
 WARNINGS = 20  # sentences, at most
 
 
@@ -52,8 +50,6 @@ class Session:
 
     def __init__(self, options: Options, middleware: Middleware):
         self.options, self.middleware = options, middleware
-        if options.tensorboard is not None and importlib.util.find_spec("tensorboard") is None:
-            raise ConfigError("tensorboard: it is not installed here: run `pip install tensorboard`, or leave it out")
         self._made = [each for each in (options.folder, *options.folder.parents) if not each.exists()]
         self._lock = Lock(options.folder, "folder of the node")
         try:
@@ -61,18 +57,14 @@ class Session:
             self._begin: Begin = begin(self._folder, options, middleware)
             self.setup = self._begin.setup
             self.setup.check_live()
-            self._page: WebPage | None = None
-            if options.page is not None:  # else no server is imported
-                from usvlearn.live.web_page import WebPage
-
-                self._page = WebPage(options.page)
+            self._displays = Displays(options)
         except BaseException:
             self._release()
             raise
         self.sources: dict[str, Source] = self.setup.parts  # part -> what is received
         needed = self.setup.live().parts  # what tracks alone need is not waited for
         self._listening = Listening(needed, options.warp)
-        self._usable, self._pace = Usable(needed), Pace(options.warp)
+        self._usable, self._pace, self._frozen = Usable(needed), Pace(options.warp), FrozenSensors(self.sources)
         self.sentence = self._begin.sentence
         self.one_command = self.setup.one_command  # a middleware may find it out later
         self.state = "compiling"
@@ -81,7 +73,6 @@ class Session:
         self._failure: BaseException | None = None
         self._thread: threading.Thread | None = None
         self._recorder: Recorder | None = None
-        self._board: Board | None = None
         self._recent = Recent(self.setup)
         self._background = Background()
         self._alarms = Alarms(options.folder)
@@ -90,13 +81,11 @@ class Session:
         self._early: Counter[tuple[str, str]] = Counter()  # part and cause of messages that came before it was ready
         self._saved, self._due = -math.inf, self._began  # when a checkpoint was saved, and when the next period begins
         self._reported = self._told = -math.inf
-        self._closed = self._checked = False  # whether the data were checked once
+        self._closed, self._check_due = False, self._began + FIRST_CHECK
         self._learned = self._hoped = 0  # at the last save, and at the one that is being made
         self._warnings: dict[str, str] = {f"set {k}": each for k, each in enumerate(self._begin.warnings)}
         self._unexplained = ""  # why turns tell nothing of the thrusters
-        if self._page is not None:
-            self.sentence += f"; page: {self._page.url}"
-            self.advise("page", self._page.warning)
+        self.sentence += self._displays.sentence
         self._contraction: dict[str, dict[str, Any]] = {}
         self._identified: dict[str, tuple[float, float, float, str]] = {}
 
@@ -121,6 +110,9 @@ class Session:
             return []
         node = self._node
         assert node is not None
+        if self._frozen.take(part, stamp, raw):
+            node.drop(part, "frozen")
+            return []
         steps = node.push(part, stamp, raw)
         if self._recorder is not None and math.isfinite(stamp):
             self._recorder.write(part, node.relative(stamp), raw)
@@ -135,6 +127,12 @@ class Session:
             self.drop("plan", "compiling")
             return answer(text, math.nan, f"plan: no forecast can be made yet: {COMPILING.sentence}")
         return self._node.answer(text)
+
+    def answer_alarm(self, answer: str) -> bool:
+        """Take "acknowledge" or "reset"; returns whether it is one of them."""
+        if not (known := self._alarms.ask(answer)):
+            self.drop("alarm", "refused")
+        return known
 
     def advise(self, name: str, sentence: str) -> None:
         """Warn of something that the shell has noticed; an empty sentence ends the warning of that name."""
@@ -164,11 +162,15 @@ class Session:
         clock = time.monotonic() if clock is None else clock
         ages = self._listening.ages(clock)
         if not self._ready():
-            return self._shown(COMPILING._replace(uptime=clock - self._began, ages=ages, warnings=self.warnings))
+            health = COMPILING._replace(uptime=clock - self._began, ages=ages, warnings=self.warnings)
+            self._displays.health(health, None, ready=False)
+            return health
         node = self._node
         assert node is not None
         self._finished()
         self._alarms.obey(node)
+        for part, sentence in self._frozen.warnings.items():
+            self.advise(f"frozen {part}", sentence)
         if self._recorder is not None:
             self._recorder.flush(clock)
             self.advise("record", self._recorder.problem or "")
@@ -178,7 +180,7 @@ class Session:
         outage = min(ages.values(), default=math.inf) > float(self.setup.align.get("outage", 5.0))
         if saves := clock - self._due >= self.options.save_period or (outage and node.learned > self._learned):
             self._save_soon(clock)
-        elif clock - self._began >= FIRST_CHECK and not self._checked:
+        elif clock >= self._check_due:
             self._check()
         self.advise("fit", self._missions.tick(saves, outage, node.loss))
         refit, before = self._missions.told, diagnostics.fit_of(node.online.description)
@@ -189,13 +191,7 @@ class Session:
         self.state = health.state
         if clock - self._told >= TELL and self._background.submit("status", self._tell, health.json()):
             self._told = clock
-        self._draw(health=health)
-        return self._shown(health)
-
-    def _shown(self, health: Health) -> Health:
-        """The health, which the page shows from now on."""
-        if self._page is not None:
-            self._page.show(health, self.last)
+        self._displays.health(health, self.last)
         return health
 
     def save(self) -> Path | None:
@@ -220,9 +216,7 @@ class Session:
         finally:
             if self._recorder is not None:
                 self._recorder.close()
-            self._draw(close=True)
-            if self._page is not None:
-                self._page.close()
+            self._displays.close()
             self._background.close()
             self._release()
 
@@ -260,7 +254,8 @@ class Session:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Sentences about what is wrong now."""
-        return tuple(self._warnings.values())[:WARNINGS]
+        shown = (each for each in self._displays.warnings.values() if each)
+        return (*self._warnings.values(), *shown)[:WARNINGS]
 
     # inside
 
@@ -276,8 +271,9 @@ class Session:
             node = Node(self.setup, Online.of(leaves, facts, members), self.options.patience)
             self.advise("members", without(facts, members))
             node.warm()
-            node.held.load(self._begin.facts.get(HELD))
-            node.reset_alarm()  # that of an earlier session may be over, or false
+            for name, each in zip((HELD, *TRACKS), (node.held, *node.tracks), strict=True):
+                each.load(self._begin.facts.get(name))
+            node.reset_alarm(below=False)  # that of an earlier session may be over, or false
             node.took = self._recent.add
             self._node = node
         except BaseException as error:  # told by the thread that owns the session
@@ -309,27 +305,7 @@ class Session:
     def _took(self, steps: list[Step]) -> None:
         if steps:
             self.last = steps[-1]
-            self._draw(steps)
-            if self._page is not None:
-                self._page.take(steps)
-
-    def _draw(self, steps: Sequence[Step] = (), health: Health | None = None, close: bool = False) -> None:
-        """Show in TensorBoard, where that is asked for; a full disk ends that, and nothing else."""
-        if self.options.tensorboard is None or "board" in self._warnings:
-            return
-        try:
-            if self._board is None:
-                from usvlearn.live.live_board import Board
-
-                self._board = Board(self.options.tensorboard)
-            for step in steps:
-                self._board.step(step)
-            if health is not None:
-                self._board.health(health)
-            if close:
-                self._board.close()
-        except OSError as error:
-            self._warnings["board"] = f"TensorBoard's files end here ({error.strerror or error}): make room on the disk"
+            self._displays.steps(steps)
 
     def _health(self, ages: Mapping[str, float], clock: float) -> Health:
         node = self._node
@@ -356,9 +332,10 @@ class Session:
         """A checkpoint of now: copies of the leaves, and the metadata."""
         node, begun = self._node, self._begin.facts
         assert node is not None
+        tracks = {name: each.json() for name, each in zip(TRACKS, node.tracks, strict=True)}
         facts = {
             "estimator": begun["estimator"], "kernel": node.online.description,
-            KEY: self.setup.json(), HELD: node.held.json(), "boat": self.options.boat, "run": "live",
+            KEY: self.setup.json(), HELD: node.held.json(), **tracks, "boat": self.options.boat, "run": "live",
             "step": node.steps, "time": 0.0 if self.last is None else self.last.time, "version": usvlearn.__version__,
             "configuration": begun.get("configuration") if external_in(begun["kernel"]) else None,  # how they are made
         }  # fmt: skip
@@ -379,7 +356,7 @@ class Session:
     def _check(self) -> None:
         """Check the data in the thread."""
         assert self._node is not None
-        self._checked = True
+        self._check_due = math.inf
         arguments = self._recent.copy(), self.options.boat, self._node.horizons
         self._background.submit("check", self._recent.findings, *arguments)
 
@@ -407,6 +384,7 @@ class Session:
                 self._due = time.monotonic() - self.options.save_period + min(RETRY, self.options.save_period)
             elif name == "check" and error is None:
                 self._warnings |= {f"{name} {k}": each for k, each in enumerate(result)}
+                self._check_due = time.monotonic() + FIRST_CHECK if result else math.inf  # it may be over then
             elif error is not None:
                 what = {"check": "the data cannot be checked", "status": "the status cannot be written"}
                 self._warnings[name] = f"{what.get(name, 'the missions cannot be kept')}: {error}"

@@ -172,8 +172,8 @@ def _setup(facts: Mapping[str, Any], options: Options, middleware: Middleware) -
     align = {} if known is None else dict(known.align)
     align["patience"] = options.patience
     mass = options.mass if known is None or known.mass is None else known.mass
-    top = options.surge_max if options.surge_max is not None else None if known is None else known.surge_max
-    if top is not None and (limit := speed_limit(top)) > LIMIT:
+    top = options.surge_max if known is None or known.surge_max is None else known.surge_max  # of its estimators
+    if (limit := speed_limit(max(top or 0.0, options.surge_max or 0.0))) > LIMIT:
         align.setdefault("surge_max", limit)
     asked = options.unconfirmed if known is None or options.unconfirmed is not None else known.unconfirmed
     setup = Setup(declared, align, mass, top, middleware.reader, asked or {})

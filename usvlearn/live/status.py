@@ -156,8 +156,7 @@ def page(health: Health, step: Step | None = None) -> list[str]:
         lines += _wrapped(f"Network {name}"[:11], _network(network))
     if health.refit is not None:
         lines += _wrapped("Values", health.refit.sentence)
-    source = health.refit.quantities if health.refit is not None and health.refit.use else health.identified
-    shown = [(name, source[name]) for name in QUANTITIES if name in source]
+    shown = [(name, health.known[name]) for name in QUANTITIES if name in health.known]
     for name, each in shown:
         lines.append(_line(name[:20].replace("_", " "), quantity(*each), 21))
     lines += [part for each in health.notes for part in _wrapped("Note", each)]

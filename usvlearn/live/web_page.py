@@ -107,11 +107,10 @@ class WebPage:
                 "places": [(horizon, *point) for horizon, point in step.places.items()],
                 "now": (step.time, step.measured, step.speed, step.low, step.high),
             }
-        known = health.refit.quantities if health.refit is not None and health.refit.use else health.identified
         content = {
             "state": health.state, "sentence": health.sentence, "alarm": health.loss, "alarms": health.alarms,
             "saved": health.saved, "uptime": health.uptime, "warnings": health.warnings, "notes": health.notes,
-            "quantities": {name: each for name, each in known.items() if math.isfinite(each[0])},
+            "quantities": {name: each for name, each in health.known.items() if math.isfinite(each[0])},
             "history": list(self._history), **ahead,
         }  # fmt: skip
         self._told = json.dumps(finite(content)).encode()

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,6 +17,7 @@ from usvlearn.errors import CheckpointError
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.state import EnsembleState
 from usvlearn.estimators.planar.layer import Planar, PlanarState
+from usvlearn.live.recorder import RECORDED
 from usvlearn.runs.files import CHECKPOINTS, ESTIMATOR, ESTIMATOR_BESIDE, HYDRA, PLANAR, RUNS, begun
 from usvlearn.runs.prediction_files import BEGIN, PREDICTIONS, Position, Published, position, stem, widths_of
 
@@ -57,11 +59,12 @@ class Resumption:
         """Every boat starts from one checkpoint."""
         state, facts = from_checkpoints(start.state, [source] * len(self.fleet.boats), self.kernel)
         of = ", run ".join(str(facts[0][name]) for name in ("boat", "run") if name in facts[0])
-        return start._replace(state=state, note=f"starting from {of or 'a checkpoint'}, {source}")
+        note = f"starting from {of or 'a checkpoint'}, {source}{other_numbers(facts[0], self.kernel)}"
+        return start._replace(state=state, note=note)
 
     def from_newest(self, source: Path, start: Start) -> Start:
         """Every boat starts from its newest readable checkpoint, at the first run."""
-        elements = []
+        elements, told = [], ""
         for element, boat in enumerate(self.fleet.boats):
             folder = source / CHECKPOINTS / boat
             if not checkpoints(folder):
@@ -70,10 +73,12 @@ class Resumption:
                     f"{source}: has no checkpoint of {boat} (it has: {boats}): give the checkpoint to start from"
                 )
             try:
-                elements.append(restored(folder, of_boat(start.state, element), ESTIMATOR, self.kernel)[0])
+                state, facts = restored(folder, of_boat(start.state, element), ESTIMATOR, self.kernel)
+                elements.append(state)
+                told = told or other_numbers(facts, self.kernel)
             except CheckpointError as error:
                 raise CheckpointError(f"{error}{own_settings(source)}") from error
-        note = f"starting from the newest checkpoints of {source}, from the first run on"
+        note = f"starting from the newest checkpoints of {source}, from the first run on{told}"
         return start._replace(state=stack(elements), note=note)
 
     def continued(self, source: Path, start: Start) -> Start:
@@ -177,12 +182,34 @@ def from_checkpoints(
     """The state of all boats from one saved checkpoint for each, and the metadata of these checkpoints.
 
     The monitors, and what they have told the filters, start anew, because the checkpoints may be of other boats, or of
-    an earlier day. Instead of a checkpoint, a path may be a folder of them, of which the newest readable one is taken.
+    an earlier day; but not where a node's record begins. Instead of a checkpoint, a path may be a folder of them, of
+    which the newest readable one is taken.
     """
     template = of_boat(state, 0)
     read = {path: restored(path, template, ESTIMATOR, kernel) for path in dict.fromkeys(paths)}
     anew = {"monitors": state.monitors, "accommodation": state.accommodation}
+    if all(facts.get("run") == RECORDED for _, facts in read.values()):
+        anew = {}
     return stack([read[path][0] for path in paths])._replace(**anew), [read[path][1] for path in paths]
+
+
+def other_numbers(facts: Mapping[str, Any], kernel: Any) -> str:
+    """That a node's record was made with other numbers than those of this run's estimator, if that is so; else ""."""
+    if facts.get("run") != RECORDED:
+        return ""
+    there, here = (_flat("", json.loads(json.dumps(each))) for each in (facts.get("kernel"), kernel))
+    names = sorted(dict(there.items() ^ here.items()))[:3]
+    named = ", ".join(f"{name[1:]} {there.get(name)} there, {here.get(name)} here" for name in names)
+    what = f"other numbers ({named}): give the settings of the run from which the node started"
+    return f"; its predictions were made with {what}" if names else ""
+
+
+def _flat(name: str, value: Any) -> dict[str, str]:
+    """The values in JSON by dotted names, rounded."""
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else None
+    if items is None:
+        return {name: f"{value:.9g}" if isinstance(value, float) else f"{value}"}
+    return {key: each for part, inner in items for key, each in _flat(f"{name}.{part}", inner).items()}
 
 
 def own_settings(source: Path) -> str:

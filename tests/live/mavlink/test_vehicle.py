@@ -13,6 +13,7 @@ from usvlearn.core.events import Event
 from usvlearn.errors import ConfigError
 from usvlearn.live.mavlink.messages import WRAP
 from usvlearn.live.node import Step
+from usvlearn.live.plan_requests import Point
 from usvlearn.logs.channels.channel import Source
 from usvlearn.logs.formats.ardupilot.servos import Limits
 
@@ -174,6 +175,37 @@ def test_changes_of_health_and_alarms_are_told_in_texts():
     values = {name: value for _, name, value in lab.boat.values}
     assert values["USV_PRED"] == 1.25 and values["USV_ERR"] == 0.25
     assert {ms for ms, _, _ in lab.boat.values} == {round(1000 * (7.0 + BASE))}
+
+
+def test_a_command_answers_an_alarm_and_gets_an_acknowledgement():
+    lab = Lab()
+    lab.sail(5)
+    ground = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
+    for target, command, first in ((191, 31010, 1), (191, 31010, 2), (191, 31010, 3), (1, 31010, 2), (191, 400, 1)):
+        message = mavlink.MAVLink_command_long_message(1, target, command, 0, first, 0, 0, 0, 0, 0, 0)
+        lab.give(message.pack(ground))
+    assert lab.session.answers == ["acknowledge", "reset", ""]
+    lab.sail(1)
+    acks = [message for message in lab.boat.heard if message.get_type() == "COMMAND_ACK"]
+    assert [(each.command, each.result) for each in acks] == [(31010, 0), (31010, 0), (31010, 2), (400, 2)]
+    assert {(each.target_system, each.target_component) for each in acks} == {(255, 190)}
+
+
+def test_forecasts_and_tracks_are_arrays_and_quantities_named_values():
+    lab = Lab()
+    lab.sail(5)
+    place = Point(3.0, 1.0, 20.0, math.inf, math.inf, math.nan)
+    held = {10.0: (1.4, 1.3, 1.5)}
+    lab.session.last = step(lab)._replace(if_held=held, places={2.0: place, 10.0: place}, places_if_held={2.0: place})
+    lab.session.identified = {"time_constant": (1.5, 1.0, 2.0, "s"), "thrust_ratio": (math.nan, math.nan, math.nan, "")}
+    lab.sail(6)
+    arrays = {m.name: m.data for m in lab.boat.heard if m.get_type() == "DEBUG_FLOAT_ARRAY"}
+    assert list(arrays) == ["USV_FORE", "USV_TRACK", "USV_TRACKH"]
+    assert [round(x, 3) for x in arrays["USV_FORE"][:7]] == [10.0, 1.4, 1.2, 1.6, 1.3, 1.5, 0.0]
+    assert arrays["USV_TRACK"][7:11] == [10.0, 3.0, 1.0, 20.0] and arrays["USV_TRACKH"][7] == 0.0
+    assert sum(m.get_type() == "DEBUG_FLOAT_ARRAY" for m in lab.boat.heard) == 3, "each step once"
+    values = {name: value for _, name, value in lab.boat.values}
+    assert values["USV_TAU"] == 1.5 and "USV_RATIO" not in values
 
 
 def step(lab, events=(), speed=1.25):

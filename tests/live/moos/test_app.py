@@ -8,22 +8,33 @@ import subprocess
 import sys
 import threading
 import time
+from types import SimpleNamespace
 
 import pytest
 
 from tests.support import ROOT, few
-from tests.support.live import boat, messages, planar_set
+from tests.support.live import NotedSession, boat, messages, planar_set
 from tests.support.moos_app import ASK, NAMES, SCALE, at_sea, awaited, prior, ready, until
 from tests.support.moosdb import Moosdb
 from usvlearn.errors import ConfigError
 from usvlearn.live.moos import client as link
 from usvlearn.live.moos import wire
-from usvlearn.live.moos.app import KEYS, AppCasts, run
-from usvlearn.live.moos.block import MIDDLEWARE, Settings
+from usvlearn.live.moos.app import KEYS, App, AppCasts, run
+from usvlearn.live.moos.block import ANSWER, MIDDLEWARE, Settings, interface
 from usvlearn.live.moos.wire import Message
 from usvlearn.live.session import Session
 from usvlearn.live.start import Options
 from usvlearn.live.status import TABLE, status_lines
+
+
+def test_a_variable_answers_an_alarm():
+    """But not with what the database had at the subscription."""
+    app = object.__new__(App)
+    app.session, app.settings, app._busy = NotedSession(), SimpleNamespace(plan="USVLEARN_PLAN"), 0.0
+    for old in (True, False):
+        app._is_last_value = lambda _, old=old: old
+        app.take(Message("N", ANSWER, wire.TEXT, text="reset"))
+    assert app.session.answers == ["reset"] and f"  {ANSWER} " in interface()
 
 
 @pytest.mark.thorough

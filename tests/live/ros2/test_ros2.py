@@ -350,8 +350,10 @@ def test_a_track_points_east_and_north(monkeypatch):
     types = {name: rclpy_class(f"{package}/msg/{name}") for name, package in CLASSES.items()}
     node, one = Noted(), object.__new__(shell.Shell)
     one._node, one._types, one._dt, one._publishers, one._outputs = node, types, 0.4, {}, Outputs(types, "hull")
-    point = Point(0.0, 0.0, 0.0, math.inf, math.inf, 0.0)
-    step = SimpleNamespace(time=START + 0.5, track=track(), places={0.4: point, 0.8: point})
+    unknown = Point(0.0, 0.0, 0.0, math.inf, math.inf, 0.0)
+    known = unknown._replace(major=2 * 2.146, minor=2.146, bearing=30.0)
+    places = {0.4: known, 0.8: unknown}
+    step = SimpleNamespace(time=START + 0.5, track=track(), places=places, places_if_held={0.4: unknown})
     one._publish_track(step)
     one._publish_track(step)
     ((kind, path), _), places = node.published["~/track"], node.published["~/track_pose"]
@@ -363,8 +365,17 @@ def test_a_track_points_east_and_north(monkeypatch):
     turned = read_field(path.poses[0], "pose.orientation", "heading"), read_field(second, "pose.pose.orientation", "")
     assert turned == (pytest.approx(math.pi / 2), pytest.approx(0.0))
     C = np.reshape(first.pose.covariance, (6, 6))
-    assert C[:2, :2].tolist() == [[1.0, 0.5], [0.5, 4.0]] and (np.diag(C)[2:] == UNKNOWN).all()
+    rise = 3 * math.sqrt(3) / 4  # semi-axes of 2 and 1 standard deviations
+    np.testing.assert_allclose(C[:2, :2], [[1.75, rise], [rise, 3.25]], rtol=1e-3)
+    assert len(node.published["~/track_pose_if_held"]) == 2 and (np.diag(C)[2:] == UNKNOWN).all()
     assert (np.diag(np.reshape(second.pose.covariance, (6, 6))) == UNKNOWN).all()
+
+
+def test_a_service_answers_an_alarm():
+    one, asked = object.__new__(shell.Shell), []
+    one._session = SimpleNamespace(answer_alarm=lambda answer: asked.append(answer) or True)
+    response = one._answerer("reset")(None, SimpleNamespace(success=False, message=""))
+    assert asked == ["reset"] == [response.message] and response.success
 
 
 def test_the_position_that_tracks_need_is_that_of_an_odometry():

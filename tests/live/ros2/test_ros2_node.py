@@ -1,6 +1,7 @@
 """The node against a real rclpy: what it subscribes to, what it publishes, and what faults do to it.
 
-Skipped without rclpy, which comes with ROS 2. `test_ros2.py` tries the rest without it.
+Skipped without rclpy, which comes with ROS 2; `.ci/run` runs it with that of the package index. `test_ros2.py` tries
+the rest without it.
 """
 
 import importlib
@@ -13,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+import numpy as np
 import pytest
 
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -22,8 +24,10 @@ from tests.support import ROOT
 from tests.support.live import NotedSession, health
 from tests.support.ros2 import Peer
 from usvlearn.core.events import Event
+from usvlearn.core.forecasts import Track
 from usvlearn.errors import ConfigError
 from usvlearn.live.node import Step
+from usvlearn.live.plan_requests import Point
 from usvlearn.live.ros2 import ros2_launch
 from usvlearn.live.ros2.messages import message_class
 from usvlearn.live.ros2.shell import Shell
@@ -33,7 +37,7 @@ rclpy: Any = pytest.importorskip("rclpy", reason="needs rclpy: source a ROS 2")
 pytestmark = pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning")  # of a parser that rclpy imports
 ODOMETRY, NUMBER, TEXT = "nav_msgs/msg/Odometry", "std_msgs/msg/Float64", "std_msgs/msg/String"
 DIAGNOSTICS, TABLE = "diagnostic_msgs/msg/DiagnosticArray", "std_msgs/msg/Float64MultiArray"
-SPEED = "geometry_msgs/msg/TwistWithCovarianceStamped"
+SPEED, POSE = (f"geometry_msgs/msg/{name}WithCovarianceStamped" for name in ("Twist", "Pose"))
 SOURCES = {
     "command_left": Source("*thrusters/left"),
     "command_right": Source("thrusters/right"),
@@ -248,12 +252,39 @@ def test_what_is_known_is_published(sea, reliable):
         1.5
     ]
     assert heard["alarm"][0].data == heard["event"][0].data == "the left thruster gives 40 % of its thrust"
-    at_sea.until(lambda: False, patience=0.5)  # until all has arrived
+    count = -1
+    while count != (count := sum(map(len, heard.values()))):  # until all has arrived
+        at_sea.until(lambda: False, patience=1.0)
     for each in heard.values():
         each.clear()
     unknown = STEP._replace(speed=math.nan, forecasts={}, members={}, events=())
     assert at_sea.until(lambda: len(heard["surge_next"]) > 5, lambda: at_sea.shell.publish([unknown]))
     assert [name for name, each in heard.items() if each] == ["surge_next"]
+
+
+def test_tracks_are_published_with_ellipses_of_both_kinds(sea):
+    at_sea, place = sea(), Point(3.0, 1.0, 20.0, math.inf, math.inf, math.nan)
+    track = Track(*(np.array([each]) for each in (0.25, 1.0, 0.0, 0.0, 0.35, 3.0, 1.0)), np.full((1, 2, 2), np.inf))
+    step = STEP._replace(track=track, places={0.25: place._replace(major=2.0, minor=1.0, bearing=0.0)})
+    at_sea.shell.publish([step._replace(places_if_held={0.25: place})])  # makes the topics
+    kinds = {"track": "nav_msgs/msg/Path", "track_pose": POSE, "track_pose_if_held": POSE}
+    heard = {name: at_sea.listen(f"/usvlearn/{name}", kind) for name, kind in kinds.items()}
+    publish = lambda: at_sea.shell.publish([step._replace(places_if_held={0.25: place})])  # noqa: E731
+    assert at_sea.until(lambda: all(heard.values()), publish)
+    covariance = heard["track_pose"][0].pose.covariance
+    assert (
+        covariance[7] == pytest.approx(4 * covariance[0]) and heard["track_pose_if_held"][0].pose.covariance[0] == 1e6
+    )
+
+
+def test_services_answer_an_alarm(sea):
+    at_sea, trigger = sea(), pytest.importorskip("std_srvs.srv", reason="needs std_srvs").Trigger
+    for answer in ("acknowledge", "reset"):
+        client = at_sea.node.create_client(trigger, f"/usvlearn/{answer}_alarm")
+        assert at_sea.until(client.service_is_ready)
+        found = client.call_async(trigger.Request())
+        assert at_sea.until(found.done) and found.result().success
+    assert at_sea.session.answers == ["acknowledge", "reset"]
 
 
 def test_parameters_and_the_last_alarm_reach_a_late_subscriber(sea):

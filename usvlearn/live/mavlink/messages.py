@@ -23,7 +23,7 @@ import math
 import re
 import textwrap
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -245,8 +245,14 @@ LARGEST = 3.4e38  # of a 32-bit float
 WRAP = 1 << 32  # ms
 SET_INTERVAL = 511  # MAV_CMD_SET_MESSAGE_INTERVAL
 ONBOARD_CONTROLLER, INVALID, ACTIVE = 18, 8, 4  # type, autopilot and state in our heart-beat
-SHORT = {each.name: each.short.encode() for each in TABLE if each.short}  # names of at most 10 characters
+SHORT = {each.name: each.short.encode() for each in TABLE if each.short} | {  # names of at most 10 characters
+    "steady_speed_full": b"USV_VFULL", "time_constant": b"USV_TAU", "stopping_distance": b"USV_STOP",
+    "thrust_ratio": b"USV_RATIO",
+}  # fmt: skip
 WARNING, INFO = 4, 6  # severities
+COMMAND, USER = 76, 31010  # COMMAND_LONG, and MAV_CMD_USER_1: its first parameter answers an alarm
+ANSWERS = {1.0: "acknowledge", 2.0: "reset"}
+NUMBERS_SENT = 58  # of a DEBUG_FLOAT_ARRAY
 
 
 class Telemetry:
@@ -278,6 +284,20 @@ class Telemetry:
     def ask_parameter(self, target: tuple[int, int], name: str) -> None:
         """Ask a component for a parameter by its name."""
         self._send(self._dialect.MAVLink_param_request_read_message(*target, name.encode(), -1))
+
+    def acknowledge(self, message: Any, accepted: bool) -> None:
+        """Answer a command."""
+        sender = message.get_srcSystem(), message.get_srcComponent()
+        result = 0 if accepted else 2  # MAV_RESULT_ACCEPTED, MAV_RESULT_DENIED
+        self._send(self._dialect.MAVLink_command_ack_message(message.command, result, 0, 0, *sender))
+
+    def array(self, name: str, time: float, rows: Iterable[Sequence[float]]) -> None:
+        """Send rows of numbers, one behind the other; MAVLink 1 has no such message."""
+        numbers = [float(x) for row in rows for x in row][:NUMBERS_SENT]
+        if numbers and not self.old:
+            numbers += [0.0] * (NUMBERS_SENT - len(numbers))
+            micros = round(1e6 * time) if 0 <= time < 1e12 else 0
+            self._send(self._dialect.MAVLink_debug_float_array_message(micros, name.encode(), 0, numbers))
 
     def values(self, time: float, posts: Iterable[Post]) -> None:
         """Send the numbers among some posts, with a time of the vehicle, s; what no 32-bit float holds is left out."""

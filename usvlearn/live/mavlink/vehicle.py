@@ -15,11 +15,15 @@ from typing import TYPE_CHECKING, Any
 
 from usvlearn.core.events import LOSS
 from usvlearn.live.mavlink.messages import (
+    ANSWERS,
     ATTITUDE,
+    COMMAND,
+    COMPONENT,
     GLOBAL,
     HUD,
     INFO,
     NED,
+    USER,
     V1,
     VELOCITIES,
     WARNING,
@@ -33,7 +37,7 @@ from usvlearn.live.mavlink.messages import (
     velocity_of,
 )
 from usvlearn.live.mavlink.requests import BootClock, Intervals, ServoParameters
-from usvlearn.live.status import alike, of_health, of_step
+from usvlearn.live.status import Post, alike, of_health, of_step
 from usvlearn.logs.formats.ardupilot.mavlink_messages import MESSAGES
 from usvlearn.logs.formats.ardupilot.tlog import ARMED, GROUND_STATION, HEARTBEAT, NO_AUTOPILOT, PARAM_VALUE
 
@@ -77,6 +81,7 @@ class Vehicle:
         self._instances: dict[int, int] = {}  # message -> the least number of equal senders
         self._heading = math.nan  # rad
         self._state, self._ticks = "", 0  # of the session's health; how many seconds have been reported
+        self._sent_step = math.nan  # s, of the last step whose forecasts were sent
         self._told: set[str] = set()  # problems and warnings that last
 
     def is_connected(self, now: float) -> bool:
@@ -111,11 +116,19 @@ class Vehicle:
                 continue
             if sender == self.address:
                 heard, self._sender, self._sent = True, place, now
-            if number == PARAM_VALUE and sender == self.address:
+            if number == COMMAND:
+                self._obey(message)
+            elif number == PARAM_VALUE and sender == self.address:
                 self._servos.learn(message.param_id, message.param_value)
             elif number in MESSAGES and number != HEARTBEAT:
                 self._take(message, number, sender, now)
         return heard
+
+    def _obey(self, message: Any) -> None:
+        """Take the answer to an alarm, from any sender, if the command is to this component."""
+        if (message.target_system, message.target_component) == (self.telemetry.link.srcSystem, COMPONENT):
+            known = message.command == USER and self._session.answer_alarm(ANSWERS.get(message.param1, ""))
+            self.telemetry.acknowledge(message, known)
 
     def _is_from(self, place: str, now: float) -> bool:
         """Whether the vehicle itself sends from a place: two boats of one id must not be learned as one."""
@@ -266,7 +279,14 @@ class Vehicle:
         """Tell what has changed since the last second, and the numbers that change seldom."""
         self._ticks += 1
         if self._ticks % SELDOM == 0 and self.is_connected(now):
-            self.telemetry.values(self._clock.now(now), of_health(health))
+            known = (Post(name, each[0]) for name, each in health.known.items())
+            self.telemetry.values(self._clock.now(now), [*of_health(health), *known])
+        if (step := self._session.last) is not None and step.time != self._sent_step and self.is_connected(now):
+            self._sent_step = step.time
+            speeds = [(h, *each, *step.if_held[h][1:]) for h, each in step.forecasts.items()]
+            self.telemetry.array("USV_FORE", step.time, speeds)
+            for name, places in (("USV_TRACK", step.places), ("USV_TRACKH", step.places_if_held)):
+                self.telemetry.array(name, step.time, [(horizon, *each) for horizon, each in places.items()])
         problems = [self._servos.problem] if self._servos.problem else self._servos.remarks
         for sentence in dict.fromkeys((*problems, *health.warnings)):
             if alike(sentence) not in self._told:

@@ -19,11 +19,11 @@ from pathlib import Path
 from usvlearn.errors import ConfigError
 from usvlearn.live.health import COMPILING, Health
 from usvlearn.live.moos import wire
-from usvlearn.live.moos.block import EXAMPLE, MIDDLEWARE, Settings, interface, parser, settings_of
+from usvlearn.live.moos.block import ANSWER, EXAMPLE, MIDDLEWARE, Settings, interface, parser, settings_of
 from usvlearn.live.moos.client import Client
 from usvlearn.live.moos.wire import Message
 from usvlearn.live.session import Session
-from usvlearn.live.status import PLANNED, TABLE, Post, StatusLine, of_health, of_step, page
+from usvlearn.live.status import PLANNED, TABLE, Post, StatusLine, alike, of_health, of_step, page
 from usvlearn.live.status import SELDOM as SELDOM_WHEN
 from usvlearn.logs.channels.channel import COMMANDS
 
@@ -134,7 +134,7 @@ class App:
         sides = {name for name in COMMANDS if session.sources.get(name)}
         expected = {session.sources[name].name for name in sides}
         self._plain = expected == {MIDDLEWARE.channels[name]["name"] for name in COMMANDS}  # whether to look for PLAIN
-        for variable in (*self._feeds, REQUEST, settings.plan, *([PLAIN] if self._plain else [])):
+        for variable in (*self._feeds, REQUEST, ANSWER, settings.plan, *([PLAIN] if self._plain else [])):
             self.client.register(variable)
         self._connection = 0  # number of the connection
         self._subscribed = 0.0  # MOOS time of its beginning
@@ -162,7 +162,7 @@ class App:
         began = time.perf_counter()
         if message.key == REQUEST:
             self.casts.ask(message.text, time.monotonic(), self._node)
-        elif message.key == self.settings.plan:
+        elif message.key in (self.settings.plan, ANSWER):
             self._answer(message)
         elif message.key == PLAIN and self._plain:
             self._heard_plain = True
@@ -214,9 +214,13 @@ class App:
         return None
 
     def _answer(self, message: Message) -> None:
-        """Answer a plan; the last value that the database has is old."""
-        if not self._is_last_value(message):
-            text = message.text if message.data == wire.TEXT else f"{message.value:g}"
+        """Answer a plan, or take the answer to an alarm; the last value that the database has is old."""
+        text = message.text if message.data == wire.TEXT else f"{message.value:g}"
+        if self._is_last_value(message):
+            return
+        if message.key == ANSWER:
+            self.session.answer_alarm(text)
+        else:
             self._publish([Post(PLANNED, self.session.answer(text))])
 
     # what goes out
@@ -239,9 +243,10 @@ class App:
                 self.client.register(variable)
         sides = [health.ages.get(name, 0.0) for name in COMMANDS]
         self.session.advise("plain", ADVICE if self._heard_plain and all(map(math.isinf, sides)) else "")
-        for warning in set(health.warnings) - self._warned - set(self.casts.config_warnings):
-            self.casts.warn(warning)
-        self._warned = set(health.warnings)
+        for warning in set(health.warnings) - set(self.casts.config_warnings):
+            if alike(warning) not in self._warned:
+                self.casts.warn(warning)
+        self._warned = set(map(alike, health.warnings))
         if self.client.trouble != self._trouble:
             self._trouble = self.client.trouble
             where = f"{self.settings.host}:{self.settings.port}"

@@ -169,7 +169,7 @@ def _unquoted(text: str) -> str:
 
 
 NAME, HOST, PORT, TICK, PREFIX = "pUSVLearn", "localhost", 9000, 4.0, "USV_"
-PLAN = "USVLEARN_PLAN"  # variable
+PLAN, ANSWER = "USVLEARN_PLAN", "USVLEARN_ALARM"  # variables
 HELD = {"unit": "percent", "held": True}  # a MOOSDB keeps a value until the next post
 MIDDLEWARE = Middleware(
     "MOOS",
@@ -366,6 +366,7 @@ def interface() -> str:
     lines += [
         f"  {'APPCAST_REQ':<24} who asks for AppCasts",
         f"  {PLAN:<24} a plan: {PREFIX}{PLANNED} answers it",
+        f"  {ANSWER:<24} acknowledge or reset: the answer to an alarm",
         "",
         f"Published (the prefix {PREFIX} can be changed):",
     ]

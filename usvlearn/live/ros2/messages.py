@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from usvlearn.core.forecasts import Track
 from usvlearn.display.json_values import finite
 from usvlearn.errors import ConfigError, LogFormatError
+from usvlearn.live.plan_requests import Point
 from usvlearn.logs.channels.channel import Source, matching
 from usvlearn.logs.formats.ros.message_fields import CLOCK_LIMIT, default_field, read_field, stamp_of
 
@@ -162,6 +163,7 @@ class Messages:
 
 
 NORMAL90 = 1.6448536269514722  # half-width of a 90 % interval over the standard deviation
+ELLIPSE90 = 2 * math.log(10)  # square of a semi-axis of the ellipse that holds 90 %, over the variance
 ENU = "_enu"  # behind the name of the boat's frame: the frame of tracks, which does not turn with the boat
 UNKNOWN = 1e6  # (m/s)^2, (rad/s)^2, m^2 or rad^2: the variance of what is not known, which a filter then ignores
 DIAGONAL = range(0, 36, 7)  # of a 6 x 6 covariance
@@ -249,19 +251,21 @@ class Outputs:
             self._put(each, each.pose, stamp, track, k)
         return message
 
-    def place(self, stamp: float, track: Track, k: int) -> Any:
-        """Where the boat will be after a step, numbered from 0, as a PoseWithCovarianceStamped.
+    def place(self, stamp: float, track: Track, k: int, point: Point) -> Any:
+        """Where the boat will be after step k, from 0, with the ellipse of a point, as a PoseWithCovarianceStamped.
 
         Its origin is where the boat is at `stamp`, s, x points east, y north, and the yaw counts from east, counter-
         clockwise. What is not known has the variance `UNKNOWN`.
         """
         message = self._types["PoseWithCovarianceStamped"]()
         self._put(message, message.pose.pose, stamp, track, k)
-        (north, both), (_, east) = track.covariance[k].tolist()
-        known = math.isfinite(north) and math.isfinite(east)
         for place in DIAGONAL:
             message.pose.covariance[place] = UNKNOWN
-        if known:
+        if math.isfinite(point.major):
+            major, minor = point.major**2 / ELLIPSE90, point.minor**2 / ELLIPSE90
+            cosine, sine = math.cos(math.radians(point.bearing)), math.sin(math.radians(point.bearing))
+            both = (major - minor) * sine * cosine
+            east, north = major * sine**2 + minor * cosine**2, major * cosine**2 + minor * sine**2
             for place, value in ((0, east), (1, both), (6, both), (7, north)):
                 message.pose.covariance[place] = value
         return message

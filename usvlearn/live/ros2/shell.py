@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from usvlearn.errors import ConfigError, did_you_mean
+from usvlearn.live.alarms import ACKNOWLEDGE, RESET
 from usvlearn.live.ros2.messages import (
     AUXILIARY,
     CLASSES,
@@ -162,6 +163,14 @@ class Shell:
             "planned": node.create_publisher(text, "~/plan_forecast", DEPTH),
         }
         self._plans = node.create_subscription(text, "~/plan", self.plan, DEPTH)
+        try:
+            trigger = importlib.import_module("std_srvs.srv").Trigger
+            self._services = [
+                node.create_service(trigger, f"~/{answer}_alarm", self._answerer(answer))
+                for answer in (ACKNOWLEDGE, RESET)
+            ]
+        except ImportError:  # a file in the folder answers an alarm, too
+            node.get_logger().info("std_srvs is not installed: no services answer alarms")
         if members:
             self._publishers["members"] = node.create_publisher(table, "~/members", DEPTH)
         self._subscriptions: dict[str, tuple[str, Any]] = {}  # topic -> type, subscription
@@ -249,16 +258,25 @@ class Shell:
             self._types.update(classes)
             for key, topic, name in (
                 ("track", "~/track", "Path"), ("place", "~/track_pose", "PoseWithCovarianceStamped"),
+                ("place_if_held", "~/track_pose_if_held", "PoseWithCovarianceStamped"),
             ):  # fmt: skip
                 self._publishers[key] = self._node.create_publisher(classes[name], topic, DEPTH)
         self._publishers["track"].publish(self._outputs.path(step.time, step.track))
-        for horizon in step.places:
-            k = max(round(horizon / self._dt), 1) - 1
-            self._publishers["place"].publish(self._outputs.place(step.time, step.track, k))
+        for name, places in (("place", step.places), ("place_if_held", step.places_if_held)):
+            for horizon, point in places.items():
+                k = max(round(horizon / self._dt), 1) - 1
+                self._publishers[name].publish(self._outputs.place(step.time, step.track, k, point))
 
     def plan(self, message: Any) -> None:
         """Answer a plan."""
         self._publishers["planned"].publish(self._outputs.text(self._session.answer(message.data)))
+
+    def _answerer(self, answer: str) -> Callable[[Any, Any], Any]:
+        def take(_: Any, response: Any) -> Any:
+            response.success, response.message = self._session.answer_alarm(answer), answer
+            return response
+
+        return take
 
     def tick(self) -> None:
         """Once a second: topics, health, saving."""
