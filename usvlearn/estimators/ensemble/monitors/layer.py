@@ -61,9 +61,9 @@ def init(batch: Sequence[int], columns: int, like: Tensor) -> MonitorState:
     errors, two, none = zero((*b, 2, 6)), zero((*b, 2)), zero(b)
     errors[..., at.VARIANCE], errors[..., at.LEVELS] = at.YAW_SCALE**2, at.SLOW_SCALE**2
     models = zero((*b, 1 + at.YAW, 1 + at.YAW)), zero((*b, 1 + at.SURGES, 1 + at.SURGES)), errors
-    models += zero((*b, at.YAW)), zero((*b, at.YAW, at.YAW)), zero((*b, 3))
+    solved = zero((*b, at.YAW)), zero((*b, at.YAW, at.YAW)), zero((*b, 3))
     seen = zero((*b, at.SURGES - 2)), two, zero((*b, 3)), zero((*b, 3, 4)), zero((*b, 3)), none
-    thrusters = ThrusterState(*models, *seen, two, two + 1, two + at.DOUBT**-0.5, none, none)
+    thrusters = ThrusterState(*models, *solved, *seen, two, two + 1, two + at.DOUBT**-0.5, none, none)
     return MonitorState(innovations, thrusters)
 
 
