@@ -213,7 +213,7 @@ def _ensemble(logs: AlignedLogs, estimator: Estimator | None) -> Ensemble:
 def _started(
     state: EnsembleState, boats: Sequence[str], start: PathLike | Mapping[str, PathLike], kernel: Any
 ) -> EnsembleState:
-    """The state of all boats from saved checkpoints; see `usvlearn.runs.run_folder.from_checkpoints`."""
+    """The state of all boats from saved checkpoints; see `usvlearn.runs.resuming.from_checkpoints`."""
     from usvlearn.runs.resuming import from_checkpoints
 
     paths = start if isinstance(start, Mapping) else dict.fromkeys(boats, start)

@@ -44,6 +44,13 @@ def test_a_loss_is_one_event_with_the_effectiveness_of_two_minutes_later():
     assert recovery["effectiveness"] is None and event_of(recovery) == Event(recovery["time"], RECOVERY, "left")
 
 
+def test_a_loss_of_both_that_becomes_one_side_changes_no_earlier_loss():
+    row = published({(100, 200): 0.5, (500, STEPS): 0.4}, {(100, 200): 1.0, (500, STEPS): 1.0})
+    row["health"][500:520, 0, 3] = 1.0  # the right side, too, at first
+    losses = [each for each in told((0, 0, row)) if each["kind"] == LOSS]
+    assert [(each["time"], each["side"]) for each in losses] == [(40.0, "left"), (200.0, "left")]
+
+
 def test_stretches_and_runs_do_not_repeat_what_goes_on():
     whole = published({(100, 900): 0.5}, {(100, 900): 1.0}, {(125, 900): 1.0})
     parts = [(0, k, {name: x[k : k + 250] for name, x in whole.items()}) for k in range(0, STEPS, 250)]

@@ -48,13 +48,16 @@ def test_a_middleware_answers_an_alarm(tmp_path):
     assert boat.resets == 1 and alarms.sentence(boat) == ""
 
 
+EVIDENCE = "evidence", "sums", "held", "together", "raised"
+
+
 def test_a_reset_clears_the_evidence_and_what_the_filters_were_told():
-    leaf = {name: np.ones(2) for name in ("evidence", "sums", "held", "raised", "moments")}
+    leaf = {name: np.ones(2) for name in (*EVIDENCE, "moments")}
     state = {f"monitors.thrusters.{name}": x for name, x in leaf.items()} | {"accommodation.handed": np.ones(2)}
     node = SimpleNamespace(online=SimpleNamespace(state=dict(state), description={}))
     Node.reset_alarm(node)
     found = node.online.state
-    assert all((found[f"monitors.thrusters.{name}"] == 0).all() for name in ("evidence", "sums", "held", "raised"))
+    assert all((found[f"monitors.thrusters.{name}"] == 0).all() for name in EVIDENCE)
     assert (found["monitors.thrusters.moments"] == 1).all() and (found["accommodation.handed"] == 0).all()
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from certify.proofs import exact
 from usvlearn.core.checkpoint import as_array
-from usvlearn.core.events import CHANGE, LOSS, RAISED, TOGETHER, Event, EventWatch
+from usvlearn.core.events import BOTH, CHANGE, LOSS, RAISED, TOGETHER, Event, EventWatch
 from usvlearn.core.protocol import spec_of
 from usvlearn.core.samples import Fleet, named_leaves
 from usvlearn.engine.identified import identified
@@ -181,7 +181,7 @@ def _update(events: Found, event: Event) -> None:
     """The loss as it is known now, in the place where it was added."""
     for k in range(len(events) - 1, -1, -1):
         run, sailed, other = events[k]
-        if other.kind == LOSS and other.side == event.side:
+        if other.kind == LOSS and other.side in (event.side, BOTH):
             events[k] = run, sailed, event
             return
 

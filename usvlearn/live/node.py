@@ -275,7 +275,7 @@ class Node:
     def reset_alarm(self, below: bool = True) -> None:
         """Forget alarms and their evidence, by default also that below; the filters keep what they have learned."""
         begin, leaves = diagnostics.surge_of(self.online)[1], self.online.state
-        names = [f"{begin}monitors.thrusters.{name}" for name in ("evidence", "sums", "held", "raised")]
+        names = [f"{begin}monitors.thrusters.{name}" for name in ("evidence", "sums", "held", "together", "raised")]
         names.append(f"{begin}accommodation.handed")
         if below or any(np.any(leaves.get(name, 0.0)) for name in names[-2:]):
             self.online.state = leaves | {name: np.zeros_like(leaves[name]) for name in names if name in leaves}

@@ -62,7 +62,7 @@ TABLE = (
     Published(PLANNED, TEXT, "s: m/s", ASKED,
               "speeds, or places as above, under a plan that was posted, or why there are none"),
     Published("MEMBERS", TEXT, "m/s", STEP, "prediction of each member and combiner, where members are asked for"),
-    Published("ALARM", TEXT, "", RAISED, "a thruster has lost thrust, and how much of it is left"),
+    Published("ALARM", TEXT, "", RAISED, "a thruster, or the boat, has lost thrust, and how much of it is left"),
     Published("EVENT", TEXT, "", RAISED, "the same, what the filters got, a recovery, or another change of the boat"),
     Published("PARAMS", TEXT, "", SELDOM, "identified quantities, as drag_linear=-20.7,thrust_full_left=18.2,…"),
     Published("REFIT", TEXT, "", SELDOM,

@@ -12,7 +12,7 @@ import numpy as np
 from usvlearn.core.events import LOSS, event_of
 from usvlearn.core.samples import tree_map
 from usvlearn.estimators.ensemble.layer import Ensemble
-from usvlearn.estimators.joint.excitation_warnings import ONE_COMMAND, Quantity
+from usvlearn.estimators.joint.excitation_warnings import Quantity
 from usvlearn.estimators.joint.periodic_estimates import Identified, shown
 from usvlearn.evaluation.diagnostics import events, identified_boats
 from usvlearn.evaluation.free_simulation import FreeRun
@@ -356,8 +356,6 @@ def _accuracy(boat: Overview) -> str:
 def _events(boat: Overview, good: str) -> str:
     if boat.events is None:
         return "<p>Nobody watched the thrusters in these runs.</p>"
-    if not boat.events and boat.identified is not None and ONE_COMMAND in boat.identified.lacks:
-        return "<p>None can be found: both sides have one command.</p>"
     if not boat.events:
         return f"<p{good}>None: no thruster seemed to lose thrust, and the boat did not change.</p>"
     items = "".join(

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from usvlearn.core.events import LOSS
+from usvlearn.core.events import BOTH, LOSS
 from usvlearn.core.unconfirmed import UNSURE, Questions
 from usvlearn.errors import printable
 from usvlearn.estimators.joint.excitation_warnings import ONE_COMMAND, WIDE, Quantity
@@ -61,18 +61,17 @@ def summary(results: Mapping[str, Any], asked: Questions, boats: Mapping[str, Qu
         for x, how in ((near, "a step ahead"), (free, "in open loop over the later half"))
         if x is not None
     ]
-    alarms = [f"{each['side']} thruster lost thrust, {boat}, run {each['run']}, {each['time']:.0f} s"
+    alarms = [f"{'boat' if each['side'] == BOTH else each['side'] + ' thruster'} lost thrust, {boat}, "
+              f"run {each['run']}, {each['time']:.0f} s"
               for boat, happened in (events or {}).items() for each in happened if each["kind"] == LOSS]  # fmt: skip
     more = f" and {len(alarms) - 1} more" if len(alarms) > 1 else ""
-    alike = [ONE_COMMAND in each for each in results.get("lacks", {}).values()]
-    none = "none can be found: both sides have one command" if alike and all(alike) else "none"
     rows = {
         "data": data,
         "speed": f"{_words(boats, SPEED)} at full command",
         "response": f"time constant {_words(boats, TIME)}; turns {_words(boats, RATE)}",
         "error": "; ".join(errors) or "unknown",
         "fit": ", ".join(fits) or "unknown",
-        "alarms": alarms[0] + more if alarms else "nobody watched the thrusters" if events is None else none,
+        "alarms": alarms[0] + more if alarms else "nobody watched the thrusters" if events is None else "none",
     }
     return [f"{label:13}{printable(words)}" for label, words in rows.items()]
 

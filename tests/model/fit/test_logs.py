@@ -42,5 +42,8 @@ def test_what_a_run_has_found_of_lost_thrust_is_left_out(capsys):
     assert "heron: the left thruster lost thrust at 100 s of a" in " ".join(capsys.readouterr().err.split())
     same = without_losses("heron", logs, [event("change", 5.0, "a", ""), event("recovery", 5.0, "a")])
     assert capsys.readouterr().err == "" and all((same[name] == logs[name]).all() for name in logs)
+    split = [event("loss", 100.0, "a", "both"), *(event("recovery", 200.0, "b", side) for side in ("right", "left"))]
+    both = without_losses("heron", logs, split)
+    assert all((both[name] == cut[name]).all() for name in logs) and "the boat lost thrust" in capsys.readouterr().err
     with pytest.raises(ConfigError, match=r"found 389 measured steps with both thrusters whole, expected at least 600"):
         without_losses("heron", {"a": logs["a"]}, [event("loss", 99.0, "a")])

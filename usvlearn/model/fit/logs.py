@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from usvlearn.core.events import LOSS, RECOVERY
+from usvlearn.core.events import BOTH, LOSS, RECOVERY, SIDES
 from usvlearn.core.prepared_samples import COS, HOLD, LEFT, MODE, PREDICT, RIGHT, ROW, SIN, SURGE, YAW_RATE
 from usvlearn.core.samples import Fleet, Sample, tree_map
 from usvlearn.errors import ConfigError, complain
@@ -83,14 +83,13 @@ def without_losses(
         cut[name], place = rows.copy(), np.arange(len(rows)) * DT
         cut[name][:, MODE] = HOLD if lost else rows[:, MODE]
         for each in (each for each in events if each["run"] == name and each["kind"] in (LOSS, RECOVERY)):
-            begins, side = each["kind"] == LOSS, {each["side"]}
+            begins, side = each["kind"] == LOSS, set(SIDES) if each["side"] == BOTH else {each["side"]}
             lost = lost | side if begins else lost - side
             later = place >= each["time"] - BEFORE * begins
             cut[name][later, MODE] = HOLD if lost else rows[later, MODE]
             if begins:
-                said = (
-                    f"{boat}: the {each['side']} thruster lost thrust at {each['time']:.0f} s of {name} (run's events)"
-                )
+                who = "the boat" if each["side"] == BOTH else f"the {each['side']} thruster"
+                said = f"{boat}: {who} lost thrust at {each['time']:.0f} s of {name} (run's events)"
                 if tell:
                     complain(f"warning: {said}: the fit leaves out what follows until its recovery")
     if said and (left := sum(int(scored(rows).sum()) for rows in cut.values())) < FEWEST:
