@@ -147,7 +147,9 @@ def test_bad_input_is_one_sentence_and_writes_nothing(folder, tmp_path, monkeypa
 
 def test_logs_that_have_moved_are_named_by_their_key(folder, tmp_path, monkeypatch):
     logs = {"_target_": "usvlearn.logs.read.read", "path": "gone", "channels": {}, "boat": "heron1"}
-    monkeypatch.setattr(saved, "configuration", lambda run, before=saved.configuration: {**before(run), "data": logs})
+    monkeypatch.setattr(
+        saved, "configuration", lambda *given, before=saved.configuration: {**before(*given), "data": logs}
+    )
     monkeypatch.chdir(folder)
     with pytest.raises(UsvlearnError, match=r"If the logs have moved, give data.path=FOLDER \(found 'gone'\)"):
         work(["run", "--out", str(tmp_path)])

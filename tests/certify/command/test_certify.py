@@ -98,7 +98,7 @@ def test_no_number_and_no_name_of_the_table_is_cut(files, capsys, monkeypatch):
             text = capsys.readouterr().out
             head, blocks = text[: text.index(f"\n\n{len(rows)} of")].split("\n\n", 1)
             words = blocks.split()
-            assert head.startswith("Below") and max(map(len, blocks.splitlines())) <= (columns or 10_000)
+            assert head.startswith("Margins") and max(map(len, blocks.splitlines())) <= (columns or 10_000)
             assert columns or len(re.findall("─+", blocks)) == 1
             for row in rows:
                 assert {below(x, 3) for x in row["margins"].values()} | {above(row["rate"])} <= set(words)
