@@ -29,8 +29,8 @@ PRODUCT = {
     "estimators": Room(9_837, 9_600, ("usvlearn/estimators/",)),
     "certify": Room(5_992, 6_500, ("certify/",)),
     "live": Room(6_560, 5_900, ("usvlearn/live/",)),
-    "model": Room(6_188, 5_300, ("usvlearn/model/",)),
-    "report": Room(3_983, 3_500, ("usvlearn/report/",)),
+    "model": Room(6_187, 5_300, ("usvlearn/model/",)),
+    "report": Room(3_980, 3_500, ("usvlearn/report/",)),
     "engine": Room(3_765, 3_200, ("usvlearn/engine/",)),
     "cli": Room(2_897, 2_400, ("usvlearn/cli/", "usvlearn/composition/", "train.py", "evaluate.py")),
     "runs": Room(2_189, 2_100, ("usvlearn/runs/",)),
@@ -45,10 +45,10 @@ PRODUCT = {
     ),
 }
 OTHERS = {
-    "tests": Room(45_158, 38_000, ("tests/",)),
+    "tests": Room(45_173, 38_000, ("tests/",)),
     "benchmarks": Room(5_962, 5_000, ("benchmarks/",)),
     "building": Room(877, None, (".ci/", "aboard/", "docs/")),
-    "pages": Room(8_621, None, ("README.md", "CONTRIBUTING.md", "aboard/README.md", "docs/")),
+    "pages": Room(8_591, None, ("README.md", "CONTRIBUTING.md", "aboard/README.md", "docs/")),
 }
 ROOMS = PRODUCT | OTHERS
 NOT_COUNTED = "CHANGELOG.md", "docs/adr/", "docs/tutorials/"  # records that only grow, and what the site's build writes
