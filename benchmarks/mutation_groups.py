@@ -21,7 +21,6 @@ def named(folder: str, names: str) -> tuple[str, ...]:
     return tuple(f"tests/{folder}/test_{name}.py" for name in names.split())
 
 
-EVERY = "tests/engine/test_kernels.py::test_every_estimator_and_setting"
 GROUPS = {
     "certify": Group(
         ("certify/*/vector_*.py", "certify/networks/vector.py", "certify/*/recurrent.py"),
@@ -58,8 +57,6 @@ GROUPS = {
         (
             *named("estimators", "forecasts plans refused"),
             *named("engine", "descriptions"),
-            *(f"{EVERY}[{name}]" for name in ("forecasts", "forecasts_wrapped")),
-            "tests/engine/test_kernels.py::test_batches[(2, 3)-forecasts]",
         ),
         False,
     ),
@@ -92,7 +89,6 @@ GROUPS = {
         6,
         (
             *named("estimators", "trial_equations trial refused"),
-            f"{EVERY}[joint_trial]",
             *named("estimators", "accommodation"),
         ),
         False,
@@ -100,13 +96,13 @@ GROUPS = {
     "conditional": Group(
         ("usvlearn/estimators/ensemble/manoeuvre_intervals/[ks]*.py",),
         5,
-        (*named("estimators", "conditional_equations conditional"), f"{EVERY}[forecasts]"),
+        named("estimators", "conditional_equations conditional"),
         False,
     ),
     "axis": Group(
         ("usvlearn/estimators/axis/[!l]*.py",),
         4,
-        (*named("estimators", "axis turning"), f"{EVERY}[yaw]", f"{EVERY}[sway]", *named("engine", "planar")),
+        (*named("estimators", "axis turning"), *named("engine", "planar")),
         False,
     ),
     "accommodation": Group(
