@@ -248,7 +248,7 @@ def section(seed: int, n: int, hours: float, names: Sequence[str] = ()) -> list[
         "speed a PI controller holds, or mow a lawn under it. No setting was chosen on these seeds.", "",
         f"- A predictor's cell: the mean error of its first {FIRST} predictions after the event, over that of the true "
         "model, which knows boat, wind and water; and after how many steps its running error "
-        f"({WINDOW} steps of all boats) stays within {BACK} × the true model's, or × what it was of it before.",
+        f"({WINDOW} steps of all boats) stays within {BACK} × the true model's, or × their ratio before the event.",
         "- `NLMS` and `RLS` (forgetting 0.995) are the plain ones, on the regressors of above.",
         "- Alarm: s until the first one, in half of the boats, and in 90 %; –: not in as many. The share of boats with "
         "one within the mission, and in how many of them it names the side.",
