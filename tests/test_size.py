@@ -29,13 +29,13 @@ PRODUCT = {
     "estimators": Room(9_837, 9_600, ("usvlearn/estimators/",)),
     "certify": Room(5_992, 6_500, ("certify/",)),
     "live": Room(6_560, 5_900, ("usvlearn/live/",)),
-    "model": Room(6_187, 5_300, ("usvlearn/model/",)),
+    "model": Room(6_186, 5_300, ("usvlearn/model/",)),
     "report": Room(3_980, 3_500, ("usvlearn/report/",)),
     "engine": Room(3_765, 3_200, ("usvlearn/engine/",)),
     "cli": Room(2_897, 2_400, ("usvlearn/cli/", "usvlearn/composition/", "train.py", "evaluate.py")),
     "runs": Room(2_189, 2_100, ("usvlearn/runs/",)),
     "sweeps": Room(2_074, 1_800, ("usvlearn/sweeps/",)),
-    "core, errors": Room(2_746, 2_500, ("usvlearn/core/", "usvlearn/errors.py")),
+    "core, errors": Room(2_750, 2_500, ("usvlearn/core/", "usvlearn/errors.py")),
     "simulate": Room(1_847, 1_800, ("usvlearn/simulate/",)),
     "evaluation": Room(1_426, 1_600, ("usvlearn/evaluation/",)),
     "display, top": Room(
@@ -48,7 +48,7 @@ OTHERS = {
     "tests": Room(45_173, 38_000, ("tests/",)),
     "benchmarks": Room(5_958, 5_000, ("benchmarks/",)),
     "building": Room(877, None, (".ci/", "aboard/", "docs/")),
-    "pages": Room(8_591, None, ("README.md", "CONTRIBUTING.md", "aboard/README.md", "docs/")),
+    "pages": Room(8_586, None, ("README.md", "CONTRIBUTING.md", "aboard/README.md", "docs/")),
 }
 ROOMS = PRODUCT | OTHERS
 NOT_COUNTED = "CHANGELOG.md", "docs/adr/", "docs/tutorials/"  # records that only grow, and what the site's build writes

@@ -44,13 +44,17 @@ class Event(NamedTuple):
         return self.kind == LOSS and not math.isfinite(self.given)
 
     @property
+    def name(self) -> str:
+        """What has lost thrust."""
+        return "the boat" if self.side == BOTH else f"the {self.side} thruster"
+
+    @property
     def sentence(self) -> str:
         """The event in words."""
         who = " and ".join(self.filters)
         if self.kind == CHANGE:
             return f"the boat has changed: {who} ha{'s' if len(self.filters) == 1 else 've'} learned other parameters"
-        both = self.side == BOTH
-        name = "the boat" if both else f"the {self.side} thruster"
+        both, name = self.side == BOTH, self.name
         if self.kind == RECOVERY:
             return f"{name} gives its full thrust again"
         if math.isnan(self.effectiveness):

@@ -28,9 +28,9 @@ class Alarms:
 
     def ask(self, answer: str) -> bool:
         """Take an answer; returns whether it is one."""
-        known = answer.strip().lower() in (ACKNOWLEDGE, RESET)
-        self._asked |= {answer.strip().lower()} if known else set()
-        return known
+        known = {answer.strip().lower()} & {ACKNOWLEDGE, RESET}
+        self._asked |= known
+        return bool(known)
 
     def obey(self, node: Node) -> None:
         """Do what was asked for, here or by files in the folder, and remove them."""

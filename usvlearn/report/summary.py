@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from usvlearn.core.events import BOTH, LOSS
+from usvlearn.core.events import LOSS, event_of
 from usvlearn.core.unconfirmed import UNSURE, Questions
 from usvlearn.errors import printable
 from usvlearn.estimators.joint.excitation_warnings import ONE_COMMAND, WIDE, Quantity
@@ -61,7 +61,7 @@ def summary(results: Mapping[str, Any], asked: Questions, boats: Mapping[str, Qu
         for x, how in ((near, "a step ahead"), (free, "in open loop over the later half"))
         if x is not None
     ]
-    alarms = [f"{'boat' if each['side'] == BOTH else each['side'] + ' thruster'} lost thrust, {boat}, "
+    alarms = [f"{event_of(each).name.removeprefix('the ')} lost thrust, {boat}, "
               f"run {each['run']}, {each['time']:.0f} s"
               for boat, happened in (events or {}).items() for each in happened if each["kind"] == LOSS]  # fmt: skip
     more = f" and {len(alarms) - 1} more" if len(alarms) > 1 else ""

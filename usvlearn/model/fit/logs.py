@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from usvlearn.core.events import BOTH, LOSS, RECOVERY, SIDES
+from usvlearn.core.events import BOTH, LOSS, RECOVERY, SIDES, event_of
 from usvlearn.core.prepared_samples import COS, HOLD, LEFT, MODE, PREDICT, RIGHT, ROW, SIN, SURGE, YAW_RATE
 from usvlearn.core.samples import Fleet, Sample, tree_map
 from usvlearn.errors import ConfigError, complain
@@ -88,8 +88,7 @@ def without_losses(
             later = place >= each["time"] - BEFORE * begins
             cut[name][later, MODE] = HOLD if lost else rows[later, MODE]
             if begins:
-                who = "the boat" if each["side"] == BOTH else f"the {each['side']} thruster"
-                said = f"{boat}: {who} lost thrust at {each['time']:.0f} s of {name} (run's events)"
+                said = f"{boat}: {event_of(each).name} lost thrust at {each['time']:.0f} s of {name} (run's events)"
                 if tell:
                     complain(f"warning: {said}: the fit leaves out what follows until its recovery")
     if said and (left := sum(int(scored(rows).sum()) for rows in cut.values())) < FEWEST:
